@@ -1,0 +1,3 @@
+"""GeoRT hand retargeting, built and judged inside a Drake simulation."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,45 @@
+"""What every script shares: one console, progress bars, and errors that end with exit code 2."""
+
+import sys
+from collections.abc import Callable, Sequence
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from geort_drake.errors import GeortError
+
+# Progress and tables go to stderr so that a script's stdout stays machine-readable.
+console = Console(stderr=True, highlight=False)
+
+
+def progress_bar() -> Progress:
+    """A progress display for work that may take over two seconds; use as a context manager."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+        console=console,
+        transient=False,
+    )
+
+
+def run_main(main: Callable[[Sequence[str] | None], int | None]) -> None:
+    """Runs a script's `main` and exits: 0 when it worked, 2 when the user can correct something."""
+    try:
+        sys.exit(main(None) or 0)
+    except GeortError as error:
+        console.print(f"[bold red]error:[/] {error}", markup=True, soft_wrap=True)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        console.print("interrupted")
+        sys.exit(130)

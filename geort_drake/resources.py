@@ -1,0 +1,38 @@
+"""Where the models and diagrams lie, in a checkout and in an installed wheel."""
+
+import os
+from pathlib import Path
+
+PACKAGE_NAME = "geort_drake"
+
+
+def resource_root() -> Path:
+    """The directory that holds `models/` and `diagrams/`.
+
+    A wheel carries them inside the package, a checkout beside it.
+    """
+    package = Path(__file__).resolve().parent
+    return package if (package / "models").is_dir() else package.parent
+
+
+def models_dir() -> Path:
+    """Directory of the SDF files and hand descriptions."""
+    return resource_root() / "models"
+
+
+def diagrams_dir() -> Path:
+    """Directory of the scenarios and model directives."""
+    return resource_root() / "diagrams"
+
+
+def resolve_uri(uri: str | os.PathLike) -> Path:
+    """Turns `package://geort_drake/...` into a path; other text is taken as a path."""
+    text = os.fspath(uri)
+    prefix = f"package://{PACKAGE_NAME}/"
+    return resource_root() / text.removeprefix(prefix) if text.startswith(prefix) else Path(text)
+
+
+def cache_dir() -> Path:
+    """Where reusable computed data goes: `$XDG_CACHE_HOME/geort_drake`, by default in `~/.cache`."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / PACKAGE_NAME
