@@ -38,7 +38,8 @@ def run_main(main: Callable[[Sequence[str] | None], int | None]) -> None:
     try:
         sys.exit(main(None) or 0)
     except GeortError as error:
-        console.print(f"[bold red]error:[/] {error}", markup=True, soft_wrap=True)
+        console.print("[bold red]error:[/]", end=" ")
+        console.print(str(error), markup=False, soft_wrap=True)
         sys.exit(2)
     except KeyboardInterrupt:
         console.print("interrupted")
