@@ -1,0 +1,33 @@
+"""Fixtures shared by the tests: seeded generators, and real recordings where they are at hand."""
+
+from pathlib import Path
+
+import numpy as np
+import pydrake.common.deprecation  # noqa: F401  (registers its warning class for the filters)
+import pytest
+
+GLOVE_DIR = Path(__file__).resolve().parents[2] / "shared" / "glove"
+
+
+def _recording_file(name: str) -> Path:
+    path = GLOVE_DIR / name
+    if not path.is_file():
+        pytest.skip(f"the recording {name} is not at hand")
+    return path
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20251121)
+
+
+@pytest.fixture(scope="session")
+def alex_npy() -> Path:
+    """GeoRT's published recording: float64 (3498, 21, 3), metres, canonical wrist frame."""
+    return _recording_file("human_alex.npy")
+
+
+@pytest.fixture(scope="session")
+def manus_npz() -> Path:
+    """A raw MANUS recording: (5000, 25, 7) px py pz qw qx qy qz with Unix timestamps."""
+    return _recording_file("manus_right_subject-000_run-010.npz")
