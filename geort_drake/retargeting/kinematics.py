@@ -1,0 +1,153 @@
+"""Exact forward kinematics of a hand's fingertips in torch, batched and differentiable.
+
+Fingers are serial chains of revolute joints that start at the hand base B. The chain is evaluated
+from the tip to the base on a point instead of from the base to the tip on a frame, so a joint costs
+one product of a constant 9×3 matrix with a vector, and no rotation matrix is ever formed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+
+
+@dataclass(frozen=True)
+class FingerChain:
+    """One finger: a serial chain of revolute joints from the hand base B to the fingertip point.
+
+    Attributes:
+        name: finger name.
+        joint_names: k names, base to tip.
+        joint_indices: k positions of these joints in the hand's q.
+        X_PJ: (k, 4, 4) pose of each joint frame J at zero angle in its parent's joint frame P
+            (the first: in B), m.
+        axes: (k, 3) unit rotation axes in J.
+        p_tip: (3,) fingertip point in the last joint's moving frame, m.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    joint_indices: tuple[int, ...]
+    X_PJ: np.ndarray
+    axes: np.ndarray
+    p_tip: np.ndarray
+
+    def __post_init__(self):
+        k = len(self.joint_names)
+        shapes = {"X_PJ": (k, 4, 4), "axes": (k, 3), "p_tip": (3,)}
+        for attribute, wanted in shapes.items():
+            value = np.asarray(getattr(self, attribute), dtype=float)
+            if value.shape != wanted or not np.isfinite(value).all():
+                raise ValueError(
+                    f"finger '{self.name}': {attribute} must be finite and of shape {wanted}, "
+                    f"it has shape {value.shape}"
+                )
+            object.__setattr__(self, attribute, value)
+        if len(self.joint_indices) != k:
+            raise ValueError(f"finger '{self.name}': {len(self.joint_indices)} joint indices for {k} joints")
+        if not np.allclose(np.linalg.norm(self.axes, axis=1), 1.0, atol=1e-9):
+            raise ValueError(f"finger '{self.name}': the joint axes must be unit vectors")
+
+
+@dataclass(frozen=True)
+class HandKinematics:
+    """The fingers of a hand, with q in the order of `joint_names`.
+
+    Attributes:
+        fingers: F chains.
+        joint_names: n names in the order of q.
+        lower, upper: (n,) joint limits, rad.
+        tip_radius: radius of the fingertip spheres, m.
+    """
+
+    fingers: tuple[FingerChain, ...]
+    joint_names: tuple[str, ...]
+    lower: np.ndarray
+    upper: np.ndarray
+    tip_radius: float
+    _constants: dict = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def __post_init__(self):
+        object.__setattr__(self, "fingers", tuple(self.fingers))
+        object.__setattr__(self, "joint_names", tuple(self.joint_names))
+        n = len(self.joint_names)
+        for attribute in ("lower", "upper"):
+            value = np.asarray(getattr(self, attribute), dtype=float)
+            if value.shape != (n,) or not np.isfinite(value).all():
+                raise ValueError(f"{attribute} must be finite and of shape ({n},), it has shape {value.shape}")
+            object.__setattr__(self, attribute, value)
+        if not (self.lower < self.upper).all():
+            raise ValueError("every lower joint limit must be under its upper limit")
+        for finger in self.fingers:
+            for name, index in zip(finger.joint_names, finger.joint_indices, strict=True):
+                if not 0 <= index < n or self.joint_names[index] != name:
+                    raise ValueError(f"finger '{finger.name}': joint '{name}' is not number {index} of q")
+
+    @property
+    def finger_names(self) -> tuple[str, ...]:
+        return tuple(finger.name for finger in self.fingers)
+
+    def fingertips(self, q: torch.Tensor) -> torch.Tensor:
+        """Fingertip points p_BF, (..., F, 3) in m, for joint angles (..., n) in rad.
+
+        Differentiable, in the dtype and on the device of q; angles outside the limits are accepted.
+        """
+        n = len(self.joint_names)
+        if q.shape[-1] != n:
+            raise ValueError(f"q must end with {n} joint angles, it has shape {tuple(q.shape)}")
+        batch = q.shape[:-1]
+        groups, order = self._groups(q.dtype, q.device)
+        flat = q.reshape(-1, n)
+        tips = [group.points(flat) for group in groups]
+        p_FB = tips[0] if len(tips) == 1 else torch.cat(tips)[order]
+        return p_FB.transpose(0, 1).reshape(*batch, len(self.fingers), 3)
+
+    def _groups(self, dtype: torch.dtype, device: torch.device):
+        key = (dtype, device)
+        if key not in self._constants:
+            by_length: dict[int, list[int]] = {}
+            for number, finger in enumerate(self.fingers):
+                by_length.setdefault(len(finger.joint_names), []).append(number)
+            members = list(by_length.values())
+            groups = [_EqualChains([self.fingers[i] for i in numbers], dtype, device) for numbers in members]
+            order = torch.tensor(np.argsort(np.concatenate(members)), device=device)
+            self._constants[key] = (groups, order)
+        return self._constants[key]
+
+
+class _EqualChains:
+    """Constants of G fingers with k joints each, evaluated as one batch."""
+
+    def __init__(self, fingers: Sequence[FingerChain], dtype: torch.dtype, device: torch.device):
+        X = np.stack([finger.X_PJ for finger in fingers])
+        a = np.stack([finger.axes for finger in fingers])
+        K = np.zeros((*a.shape, 3))
+        K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -a[..., 2], a[..., 1], -a[..., 0]
+        K -= np.swapaxes(K, -1, -2)
+        R = X[..., :3, :3]
+        # Rodrigues: R_PJ Rot(a, θ) = R_PJ + sin θ · R_PJ K + (1 − cos θ) · R_PJ K²
+        stacked = np.concatenate([R, R @ K, R @ K @ K], axis=-2)  # (G, k, 9, 3)
+
+        def constant(array):
+            return torch.tensor(np.ascontiguousarray(array), dtype=dtype, device=device)
+
+        k = X.shape[1]
+        self.matrices = [constant(np.swapaxes(stacked[:, j], -1, -2)) for j in range(k)]
+        self.offsets = [constant(X[:, j, None, :3, 3]) for j in range(k)]
+        self.p_tip = constant(np.stack([finger.p_tip for finger in fingers])[:, None])
+        indices = np.array([finger.joint_indices for finger in fingers])
+        self.indices = torch.tensor(indices.ravel(), device=device)
+        self.shape = indices.shape
+
+    def points(self, q: torch.Tensor) -> torch.Tensor:
+        """(G, N, 3) fingertip points in B of q (N, n)."""
+        fingers, k = self.shape
+        angles = q.index_select(1, self.indices).reshape(-1, fingers, k).permute(2, 1, 0)
+        s, one_minus_c = torch.sin(angles)[..., None], (1.0 - torch.cos(angles))[..., None]
+        p = self.p_tip.expand(-1, q.shape[0], -1)
+        for j in reversed(range(k)):
+            at_zero, by_sine, by_cosine = torch.bmm(p, self.matrices[j]).split(3, dim=-1)
+            p = torch.addcmul(at_zero + self.offsets[j], s[j], by_sine)
+            p = torch.addcmul(p, one_minus_c[j], by_cosine)
+        return p
