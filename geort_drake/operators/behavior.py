@@ -1,0 +1,285 @@
+"""How a person grasps through a robot: reach, approach, close, squeeze, lift; and again if it fails.
+
+The person sees the robot's fingertips, its hand and the object, late and noisily, and moves the own
+hand. Fingers are corrected continuously: a fingertip moves the way the robot's fingertip should move,
+in proportion to the seen error. The wrist makes minimum-jerk movements and waits to see the result.
+Nothing here knows the retargeting map.
+"""
+
+import dataclasses as dc
+import enum
+
+import numpy as np
+from pydrake.math import RigidTransform, RotationMatrix
+from scipy.spatial.transform import Rotation
+
+from geort_drake.gloves.human_hand import HumanHand
+from geort_drake.gloves.keypoints import FINGER_NAMES
+from geort_drake.operators.config import OperatorConfig
+from geort_drake.operators.grasp_goal import GraspGoal
+
+
+class Phase(enum.IntEnum):
+    """What the person is doing."""
+
+    REACH = 0
+    APPROACH = 1
+    CLOSE = 2
+    SQUEEZE = 3
+    LIFT = 4
+    HOLD = 5
+    RELEASE = 6
+
+
+@dc.dataclass(frozen=True)
+class Seen:
+    """The scene as the person sees it: late, and with noise."""
+
+    p_WF: np.ndarray  # (F, 3) robot fingertip points, m
+    X_WB: RigidTransform  # robot hand base
+    X_WO: RigidTransform  # object
+    contact: np.ndarray  # (F,) force between each robot finger and the object, N
+
+
+@dc.dataclass
+class WristMovement:
+    """A minimum-jerk movement of the wrist (Flash and Hogan 1985)."""
+
+    X_start: RigidTransform
+    X_end: RigidTransform
+    t_start: float
+    duration: float
+
+    def pose(self, t: float) -> RigidTransform:
+        s = minimum_jerk((t - self.t_start) / self.duration)
+        p = self.X_start.translation() + s * (self.X_end.translation() - self.X_start.translation())
+        R_SE = self.X_start.rotation().inverse() @ self.X_end.rotation()
+        turn = Rotation.from_matrix(R_SE.matrix()).as_rotvec() * s
+        return RigidTransform(
+            self.X_start.rotation() @ RotationMatrix(Rotation.from_rotvec(turn).as_matrix()), p
+        )
+
+    @property
+    def t_end(self) -> float:
+        return self.t_start + self.duration
+
+
+def minimum_jerk(s: float) -> float:
+    """Progress in [0, 1] at the relative time s: 10 s³ − 15 s⁴ + 6 s⁵."""
+    s = min(max(s, 0.0), 1.0)
+    return s**3 * (10 - 15 * s + 6 * s**2)
+
+
+@dc.dataclass
+class OperatorState:
+    """All that the person remembers from one decision to the next."""
+
+    theta: np.ndarray  # (20,) joint angles of the own hand, rad
+    X_WH: RigidTransform
+    phase: Phase = Phase.REACH
+    phase_start: float = 0.0
+    attempt: int = 1
+    finger_velocity: np.ndarray = dc.field(default_factory=lambda: np.zeros((5, 3)))
+    movement: WristMovement | None = None
+    # Smallest shape error seen in this phase, and when it last fell.
+    best_error: float = np.inf
+    best_time: float = 0.0
+    # Squeeze: where the own fingertips started; lift: the object's place in the hand.
+    p_HF_start: np.ndarray | None = None
+    p_BO_start: np.ndarray | None = None
+
+
+class GraspingPerson:
+    """Decides, from what is seen, how the own fingers and wrist move next.
+
+    Args:
+        hand: the person's hand.
+        goal: the grasp wanted.
+        config: the person's parameters.
+        rng: source of the visual and motor noise.
+    """
+
+    def __init__(
+        self, hand: HumanHand, goal: GraspGoal, config: OperatorConfig, rng: np.random.Generator
+    ):
+        self._hand = hand
+        self._goal = goal
+        self._config = config
+        self._rng = rng
+        # Own finger that moves each robot finger; the rest go along with their neighbour.
+        self._own = np.array([FINGER_NAMES.index(name) for name in goal.finger_names])
+        self._followers = [i for i in range(5) if i not in self._own]
+
+    def start(self, theta: np.ndarray, X_WH: RigidTransform) -> OperatorState:
+        """The state before the first decision."""
+        return OperatorState(theta=np.array(theta, float), X_WH=X_WH)
+
+    def step(self, state: OperatorState, t: float, scene: Seen) -> OperatorState:
+        """One decision at time t, s; returns the new state and leaves the old one alone."""
+        state = dc.replace(state)
+        seen = self._perceive(scene)
+        self._advance_phase(state, t, seen)
+        self._move_fingers(state, t, seen)
+        self._move_wrist(state, t, seen)
+        return state
+
+    def _perceive(self, scene: Seen) -> Seen:
+        noise = self._rng.normal(0, self._config.visual_noise, (len(scene.p_WF) + 1, 3))
+        p_WO = scene.X_WO.translation() + noise[-1]
+        return dc.replace(
+            scene, p_WF=scene.p_WF + noise[:-1], X_WO=RigidTransform(scene.X_WO.rotation(), p_WO)
+        )
+
+    # -- phases
+
+    def _advance_phase(self, state: OperatorState, t: float, seen: Seen) -> None:
+        config, goal = self._config, self._goal
+        there = self._wrist_rests(state, t) and self._at(seen, self._wanted_hand_pose(state, seen))
+        touching = (seen.contact > config.touch_force)[goal.touches]
+        if state.phase in (Phase.REACH, Phase.RELEASE):
+            if there and self._shaped(state, t, seen):
+                self._enter(state, Phase.APPROACH, t)
+        elif state.phase == Phase.APPROACH:
+            if there:
+                self._enter(state, Phase.CLOSE, t)
+        elif state.phase == Phase.CLOSE:
+            if touching.all():
+                self._enter(state, Phase.SQUEEZE, t)
+                state.p_HF_start = self._hand.fingertips(state.theta)
+        elif state.phase == Phase.SQUEEZE:
+            if t - state.phase_start >= config.squeeze_time + config.settle_time:
+                self._enter(state, Phase.LIFT, t)
+                state.p_BO_start = seen.X_WB.inverse() @ seen.X_WO.translation()
+        elif self._lost(state, seen):
+            self._enter(state, Phase.RELEASE, t)
+            state.attempt += 1
+        elif state.phase == Phase.LIFT and self._wrist_rests(state, t) and state.movement is not None:
+            self._enter(state, Phase.HOLD, t)
+
+    def _enter(self, state: OperatorState, phase: Phase, t: float) -> None:
+        state.phase, state.phase_start = phase, t
+        state.best_error, state.best_time = np.inf, t
+        if phase != Phase.HOLD:
+            state.movement = None
+
+    def _shaped(self, state: OperatorState, t: float, seen: Seen) -> bool:
+        error = np.linalg.norm(self._fingertip_errors(state, seen), axis=1)[self._goal.touches].max()
+        if error < state.best_error - 0.002:
+            state.best_error, state.best_time = error, t
+        return error < self._config.shape_tolerance or t - state.best_time > self._config.patience
+
+    def _lost(self, state: OperatorState, seen: Seen) -> bool:
+        p_BO = seen.X_WB.inverse() @ seen.X_WO.translation()
+        return bool(np.linalg.norm(p_BO - state.p_BO_start) > self._config.lost_distance)
+
+    # -- fingers
+
+    def _fingertip_errors(self, state: OperatorState, seen: Seen) -> np.ndarray:
+        """Where the robot's fingertips should go from where they are seen, (F, 3) m in B."""
+        X_BW = seen.X_WB.inverse()
+        p_BF = X_BW.multiply(seen.p_WF.T).T
+        wanted = self._goal.p_BF_open.copy()
+        if state.phase == Phase.CLOSE:
+            X_BO = X_BW @ self._goal.object_frame(seen.X_WO)
+            aim = self._goal.p_OF_touch + self._config.overshoot * self._goal.n_OF
+            touches = self._goal.touches
+            wanted[touches] = X_BO.multiply(aim[touches].T).T
+        return wanted - p_BF
+
+    def _move_fingers(self, state: OperatorState, t: float, seen: Seen) -> None:
+        config = self._config
+        p_HF = self._hand.fingertips(state.theta)
+        if state.phase in (Phase.SQUEEZE, Phase.LIFT, Phase.HOLD):
+            state.finger_velocity = np.zeros((5, 3))
+            if state.phase == Phase.SQUEEZE:
+                # Own axes H and the robot hand's axes B are read as the same directions.
+                R_BO = (seen.X_WB.inverse() @ self._goal.object_frame(seen.X_WO)).rotation().matrix()
+                inwards = np.zeros((5, 3))
+                inwards[self._own[self._goal.touches]] = self._goal.n_OF[self._goal.touches] @ R_BO.T
+                done = minimum_jerk((t - state.phase_start) / config.squeeze_time)
+                target = state.p_HF_start + config.squeeze * done * inwards
+                state.theta = self._hand.solve_fingertips(target, state.theta)
+            return
+        error = self._fingertip_errors(state, seen)
+        wanted = np.zeros((5, 3))
+        wanted[self._own] = config.correction_rate * error
+        speed = np.linalg.norm(wanted, axis=1, keepdims=True)
+        limit = np.full((5, 1), config.max_fingertip_speed)
+        if state.phase == Phase.CLOSE:
+            limit[self._own, 0] = config.closing_speed * self._closing_share(error, seen)
+        wanted *= np.minimum(1.0, limit / np.maximum(speed, 1e-9))
+        for own in self._followers:
+            wanted[own] = wanted[own - 1]
+        share = config.period / (config.period + config.muscle_time_constant)
+        velocity = state.finger_velocity + share * (wanted - state.finger_velocity)
+        state.finger_velocity = velocity
+        noisy = velocity * (1 + self._rng.normal(0, config.motor_noise, (5, 1)))
+        state.theta = self._hand.solve_fingertips(p_HF + config.period * noisy, state.theta)
+
+    def _closing_share(self, error: np.ndarray, seen: Seen) -> np.ndarray:
+        """Share of the closing speed for each finger: touching ones stop, leading ones wait."""
+        config, touches = self._config, self._goal.touches
+        distance = np.linalg.norm(error, axis=1)
+        touching = seen.contact > config.touch_force
+        pending = touches & ~touching
+        slowest = distance[pending].max() if pending.any() else 0.0
+        share = np.clip(1 - (slowest - distance - config.closing_lead) / config.closing_lead, 0, 1)
+        return np.where(touches & touching, 0.0, share)
+
+    # -- wrist
+
+    def _wanted_hand_pose(self, state: OperatorState, seen: Seen) -> RigidTransform:
+        X_WO = self._goal.object_frame(seen.X_WO)
+        before = state.phase in (Phase.REACH, Phase.RELEASE)
+        return X_WO @ (self._goal.X_OB_before if before else self._goal.X_OB)
+
+    def _wrist_rests(self, state: OperatorState, t: float) -> bool:
+        if state.movement is None:
+            return True
+        return t >= state.movement.t_end + self._config.visual_delay + self._config.judging_time
+
+    def _at(self, seen: Seen, X_WB_wanted: RigidTransform) -> bool:
+        X = seen.X_WB.inverse() @ X_WB_wanted
+        turn = Rotation.from_matrix(X.rotation().matrix()).magnitude()
+        return bool(
+            np.linalg.norm(X.translation()) < self._config.reach_tolerance
+            and turn < self._config.turn_tolerance
+        )
+
+    def _move_wrist(self, state: OperatorState, t: float, seen: Seen) -> None:
+        if self._wrist_rests(state, t):
+            shift = self._wrist_shift(state, seen)
+            if shift is not None:
+                state.movement = self._plan_movement(state.X_WH, *shift, t)
+        if state.movement is not None:
+            state.X_WH = state.movement.pose(t)
+
+    def _wrist_shift(self, state: OperatorState, seen: Seen) -> tuple[np.ndarray, RotationMatrix] | None:
+        """Translation and rotation in W that the hand still needs; None to stay."""
+        if state.phase == Phase.LIFT:
+            raised = state.movement is not None
+            return None if raised else (np.array([0, 0, self._config.lift_height]), RotationMatrix())
+        if state.phase in (Phase.SQUEEZE, Phase.HOLD):
+            return None
+        if state.phase == Phase.CLOSE and (seen.contact > self._config.touch_force).any():
+            return None
+        wanted = self._wanted_hand_pose(state, seen)
+        if self._at(seen, wanted):
+            return None
+        turn = wanted.rotation() @ seen.X_WB.rotation().inverse()
+        return wanted.translation() - seen.X_WB.translation(), turn
+
+    def _plan_movement(
+        self, X_WH: RigidTransform, shift: np.ndarray, turn: RotationMatrix, t: float
+    ) -> WristMovement:
+        config = self._config
+        error = self._rng.normal(0, config.motor_noise / np.sqrt(3), 3) * np.linalg.norm(shift)
+        angle = Rotation.from_matrix(turn.matrix()).magnitude()
+        # A minimum-jerk movement peaks at 15/8 of its mean speed.
+        duration = max(
+            config.min_movement_time,
+            1.875 * float(np.linalg.norm(shift)) / config.peak_wrist_speed,
+            1.875 * float(angle) / config.peak_wrist_turn,
+        )
+        X_end = RigidTransform(turn @ X_WH.rotation(), X_WH.translation() + shift + error)
+        return WristMovement(X_WH, X_end, t, duration)

@@ -1,0 +1,179 @@
+"""What to simulate, as data: the schema of `diagrams/*.scenarios.yaml` and how it is read.
+
+This module must not use postponed annotations, because Drake's YAML loader reads the types.
+"""
+
+import dataclasses as dc
+import math
+import os
+from pathlib import Path
+
+import yaml
+from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
+from pydrake.multibody.parsing import ModelDirective
+from pydrake.multibody.plant import MultibodyPlantConfig
+
+from geort_drake.errors import ScenarioError, UnknownNameError
+from geort_drake.operators.config import OperatorConfig
+from geort_drake.resources import diagrams_dir, models_dir
+from geort_drake.systems.grasp_monitor import GraspMonitorConfig
+from geort_drake.systems.wrist_to_arm import WristToArmConfig
+
+
+@dc.dataclass
+class ObjectConfig:
+    """The object to grasp, and how its placement varies with the seed."""
+
+    # Stem of a file in models/sdf/objects.
+    name: str = "cylinder"
+    # Centre of the placement in W, x and y, m; the object stands on `support_height`.
+    position: list[float] = dc.field(default_factory=lambda: [0.5, 0.0])
+    # Height in W of what the object stands on, m.
+    support_height: float = 0.1
+    # Largest deviation from the centre in x and y, m, and from zero yaw, rad.
+    position_range: float = 0.02
+    yaw_range: float = 0.35
+    # The mass is scaled by a factor drawn between 1 - this and 1 + this.
+    mass_range: float = 0.2
+
+
+@dc.dataclass
+class RetargetingConfig:
+    """How the retargeter runs in the diagram."""
+
+    # Time between updates, s, and the speed limit of the joint targets, rad/s.
+    period: float = 0.01
+    max_joint_speed: float = 7.0
+
+
+@dc.dataclass
+class RecordingConfig:
+    """What is recorded for the Rerun viewer."""
+
+    # Time between recorded frames, s.
+    period: float = 0.02
+
+
+@dc.dataclass
+class Scenario:
+    """One grasp trial: the world, the person, and the chain between them."""
+
+    # Seed of the placement and of the person's noise.
+    random_seed: int = 0
+    # The trial fails when it is not over by then, s.
+    timeout: float = 25.0
+    # Plant settings; SAP with point contact, at a step that divides the other periods.
+    plant_config: MultibodyPlantConfig = dc.field(
+        default_factory=lambda: MultibodyPlantConfig(
+            time_step=0.002, discrete_contact_approximation="sap", contact_model="point"
+        )
+    )
+    # Arm, hand and surroundings; the models must be named `arm` and `hand`.
+    directives: list[ModelDirective] = dc.field(default_factory=list)
+    # Description of the robot hand: a stem in models/hands, or a path.
+    hand: str = "allegro_right"
+    # Joint positions of the arm at the start, by name, rad.
+    arm_posture: dict[str, float] = dc.field(default_factory=dict)
+    object: ObjectConfig = dc.field(default_factory=ObjectConfig)
+    operator: OperatorConfig = dc.field(default_factory=OperatorConfig)
+    # A glove recording with wrist poses to replay in the operator's place; empty: the operator.
+    glove_recording: str = ""
+    retargeting: RetargetingConfig = dc.field(default_factory=RetargetingConfig)
+    wrist_to_arm: WristToArmConfig = dc.field(default_factory=WristToArmConfig)
+    monitor: GraspMonitorConfig = dc.field(default_factory=GraspMonitorConfig)
+    recording: RecordingConfig = dc.field(default_factory=RecordingConfig)
+
+    def validate(self) -> None:
+        """Checks what the types cannot say.
+
+        Raises:
+            ScenarioError: naming the field, what was wanted and what was given.
+            UnknownNameError: the object's name stands for no model.
+        """
+        for name, value in {
+            "timeout": self.timeout,
+            "plant_config.time_step": self.plant_config.time_step,
+            "retargeting.period": self.retargeting.period,
+            "retargeting.max_joint_speed": self.retargeting.max_joint_speed,
+            "recording.period": self.recording.period,
+        }.items():
+            if not (math.isfinite(value) and value > 0):
+                raise ScenarioError(f"scenario field {name} must be positive, not {value}")
+        if len(self.object.position) != 2:
+            raise ScenarioError(
+                f"scenario field object.position must be [x, y] in m, not {self.object.position}"
+            )
+        if not 0 <= self.object.mass_range < 1:
+            raise ScenarioError(
+                f"scenario field object.mass_range must be in [0, 1), not {self.object.mass_range}"
+            )
+        step = self.plant_config.time_step
+        for name, period in {
+            "retargeting.period": self.retargeting.period,
+            "wrist_to_arm.period": self.wrist_to_arm.period,
+            "operator.period": self.operator.period,
+            "monitor.period": self.monitor.period,
+            "recording.period": self.recording.period,
+        }.items():
+            if abs(period / step - round(period / step)) > 1e-6:
+                raise ScenarioError(
+                    f"scenario field {name} ({period} s) must be a multiple of plant_config.time_step "
+                    f"({step} s)"
+                )
+        if self.object.name not in object_names():
+            raise UnknownNameError("object", self.object.name, object_names())
+        try:
+            self.operator.validate()
+            self.wrist_to_arm.validate()
+            self.monitor.validate()
+        except ValueError as error:
+            raise ScenarioError(f"scenario field {error}") from error
+
+
+def object_names() -> list[str]:
+    """Names of the objects that come with the package."""
+    return sorted(path.stem for path in (models_dir() / "sdf" / "objects").glob("*.sdf"))
+
+
+def default_scenario_file() -> Path:
+    """The scenarios that come with the package."""
+    return diagrams_dir() / "grasp.scenarios.yaml"
+
+
+def load_scenario(
+    file: str | os.PathLike | None = None, name: str = "Grasp", text: str | None = None
+) -> Scenario:
+    """Reads a scenario by name, then merges YAML `text` into it, and checks the result.
+
+    Mappings merge and lists replace, as in Drake's hardware_sim.
+
+    Raises:
+        ScenarioError: the file is missing or malformed, or a field is unknown or wrong.
+        UnknownNameError: there is no scenario of that name.
+    """
+    path = Path(file) if file is not None else default_scenario_file()
+    if not path.is_file():
+        raise ScenarioError(f"scenario file {path} does not exist")
+    try:
+        with path.open(encoding="utf-8") as stream:
+            names = list(yaml.compose(stream, Loader=yaml.SafeLoader).value)
+    except (yaml.YAMLError, AttributeError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"scenario file {path} is no mapping of names to scenarios: {error}") from error
+    choices = [key.value for key, _ in names]
+    if name not in choices:
+        raise UnknownNameError(f"scenario in {path}", name, choices)
+    try:
+        scenario = yaml_load_typed(
+            schema=Scenario, filename=str(path), child_name=name, defaults=Scenario()
+        )
+        if text:
+            scenario = yaml_load_typed(schema=Scenario, data=text, defaults=scenario)
+    except Exception as error:  # Drake's loader raises many types; all mean the text is at fault
+        raise ScenarioError(f"scenario '{name}' in {path}: {error}") from error
+    scenario.validate()
+    return scenario
+
+
+def dump_scenario(scenario: Scenario) -> str:
+    """The whole scenario as YAML that `load_scenario` reads under the name `Resolved`."""
+    return yaml_dump_typed(scenario, child_name="Resolved")

@@ -1,0 +1,186 @@
+"""What a plant looks like, as Rerun entities: every body's path and every geometry's shape."""
+
+import warnings
+from dataclasses import dataclass, field
+
+import numpy as np
+import rerun as rr
+from pydrake.geometry import (
+    Box,
+    Capsule,
+    Convex,
+    Cylinder,
+    Ellipsoid,
+    GeometryId,
+    HalfSpace,
+    Mesh,
+    ReadObjToTriangleSurfaceMesh,
+    Rgba,
+    Role,
+    SceneGraph,
+    SceneGraphInspector,
+    Sphere,
+)
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import RigidBody
+
+WORLD = "world"
+_DEFAULT_COLOR = Rgba(0.75, 0.75, 0.78, 1.0)  # geometry that brings no colour
+_HALF_SPACE_SIDE = 2.0  # m; a half space is drawn as a square
+
+
+@dataclass
+class Scene:
+    """The bodies of a plant that are worth drawing, and how to draw them.
+
+    Attributes:
+        paths: entity path of every body of the plant, by its index.
+        moving: indices of the drawn bodies whose pose changes, in plant order.
+        anchored: X_WB of the drawn bodies that are welded to the world, by index.
+        shapes: (entity path, archetype) of every geometry; each is logged once.
+        body_of_geometry: body index of every proximity geometry, for contact surfaces.
+    """
+
+    paths: list[str]
+    moving: list[int] = field(default_factory=list)
+    anchored: dict[int, RigidTransform] = field(default_factory=dict)
+    shapes: list[tuple[str, rr.AsComponents]] = field(default_factory=list)
+    body_of_geometry: dict[GeometryId, int] = field(default_factory=dict)
+
+
+def describe_scene(plant: MultibodyPlant, scene_graph: SceneGraph, role: Role) -> Scene:
+    """Reads the geometry of a finalized plant from its scene graph.
+
+    A body without geometry of the wanted role is drawn with its proximity geometry; one that has
+    neither is not drawn. A geometry that cannot be drawn is left out with a warning that names it.
+    """
+    inspector = scene_graph.model_inspector()
+    bodies = [plant.get_body(index) for index in plant.GetBodyIndices()]
+    scene = Scene(paths=[_body_path(plant, body) for body in bodies])
+    defaults = plant.CreateDefaultContext()
+    for body in bodies:
+        index = int(body.index())
+        frame = plant.GetBodyFrameIdIfExists(body.index())
+        if frame is None:
+            continue
+        proximity = inspector.GetGeometries(frame, Role.kProximity)
+        scene.body_of_geometry.update(dict.fromkeys(proximity, index))
+        geometries = inspector.GetGeometries(frame, role) or proximity
+        for geometry in geometries:
+            path = f"{scene.paths[index]}/{_part(_leaf(inspector.GetName(geometry)))}"
+            scene.shapes += [(path, archetype) for archetype in _draw(inspector, geometry)]
+        if geometries and plant.IsAnchored(body):
+            scene.anchored[index] = plant.EvalBodyPoseInWorld(defaults, body)
+        elif geometries:
+            scene.moving.append(index)
+    return scene
+
+
+def entity_path(*keys: str) -> str:
+    """An entity path of keys that may themselves hold slashes; odd characters are escaped."""
+    return "/" + "/".join(_part(part) for key in keys for part in key.split("/") if part)
+
+
+def _body_path(plant: MultibodyPlant, body: RigidBody) -> str:
+    if body.index() == plant.world_body().index():
+        return f"/{WORLD}/environment"
+    model = plant.GetModelInstanceName(body.model_instance())
+    return entity_path(WORLD, *model.split("::"), body.name())
+
+
+def _leaf(scoped_name: str) -> str:
+    return scoped_name.rsplit("::", 1)[-1]
+
+
+def _part(name: str) -> str:
+    return rr.escape_entity_path_part(name)
+
+
+def _draw(inspector: SceneGraphInspector, geometry: GeometryId) -> list[rr.AsComponents]:
+    """The archetypes that draw one geometry, placed relative to its body."""
+    shape = inspector.GetShape(geometry)
+    X_BG = inspector.GetPoseInFrame(geometry)
+    look = {"colors": [_color(inspector, geometry)], "fill_mode": rr.components.FillMode.Solid}
+    if isinstance(shape, Box):
+        return [rr.Boxes3D(sizes=[shape.size()], **look), transform(X_BG)]
+    if isinstance(shape, Sphere):
+        return [rr.Ellipsoids3D(half_sizes=[[shape.radius()] * 3], **look), transform(X_BG)]
+    if isinstance(shape, Ellipsoid):
+        axes = [shape.a(), shape.b(), shape.c()]
+        return [rr.Ellipsoids3D(half_sizes=[axes], **look), transform(X_BG)]
+    if isinstance(shape, Cylinder):
+        return [rr.Cylinders3D(lengths=shape.length(), radii=shape.radius(), **look), transform(X_BG)]
+    if isinstance(shape, Capsule):
+        # Drake centres a capsule; Rerun's runs from z = 0 to its length.
+        X_BC = X_BG @ RigidTransform([0.0, 0.0, -shape.length() / 2])
+        return [rr.Capsules3D(lengths=shape.length(), radii=shape.radius(), **look), transform(X_BC)]
+    if isinstance(shape, HalfSpace):
+        size = [_HALF_SPACE_SIDE, _HALF_SPACE_SIDE, 0.002]
+        X_BT = X_BG @ RigidTransform([0.0, 0.0, -0.001])
+        return [rr.Boxes3D(sizes=[size], **look), transform(X_BT)]
+    triangles = _triangles(inspector, geometry)
+    if triangles is None:
+        kind = type(shape).__name__
+        warnings.warn(f"geometry {inspector.GetName(geometry)}: cannot draw a {kind}", stacklevel=2)
+        return []
+    # Corners are not shared, so that every triangle has its own normal and edges stay sharp.
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    mesh = rr.Mesh3D(
+        vertex_positions=triangles.reshape(-1, 3),
+        vertex_normals=np.repeat(normals, 3, axis=0),
+        albedo_factor=look["colors"][0],
+    )
+    return [mesh, transform(X_BG)]
+
+
+def _triangles(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndarray | None:
+    """Corners (n, 3, 3) of a mesh's triangles, m, in the geometry's frame; None without a mesh.
+
+    A Wavefront file is drawn as it is; other formats as their convex hull.
+    """
+    shape = inspector.GetShape(geometry)
+    if isinstance(shape, Mesh) and shape.extension() == ".obj" and shape.source().is_path():
+        surface = ReadObjToTriangleSurfaceMesh(shape.source().path(), scale3=shape.scale3())
+        corners = np.array(surface.vertices())
+        return corners[
+            [[triangle.vertex(i) for i in range(3)] for triangle in surface.triangles()],
+        ]
+    if not isinstance(shape, Mesh | Convex):
+        return None
+    hull = inspector.GetConvexHull(geometry)
+    if hull is None:
+        return None
+    if isinstance(shape, Mesh):
+        warnings.warn(
+            f"geometry {inspector.GetName(geometry)}: drawn as its convex hull; "
+            f"only .obj meshes are drawn as they are, not {shape.extension()}",
+            stacklevel=2,
+        )
+    corners = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
+    fans = []
+    for face in map(hull.element, range(hull.num_elements())):
+        ring = [face.vertex(i) for i in range(face.num_vertices())]
+        fans += [[ring[0], a, b] for a, b in zip(ring[1:], ring[2:], strict=False)]
+    return corners[fans]
+
+
+def _color(inspector: SceneGraphInspector, geometry: GeometryId) -> list[int]:
+    for properties in (
+        inspector.GetIllustrationProperties(geometry),
+        inspector.GetPerceptionProperties(geometry),
+        inspector.GetProximityProperties(geometry),
+    ):
+        if properties is not None and properties.HasProperty("phong", "diffuse"):
+            rgba = properties.GetProperty("phong", "diffuse")
+            break
+    else:
+        rgba = _DEFAULT_COLOR
+    return [round(255 * value) for value in (rgba.r(), rgba.g(), rgba.b(), rgba.a())]
+
+
+def transform(X: RigidTransform) -> rr.Transform3D:
+    """A pose as Rerun's archetype."""
+    w, x, y, z = X.rotation().ToQuaternion().wxyz()
+    return rr.Transform3D(translation=X.translation(), quaternion=[x, y, z, w])

@@ -1,0 +1,18 @@
+"""Poses as vector ports carry them: qw qx qy qz x y z."""
+
+import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform, RotationMatrix
+
+
+def pose_to_vector(X: RigidTransform) -> np.ndarray:
+    """qw qx qy qz x y z of a pose, (7,)."""
+    return np.concatenate([X.rotation().ToQuaternion().wxyz(), X.translation()])
+
+
+def vector_to_pose(values: np.ndarray) -> RigidTransform:
+    """The pose behind qw qx qy qz x y z, (7,); the quaternion is normalised."""
+    quaternion = np.asarray(values[:4], float)
+    return RigidTransform(
+        RotationMatrix(Quaternion(quaternion / np.linalg.norm(quaternion))), np.asarray(values[4:], float)
+    )
