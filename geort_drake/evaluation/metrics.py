@@ -1,0 +1,266 @@
+"""How well a retargeter serves a person: motion, coverage, flatness, pinch, collision, smoothness, latency.
+
+Every figure is computed through the robot's exact kinematics and averaged over fingers. The
+functions take g = FK∘f, "where do the robot's fingertips (N, F, 3) go for human fingertips
+(N, F, 3)", in metres; randomness enters as a NumPy Generator.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from geort_drake.errors import RecordingError
+from geort_drake.retargeting.clouds import voxel_centres, voxel_index
+
+FingertipMap = Callable[[np.ndarray], np.ndarray]
+
+COVERAGE_RADII_MM = (5, 10, 15)
+ROBOT_SAMPLES = 200_000
+ROBOT_VOXEL = 0.003  # m
+HUMAN_VOXEL = 0.001  # m
+PINCH_DISTANCE = 0.015  # m, nearer human fingertips pinch
+APART_DISTANCE = 0.030  # m, human fingertips farther apart do not mean to pinch
+TOO_DEEP = 0.004  # m, nearer robot fingertips fight each other
+PENETRATION = 0.002  # m, deeper penetrations count as self-collision
+
+
+def evaluate(retarget: Callable, hand, recording, seed: int = 0) -> dict:
+    """All metrics of a retargeter on one recording, as a JSON-ready dictionary.
+
+    Args:
+        retarget: maps (F, 3) and (N, F, 3) human fingertips in H, m, to joint angles in rad.
+        hand: a `HandModel` of the robot; its fingers are those of the retargeter.
+        recording: a `Recording` of the person's hand.
+        seed: of the anchors, directions and robot samples.
+
+    Raises:
+        RecordingError: when the recording has too few frames to measure on.
+    """
+    keypoints = [finger.human_keypoint for finger in hand.description.fingers]
+    frames = recording.fingertips(keypoints).astype(float)
+    return evaluate_frames(retarget, hand, frames, recording.rate_hz, seed)
+
+
+def evaluate_frames(retarget: Callable, hand, frames: np.ndarray, rate_hz: float, seed: int = 0) -> dict:
+    """`evaluate` for human fingertips (T, F, 3) of successive frames at `rate_hz`."""
+    if len(frames) < 10:
+        raise RecordingError(f"metrics need at least 10 valid frames, the recording has {len(frames)}")
+
+    def g(p_HF: np.ndarray) -> np.ndarray:
+        return hand.fingertips(retarget(p_HF))
+
+    rng = np.random.default_rng(seed)
+    q = retarget(frames)
+    p_BF = hand.fingertips(q)
+    q_uniform = rng.uniform(hand.lower, hand.upper, (ROBOT_SAMPLES, len(hand.joint_names)))
+    p_uniform = hand.fingertips(q_uniform)
+    reachable = robot_voxels(p_uniform)
+    collision_free = robot_voxels(p_uniform[~hand.collides(q_uniform)])
+    averaged = context_averaged(g, frames, p_BF)
+    flat, gain = flatness_and_gain(g, frames, rng)
+    collided = self_collision(hand, q)
+    return {
+        "motion_preservation": motion_preservation(g, frames, rng),
+        "motion_preservation_track": motion_preservation_track(frames, p_BF),
+        "coverage": coverage(reachable, p_BF),
+        "coverage_context_averaged": coverage(reachable, averaged),
+        "coverage_collision_free": coverage(collision_free, p_BF),
+        "cross_talk": cross_talk(g, frames, rng),
+        "flatness": flat,
+        "gain_p95_p5": gain,
+        "pinch": pinch(frames, p_BF, hand.finger_names, hand.tip_radius),
+        "self_collision": collided["deep"],
+        "self_collision_raw": collided["any"],
+        "smoothness": smoothness(q, rate_hz),
+        "latency_us": latency(retarget, frames),
+    }
+
+
+def motion_preservation(
+    g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 4000
+) -> float:
+    """Mean cosine between a random step of one human fingertip and the step of the robot's.
+
+    Anchors are whole recorded frames, uniform over the 1 mm voxels of the moved finger's cloud; steps
+    are uniform in 1–11 mm, directions on the sphere. An unanswered step counts 0.
+    """
+    means = []
+    for finger in range(frames.shape[1]):
+        x = frames[_anchor_rows(frames[:, finger], anchors, rng)]
+        d = _directions(anchors, rng) * rng.uniform(0.001, 0.011, (anchors, 1))
+        answer = _moved(g, x, finger, d)[:, finger] - g(x)[:, finger]
+        means.append(_cosines(d, answer).mean())
+    return float(np.mean(means))
+
+
+def motion_preservation_track(frames: np.ndarray, p_BF: np.ndarray) -> float:
+    """Mean cosine of real successive steps longer than 1 mm; NaN if there is none."""
+    d, answer = np.diff(frames, axis=0), np.diff(p_BF, axis=0)
+    long = np.linalg.norm(d, axis=-1) > 0.001
+    means = [
+        _cosines(d[long[:, i], i], answer[long[:, i], i]).mean() for i in range(d.shape[1]) if long[:, i].any()
+    ]
+    return float(np.mean(means)) if means else float("nan")
+
+
+def cross_talk(g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 1000) -> float:
+    """Mean motion of the other robot fingertips over that of its own when one human tip moves by 5 mm."""
+    fingers = frames.shape[1]
+    if fingers == 1:
+        return 0.0
+    ratios = []
+    for finger in range(fingers):
+        x = frames[rng.integers(len(frames), size=anchors)]
+        d = 0.005 * _directions(anchors, rng)
+        moved = np.linalg.norm(_moved(g, x, finger, d) - g(x), axis=-1).mean(axis=0)
+        others = (moved.sum() - moved[finger]) / (fingers - 1)
+        ratios.append(others / moved[finger] if moved[finger] > 0 else (np.inf if others > 0 else 0.0))
+    return float(np.mean(ratios))
+
+
+def robot_voxels(p_BF: np.ndarray) -> list[np.ndarray]:
+    """Per finger, the centres of the 3 mm voxels of its C-space that samples (N, F, 3) hit."""
+    return [voxel_centres(p_BF[:, i], ROBOT_VOXEL) for i in range(p_BF.shape[1])]
+
+
+def coverage(voxels: Sequence[np.ndarray], p_BF: np.ndarray) -> dict[str, float]:
+    """Share of each finger's voxels within 5, 10 and 15 mm of robot fingertips (T, F, 3)."""
+    shares = []
+    for i, centres in enumerate(voxels):
+        distance, _ = cKDTree(p_BF[:, i]).query(centres, distance_upper_bound=0.001 * max(COVERAGE_RADII_MM) + 1e-9)
+        shares.append([(distance <= 0.001 * r).mean() for r in COVERAGE_RADII_MM])
+    return {f"{r}mm": float(s) for r, s in zip(COVERAGE_RADII_MM, np.mean(shares, axis=0), strict=True)}
+
+
+def context_averaged(g: FingertipMap, frames: np.ndarray, p_BF: np.ndarray, contexts: int = 12) -> np.ndarray:
+    """Robot fingertips (T, F, 3), averaged over what the person's other fingers may be doing.
+
+    Each finger's tip is kept and the other tips are taken from the recorded frames whose own tip is
+    nearest; what a coupled map reaches only through the other fingers averages out.
+    """
+    count = min(contexts, len(frames))
+    result = np.empty_like(p_BF)
+    for finger in range(frames.shape[1]):
+        tips = frames[:, finger]
+        _, rows = cKDTree(tips).query(tips, k=count)
+        rows = rows.reshape(len(frames), count)
+        hands = frames[rows.ravel()]
+        hands[:, finger] = np.repeat(tips, count, axis=0)
+        result[:, finger] = g(hands)[:, finger].reshape(len(frames), count, 3).mean(axis=1)
+    return result
+
+
+def flatness_and_gain(
+    g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 2000
+) -> tuple[float, float]:
+    """Mean squared second over first difference, and 95th over 5th percentile of the gain, at 2 mm."""
+    flats, gains = [], []
+    for finger in range(frames.shape[1]):
+        x = frames[_anchor_rows(frames[:, finger], anchors, rng)]
+        d = 0.002 * _directions(anchors, rng)
+        here = g(x)[:, finger]
+        ahead, behind = _moved(g, x, finger, d)[:, finger], _moved(g, x, finger, -d)[:, finger]
+        first = np.linalg.norm(ahead - here, axis=1)
+        second = np.linalg.norm(ahead + behind - 2 * here, axis=1)
+        flats.append((second**2).mean() / max((first**2).mean(), 1e-18))
+        low, high = np.percentile(first / 0.002, (5, 95))
+        gains.append(high / max(low, 1e-9))
+    return float(np.mean(flats)), float(np.mean(gains))
+
+
+def pinch(frames: np.ndarray, p_BF: np.ndarray, finger_names: Sequence[str], tip_radius: float) -> dict:
+    """Do the robot's thumb and finger meet where the person's do?
+
+    `closed`, `too_deep`, `mean_mm`, `p95_mm` and `frames` are of the nearest thumb–finger pair in
+    frames in which it is under 15 mm apart (NaN if there are none), `all_pairs` of all such pairs;
+    `false` is the share of pairs over 30 mm apart in which the robot's meet. Robot fingertips meet
+    when their spheres touch: centres at most two tip radii apart.
+    """
+    if "thumb" not in finger_names:
+        raise RecordingError(f"the pinch metric needs a thumb; the fingers are {', '.join(finger_names)}")
+    thumb = list(finger_names).index("thumb")
+    others = [i for i in range(len(finger_names)) if i != thumb]
+    human = np.linalg.norm(frames[:, others] - frames[:, [thumb]], axis=-1)
+    robot = np.linalg.norm(p_BF[:, others] - p_BF[:, [thumb]], axis=-1)
+    nearest = human.argmin(axis=1)
+    rows = np.arange(len(human))
+    in_pinch = human[rows, nearest] < PINCH_DISTANCE
+    apart = human > APART_DISTANCE
+
+    def figures(distance: np.ndarray) -> dict:
+        if len(distance) == 0:
+            return {key: float("nan") for key in ("closed", "too_deep", "mean_mm", "p95_mm")} | {"frames": 0}
+        return {
+            "closed": float((distance <= 2 * tip_radius).mean()),
+            "too_deep": float((distance < TOO_DEEP).mean()),
+            "mean_mm": float(1000 * distance.mean()),
+            "p95_mm": float(1000 * np.percentile(distance, 95)),
+            "frames": len(distance),
+        }
+
+    return figures(robot[rows, nearest][in_pinch]) | {
+        "false": float((robot[apart] <= 2 * tip_radius).mean()) if apart.any() else float("nan"),
+        "all_pairs": figures(robot[human < PINCH_DISTANCE]),
+    }
+
+
+def self_collision(hand, q: np.ndarray) -> dict[str, float]:
+    """Shares of joint angles (T, n) that collide.
+
+    `deep` counts penetrations over 2 mm between links that are not both fingertips, `any` every contact.
+    """
+    touching = np.asarray(hand.collides(q), dtype=bool)
+    deep = [
+        any(depth > PENETRATION and not tip_tip for depth, _, _, tip_tip in hand.penetrations(row))
+        for row in q[touching]
+    ]
+    return {"deep": sum(deep) / len(q), "any": float(touching.mean())}
+
+
+def smoothness(q: np.ndarray, rate_hz: float) -> dict[str, float]:
+    """Step of the joint vector per frame, |Δq| in rad, and mean jerk |Δ³q| · rate³ in rad/s³."""
+    step = np.linalg.norm(np.diff(q, axis=0), axis=1)
+    jerk = np.linalg.norm(np.diff(q, n=3, axis=0), axis=1) * rate_hz**3
+    return {
+        "mean": float(step.mean()),
+        "p95": float(np.percentile(step, 95)),
+        "max": float(step.max()),
+        "jerk": float(jerk.mean()),
+    }
+
+
+def latency(retarget: Callable, frames: np.ndarray, calls: int = 2000) -> dict[str, float]:
+    """Wall time of one call with one frame in µs: median and 99th percentile after a warm-up."""
+    for frame in frames[:50]:
+        retarget(frame)
+    times = np.empty(calls)
+    for k in range(calls):
+        frame = frames[k % len(frames)]
+        started = time.perf_counter()
+        retarget(frame)
+        times[k] = time.perf_counter() - started
+    return {"median": float(1e6 * np.median(times)), "p99": float(1e6 * np.percentile(times, 99))}
+
+
+def _anchor_rows(tips: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Rows of tips (T, 3) such that every 1 mm voxel that was visited is equally likely."""
+    _, first = np.unique(voxel_index(tips, HUMAN_VOXEL), axis=0, return_index=True)
+    return rng.choice(first, size=count)
+
+
+def _moved(g: FingertipMap, x: np.ndarray, finger: int, d: np.ndarray) -> np.ndarray:
+    moved = x.copy()
+    moved[:, finger] += d
+    return g(moved)
+
+
+def _directions(count: int, rng: np.random.Generator) -> np.ndarray:
+    d = rng.normal(size=(count, 3))
+    return d / np.linalg.norm(d, axis=1, keepdims=True)
+
+
+def _cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    norms = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
+    return np.where(norms > 0, (a * b).sum(-1) / np.where(norms > 0, norms, 1.0), 0.0)

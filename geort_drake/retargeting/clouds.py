@@ -1,0 +1,25 @@
+"""Point clouds of fingertips, thinned so that how often a place was visited does not matter."""
+
+import numpy as np
+
+
+def voxel_index(points: np.ndarray, size: float) -> np.ndarray:
+    """Integer voxel coordinates (N, 3) of points (N, 3); voxel 0 starts at the origin."""
+    return np.floor(np.asarray(points) / size).astype(np.int64)
+
+
+def voxel_thinned(points: np.ndarray, size: float) -> np.ndarray:
+    """One point, the first one given, of each voxel of edge `size` that holds any: (M, 3) of (N, 3)."""
+    _, first = np.unique(voxel_index(points, size), axis=0, return_index=True)
+    return np.asarray(points)[np.sort(first)]
+
+
+def voxel_centres(points: np.ndarray, size: float) -> np.ndarray:
+    """Centres (M, 3) of the voxels of edge `size` that points (N, 3) hit."""
+    return (np.unique(voxel_index(points, size), axis=0) + 0.5) * size
+
+
+def without_repeats(frames: np.ndarray) -> np.ndarray:
+    """Frames (T, ...) without exact repeats of an earlier one, in their order."""
+    _, first = np.unique(frames.reshape(len(frames), -1), axis=0, return_index=True)
+    return frames[np.sort(first)]

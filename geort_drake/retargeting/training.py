@@ -1,0 +1,339 @@
+"""GeoRT's training loop (Yin et al. 2025, Algorithm 1) with all five criteria.
+
+Randomness comes from the seed alone, so two runs on one CPU with one number of threads give the
+same weights.
+"""
+
+import copy
+import dataclasses
+import math
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+
+from geort_drake.errors import TrainingError, UnknownNameError
+from geort_drake.retargeting import criteria
+from geort_drake.retargeting.clouds import voxel_thinned, without_repeats
+from geort_drake.retargeting.kinematics import HandKinematics
+from geort_drake.retargeting.networks import RetargetingNetwork
+from geort_drake.retargeting.pretraining import (
+    RobotSamples,
+    check_robot_samples,
+    fit_classifier,
+    fit_neural_kinematics,
+    refit_classifier,
+)
+
+FORWARD_KINEMATICS = ("exact", "neural")
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """Settings of `train_geort`. Weights refer to lengths measured in `length_unit`."""
+
+    steps: int = 6000  # descent steps
+    points: int = 256  # human fingertips per finger and step, criteria I to III
+    targets: int = 512  # robot fingertips per finger and step, criterion II
+    pinches: int = 96  # real frames with a pinch per step, criterion IV
+    frames: int = 128  # real frames per step, criterion V
+    learning_rate: float = 5e-3  # of Adam, falls to zero along half a cosine
+    hidden: int = 128  # width of both hidden layers
+    length_unit: float = 0.1  # m; the unit in which the weights below are meant
+    coverage_weight: float = 80.0  # λ1, 1/unit²
+    flatness_weight: float = 1.0  # λ2, 1/unit²
+    pinch_weight: float = 30.0  # λ3, 1/unit²
+    collision_weight: float = 1.0  # λ4
+    step_sigma: float = 0.004  # m; d ~ N(0, σ²) per coordinate, criteria I and III
+    pinch_threshold: float = 0.015  # m; nearer human fingertips pinch
+    other_pinches: float = 0.2  # weight of a pinching pair that is not the frame's nearest
+    human_voxel: float = 0.001  # m; thinning of the human clouds
+    robot_voxel: float = 0.003  # m; thinning of the robot's clouds
+    fk: str = "exact"  # exact | neural
+    classifier_steps: int = 2000  # descent steps of the collision classifier
+    kinematics_steps: int = 4000  # descent steps of the neural forward kinematics
+    refreshes: int = 20  # how often the classifier learns from the retargeter's own outputs
+    refresh_steps: int = 200  # descent steps of each refresh
+    refresh_sigma: float = 0.08  # rad; spread of the samples around the retargeter's outputs
+
+    def validate(self) -> None:
+        """Raises TrainingError where a value makes no sense."""
+        if self.fk not in FORWARD_KINEMATICS:
+            raise UnknownNameError("forward kinematics", self.fk, FORWARD_KINEMATICS)
+        for item in dataclasses.fields(self):
+            value = getattr(self, item.name)
+            if isinstance(value, str):
+                continue
+            may_be_zero = item.name.endswith("_weight") or item.name in ("refreshes", "other_pinches")
+            if not math.isfinite(value) or value < 0 or (value == 0 and not may_be_zero):
+                wanted = "zero or positive" if may_be_zero else "positive"
+                raise TrainingError(f"training config: {item.name} must be {wanted}, it is {value}")
+
+
+@dataclass
+class TrainingResult:
+    """What `train_geort` learned, and how it went."""
+
+    network: RetargetingNetwork
+    history: list[dict[str, float]]
+    classifier: dict[str, float] = field(default_factory=dict)  # held-out figures
+    neural_kinematics: dict[str, float] = field(default_factory=dict)  # held-out errors, empty if exact
+    timings: dict[str, float] = field(default_factory=dict)  # wall seconds
+    stopped_at: int | None = None  # the step at which the loss stopped being finite
+    human_points: dict[str, int] = field(default_factory=dict)  # per finger, after thinning
+    pinch_frames: int = 0
+
+
+Report = Callable[[int, int, dict[str, float]], None]
+
+
+def train_geort(
+    p_HF: np.ndarray,
+    kinematics: HandKinematics,
+    robot_samples: RobotSamples,
+    config: TrainingConfig | None = None,
+    seed: int = 0,
+    device: str = "cpu",
+    report: Report | None = None,
+    collides_beyond_tips: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> TrainingResult:
+    """Trains independent per-finger retargeting networks without paired data.
+
+    Args:
+        p_HF: (T, F, 3) human fingertips in H, m; a row is one instant, fingers as in `kinematics`.
+        kinematics: exact kinematics of the robot hand.
+        robot_samples: uniform samples of the robot's joint angles.
+        config: settings; the defaults are meant for all recordings.
+        seed: fixes the initial weights and every draw.
+        device: "cpu" or "cuda".
+        report: called as report(step, steps, row of losses) about a hundred times.
+        collides_beyond_tips: labels joint angles (N, n) as colliding (N,). With it the classifier
+            also learns from the retargeter's own outputs, from time to time; it is frozen otherwise.
+
+    Raises:
+        TrainingError: on unusable input, or when the loss is not finite from the start. When it
+            stops being finite later, the last good weights are returned with a RuntimeWarning.
+    """
+    config = config or TrainingConfig()
+    config.validate()
+    check_robot_samples(robot_samples, kinematics)
+    run = _Run(p_HF, kinematics, robot_samples, config, seed, _device(device), collides_beyond_tips)
+    return run.train(report)
+
+
+class _Run:
+    """The state of one training run."""
+
+    def __init__(self, p_HF, kinematics, samples, config, seed, device, oracle):
+        self.config, self.kinematics, self.device, self.oracle = config, kinematics, device, oracle
+        self.unit = config.length_unit
+        # One stream for all draws, on the CPU so that it does not depend on the device.
+        self.generator = torch.Generator().manual_seed(seed)
+        self.timings: dict[str, float] = {}
+        self._load_human(p_HF)
+        self._load_robot(samples)
+
+        started = time.perf_counter()
+        self.classifier, self.classifier_figures = fit_classifier(
+            kinematics, samples, self.generator, device, config.classifier_steps
+        )
+        self.timings["classifier_s"] = time.perf_counter() - started
+        self.kinematics_figures: dict[str, float] = {}
+        self.fingertips = kinematics.fingertips
+        if config.fk == "neural":
+            started = time.perf_counter()
+            neural, self.kinematics_figures = fit_neural_kinematics(
+                kinematics, samples, self.generator, device, config.kinematics_steps
+            )
+            self.fingertips = neural.fingertips
+            self.timings["neural_kinematics_s"] = time.perf_counter() - started
+        self.network = RetargetingNetwork(
+            kinematics, self.mean, self.scale, config.hidden, self.generator
+        ).to(device)
+
+    def train(self, report: Report | None) -> TrainingResult:
+        config = self.config
+        optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
+        history: list[dict[str, float]] = []
+        interval = max(config.steps // 100, 1)
+        refresh_steps = {
+            round(config.steps * (k + 1) / (config.refreshes + 1)) for k in range(config.refreshes)
+        }
+        good = None
+        stopped_at = None
+        started = time.perf_counter()
+        for step in range(config.steps):
+            if self.oracle is not None and step in refresh_steps:
+                self._refresh_classifier()
+            progress = step / config.steps
+            for group in optimiser.param_groups:
+                group["lr"] = config.learning_rate * 0.5 * (1.0 + math.cos(math.pi * progress))
+            total, row = self._losses(progress)
+            if not torch.isfinite(total):
+                stopped_at = step
+                break
+            if step % interval == 0:
+                good = copy.deepcopy(self.network.state_dict())
+            optimiser.zero_grad(set_to_none=True)
+            total.backward()
+            optimiser.step()
+            if step % interval == 0 or step == config.steps - 1:
+                values = {name: float(value.detach()) for name, value in row.items()}
+                values = {"step": step, "total": float(total.detach()), **values}
+                values["seconds"] = round(time.perf_counter() - started, 3)
+                history.append(values)
+                if report is not None:
+                    report(step + 1, config.steps, values)
+        self.timings["training_s"] = time.perf_counter() - started
+        if stopped_at is not None:
+            self._keep_last_good(good, stopped_at)
+        return TrainingResult(
+            network=self.network.cpu(),
+            history=history,
+            classifier=self.classifier_figures,
+            neural_kinematics=self.kinematics_figures,
+            timings=self.timings,
+            stopped_at=stopped_at,
+            human_points=self.human_points,
+            pinch_frames=len(self.pinch_rows),
+        )
+
+    def _losses(self, progress: float) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+        """The weighted sum of the five criteria on one random batch, and each of them."""
+        config, unit = self.config, self.unit
+        # Criteria I to III: points drawn uniformly from each finger's cloud, and steps around them.
+        x = self._draw(self.human_clouds, config.points)
+        d = config.step_sigma * torch.randn(x.shape, generator=self.generator).to(self.device)
+        pinching = self._rows(self.pinch_rows, config.pinches)
+        frames = self._rows(self.all_rows, config.frames)
+        # One pass through the networks for everything is faster than one per criterion.
+        n, k = config.points, len(pinching)
+        inputs = torch.cat([x, x + d, x - d, self.frames[pinching], self.frames[frames]])
+        q = self.network(inputs)
+        p_BF = self.fingertips(q[: 3 * n + k]) / unit
+        here, ahead, behind = p_BF[:n], p_BF[n : 2 * n], p_BF[2 * n : 3 * n]
+        targets = self._draw(self.robot_clouds, config.targets) / unit
+        row = {
+            "direction": criteria.direction_loss(d / unit, ahead - here),
+            "coverage": criteria.chamfer_loss(targets.transpose(0, 1), here.transpose(0, 1)),
+            "flatness": criteria.flatness_loss(ahead, here, behind),
+            "pinch": criteria.pinch_loss(p_BF[3 * n :], self.pairs, self.pinch_weights[pinching]),
+            "collision": criteria.collision_loss(self.classifier(q[3 * n :])),
+        }
+        total = (
+            row["direction"]
+            + config.coverage_weight * row["coverage"]
+            + config.flatness_weight * row["flatness"]
+            + config.pinch_weight * row["pinch"]
+            + config.collision_weight * row["collision"]
+        )
+        return total, row
+
+    def _load_human(self, p_HF: np.ndarray) -> None:
+        p_HF = np.asarray(p_HF, dtype=float)
+        fingers = self.kinematics.finger_names
+        if p_HF.ndim != 3 or p_HF.shape[1:] != (len(fingers), 3) or not np.isfinite(p_HF).all():
+            raise TrainingError(
+                f"human fingertips must be finite and of shape (T, {len(fingers)}, 3) for "
+                f"{', '.join(fingers)}; they have shape {p_HF.shape}"
+            )
+        frames = without_repeats(p_HF)
+        clouds = [voxel_thinned(frames[:, i], self.config.human_voxel) for i in range(len(fingers))]
+        self.human_points = dict(zip(fingers, map(len, clouds), strict=True))
+        for name, cloud in zip(fingers, clouds, strict=True):
+            if len(cloud) < 50:
+                raise TrainingError(
+                    f"the recording's {name} tip visits only {len(cloud)} places 1 mm apart; "
+                    "at least 50 are needed, better thousands"
+                )
+        self.human_clouds = [self._tensor(cloud) for cloud in clouds]
+        self.mean = torch.tensor(np.stack([cloud.mean(0) for cloud in clouds]))
+        self.scale = torch.tensor(np.stack([cloud.std(0) for cloud in clouds])).clamp_min(1e-3)
+        self.frames = self._tensor(frames)
+        self.pairs = _thumb_pairs(fingers)
+        self.pinch_weights = criteria.pinch_weights(
+            self.frames, self.pairs, self.config.pinch_threshold, self.config.other_pinches
+        )
+        self.all_rows = torch.arange(len(frames))
+        self.pinch_rows = torch.nonzero(self.pinch_weights.sum(1).cpu() > 0)[:, 0]
+        if self.config.pinch_weight > 0 and len(self.pinch_rows) == 0:
+            nearest = min(
+                np.linalg.norm(frames[:, i] - frames[:, j], axis=1).min() for i, j in self.pairs
+            )
+            raise TrainingError(
+                "the recording holds no pinch: the thumb's tip should come nearer than "
+                f"{1000 * self.config.pinch_threshold:.0f} mm to another fingertip, the nearest is "
+                f"{1000 * nearest:.0f} mm; record pinches, or set pinch_weight to 0"
+            )
+
+    def _load_robot(self, samples: RobotSamples) -> None:
+        p_BF = np.asarray(samples.p_BF, dtype=float)
+        self.robot_clouds = [
+            self._tensor(voxel_thinned(p_BF[:, i], self.config.robot_voxel)) for i in range(p_BF.shape[1])
+        ]
+        self.uniform = (
+            self._tensor(np.asarray(samples.q)),
+            self._tensor(np.asarray(samples.collides_beyond_tips, dtype=float)),
+        )
+        self.own: tuple[torch.Tensor, torch.Tensor] | None = None
+
+    def _refresh_classifier(self) -> None:
+        """Labels what the retargeter puts out now, and its surroundings, and learns from it too."""
+        started = time.perf_counter()
+        with torch.no_grad():
+            q = self.network(self.frames)
+            noise = torch.randn(q.shape, generator=self.generator).to(self.device)
+            near = q + self.config.refresh_sigma * noise
+            limits = (torch.tensor(x, dtype=q.dtype, device=q.device)
+                      for x in (self.kinematics.lower, self.kinematics.upper))
+            q = torch.cat([q, torch.minimum(torch.maximum(near, next(limits)), next(limits))])
+        label = np.asarray(self.oracle(q.cpu().numpy().astype(float)), dtype=float)
+        own = (q, self._tensor(label))
+        # What was labelled earlier stays in, so that the map cannot slip back unnoticed.
+        self.own = own if self.own is None else tuple(map(torch.cat, zip(self.own, own, strict=True)))
+        refit_classifier(self.classifier, self.uniform, self.own, self.generator, self.config.refresh_steps)
+        self.timings["refresh_s"] = self.timings.get("refresh_s", 0.0) + time.perf_counter() - started
+
+    def _keep_last_good(self, good: dict | None, stopped_at: int) -> None:
+        if good is None:
+            raise TrainingError("the loss is not finite at the first step; check the weights and the data")
+        self.network.load_state_dict(good)
+        warnings.warn(
+            f"the loss stopped being finite at step {stopped_at} of {self.config.steps}; the last good "
+            "weights are kept. A lower learning rate may help.",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+
+    def _tensor(self, array: np.ndarray) -> torch.Tensor:
+        return torch.tensor(array, dtype=torch.float32, device=self.device)
+
+    def _rows(self, rows: torch.Tensor, count: int) -> torch.Tensor:
+        if len(rows) == 0:
+            return rows
+        return rows[torch.randint(len(rows), (count,), generator=self.generator)]
+
+    def _draw(self, clouds: Sequence[torch.Tensor], count: int) -> torch.Tensor:
+        """(count, F, 3) points, drawn from each finger's cloud independently."""
+        return torch.stack(
+            [cloud[torch.randint(len(cloud), (count,), generator=self.generator)] for cloud in clouds], dim=1
+        )
+
+
+def _thumb_pairs(fingers: Sequence[str]) -> list[tuple[int, int]]:
+    """Pairs that pinch: the thumb with each finger, or all pairs of a hand without a thumb."""
+    if "thumb" in fingers:
+        thumb = list(fingers).index("thumb")
+        return [(thumb, i) for i in range(len(fingers)) if i != thumb]
+    return [(i, j) for i in range(len(fingers)) for j in range(i + 1, len(fingers))]
+
+
+def _device(name: str) -> torch.device:
+    if name not in ("cpu", "cuda"):
+        raise UnknownNameError("device", name, ("cpu", "cuda"))
+    if name == "cuda" and not torch.cuda.is_available():
+        raise TrainingError("device 'cuda' was asked for, but this machine's torch sees no CUDA device")
+    return torch.device(name)
