@@ -99,9 +99,7 @@ class GraspingPerson:
         rng: source of the visual and motor noise.
     """
 
-    def __init__(
-        self, hand: HumanHand, goal: GraspGoal, config: OperatorConfig, rng: np.random.Generator
-    ):
+    def __init__(self, hand: HumanHand, goal: GraspGoal, config: OperatorConfig, rng: np.random.Generator):
         self._hand = hand
         self._goal = goal
         self._config = config
@@ -198,7 +196,7 @@ class GraspingPerson:
                 inwards[self._own[self._goal.touches]] = self._goal.n_OF[self._goal.touches] @ R_BO.T
                 done = minimum_jerk((t - state.phase_start) / config.squeeze_time)
                 target = state.p_HF_start + config.squeeze * done * inwards
-                state.theta = self._hand.solve_fingertips(target, state.theta)
+                state.theta = self._hand.solve_fingertips(target, state.theta, iterations=2)
             return
         error = self._fingertip_errors(state, seen)
         wanted = np.zeros((5, 3))
@@ -214,7 +212,7 @@ class GraspingPerson:
         velocity = state.finger_velocity + share * (wanted - state.finger_velocity)
         state.finger_velocity = velocity
         noisy = velocity * (1 + self._rng.normal(0, config.motor_noise, (5, 1)))
-        state.theta = self._hand.solve_fingertips(p_HF + config.period * noisy, state.theta)
+        state.theta = self._hand.solve_fingertips(p_HF + config.period * noisy, state.theta, iterations=2)
 
     def _closing_share(self, error: np.ndarray, seen: Seen) -> np.ndarray:
         """Share of the closing speed for each finger: touching ones stop, leading ones wait."""

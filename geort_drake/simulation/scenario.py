@@ -163,9 +163,7 @@ def load_scenario(
     if name not in choices:
         raise UnknownNameError(f"scenario in {path}", name, choices)
     try:
-        scenario = yaml_load_typed(
-            schema=Scenario, filename=str(path), child_name=name, defaults=Scenario()
-        )
+        scenario = yaml_load_typed(schema=Scenario, filename=str(path), child_name=name, defaults=Scenario())
         if text:
             scenario = yaml_load_typed(schema=Scenario, data=text, defaults=scenario)
     except Exception as error:  # Drake's loader raises many types; all mean the text is at fault

@@ -76,4 +76,3 @@ class SceneView(LeafSystem):
             if finger is not None:
                 force[finger] = max(force[finger], float(np.linalg.norm(info.contact_force())))
         output.SetFromVector(force)
-

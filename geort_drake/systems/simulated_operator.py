@@ -55,7 +55,8 @@ class SimulatedOperator(LeafSystem):
         self._hand_pose = self.DeclareVectorInputPort("hand_pose", 7)
         self._object_pose = self.DeclareVectorInputPort("object_pose", 7)
         self._contact = self.DeclareVectorInputPort("contact", num_fingers)
-        self._delay = config.visual_delay
+        # The delays' outputs are zero until their first sample has come through.
+        self._first_sight = config.visual_delay + 0.5 * config.period
         state = self.DeclareAbstractState(AbstractValue.Make(self._person.start(theta_start, X_WH_start)))
         # The keypoints are kept beside the state because the tremor must be drawn once per decision.
         self._keypoints = self.DeclareDiscreteState(hand.keypoints(theta_start).ravel())
@@ -69,7 +70,10 @@ class SimulatedOperator(LeafSystem):
         )
         self.DeclareVectorOutputPort("valid", 1, lambda context, output: output.SetAtIndex(0, 1.0), set())
         self.DeclareVectorOutputPort(
-            "phase", 1, lambda context, output: output.SetAtIndex(0, float(self._state(context).phase)), ticket
+            "phase",
+            1,
+            lambda context, output: output.SetAtIndex(0, float(self._state(context).phase)),
+            ticket,
         )
         self.DeclareVectorOutputPort(
             "attempt", 1, lambda context, output: output.SetAtIndex(0, self._state(context).attempt), ticket
@@ -89,8 +93,7 @@ class SimulatedOperator(LeafSystem):
 
     def _decide(self, context: Context, state) -> EventStatus:
         before = self._state(context)
-        # Until the first delayed picture has arrived there is nothing to act upon.
-        if context.get_time() < self._delay:
+        if context.get_time() < self._first_sight:
             return EventStatus.DidNothing()
         scene = Seen(
             p_WF=self._fingertips.Eval(context).reshape(-1, 3),
@@ -104,4 +107,3 @@ class SimulatedOperator(LeafSystem):
         keypoints[1:] += self._tremor_rng.normal(0, self._tremor, (20, 3))
         state.get_mutable_discrete_state(self._keypoints).set_value(keypoints.ravel())
         return EventStatus.Succeeded()
-

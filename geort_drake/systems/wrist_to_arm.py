@@ -10,7 +10,7 @@ from pydrake.multibody.inverse_kinematics import (
     DifferentialInverseKinematicsSystem,
 )
 from pydrake.multibody.math import SpatialVelocity
-from pydrake.multibody.tree import Frame
+from pydrake.multibody.tree import Frame, ModelInstanceIndex
 from pydrake.planning import (
     DofMask,
     JointLimits,
@@ -25,7 +25,7 @@ from pydrake.systems.framework import (
     EventStatus,
     LeafSystem,
 )
-from pydrake.systems.primitives import ConstantVectorSource, Multiplexer
+from pydrake.systems.primitives import AffineSystem, ConstantVectorSource, Multiplexer
 
 
 @dc.dataclass
@@ -107,31 +107,40 @@ class _Engagement:
 
 
 def make_wrist_to_arm(
-    arm: RobotDiagram, hand_frame: Frame, q_start: np.ndarray, config: WristToArmConfig
+    robot: RobotDiagram,
+    arm: ModelInstanceIndex,
+    hand_frame: Frame,
+    config: WristToArmConfig,
 ) -> Diagram:
     """Builds the diagram from the tracker's wrist pose to the arm's desired state.
 
     Input ports:
         wrist_pose (abstract RigidTransform): X_WH of the tracker.
         valid (1): 1 tracked, 0 lost.
-        arm_state (2·na): the arm's measured positions and velocities, used at the start.
+        arm_state (2·na): the arm's measured positions (rad) and velocities (rad/s), plant order.
     Output port:
-        arm_desired_state (2·na): joint positions (rad), then velocities (rad/s), actuator order.
+        arm_desired_state (2·na): joint positions (rad), then velocities (rad/s), plant order.
 
     Inside: `Clutch` → Drake's DifferentialInverseKinematicsController, which respects the arm's
     position and velocity limits.
 
     Args:
-        arm: a robot diagram with the arm alone (the hand counts as welded), its base on W.
-        hand_frame: the frame of `arm` that follows the wrist, the hand base B.
-        q_start: the arm's positions at the start, rad.
+        robot: robot and surroundings; its default positions are the start and the nominal posture.
+        arm: the model in `robot` whose joints move; everything else stays at its default.
+        hand_frame: the frame of `robot` that follows the wrist, the hand base B.
     """
-    plant = arm.plant()
+    plant = robot.plant()
+    q_start = plant.GetPositions(plant.CreateDefaultContext())
     context = plant.CreateDefaultContext()
-    plant.SetPositions(context, q_start)
     X_WB = hand_frame.CalcPoseInWorld(context)
     frame_name = hand_frame.scoped_name().get_full()
-    num_arm = plant.num_positions()
+    moves = [False] * plant.num_positions()
+    for index in plant.GetJointIndices(arm):
+        joint = plant.get_joint(index)
+        for dof in range(joint.position_start(), joint.position_start() + joint.num_positions()):
+            moves[dof] = True
+    active = np.flatnonzero(moves)
+    num_arm = len(active)
 
     ik = DifferentialInverseKinematicsSystem
     recipe = ik.Recipe()
@@ -142,20 +151,20 @@ def make_wrist_to_arm(
     recipe.AddIngredient(
         ik.JointVelocityLimitConstraint(
             ik.JointVelocityLimitConstraint.Config(min_margin=0.01, influence_margin=0.1),
-            JointLimits(plant),
+            JointLimits(plant=plant, active_dof=DofMask(moves)),
         )
     )
     speed = SpatialVelocity(
         w=np.full(3, config.max_rotation_speed), v=np.full(3, config.max_translation_speed)
     )
     checker = SceneGraphCollisionChecker(
-        model=arm, robot_model_instances=[hand_frame.model_instance()], edge_step_size=0.1
+        model=robot, robot_model_instances=[arm, hand_frame.model_instance()], edge_step_size=0.1
     )
     system = ik(
         recipe=recipe,
         task_frame=plant.world_frame().scoped_name().get_full(),
         collision_checker=checker,
-        active_dof=DofMask(size=num_arm, value=True),
+        active_dof=DofMask(moves),
         time_step=config.period,
         K_VX=config.pose_gain,
         Vd_TG_limit=speed,
@@ -167,6 +176,23 @@ def make_wrist_to_arm(
         DifferentialInverseKinematicsController(system, planar_rotation_dof_indices=[]),
     )
     nominal = builder.AddNamedSystem("nominal_posture", ConstantVectorSource(q_start))
+    # The controller wants the whole robot's state: the arm's as measured, the rest at its default.
+    selector = np.zeros((2 * len(moves), 2 * num_arm))
+    selector[active, np.arange(num_arm)] = 1
+    selector[len(moves) + active, num_arm + np.arange(num_arm)] = 1
+    default = np.concatenate([np.where(moves, 0.0, q_start), np.zeros(len(moves))])
+    none = np.zeros((0, 0))
+    state = builder.AddNamedSystem(
+        "robot_state",
+        AffineSystem(
+            A=none,
+            B=np.zeros((0, 2 * num_arm)),
+            f0=np.zeros(0),
+            C=np.zeros((2 * len(moves), 0)),
+            D=selector,
+            y0=default,
+        ),
+    )
     both = builder.AddNamedSystem("desired_state", Multiplexer([num_arm, num_arm]))
     builder.Connect(clutch.GetOutputPort("desired_poses"), controller.GetInputPort("desired_poses"))
     builder.Connect(nominal.get_output_port(), controller.GetInputPort("nominal_posture"))
@@ -174,7 +200,8 @@ def make_wrist_to_arm(
     builder.Connect(controller.GetOutputPort("commanded_velocity"), both.get_input_port(1))
     builder.ExportInput(clutch.GetInputPort("wrist_pose"), "wrist_pose")
     builder.ExportInput(clutch.GetInputPort("valid"), "valid")
-    builder.ExportInput(controller.GetInputPort("estimated_state"), "arm_state")
+    builder.Connect(state.get_output_port(), controller.GetInputPort("estimated_state"))
+    builder.ExportInput(state.get_input_port(), "arm_state")
     builder.ExportOutput(both.get_output_port(), "arm_desired_state")
     diagram = builder.Build()
     diagram.set_name("wrist_to_arm")

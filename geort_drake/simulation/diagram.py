@@ -1,0 +1,225 @@
+"""One straight function from a scenario to a diagram that can be simulated."""
+
+import dataclasses as dc
+import os
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from pydrake.geometry import SceneGraph
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant
+from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
+from pydrake.planning import RobotDiagramBuilder
+from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, OutputPort
+from pydrake.systems.primitives import DiscreteTimeDelay
+
+from geort_drake.errors import HandError
+from geort_drake.gloves.human_hand import HumanHand
+from geort_drake.gloves.recording import Recording
+from geort_drake.hands.description import HandDescription, load_hand
+from geort_drake.operators.grasp_goal import GraspGoal
+from geort_drake.simulation.object_shape import object_shape
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.world import ARM, HAND, add_object, add_robot, standing_pose
+from geort_drake.systems.action_correction import ActionCorrection
+from geort_drake.systems.glove_recorder import GloveRecorder
+from geort_drake.systems.glove_replay import GloveReplay
+from geort_drake.systems.grasp_monitor import GraspMonitor
+from geort_drake.systems.retargeting_system import RetargetingSystem
+from geort_drake.systems.scene_view import SceneView
+from geort_drake.systems.simulated_operator import SimulatedOperator
+from geort_drake.systems.wrist_to_arm import make_wrist_to_arm
+
+Retarget = Callable[[np.ndarray], np.ndarray]
+
+
+@dc.dataclass(frozen=True)
+class Placement:
+    """Where the object stands in one trial, and how heavy it is."""
+
+    X_WO: RigidTransform
+    mass_factor: float
+
+
+@dc.dataclass(frozen=True)
+class GraspDiagram:
+    """The diagram and the parts of it that one asks for results."""
+
+    diagram: Diagram
+    plant: MultibodyPlant
+    scene_graph: SceneGraph
+    description: HandDescription
+    object_body: RigidBody
+    placement: Placement
+    monitor: GraspMonitor
+    retargeting: RetargetingSystem
+    glove_recorder: GloveRecorder
+    operator: SimulatedOperator | None
+    recorder: LeafSystem | None
+
+
+def draw_placement(scenario: Scenario, lowest_at_identity: float, rng: np.random.Generator) -> Placement:
+    """Draws the object's pose and mass factor within the scenario's ranges."""
+    config = scenario.object
+    dx, dy = rng.uniform(-config.position_range, config.position_range, 2)
+    yaw = rng.uniform(-config.yaw_range, config.yaw_range)
+    factor = 1 + rng.uniform(-config.mass_range, config.mass_range)
+    return Placement(standing_pose(scenario, lowest_at_identity, dx, dy, yaw), factor)
+
+
+def make_grasp_diagram(
+    scenario: Scenario,
+    retarget: Retarget,
+    human: tuple[HumanHand, GraspGoal] | Recording,
+    rerun_path: str | os.PathLike | None = None,
+    properties: Mapping[str, object] | None = None,
+) -> GraspDiagram:
+    """Builds glove → retargeting → hand, wrist → arm, and the plant they move.
+
+    Args:
+        scenario: what to simulate.
+        retarget: a `Retargeter`, or anything with its `joint_names` and its call.
+        human: a hand and a goal for the simulated operator, or a glove recording with wrist poses to
+            replay.
+        rerun_path: where to write the Rerun recording; none without it.
+        properties: what the Rerun recording says of itself.
+
+    Raises:
+        ScenarioError, HandError: the scenario and the models do not fit.
+    """
+    rng = np.random.default_rng(scenario.random_seed)
+    description = load_hand(scenario.hand)
+    builder = DiagramBuilder()
+
+    # The plant: robot, surroundings and the object, standing where the seed puts it.
+    plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
+    add_robot(plant, scenario, description)
+    object_body = add_object(plant, scenario.object.name)
+    shape = object_shape(plant, scene_graph.model_inspector(), object_body)
+    placement = draw_placement(scenario, shape.lowest_point(RigidTransform()), rng)
+    plant.SetDefaultFloatingBaseBodyPose(object_body, placement.X_WO)
+    arm, hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
+    for model in (arm, hand):
+        # The real arm's controller compensates for gravity, its own and the hand's.
+        plant.set_gravity_enabled(model, False)
+    plant.Finalize()
+    _require_controllers(plant, hand, f"hand '{description.name}'")
+    _require_controllers(plant, arm, "the arm")
+
+    # What can be seen of the scene.
+    view = builder.AddNamedSystem("scene_view", SceneView(plant, description, hand, object_body.index()))
+    builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
+    builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
+
+    # The human: an operator who sees the scene late, or a recording.
+    source: LeafSystem
+    operator = None
+    if isinstance(human, Recording):
+        source = builder.AddNamedSystem("glove_replay", GloveReplay(human))
+    else:
+        operator = source = builder.AddNamedSystem(
+            "operator", _make_operator(scenario, *human, seed=int(rng.integers(2**31)))
+        )
+        for name in ("fingertips", "hand_pose", "object_pose", "contact"):
+            seen = _delayed(builder, view.GetOutputPort(name), scenario)
+            builder.Connect(seen, operator.GetInputPort(name))
+
+    # Fingers: keypoints → joint targets → (correction) → the hand's PD controllers.
+    actuated = [
+        plant.get_joint_actuator(index).joint().name() for index in plant.GetJointActuatorIndices(hand)
+    ]
+    start = {name: plant.GetJointByName(name, hand).default_positions()[0] for name in actuated}
+    retargeting = builder.AddNamedSystem(
+        "retargeting",
+        RetargetingSystem(
+            retarget,
+            retarget.joint_names,  # type: ignore[attr-defined]
+            actuated,
+            start,
+            scenario.retargeting.period,
+            scenario.retargeting.max_joint_speed,
+        ),
+    )
+    correction = builder.AddNamedSystem("action_correction", ActionCorrection(len(actuated)))
+    builder.Connect(source.GetOutputPort("keypoints"), retargeting.GetInputPort("keypoints"))
+    builder.Connect(source.GetOutputPort("valid"), retargeting.GetInputPort("valid"))
+    builder.Connect(retargeting.GetOutputPort("desired_state"), correction.GetInputPort("desired_state"))
+    builder.Connect(plant.get_state_output_port(hand), correction.GetInputPort("hand_state"))
+    builder.Connect(correction.get_output_port(), plant.get_desired_state_input_port(hand))
+
+    # Wrist: tracker pose → differential inverse kinematics → the arm's PD controllers.
+    robot_builder = RobotDiagramBuilder(time_step=0.0)
+    add_robot(robot_builder.plant(), scenario, description)
+    robot = robot_builder.Build()
+    base = robot.plant().GetFrameByName(description.base_frame, robot.plant().GetModelInstanceByName(HAND))
+    wrist_to_arm = builder.AddNamedSystem(
+        "wrist_to_arm",
+        make_wrist_to_arm(robot, robot.plant().GetModelInstanceByName(ARM), base, scenario.wrist_to_arm),
+    )
+    builder.Connect(source.GetOutputPort("wrist_pose"), wrist_to_arm.GetInputPort("wrist_pose"))
+    builder.Connect(source.GetOutputPort("valid"), wrist_to_arm.GetInputPort("valid"))
+    builder.Connect(plant.get_state_output_port(arm), wrist_to_arm.GetInputPort("arm_state"))
+    builder.Connect(wrist_to_arm.GetOutputPort("arm_desired_state"), plant.get_desired_state_input_port(arm))
+
+    # What is kept: the judgement, the glove's data, and the recording for the viewer.
+    monitor = builder.AddNamedSystem(
+        "grasp_monitor",
+        GraspMonitor(
+            len(description.fingers), shape.lowest_point, scenario.object.support_height, scenario.monitor
+        ),
+    )
+    builder.Connect(view.GetOutputPort("object_pose"), monitor.GetInputPort("object_pose"))
+    builder.Connect(view.GetOutputPort("contact"), monitor.GetInputPort("contact"))
+    glove_recorder = builder.AddNamedSystem("glove_recorder", GloveRecorder(scenario.operator.period))
+    for name in ("keypoints", "wrist_pose", "valid"):
+        builder.Connect(source.GetOutputPort(name), glove_recorder.GetInputPort(name))
+    recorder = None
+    if rerun_path is not None:
+        # Only here, so that simulating without a recording does not load Rerun.
+        from geort_drake.simulation.recording import add_grasp_recorder
+
+        recorder = add_grasp_recorder(
+            builder, plant, scene_graph, rerun_path, scenario, description, dict(properties or {})
+        )
+
+    diagram = builder.Build()
+    diagram.set_name("grasp")
+    return GraspDiagram(
+        diagram=diagram,
+        plant=plant,
+        scene_graph=scene_graph,
+        description=description,
+        object_body=object_body,
+        placement=placement,
+        monitor=monitor,
+        retargeting=retargeting,
+        glove_recorder=glove_recorder,
+        operator=operator,
+        recorder=recorder,
+    )
+
+
+def _make_operator(scenario: Scenario, hand: HumanHand, goal: GraspGoal, seed: int) -> SimulatedOperator:
+    # The person begins with a relaxed hand, in the middle of every joint's range.
+    theta = 0.5 * (hand.lower + hand.upper)
+    return SimulatedOperator(hand, goal, scenario.operator, theta, RigidTransform(), seed)
+
+
+def _delayed(builder: DiagramBuilder, port: OutputPort, scenario: Scenario) -> OutputPort:
+    config = scenario.operator
+    steps = round(config.visual_delay / config.period)
+    delay = builder.AddNamedSystem(
+        f"{port.get_name()}_seen_late", DiscreteTimeDelay(config.period, steps, port.size())
+    )
+    builder.Connect(port, delay.get_input_port())
+    return delay.get_output_port()
+
+
+def _require_controllers(plant: MultibodyPlant, model: ModelInstanceIndex, what: str) -> None:
+    actuators = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices(model)]
+    without = [actuator.name() for actuator in actuators if not actuator.has_controller()]
+    if without or not actuators:
+        raise HandError(
+            f"{what} needs PD gains (drake:controller_gains) on every actuator; missing on: "
+            f"{', '.join(without) or 'all, as it has no actuator'}"
+        )

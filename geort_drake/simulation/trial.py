@@ -1,0 +1,145 @@
+"""One grasp trial from start to outcome."""
+
+import dataclasses as dc
+import math
+import os
+import time
+from collections.abc import Callable, Mapping
+
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, EventStatus
+
+from geort_drake.gloves.human_hand import HumanHand
+from geort_drake.gloves.recording import Recording
+from geort_drake.operators.grasp_goal import GraspGoal
+from geort_drake.simulation.diagram import GraspDiagram, Retarget, make_grasp_diagram
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.systems.grasp_monitor import GraspOutcome, GraspPhase
+
+
+@dc.dataclass(frozen=True)
+class TrialResult:
+    """What came of one trial; times in simulated s."""
+
+    object: str
+    seed: int
+    success: bool
+    # "success", or "thrown: PHASE" or "timeout: PHASE" with the phase it failed in.
+    outcome: str
+    # Start to the beginning of the hold; None without success.
+    completion_time: float | None
+    # Whether the first closing succeeded; None in a replay, where nobody decides.
+    first_attempt: bool | None
+    attempts: int | None
+    simulated_time: float
+    phase_times: dict[str, float]
+    drops: int
+    peak_force: float
+    peak_height: float
+    wall_time: float
+
+    def to_json(self) -> dict:
+        """Plain JSON types."""
+        return dc.asdict(self)
+
+
+def run_trial(
+    scenario: Scenario,
+    retarget: Retarget,
+    human: tuple[HumanHand, GraspGoal] | Recording,
+    rerun_path: str | os.PathLike | None = None,
+    properties: Mapping[str, object] | None = None,
+    report: Callable[[float], None] | None = None,
+) -> tuple[TrialResult, Recording]:
+    """Simulates until the grasp is judged or the time is up.
+
+    Args:
+        scenario, retarget, human, rerun_path, properties: as for `make_grasp_diagram`.
+        report: called with the simulated time now and then, for a progress display.
+
+    Returns:
+        The result, and the glove and tracker data of the trial, which `GloveReplay` can play again.
+    """
+    started = time.perf_counter()
+    parts = make_grasp_diagram(
+        scenario, retarget, human, rerun_path, {**(properties or {}), "seed": scenario.random_seed}
+    )
+    simulator = Simulator(parts.diagram)
+    root = simulator.get_mutable_context()
+    _scale_mass(parts, root)
+    last_report = -math.inf
+
+    def stop_when_over(context: Context) -> EventStatus:
+        nonlocal last_report
+        if report is not None and context.get_time() - last_report >= 0.25:
+            last_report = context.get_time()
+            report(last_report)
+        if parts.monitor.outcome(parts.monitor.GetMyContextFromRoot(context)).over:
+            return EventStatus.ReachedTermination(parts.monitor, "the grasp is judged")
+        return EventStatus.Succeeded()
+
+    simulator.set_monitor(stop_when_over)
+    try:
+        simulator.AdvanceTo(scenario.timeout)
+        outcome = parts.monitor.outcome(parts.monitor.GetMyContextFromRoot(root))
+        result = _result(scenario, parts, outcome, root, time.perf_counter() - started)
+        if parts.recorder is not None:
+            parts.recorder.set_properties({"outcome": result.outcome})
+    finally:
+        if parts.recorder is not None:
+            parts.recorder.close()
+    recording = parts.glove_recorder.recording(
+        {
+            "side": parts.description.side,
+            "source": "simulated trial",
+            "object": scenario.object.name,
+            "seed": scenario.random_seed,
+            "outcome": result.outcome,
+        }
+    )
+    return result, recording
+
+
+def _scale_mass(parts: GraspDiagram, root: Context) -> None:
+    context = parts.plant.GetMyMutableContextFromRoot(root)
+    body, factor = parts.object_body, parts.placement.mass_factor
+    inertia = body.CalcSpatialInertiaInBodyFrame(context)
+    body.SetSpatialInertiaInBodyFrame(
+        context,
+        type(inertia)(factor * inertia.get_mass(), inertia.get_com(), inertia.get_unit_inertia(), True),
+    )
+
+
+def _result(
+    scenario: Scenario, parts: GraspDiagram, outcome: GraspOutcome, root: Context, wall_time: float
+) -> TrialResult:
+    attempts = None
+    if parts.operator is not None:
+        attempts = parts.operator.attempt(parts.operator.GetMyContextFromRoot(root))
+    if outcome.success:
+        text = "success"
+    elif outcome.phase == GraspPhase.THROWN:
+        text = f"thrown: {_phase_before_throw(outcome)}"
+    else:
+        text = f"timeout: {outcome.phase.name.lower()}"
+    return TrialResult(
+        object=scenario.object.name,
+        seed=scenario.random_seed,
+        success=outcome.success,
+        outcome=text,
+        completion_time=outcome.completion_time if outcome.success else None,
+        first_attempt=None if attempts is None else outcome.success and attempts == 1,
+        attempts=attempts,
+        simulated_time=root.get_time(),
+        phase_times=outcome.times,
+        drops=outcome.drops,
+        peak_force=outcome.peak_force,
+        peak_height=outcome.peak_height,
+        wall_time=wall_time,
+    )
+
+
+def _phase_before_throw(outcome: GraspOutcome) -> str:
+    """The furthest phase reached before the object was lost."""
+    reached = [GraspPhase[name] for name in outcome.times if name != GraspPhase.THROWN.name]
+    return max(reached).name.lower()

@@ -1,0 +1,65 @@
+"""The layers import only downward."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / "geort_drake"
+
+
+def _imports(path: Path) -> set[str]:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    names: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names.add(node.module)
+    return names
+
+
+@pytest.mark.parametrize("room", ["retargeting", "gloves"])
+def test_numeric_rooms_import_neither_drake_nor_rerun(room):
+    """Training and glove code must run where Drake is not installed."""
+    for path in (PACKAGE / room).glob("*.py"):
+        for name in _imports(path):
+            assert name.split(".")[0] not in {"pydrake", "rerun"}, f"{path.name} imports {name}"
+            upper = {
+                f"geort_drake.{r}" for r in ("hands", "systems", "operators", "simulation", "evaluation")
+            }
+            assert not any(name.startswith(u) for u in upper), f"{path.name} imports {name}"
+
+
+def test_only_the_recorder_imports_rerun():
+    """Rerun's names change with its versions, so they stay in one place."""
+    allowed = {"rerun_recorder.py"}
+    for path in PACKAGE.rglob("*.py"):
+        if path.name in allowed or path.name.startswith("_rerun"):
+            continue
+        assert not any(name.split(".")[0] == "rerun" for name in _imports(path)), path
+
+
+@pytest.mark.parametrize("module", ["geort_drake", "geort_drake.retargeting.retargeter"])
+def test_what_runs_on_the_robot_loads_no_heavy_package(module):
+    """A retargeter in production needs NumPy and nothing of training or simulation."""
+    code = (
+        f"import sys, {module}; "
+        "print([n for n in ('torch', 'pydrake', 'rerun', 'matplotlib') if n in sys.modules])"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
+
+
+def test_schema_modules_do_not_postpone_annotations():
+    """Drake's YAML loader reads the types, which a future import would turn into strings."""
+    for name in (
+        "simulation/scenario.py",
+        "operators/config.py",
+        "systems/grasp_monitor.py",
+        "systems/wrist_to_arm.py",
+        "hands/description.py",
+    ):
+        assert "__future__" not in _imports(PACKAGE / name), name

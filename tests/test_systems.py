@@ -1,0 +1,250 @@
+"""Each system by itself: fix the inputs, advance, evaluate."""
+
+import numpy as np
+import pytest
+from pydrake.common.value import AbstractValue
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+from geort_drake.errors import HandError
+from geort_drake.gloves.recording import Recording
+from geort_drake.systems.action_correction import ActionCorrection
+from geort_drake.systems.glove_recorder import GloveRecorder
+from geort_drake.systems.glove_replay import GloveReplay
+from geort_drake.systems.grasp_monitor import GraspMonitor, GraspMonitorConfig, GraspPhase
+from geort_drake.systems.poses import pose_to_vector, vector_to_pose
+from geort_drake.systems.retargeting_system import (
+    HELD_LOST,
+    HELD_NOT_FINITE,
+    LIMITED,
+    TRACKING,
+    RetargetingSystem,
+)
+from geort_drake.systems.wrist_to_arm import Clutch
+
+JOINTS = ("thumb_a", "thumb_b", "index_a")
+
+
+def small_recording(frames: int = 12, rate: float = 100.0) -> Recording:
+    rng = np.random.default_rng(3)
+    quaternions = rng.normal(size=(frames, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    return Recording(
+        t=np.arange(frames) / rate,
+        p_HK=rng.normal(0, 0.05, (frames, 21, 3)),
+        valid=np.arange(frames) % 5 != 4,
+        X_WH=np.column_stack([quaternions, rng.normal(0, 0.2, (frames, 3))]),
+        metadata={"side": "right"},
+    )
+
+
+# -- poses
+
+
+def test_pose_vectors_round_trip(rng):
+    """Quaternion and translation come back, whatever the quaternion's length."""
+    for roll, pitch, yaw in rng.uniform(-3, 3, (10, 3)):
+        X = RigidTransform(RollPitchYaw(roll, pitch, yaw), [1, 2, 3])
+        back = vector_to_pose(pose_to_vector(X) * [2, 2, 2, 2, 1, 1, 1])
+        np.testing.assert_allclose(back.GetAsMatrix4(), X.GetAsMatrix4(), atol=1e-12)
+
+
+# -- GloveReplay, GloveRecorder
+
+
+def test_replay_holds_each_sample_until_the_next():
+    """Between two samples the older one is given, as a glove's latest message would be."""
+    recording = small_recording()
+    replay = GloveReplay(recording)
+    context = replay.CreateDefaultContext()
+    for time, sample in ((0.0, 0), (0.0099, 0), (0.01, 1), (0.035, 3), (9.0, 11)):
+        context.SetTime(time)
+        keypoints = replay.GetOutputPort("keypoints").Eval(context)
+        np.testing.assert_array_equal(keypoints.reshape(21, 3), recording.p_HK[sample])
+        assert replay.GetOutputPort("valid").Eval(context)[0] == recording.valid[sample]
+        X_WH = replay.GetOutputPort("wrist_pose").Eval(context)
+        np.testing.assert_allclose(X_WH.translation(), recording.X_WH[sample, 4:])
+
+
+def test_recording_a_replay_gives_the_recording_back():
+    """GloveRecorder keeps what GloveReplay plays: same keypoints, wrist poses and gaps."""
+    recording = small_recording()
+    builder = DiagramBuilder()
+    replay = builder.AddSystem(GloveReplay(recording))
+    recorder = builder.AddSystem(GloveRecorder(0.01))
+    for name in ("keypoints", "wrist_pose", "valid"):
+        builder.Connect(replay.GetOutputPort(name), recorder.GetInputPort(name))
+    Simulator(builder.Build()).AdvanceTo(0.1105)
+    again = recorder.recording({"side": "right"})
+    assert len(again.t) == len(recording.t)
+    np.testing.assert_allclose(again.t, recording.t, atol=1e-9)
+    np.testing.assert_array_equal(again.p_HK, recording.p_HK)
+    np.testing.assert_array_equal(again.valid, recording.valid)
+    np.testing.assert_allclose(again.X_WH[:, 4:], recording.X_WH[:, 4:], atol=1e-12)
+
+
+# -- RetargetingSystem
+
+
+def make_retargeting(retarget, period=0.01, max_speed=1e9):
+    start = dict.fromkeys(JOINTS, 0.0)
+    plant_order = ("index_a", "thumb_a", "thumb_b")
+    system = RetargetingSystem(retarget, JOINTS, plant_order, start, period, max_speed)
+    simulator = Simulator(system)
+    context = simulator.get_mutable_context()
+    system.GetInputPort("valid").FixValue(context, [1.0])
+    return system, simulator, context
+
+
+def first_three(keypoints):
+    return keypoints[4, :3]
+
+
+def test_retargeting_orders_joints_as_the_plant_does():
+    """Values are matched by name: the plant's order differs from the retargeter's."""
+    system, simulator, context = make_retargeting(first_three)
+    keypoints = np.zeros((21, 3))
+    keypoints[4] = [0.1, 0.2, 0.3]
+    system.GetInputPort("keypoints").FixValue(context, keypoints.ravel())
+    simulator.AdvanceTo(0.005)
+    desired = system.GetOutputPort("desired_state").Eval(context)
+    np.testing.assert_allclose(desired[:3], [0.3, 0.1, 0.2])
+    np.testing.assert_allclose(desired[3:], np.array([0.3, 0.1, 0.2]) / 0.01)
+    simulator.AdvanceTo(0.025)
+    np.testing.assert_allclose(system.GetOutputPort("desired_state").Eval(context)[3:], 0, atol=1e-12)
+
+
+def test_retargeting_holds_while_the_hand_is_lost_or_not_finite():
+    """The last target stands with zero velocity, and the status says what is held and since when."""
+    system, simulator, context = make_retargeting(first_three)
+    good = np.full(63, 0.1)
+    system.GetInputPort("keypoints").FixValue(context, good)
+    simulator.AdvanceTo(0.005)
+    status = system.GetOutputPort("status")
+    assert status.Eval(context).state == TRACKING
+    system.GetInputPort("valid").FixValue(context, [0.0])
+    system.GetInputPort("keypoints").FixValue(context, np.full(63, 0.2))
+    simulator.AdvanceTo(0.035)
+    np.testing.assert_allclose(system.GetOutputPort("desired_state").Eval(context), [0.1] * 3 + [0] * 3)
+    assert status.Eval(context).state == HELD_LOST
+    assert status.Eval(context).since == pytest.approx(0.01)
+    system.GetInputPort("valid").FixValue(context, [1.0])
+    bad = good.copy()
+    bad[12] = np.nan
+    system.GetInputPort("keypoints").FixValue(context, bad)
+    simulator.AdvanceTo(0.045)
+    np.testing.assert_allclose(system.GetOutputPort("desired_state").Eval(context)[:3], 0.1)
+    assert status.Eval(context).state == HELD_NOT_FINITE
+
+
+def test_retargeting_limits_the_joints_speed():
+    """A jump of the keypoints becomes a ramp at the speed limit."""
+    system, simulator, context = make_retargeting(first_three, max_speed=2.0)
+    system.GetInputPort("keypoints").FixValue(context, np.full(63, 1.0))
+    simulator.AdvanceTo(0.045)  # updates at 0, 10, 20, 30 and 40 ms
+    np.testing.assert_allclose(system.GetOutputPort("desired_state").Eval(context)[:3], 5 * 0.02)
+    assert system.GetOutputPort("status").Eval(context).state == LIMITED
+
+
+def test_retargeting_has_no_direct_feedthrough():
+    """So that no loop through it is algebraic."""
+    system, _, _ = make_retargeting(first_three)
+    assert not system.HasAnyDirectFeedthrough()
+
+
+def test_retargeting_refuses_a_plant_with_other_joints():
+    """The message names both sets."""
+    with pytest.raises(HandError, match=r"thumb_b.*ring_a"):
+        RetargetingSystem(first_three, JOINTS, ("index_a", "thumb_a", "ring_a"), {}, 0.01)
+
+
+# -- ActionCorrection
+
+
+def test_action_correction_passes_on_and_can_be_overridden():
+    """The base class changes nothing; a subclass sees command and hand state."""
+
+    class Halve(ActionCorrection):
+        def correct(self, desired_state, hand_state):
+            return 0.5 * (desired_state + hand_state)
+
+    for system, wanted in ((ActionCorrection(2), [1, 2, 3, 4]), (Halve(2), [0.5, 1, 1.5, 2])):
+        context = system.CreateDefaultContext()
+        system.GetInputPort("desired_state").FixValue(context, [1.0, 2, 3, 4])
+        system.GetInputPort("hand_state").FixValue(context, np.zeros(4))
+        np.testing.assert_allclose(system.get_output_port().Eval(context), wanted)
+
+
+# -- Clutch
+
+
+def test_clutch_moves_the_hand_by_what_the_wrist_moved_and_survives_a_gap():
+    """Translation and rotation are relative to the engagement; a gap causes no jump."""
+    X_WB0 = RigidTransform(RotationMatrix.MakeXRotation(0.5), [0.4, 0.1, 0.3])
+    clutch = Clutch("frame", X_WB0, 0.01)
+    simulator = Simulator(clutch)
+    context = simulator.get_mutable_context()
+
+    def at(X_WH, valid, until):
+        clutch.GetInputPort("wrist_pose").FixValue(context, AbstractValue.Make(X_WH))
+        clutch.GetInputPort("valid").FixValue(context, [valid])
+        simulator.AdvanceTo(until)
+        return clutch.GetOutputPort("desired_poses").Eval(context).Find("frame")
+
+    first = RigidTransform(RotationMatrix.MakeZRotation(1.0), [5, 5, 5])
+    np.testing.assert_allclose(at(first, 1.0, 0.005).GetAsMatrix4(), X_WB0.GetAsMatrix4(), atol=1e-12)
+    turn = RotationMatrix.MakeYRotation(0.3)
+    moved = RigidTransform(turn @ first.rotation(), first.translation() + [0.1, 0, -0.05])
+    target = at(moved, 1.0, 0.015)
+    np.testing.assert_allclose(target.translation(), X_WB0.translation() + [0.1, 0, -0.05], atol=1e-12)
+    np.testing.assert_allclose(target.rotation().matrix(), (turn @ X_WB0.rotation()).matrix(), atol=1e-12)
+    far = RigidTransform([9, 9, 9])
+    np.testing.assert_allclose(at(far, 0.0, 0.025).GetAsMatrix4(), target.GetAsMatrix4(), atol=1e-12)
+    np.testing.assert_allclose(at(far, 1.0, 0.035).GetAsMatrix4(), target.GetAsMatrix4(), atol=1e-12)
+
+
+# -- GraspMonitor
+
+
+def run_monitor(heights, contacts, period=0.1, **config):
+    """Feeds one height and contact vector per period; returns the outcome after the last."""
+    monitor = GraspMonitor(
+        2, lambda X_WO: X_WO.translation()[2] - 0.02, 0.1, GraspMonitorConfig(period=period, **config)
+    )
+    simulator = Simulator(monitor)
+    context = simulator.get_mutable_context()
+    for step, (height, contact) in enumerate(zip(heights, contacts, strict=True)):
+        pose = pose_to_vector(RigidTransform([0.5, 0, 0.12 + height]))
+        monitor.GetInputPort("object_pose").FixValue(context, pose)
+        monitor.GetInputPort("contact").FixValue(context, contact)
+        simulator.AdvanceTo((step + 0.5) * period)
+    return monitor.outcome(context)
+
+
+def test_monitor_needs_the_height_for_the_whole_hold():
+    """Ten centimetres for two seconds is a success, timed from the beginning of the hold."""
+    heights = [0, 0, 0.05] + [0.12] * 25
+    contacts = [[0, 0], [1, 1]] + [[1, 1]] * 26
+    outcome = run_monitor(heights, contacts)
+    assert outcome.success
+    assert outcome.completion_time == pytest.approx(0.3)
+    assert list(outcome.times) == ["REACH", "GRASP", "LIFT", "HOLD", "DONE"]
+    short = run_monitor(heights[:15], contacts[:15])
+    assert not short.success and short.phase == GraspPhase.HOLD
+
+
+def test_monitor_does_not_count_a_dropped_or_thrown_object():
+    """A drop restarts the hold; an object below its support ends the trial."""
+    heights = [0, 0.05, 0.12, 0.0, 0.12] + [0.12] * 10
+    contacts = [[1, 1], [1, 1], [1, 1], [0, 0], [1, 1]] + [[1, 1]] * 10
+    outcome = run_monitor(heights, contacts)
+    assert outcome.drops == 1 and np.isclose(outcome.held_since, 0.4)
+    fallen = run_monitor([0, 0, -0.1, 0.2], [[1, 0], [0, 0], [0, 0], [1, 1]])
+    assert fallen.phase == GraspPhase.THROWN and fallen.over and not fallen.success
+
+
+def test_monitor_does_not_take_a_flying_object_for_a_lift():
+    """Without two fingers on it, an object in the air is not held."""
+    outcome = run_monitor([0.0, 0.15, 0.15], [[1, 1], [0, 0], [1, 0]])
+    assert GraspPhase.LIFT.name not in outcome.times and GraspPhase.HOLD.name not in outcome.times
