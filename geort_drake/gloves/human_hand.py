@@ -29,6 +29,45 @@ JOINT_NAMES = tuple(f"{finger}_{suffix}" for finger in FINGER_NAMES for suffix i
 # The straight thumb points 25° from z towards y; it flexes across the palm (−y) about +x.
 _THUMB_AZIMUTH = np.deg2rad(25.0)
 
+# Anatomy of an adult, finger by finger from thumb to little.
+#
+# Bases: across (y) and along (z) the palm from An et al. 1979 and Buchholz et al. 1992 (J. Biomech.
+# 25:261) as shares of hand breadth and length; the heights x, and the thumb's CMC, which those
+# papers refer to another frame, are means of two calibrated MANUS gloves as shares of breadth
+# (x, y) and length (z).
+_BASE_BREADTH = np.array([[0.167, 0.240], [0.043, 0.252], [0.0, 0.0], [0.043, -0.206], [0.097, -0.402]])
+_BASE_LENGTH = np.array([0.101, 0.447, 0.446, 0.409, 0.368])
+# Bones as shares of hand length: Buchholz et al. 1992; the proximal ones are 1.853, 1.631, 1.570
+# and 1.760 times the middle ones. The last ones reach the skin: with the base, the shares of the
+# middle finger add up to one.
+_BONE_LENGTH = np.array(
+    [
+        [0.251, 0.196, 0.158],
+        [0.265, 0.143, 0.097],
+        [0.277, 0.170, 0.108],
+        [0.259, 0.165, 0.107],
+        [0.206, 0.117, 0.093],
+    ]
+)
+# The planes in which the fingers bend converge towards the thumb by this much, and the thumb is
+# pronated by it: rounded means of the fits to two glove recordings (GeoRT's and MANUS).
+_CONVERGENCE_DEG = np.array([0.0, 3.0, 6.0, 9.0, 9.0])
+_THUMB_TWIST_DEG = 10.0
+# Limits, deg, as (lower, upper) of abduction and three flexions. Flexions: clinical norms (MCP 45
+# hyperextension to 90, PIP 0–100, DIP 0–80; thumb MCP −10–55, IP −15–80), of which active motion
+# uses 30° of MCP hyperextension and a little beyond straight in the DIP; thumb CMC −25–35 and
+# abduction −10–60 (clinical: palmar abduction 45, radial 60). Finger abduction: ranges of a MANUS
+# recording (0.5th to 99.5th percentile), which exceed clinical spreads taken with straight fingers.
+_LIMITS_DEG = np.array(
+    [
+        [(-10, 60), (-25, 35), (-10, 60), (-15, 80)],
+        [(-20, 20), (-30, 90), (0, 100), (-10, 80)],
+        [(-20, 20), (-30, 90), (0, 100), (-10, 80)],
+        [(-22, 22), (-30, 90), (0, 100), (-10, 80)],
+        [(-35, 22), (-30, 90), (0, 100), (-10, 80)],
+    ]
+)
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class HumanHand:
@@ -69,8 +108,12 @@ class HumanHand:
         chain = np.empty((*z.shape[:-1], 4, 3))
         chain[..., 0, :] = 0.0
         chain[..., 1, :] = L[:, :1] * z
-        chain[..., 2, :] = chain[..., 1, :] + (L[:, 1] * c[..., 0])[..., None] * z + (L[:, 1] * s[..., 0])[..., None] * x
-        chain[..., 3, :] = chain[..., 2, :] + (L[:, 2] * c[..., 1])[..., None] * z + (L[:, 2] * s[..., 1])[..., None] * x
+        chain[..., 2, :] = (
+            chain[..., 1, :] + (L[:, 1] * c[..., 0])[..., None] * z + (L[:, 1] * s[..., 0])[..., None] * x
+        )
+        chain[..., 3, :] = (
+            chain[..., 2, :] + (L[:, 2] * c[..., 1])[..., None] * z + (L[:, 2] * s[..., 1])[..., None] * x
+        )
         p_HK = chain @ self.R_HB.transpose(0, 2, 1) + self.p_HB[:, None]
         p[..., 1:, :] = p_HK.reshape(*p_HK.shape[:-3], 20, 3)
         return p
@@ -143,6 +186,24 @@ class HumanHand:
         theta = np.clip(_angles(_bone_directions(p_HK), self.R_HB, self.twist), self.lower, self.upper)
         p_HF = p_HK[..., 1:, :].reshape(*p_HK.shape[:-2], 5, 4, 3)[..., 3, :]
         return self.solve_fingertips(p_HF, theta, iterations=iterations)
+
+    @classmethod
+    def anatomical(cls, length_m: float = 0.19, breadth_m: float = 0.085) -> "HumanHand":
+        """A hand of average adult proportions; the tables above name their sources.
+
+        Args:
+            length_m: wrist crease to the tip of the middle finger.
+            breadth_m: of the palm across the knuckles of index to little finger.
+        """
+        convergence = Rotation.from_euler("z", _CONVERGENCE_DEG[:, None], degrees=True).as_matrix()
+        return cls(
+            p_HB=np.column_stack([breadth_m * _BASE_BREADTH, length_m * _BASE_LENGTH]),
+            R_HB=_nominal_base_frames() @ convergence,
+            twist=np.deg2rad([_THUMB_TWIST_DEG, 0.0, 0.0, 0.0, 0.0]),
+            lengths=length_m * _BONE_LENGTH,
+            lower=np.deg2rad(_LIMITS_DEG[..., 0]).reshape(20),
+            upper=np.deg2rad(_LIMITS_DEG[..., 1]).reshape(20),
+        )
 
     @classmethod
     def fit(cls, recording: Recording) -> "HumanHand":
@@ -247,7 +308,7 @@ def _fit_base_frame(directions: np.ndarray, R_nominal: np.ndarray) -> tuple[np.n
         normal = np.cross(first, x)
         # A weak pull to the nominal frame decides what the recording leaves open.
         return np.concatenate(
-            [np.sum(middle * normal, -1), np.sum(last * normal, -1), 0.03 * np.sqrt(len(first)) * parameters]
+            [np.sum(middle * normal, -1), np.sum(last * normal, -1), 0.3 * np.sqrt(len(first)) * parameters]
         )
 
     solution = least_squares(out_of_plane, np.zeros(3)).x

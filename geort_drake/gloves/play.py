@@ -1,0 +1,266 @@
+"""Synthetic "five minutes of play": the hand motion GeoRT asks of a person, made from a seed.
+
+The hand sweeps every finger through its range, waves, makes fists, spreads, and pinches the thumb to
+each finger at varied places. Motion is a sequence of minimum-jerk movements between postures (Flash
+& Hogan 1985, J. Neurosci. 5:1688); then come the glove's faults, jitter and slow drift. The amounts
+are chosen so that the fingertips' workspace, speed and pinches lie between those of two recordings
+of real gloves; `tests/test_gloves_play.py` holds the figures.
+"""
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from geort_drake.gloves.human_hand import HumanHand
+from geort_drake.gloves.recording import Recording
+
+# Angles below are in degrees, joint by joint as in HumanHand: abduction and three flexions.
+_RELAXED = np.array(
+    [[25, 0, 12, 18], [2, 15, 25, 16], [0, 18, 28, 18], [-2, 20, 28, 18], [-6, 20, 28, 18]], float
+)
+_FIST = np.array(
+    [[35, 15, 40, 45], [0, 80, 95, 60], [0, 84, 98, 62], [0, 82, 98, 62], [0, 78, 95, 60]], float
+)
+_FLAT = np.array([[10, -15, 0, 0], [4, -10, 2, 1], [0, -8, 2, 1], [-3, -8, 2, 1], [-8, -8, 2, 1]], float)
+# A pinch starts here and is closed by inverse kinematics: ranges of thumb and finger.
+_PINCH_THUMB = ((15, 45), (-5, 30), (5, 45), (5, 60))
+_PINCH_FINGER = ((-10, 10), (10, 70), (20, 80), (10, 50))
+
+_THUMB = 0
+_RATIO = (0.4, 0.85)  # DIP over PIP flexion: textbook 2/3, gloves show this range
+_TIP_GAP_M = (0.001, 0.010)  # between the tips while pinching: glove tips lie under the skin
+_JITTER_DEG = 0.03  # per frame: about 0.05 mm at a fingertip
+_TREMOR_DEG = 0.05  # 8–12 Hz, about 0.1 mm at a fingertip (Riviere 1997: 0.05–0.13 mm)
+_DRIFT_DEG = 0.7
+_DRIFT_TIME_S = 8.0
+
+
+def synthesize_play(
+    seed: int | np.random.Generator,
+    duration_s: float = 300.0,
+    rate_hz: float = 120.0,
+    hand: HumanHand | None = None,
+    jitter: float = 1.0,
+) -> Recording:
+    """A recording of a hand at play; the same arguments give the same recording.
+
+    Args:
+        seed: seed or generator.
+        duration_s: length of the recording, s.
+        rate_hz: frames per second; the default is that of common gloves.
+        hand: whose hand; by default an adult's average one. Pinches it cannot reach are left out.
+        jitter: scale of jitter, tremor and drift; 0 leaves the movements alone.
+    """
+    if duration_s <= 0 or rate_hz <= 0 or jitter < 0:
+        raise ValueError("duration_s and rate_hz must be positive and jitter not negative")
+    hand = hand or HumanHand.anatomical()
+    rng = np.random.default_rng(seed)
+    t = np.arange(max(2, round(duration_s * rate_hz))) / rate_hz
+    times, postures = _postures(hand, duration_s, rng)
+    theta = _minimum_jerk(t, times, postures)
+    theta = np.clip(theta + jitter * _glove_noise(len(t), rate_hz, rng), hand.lower, hand.upper)
+    metadata = {
+        "side": "right",
+        "subject": "synthetic",
+        "source": "geort_drake.gloves.play",
+        "rate_known": True,
+        "seed": seed if isinstance(seed, int) else None,
+        "warnings": [],
+    }
+    return Recording(t, hand.keypoints(theta), np.ones(len(t), bool), None, metadata)
+
+
+class _Timeline:
+    """Postures in the order they are reached, and when."""
+
+    def __init__(self, hand: HumanHand, start: np.ndarray):
+        self._hand = hand
+        self.times = [0.0]
+        self.postures: list[np.ndarray] = []
+        self._append(start)
+
+    @property
+    def pose(self) -> np.ndarray:
+        return self.postures[-1]
+
+    def move(self, theta: np.ndarray, duration_s: float) -> None:
+        """Reaches theta, (20,) rad or (5, 4), after `duration_s`."""
+        self.times.append(self.times[-1] + duration_s)
+        self._append(theta)
+
+    def hold(self, duration_s: float) -> None:
+        self.move(self.pose, duration_s)
+
+    def _append(self, theta: np.ndarray) -> None:
+        self.postures.append(np.clip(np.reshape(theta, 20), self._hand.lower, self._hand.upper))
+
+
+def _postures(hand: HumanHand, duration_s: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    timeline = _Timeline(hand, _around(_RELAXED, 5.0, rng))
+    gestures: list[Callable] = [_fists, _spread, _wave]
+    while timeline.times[-1] < duration_s:
+        pinches = {finger: _pinch_postures(hand, finger, rng) for finger in range(1, 5)}
+        gesture_order = [gestures[i] for i in rng.permutation(3)]
+        for place, finger in enumerate(rng.permutation(5)):
+            if finger != _THUMB:
+                _pinch(timeline, pinches[finger], rng)
+            _sweep(timeline, finger, rng)
+            if place < len(gesture_order):
+                gesture_order[place](timeline, rng)
+    return np.array(timeline.times), np.stack(timeline.postures)
+
+
+def _sweep(timeline: _Timeline, finger: int, rng: np.random.Generator) -> None:
+    """One finger through its range: abducting at several flexions, then anywhere; others follow a little."""
+    rest = _around(_RELAXED, 8.0, rng)
+    if finger == _THUMB:
+        rest[1:] = _blend(_FLAT, _RELAXED, rng.uniform(0, 1))[1:]
+    targets = [*_abduction_sweeps(finger, rng), *(_anywhere(finger, rng) for _ in range(5))]
+    for target in targets:
+        theta = rest.copy()
+        theta[finger] = target
+        if finger != _THUMB:
+            # Fingers are not independent: neighbours follow by a fifth (enslaving, Zatsiorsky 2000).
+            for neighbour in {max(finger - 1, 1), min(finger + 1, 4)} - {finger}:
+                theta[neighbour, 1:] += 0.2 * (target[1:] - rest[finger, 1:])
+        timeline.move(np.deg2rad(theta), rng.uniform(0.25, 0.55))
+        if rng.random() < 0.3:
+            timeline.hold(rng.uniform(0.1, 0.4))
+
+
+def _abduction_sweeps(finger: int, rng: np.random.Generator) -> Iterable[np.ndarray]:
+    for level in rng.permutation(3):
+        target = _anywhere(finger, rng)
+        low, high = (-5, 60) if finger == _THUMB else (-35, 22) if finger == 4 else (-20, 20)
+        if finger == _THUMB:
+            target[1] = (-22, 5, 30)[level] + rng.uniform(-5, 5)
+        else:
+            target[1] = (-20, 20, 60)[level] + rng.uniform(-12, 12)
+        for abduction in (low, high) if rng.random() < 0.5 else (high, low):
+            yield np.array([abduction * rng.uniform(0.6, 1.0), *target[1:]])
+
+
+def _anywhere(finger: int, rng: np.random.Generator) -> np.ndarray:
+    if finger == _THUMB:
+        return rng.uniform((-10, -25, -5, -10), (55, 35, 55, 75))
+    proximal = rng.uniform(-28, 85)
+    # Bending the outer joints alone while the knuckle is far back is a hook; it occurs, but seldom.
+    middle = 100 * rng.beta(0.9, 1.3)
+    low, high = (-32, 20) if finger == 4 else (-18, 18)
+    return np.array([rng.uniform(low, high), proximal, middle, rng.uniform(*_RATIO) * middle])
+
+
+def _fists(timeline: _Timeline, rng: np.random.Generator) -> None:
+    for _ in range(2):
+        timeline.move(np.deg2rad(_around(_FIST, 4.0, rng)), rng.uniform(0.35, 0.6))
+        timeline.hold(rng.uniform(0.1, 0.3))
+        timeline.move(np.deg2rad(_around(_FLAT, 5.0, rng)), rng.uniform(0.35, 0.6))
+
+
+def _spread(timeline: _Timeline, rng: np.random.Generator) -> None:
+    """All fingers apart and together, at several flexions."""
+    for flexion in rng.permutation([-15.0, 10.0, 40.0]):
+        for share in (1.0, -0.6):
+            theta = _blend(_FLAT, _FIST, rng.uniform(0.0, 0.25))
+            theta[1:, 1] = flexion + rng.uniform(-6, 6, 4)
+            theta[1:, 0] = share * np.array([18, 6, -12, -32]) + rng.uniform(-3, 3, 4)
+            theta[0, :2] = (rng.uniform(0, 55), -20 if share > 0 else 15)
+            timeline.move(np.deg2rad(theta), rng.uniform(0.35, 0.6))
+
+
+def _wave(timeline: _Timeline, rng: np.random.Generator) -> None:
+    """Flexion runs from finger to finger, back and forth."""
+    start = _around(_FLAT, 4.0, rng)
+    depth = rng.uniform(0.5, 1.0)
+    for step in range(12):
+        phase = 2 * np.pi * (step / 6 - np.arange(5) / 6)
+        share = depth * 0.5 * (1 - np.cos(phase))
+        timeline.move(np.deg2rad(start + share[:, None] * (_FIST - start)), rng.uniform(0.18, 0.26))
+
+
+def _pinch(timeline: _Timeline, postures: np.ndarray, rng: np.random.Generator) -> None:
+    """Approaches, touches, slides along while touching, and lets go."""
+    for touch, slide in postures:
+        apart = touch.reshape(5, 4).copy()
+        finger = np.argmax(np.abs(touch - slide).reshape(5, 4)[1:].sum(axis=1)) + 1
+        apart[_THUMB, 1:] -= np.deg2rad(rng.uniform(8, 25, 3))
+        apart[finger, 1:] -= np.deg2rad(rng.uniform(8, 30, 3))
+        timeline.move(apart, rng.uniform(0.3, 0.6))
+        timeline.move(touch, rng.uniform(0.25, 0.5))
+        timeline.hold(rng.uniform(0.1, 0.5))
+        timeline.move(slide, rng.uniform(0.4, 0.9))
+        timeline.hold(rng.uniform(0.0, 0.3))
+        timeline.move(apart, rng.uniform(0.25, 0.5))
+
+
+def _pinch_postures(hand: HumanHand, finger: int, rng: np.random.Generator, count: int = 2) -> np.ndarray:
+    """Up to `count` pairs (n, 2, 20) of postures in which thumb and finger touch, the second slid along."""
+    tries = 4 * count
+    theta = np.deg2rad(
+        np.stack([_around(_blend(_FLAT, _RELAXED, rng.uniform(0, 1.5)), 5.0, rng) for _ in range(tries)])
+    )
+    theta[:, _THUMB] = np.deg2rad(rng.uniform(*np.transpose(_PINCH_THUMB), (tries, 4)))
+    theta[:, finger] = np.deg2rad(rng.uniform(*np.transpose(_PINCH_FINGER), (tries, 4)))
+    gap = rng.uniform(*_TIP_GAP_M, tries)
+    touch, near = _close(hand, finger, theta.reshape(tries, 20), np.zeros(3), gap)
+    slide, still_near = _close(hand, finger, touch, rng.normal(0.0, 0.008, (tries, 3)), gap)
+    kept = np.flatnonzero(near & still_near)[:count]
+    return np.stack([touch[kept], slide[kept]], axis=1)
+
+
+def _close(
+    hand: HumanHand, finger: int, theta: np.ndarray, shift: np.ndarray, gap: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Brings thumb and finger together to `gap` about their midpoint, shifted; and whether they got there."""
+    theta = np.clip(theta, hand.lower, hand.upper)
+    p_HF = hand.fingertips(theta)
+    middle = 0.5 * (p_HF[:, _THUMB] + p_HF[:, finger]) + shift
+    weights = np.isin(np.arange(5), (_THUMB, finger)).astype(float)
+    for _ in range(6):
+        p_HF = hand.fingertips(theta)
+        apart = p_HF[:, finger] - p_HF[:, _THUMB]
+        apart *= (0.5 * gap / np.maximum(np.linalg.norm(apart, axis=1), 1e-6))[:, None]
+        p_HF[:, _THUMB], p_HF[:, finger] = middle - apart, middle + apart
+        theta = hand.solve_fingertips(p_HF, theta, weights, iterations=3)
+        # Where one of the two cannot follow, the other comes to meet it.
+        p_HF = hand.fingertips(theta)
+        middle = 0.5 * (p_HF[:, _THUMB] + p_HF[:, finger])
+    reached = np.linalg.norm(p_HF[:, finger] - p_HF[:, _THUMB], axis=1) < _TIP_GAP_M[1] + 0.001
+    return theta, reached
+
+
+def _minimum_jerk(t: np.ndarray, times: np.ndarray, postures: np.ndarray) -> np.ndarray:
+    """Postures (T, 20) at times t: minimum-jerk movements from each posture to the next."""
+    i = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
+    s = ((t - times[i]) / (times[i + 1] - times[i]).clip(1e-9)).clip(0.0, 1.0)
+    share = s**3 * (10 - 15 * s + 6 * s**2)
+    return postures[i] + share[:, None] * (postures[i + 1] - postures[i])
+
+
+def _glove_noise(frames: int, rate_hz: float, rng: np.random.Generator) -> np.ndarray:
+    """Jitter, tremor and drift of the joint angles (frames, 20), rad."""
+    jitter = rng.normal(size=(frames, 20))
+    # Band-limited to 8–12 Hz in the frequency domain; a recording too slow for it has none.
+    frequency = np.fft.rfftfreq(frames, 1 / rate_hz)
+    band = (frequency > 8) & (frequency < 12)
+    tremor = np.fft.irfft(
+        np.fft.rfft(rng.normal(size=(frames, 20)), axis=0) * band[:, None], n=frames, axis=0
+    )
+    # One value per second is enough of a drift that takes eight.
+    seconds = np.arange(frames) / rate_hz
+    knots = np.arange(0.0, seconds[-1] + 4 * _DRIFT_TIME_S)
+    slow = gaussian_filter1d(rng.normal(size=(len(knots), 20)), _DRIFT_TIME_S, axis=0, mode="wrap")
+    slow *= np.sqrt(2 * np.sqrt(np.pi) * _DRIFT_TIME_S)
+    drift = np.stack([np.interp(seconds, knots, column) for column in slow.T], axis=1)
+    deviation = tremor.std(axis=0)
+    tremor = np.where(deviation > 0, tremor / np.where(deviation > 0, deviation, 1.0), 0.0)
+    return np.deg2rad(_JITTER_DEG * jitter + _TREMOR_DEG * tremor + _DRIFT_DEG * drift)
+
+
+def _around(posture: np.ndarray, deviation_deg: float, rng: np.random.Generator) -> np.ndarray:
+    return posture + rng.normal(0.0, deviation_deg, posture.shape)
+
+
+def _blend(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
+    return a + share * (b - a)
