@@ -1,0 +1,145 @@
+"""The facts about a robot hand that its model does not hold: fingers, fingertip points, human partners."""
+
+import dataclasses as dc
+import os
+from pathlib import Path
+
+import numpy as np
+from pydrake.common.yaml import yaml_load_typed
+
+from geort_drake.errors import HandError, UnknownNameError
+from geort_drake.gloves.keypoints import FINGER_NAMES
+from geort_drake.resources import PACKAGE_NAME, models_dir
+
+SIDES = ("right", "left")
+
+
+@dc.dataclass
+class FingerDescription:
+    """One finger of a robot hand."""
+
+    # One of thumb, index, middle, ring, little.
+    name: str = ""
+    # The human keypoint (0 to 20) that this fingertip follows.
+    human_keypoint: int = 0
+    # The finger's joints by name, base to tip.
+    joints: list[str] = dc.field(default_factory=list)
+    # The link that carries the fingertip.
+    tip_link: str = ""
+    # The fingertip point in the frame of `tip_link`, m.
+    tip_point: list[float] = dc.field(default_factory=lambda: [0.0, 0.0, 0.0])
+    # Radius of the sphere around the fingertip point that touches things, m.
+    tip_radius: float = 0.0
+
+
+@dc.dataclass
+class HandDescription:
+    """A robot hand: which model it is and how its parts relate to a human hand.
+
+    `q` of the hand is always in the order of `joint_names`: finger by finger as listed, base to tip.
+    """
+
+    name: str = ""
+    # SDF or URDF file: package://geort_drake/..., an absolute path, or one relative to the description.
+    model: str = ""
+    # The side of the hand, right or left.
+    side: str = "right"
+    # Frame or link of the model that is the hand base B: +x out of the palm, +y towards the index side
+    # of a right hand, +z along the fingers.
+    base_frame: str = ""
+    # In the order thumb, index, middle, ring, little; fingers that the hand lacks are left out.
+    fingers: list[FingerDescription] = dc.field(default_factory=list)
+    # Where the joints start, by name, rad. Joints that are not listed start at the model's default, 0.
+    default_positions: dict[str, float] = dc.field(default_factory=dict)
+
+    @property
+    def joint_names(self) -> list[str]:
+        return [joint for finger in self.fingers for joint in finger.joints]
+
+    @property
+    def finger_names(self) -> list[str]:
+        return [finger.name for finger in self.fingers]
+
+    def validate(self) -> None:
+        """Checks what can be checked without the model.
+
+        Raises:
+            HandError: a field is missing or wrong; names hand, field, what was wanted and what was given.
+        """
+        for field in ("name", "model", "base_frame"):
+            self._require(getattr(self, field), field, "given", "nothing")
+        self._require(self.side in SIDES, "side", f"one of {', '.join(SIDES)}", f"'{self.side}'")
+        self._require(self.fingers, "fingers", "a list of at least one finger", "none")
+        for number, finger in enumerate(self.fingers):
+            self._validate_finger(finger, f"fingers[{number}]")
+        names = self.finger_names
+        ordered = [name for name in FINGER_NAMES if name in names]
+        self._require(names == ordered, "fingers", f"each at most once, as {', '.join(FINGER_NAMES)}", names)
+        joints = self.joint_names
+        twice = sorted({joint for joint in joints if joints.count(joint) > 1})
+        self._require(not twice, "fingers", "every joint once", f"twice: {', '.join(twice)}")
+        for joint, position in self.default_positions.items():
+            self._require(np.isfinite(position), f"default_positions.{joint}", "finite", position)
+
+    def _validate_finger(self, finger: FingerDescription, where: str) -> None:
+        self._require(
+            finger.name in FINGER_NAMES,
+            f"{where}.name",
+            f"one of {', '.join(FINGER_NAMES)}",
+            f"'{finger.name}'",
+        )
+        self._require(
+            0 < finger.human_keypoint <= 20, f"{where}.human_keypoint", "from 1 to 20", finger.human_keypoint
+        )
+        self._require(finger.joints, f"{where}.joints", "a list of joint names", "none")
+        self._require(finger.tip_link, f"{where}.tip_link", "the name of a link", "nothing")
+        self._require(
+            len(finger.tip_point) == 3 and np.isfinite(finger.tip_point).all(),
+            f"{where}.tip_point",
+            "three finite coordinates in m",
+            finger.tip_point,
+        )
+        self._require(
+            np.isfinite(finger.tip_radius) and finger.tip_radius > 0,
+            f"{where}.tip_radius",
+            "positive, in m",
+            finger.tip_radius,
+        )
+
+    def _require(self, condition: object, field: str, wanted: str, given: object) -> None:
+        if not condition:
+            raise HandError(f"hand '{self.name}': {field} must be {wanted}; given: {given}")
+
+
+def hand_names() -> list[str]:
+    """Names of the hands that come with the package."""
+    return sorted(path.stem for path in (models_dir() / "hands").glob("*.yaml"))
+
+
+def load_hand(name_or_path: str | os.PathLike) -> HandDescription:
+    """Loads a hand description: by name one of `hand_names()`, by path any `.yaml` file.
+
+    Raises:
+        UnknownNameError: no hand has that name.
+        HandError: the file is missing, malformed or inconsistent.
+    """
+    text = os.fspath(name_or_path)
+    if text in hand_names():
+        path = models_dir() / "hands" / f"{text}.yaml"
+    elif Path(text).suffix in (".yaml", ".yml") or os.sep in text:
+        path = Path(text)
+    else:
+        raise UnknownNameError("hand", text, hand_names())
+    if not path.is_file():
+        raise HandError(f"the hand description {path} is missing")
+    try:
+        hand = yaml_load_typed(schema=HandDescription, filename=str(path))
+    except Exception as error:  # the loader raises RuntimeError, YAMLError, TypeError, ValueError, ...
+        raise HandError(f"the hand description {path} is malformed: {error}") from error
+    try:
+        hand.validate()
+    except HandError as error:
+        raise HandError(f"{path}: {error}") from error
+    if not hand.model.startswith(f"package://{PACKAGE_NAME}/"):
+        hand.model = str(path.resolve().parent / hand.model)  # an absolute model path replaces the parent
+    return hand

@@ -1,0 +1,289 @@
+"""A robot hand on its own in a Drake plant: exact fingertips, exact self-collision, exact kinematics."""
+
+import dataclasses as dc
+import hashlib
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydrake.geometry import CollisionFilterDeclaration, GeometryId, GeometrySet, QueryObject, Role
+from pydrake.math import RigidTransform
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.tree import Frame, Joint, RevoluteJoint, WeldJoint
+from pydrake.systems.framework import Context, DiagramBuilder
+
+from geort_drake.errors import HandError
+from geort_drake.files import sha256_of
+from geort_drake.hands.description import FingerDescription, HandDescription
+from geort_drake.resources import PACKAGE_NAME, resolve_uri, resource_root
+
+if TYPE_CHECKING:
+    from geort_drake.retargeting.kinematics import HandKinematics
+
+
+class HandModel:
+    """A hand with its base B welded to the world, which computes from joint positions q.
+
+    `q` is in the order of `joint_names`, the hand description's. Joints of the model that no finger
+    lists stay at their default. Not thread-safe: the object owns the contexts it computes in.
+
+    A tip here means the collision geometries of a finger's tip link whose names contain "tip"; where
+    none does, all geometries of that link.
+
+    Raises:
+        HandError: the model file is missing or malformed, or the description names a joint, link or
+            frame that the model lacks or that does not form a finger.
+    """
+
+    def __init__(self, description: HandDescription):
+        description.validate()
+        self.description = description
+        path = resolve_uri(description.model)
+        if not path.is_file():
+            raise HandError(f"hand '{description.name}': the model file {path} is missing")
+        self._source = f"hand '{description.name}' with model {path}"
+        self.digest = _digest(description, sha256_of(path))
+
+        builder = DiagramBuilder()
+        # Joint actuators with controller gains need a discrete plant; its time step is never taken.
+        self.plant, self.scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.001)
+        parser = Parser(self.plant)
+        parser.package_map().Add(PACKAGE_NAME, str(resource_root()))
+        try:
+            (self._instance,) = parser.AddModels(str(path))
+        except (RuntimeError, ValueError) as error:
+            raise HandError(f"{self._source}: not one readable model: {error}") from error
+        self._base = self._frame(description.base_frame, "base_frame")
+        self.plant.WeldFrames(self.plant.world_frame(), self._base)
+        self._joints = [
+            self._joint(name, f"fingers.{finger.name}.joints")
+            for finger in description.fingers
+            for name in finger.joints
+        ]
+        self._set_default_positions()
+        self.plant.Finalize()
+        self.diagram = builder.Build()
+
+        self._tips = [
+            (self._frame(finger.tip_link, f"fingers.{finger.name}.tip_link"), np.array(finger.tip_point))
+            for finger in description.fingers
+        ]
+        self._order = np.array([joint.position_start() for joint in self._joints])
+        self._tip_geometries = self._find_tip_geometries()
+        self._contact_context = self.diagram.CreateDefaultContext()
+        # The same hand, blind to contacts between fingertips.
+        self._beyond_tips_context = self.diagram.CreateDefaultContext()
+        self.scene_graph.collision_filter_manager(
+            self.scene_graph.GetMyMutableContextFromRoot(self._beyond_tips_context)
+        ).Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(list(self._tip_geometries))))
+        self._default = self.plant.GetPositions(self.plant.GetMyContextFromRoot(self._contact_context)).copy()
+
+    @property
+    def joint_names(self) -> list[str]:
+        """The n joints in the order of q."""
+        return self.description.joint_names
+
+    @property
+    def finger_names(self) -> list[str]:
+        """The F fingers in the order of fingertips."""
+        return self.description.finger_names
+
+    @property
+    def lower(self) -> np.ndarray:
+        """(n,) lower joint limits, rad."""
+        return np.array([joint.position_lower_limit() for joint in self._joints])
+
+    @property
+    def upper(self) -> np.ndarray:
+        """(n,) upper joint limits, rad."""
+        return np.array([joint.position_upper_limit() for joint in self._joints])
+
+    @property
+    def default_position(self) -> np.ndarray:
+        """(n,) joint positions the hand starts in, rad."""
+        return self._default[self._order]
+
+    @property
+    def tip_radius(self) -> float:
+        """The largest radius among the fingertip spheres, m."""
+        return max(finger.tip_radius for finger in self.description.fingers)
+
+    def fingertips(self, q: np.ndarray) -> np.ndarray:
+        """Fingertip points p_BF, (N, F, 3) or (F, 3) in m, for joint positions q, (N, n) or (n,) in rad."""
+        rows = self._rows(q)
+        context = self.plant.GetMyMutableContextFromRoot(self._contact_context)
+        p_BF = np.empty((len(rows), len(self._tips), 3))
+        for row, p_BF_row in zip(rows, p_BF, strict=True):
+            self._set_positions(context, row)
+            for f, (frame, point) in enumerate(self._tips):
+                p_BF_row[f] = self.plant.CalcPointsPositions(context, frame, point, self._base)[:, 0]
+        return p_BF if np.ndim(q) == 2 else p_BF[0]
+
+    def collides(self, q: np.ndarray) -> np.ndarray:
+        """Whether any two parts of the hand touch: (N,) bool for q (N, n), a bool for q (n,).
+
+        Neighbours along a finger are not counted.
+        """
+        return self._has_collisions(q, self._contact_context)
+
+    def collides_beyond_tips(self, q: np.ndarray) -> np.ndarray:
+        """As `collides`, without contacts of one finger's tip with another's."""
+        return self._has_collisions(q, self._beyond_tips_context)
+
+    def penetrations(self, q: np.ndarray) -> list[tuple[float, str, str, bool]]:
+        """Every contact at q (n,), deepest first: depth in m, the two links' names, and whether tip meets tip."""
+        (row,) = self._rows(np.asarray(q)[None])
+        context = self.plant.GetMyMutableContextFromRoot(self._contact_context)
+        self._set_positions(context, row)
+        pairs = self._query(context).ComputePointPairPenetration()
+        found = [
+            (pair.depth, *sorted((self._link(pair.id_A), self._link(pair.id_B))), self._between_tips(pair))
+            for pair in pairs
+        ]
+        return sorted(found, key=lambda contact: (-contact[0], *contact[1:3]))
+
+    def kinematics(self) -> "HandKinematics":
+        """The fingers as serial chains for torch, read off the plant."""
+        from geort_drake.retargeting.kinematics import HandKinematics
+
+        return HandKinematics(
+            fingers=tuple(self._chain(finger) for finger in self.description.fingers),
+            joint_names=tuple(self.joint_names),
+            lower=self.lower,
+            upper=self.upper,
+            tip_radius=self.tip_radius,
+        )
+
+    def _chain(self, finger: FingerDescription):
+        """Walks from the tip link to the base: movable joints must be the finger's, the rest rigid."""
+        from geort_drake.retargeting.kinematics import FingerChain
+
+        inboard = {
+            joint.child_body().index(): joint
+            for joint in map(self.plant.get_joint, self.plant.GetJointIndices())
+        }
+        where = f"{self._source}: finger '{finger.name}'"
+        body = self.plant.GetBodyByName(finger.tip_link, self._instance)
+        p_tip, X = np.array(finger.tip_point), RigidTransform()  # X: the part below, in the current body
+        names, poses, axes = [], [], []
+        base_body = self._base.body().index()
+        while body.index() != base_body:
+            joint = inboard.get(body.index())
+            if joint is None:
+                raise HandError(f"{where}: link '{finger.tip_link}' does not hang on '{self._base.name()}'")
+            X_PF = joint.frame_on_parent().GetFixedPoseInBodyFrame()
+            X_MC = joint.frame_on_child().GetFixedPoseInBodyFrame().inverse()
+            if isinstance(joint, WeldJoint):
+                X = X_PF @ joint.X_FM() @ X_MC @ X
+            elif joint.name() in finger.joints:
+                if names:
+                    poses[-1] = X_MC @ X
+                else:
+                    p_tip = X_MC @ X @ p_tip
+                names.append(joint.name())
+                axes.append(joint.revolute_axis())
+                poses.append(None)
+                X = X_PF
+            else:
+                raise HandError(f"{where}: joint '{joint.name()}' moves it but is not in its list of joints")
+            body = joint.parent_body()
+        if names[::-1] != finger.joints:
+            raise HandError(
+                f"{where}: its joints must be listed base to tip; given: {', '.join(finger.joints)}; "
+                f"between '{self._base.name()}' and '{finger.tip_link}' are: {', '.join(names[::-1])}"
+            )
+        poses[-1] = self._base.GetFixedPoseInBodyFrame().inverse() @ X
+        return FingerChain(
+            name=finger.name,
+            joint_names=tuple(finger.joints),
+            joint_indices=tuple(self.joint_names.index(name) for name in finger.joints),
+            X_PJ=np.stack([pose.GetAsMatrix4() for pose in poses[::-1]]),
+            axes=np.stack(axes[::-1]),
+            p_tip=p_tip,
+        )
+
+    def _rows(self, q: np.ndarray) -> np.ndarray:
+        rows = np.atleast_2d(np.asarray(q, dtype=float))
+        n = len(self._joints)
+        if np.ndim(q) not in (1, 2) or rows.shape[1] != n:
+            raise ValueError(f"q must be of shape ({n},) or (N, {n}), not {np.shape(q)}")
+        if not np.isfinite(rows).all():
+            raise ValueError("q holds values that are not finite")
+        return rows
+
+    def _set_positions(self, context: Context, row: np.ndarray) -> None:
+        positions = self._default.copy()
+        positions[self._order] = row
+        self.plant.SetPositions(context, positions)
+
+    def _query(self, context: Context) -> QueryObject:
+        return self.plant.get_geometry_query_input_port().Eval(context)
+
+    def _has_collisions(self, q: np.ndarray, root_context: Context) -> np.ndarray:
+        rows = self._rows(q)
+        context = self.plant.GetMyMutableContextFromRoot(root_context)
+        hits = np.empty(len(rows), dtype=bool)
+        for i, row in enumerate(rows):
+            self._set_positions(context, row)
+            hits[i] = self._query(context).HasCollisions()
+        return hits if np.ndim(q) == 2 else hits[0]
+
+    def _find_tip_geometries(self) -> dict[GeometryId, int]:
+        """The tips' collision geometries, with the number of the finger they belong to."""
+        inspector = self.scene_graph.model_inspector()
+        tips = {}
+        for number, (frame, _) in enumerate(self._tips):
+            frame_id = self.plant.GetBodyFrameIdOrThrow(frame.body().index())
+            everything = inspector.GetGeometries(frame_id, Role.kProximity)
+            named = [id for id in everything if "tip" in inspector.GetName(id).split("::")[-1]]
+            tips.update({id: number for id in named or everything})
+        return tips
+
+    def _between_tips(self, pair) -> bool:
+        return pair.id_A in self._tip_geometries and pair.id_B in self._tip_geometries
+
+    def _link(self, geometry: GeometryId) -> str:
+        frame = self.scene_graph.model_inspector().GetFrameId(geometry)
+        return self.plant.GetBodyFromFrameId(frame).name()
+
+    def _frame(self, name: str, field: str) -> Frame:
+        if not self.plant.HasFrameNamed(name, self._instance):
+            frames = [self.plant.get_frame(i).name() for i in self.plant.GetFrameIndices(self._instance)]
+            raise self._unknown(field, "frame or link", name, [frame for frame in frames if frame])
+        return self.plant.GetFrameByName(name, self._instance)
+
+    def _joint(self, name: str, field: str) -> Joint:
+        joints = [self.plant.get_joint(i) for i in self.plant.GetJointIndices(self._instance)]
+        movable = [joint.name() for joint in joints if isinstance(joint, RevoluteJoint)]
+        if name not in movable:
+            raise self._unknown(field, "revolute joint", name, movable)
+        joint = self.plant.GetJointByName(name, self._instance)
+        if not np.isfinite([joint.position_lower_limit(), joint.position_upper_limit()]).all():
+            raise HandError(f"{self._source}: joint '{name}' needs position limits, it has none")
+        return joint
+
+    def _set_default_positions(self) -> None:
+        for name, position in self.description.default_positions.items():
+            joint = self._joint(name, "default_positions")
+            joint.set_default_positions([position])
+        for joint in self._joints:
+            low, high = joint.position_lower_limit(), joint.position_upper_limit()
+            (position,) = joint.default_positions()
+            if not low <= position <= high:
+                raise HandError(
+                    f"{self._source}: default_positions.{joint.name()} must be within its limits "
+                    f"[{low:g}, {high:g}] rad; given: {position:g}"
+                )
+
+    def _unknown(self, field: str, kind: str, given: str, choices: list[str]) -> HandError:
+        return HandError(
+            f"{self._source}: {field} names the {kind} '{given}', which the model lacks; "
+            f"choose one of: {', '.join(choices) or 'none'}"
+        )
+
+
+def _digest(description: HandDescription, model_sha256: str) -> str:
+    """SHA-256 over what decides the hand's behaviour; where the model file lies is no part of it."""
+    facts = dc.asdict(description) | {"model": model_sha256}
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
