@@ -8,6 +8,7 @@ Initial weights come from a torch.Generator, never from the global one.
 import math
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from torch import nn
 from torch.nn.functional import silu
@@ -76,6 +77,18 @@ class RetargetingNetwork(nn.Module):
         if not self._in_order:
             y = y[:, self.columns]
         return self.centre + self.half_range * torch.tanh(y)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What `Retargeter` is made of, in float64: the input normalisation is folded into layer 0."""
+        weights = [weight.detach().cpu().double() for weight in self.mlp.weights]
+        biases = [bias.detach().cpu().double() for bias in self.mlp.biases]
+        # (x − mean) / scale · W + b = x · (W / scale) + (b − mean / scale · W)
+        weights[0] = weights[0] / self.scale.cpu().double().transpose(1, 2)
+        biases[0] = biases[0] - torch.bmm(self.mean.cpu().double(), weights[0])
+        arrays = {"columns": np.array(self.columns, dtype=np.int64)}
+        for number, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+            arrays[f"weight{number}"], arrays[f"bias{number}"] = weight.numpy(), bias.numpy()
+        return arrays
 
 
 class NeuralKinematics(nn.Module):

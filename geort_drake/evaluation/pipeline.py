@@ -1,0 +1,220 @@
+"""From a hand's name and a recording to an evaluated checkpoint."""
+
+import contextlib
+import dataclasses
+import os
+import platform
+import subprocess
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+import geort_drake
+from geort_drake.console import progress_bar
+from geort_drake.errors import UnknownNameError
+from geort_drake.evaluation.metrics import evaluate
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.gloves.readers import read_recording
+from geort_drake.gloves.recording import Recording
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.hands.samples import robot_data
+from geort_drake.retargeting.checkpoint import save_checkpoint
+from geort_drake.retargeting.retargeter import Retargeter
+from geort_drake.retargeting.training import TrainingConfig, TrainingResult, train_geort
+
+# Name of a retargeting method → the function that trains it, called as `train_geort` is.
+METHODS: dict[str, Callable[..., TrainingResult]] = {"geort": train_geort}
+
+
+def train_checkpoint(
+    hand_name: str | os.PathLike,
+    recording: Recording | str | os.PathLike | None,
+    output: str | os.PathLike,
+    method: str = "geort",
+    seed: int = 0,
+    device: str = "cpu",
+    fk: str = "exact",
+    show_progress: bool = True,
+    settings: Mapping | None = None,
+) -> Path:
+    """Trains a retargeter, evaluates it on the same recording and writes its checkpoint.
+
+    Args:
+        hand_name: name or file of a hand description.
+        recording: of the person's hand, or its file; None synthesises five minutes of play.
+        output: the checkpoint directory, written whole at the end.
+        method: name of the retargeting method.
+        seed: of everything random: robot samples, synthetic play, training and metrics.
+        device: "cpu" or "cuda".
+        fk: "exact" or "neural" forward kinematics in training.
+        show_progress: draw progress bars on stderr.
+        settings: other fields of `TrainingConfig`.
+
+    Returns:
+        The checkpoint directory.
+
+    Raises:
+        HandError, RecordingError, TrainingError, UnknownNameError: something asked for is unusable.
+    """
+    if method not in METHODS:
+        raise UnknownNameError("retargeting method", method, METHODS)
+    config = TrainingConfig(**{**(settings or {}), "fk": fk})
+    config.validate()
+    description = load_hand(hand_name)
+    hand = HandModel(description)
+    timings: dict[str, float] = {}
+    with _Bars(show_progress) as bars:
+        with _timed(timings, "recording_s"):
+            recording = _recording(recording, description.side, seed)
+            keypoints = [finger.human_keypoint for finger in description.fingers]
+            p_HF = recording.fingertips(keypoints).astype(float)
+        with _timed(timings, "robot_data_s"):
+            samples = robot_data(hand, seed=seed, progress=bars.counter("robot samples"))
+        with _timed(timings, "fit_s"):
+            result = METHODS[method](
+                p_HF,
+                hand.kinematics(),
+                samples,
+                config,
+                seed,
+                device,
+                report=bars.losses("training"),
+                collides_beyond_tips=hand.collides_beyond_tips,
+            )
+        arrays = result.network.arrays()
+        names = (hand.finger_names, hand.joint_names)
+        retarget = Retargeter(arrays, *names, keypoints, hand.lower, hand.upper)
+        with _timed(timings, "evaluation_s"), bars.spinner("evaluation"):
+            metrics = evaluate(retarget, hand, recording, seed)
+    metrics = {"hand": description.name, "recording_sha256": recording.digest, "seed": seed, **metrics}
+    return save_checkpoint(
+        output,
+        arrays,
+        method=method,
+        hand={
+            "name": description.name,
+            "side": description.side,
+            "finger_names": list(hand.finger_names),
+            "joint_names": list(hand.joint_names),
+            "lower": np.asarray(hand.lower).tolist(),
+            "upper": np.asarray(hand.upper).tolist(),
+            "model_sha256": hand.digest,
+        },
+        human_keypoints=keypoints,
+        training={**dataclasses.asdict(config), "seed": seed, "device": device},
+        provenance={
+            "recording": {
+                "sha256": recording.digest,
+                "frames": len(p_HF),
+                "metadata": recording.metadata,
+            },
+            "robot_data_sha256": samples.digest,
+            "seed": seed,
+            "versions": _versions(),
+            "git": _git_state(),
+            "timings": {key: round(value, 3) for key, value in (timings | result.timings).items()},
+            "training": {
+                "classifier": result.classifier,
+                "neural_kinematics": result.neural_kinematics,
+                "human_points": result.human_points,
+                "pinch_frames": result.pinch_frames,
+                "stopped_at": result.stopped_at,
+            },
+        },
+        history=result.history,
+        metrics=metrics,
+    )
+
+
+def _recording(source: Recording | str | os.PathLike | None, side: str, seed: int) -> Recording:
+    if source is None:
+        return synthesize_play(seed)
+    if isinstance(source, Recording):
+        return source
+    return read_recording(source, side=side)
+
+
+def _versions() -> dict[str, str]:
+    import pydrake
+    import torch
+
+    return {
+        "geort_drake": geort_drake.__version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "torch": torch.__version__,
+        "drake": getattr(pydrake, "__version__", "unknown"),
+        "platform": platform.platform(),
+    }
+
+
+def _git_state() -> dict | None:
+    """Commit of the package's checkout and whether it had changes; None for an installed package."""
+    root = Path(geort_drake.__file__).resolve().parents[1]
+    if not (root / ".git").exists():
+        return None
+
+    def git(*arguments: str) -> str:
+        command = ["git", "-C", str(root), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+
+    try:
+        return {"commit": git("rev-parse", "HEAD"), "changed": bool(git("status", "--porcelain"))}
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+@contextlib.contextmanager
+def _timed(timings: dict[str, float], name: str):
+    started = time.perf_counter()
+    yield
+    timings[name] = time.perf_counter() - started
+
+
+class _Bars:
+    """The progress bars of one run; nothing at all when they are not wanted."""
+
+    def __init__(self, wanted: bool):
+        self._progress = progress_bar() if wanted else None
+
+    def __enter__(self):
+        if self._progress is not None:
+            self._progress.start()
+        return self
+
+    def __exit__(self, *_):
+        if self._progress is not None:
+            self._progress.stop()
+
+    def counter(self, name: str) -> Callable[[int, int], None]:
+        """A callback (done, total)."""
+        return self._updater(name, lambda _values: "")
+
+    def losses(self, name: str) -> Callable[[int, int, dict], None]:
+        """A callback (done, total, losses)."""
+        shown = ("direction", "coverage", "pinch", "collision")
+        return self._updater(name, lambda v: "  ".join(f"{key} {v[key]:.3f}" for key in shown))
+
+    @contextlib.contextmanager
+    def spinner(self, name: str):
+        """A bar of one step."""
+        update = self.counter(name)
+        update(0, 1)
+        yield
+        update(1, 1)
+
+    def _updater(self, name: str, note: Callable[[dict], str]) -> Callable:
+        task = None
+
+        def update(done: int, total: int, values: dict | None = None) -> None:
+            nonlocal task
+            if self._progress is None:
+                return
+            if task is None:
+                task = self._progress.add_task(name, total=total, note="")
+            self._progress.update(task, completed=done, total=total, note=note(values) if values else "")
+
+        return update

@@ -1,0 +1,176 @@
+"""A trained retargeter on disk: what it computes, for which hand, and where it came from.
+
+    weights.safetensors   the arrays of `Retargeter`
+    config.json           format, method, names, keypoints, units, training settings, digests
+    hand.json             name, joint limits and model digest of the robot hand
+    provenance.json       recording, seed, versions, timings, training figures
+    history.csv           losses during training
+    metrics.json          the evaluation, where one was made
+"""
+
+import csv
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from safetensors.numpy import load_file, save_file
+
+from geort_drake.errors import CheckpointError
+from geort_drake.files import atomic_directory, sha256_of
+
+FORMAT = 1
+WEIGHTS, CONFIG, HAND, PROVENANCE, HISTORY, METRICS = (
+    "weights.safetensors",
+    "config.json",
+    "hand.json",
+    "provenance.json",
+    "history.csv",
+    "metrics.json",
+)
+REQUIRED = (CONFIG, WEIGHTS, HAND, PROVENANCE, HISTORY)
+DIGESTED = (WEIGHTS, HAND, HISTORY, PROVENANCE)
+UNITS = {"human_points": "m, wrist frame H", "joint_angles": "rad"}
+
+_CONFIG_FIELDS = ("format", "method", "finger_names", "joint_names", "human_keypoints", "sha256")
+_HAND_FIELDS = ("name", "joint_names", "finger_names", "lower", "upper", "model_sha256")
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """Contents of a checkpoint directory, verified."""
+
+    path: Path
+    config: dict
+    hand: dict
+    provenance: dict
+    arrays: dict[str, np.ndarray]
+
+    def check_hand(self, hand) -> None:
+        """Raises CheckpointError unless trained for `hand` (name, joint_names, finger_names, digest)."""
+        comparisons = {
+            "joints": (tuple(hand.joint_names), tuple(self.hand["joint_names"])),
+            "fingers": (tuple(hand.finger_names), tuple(self.hand["finger_names"])),
+            "model digest": (hand.digest, self.hand["model_sha256"]),
+        }
+        for what, (wanted, given) in comparisons.items():
+            if wanted != given:
+                raise CheckpointError(
+                    f"{self.path}: the checkpoint is for another hand, '{self.hand['name']}': its {what} "
+                    f"is {_listed(given)}, wanted is {_listed(wanted)}; train one for this hand"
+                )
+
+
+def save_checkpoint(
+    path: str | os.PathLike,
+    arrays: Mapping[str, np.ndarray],
+    *,
+    method: str,
+    hand: Mapping,
+    human_keypoints: Sequence[int],
+    training: Mapping,
+    provenance: Mapping,
+    history: Sequence[Mapping],
+    metrics: Mapping | None = None,
+) -> Path:
+    """Writes a checkpoint directory; it is whole or absent, and replaces an earlier one.
+
+    Args:
+        path: the directory.
+        arrays: the arrays that `Retargeter` takes.
+        method: name of the retargeting method.
+        hand: name, joint_names, finger_names, lower, upper, model_sha256 and anything else.
+        human_keypoints: keypoint of each finger, in the order of finger_names.
+        training, provenance, metrics: JSON-ready settings, origin and evaluation.
+        history: rows of equal keys.
+    """
+    missing = [name for name in _HAND_FIELDS if name not in hand]
+    if missing:
+        raise CheckpointError(f"{path}: the hand lacks {', '.join(missing)}")
+    with atomic_directory(path) as draft:
+        save_file({name: np.ascontiguousarray(array) for name, array in arrays.items()}, draft / WEIGHTS)
+        _write_json(draft / HAND, hand)
+        _write_json(draft / PROVENANCE, provenance)
+        with open(draft / HISTORY, "w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, fieldnames=list(history[0]) if history else ["step"])
+            writer.writeheader()
+            writer.writerows(history)
+        if metrics is not None:
+            _write_json(draft / METRICS, metrics)
+        config = {
+            "format": FORMAT,
+            "method": method,
+            "finger_names": list(hand["finger_names"]),
+            "joint_names": list(hand["joint_names"]),
+            "human_keypoints": list(human_keypoints),
+            "units": UNITS,
+            "training": dict(training),
+            "sha256": {name: sha256_of(draft / name) for name in DIGESTED},
+        }
+        _write_json(draft / CONFIG, config)
+    return Path(path)
+
+
+def load_checkpoint(path: str | os.PathLike) -> Checkpoint:
+    """Reads and verifies a checkpoint directory.
+
+    Raises:
+        CheckpointError: no such directory; a file is missing, altered or malformed; another format.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        raise CheckpointError(f"{path}: there is no such checkpoint directory; train_retargeter.py writes one")
+    missing = [name for name in REQUIRED if not (path / name).is_file()]
+    if missing:
+        raise CheckpointError(
+            f"{path}: {', '.join(missing)} missing; a checkpoint holds {', '.join(REQUIRED)}"
+        )
+    config = _read_json(path / CONFIG, _CONFIG_FIELDS)
+    if config["format"] != FORMAT:
+        raise CheckpointError(f"{path / CONFIG}: format is {config['format']}, this version reads {FORMAT}")
+    for name in DIGESTED:
+        wanted, given = config["sha256"].get(name), sha256_of(path / name)
+        if wanted != given:
+            raise CheckpointError(
+                f"{path / name}: the file was altered: its sha256 is {given}, {CONFIG} says {wanted}"
+            )
+    hand = _read_json(path / HAND, _HAND_FIELDS)
+    for name in ("joint_names", "finger_names"):
+        if hand[name] != config[name]:
+            raise CheckpointError(
+                f"{path}: {name} differ: {HAND} has {_listed(hand[name])}, {CONFIG} has {_listed(config[name])}"
+            )
+    if len(config["human_keypoints"]) != len(config["finger_names"]):
+        raise CheckpointError(
+            f"{path / CONFIG}: {len(config['finger_names'])} fingers need as many human_keypoints, "
+            f"there are {len(config['human_keypoints'])}"
+        )
+    try:
+        arrays = load_file(path / WEIGHTS)
+    except Exception as error:  # safetensors raises its own and plain exceptions alike
+        raise CheckpointError(f"{path / WEIGHTS}: not a safetensors file: {error}") from error
+    return Checkpoint(path, config, hand, _read_json(path / PROVENANCE, ()), arrays)
+
+
+def _read_json(path: Path, fields: Sequence[str]) -> dict:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise CheckpointError(f"{path}: not valid JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise CheckpointError(f"{path}: must hold an object, it holds {type(content).__name__}")
+    missing = [name for name in fields if name not in content]
+    if missing:
+        raise CheckpointError(f"{path}: {', '.join(missing)} missing; there are {', '.join(content)}")
+    return content
+
+
+def _write_json(path: Path, content: Mapping) -> None:
+    # allow_nan=False: NaN is no JSON, and a reader in another language would fail on it.
+    path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _listed(value) -> str:
+    return value if isinstance(value, str) else ", ".join(value)

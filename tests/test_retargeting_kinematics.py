@@ -1,0 +1,100 @@
+"""Exact kinematics against an independent composition of transforms."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from geort_drake.retargeting.kinematics import FingerChain, HandKinematics
+
+
+def random_hand(rng, lengths=(4, 4, 3, 5)) -> HandKinematics:
+    """Fingers of unequal length whose joints do not come finger by finger in q."""
+    n = sum(lengths)
+    names = [f"j{k}" for k in range(n)]
+    shuffled = list(rng.permutation(n))
+    fingers = []
+    for number, k in enumerate(lengths):
+        X = np.tile(np.eye(4), (k, 1, 1))
+        X[:, :3, :3] = Rotation.random(k, random_state=number).as_matrix()
+        X[:, :3, 3] = rng.normal(scale=0.03, size=(k, 3))
+        axes = rng.normal(size=(k, 3))
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+        indices = [int(shuffled.pop()) for _ in range(k)]
+        joint_names = tuple(names[i] for i in indices)
+        fingers.append(
+            FingerChain(f"finger{number}", joint_names, tuple(indices), X, axes, rng.normal(scale=0.03, size=3))
+        )
+    return HandKinematics(tuple(fingers), tuple(names), -np.ones(n), np.ones(n), 0.012)
+
+
+def composed(hand: HandKinematics, q: np.ndarray) -> np.ndarray:
+    """Fingertips (F, 3) by multiplying 4×4 transforms from the base to the tip."""
+    tips = []
+    for finger in hand.fingers:
+        T = np.eye(4)
+        for X, axis, index in zip(finger.X_PJ, finger.axes, finger.joint_indices, strict=True):
+            turn = np.eye(4)
+            turn[:3, :3] = Rotation.from_rotvec(axis * q[index]).as_matrix()
+            T = T @ X @ turn
+        tips.append((T @ np.append(finger.p_tip, 1.0))[:3])
+    return np.array(tips)
+
+
+def test_fingertips_equal_the_composition_of_transforms(rng):
+    """Point propagation from the tip and frame composition from the base agree to rounding."""
+    hand = random_hand(rng)
+    q = rng.uniform(-3, 3, (20, len(hand.joint_names)))
+    expected = np.stack([composed(hand, row) for row in q])
+    np.testing.assert_allclose(hand.fingertips(torch.tensor(q)).numpy(), expected, atol=1e-14)
+
+
+def test_fingertips_differentiate(rng):
+    """Autograd agrees with central differences of the composition."""
+    hand = random_hand(rng)
+    q = rng.uniform(-1, 1, len(hand.joint_names))
+    J = torch.autograd.functional.jacobian(hand.fingertips, torch.tensor(q)).numpy()
+    step = 1e-6
+    for j in range(len(q)):
+        e = np.zeros_like(q)
+        e[j] = step
+        numeric = (composed(hand, q + e) - composed(hand, q - e)) / (2 * step)
+        np.testing.assert_allclose(J[:, :, j], numeric, atol=1e-9)
+
+
+def test_any_leading_shape_and_dtype_is_accepted(rng):
+    """(n,), (N, n) and (A, B, n) give the same points; float32 stays float32."""
+    hand = random_hand(rng)
+    q = torch.tensor(rng.uniform(-1, 1, (2, 3, len(hand.joint_names))))
+    whole = hand.fingertips(q)
+    assert whole.shape == (2, 3, 4, 3)
+    torch.testing.assert_close(hand.fingertips(q[1, 2]), whole[1, 2])
+    single = hand.fingertips(q.float())
+    assert single.dtype == torch.float32
+    torch.testing.assert_close(single, whole.float(), atol=1e-6, rtol=0)
+
+
+def test_a_fingertip_depends_on_its_own_joints_only(rng):
+    """Turning another finger's joints leaves a fingertip where it is."""
+    hand = random_hand(rng)
+    q = rng.uniform(-1, 1, len(hand.joint_names))
+    other = q.copy()
+    other[list(hand.fingers[1].joint_indices)] += 0.5
+    before, after = (hand.fingertips(torch.tensor(x)).numpy() for x in (q, other))
+    moved = np.linalg.norm(after - before, axis=1)
+    assert moved[1] > 1e-3
+    assert moved[[0, 2, 3]].max() == 0.0
+
+
+def test_wrong_shapes_and_names_are_refused(rng):
+    """Errors name the finger or the shape."""
+    hand = random_hand(rng)
+    with pytest.raises(ValueError, match="must end with 16 joint angles"):
+        hand.fingertips(torch.zeros(5))
+    with pytest.raises(ValueError, match=r"finger 'a': X_PJ must be finite and of shape \(1, 4, 4\)"):
+        FingerChain("a", ("j",), (0,), np.eye(4), np.array([[0, 0, 1.0]]), np.zeros(3))
+    chain = FingerChain("a", ("j",), (0,), np.eye(4)[None], np.array([[0, 0, 1.0]]), np.zeros(3))
+    with pytest.raises(ValueError, match="joint 'j' is not number 0 of q"):
+        HandKinematics((chain,), ("other",), np.zeros(1), np.ones(1), 0.01)
+    with pytest.raises(ValueError, match="lower joint limit"):
+        HandKinematics((chain,), ("j",), np.ones(1), np.zeros(1), 0.01)
