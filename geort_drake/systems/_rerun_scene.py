@@ -1,7 +1,9 @@
 """What a plant looks like, as Rerun entities: every body's path and every geometry's shape."""
 
+import itertools
 import warnings
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -23,7 +25,7 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import RigidBody
+from pydrake.multibody.tree import BodyIndex, RigidBody
 
 WORLD = "world"
 _DEFAULT_COLOR = Rgba(0.75, 0.75, 0.78, 1.0)  # geometry that brings no colour
@@ -38,14 +40,14 @@ class Scene:
         paths: entity path of every body of the plant, by its index.
         moving: indices of the drawn bodies whose pose changes, in plant order.
         anchored: X_WB of the drawn bodies that are welded to the world, by index.
-        shapes: (entity path, archetype) of every geometry; each is logged once.
+        shapes: entity path and archetypes of every geometry; logged once.
         body_of_geometry: body index of every proximity geometry, for contact surfaces.
     """
 
     paths: list[str]
     moving: list[int] = field(default_factory=list)
     anchored: dict[int, RigidTransform] = field(default_factory=dict)
-    shapes: list[tuple[str, rr.AsComponents]] = field(default_factory=list)
+    shapes: list[tuple[str, list[rr.AsComponents]]] = field(default_factory=list)
     body_of_geometry: dict[GeometryId, int] = field(default_factory=dict)
 
 
@@ -56,7 +58,7 @@ def describe_scene(plant: MultibodyPlant, scene_graph: SceneGraph, role: Role) -
     neither is not drawn. A geometry that cannot be drawn is left out with a warning that names it.
     """
     inspector = scene_graph.model_inspector()
-    bodies = [plant.get_body(index) for index in plant.GetBodyIndices()]
+    bodies = [plant.get_body(index) for index in map(BodyIndex, range(plant.num_bodies()))]
     scene = Scene(paths=[_body_path(plant, body) for body in bodies])
     defaults = plant.CreateDefaultContext()
     for body in bodies:
@@ -69,7 +71,8 @@ def describe_scene(plant: MultibodyPlant, scene_graph: SceneGraph, role: Role) -
         geometries = inspector.GetGeometries(frame, role) or proximity
         for geometry in geometries:
             path = f"{scene.paths[index]}/{_part(_leaf(inspector.GetName(geometry)))}"
-            scene.shapes += [(path, archetype) for archetype in _draw(inspector, geometry)]
+            if archetypes := _draw(inspector, geometry):
+                scene.shapes.append((path, archetypes))
         if geometries and plant.IsAnchored(body):
             scene.anchored[index] = plant.EvalBodyPoseInWorld(defaults, body)
         elif geometries:
@@ -101,7 +104,10 @@ def _draw(inspector: SceneGraphInspector, geometry: GeometryId) -> list[rr.AsCom
     """The archetypes that draw one geometry, placed relative to its body."""
     shape = inspector.GetShape(geometry)
     X_BG = inspector.GetPoseInFrame(geometry)
-    look = {"colors": [_color(inspector, geometry)], "fill_mode": rr.components.FillMode.Solid}
+    look: dict[str, Any] = {
+        "colors": [_color(inspector, geometry)],
+        "fill_mode": rr.components.FillMode.Solid,
+    }
     if isinstance(shape, Box):
         return [rr.Boxes3D(sizes=[shape.size()], **look), transform(X_BG)]
     if isinstance(shape, Sphere):
@@ -113,11 +119,11 @@ def _draw(inspector: SceneGraphInspector, geometry: GeometryId) -> list[rr.AsCom
         return [rr.Cylinders3D(lengths=shape.length(), radii=shape.radius(), **look), transform(X_BG)]
     if isinstance(shape, Capsule):
         # Drake centres a capsule; Rerun's runs from z = 0 to its length.
-        X_BC = X_BG @ RigidTransform([0.0, 0.0, -shape.length() / 2])
+        X_BC = _shifted(X_BG, -shape.length() / 2)
         return [rr.Capsules3D(lengths=shape.length(), radii=shape.radius(), **look), transform(X_BC)]
     if isinstance(shape, HalfSpace):
         size = [_HALF_SPACE_SIDE, _HALF_SPACE_SIDE, 0.002]
-        X_BT = X_BG @ RigidTransform([0.0, 0.0, -0.001])
+        X_BT = _shifted(X_BG, -0.001)
         return [rr.Boxes3D(sizes=[size], **look), transform(X_BT)]
     triangles = _triangles(inspector, geometry)
     if triangles is None:
@@ -144,9 +150,7 @@ def _triangles(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndarr
     if isinstance(shape, Mesh) and shape.extension() == ".obj" and shape.source().is_path():
         surface = ReadObjToTriangleSurfaceMesh(shape.source().path(), scale3=shape.scale3())
         corners = np.array(surface.vertices())
-        return corners[
-            [[triangle.vertex(i) for i in range(3)] for triangle in surface.triangles()],
-        ]
+        return corners[[[triangle.vertex(i) for i in range(3)] for triangle in surface.triangles()],]
     if not isinstance(shape, Mesh | Convex):
         return None
     hull = inspector.GetConvexHull(geometry)
@@ -162,7 +166,7 @@ def _triangles(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndarr
     fans = []
     for face in map(hull.element, range(hull.num_elements())):
         ring = [face.vertex(i) for i in range(face.num_vertices())]
-        fans += [[ring[0], a, b] for a, b in zip(ring[1:], ring[2:], strict=False)]
+        fans += [[ring[0], a, b] for a, b in itertools.pairwise(ring[1:])]
     return corners[fans]
 
 
@@ -173,14 +177,18 @@ def _color(inspector: SceneGraphInspector, geometry: GeometryId) -> list[int]:
         inspector.GetProximityProperties(geometry),
     ):
         if properties is not None and properties.HasProperty("phong", "diffuse"):
-            rgba = properties.GetProperty("phong", "diffuse")
+            rgba: Any = properties.GetProperty("phong", "diffuse")
             break
     else:
         rgba = _DEFAULT_COLOR
     return [round(255 * value) for value in (rgba.r(), rgba.g(), rgba.b(), rgba.a())]
 
 
+def _shifted(X_BG: RigidTransform, z: float) -> RigidTransform:
+    return RigidTransform(X_BG.rotation(), X_BG @ [0.0, 0.0, z])
+
+
 def transform(X: RigidTransform) -> rr.Transform3D:
     """A pose as Rerun's archetype."""
     w, x, y, z = X.rotation().ToQuaternion().wxyz()
-    return rr.Transform3D(translation=X.translation(), quaternion=[x, y, z, w])
+    return rr.Transform3D(translation=X.translation(), quaternion=rr.Quaternion(xyzw=[x, y, z, w]))

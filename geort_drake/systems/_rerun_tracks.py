@@ -41,8 +41,7 @@ class Writer:
         self._times = times
 
     def static(self, path: str, *archetypes: rr.AsComponents) -> None:
-        for archetype in archetypes:
-            self._stream.log(path, archetype, static=True, strict=True)
+        self._stream.log(path, *archetypes, static=True, strict=True)
 
     def columns(self, path: str, columns: rr.ComponentColumnList, rows: np.ndarray | None = None) -> None:
         """Sends one entry per sample, or one per sample of which the mask or indices `rows` hold."""
@@ -69,23 +68,21 @@ class Track:
 class PoseTrack(Track):
     """Poses of all moving bodies: rows (bodies, 3, 4), X_WB."""
 
-    def __init__(self, scene: Scene, indices: Sequence[int]):
+    def __init__(self, scene: Scene):
         super().__init__("body_poses")
-        self._scene = scene
-        self.indices = list(indices)
+        self._paths = [scene.paths[i] for i in scene.moving]
+        self._indices = list(scene.moving)
 
     def read(self, body_poses: Sequence[RigidTransform]) -> np.ndarray:
-        return np.array([body_poses[i].GetAsMatrix34() for i in self.indices]).reshape(-1, 3, 4)
+        return np.array([body_poses[i].GetAsMatrix34() for i in self._indices]).reshape(-1, 3, 4)
 
     def poses(self) -> np.ndarray:
-        """X_WB (T, bodies, 3, 4) of the moving bodies, in the order of `indices`."""
-        return np.array(self.rows).reshape(len(self.rows), len(self.indices), 3, 4)
+        """X_WB (T, bodies, 3, 4) of the moving bodies, in plant order."""
+        return np.array(self.rows).reshape(len(self.rows), len(self._indices), 3, 4)
 
     def write(self, writer: Writer) -> None:
         poses = self.poses()
-        for k, index in enumerate(self.indices):
-            if index not in self._scene.moving:
-                continue
+        for k, path in enumerate(self._paths):
             X_WB = poses[:, k]
             finite = np.isfinite(X_WB).all(axis=(1, 2))
             X_WB = X_WB[finite]
@@ -94,7 +91,7 @@ class PoseTrack(Track):
                     translation=X_WB[:, :, 3].astype(np.float32),
                     quaternion=Rotation.from_matrix(X_WB[:, :, :3]).as_quat().astype(np.float32),
                 )
-                writer.columns(self._scene.paths[index], columns, finite)
+                writer.columns(path, columns, finite)
 
 
 class ContactTrack(Track):
@@ -118,15 +115,15 @@ class ContactTrack(Track):
     def read(self, results: ContactResults) -> np.ndarray:
         rows = []
         for i in range(results.num_point_pair_contacts()):
-            info = results.point_pair_contact_info(i)
-            bodies = (int(info.bodyA_index()), int(info.bodyB_index()))
-            rows.append((*bodies, *info.contact_point(), *info.contact_force()))
+            point = results.point_pair_contact_info(i)
+            bodies = [int(point.bodyA_index()), int(point.bodyB_index())]
+            rows.append([*bodies, *point.contact_point(), *point.contact_force()])
         for i in range(results.num_hydroelastic_contacts()):
-            info = results.hydroelastic_contact_info(i)
-            surface = info.contact_surface()
-            bodies = tuple(self._scene.body_of_geometry[g] for g in (surface.id_M(), surface.id_N()))
+            patch = results.hydroelastic_contact_info(i)
+            surface = patch.contact_surface()
+            bodies = [self._scene.body_of_geometry[g] for g in (surface.id_M(), surface.id_N())]
             # F_Ac_W acts on the body of M, at the centroid.
-            rows.append((*bodies, *surface.centroid(), *-info.F_Ac_W().translational()))
+            rows.append([*bodies, *surface.centroid(), *np.negative(patch.F_Ac_W().translational())])
         return np.array(rows, dtype=float).reshape(-1, 8)
 
     def series(self) -> dict[str, np.ndarray]:
@@ -241,7 +238,9 @@ class HandTrack(Track):
         self._color = np.array(color)
         self._X_WO = X_WO
 
-    def read(self, keypoints: np.ndarray, X_OH: RigidTransform, valid: np.ndarray | None = None) -> np.ndarray:
+    def read(
+        self, keypoints: np.ndarray, X_OH: RigidTransform, valid: np.ndarray | None = None
+    ) -> np.ndarray:
         if valid is not None and not valid[0] > 0.5:
             return np.full((21, 3), np.nan)
         return ((self._X_WO @ X_OH) @ keypoints.reshape(21, 3).T).T

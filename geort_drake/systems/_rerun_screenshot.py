@@ -1,0 +1,101 @@
+"""Pictures of Rerun recordings, taken by a viewer that needs no screen."""
+
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from rerun.experimental import ViewerClient
+
+from geort_drake.errors import RecordingError
+from geort_drake.files import atomic_path
+from geort_drake.systems._rerun_tracks import TIMELINE
+
+_NEEDS = (
+    "It needs a graphics driver; without a graphics card a software one will do "
+    "(Debian and Ubuntu: apt-get install mesa-vulkan-drivers)."
+)
+
+
+def take_screenshot(
+    recording: str | os.PathLike,
+    picture: str | os.PathLike,
+    *,
+    time_s: float | None = None,
+    size: tuple[int, int] = (1440, 900),
+    timeout_s: float = 60.0,
+) -> None:
+    """Writes a .png of a recording as the viewer shows it, with the layout stored in the file.
+
+    Args:
+        recording: the .rrd file.
+        picture: the .png file.
+        time_s: simulated time to show, s; by default the end.
+        size: width and height of the window, px.
+        timeout_s: how long to wait for the viewer to start, and again for the file to load.
+
+    Raises:
+        RecordingError: the recording is missing or empty, or the viewer cannot draw here.
+    """
+    recording, picture = Path(recording).resolve(), Path(picture).resolve()
+    if not recording.is_file():
+        raise RecordingError(f"{recording}: no such recording")
+    if picture.suffix != ".png":
+        raise RecordingError(f"{picture}: a picture's name must end with .png")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    # Not ViewerClient.spawn, which listens on all network interfaces and fixes the window's size.
+    command = [sys.executable, "-m", "rerun", "--headless", "--bind", "127.0.0.1", "--port", str(port)]
+    command += ["--window-size", f"{size[0]}x{size[1]}", "--hide-welcome-screen"]
+    with tempfile.TemporaryFile() as log:
+        viewer = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        try:
+            _wait_for(port, viewer, timeout_s)
+            client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+            _show(client, recording, time_s, timeout_s)
+            with atomic_path(picture) as draft:
+                client.save_screenshot(str(draft))
+        except (OSError, RuntimeError, ConnectionError) as error:
+            log.seek(0)
+            said = [line for line in log.read().decode(errors="replace").splitlines() if line.strip()]
+            raise RecordingError(
+                f"{recording}: Rerun's viewer took no picture: {error}. {_NEEDS}\n" + "\n".join(said[-5:])
+            ) from error
+        finally:
+            viewer.terminate()
+            try:
+                viewer.wait(timeout=10)
+            except subprocess.TimeoutExpired:
+                viewer.kill()
+                viewer.wait()
+
+
+def _wait_for(port: int, viewer: subprocess.Popen, timeout_s: float) -> None:
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline:
+        if viewer.poll() is not None:
+            raise RuntimeError(f"the viewer ended with code {viewer.returncode}")
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) == 0:
+                return
+        time.sleep(0.2)
+    raise RuntimeError(f"the viewer did not answer within {timeout_s:g} s")
+
+
+def _show(client: ViewerClient, recording: Path, time_s: float | None, timeout_s: float) -> None:
+    client.open(str(recording))
+    deadline = time.monotonic() + timeout_s
+    while (state := client.get_state()).loading or not state.recordings:
+        if time.monotonic() > deadline:
+            raise RuntimeError(f"the recording did not load within {timeout_s:g} s")
+        time.sleep(0.2)
+    ends = [timeline.end for timeline in state.recordings[0].timelines if timeline.name == TIMELINE]
+    if not ends or ends[0] is None:
+        raise RecordingError(f"{recording}: holds nothing on the timeline '{TIMELINE}'")
+    client.set_time(TIMELINE, duration=ends[0] * 1e-9 if time_s is None else time_s)
+    # Layout and plots settle over several frames.
+    time.sleep(1.5)

@@ -1,0 +1,33 @@
+"""Takes a picture of a Rerun recording (.rrd), without a screen."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from geort_drake.console import console, run_main
+
+
+def main(argv: Sequence[str] | None = None) -> int | None:
+    parser = argparse.ArgumentParser(
+        description=__doc__,
+        epilog="On a machine without a graphics card, Rerun's viewer draws with Mesa's software "
+        "driver (Debian and Ubuntu: apt-get install mesa-vulkan-drivers).",
+    )
+    add = parser.add_argument
+    add("recording", type=Path, metavar="FILE.rrd", help="the recording")
+    add("picture", type=Path, metavar="OUT.png", help="the picture to write")
+    add("--time", type=float, metavar="S", help="simulated time to show, s (default: the end)")
+    add("--width", type=int, default=1440, metavar="PX", help="of the window (default: %(default)s)")
+    add("--height", type=int, default=900, metavar="PX", help="of the window (default: %(default)s)")
+    arguments = parser.parse_args(argv)
+
+    from geort_drake.systems._rerun_screenshot import take_screenshot
+
+    size = (arguments.width, arguments.height)
+    take_screenshot(arguments.recording, arguments.picture, time_s=arguments.time, size=size)
+    console.print(f"Wrote {arguments.picture}", soft_wrap=True)
+    return None
+
+
+if __name__ == "__main__":
+    run_main(main)
