@@ -10,7 +10,7 @@ from pydrake.geometry import CollisionFilterDeclaration, GeometryId, GeometrySet
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.multibody.tree import Frame, Joint, RevoluteJoint, WeldJoint
+from pydrake.multibody.tree import Frame, RevoluteJoint, WeldJoint
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from geort_drake.errors import HandError
@@ -49,9 +49,9 @@ class HandModel:
         # Joint actuators with controller gains need a discrete plant; its time step is never taken.
         self.plant, self.scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.001)
         parser = Parser(self.plant)
-        parser.package_map().Add(PACKAGE_NAME, str(resource_root()))
+        parser.package_map().Add(PACKAGE_NAME, resource_root())
         try:
-            (self._instance,) = parser.AddModels(str(path))
+            (self._instance,) = parser.AddModels(path)
         except (RuntimeError, ValueError) as error:
             raise HandError(f"{self._source}: not one readable model: {error}") from error
         self._base = self._frame(description.base_frame, "base_frame")
@@ -132,15 +132,18 @@ class HandModel:
         return self._has_collisions(q, self._beyond_tips_context)
 
     def penetrations(self, q: np.ndarray) -> list[tuple[float, str, str, bool]]:
-        """Every contact at q (n,), deepest first: depth in m, the two links' names, and whether tip meets tip."""
+        """Every contact at q (n,), deepest first.
+
+        Each is its depth in m, the two links' names in alphabetical order, and whether tip meets tip.
+        """
         (row,) = self._rows(np.asarray(q)[None])
         context = self.plant.GetMyMutableContextFromRoot(self._contact_context)
         self._set_positions(context, row)
         pairs = self._query(context).ComputePointPairPenetration()
-        found = [
-            (pair.depth, *sorted((self._link(pair.id_A), self._link(pair.id_B))), self._between_tips(pair))
-            for pair in pairs
-        ]
+        found = []
+        for pair in pairs:
+            link_a, link_b = sorted((self._link(pair.id_A), self._link(pair.id_B)))
+            found.append((pair.depth, link_a, link_b, self._between_tips(pair)))
         return sorted(found, key=lambda contact: (-contact[0], *contact[1:3]))
 
     def kinematics(self) -> "HandKinematics":
@@ -166,7 +169,9 @@ class HandModel:
         where = f"{self._source}: finger '{finger.name}'"
         body = self.plant.GetBodyByName(finger.tip_link, self._instance)
         p_tip, X = np.array(finger.tip_point), RigidTransform()  # X: the part below, in the current body
-        names, poses, axes = [], [], []
+        names: list[str] = []
+        poses: list[RigidTransform] = []
+        axes: list[np.ndarray] = []
         base_body = self._base.body().index()
         while body.index() != base_body:
             joint = inboard.get(body.index())
@@ -177,13 +182,13 @@ class HandModel:
             if isinstance(joint, WeldJoint):
                 X = X_PF @ joint.X_FM() @ X_MC @ X
             elif joint.name() in finger.joints:
+                # What lies below the joint is the next joint's frame or, at the end, the tip.
                 if names:
-                    poses[-1] = X_MC @ X
+                    poses.append(X_MC @ X)
                 else:
                     p_tip = X_MC @ X @ p_tip
                 names.append(joint.name())
                 axes.append(joint.revolute_axis())
-                poses.append(None)
                 X = X_PF
             else:
                 raise HandError(f"{where}: joint '{joint.name()}' moves it but is not in its list of joints")
@@ -193,7 +198,7 @@ class HandModel:
                 f"{where}: its joints must be listed base to tip; given: {', '.join(finger.joints)}; "
                 f"between '{self._base.name()}' and '{finger.tip_link}' are: {', '.join(names[::-1])}"
             )
-        poses[-1] = self._base.GetFixedPoseInBodyFrame().inverse() @ X
+        poses.append(self._base.GetFixedPoseInBodyFrame().inverse() @ X)
         return FingerChain(
             name=finger.name,
             joint_names=tuple(finger.joints),
@@ -253,7 +258,7 @@ class HandModel:
             raise self._unknown(field, "frame or link", name, [frame for frame in frames if frame])
         return self.plant.GetFrameByName(name, self._instance)
 
-    def _joint(self, name: str, field: str) -> Joint:
+    def _joint(self, name: str, field: str) -> RevoluteJoint:
         joints = [self.plant.get_joint(i) for i in self.plant.GetJointIndices(self._instance)]
         movable = [joint.name() for joint in joints if isinstance(joint, RevoluteJoint)]
         if name not in movable:
@@ -266,10 +271,10 @@ class HandModel:
     def _set_default_positions(self) -> None:
         for name, position in self.description.default_positions.items():
             joint = self._joint(name, "default_positions")
-            joint.set_default_positions([position])
+            joint.set_default_angle(position)
         for joint in self._joints:
             low, high = joint.position_lower_limit(), joint.position_upper_limit()
-            (position,) = joint.default_positions()
+            position = joint.get_default_angle()
             if not low <= position <= high:
                 raise HandError(
                     f"{self._source}: default_positions.{joint.name()} must be within its limits "

@@ -1,4 +1,4 @@
-"""Random joint positions of a hand with their fingertips and collision labels: the robot's side of training."""
+"""The robot's side of training: random joint positions with their fingertips and collision labels."""
 
 import hashlib
 import logging
