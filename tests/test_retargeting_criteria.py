@@ -131,6 +131,7 @@ def test_pinch_without_pinching_pairs_is_zero_with_a_zero_gradient(rng):
 
 def test_pinch_weights_mark_the_nearest_pair_and_those_under_the_threshold():
     """Three frames: only one near, both near, none near."""
+
     def frame(a, b):
         return [[0.0, 0, 0], [a, 0, 0], [0, b, 0]]
 

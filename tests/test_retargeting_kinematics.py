@@ -23,7 +23,9 @@ def random_hand(rng, lengths=(4, 4, 3, 5)) -> HandKinematics:
         indices = [int(shuffled.pop()) for _ in range(k)]
         joint_names = tuple(names[i] for i in indices)
         fingers.append(
-            FingerChain(f"finger{number}", joint_names, tuple(indices), X, axes, rng.normal(scale=0.03, size=3))
+            FingerChain(
+                f"finger{number}", joint_names, tuple(indices), X, axes, rng.normal(scale=0.03, size=3)
+            )
         )
     return HandKinematics(tuple(fingers), tuple(names), -np.ones(n), np.ones(n), 0.012)
 

@@ -95,14 +95,16 @@ def motion_preservation(
     return float(np.mean(means))
 
 
-def motion_preservation_track(frames: np.ndarray, p_BF: np.ndarray) -> float:
-    """Mean cosine of real successive steps longer than 1 mm; NaN if there is none."""
+def motion_preservation_track(frames: np.ndarray, p_BF: np.ndarray) -> float | None:
+    """Mean cosine of real successive steps longer than 1 mm; None if there is none."""
     d, answer = np.diff(frames, axis=0), np.diff(p_BF, axis=0)
     long = np.linalg.norm(d, axis=-1) > 0.001
     means = [
-        _cosines(d[long[:, i], i], answer[long[:, i], i]).mean() for i in range(d.shape[1]) if long[:, i].any()
+        _cosines(d[long[:, i], i], answer[long[:, i], i]).mean()
+        for i in range(d.shape[1])
+        if long[:, i].any()
     ]
-    return float(np.mean(means)) if means else float("nan")
+    return float(np.mean(means)) if means else None
 
 
 def cross_talk(g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 1000) -> float:
@@ -129,7 +131,9 @@ def coverage(voxels: Sequence[np.ndarray], p_BF: np.ndarray) -> dict[str, float]
     """Share of each finger's voxels within 5, 10 and 15 mm of robot fingertips (T, F, 3)."""
     shares = []
     for i, centres in enumerate(voxels):
-        distance, _ = cKDTree(p_BF[:, i]).query(centres, distance_upper_bound=0.001 * max(COVERAGE_RADII_MM) + 1e-9)
+        distance, _ = cKDTree(p_BF[:, i]).query(
+            centres, distance_upper_bound=0.001 * max(COVERAGE_RADII_MM) + 1e-9
+        )
         shares.append([(distance <= 0.001 * r).mean() for r in COVERAGE_RADII_MM])
     return {f"{r}mm": float(s) for r, s in zip(COVERAGE_RADII_MM, np.mean(shares, axis=0), strict=True)}
 
@@ -174,7 +178,7 @@ def pinch(frames: np.ndarray, p_BF: np.ndarray, finger_names: Sequence[str], tip
     """Do the robot's thumb and finger meet where the person's do?
 
     `closed`, `too_deep`, `mean_mm`, `p95_mm` and `frames` are of the nearest thumb–finger pair in
-    frames in which it is under 15 mm apart (NaN if there are none), `all_pairs` of all such pairs;
+    frames in which it is under 15 mm apart (None if there are none), `all_pairs` of all such pairs;
     `false` is the share of pairs over 30 mm apart in which the robot's meet. Robot fingertips meet
     when their spheres touch: centres at most two tip radii apart.
     """
@@ -191,7 +195,7 @@ def pinch(frames: np.ndarray, p_BF: np.ndarray, finger_names: Sequence[str], tip
 
     def figures(distance: np.ndarray) -> dict:
         if len(distance) == 0:
-            return {key: float("nan") for key in ("closed", "too_deep", "mean_mm", "p95_mm")} | {"frames": 0}
+            return dict.fromkeys(("closed", "too_deep", "mean_mm", "p95_mm")) | {"frames": 0}
         return {
             "closed": float((distance <= 2 * tip_radius).mean()),
             "too_deep": float((distance < TOO_DEEP).mean()),
@@ -201,7 +205,7 @@ def pinch(frames: np.ndarray, p_BF: np.ndarray, finger_names: Sequence[str], tip
         }
 
     return figures(robot[rows, nearest][in_pinch]) | {
-        "false": float((robot[apart] <= 2 * tip_radius).mean()) if apart.any() else float("nan"),
+        "false": float((robot[apart] <= 2 * tip_radius).mean()) if apart.any() else None,
         "all_pairs": figures(robot[human < PINCH_DISTANCE]),
     }
 

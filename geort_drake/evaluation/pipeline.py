@@ -111,7 +111,7 @@ def train_checkpoint(
                 "frames": len(p_HF),
                 "metadata": recording.metadata,
             },
-            "robot_data_sha256": samples.digest,
+            "robot_data": {"count": len(samples.q), "seed": seed, "model_sha256": samples.digest},
             "seed": seed,
             "versions": _versions(),
             "git": _git_state(),

@@ -1,11 +1,11 @@
 """A trained retargeter on disk: what it computes, for which hand, and where it came from.
 
-    weights.safetensors   the arrays of `Retargeter`
-    config.json           format, method, names, keypoints, units, training settings, digests
-    hand.json             name, joint limits and model digest of the robot hand
-    provenance.json       recording, seed, versions, timings, training figures
-    history.csv           losses during training
-    metrics.json          the evaluation, where one was made
+weights.safetensors   the arrays of `Retargeter`
+config.json           format, method, names, keypoints, units, training settings, digests
+hand.json             name, joint limits and model digest of the robot hand
+provenance.json       recording, seed, versions, timings, training figures
+history.csv           losses during training
+metrics.json          the evaluation, where one was made
 """
 
 import csv
@@ -49,7 +49,7 @@ class Checkpoint:
     arrays: dict[str, np.ndarray]
 
     def check_hand(self, hand) -> None:
-        """Raises CheckpointError unless trained for `hand` (name, joint_names, finger_names, digest)."""
+        """Raises CheckpointError unless trained for `hand` (joint_names, finger_names, digest)."""
         comparisons = {
             "joints": (tuple(hand.joint_names), tuple(self.hand["joint_names"])),
             "fingers": (tuple(hand.finger_names), tuple(self.hand["finger_names"])),
@@ -121,7 +121,9 @@ def load_checkpoint(path: str | os.PathLike) -> Checkpoint:
     """
     path = Path(path)
     if not path.is_dir():
-        raise CheckpointError(f"{path}: there is no such checkpoint directory; train_retargeter.py writes one")
+        raise CheckpointError(
+            f"{path}: there is no such checkpoint directory; train_retargeter.py writes one"
+        )
     missing = [name for name in REQUIRED if not (path / name).is_file()]
     if missing:
         raise CheckpointError(

@@ -75,7 +75,9 @@ class HandKinematics:
         for attribute in ("lower", "upper"):
             value = np.asarray(getattr(self, attribute), dtype=float)
             if value.shape != (n,) or not np.isfinite(value).all():
-                raise ValueError(f"{attribute} must be finite and of shape ({n},), it has shape {value.shape}")
+                raise ValueError(
+                    f"{attribute} must be finite and of shape ({n},), it has shape {value.shape}"
+                )
             object.__setattr__(self, attribute, value)
         if not (self.lower < self.upper).all():
             raise ValueError("every lower joint limit must be under its upper limit")

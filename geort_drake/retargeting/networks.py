@@ -48,8 +48,12 @@ class RetargetingNetwork(nn.Module):
     """
 
     def __init__(
-        self, kinematics: HandKinematics, mean: torch.Tensor, scale: torch.Tensor,
-        hidden: int, generator: torch.Generator,
+        self,
+        kinematics: HandKinematics,
+        mean: torch.Tensor,
+        scale: torch.Tensor,
+        hidden: int,
+        generator: torch.Generator,
     ):
         """`mean` (F, 3) and `scale` (F, 3) normalise the inputs, in m; `hidden` is both layers' width."""
         super().__init__()
@@ -94,7 +98,9 @@ class RetargetingNetwork(nn.Module):
 class NeuralKinematics(nn.Module):
     """The paper's per-finger neural forward kinematics, with the call of `HandKinematics`."""
 
-    def __init__(self, kinematics: HandKinematics, p_BF: torch.Tensor, hidden: int, generator: torch.Generator):
+    def __init__(
+        self, kinematics: HandKinematics, p_BF: torch.Tensor, hidden: int, generator: torch.Generator
+    ):
         """`p_BF` (N, F, 3) in m are samples from which outputs are normalised."""
         super().__init__()
         chains = kinematics.fingers

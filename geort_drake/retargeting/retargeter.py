@@ -1,7 +1,7 @@
 """The trained map from human fingertips to robot joints, in NumPy alone.
 
-    retarget = load_retargeter("runs/allegro_right")
-    q = retarget(p_HF)
+retarget = load_retargeter("runs/allegro_right")
+q = retarget(p_HF)
 """
 
 import math
@@ -118,7 +118,11 @@ class Retargeter:
     def _fingertips(self, points: np.ndarray) -> np.ndarray:
         points = np.asarray(points, dtype=float)
         fingers = len(self._keypoints)
-        if points.ndim not in (2, 3) or points.shape[-1] != 3 or points.shape[-2] not in (fingers, KEYPOINT_COUNT):
+        if (
+            points.ndim not in (2, 3)
+            or points.shape[-1] != 3
+            or points.shape[-2] not in (fingers, KEYPOINT_COUNT)
+        ):
             raise ValueError(
                 f"human points must be fingertips ({fingers}, 3) or (N, {fingers}, 3) for "
                 f"{', '.join(self.finger_names)}, or whole hands ({KEYPOINT_COUNT}, 3) or "
@@ -137,7 +141,7 @@ def load_retargeter(path: str | os.PathLike, hand=None) -> Retargeter:
 
     Args:
         path: the directory.
-        hand: where given, a hand model (`name`, `joint_names`, `finger_names`, `digest`) that the
+        hand: where given, a hand model (`joint_names`, `finger_names`, `digest`) that the
             checkpoint must have been trained for.
 
     Raises:

@@ -35,7 +35,7 @@ FORWARD_KINEMATICS = ("exact", "neural")
 class TrainingConfig:
     """Settings of `train_geort`. Weights refer to lengths measured in `length_unit`."""
 
-    steps: int = 6000  # descent steps
+    steps: int = 5000  # descent steps
     points: int = 256  # human fingertips per finger and step, criteria I to III
     targets: int = 512  # robot fingertips per finger and step, criterion II
     pinches: int = 96  # real frames with a pinch per step, criterion IV
@@ -43,10 +43,10 @@ class TrainingConfig:
     learning_rate: float = 5e-3  # of Adam, falls to zero along half a cosine
     hidden: int = 128  # width of both hidden layers
     length_unit: float = 0.1  # m; the unit in which the weights below are meant
-    coverage_weight: float = 80.0  # λ1, 1/unit²
-    flatness_weight: float = 1.0  # λ2, 1/unit²
-    pinch_weight: float = 30.0  # λ3, 1/unit²
-    collision_weight: float = 1.0  # λ4
+    coverage_weight: float = 6.0  # λ1, 1/unit²
+    flatness_weight: float = 3.0  # λ2, 1/unit²
+    pinch_weight: float = 2.0  # λ3, 1/unit²
+    collision_weight: float = 0.2  # λ4
     step_sigma: float = 0.004  # m; d ~ N(0, σ²) per coordinate, criteria I and III
     pinch_threshold: float = 0.015  # m; nearer human fingertips pinch
     other_pinches: float = 0.2  # weight of a pinching pair that is not the frame's nearest
@@ -55,7 +55,7 @@ class TrainingConfig:
     fk: str = "exact"  # exact | neural
     classifier_steps: int = 2000  # descent steps of the collision classifier
     kinematics_steps: int = 4000  # descent steps of the neural forward kinematics
-    refreshes: int = 20  # how often the classifier learns from the retargeter's own outputs
+    refreshes: int = 10  # how often the classifier learns from the retargeter's own outputs
     refresh_steps: int = 200  # descent steps of each refresh
     refresh_sigma: float = 0.08  # rad; spread of the samples around the retargeter's outputs
 
@@ -260,9 +260,7 @@ class _Run:
         self.all_rows = torch.arange(len(frames))
         self.pinch_rows = torch.nonzero(self.pinch_weights.sum(1).cpu() > 0)[:, 0]
         if self.config.pinch_weight > 0 and len(self.pinch_rows) == 0:
-            nearest = min(
-                np.linalg.norm(frames[:, i] - frames[:, j], axis=1).min() for i, j in self.pairs
-            )
+            nearest = min(np.linalg.norm(frames[:, i] - frames[:, j], axis=1).min() for i, j in self.pairs)
             raise TrainingError(
                 "the recording holds no pinch: the thumb's tip should come nearer than "
                 f"{1000 * self.config.pinch_threshold:.0f} mm to another fingertip, the nearest is "
@@ -287,9 +285,8 @@ class _Run:
             q = self.network(self.frames)
             noise = torch.randn(q.shape, generator=self.generator).to(self.device)
             near = q + self.config.refresh_sigma * noise
-            limits = (torch.tensor(x, dtype=q.dtype, device=q.device)
-                      for x in (self.kinematics.lower, self.kinematics.upper))
-            q = torch.cat([q, torch.minimum(torch.maximum(near, next(limits)), next(limits))])
+            lower, upper = self._tensor(self.kinematics.lower), self._tensor(self.kinematics.upper)
+            q = torch.cat([q, torch.clamp(near, lower, upper)])
         label = np.asarray(self.oracle(q.cpu().numpy().astype(float)), dtype=float)
         own = (q, self._tensor(label))
         # What was labelled earlier stays in, so that the map cannot slip back unnoticed.
