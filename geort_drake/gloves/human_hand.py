@@ -144,7 +144,7 @@ class HumanHand:
         self,
         p_target: np.ndarray,
         theta0: np.ndarray,
-        weights: Sequence[float] | None = None,
+        weights: Sequence[float] | np.ndarray | None = None,
         iterations: int = 20,
         damping_m: float = 2e-3,
     ) -> np.ndarray:

@@ -16,18 +16,17 @@ from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.recording import Recording
 
 # Angles below are in degrees, joint by joint as in HumanHand: abduction and three flexions.
-_RELAXED = np.array(
-    [[25, 0, 12, 18], [2, 15, 25, 16], [0, 18, 28, 18], [-2, 20, 28, 18], [-6, 20, 28, 18]], float
-)
 _FIST = np.array(
-    [[35, 15, 40, 45], [0, 80, 95, 60], [0, 84, 98, 62], [0, 82, 98, 62], [0, 78, 95, 60]], float
+    [[30, 15, 40, 45], [0, 76, 92, 56], [0, 78, 94, 56], [0, 74, 92, 56], [0, 66, 90, 54]], float
 )
 _FLAT = np.array([[10, -15, 0, 0], [4, -10, 2, 1], [0, -8, 2, 1], [-3, -8, 2, 1], [-8, -8, 2, 1]], float)
-# A pinch starts here and is closed by inverse kinematics: ranges of thumb and finger.
-_PINCH_THUMB = ((15, 45), (-5, 30), (5, 45), (5, 60))
-_PINCH_FINGER = ((-10, 10), (10, 70), (20, 80), (10, 50))
+# A pinch starts here and is closed by inverse kinematics: (lower, upper) of thumb and finger.
+_PINCH_THUMB = ((10, -5, 5, 5), (40, 30, 45, 60))
+_PINCH_FINGER = ((-10, 10, 20, 10), (5, 70, 80, 50))
 
 _THUMB = 0
+# How far each finger is swept sideways while it is straight.
+_ABDUCTION = ((-5, 40), (-18, 18), (-17, 13), (-17, 14), (-28, 12))
 _RATIO = (0.4, 0.85)  # DIP over PIP flexion: textbook 2/3, gloves show this range
 _TIP_GAP_M = (0.001, 0.010)  # between the tips while pinching: glove tips lie under the skin
 _JITTER_DEG = 0.03  # per frame: about 0.05 mm at a fingertip
@@ -97,14 +96,14 @@ class _Timeline:
 
 
 def _postures(hand: HumanHand, duration_s: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    timeline = _Timeline(hand, _around(_RELAXED, 5.0, rng))
+    timeline = _Timeline(hand, np.deg2rad(_resting(rng)))
     gestures: list[Callable] = [_fists, _spread, _wave]
     while timeline.times[-1] < duration_s:
         pinches = {finger: _pinch_postures(hand, finger, rng) for finger in range(1, 5)}
         gesture_order = [gestures[i] for i in rng.permutation(3)]
         for place, finger in enumerate(rng.permutation(5)):
             if finger != _THUMB:
-                _pinch(timeline, pinches[finger], rng)
+                _pinch(timeline, finger, pinches[finger], rng)
             _sweep(timeline, finger, rng)
             if place < len(gesture_order):
                 gesture_order[place](timeline, rng)
@@ -113,60 +112,66 @@ def _postures(hand: HumanHand, duration_s: float, rng: np.random.Generator) -> t
 
 def _sweep(timeline: _Timeline, finger: int, rng: np.random.Generator) -> None:
     """One finger through its range: abducting at several flexions, then anywhere; others follow a little."""
-    rest = _around(_RELAXED, 8.0, rng)
-    if finger == _THUMB:
-        rest[1:] = _blend(_FLAT, _RELAXED, rng.uniform(0, 1))[1:]
+    rest = _resting(rng)
     targets = [*_abduction_sweeps(finger, rng), *(_anywhere(finger, rng) for _ in range(5))]
     for target in targets:
-        theta = rest.copy()
+        theta = _around(rest, 8.0, rng)  # resting fingers never keep quite still
         theta[finger] = target
         if finger != _THUMB:
-            # Fingers are not independent: neighbours follow by a fifth (enslaving, Zatsiorsky 2000).
+            # Fingers are not independent: neighbours follow by a fifth ("enslaving",
+            # Zatsiorsky et al. 2000, Exp. Brain Res. 131:187).
             for neighbour in {max(finger - 1, 1), min(finger + 1, 4)} - {finger}:
                 theta[neighbour, 1:] += 0.2 * (target[1:] - rest[finger, 1:])
-        timeline.move(np.deg2rad(theta), rng.uniform(0.25, 0.55))
-        if rng.random() < 0.3:
-            timeline.hold(rng.uniform(0.1, 0.4))
+        timeline.move(np.deg2rad(theta), rng.uniform(0.18, 0.36))
+        if rng.random() < 0.15:
+            timeline.hold(rng.uniform(0.1, 0.3))
 
 
 def _abduction_sweeps(finger: int, rng: np.random.Generator) -> Iterable[np.ndarray]:
     for level in rng.permutation(3):
         target = _anywhere(finger, rng)
-        low, high = (-5, 60) if finger == _THUMB else (-35, 22) if finger == 4 else (-20, 20)
         if finger == _THUMB:
-            target[1] = (-22, 5, 30)[level] + rng.uniform(-5, 5)
+            target[1] = (-14, 3, 20)[level] + rng.uniform(-5, 5)
+            share = 1.0
         else:
             target[1] = (-20, 20, 60)[level] + rng.uniform(-12, 12)
-        for abduction in (low, high) if rng.random() < 0.5 else (high, low):
-            yield np.array([abduction * rng.uniform(0.6, 1.0), *target[1:]])
+            share = _freedom(target[1])
+        for abduction in rng.permutation(_ABDUCTION[finger]):
+            yield np.array([share * abduction * rng.uniform(0.6, 1.0), *target[1:]])
 
 
 def _anywhere(finger: int, rng: np.random.Generator) -> np.ndarray:
     if finger == _THUMB:
-        return rng.uniform((-10, -25, -5, -10), (55, 35, 55, 75))
-    proximal = rng.uniform(-28, 85)
+        return rng.uniform((-5, -18, -5, -10), (40, 22, 38, 60))
+    proximal = rng.uniform(-28, 82)
     # Bending the outer joints alone while the knuckle is far back is a hook; it occurs, but seldom.
-    middle = 100 * rng.beta(0.9, 1.3)
-    low, high = (-32, 20) if finger == 4 else (-18, 18)
-    return np.array([rng.uniform(low, high), proximal, middle, rng.uniform(*_RATIO) * middle])
+    middle = 98 * rng.beta(0.55, 0.65)
+    low, high = _ABDUCTION[finger]
+    abduction = _freedom(proximal) * rng.uniform(low, high)
+    return np.array([abduction, proximal, middle, rng.uniform(*_RATIO) * middle])
+
+
+def _freedom(flexion_deg: float) -> float:
+    """Share of its abduction a knuckle keeps: its ligaments tighten with flexion."""
+    return 1.0 - 0.8 * np.clip(flexion_deg / 90, 0.0, 1.0)
 
 
 def _fists(timeline: _Timeline, rng: np.random.Generator) -> None:
     for _ in range(2):
-        timeline.move(np.deg2rad(_around(_FIST, 4.0, rng)), rng.uniform(0.35, 0.6))
+        timeline.move(np.deg2rad(_around(_FIST, 4.0, rng)), rng.uniform(0.25, 0.5))
         timeline.hold(rng.uniform(0.1, 0.3))
-        timeline.move(np.deg2rad(_around(_FLAT, 5.0, rng)), rng.uniform(0.35, 0.6))
+        timeline.move(np.deg2rad(_around(_FLAT, 5.0, rng)), rng.uniform(0.25, 0.5))
 
 
 def _spread(timeline: _Timeline, rng: np.random.Generator) -> None:
     """All fingers apart and together, at several flexions."""
     for flexion in rng.permutation([-15.0, 10.0, 40.0]):
         for share in (1.0, -0.6):
-            theta = _blend(_FLAT, _FIST, rng.uniform(0.0, 0.25))
+            theta = _FLAT + rng.uniform(0.0, 0.25) * (_FIST - _FLAT)
             theta[1:, 1] = flexion + rng.uniform(-6, 6, 4)
-            theta[1:, 0] = share * np.array([18, 6, -12, -32]) + rng.uniform(-3, 3, 4)
-            theta[0, :2] = (rng.uniform(0, 55), -20 if share > 0 else 15)
-            timeline.move(np.deg2rad(theta), rng.uniform(0.35, 0.6))
+            theta[1:, 0] = share * np.array([16, 4, -12, -28]) + rng.uniform(-3, 3, 4)
+            theta[0, :2] = (rng.uniform(0, 45), -20 if share > 0 else 15)
+            timeline.move(np.deg2rad(theta), rng.uniform(0.25, 0.5))
 
 
 def _wave(timeline: _Timeline, rng: np.random.Generator) -> None:
@@ -179,29 +184,26 @@ def _wave(timeline: _Timeline, rng: np.random.Generator) -> None:
         timeline.move(np.deg2rad(start + share[:, None] * (_FIST - start)), rng.uniform(0.18, 0.26))
 
 
-def _pinch(timeline: _Timeline, postures: np.ndarray, rng: np.random.Generator) -> None:
+def _pinch(timeline: _Timeline, finger: int, postures: np.ndarray, rng: np.random.Generator) -> None:
     """Approaches, touches, slides along while touching, and lets go."""
     for touch, slide in postures:
         apart = touch.reshape(5, 4).copy()
-        finger = np.argmax(np.abs(touch - slide).reshape(5, 4)[1:].sum(axis=1)) + 1
         apart[_THUMB, 1:] -= np.deg2rad(rng.uniform(8, 25, 3))
         apart[finger, 1:] -= np.deg2rad(rng.uniform(8, 30, 3))
-        timeline.move(apart, rng.uniform(0.3, 0.6))
+        timeline.move(apart, rng.uniform(0.3, 0.5))
         timeline.move(touch, rng.uniform(0.25, 0.5))
-        timeline.hold(rng.uniform(0.1, 0.5))
+        timeline.hold(rng.uniform(0.2, 0.7))
         timeline.move(slide, rng.uniform(0.4, 0.9))
-        timeline.hold(rng.uniform(0.0, 0.3))
+        timeline.hold(rng.uniform(0.1, 0.4))
         timeline.move(apart, rng.uniform(0.25, 0.5))
 
 
 def _pinch_postures(hand: HumanHand, finger: int, rng: np.random.Generator, count: int = 2) -> np.ndarray:
     """Up to `count` pairs (n, 2, 20) of postures in which thumb and finger touch, the second slid along."""
     tries = 4 * count
-    theta = np.deg2rad(
-        np.stack([_around(_blend(_FLAT, _RELAXED, rng.uniform(0, 1.5)), 5.0, rng) for _ in range(tries)])
-    )
-    theta[:, _THUMB] = np.deg2rad(rng.uniform(*np.transpose(_PINCH_THUMB), (tries, 4)))
-    theta[:, finger] = np.deg2rad(rng.uniform(*np.transpose(_PINCH_FINGER), (tries, 4)))
+    theta = np.deg2rad(np.stack([_resting(rng) for _ in range(tries)]))
+    for i, (low, high) in ((_THUMB, _PINCH_THUMB), (finger, _PINCH_FINGER)):
+        theta[:, i] = np.deg2rad(rng.uniform(low, high, (tries, 4)))
     gap = rng.uniform(*_TIP_GAP_M, tries)
     touch, near = _close(hand, finger, theta.reshape(tries, 20), np.zeros(3), gap)
     slide, still_near = _close(hand, finger, touch, rng.normal(0.0, 0.008, (tries, 3)), gap)
@@ -258,9 +260,13 @@ def _glove_noise(frames: int, rate_hz: float, rng: np.random.Generator) -> np.nd
     return np.deg2rad(_JITTER_DEG * jitter + _TREMOR_DEG * tremor + _DRIFT_DEG * drift)
 
 
+def _resting(rng: np.random.Generator) -> np.ndarray:
+    """A posture (5, 4), deg, of fingers that nothing is asked of, each somewhat open or closed."""
+    knuckles, beyond = rng.uniform(0.0, 0.6, 5), rng.uniform(0.0, 0.8, 5) ** 1.5
+    share = np.column_stack([knuckles, knuckles, beyond, beyond])
+    return _around(_FLAT + share * (_FIST - _FLAT), 5.0, rng)
+
+
 def _around(posture: np.ndarray, deviation_deg: float, rng: np.random.Generator) -> np.ndarray:
-    return posture + rng.normal(0.0, deviation_deg, posture.shape)
-
-
-def _blend(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
-    return a + share * (b - a)
+    # Fingers vary less sideways than they flex.
+    return posture + rng.normal(0.0, deviation_deg, posture.shape) * np.array([0.4, 1.0, 1.0, 1.0])

@@ -112,7 +112,8 @@ class Recording:
             arrays["X_WH"] = self.X_WH
         metadata = {**self.metadata, "side": self.side, "convention": CONVENTION}
         with atomic_path(path) as draft:
-            np.savez_compressed(draft, **arrays, metadata=np.array(json.dumps(metadata)))
+            # The stub takes every array for the argument allow_pickle.
+            np.savez_compressed(draft, **arrays, metadata=np.array(json.dumps(metadata)))  # type: ignore[arg-type]
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> "Recording":
