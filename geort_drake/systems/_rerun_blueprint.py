@@ -34,17 +34,18 @@ def grasp_blueprint(
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital, position=eye, look_target=target, eye_up=(0.0, 0.0, 1.0)
         ),
-        line_grid=rrb.LineGrid3D(visible=True, spacing=0.1, color=(255, 255, 255, 18)),
+        line_grid=rrb.LineGrid3D(visible=True, spacing=0.1, stroke_width=0.5, color=(62, 67, 78, 255)),
     )
     right: list[rrb.Container | rrb.View] = []
     shares: list[float] = []
     if states:
         right.append(rrb.StateTimelineView(origin="/", contents=list(states), name="phase"))
-        shares.append(0.5 + 0.25 * len(states))
+        shares.append(0.4 + 0.2 * len(states))
     if contact:
         right.append(_time_series("contact force [N]", ["/contact/**"]))
         shares.append(1.2)
-    cells = [_time_series(title, paths) for title, paths in (plots or {}).items()]
+    # A legend would cover most of so small a plot; pointing at a line tells its name.
+    cells = [_time_series(title, paths, legend=False) for title, paths in (plots or {}).items()]
     if cells:
         rows = (len(cells) + 1) // 2
         right.append(rrb.Grid(contents=cells, grid_columns=min(2, len(cells)), name="signals"))
@@ -56,17 +57,17 @@ def grasp_blueprint(
         layout,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="all"),
         auto_layout=False,
         auto_views=False,
     )
 
 
-def _time_series(title: str, paths: Sequence[str]) -> rrb.TimeSeriesView:
+def _time_series(title: str, paths: Sequence[str], legend: bool = True) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(
         origin="/",
         contents=list(paths),
         name=title,
         axis_x=rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
     )

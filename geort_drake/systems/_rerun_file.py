@@ -11,6 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from geort_drake.files import atomic_path
+from geort_drake.gloves.keypoints import FINGER_NAMES
 from geort_drake.systems._rerun_blueprint import grasp_blueprint
 from geort_drake.systems._rerun_scene import WORLD, Scene, entity_path, transform
 from geort_drake.systems._rerun_tracks import (
@@ -31,6 +32,7 @@ class Recording:
 
     Attributes:
         times: sample times, s, increasing.
+        properties: what the recording is about.
         closed: whether `close` was called.
     """
 
@@ -52,7 +54,7 @@ class Recording:
         self.closed = False
         self._application_id = application_id
         self._recording_id = recording_id
-        self._properties = dict(properties)
+        self.properties = dict(properties)
         self._blueprint = blueprint
 
     def append(self, time: float, rows: Sequence) -> None:
@@ -86,16 +88,16 @@ class Recording:
         stream.set_log_tick_enabled(False)
         stream.save(path, default_blueprint=self._blueprint or self.default_blueprint())
         stream.send_recording_name(self.path.stem)
-        if self._properties:
+        if self.properties:
             # Typed arrays, because Rerun keeps the first type it sees under a name for good.
-            typed = {name: pa.array([value]) for name, value in self._properties.items()}
+            typed = {name: pa.array([value]) for name, value in self.properties.items()}
             stream.send_property("run", rr.AnyValues(**typed))
         writer = Writer(stream, np.array(self.times))
         writer.static(f"/{WORLD}", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         for index, X_WB in self.scene.anchored.items():
             writer.static(self.scene.paths[index], transform(X_WB))
-        for entity, archetypes in self.scene.shapes:
-            writer.static(entity, *archetypes)
+        for entity, archetype in self.scene.shapes:
+            writer.static(entity, archetype)
         for track in self.tracks:
             track.write(writer)
         stream.flush()
@@ -103,7 +105,7 @@ class Recording:
 
     def _digest(self) -> str:
         """An id made of the contents, so that repeating a simulation repeats the recording."""
-        digest = hashlib.sha256(repr(sorted(self._properties.items())).encode())
+        digest = hashlib.sha256(repr(sorted(self.properties.items())).encode())
         digest.update(np.array(self.times).tobytes())
         for track in self.tracks:
             digest.update(repr(track.ports).encode())
@@ -115,9 +117,11 @@ class Recording:
         """`grasp_blueprint` for what was recorded, seen from where the motion fills the view."""
         plots: dict[str, list[str]] = {}
         for track in self._of(SignalTrack):
-            for name in track.names:
-                group = name.rsplit("/", 1)[0] if "/" in name else track.key.rsplit("/", 1)[-1]
-                plots.setdefault(group, []).append(track.path(name))
+            for group in track.groups:
+                plots.setdefault(group or track.key.rsplit("/", 1)[-1], []).append(track.path(group))
+        # Fingers in their usual order, whatever the order of the joints; the rest after them.
+        first = [name for name in FINGER_NAMES if name in plots]
+        plots = {name: plots[name] for name in [*first, *(n for n in plots if n not in first)]}
         target, eye = self._camera()
         return grasp_blueprint(
             plots=plots,
@@ -138,7 +142,7 @@ class Recording:
         cloud = cloud[np.isfinite(cloud).all(axis=1)]
         low, high = np.percentile(cloud, [2, 98], axis=0) if len(cloud) else np.zeros((2, 3))
         target = (low + high) / 2
-        distance = 0.35 + 1.25 * float(np.linalg.norm(high - low))
+        distance = 0.25 + 1.0 * float(np.linalg.norm(high - low))
         return target, target + distance * _VIEW_DIRECTION
 
     def _of(self, kind):

@@ -2,6 +2,8 @@
 
 import itertools
 import warnings
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -40,14 +42,14 @@ class Scene:
         paths: entity path of every body of the plant, by its index.
         moving: indices of the drawn bodies whose pose changes, in plant order.
         anchored: X_WB of the drawn bodies that are welded to the world, by index.
-        shapes: entity path and archetypes of every geometry; logged once.
+        shapes: entity path and archetype of all geometry; logged once.
         body_of_geometry: body index of every proximity geometry, for contact surfaces.
     """
 
     paths: list[str]
     moving: list[int] = field(default_factory=list)
     anchored: dict[int, RigidTransform] = field(default_factory=dict)
-    shapes: list[tuple[str, list[rr.AsComponents]]] = field(default_factory=list)
+    shapes: list[tuple[str, rr.AsComponents]] = field(default_factory=list)
     body_of_geometry: dict[GeometryId, int] = field(default_factory=dict)
 
 
@@ -69,10 +71,7 @@ def describe_scene(plant: MultibodyPlant, scene_graph: SceneGraph, role: Role) -
         proximity = inspector.GetGeometries(frame, Role.kProximity)
         scene.body_of_geometry.update(dict.fromkeys(proximity, index))
         geometries = inspector.GetGeometries(frame, role) or proximity
-        for geometry in geometries:
-            path = f"{scene.paths[index]}/{_part(_leaf(inspector.GetName(geometry)))}"
-            if archetypes := _draw(inspector, geometry):
-                scene.shapes.append((path, archetypes))
+        scene.shapes += _draw(inspector, geometries, scene.paths[index])
         if geometries and plant.IsAnchored(body):
             scene.anchored[index] = plant.EvalBodyPoseInWorld(defaults, body)
         elif geometries:
@@ -92,53 +91,83 @@ def _body_path(plant: MultibodyPlant, body: RigidBody) -> str:
     return entity_path(WORLD, *model.split("::"), body.name())
 
 
-def _leaf(scoped_name: str) -> str:
-    return scoped_name.rsplit("::", 1)[-1]
-
-
 def _part(name: str) -> str:
     return rr.escape_entity_path_part(name)
 
 
-def _draw(inspector: SceneGraphInspector, geometry: GeometryId) -> list[rr.AsComponents]:
-    """The archetypes that draw one geometry, placed relative to its body."""
-    shape = inspector.GetShape(geometry)
-    X_BG = inspector.GetPoseInFrame(geometry)
-    look: dict[str, Any] = {
-        "colors": [_color(inspector, geometry)],
-        "fill_mode": rr.components.FillMode.Solid,
-    }
-    if isinstance(shape, Box):
-        return [rr.Boxes3D(sizes=[shape.size()], **look), transform(X_BG)]
-    if isinstance(shape, Sphere):
-        return [rr.Ellipsoids3D(half_sizes=[[shape.radius()] * 3], **look), transform(X_BG)]
-    if isinstance(shape, Ellipsoid):
-        axes = [shape.a(), shape.b(), shape.c()]
-        return [rr.Ellipsoids3D(half_sizes=[axes], **look), transform(X_BG)]
-    if isinstance(shape, Cylinder):
-        return [rr.Cylinders3D(lengths=shape.length(), radii=shape.radius(), **look), transform(X_BG)]
-    if isinstance(shape, Capsule):
-        # Drake centres a capsule; Rerun's runs from z = 0 to its length.
-        X_BC = _shifted(X_BG, -shape.length() / 2)
-        return [rr.Capsules3D(lengths=shape.length(), radii=shape.radius(), **look), transform(X_BC)]
-    if isinstance(shape, HalfSpace):
-        size = [_HALF_SPACE_SIDE, _HALF_SPACE_SIDE, 0.002]
-        X_BT = _shifted(X_BG, -0.001)
-        return [rr.Boxes3D(sizes=[size], **look), transform(X_BT)]
-    triangles = _triangles(inspector, geometry)
-    if triangles is None:
-        kind = type(shape).__name__
-        warnings.warn(f"geometry {inspector.GetName(geometry)}: cannot draw a {kind}", stacklevel=2)
-        return []
+def _draw(
+    inspector: SceneGraphInspector, geometries: Sequence[GeometryId], body_path: str
+) -> list[tuple[str, rr.AsComponents]]:
+    """The archetypes that draw a body's geometry, placed in the body's frame.
+
+    All shapes of one kind are one entity: a robot has hundreds, and entities cost space and time.
+    """
+    batches: dict[str, _Batch] = defaultdict(_Batch)
+    drawn: list[tuple[str, rr.AsComponents]] = []
+    for geometry in geometries:
+        shape = inspector.GetShape(geometry)
+        X_BG = inspector.GetPoseInFrame(geometry)
+        color = _color(inspector, geometry)
+        name = inspector.GetName(geometry).rsplit("::", 1)[-1]
+        if isinstance(shape, Box):
+            batches["boxes"].add(name, color, X_BG, sizes=shape.size())
+        elif isinstance(shape, HalfSpace):
+            sizes = [_HALF_SPACE_SIDE, _HALF_SPACE_SIDE, 0.002]
+            batches["boxes"].add(name, color, _shifted(X_BG, -0.001), sizes=sizes)
+        elif isinstance(shape, Sphere):
+            batches["ellipsoids"].add(name, color, X_BG, half_sizes=[shape.radius()] * 3)
+        elif isinstance(shape, Ellipsoid):
+            batches["ellipsoids"].add(name, color, X_BG, half_sizes=[shape.a(), shape.b(), shape.c()])
+        elif isinstance(shape, Cylinder):
+            batches["cylinders"].add(name, color, X_BG, lengths=shape.length(), radii=shape.radius())
+        elif isinstance(shape, Capsule):
+            # Drake centres a capsule; Rerun's runs from z = 0 to its length.
+            X_BC = _shifted(X_BG, -shape.length() / 2)
+            batches["capsules"].add(name, color, X_BC, lengths=shape.length(), radii=shape.radius())
+        elif (triangles := _triangles(inspector, geometry)) is not None:
+            drawn.append((f"{body_path}/{_part(name)}", _mesh(triangles, X_BG, color)))
+        else:
+            kind = type(shape).__name__
+            warnings.warn(f"geometry {inspector.GetName(geometry)}: cannot draw a {kind}", stacklevel=4)
+    drawn += [(f"{body_path}/{kind}", batch.archetype(kind)) for kind, batch in batches.items()]
+    return drawn
+
+
+class _Batch:
+    """Shapes of one kind on one body."""
+
+    def __init__(self) -> None:
+        self._columns: dict[str, list] = defaultdict(list)
+
+    def add(self, name: str, color: list[int], X_BG: RigidTransform, **dimensions: Any) -> None:
+        row = {"labels": name, "colors": color, "at": X_BG.translation(), "quaternions": _xyzw(X_BG)}
+        for key, value in (row | dimensions).items():
+            self._columns[key].append(value)
+
+    def archetype(self, kind: str) -> rr.AsComponents:
+        columns = dict(self._columns)
+        columns["translations" if kind == "capsules" else "centers"] = columns.pop("at")
+        maker = {
+            "boxes": rr.Boxes3D,
+            "ellipsoids": rr.Ellipsoids3D,
+            "cylinders": rr.Cylinders3D,
+            "capsules": rr.Capsules3D,
+        }[kind]
+        # The names of the geometries are kept for whoever selects one.
+        return maker(**columns, fill_mode=rr.components.FillMode.Solid, show_labels=False)
+
+
+def _mesh(triangles: np.ndarray, X_BG: RigidTransform, color: list[int]) -> rr.Mesh3D:
+    """A mesh of triangles (n, 3, 3), m, in frame G."""
+    corners = triangles @ X_BG.rotation().matrix().T + X_BG.translation()
     # Corners are not shared, so that every triangle has its own normal and edges stay sharp.
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    mesh = rr.Mesh3D(
-        vertex_positions=triangles.reshape(-1, 3),
+    return rr.Mesh3D(
+        vertex_positions=corners.reshape(-1, 3),
         vertex_normals=np.repeat(normals, 3, axis=0),
-        albedo_factor=look["colors"][0],
+        albedo_factor=color,
     )
-    return [mesh, transform(X_BG)]
 
 
 def _triangles(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndarray | None:
@@ -190,5 +219,8 @@ def _shifted(X_BG: RigidTransform, z: float) -> RigidTransform:
 
 def transform(X: RigidTransform) -> rr.Transform3D:
     """A pose as Rerun's archetype."""
-    w, x, y, z = X.rotation().ToQuaternion().wxyz()
-    return rr.Transform3D(translation=X.translation(), quaternion=rr.Quaternion(xyzw=[x, y, z, w]))
+    return rr.Transform3D(translation=X.translation(), quaternion=rr.Quaternion(xyzw=_xyzw(X)))
+
+
+def _xyzw(X: RigidTransform) -> np.ndarray:
+    return np.roll(X.rotation().ToQuaternion().wxyz(), -1)

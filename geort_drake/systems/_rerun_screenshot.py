@@ -1,5 +1,6 @@
 """Pictures of Rerun recordings, taken by a viewer that needs no screen."""
 
+import contextlib
 import os
 import socket
 import subprocess
@@ -8,6 +9,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import psutil
 from rerun.experimental import ViewerClient
 
 from geort_drake.errors import RecordingError
@@ -66,12 +68,18 @@ def take_screenshot(
                 f"{recording}: Rerun's viewer took no picture: {error}. {_NEEDS}\n" + "\n".join(said[-5:])
             ) from error
         finally:
-            viewer.terminate()
-            try:
-                viewer.wait(timeout=10)
-            except subprocess.TimeoutExpired:
-                viewer.kill()
-                viewer.wait()
+            _end(viewer)
+
+
+def _end(viewer: subprocess.Popen) -> None:
+    # The command's Python part starts the viewer proper as its child.
+    processes = [viewer]
+    with contextlib.suppress(psutil.NoSuchProcess):
+        processes = [*psutil.Process(viewer.pid).children(recursive=True), viewer]
+    for process in processes:
+        with contextlib.suppress(psutil.NoSuchProcess):
+            process.kill()
+    viewer.wait()
 
 
 def _wait_for(port: int, viewer: subprocess.Popen, timeout_s: float) -> None:
@@ -96,6 +104,7 @@ def _show(client: ViewerClient, recording: Path, time_s: float | None, timeout_s
     ends = [timeline.end for timeline in state.recordings[0].timelines if timeline.name == TIMELINE]
     if not ends or ends[0] is None:
         raise RecordingError(f"{recording}: holds nothing on the timeline '{TIMELINE}'")
-    client.set_time(TIMELINE, duration=ends[0] * 1e-9 if time_s is None else time_s)
+    shown = ends[0] * 1e-9 if time_s is None else time_s
+    client.set_time(TIMELINE, duration=shown, play_state="paused")
     # Layout and plots settle over several frames.
-    time.sleep(1.5)
+    time.sleep(4.0)

@@ -40,8 +40,8 @@ class Writer:
         self._stream = stream
         self._times = times
 
-    def static(self, path: str, *archetypes: rr.AsComponents) -> None:
-        self._stream.log(path, *archetypes, static=True, strict=True)
+    def static(self, path: str, archetype: rr.AsComponents) -> None:
+        self._stream.log(path, archetype, static=True, strict=True)
 
     def columns(self, path: str, columns: rr.ComponentColumnList, rows: np.ndarray | None = None) -> None:
         """Sends one entry per sample, or one per sample of which the mask or indices `rows` hold."""
@@ -97,7 +97,8 @@ class PoseTrack(Track):
 class ContactTrack(Track):
     """Contact forces: rows (contacts, 8), body A, body B, p_WC (m), f_Bc_W (N)."""
 
-    PATH = f"/{WORLD}/contact/forces"
+    ARROWS = f"/{WORLD}/contact/forces"
+    SERIES = "/contact/force"
 
     def __init__(
         self,
@@ -146,8 +147,7 @@ class ContactTrack(Track):
         return series
 
     def write(self, writer: Writer) -> None:
-        style = rr.Arrows3D.from_fields(colors=[_CONTACT_COLOR], radii=[0.0025])
-        writer.static(self.PATH, style)
+        writer.static(self.ARROWS, rr.Arrows3D.from_fields(colors=[_CONTACT_COLOR], radii=[0.0025]))
         rows = np.concatenate([np.empty((0, 8)), *self.rows])
         length = self._scale * np.linalg.norm(rows[:, 5:], axis=1, keepdims=True)
         shrink = np.minimum(1.0, self._max_length / np.maximum(length, 1e-12))
@@ -157,41 +157,53 @@ class ContactTrack(Track):
             origins=np.repeat(rows[:, 2:5], 2, axis=0),
             vectors=np.stack([on_B, -on_B], axis=1).reshape(-1, 3),
         )
-        writer.columns(self.PATH, columns.partition([2 * len(row) for row in self.rows]))
-        for i, (name, force) in enumerate(self.series().items()):
-            path = entity_path("contact", name)
-            writer.static(path, rr.SeriesLines(names=name, colors=PALETTE[i % len(PALETTE)], widths=1.5))
-            writer.columns(path, rr.Scalars.columns(scalars=force))
+        writer.columns(self.ARROWS, columns.partition([2 * len(row) for row in self.rows]))
+        series = self.series()
+        if series:
+            colors = [PALETTE[i % len(PALETTE)] for i in range(len(series))]
+            style = rr.SeriesLines(names=list(series), colors=colors, widths=[1.5] * len(series))
+            writer.static(self.SERIES, style)
+            writer.columns(self.SERIES, _scalars(np.stack(list(series.values()), axis=1)))
 
 
 class SignalTrack(Track):
-    """A vector port as one time series per element: rows (n,)."""
+    """A vector port as time series: rows (n,).
+
+    Names that share what stands before their last slash form a group, which is one entity.
+    """
 
     def __init__(self, key: str, names: Sequence[str], label: str, faint: bool):
         super().__init__(key)
         self.key = key
-        self.names = list(names)
-        self._label = label
+        self.groups: dict[str, list[int]] = {}
+        for i, name in enumerate(names):
+            self.groups.setdefault(name.rpartition("/")[0], []).append(i)
+        self._labels = [f"{name.rpartition('/')[2]} {label}".strip() for name in names]
         self._faint = faint
 
     def read(self, value: np.ndarray) -> np.ndarray:
         return np.array(value)
 
-    def path(self, name: str) -> str:
-        return entity_path(self.key, name)
+    def path(self, group: str) -> str:
+        return entity_path(self.key, group)
 
     def write(self, writer: Writer) -> None:
-        values = np.array(self.rows).reshape(-1, len(self.names))
-        for i, name in enumerate(self.names):
+        values = np.array(self.rows).reshape(-1, len(self._labels))
+        for group, members in self.groups.items():
             # The same joint has the same colour in every signal.
-            color = np.array(PALETTE[i % len(PALETTE)])
+            colors = np.array([PALETTE[i % len(PALETTE)] for i in range(len(members))])
             style = rr.SeriesLines(
-                names=f"{name.rsplit('/', 1)[-1]} {self._label}".strip(),
-                colors=(color + 255) // 2 if self._faint else color,
-                widths=1.0 if self._faint else 1.75,
+                names=[self._labels[i] for i in members],
+                colors=(colors + 255) // 2 if self._faint else colors,
+                widths=[1.0 if self._faint else 1.75] * len(members),
             )
-            writer.static(self.path(name), style)
-            writer.columns(self.path(name), rr.Scalars.columns(scalars=values[:, i]))
+            writer.static(self.path(group), style)
+            writer.columns(self.path(group), _scalars(values[:, members]))
+
+
+def _scalars(values: np.ndarray) -> rr.ComponentColumnList:
+    """Columns of values (T, n): n series under one entity."""
+    return rr.Scalars.columns(scalars=values.ravel()).partition([values.shape[1]] * len(values))
 
 
 class StateTrack(Track):

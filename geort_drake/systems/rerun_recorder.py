@@ -179,6 +179,10 @@ class RerunRecorder(LeafSystem):
         """Times (T,) of the samples taken so far, s."""
         return np.array(self._recording.times)
 
+    def set_properties(self, properties: Mapping[str, str | int | float | bool]) -> None:
+        """Adds to what the recording says of itself, such as an outcome known only at the end."""
+        self._recording.properties.update(properties)
+
     def close(self) -> None:
         """Writes the file; samples after that are not kept, and closing again does nothing."""
         atexit.unregister(self._recording.close)
