@@ -22,13 +22,14 @@ from geort_drake.operators.grasp_goal import GraspGoal
 class Phase(enum.IntEnum):
     """What the person is doing."""
 
-    REACH = 0
-    APPROACH = 1
-    CLOSE = 2
-    SQUEEZE = 3
-    LIFT = 4
-    HOLD = 5
-    RELEASE = 6
+    REACH = 0  # hand to a place before the object, fingers opened
+    APPROACH = 1  # hand around the object
+    SURROUND = 2  # fingertips to just before the surface
+    CLOSE = 3  # onto the surface
+    SQUEEZE = 4
+    LIFT = 5
+    HOLD = 6
+    RELEASE = 7  # it slipped: open, and back to where REACH ends
 
 
 @dc.dataclass(frozen=True)
@@ -135,10 +136,13 @@ class GraspingPerson:
         there = self._wrist_rests(state, t) and self._at(seen, self._wanted_hand_pose(state, seen))
         touching = (seen.contact > config.touch_force)[goal.touches]
         if state.phase in (Phase.REACH, Phase.RELEASE):
-            if there and self._shaped(state, t, seen):
+            if there and self._shaped(state, t, seen, config.shape_tolerance):
                 self._enter(state, Phase.APPROACH, t)
         elif state.phase == Phase.APPROACH:
             if there:
+                self._enter(state, Phase.SURROUND, t)
+        elif state.phase == Phase.SURROUND:
+            if self._wrist_rests(state, t) and self._shaped(state, t, seen, config.aperture_tolerance):
                 self._enter(state, Phase.CLOSE, t)
         elif state.phase == Phase.CLOSE:
             if touching.all():
@@ -160,11 +164,34 @@ class GraspingPerson:
         if phase != Phase.HOLD:
             state.movement = None
 
-    def _shaped(self, state: OperatorState, t: float, seen: Seen) -> bool:
-        error = np.linalg.norm(self._fingertip_errors(state, seen), axis=1)[self._goal.touches].max()
-        if error < state.best_error - 0.002:
-            state.best_error, state.best_time = error, t
-        return error < self._config.shape_tolerance or t - state.best_time > self._config.patience
+    def _shaped(self, state: OperatorState, t: float, seen: Seen, tolerance: float) -> bool:
+        """Whether the fingers are as wanted, or as near to it as fingers and hand can get them."""
+        error = self._fingertip_errors(state, seen)[self._goal.touches]
+        if np.linalg.norm(error, axis=1).max() < tolerance:
+            return True
+        at_limit = self._fingers_at_limit(state, t, seen)
+        shiftable = state.phase in (Phase.SURROUND, Phase.CLOSE)
+        return at_limit and not (shiftable and self._hand_shift(state, seen) is not None)
+
+    def _fingers_at_limit(self, state: OperatorState, t: float, seen: Seen) -> bool:
+        error = self._fingertip_errors(state, seen)[self._goal.touches]
+        worst = float(np.linalg.norm(error, axis=1).max())
+        if worst < state.best_error - 0.001:
+            state.best_error, state.best_time = worst, t
+        return t - state.best_time > self._config.patience
+
+    def _hand_shift(self, state: OperatorState, seen: Seen) -> np.ndarray | None:
+        """How to move the hand, (3,) m in W, to take over the mean of what the fingers cannot reach."""
+        error = self._fingertip_errors(state, seen)
+        if state.phase == Phase.CLOSE:
+            # Up to the surface, not below it; a finger that touches has arrived.
+            X_BO = seen.X_WB.inverse() @ self._goal.object_frame(seen.X_WO)
+            error -= self._config.overshoot * (self._goal.n_OF @ X_BO.rotation().matrix().T)
+            error[seen.contact > self._config.touch_force] = 0
+        mean = error[self._goal.touches].mean(axis=0)
+        if np.linalg.norm(mean) < self._config.shift_tolerance:
+            return None
+        return seen.X_WB.rotation().matrix() @ mean
 
     def _lost(self, state: OperatorState, seen: Seen) -> bool:
         p_BO = seen.X_WB.inverse() @ seen.X_WO.translation()
@@ -177,9 +204,11 @@ class GraspingPerson:
         X_BW = seen.X_WB.inverse()
         p_BF = X_BW.multiply(seen.p_WF.T).T
         wanted = self._goal.p_BF_open.copy()
-        if state.phase == Phase.CLOSE:
+        if state.phase in (Phase.SURROUND, Phase.CLOSE):
             X_BO = X_BW @ self._goal.object_frame(seen.X_WO)
-            aim = self._goal.p_OF_touch + self._config.overshoot * self._goal.n_OF
+            closing = state.phase == Phase.CLOSE
+            depth = self._config.overshoot if closing else -self._config.aperture
+            aim = self._goal.p_OF_touch + depth * self._goal.n_OF
             touches = self._goal.touches
             wanted[touches] = X_BO.multiply(aim[touches].T).T
         return wanted - p_BF
@@ -246,21 +275,29 @@ class GraspingPerson:
 
     def _move_wrist(self, state: OperatorState, t: float, seen: Seen) -> None:
         if self._wrist_rests(state, t):
-            shift = self._wrist_shift(state, seen)
+            shift = self._wrist_shift(state, t, seen)
             if shift is not None:
                 state.movement = self._plan_movement(state.X_WH, *shift, t)
         if state.movement is not None:
             state.X_WH = state.movement.pose(t)
 
-    def _wrist_shift(self, state: OperatorState, seen: Seen) -> tuple[np.ndarray, RotationMatrix] | None:
+    def _wrist_shift(
+        self, state: OperatorState, t: float, seen: Seen
+    ) -> tuple[np.ndarray, RotationMatrix] | None:
         """Translation and rotation in W that the hand still needs; None to stay."""
         if state.phase == Phase.LIFT:
             raised = state.movement is not None
             return None if raised else (np.array([0, 0, self._config.lift_height]), RotationMatrix())
         if state.phase in (Phase.SQUEEZE, Phase.HOLD):
             return None
-        if state.phase == Phase.CLOSE and (seen.contact > self._config.touch_force).any():
-            return None
+        if state.phase in (Phase.SURROUND, Phase.CLOSE):
+            if not self._fingers_at_limit(state, t, seen):
+                return None
+            shift = self._hand_shift(state, seen)
+            if shift is None:
+                return None
+            state.best_error, state.best_time = np.inf, t
+            return shift, RotationMatrix()
         wanted = self._wanted_hand_pose(state, seen)
         if self._at(seen, wanted):
             return None

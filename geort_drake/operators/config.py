@@ -27,8 +27,9 @@ class OperatorConfig:
     # Fastest voluntary fingertip motion while shaping the hand, m/s; median to 95th percentile of free
     # play is 0.1 to 0.5 [M].
     max_fingertip_speed: float = 0.25
-    # Fastest closing onto an object, m/s; people slow down before contact.
-    closing_speed: float = 0.05
+    # Fastest motion onto an object from the aperture just around it, m/s; people slow down before
+    # contact.
+    closing_speed: float = 0.02
     # Time constant with which a finger's speed changes, s.
     muscle_time_constant: float = 0.06
     # Standard deviation of motor noise as a share of the speed [HW98].
@@ -47,12 +48,17 @@ class OperatorConfig:
     reach_tolerance: float = 0.008
     turn_tolerance: float = 0.08
     shape_tolerance: float = 0.010
-    # A shape whose error has not fallen for this long is taken as the best that can be had, s.
-    patience: float = 0.8
-    # The fingers aim this far below the object's surface, m.
+    # When the fingers' error has not fallen for this long, the fingers are seen to be at their limit, s;
+    # then the whole hand is shifted by their mean error, if that is above this, m.
+    patience: float = 0.5
+    shift_tolerance: float = 0.003
+    # Before closing, the fingertips gather this far from the surface, m, each this well, m.
+    aperture: float = 0.005
+    aperture_tolerance: float = 0.004
+    # Then they aim this far below the surface, m.
     overshoot: float = 0.02
     # A finger this far ahead of the slowest waits for it, m.
-    closing_lead: float = 0.008
+    closing_lead: float = 0.003
     # A seen contact force above this counts as touching, N.
     touch_force: float = 0.05
     # After all grasping fingers touch, each moves this much further inwards, m.

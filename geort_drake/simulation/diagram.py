@@ -3,14 +3,15 @@
 import dataclasses as dc
 import os
 from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
+from pydrake.multibody.tree import ModelInstanceIndex, RigidBody, SpatialInertia
 from pydrake.planning import RobotDiagramBuilder
-from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, OutputPort
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, OutputPort
 from pydrake.systems.primitives import DiscreteTimeDelay
 
 from geort_drake.errors import HandError
@@ -28,7 +29,10 @@ from geort_drake.systems.grasp_monitor import GraspMonitor
 from geort_drake.systems.retargeting_system import RetargetingSystem
 from geort_drake.systems.scene_view import SceneView
 from geort_drake.systems.simulated_operator import SimulatedOperator
-from geort_drake.systems.wrist_to_arm import make_wrist_to_arm
+from geort_drake.systems.wrist_to_arm import WristToArm
+
+if TYPE_CHECKING:
+    from geort_drake.systems.rerun_recorder import RerunRecorder
 
 Retarget = Callable[[np.ndarray], np.ndarray]
 
@@ -55,7 +59,20 @@ class GraspDiagram:
     retargeting: RetargetingSystem
     glove_recorder: GloveRecorder
     operator: SimulatedOperator | None
-    recorder: LeafSystem | None
+    recorder: "RerunRecorder | None"
+    wrist_to_arm: WristToArm
+
+    def initialize(self, root: Context) -> None:
+        """Prepares a context of the diagram: the object's drawn mass, and where the arm's commands start.
+
+        Call it before simulating.
+        """
+        context = self.plant.GetMyMutableContextFromRoot(root)
+        body, factor = self.object_body, self.placement.mass_factor
+        M = body.CalcSpatialInertiaInBodyFrame(context)
+        scaled = SpatialInertia(factor * M.get_mass(), M.get_com(), M.get_unit_inertia())
+        body.SetSpatialInertiaInBodyFrame(context, scaled)
+        self.wrist_to_arm.initialize(root)
 
 
 def draw_placement(scenario: Scenario, lowest_at_identity: float, rng: np.random.Generator) -> Placement:
@@ -106,6 +123,13 @@ def make_grasp_diagram(
     _require_controllers(plant, hand, f"hand '{description.name}'")
     _require_controllers(plant, arm, "the arm")
 
+    # The robot without the object, as the inverse kinematics knows it.
+    robot_builder = RobotDiagramBuilder(time_step=scenario.plant_config.time_step)
+    add_robot(robot_builder.plant(), scenario, description)
+    robot = robot_builder.Build()
+    base = robot.plant().GetFrameByName(description.base_frame, robot.plant().GetModelInstanceByName(HAND))
+    X_WB_start = base.CalcPoseInWorld(robot.plant().CreateDefaultContext())
+
     # What can be seen of the scene.
     view = builder.AddNamedSystem("scene_view", SceneView(plant, description, hand, object_body.index()))
     builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
@@ -118,7 +142,7 @@ def make_grasp_diagram(
         source = builder.AddNamedSystem("glove_replay", GloveReplay(human))
     else:
         operator = source = builder.AddNamedSystem(
-            "operator", _make_operator(scenario, *human, seed=int(rng.integers(2**31)))
+            "operator", _make_operator(scenario, *human, X_WB_start, seed=int(rng.integers(2**31)))
         )
         for name in ("fingertips", "hand_pose", "object_pose", "contact"):
             seen = _delayed(builder, view.GetOutputPort(name), scenario)
@@ -148,17 +172,12 @@ def make_grasp_diagram(
     builder.Connect(correction.get_output_port(), plant.get_desired_state_input_port(hand))
 
     # Wrist: tracker pose → differential inverse kinematics → the arm's PD controllers.
-    robot_builder = RobotDiagramBuilder(time_step=0.0)
-    add_robot(robot_builder.plant(), scenario, description)
-    robot = robot_builder.Build()
-    base = robot.plant().GetFrameByName(description.base_frame, robot.plant().GetModelInstanceByName(HAND))
     wrist_to_arm = builder.AddNamedSystem(
         "wrist_to_arm",
-        make_wrist_to_arm(robot, robot.plant().GetModelInstanceByName(ARM), base, scenario.wrist_to_arm),
+        WristToArm(robot, robot.plant().GetModelInstanceByName(ARM), base, scenario.wrist_to_arm),
     )
     builder.Connect(source.GetOutputPort("wrist_pose"), wrist_to_arm.GetInputPort("wrist_pose"))
     builder.Connect(source.GetOutputPort("valid"), wrist_to_arm.GetInputPort("valid"))
-    builder.Connect(plant.get_state_output_port(arm), wrist_to_arm.GetInputPort("arm_state"))
     builder.Connect(wrist_to_arm.GetOutputPort("arm_desired_state"), plant.get_desired_state_input_port(arm))
 
     # What is kept: the judgement, the glove's data, and the recording for the viewer.
@@ -179,7 +198,19 @@ def make_grasp_diagram(
         from geort_drake.simulation.recording import add_grasp_recorder
 
         recorder = add_grasp_recorder(
-            builder, plant, scene_graph, rerun_path, scenario, description, dict(properties or {})
+            builder,
+            plant,
+            scene_graph,
+            rerun_path,
+            scenario,
+            description,
+            view,
+            monitor,
+            source,
+            correction,
+            # The person's hand is drawn beside the robot's, 30 cm to its left.
+            RigidTransform(X_WB_start.translation() + [0.0, 0.30, 0.0]),
+            dict(properties or {}),
         )
 
     diagram = builder.Build()
@@ -196,13 +227,18 @@ def make_grasp_diagram(
         glove_recorder=glove_recorder,
         operator=operator,
         recorder=recorder,
+        wrist_to_arm=wrist_to_arm,
     )
 
 
-def _make_operator(scenario: Scenario, hand: HumanHand, goal: GraspGoal, seed: int) -> SimulatedOperator:
-    # The person begins with a relaxed hand, in the middle of every joint's range.
+def _make_operator(
+    scenario: Scenario, hand: HumanHand, goal: GraspGoal, X_WB_start: RigidTransform, seed: int
+) -> SimulatedOperator:
+    # The person begins with a relaxed hand, every joint in the middle of its range, held like the
+    # robot's. The tracker's frame is parallel to W; its origin is where the wrist is at the start.
     theta = 0.5 * (hand.lower + hand.upper)
-    return SimulatedOperator(hand, goal, scenario.operator, theta, RigidTransform(), seed)
+    X_WH_start = RigidTransform(X_WB_start.rotation(), np.zeros(3))
+    return SimulatedOperator(hand, goal, scenario.operator, theta, X_WH_start, seed)
 
 
 def _delayed(builder: DiagramBuilder, port: OutputPort, scenario: Scenario) -> OutputPort:

@@ -19,7 +19,7 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
-from pydrake.solvers import Solve, SnoptSolver
+from pydrake.solvers import SnoptSolver, Solve
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import ScenarioError

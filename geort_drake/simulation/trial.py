@@ -66,7 +66,7 @@ def run_trial(
     )
     simulator = Simulator(parts.diagram)
     root = simulator.get_mutable_context()
-    _scale_mass(parts, root)
+    parts.initialize(root)
     last_report = -math.inf
 
     def stop_when_over(context: Context) -> EventStatus:
@@ -98,16 +98,6 @@ def run_trial(
         }
     )
     return result, recording
-
-
-def _scale_mass(parts: GraspDiagram, root: Context) -> None:
-    context = parts.plant.GetMyMutableContextFromRoot(root)
-    body, factor = parts.object_body, parts.placement.mass_factor
-    inertia = body.CalcSpatialInertiaInBodyFrame(context)
-    body.SetSpatialInertiaInBodyFrame(
-        context,
-        type(inertia)(factor * inertia.get_mass(), inertia.get_com(), inertia.get_unit_inertia(), True),
-    )
 
 
 def _result(

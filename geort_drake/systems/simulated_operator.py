@@ -68,7 +68,9 @@ class SimulatedOperator(LeafSystem):
             lambda context, output: output.set_value(self._state(context).X_WH),
             ticket,
         )
-        self.DeclareVectorOutputPort("valid", 1, lambda context, output: output.SetAtIndex(0, 1.0), set())
+        self.DeclareVectorOutputPort(
+            "valid", 1, lambda context, output: output.SetAtIndex(0, 1.0), {self.nothing_ticket()}
+        )
         self.DeclareVectorOutputPort(
             "phase",
             1,

@@ -1,0 +1,82 @@
+"""Known affine maps from human to robot fingertips, on which the simulated person is tried out.
+
+They are no retargeting method under test: gain, rotation and offset are given, so what they do to a
+grasp is known beforehand, and the person's parameters can be chosen without looking at a method.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from geort_drake.hands.model import HandModel
+
+
+class AffineMap:
+    """Moves each robot fingertip by gain · R times what the human fingertip moves, by inverse kinematics.
+
+    p_BF = p_BF0 + offset + gain · R_BH · (p_HF − p_HF0), where the zeros are the robot's default pose
+    and the human's given rest. Each call continues from the last one's joint positions (damped least
+    squares within the joint limits); `reset` starts again at the default pose.
+
+    Args:
+        hand: the robot hand.
+        p_HF_rest: (F, 3) human fingertips, in the hand's finger order, that meet the default pose, m.
+        gain: robot motion over human motion.
+        R_BH: rotation of the motion's direction, (3, 3).
+        offset: added to every robot fingertip, (3,) m.
+    """
+
+    def __init__(
+        self,
+        hand: HandModel,
+        p_HF_rest: np.ndarray,
+        gain: float = 1.0,
+        R_BH: np.ndarray | None = None,
+        offset: Sequence[float] = (0.0, 0.0, 0.0),
+    ):
+        self.joint_names = list(hand.joint_names)
+        self.finger_names = list(hand.finger_names)
+        self._hand = hand
+        self._keypoints = [finger.human_keypoint for finger in hand.description.fingers]
+        self._p_HF_rest = np.asarray(p_HF_rest, float)
+        self._G = gain * (np.eye(3) if R_BH is None else np.asarray(R_BH, float))
+        self._p_BF_rest = hand.fingertips(hand.default_position) + np.asarray(offset, float)
+        # Columns of the joint vector that belong to each finger.
+        ends = np.cumsum([len(finger.joints) for finger in hand.description.fingers])
+        self._columns = [np.arange(*pair) for pair in zip([0, *ends[:-1]], ends, strict=True)]
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets the last call."""
+        self._q = self._hand.default_position.copy()
+
+    def target(self, p_HF: np.ndarray) -> np.ndarray:
+        """Where the map puts the robot's fingertips, (F, 3) m in B, reachable or not."""
+        return self._p_BF_rest + (np.asarray(p_HF, float) - self._p_HF_rest) @ self._G.T
+
+    def __call__(self, p_H: np.ndarray) -> np.ndarray:
+        """Joint positions (n,) rad for keypoints (21, 3) or fingertips (F, 3), m in H."""
+        p_H = np.asarray(p_H, float)
+        target = self.target(p_H[self._keypoints] if len(p_H) == 21 else p_H)
+        q = self._q
+        for _ in range(3):
+            p_BF, jacobians = self._linearise(q)
+            for columns, J, error in zip(self._columns, jacobians, target - p_BF, strict=True):
+                step = J.T @ np.linalg.solve(J @ J.T + 1e-5 * np.eye(3), error)
+                q[columns] += np.clip(step, -0.3, 0.3)
+            q = np.clip(q, self._hand.lower, self._hand.upper)
+        self._q = q
+        return q.copy()
+
+    def _linearise(self, q: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Fingertips (F, 3) at q, and each one's derivative by its own finger's joints, (3, k)."""
+        step = 1e-5
+        deepest = max(len(columns) for columns in self._columns)
+        # No joint moves two fingertips, so the k-th joints of all fingers are moved in one go.
+        moved = np.tile(q, (deepest + 1, 1))
+        for columns in self._columns:
+            for k, column in enumerate(columns):
+                moved[k + 1, column] += step
+        p = self._hand.fingertips(moved)
+        slopes = (p[1:] - p[0]) / step
+        return p[0], [slopes[: len(columns), f].T for f, columns in enumerate(self._columns)]

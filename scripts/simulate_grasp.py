@@ -1,0 +1,157 @@
+"""Trains a retargeter if there is none yet, then grasps with it in simulation.
+
+Without arguments: synthetic glove play → training → one closed-loop grasp of each of three objects with
+the Panda and the Allegro hand → a table, and in the output folder results.json, the resolved scenario,
+and of each trial a Rerun recording (.rrd) and the glove and tracker data (.npz).
+"""
+
+import argparse
+import copy
+import dataclasses
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.table import Table
+
+from geort_drake import __version__
+from geort_drake.console import console, progress_bar, run_main
+from geort_drake.errors import ScenarioError
+from geort_drake.files import write_text
+
+DEFAULT_OBJECTS = ("cylinder", "sphere", "cube")
+
+
+def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    add = parser.add_argument
+    add("--output", type=Path, default=Path("runs/grasp"), help="folder for the results (runs/grasp)")
+    add("--objects", nargs="+", help=f"what to grasp ({' '.join(DEFAULT_OBJECTS)})")
+    add("--trials", type=int, default=1, help="trials per object, each with its own seed (1)")
+    add("--recording", type=Path, help="train on this glove recording instead of synthetic play")
+    add("--side", default="right", choices=["left", "right"], help="side of the recorded hand (right)")
+    add("--retargeter", type=Path, help="use this checkpoint instead of training one")
+    add("--method", default="geort", help="retargeting method to train (geort)")
+    add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train (cpu)")
+    add("--seed", type=int, default=0, help="seed of training and synthetic play (0)")
+    add("--replay", type=Path, help="replay this recording with wrist poses in the operator's place")
+    add("--scenario_file", type=Path, help="scenarios in YAML (the package's)")
+    add("--scenario_name", default="Grasp", help="which scenario of the file (Grasp)")
+    add("--scenario_text", help="YAML merged into the scenario, for example '{timeout: 30}'")
+    add("--no_rerun", action="store_true", help="write no .rrd files")
+    add("--json", action="store_true", help="also print the results as JSON on stdout")
+    arguments = parser.parse_args(argv)
+    if arguments.trials < 1:
+        parser.error(f"--trials must be at least 1, not {arguments.trials}")
+    return arguments
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    arguments = parse_arguments(argv)
+    # Imported after parsing, so that --help answers at once.
+    from geort_drake.evaluation.pipeline import checkpoint_for
+    from geort_drake.gloves.human_hand import HumanHand
+    from geort_drake.gloves.play import synthesize_play
+    from geort_drake.gloves.readers import read_recording
+    from geort_drake.hands.description import load_hand
+    from geort_drake.retargeting.retargeter import load_retargeter
+    from geort_drake.simulation.grasp_planner import GraspPlanner
+    from geort_drake.simulation.scenario import dump_scenario, load_scenario
+    from geort_drake.simulation.trial import run_trial
+
+    # What is wrong with the request is found before anything is computed or written.
+    base = load_scenario(arguments.scenario_file, arguments.scenario_name, arguments.scenario_text)
+    description = load_hand(base.hand)
+    scenarios = []
+    for name in arguments.objects or DEFAULT_OBJECTS:
+        for trial in range(arguments.trials):
+            scenario = copy.deepcopy(base)
+            scenario.object.name = name
+            scenario.random_seed = base.random_seed + trial
+            scenario.validate()
+            scenarios.append(scenario)
+    replay = None
+    if arguments.replay:
+        replay = read_recording(arguments.replay, arguments.side)
+        if replay.X_WH is None:
+            raise ScenarioError(f"{arguments.replay}: a replay needs wrist poses (X_WH), and it has none")
+
+    if arguments.recording:
+        recording = read_recording(arguments.recording, arguments.side, training=True)
+        source = str(arguments.recording)
+    else:
+        recording = synthesize_play(seed=arguments.seed)
+        source = f"synthetic play, seed {arguments.seed}"
+    checkpoint = arguments.retargeter or checkpoint_for(
+        base.hand, recording, arguments.method, seed=arguments.seed, device=arguments.device
+    )
+    retarget = load_retargeter(checkpoint, description.joint_names)
+    console.print(f"Human motion: {source}; retargeter: {checkpoint}")
+
+    person = HumanHand.fit(recording)
+    goals, results = {}, []
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    with progress_bar() as progress:
+        total = len(scenarios)
+        task = progress.add_task("grasping", total=total, note="")
+        for scenario in scenarios:
+            name = scenario.object.name
+            stem = f"{name}-{scenario.random_seed}"
+            progress.update(task, note=f"{stem}: planning")
+            if replay is None and name not in goals:
+                goals[name] = GraspPlanner(scenario, description).plan()
+            result, glove = run_trial(
+                scenario,
+                retarget,
+                replay or (person, goals[name]),
+                None if arguments.no_rerun else arguments.output / f"{stem}.rrd",
+                {"method": arguments.method, "checkpoint": str(checkpoint), "version": __version__},
+                lambda t, stem=stem: progress.update(task, note=f"{stem}: {t:.1f} s simulated"),
+            )
+            glove.save(arguments.output / f"{stem}.glove.npz")
+            results.append(result)
+            progress.update(task, advance=1, note="")
+
+    report = {
+        "version": __version__,
+        "human_motion": source,
+        "recording_sha256": recording.digest,
+        "retargeter": str(checkpoint),
+        "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "successes": sum(result.success for result in results),
+        "trials": [dataclasses.asdict(result) for result in results],
+    }
+    text = json.dumps(report, indent=2, allow_nan=False)
+    write_text(arguments.output / "results.json", text + "\n")
+    write_text(arguments.output / "scenario.yaml", dump_scenario(base))
+    console.print(results_table(results))
+    if arguments.json:
+        print(text)
+    console.print(f"Results: {arguments.output / 'results.json'}")
+    if not arguments.no_rerun:
+        console.print(f"Watch them: rerun {arguments.output}/*.rrd", soft_wrap=True)
+    return 0
+
+
+def results_table(results) -> Table:
+    """One row a trial."""
+    table = Table(title="Grasps")
+    for heading in ("object", "seed", "outcome", "time to hold", "attempts", "lifted", "peak force", "speed"):
+        table.add_column(heading, justify="left" if heading in ("object", "outcome") else "right")
+    for r in results:
+        table.add_row(
+            r.object,
+            str(r.seed),
+            f"[{'green' if r.success else 'red'}]{r.outcome}[/]",
+            "–" if r.completion_time is None else f"{r.completion_time:.1f} s",
+            "–" if r.attempts is None else str(r.attempts),
+            f"{100 * r.peak_height:.0f} cm",
+            f"{r.peak_force:.1f} N",
+            f"{r.simulated_time / r.wall_time:.1f} × real time",
+        )
+    return table
+
+
+if __name__ == "__main__":
+    run_main(main)
