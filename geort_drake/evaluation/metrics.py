@@ -174,16 +174,18 @@ def flatness_and_gain(
     return float(np.mean(flats)), float(np.mean(gains))
 
 
-def pinch(frames: np.ndarray, p_BF: np.ndarray, finger_names: Sequence[str], tip_radius: float) -> dict:
+def pinch(
+    frames: np.ndarray, p_BF: np.ndarray, finger_names: Sequence[str], tip_radius: float
+) -> dict | None:
     """Do the robot's thumb and finger meet where the person's do?
 
     `closed`, `too_deep`, `mean_mm`, `p95_mm` and `frames` are of the nearest thumb–finger pair in
     frames in which it is under 15 mm apart (None if there are none), `all_pairs` of all such pairs;
     `false` is the share of pairs over 30 mm apart in which the robot's meet. Robot fingertips meet
-    when their spheres touch: centres at most two tip radii apart.
+    when their spheres touch: centres at most two tip radii apart. None for a hand without a thumb.
     """
-    if "thumb" not in finger_names:
-        raise RecordingError(f"the pinch metric needs a thumb; the fingers are {', '.join(finger_names)}")
+    if "thumb" not in finger_names or len(finger_names) == 1:
+        return None
     thumb = list(finger_names).index("thumb")
     others = [i for i in range(len(finger_names)) if i != thumb]
     human = np.linalg.norm(frames[:, others] - frames[:, [thumb]], axis=-1)

@@ -79,6 +79,8 @@ def pinch_loss(
     Returns:
         Scalar in squared length units; 0 where no pair pinches.
     """
+    if not pairs:
+        return p_BF.new_zeros(())
     first, second = zip(*pairs, strict=True)
     squares = (p_BF[:, list(first)] - p_BF[:, list(second)]).square().sum(-1)
     total = pair_weights.sum()
@@ -93,6 +95,8 @@ def pinch_weights(
     A pair closer than `threshold` weighs 1 if it is the nearest of its frame and `other_pairs` if it
     is not, every other pair 0; `other_pairs=1` is the paper's indicator.
     """
+    if not pairs:
+        return p_HF.new_zeros((len(p_HF), 0))
     first, second = zip(*pairs, strict=True)
     distances = torch.linalg.vector_norm(p_HF[:, list(first)] - p_HF[:, list(second)], dim=-1)
     nearest = distances <= distances.min(dim=1, keepdim=True).values

@@ -1,9 +1,10 @@
 """GeoRT's training loop (Yin et al. 2025, Algorithm 1) with all five criteria.
 
-Randomness comes from the seed alone, so two runs on one CPU with one number of threads give the
-same weights.
+Randomness comes from the seed alone and the CPU's work is done by one thread, so two runs on one
+machine give the same weights.
 """
 
+import contextlib
 import copy
 import dataclasses
 import math
@@ -17,7 +18,8 @@ import torch
 
 from geort_drake.errors import TrainingError, UnknownNameError
 from geort_drake.retargeting import criteria
-from geort_drake.retargeting.clouds import voxel_thinned, without_repeats
+from geort_drake.retargeting.clouds import voxel_thinned
+from geort_drake.retargeting.human_data import HumanData
 from geort_drake.retargeting.kinematics import HandKinematics
 from geort_drake.retargeting.networks import RetargetingNetwork
 from geort_drake.retargeting.pretraining import (
@@ -43,9 +45,9 @@ class TrainingConfig:
     learning_rate: float = 5e-3  # of Adam, falls to zero along half a cosine
     hidden: int = 128  # width of both hidden layers
     length_unit: float = 0.1  # m; the unit in which the weights below are meant
-    coverage_weight: float = 6.0  # λ1, 1/unit²
+    coverage_weight: float = 8.0  # λ1, 1/unit²
     flatness_weight: float = 3.0  # λ2, 1/unit²
-    pinch_weight: float = 2.0  # λ3, 1/unit²
+    pinch_weight: float = 3.0  # λ3, 1/unit²
     collision_weight: float = 0.2  # λ4
     step_sigma: float = 0.004  # m; d ~ N(0, σ²) per coordinate, criteria I and III
     pinch_threshold: float = 0.015  # m; nearer human fingertips pinch
@@ -120,8 +122,9 @@ def train_geort(
     config = config or TrainingConfig()
     config.validate()
     check_robot_samples(robot_samples, kinematics)
-    run = _Run(p_HF, kinematics, robot_samples, config, seed, _device(device), collides_beyond_tips)
-    return run.train(report)
+    with _one_thread():
+        run = _Run(p_HF, kinematics, robot_samples, config, seed, _device(device), collides_beyond_tips)
+        return run.train(report)
 
 
 class _Run:
@@ -171,7 +174,7 @@ class _Run:
             progress = step / config.steps
             for group in optimiser.param_groups:
                 group["lr"] = config.learning_rate * 0.5 * (1.0 + math.cos(math.pi * progress))
-            total, row = self._losses(progress)
+            total, row = self._losses()
             if not torch.isfinite(total):
                 stopped_at = step
                 break
@@ -201,7 +204,7 @@ class _Run:
             pinch_frames=len(self.pinch_rows),
         )
 
-    def _losses(self, progress: float) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+    def _losses(self) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
         """The weighted sum of the five criteria on one random batch, and each of them."""
         config, unit = self.config, self.unit
         # Criteria I to III: points drawn uniformly from each finger's cloud, and steps around them.
@@ -233,38 +236,22 @@ class _Run:
         return total, row
 
     def _load_human(self, p_HF: np.ndarray) -> None:
-        p_HF = np.asarray(p_HF, dtype=float)
-        fingers = self.kinematics.finger_names
-        if p_HF.ndim != 3 or p_HF.shape[1:] != (len(fingers), 3) or not np.isfinite(p_HF).all():
-            raise TrainingError(
-                f"human fingertips must be finite and of shape (T, {len(fingers)}, 3) for "
-                f"{', '.join(fingers)}; they have shape {p_HF.shape}"
-            )
-        frames = without_repeats(p_HF)
-        clouds = [voxel_thinned(frames[:, i], self.config.human_voxel) for i in range(len(fingers))]
-        self.human_points = dict(zip(fingers, map(len, clouds), strict=True))
-        for name, cloud in zip(fingers, clouds, strict=True):
-            if len(cloud) < 50:
-                raise TrainingError(
-                    f"the recording's {name} tip visits only {len(cloud)} places 1 mm apart; "
-                    "at least 50 are needed, better thousands"
-                )
-        self.human_clouds = [self._tensor(cloud) for cloud in clouds]
-        self.mean = torch.tensor(np.stack([cloud.mean(0) for cloud in clouds]))
-        self.scale = torch.tensor(np.stack([cloud.std(0) for cloud in clouds])).clamp_min(1e-3)
-        self.frames = self._tensor(frames)
-        self.pairs = _thumb_pairs(fingers)
+        human = HumanData(p_HF, self.kinematics.finger_names, self.config.human_voxel)
+        self.human_points = human.points
+        self.human_clouds = [self._tensor(cloud) for cloud in human.clouds]
+        self.mean, self.scale = torch.tensor(human.mean), torch.tensor(human.scale)
+        self.frames = self._tensor(human.frames)
+        self.all_rows = torch.arange(len(human.frames))
+        self.pairs = human.pairs
         self.pinch_weights = criteria.pinch_weights(
             self.frames, self.pairs, self.config.pinch_threshold, self.config.other_pinches
         )
-        self.all_rows = torch.arange(len(frames))
         self.pinch_rows = torch.nonzero(self.pinch_weights.sum(1).cpu() > 0)[:, 0]
-        if self.config.pinch_weight > 0 and len(self.pinch_rows) == 0:
-            nearest = min(np.linalg.norm(frames[:, i] - frames[:, j], axis=1).min() for i, j in self.pairs)
+        if self.config.pinch_weight > 0 and self.pairs and len(self.pinch_rows) == 0:
             raise TrainingError(
                 "the recording holds no pinch: the thumb's tip should come nearer than "
                 f"{1000 * self.config.pinch_threshold:.0f} mm to another fingertip, the nearest is "
-                f"{1000 * nearest:.0f} mm; record pinches, or set pinch_weight to 0"
+                f"{1000 * human.nearest_pinch():.0f} mm; record pinches, or set pinch_weight to 0"
             )
 
     def _load_robot(self, samples: RobotSamples) -> None:
@@ -320,12 +307,19 @@ class _Run:
         )
 
 
-def _thumb_pairs(fingers: Sequence[str]) -> list[tuple[int, int]]:
-    """Pairs that pinch: the thumb with each finger, or all pairs of a hand without a thumb."""
-    if "thumb" in fingers:
-        thumb = list(fingers).index("thumb")
-        return [(thumb, i) for i in range(len(fingers)) if i != thumb]
-    return [(i, j) for i in range(len(fingers)) for j in range(i + 1, len(fingers))]
+@contextlib.contextmanager
+def _one_thread():
+    """Lets torch use one CPU thread.
+
+    The products are too small to gain from a second one, and waiting for each other costs threads far
+    more than they save as soon as the machine has anything else to do.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def _device(name: str) -> torch.device:

@@ -1,0 +1,59 @@
+"""What GeoRT learns from about the person: real frames, and each fingertip's cloud."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from geort_drake.errors import TrainingError
+from geort_drake.retargeting.clouds import voxel_thinned, without_repeats
+
+MIN_CLOUD = 50
+
+
+class HumanData:
+    """Human fingertips, checked and thinned.
+
+    Attributes:
+        frames: (T, F, 3) real instants without exact repeats, m.
+        clouds: F arrays (M, 3), each fingertip's places, one per voxel.
+        mean, scale: (F, 3) mean and standard deviation of the clouds, m.
+        points: number of places per finger name.
+        pairs: pairs of finger numbers that pinch: the thumb with each other finger, or all pairs of a
+            hand without a thumb.
+    """
+
+    def __init__(self, p_HF: np.ndarray, finger_names: Sequence[str], voxel: float):
+        """Takes fingertips (T, F, 3) in H, m, whose rows are instants.
+
+        Raises:
+            TrainingError: wrong shape, values that are not finite, or a finger that hardly moved.
+        """
+        p_HF = np.asarray(p_HF, dtype=float)
+        fingers = len(finger_names)
+        if p_HF.ndim != 3 or p_HF.shape[1:] != (fingers, 3) or not np.isfinite(p_HF).all():
+            raise TrainingError(
+                f"human fingertips must be finite and of shape (T, {fingers}, 3) for "
+                f"{', '.join(finger_names)}; they have shape {p_HF.shape}"
+            )
+        self.frames = without_repeats(p_HF)
+        self.clouds = [voxel_thinned(self.frames[:, i], voxel) for i in range(fingers)]
+        self.points = dict(zip(finger_names, map(len, self.clouds), strict=True))
+        for name, count in self.points.items():
+            if count < MIN_CLOUD:
+                raise TrainingError(
+                    f"the recording's {name} tip visits only {count} places {1000 * voxel:g} mm apart; "
+                    f"at least {MIN_CLOUD} are needed, better thousands"
+                )
+        self.mean = np.stack([cloud.mean(axis=0) for cloud in self.clouds])
+        self.scale = np.maximum(np.stack([cloud.std(axis=0) for cloud in self.clouds]), 1e-3)
+        if "thumb" in finger_names:
+            thumb = list(finger_names).index("thumb")
+            self.pairs = [(thumb, i) for i in range(fingers) if i != thumb]
+        else:
+            self.pairs = [(i, j) for i in range(fingers) for j in range(i + 1, fingers)]
+
+    def nearest_pinch(self) -> float:
+        """The least distance of a pair in any frame, m."""
+        return min(
+            float(np.linalg.norm(self.frames[:, i] - self.frames[:, j], axis=1).min()) for i, j in self.pairs
+        )

@@ -1,0 +1,44 @@
+"""A small robot hand and a person whose fingertips are known to map onto it, shared by the tests."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import torch
+
+from geort_drake.retargeting.kinematics import FingerChain, HandKinematics
+
+LINK = 0.04  # m
+
+
+def toy_kinematics(finger_names=("thumb", "index", "middle")) -> HandKinematics:
+    """Fingers side by side along y, each abducting about x and flexing twice about y; they reach along z."""
+    fingers = []
+    for number, name in enumerate(finger_names):
+        X = np.tile(np.eye(4), (3, 1, 1))
+        X[0, 1, 3] = 0.03 * number
+        X[2, 2, 3] = LINK
+        axes = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 1.0, 0]])
+        joints = tuple(f"{name}_{k}" for k in range(3))
+        indices = tuple(range(3 * number, 3 * number + 3))
+        fingers.append(FingerChain(name, joints, indices, X, axes, np.array([0, 0, LINK])))
+    names = tuple(joint for finger in fingers for joint in finger.joint_names)
+    lower = np.tile([-0.6, -0.2, 0.1], len(fingers))
+    upper = np.tile([0.6, 1.2, 1.4], len(fingers))
+    return HandKinematics(tuple(fingers), names, lower, upper, tip_radius=0.008)
+
+
+def toy_samples(hand: HandKinematics, count: int = 4000, seed: int = 0) -> SimpleNamespace:
+    """Uniform joint samples; the hand counts as colliding where its first joint is beyond 0.3 rad."""
+    q = np.random.default_rng(seed).uniform(hand.lower, hand.upper, (count, len(hand.joint_names)))
+    p_BF = hand.fingertips(torch.tensor(q)).numpy()
+    return SimpleNamespace(q=q, p_BF=p_BF, collides_beyond_tips=toy_collides(q))
+
+
+def toy_collides(q: np.ndarray) -> np.ndarray:
+    return q[:, 0] > 0.3
+
+
+def toy_human(hand: HandKinematics, frames: int = 1500, seed: int = 1) -> np.ndarray:
+    """(T, F, 3) fingertips of a person who is the robot, 0.8 times as large and 5 cm away."""
+    q = np.random.default_rng(seed).uniform(hand.lower, hand.upper, (frames, len(hand.joint_names)))
+    return 0.8 * hand.fingertips(torch.tensor(q)).numpy() + [0.0, 0.0, 0.05]
