@@ -94,6 +94,7 @@ def _read_manus(path: Path, arrays: dict[str, np.ndarray], side: str) -> Recordi
     R_WH, p_WH = wrist_pose(mirrored(p_WK) if side == "left" else p_WK)
     R_WH = np.where(valid[:, None, None], R_WH, np.eye(3))
     X_WH = np.concatenate([_continuous(Rotation.from_matrix(R_WH).as_quat(scalar_first=True)), p_WH], axis=1)
+    travel = np.abs(p_WH[valid] - p_WH[valid][:1]).max(initial=0.0)
     metadata = {
         "side": side,
         "source": path.name,
@@ -101,7 +102,7 @@ def _read_manus(path: Path, arrays: dict[str, np.ndarray], side: str) -> Recordi
         "rate_known": True,
         "start_time_unix_s": float(timestamps[0]) if len(timestamps) else None,
         # A glove alone knows how the wrist is turned, not where it is.
-        "wrist_position_tracked": bool(np.nanmax(np.ptp(p_WH, axis=0), initial=0.0) > 1e-3),
+        "wrist_position_tracked": bool(travel > 1e-3),
     }
     return Recording(timestamps - timestamps[:1], p_HK, np.ones(len(p_HK), bool), X_WH, metadata)
 
