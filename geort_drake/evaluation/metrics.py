@@ -9,10 +9,11 @@ import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import torch
 from scipy.spatial import cKDTree
 
 from geort_drake.errors import RecordingError
-from geort_drake.retargeting.clouds import voxel_centres, voxel_index
+from geort_drake.retargeting.clouds import voxel_centres, voxel_index, voxel_thinned
 
 FingertipMap = Callable[[np.ndarray], np.ndarray]
 
@@ -48,25 +49,30 @@ def evaluate_frames(retarget: Callable, hand, frames: np.ndarray, rate_hz: float
     if len(frames) < 10:
         raise RecordingError(f"metrics need at least 10 valid frames, the recording has {len(frames)}")
 
+    kinematics = hand.kinematics()
+
+    def fingertips(q: np.ndarray) -> np.ndarray:
+        return kinematics.fingertips(torch.from_numpy(q)).numpy()
+
     def g(p_HF: np.ndarray) -> np.ndarray:
-        return hand.fingertips(retarget(p_HF))
+        return fingertips(_in_chunks(retarget, p_HF))
 
     rng = np.random.default_rng(seed)
-    q = retarget(frames)
-    p_BF = hand.fingertips(q)
+    q = _in_chunks(retarget, frames)
+    p_BF = fingertips(q)
     q_uniform = rng.uniform(hand.lower, hand.upper, (ROBOT_SAMPLES, len(hand.joint_names)))
-    p_uniform = hand.fingertips(q_uniform)
+    p_uniform = fingertips(q_uniform)
     reachable = robot_voxels(p_uniform)
     collision_free = robot_voxels(p_uniform[~hand.collides(q_uniform)])
-    averaged = context_averaged(g, frames, p_BF)
+    averaged = context_averaged(g, frames)
     flat, gain = flatness_and_gain(g, frames, rng)
     collided = self_collision(hand, q)
     return {
         "motion_preservation": motion_preservation(g, frames, rng),
         "motion_preservation_track": motion_preservation_track(frames, p_BF),
-        "coverage": coverage(reachable, p_BF),
+        "coverage": coverage(reachable, np.moveaxis(p_BF, 1, 0)),
         "coverage_context_averaged": coverage(reachable, averaged),
-        "coverage_collision_free": coverage(collision_free, p_BF),
+        "coverage_collision_free": coverage(collision_free, np.moveaxis(p_BF, 1, 0)),
         "cross_talk": cross_talk(g, frames, rng),
         "flatness": flat,
         "gain_p95_p5": gain,
@@ -127,32 +133,30 @@ def robot_voxels(p_BF: np.ndarray) -> list[np.ndarray]:
     return [voxel_centres(p_BF[:, i], ROBOT_VOXEL) for i in range(p_BF.shape[1])]
 
 
-def coverage(voxels: Sequence[np.ndarray], p_BF: np.ndarray) -> dict[str, float]:
-    """Share of each finger's voxels within 5, 10 and 15 mm of robot fingertips (T, F, 3)."""
+def coverage(voxels: Sequence[np.ndarray], tips: Sequence[np.ndarray]) -> dict[str, float]:
+    """Share of each finger's voxels within 5, 10 and 15 mm of where its tip goes, F arrays (T, 3)."""
+    farthest = 0.001 * max(COVERAGE_RADII_MM) + 1e-9
     shares = []
-    for i, centres in enumerate(voxels):
-        distance, _ = cKDTree(p_BF[:, i]).query(
-            centres, distance_upper_bound=0.001 * max(COVERAGE_RADII_MM) + 1e-9
-        )
+    for centres, points in zip(voxels, tips, strict=True):
+        distance, _ = cKDTree(points).query(centres, distance_upper_bound=farthest)
         shares.append([(distance <= 0.001 * r).mean() for r in COVERAGE_RADII_MM])
     return {f"{r}mm": float(s) for r, s in zip(COVERAGE_RADII_MM, np.mean(shares, axis=0), strict=True)}
 
 
-def context_averaged(g: FingertipMap, frames: np.ndarray, p_BF: np.ndarray, contexts: int = 12) -> np.ndarray:
-    """Robot fingertips (T, F, 3), averaged over what the person's other fingers may be doing.
+def context_averaged(g: FingertipMap, frames: np.ndarray, contexts: int = 12) -> list[np.ndarray]:
+    """Per finger, where its tip goes, averaged over what the person's other fingers may be doing: (M, 3).
 
-    Each finger's tip is kept and the other tips are taken from the recorded frames whose own tip is
-    nearest; what a coupled map reaches only through the other fingers averages out.
+    Each visited 1 mm voxel of a finger's tip is tried with the other tips of the recorded frames whose
+    own tip is nearest; what a coupled map reaches only through the other fingers averages out.
     """
     count = min(contexts, len(frames))
-    result = np.empty_like(p_BF)
+    result = []
     for finger in range(frames.shape[1]):
-        tips = frames[:, finger]
-        _, rows = cKDTree(tips).query(tips, k=count)
-        rows = rows.reshape(len(frames), count)
+        tips = voxel_thinned(frames[:, finger], HUMAN_VOXEL)
+        _, rows = cKDTree(frames[:, finger]).query(tips, k=count)
         hands = frames[rows.ravel()]
         hands[:, finger] = np.repeat(tips, count, axis=0)
-        result[:, finger] = g(hands)[:, finger].reshape(len(frames), count, 3).mean(axis=1)
+        result.append(g(hands)[:, finger].reshape(len(tips), count, 3).mean(axis=1))
     return result
 
 
@@ -254,6 +258,11 @@ def _anchor_rows(tips: np.ndarray, count: int, rng: np.random.Generator) -> np.n
     """Rows of tips (T, 3) such that every 1 mm voxel that was visited is equally likely."""
     _, first = np.unique(voxel_index(tips, HUMAN_VOXEL), axis=0, return_index=True)
     return rng.choice(first, size=count)
+
+
+def _in_chunks(retarget: Callable, p_HF: np.ndarray, rows: int = 4096) -> np.ndarray:
+    """retarget(p_HF) in pieces, because hidden layers of a long recording would fill the memory."""
+    return np.concatenate([retarget(p_HF[i : i + rows]) for i in range(0, len(p_HF), rows)])
 
 
 def _moved(g: FingertipMap, x: np.ndarray, finger: int, d: np.ndarray) -> np.ndarray:

@@ -48,7 +48,7 @@ class TrainingConfig:
     coverage_weight: float = 8.0  # λ1, 1/unit²
     flatness_weight: float = 3.0  # λ2, 1/unit²
     pinch_weight: float = 3.0  # λ3, 1/unit²
-    collision_weight: float = 0.2  # λ4
+    collision_weight: float = 0.3  # λ4
     step_sigma: float = 0.004  # m; d ~ N(0, σ²) per coordinate, criteria I and III
     pinch_threshold: float = 0.015  # m; nearer human fingertips pinch
     other_pinches: float = 0.2  # weight of a pinching pair that is not the frame's nearest
@@ -59,6 +59,7 @@ class TrainingConfig:
     kinematics_steps: int = 4000  # descent steps of the neural forward kinematics
     refreshes: int = 10  # how often the classifier learns from the retargeter's own outputs
     refresh_steps: int = 200  # descent steps of each refresh
+    refresh_samples: int = 3000  # real frames whose outputs are labelled at each refresh
     refresh_sigma: float = 0.08  # rad; spread of the samples around the retargeter's outputs
 
     def validate(self) -> None:
@@ -269,7 +270,7 @@ class _Run:
         """Labels what the retargeter puts out now, and its surroundings, and learns from it too."""
         started = time.perf_counter()
         with torch.no_grad():
-            q = self.network(self.frames)
+            q = self.network(self.frames[self._rows(self.all_rows, self.config.refresh_samples)])
             noise = torch.randn(q.shape, generator=self.generator).to(self.device)
             near = q + self.config.refresh_sigma * noise
             lower, upper = self._tensor(self.kinematics.lower), self._tensor(self.kinematics.upper)

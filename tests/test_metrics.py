@@ -1,0 +1,253 @@
+"""Every metric against maps for which its value is known in closed form."""
+
+import json
+import math
+import time
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from geort_drake.errors import RecordingError
+from geort_drake.evaluation import metrics
+from geort_drake.retargeting.clouds import voxel_thinned
+
+NAMES = ("thumb", "index", "middle")
+
+
+class PointHand:
+    """A hand whose joints are its fingertips' coordinates: FK is the identity, reach is a 12 cm cube."""
+
+    def kinematics(self):
+        return self
+
+    finger_names = NAMES
+    joint_names = tuple(f"{name}_{axis}" for name in NAMES for axis in "xyz")
+    lower, upper = np.full(9, -0.06), np.full(9, 0.06)
+    tip_radius = 0.012
+
+    def fingertips(self, q):
+        return q.reshape(*q.shape[:-1], 3, 3)
+
+    def collides(self, q):
+        """Where the thumb is at negative x."""
+        return np.asarray(q)[:, 0] < 0
+
+    def penetrations(self, q):
+        """As deep as the thumb is negative; a second, deeper contact of the tips does not count."""
+        return [(0.03, "thumb", "index", True), (-float(q[0]), "thumb", "palm", False)]
+
+
+@pytest.fixture
+def frames(rng):
+    """1200 random instants of three fingertips in a cube of 8 cm."""
+    return rng.uniform(-0.04, 0.04, (1200, 3, 3))
+
+
+def test_motion_preservation_of_a_scaled_identity_is_one(frames, rng):
+    """The gain plays no role; a constant map is worth nothing; a mirror image less than nothing."""
+    assert metrics.motion_preservation(lambda p: 3 * p + 0.1, frames, rng) == pytest.approx(1.0)
+    assert metrics.motion_preservation(np.zeros_like, frames, rng) == 0.0
+    assert metrics.motion_preservation(lambda p: -p, frames, rng) == pytest.approx(-1.0)
+
+
+def test_motion_preservation_of_a_rotation_is_a_third_of_its_trace(frames, rng):
+    """E⟨d, R d⟩ over the sphere is tr(R)/3 = (1 + 2 cos θ)/3."""
+    R = Rotation.from_rotvec([0.3, -0.5, 0.4])
+    expected = (1 + 2 * math.cos(R.magnitude())) / 3
+    value = metrics.motion_preservation(lambda p: p @ R.as_matrix().T, frames, rng, anchors=20_000)
+    assert value == pytest.approx(expected, abs=0.01)
+
+
+def test_motion_preservation_moves_one_fingertip_of_a_whole_frame(frames, rng):
+    """What the others do to a fingertip is not scored here, what it does itself is."""
+    seen = []
+
+    def g(p):
+        seen.append(p.copy())
+        return p + 5 * p.sum(axis=1, keepdims=True)
+
+    assert metrics.motion_preservation(g, frames, rng, anchors=50) == pytest.approx(1.0)
+    for moved, still in zip(seen[::2], seen[1::2], strict=True):
+        changed = np.abs(moved - still).max(axis=2) > 0
+        assert (changed.sum(axis=1) == 1).all()
+        lengths = np.linalg.norm((moved - still)[changed], axis=1)
+        assert lengths.min() >= 0.001 - 1e-12
+        assert lengths.max() <= 0.011 + 1e-12
+        rows = {row.tobytes() for row in frames}
+        assert all(row.tobytes() in rows for row in still)
+
+
+def test_anchors_are_uniform_over_places_not_over_time(rng):
+    """A place that was visited a thousand times is drawn as often as one that was visited once."""
+    tips = np.repeat(np.array([[0.0, 0, 0], [0.01, 0, 0]]) + 0.0005, [1000, 1], axis=0)
+    rows = metrics._anchor_rows(tips, 4000, rng)
+    assert (rows == 1000).mean() == pytest.approx(0.5, abs=0.04)
+
+
+def test_track_scores_real_steps_above_a_millimetre():
+    """A step of 2 mm answered at 60° scores 0.5; one of 0.5 mm is left out."""
+    human = np.array([[0.0, 0, 0], [0.002, 0, 0], [0.0025, 0, 0]])[:, None]
+    robot = np.array([[0.0, 0, 0], [0.5, math.sqrt(0.75), 0], [-9.0, 0, 0]])[:, None]
+    assert metrics.motion_preservation_track(human, robot) == pytest.approx(0.5)
+    assert metrics.motion_preservation_track(0.1 * human, robot) is None
+
+
+def test_cross_talk_is_the_share_that_others_move(frames, rng):
+    """Zero for independent fingers; c when every finger is moved by c times the others."""
+    assert metrics.cross_talk(lambda p: 2 * p, frames, rng) == 0.0
+    coupled = metrics.cross_talk(lambda p: p + 0.3 * (p.sum(axis=1, keepdims=True) - p), frames, rng)
+    assert coupled == pytest.approx(0.3, rel=1e-6)
+
+
+def test_coverage_of_one_point_is_the_volume_of_its_sphere(rng):
+    """A fingertip in the middle of a filled 4.2 cm cube covers (4/3)πr³ of it."""
+    filled = rng.uniform(-0.021, 0.021, (100_000, 1, 3))
+    share = metrics.coverage(metrics.robot_voxels(filled), [np.zeros((1, 3))])
+    # Voxel centres lie at ±1.5, ±4.5, ... mm: 8 at (1.5, 1.5, 1.5) and 24 at (4.5, 1.5, 1.5) are within 5.
+    assert share["5mm"] == pytest.approx(32 / 14**3)
+    for r in (10, 15):
+        assert share[f"{r}mm"] == pytest.approx(4 / 3 * math.pi * r**3 / 42**3, rel=0.06)
+
+
+def test_coverage_averages_over_fingers(rng):
+    """One finger everywhere, another nowhere: one half."""
+    p = rng.uniform(-0.02, 0.02, (5000, 2, 3))
+    tips = [p[:, 0], p[:, 1] + [9.0, 0, 0]]
+    assert metrics.coverage(metrics.robot_voxels(p), tips)["10mm"] == pytest.approx(0.5, abs=1e-3)
+
+
+def test_context_averaging_keeps_independent_maps_and_shrinks_coupled_ones(frames):
+    """What a fingertip reaches only because of the other fingers averages out."""
+
+    def coupled(p):
+        return p + 3 * np.roll(p, 1, axis=1)
+
+    for finger, tips in enumerate(metrics.context_averaged(lambda p: 2 * p, frames)):
+        np.testing.assert_allclose(tips, 2 * voxel_thinned(frames[:, finger], 0.001), atol=1e-12)
+    averaged = np.array(metrics.context_averaged(coupled, frames))
+    # Variance of own + 9 × the others', against own + 9/12.
+    ratio = averaged.var() / coupled(frames).var()
+    assert ratio == pytest.approx((1 + 9 / 12) / 10, rel=0.15)
+
+
+def test_an_affine_map_is_flat_and_its_gain_ratio_follows_from_its_scales(frames, rng):
+    """An isotropic map has gain ratio 1; one that stretches z tenfold does not, but is as flat."""
+    flat, gain = metrics.flatness_and_gain(lambda p: 3 * p + 0.2, frames, rng)
+    assert flat == pytest.approx(0.0, abs=1e-18)
+    assert gain == pytest.approx(1.0)
+    flat, gain = metrics.flatness_and_gain(lambda p: p * [1, 1, 10], frames, rng)
+    assert flat == pytest.approx(0.0, abs=1e-18)
+    # |Δ|² = 1 + 99 z² with z uniform in [−1, 1] on the sphere.
+    expected = math.sqrt((1 + 99 * 0.95**2) / (1 + 99 * 0.05**2))
+    assert gain == pytest.approx(expected, rel=0.03)
+
+
+def test_flatness_of_a_parabola_is_its_second_over_first_difference(rng):
+    """For x ↦ k x² the first difference is k (2xd + d²) and the second 2 k d², per axis."""
+    frames = rng.uniform(-0.04, 0.04, (3000, 1, 3))
+    k = 7.0
+
+    def g(p):
+        return k * p**2
+
+    d = 0.002 * metrics._directions(200_000, rng)
+    x = rng.uniform(-0.04, 0.04, d.shape)
+    first = (k * (2 * x * d + d**2)) ** 2
+    second = (2 * k * d**2) ** 2
+    expected = second.sum(axis=1).mean() / first.sum(axis=1).mean()
+    flat, _ = metrics.flatness_and_gain(g, frames, rng, anchors=20_000)
+    assert flat == pytest.approx(expected, rel=0.1)
+
+
+def test_pinch_by_hand():
+    """Four instants: closed, closed too deep, open, and a false pinch of pairs that are far apart."""
+
+    def hand(index, middle):
+        return [[0.0, 0, 0], [index, 0, 0], [0, middle, 0]]
+
+    human = np.array([hand(0.010, 0.050), hand(0.014, 0.012), hand(0.005, 0.040), hand(0.060, 0.070)])
+    robot = np.array([hand(0.020, 0.090), hand(0.030, 0.002), hand(0.025, 0.080), hand(0.023, 0.090)])
+    result = metrics.pinch(human, robot, NAMES, tip_radius=0.012)
+    assert result["frames"] == 3
+    assert result["closed"] == pytest.approx(2 / 3)
+    assert result["too_deep"] == pytest.approx(1 / 3)
+    assert result["mean_mm"] == pytest.approx((20 + 2 + 25) / 3)
+    assert result["p95_mm"] == pytest.approx(np.percentile([20, 2, 25], 95))
+    # Over 30 mm apart: the middle in frames 0 and 2, both in frame 3; only the last index meets.
+    assert result["false"] == pytest.approx(1 / 4)
+    assert result["all_pairs"]["frames"] == 4
+    assert result["all_pairs"]["closed"] == pytest.approx(2 / 4)
+
+
+def test_pinch_without_pinches_or_without_a_thumb_is_none():
+    """Nothing to score is not a score of zero."""
+    far = np.array([[[0.0, 0, 0], [0.02, 0, 0], [0, 0.02, 0]]])
+    result = metrics.pinch(far, far, NAMES, 0.012)
+    assert result["closed"] is None
+    assert result["frames"] == 0
+    assert result["false"] is None
+    assert metrics.pinch(far, far, ("index", "middle", "ring"), 0.012) is None
+
+
+def test_self_collision_counts_penetrations_over_two_millimetres():
+    """Five joint vectors: two free, one touching, two deep; tips among themselves do not count."""
+    q = np.zeros((5, 9))
+    q[:, 0] = [0.01, 0.0, -0.001, -0.0021, -0.01]
+    result = metrics.self_collision(PointHand(), q)
+    assert result == {"deep": pytest.approx(2 / 5), "any": pytest.approx(3 / 5)}
+
+
+def test_smoothness_of_a_parabola_has_no_jerk(rng):
+    """q = t² e: steps grow linearly, the third difference vanishes; a cubic's is 6."""
+    t = np.arange(11.0)
+    q = np.outer(t**2, [0.6, 0.8])
+    result = metrics.smoothness(q, rate_hz=10.0)
+    assert result["mean"] == pytest.approx(10.0)
+    assert result["max"] == pytest.approx(19.0)
+    assert result["jerk"] == pytest.approx(0.0, abs=1e-6)
+    assert metrics.smoothness(np.outer(t**3, [0.6, 0.8]), 10.0)["jerk"] == pytest.approx(6000.0)
+
+
+def test_latency_measures_single_calls(frames):
+    """A map that takes 2 ms is measured to take at least that."""
+    shapes = set()
+
+    def slow(p):
+        shapes.add(p.shape)
+        time.sleep(0.002)
+
+    result = metrics.latency(slow, frames, calls=20)
+    assert 2000 <= result["median"] <= result["p99"]
+    assert shapes == {(3, 3)}
+
+
+def test_all_metrics_of_the_identity_on_a_hand_without_links(frames, monkeypatch):
+    """The dictionary has every key, is JSON, repeats with its seed, and is perfect where it should be."""
+    monkeypatch.setattr(metrics, "ROBOT_SAMPLES", 20_000)
+
+    def identity(p):
+        return np.reshape(p, (*p.shape[:-2], 9))
+
+    result = metrics.evaluate_frames(identity, PointHand(), frames, rate_hz=60.0, seed=5)
+    assert set(json.loads(json.dumps(result, allow_nan=False))) == {
+        "motion_preservation", "motion_preservation_track", "coverage", "coverage_context_averaged",
+        "coverage_collision_free", "cross_talk", "flatness", "gain_p95_p5", "pinch", "self_collision",
+        "self_collision_raw", "smoothness", "latency_us",
+    }  # fmt: skip
+    assert result["motion_preservation"] == pytest.approx(1.0)
+    for radius, share in result["coverage"].items():
+        assert result["coverage_context_averaged"][radius] == pytest.approx(share, abs=0.005)
+    # The human's cube is 8 cm of the robot's 12 cm, and the collision-free half holds more of it.
+    assert result["coverage"]["15mm"] > 0.5
+    assert set(result["coverage"]) == {"5mm", "10mm", "15mm"}
+    assert result["self_collision_raw"] == pytest.approx((frames[:, 0, 0] < 0).mean())
+    again = metrics.evaluate_frames(identity, PointHand(), frames, rate_hz=60.0, seed=5)
+    result.pop("latency_us"), again.pop("latency_us")
+    assert result == again
+
+
+def test_too_few_frames_are_refused():
+    """Metrics of nothing would look like metrics."""
+    with pytest.raises(RecordingError, match="at least 10 valid frames, the recording has 3"):
+        metrics.evaluate_frames(lambda p: p, PointHand(), np.zeros((3, 3, 3)), 60.0)
