@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import rerun as rr
 import rerun.blueprint as rrb
 
 from geort_drake.systems._rerun_scene import WORLD
@@ -34,7 +35,14 @@ def grasp_blueprint(
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital, position=eye, look_target=target, eye_up=(0.0, 0.0, 1.0)
         ),
-        line_grid=rrb.LineGrid3D(visible=True, spacing=0.1, stroke_width=0.5, color=(62, 67, 78, 255)),
+        # A little below z = 0, where many a table has its top.
+        line_grid=rrb.LineGrid3D(
+            visible=True,
+            spacing=0.1,
+            stroke_width=0.5,
+            color=(62, 67, 78, 255),
+            plane=rr.components.Plane3D.XY.with_distance(-0.005),
+        ),
     )
     right: list[rrb.Container | rrb.View] = []
     shares: list[float] = []

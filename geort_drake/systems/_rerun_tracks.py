@@ -265,10 +265,13 @@ class HandTrack(Track):
         solid = rr.components.FillMode.Solid
         skin = rr.Capsules3D.from_fields(radii=self._RADII, colors=[self._color], fill_mode=solid)
         writer.static(bones, skin)
-        writer.static(points, rr.Points3D.from_fields(radii=[0.004], colors=[self._color // 2]))
-        faces = rr.Mesh3D.from_fields(
-            triangle_indices=self._PALM_TRIANGLES, albedo_factor=(*self._color.tolist(), 255)
-        )
+        # Joints stand out a little from the skin, and darker.
+        radii = np.r_[0.011, 1.08 * self._RADII.reshape(5, 4)[:, [1, 2, 3, 3]].ravel()]
+        joints = rr.Points3D.from_fields(radii=radii, colors=[(0.72 * self._color).astype(np.uint8)])
+        writer.static(points, joints)
+        # Rerun does not shade a mesh without normals, so its colour is what shading makes of skin.
+        shaded = [*(0.8 * self._color).astype(int).tolist(), 255]
+        faces = rr.Mesh3D.from_fields(triangle_indices=self._PALM_TRIANGLES, albedo_factor=shaded)
         writer.static(palm, faces)
 
         parents, children = np.array(BONES).T
@@ -282,8 +285,8 @@ class HandTrack(Track):
             quaternions=_turn_z_to(along.reshape(-1, 3)),
         )
         writer.columns(bones, capsules.partition(20 * count))
-        joints = rr.Points3D.columns(positions=p_WK.reshape(-1, 3))
-        writer.columns(points, joints.partition(21 * count))
+        positions = rr.Points3D.columns(positions=p_WK.reshape(-1, 3))
+        writer.columns(points, positions.partition(21 * count))
         corners = rr.Mesh3D.columns(vertex_positions=p_WK[:, self._PALM].reshape(-1, 3))
         writer.columns(palm, corners.partition(len(self._PALM) * count))
 
