@@ -116,9 +116,11 @@ def make_grasp_diagram(
     placement = draw_placement(scenario, shape.lowest_point(RigidTransform()), rng)
     plant.SetDefaultFloatingBaseBodyPose(object_body, placement.X_WO)
     arm, hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
-    for model in (arm, hand):
-        # The real arm's controller compensates for gravity, its own and the hand's.
-        plant.set_gravity_enabled(model, False)
+    # The real arm's controller compensates for gravity, its own and that of what it carries; the rest
+    # of the scene but the object stands still anyway.
+    for number in range(plant.num_model_instances()):
+        if (model := ModelInstanceIndex(number)) != object_body.model_instance():
+            plant.set_gravity_enabled(model, False)
     plant.Finalize()
     _require_controllers(plant, hand, f"hand '{description.name}'")
     _require_controllers(plant, arm, "the arm")

@@ -6,20 +6,23 @@ places contacts by the object's shape, then solves inverse kinematics for arm an
 """
 
 import dataclasses as dc
+import itertools
 import math
 
 import numpy as np
 from pydrake.geometry import (
     Box,
     CollisionFilterDeclaration,
+    Ellipsoid,
     GeometrySet,
     Role,
     SceneGraph,
+    Sphere,
 )
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
-from pydrake.solvers import SnoptSolver, Solve
+from pydrake.solvers import SnoptSolver, SolverOptions
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import ScenarioError
@@ -31,7 +34,9 @@ from geort_drake.simulation.world import ARM, HAND, add_object, add_robot, stand
 
 # A tripod: the thumb opposes index and middle, which stand this far to either side of the axis.
 _SPREAD = math.radians(28)
-# Objects taller than this are taken above their middle.
+# Starting points for the solver at each yaw: first the nominal posture, then disturbed ones.
+_STARTS = 3
+# Objects taller than this are first tried above their middle, m.
 _TALL = 0.07
 # Clearance of everything but the touching fingertips, m.
 _CLEARANCE = 0.004
@@ -49,14 +54,16 @@ class Contact:
     n_O: np.ndarray
 
 
-def tripod_contacts(shape: ObjectShape, yaw: float) -> list[Contact]:
-    """Thumb against index and middle, around the vertical at `yaw`, on the object's main part."""
+def tripod_contacts(shape: ObjectShape, yaw: float, height: float = 0.5) -> list[Contact]:
+    """Thumb against index and middle around the vertical at `yaw`, on the object's main part.
+
+    Args:
+        yaw: direction of the grasp's axis from the thumb to the fingers, rad.
+        height: of the contacts, as a share of the object's height.
+    """
     main, X_OG = shape.main
-    identity = RigidTransform()
-    top = -shape.lowest_point(RigidTransform(RotationMatrix.MakeXRotation(math.pi), np.zeros(3)))
-    bottom = shape.lowest_point(identity)
-    height = top - bottom
-    z = bottom + (0.6 if height > _TALL else 0.5) * height
+    bottom, top = vertical_extent(shape)
+    z = bottom + height * (top - bottom)
     contacts = []
     for finger, angle in (("thumb", math.pi), ("index", _SPREAD), ("middle", -_SPREAD)):
         direction = np.array([math.cos(yaw + angle), math.sin(yaw + angle), 0.0])
@@ -67,6 +74,12 @@ def tripod_contacts(shape: ObjectShape, yaw: float) -> list[Contact]:
             p = p + X_OG.translation() * [1, 1, 0]
         contacts.append(Contact(finger, np.array([p[0], p[1], z]), -outward))
     return contacts
+
+
+def vertical_extent(shape: ObjectShape) -> tuple[float, float]:
+    """Lowest and highest z of the upright object in O, m."""
+    upside_down = RigidTransform(RotationMatrix.MakeXRotation(math.pi), np.zeros(3))
+    return shape.lowest_point(RigidTransform()), -shape.lowest_point(upside_down)
 
 
 def _radius_at(shape, z: float) -> float:
@@ -89,6 +102,14 @@ def _on_box(half: np.ndarray, X_OG: RigidTransform, direction: np.ndarray, yaw: 
     return X_OG.translation() + depth * side + offset * lateral, side
 
 
+def contact_heights(shape: ObjectShape) -> tuple[float, ...]:
+    """Heights to try for the contacts, best first, as shares of the object's height."""
+    if isinstance(shape.main[0], Sphere | Ellipsoid):
+        return (0.5,)  # elsewhere the surface is not upright
+    bottom, top = vertical_extent(shape)
+    return (0.6, 0.5, 0.7) if top - bottom > _TALL else (0.5, 0.6, 0.7)
+
+
 def yaw_candidates(shape: ObjectShape) -> tuple[list[float], float]:
     """Yaws to try for the grasp's axis, and the object's own yaw symmetry (0: full)."""
     main, _ = shape.main
@@ -99,6 +120,13 @@ def yaw_candidates(shape: ObjectShape) -> tuple[list[float], float]:
             yaws = [math.pi / 2, -math.pi / 2]
         return yaws, math.pi / 2 if square else math.pi
     return [math.radians(a) for a in range(-180, 180, 30)], 0.0
+
+
+def _options() -> SolverOptions:
+    # A solution takes some 50 iterations; a start that needs many more rarely leads to one.
+    options = SolverOptions()
+    options.SetOption(SnoptSolver.id(), "Major iterations limit", 150)
+    return options
 
 
 class GraspPlanner:
@@ -131,6 +159,8 @@ class GraspPlanner:
         self._diagram = builder.Build()
         self._context = self._diagram.CreateDefaultContext()
         self._plant_context = plant.GetMyMutableContextFromRoot(self._context)
+        # Solving leaves its last iterate in the context, so the default posture is kept apart.
+        self._q_default = plant.GetPositions(self._plant_context).copy()
 
     @property
     def shape(self) -> ObjectShape:
@@ -144,22 +174,22 @@ class GraspPlanner:
             ScenarioError: no yaw has a solution.
         """
         yaws, symmetry = yaw_candidates(self._shape)
-        solutions = [self._solve(tripod_contacts(self._shape, yaw)) for yaw in yaws]
-        found = [
-            (cost, contacts, q)
-            for contacts, solution in zip(
-                (tripod_contacts(self._shape, y) for y in yaws), solutions, strict=True
-            )
-            if solution is not None
-            for cost, q in [solution]
-        ]
-        if not found:
+        best: tuple[float, list[Contact], np.ndarray] | None = None
+        # Other heights and starts are only tried where the first ones lead nowhere.
+        for height, start in itertools.product(contact_heights(self._shape), range(_STARTS)):
+            for yaw in yaws:
+                contacts = tripod_contacts(self._shape, yaw, height)
+                solution = self._solve(contacts, start)
+                if solution is not None and (best is None or solution[0] < best[0]):
+                    best = (solution[0], contacts, solution[1])
+            if best is not None:
+                break
+        if best is None:
             raise ScenarioError(
                 f"the robot cannot grasp object '{self._scenario.object.name}' at "
                 f"{self._scenario.object.position}: no collision-free tripod grasp was found"
             )
-        _, contacts, q = min(found, key=lambda item: item[0])
-        return self._goal(contacts, q, symmetry)
+        return self._goal(best[1], best[2], symmetry)
 
     def _allow_tips_to_touch(self, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
         inspector = scene_graph.model_inspector()
@@ -178,7 +208,7 @@ class GraspPlanner:
         )
         scene_graph.collision_filter_manager().Apply(declaration)
 
-    def _solve(self, contacts: list[Contact]) -> tuple[float, np.ndarray] | None:
+    def _solve(self, contacts: list[Contact], start: int) -> tuple[float, np.ndarray] | None:
         plant, description = self._plant, self._description
         hand = plant.GetModelInstanceByName(HAND)
         arm = plant.GetModelInstanceByName(ARM)
@@ -195,7 +225,7 @@ class GraspPlanner:
                 p_OF + 0.001,
             )
         ik.AddMinimumDistanceLowerBoundConstraint(_CLEARANCE, 0.02)
-        q_nominal = plant.GetPositions(self._plant_context)
+        q_nominal = self._q_default.copy()
         low, high = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
         weight = np.ones(len(q_nominal))
         touching = {contact.finger for contact in contacts}
@@ -214,8 +244,9 @@ class GraspPlanner:
             if joint.num_positions():
                 weight[joint.position_start()] = 0.5
         program.AddQuadraticErrorCost(np.diag(weight), q_nominal, q)
-        program.SetInitialGuess(q, q_nominal)
-        result = SnoptSolver().Solve(program) if SnoptSolver().available() else Solve(program)
+        disturbance = np.random.default_rng(start).normal(0, 0.3, len(q_nominal)) if start else 0.0
+        guess = np.clip(q_nominal + disturbance, low, high)
+        result = SnoptSolver().Solve(program, guess, _options())
         return (result.get_optimal_cost(), result.GetSolution(q)) if result.is_success() else None
 
     def _goal(self, contacts: list[Contact], q: np.ndarray, symmetry: float) -> GraspGoal:
