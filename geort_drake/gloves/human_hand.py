@@ -26,6 +26,8 @@ _JOINT_SUFFIXES = {
 }
 JOINT_NAMES = tuple(f"{finger}_{suffix}" for finger in FINGER_NAMES for suffix in _JOINT_SUFFIXES[finger])
 
+_LARGEST_STEP = 0.4  # rad per iteration of the inverse kinematics
+
 # The straight thumb points 25° from z towards y; it flexes across the palm (−y) about +x.
 _THUMB_AZIMUTH = np.deg2rad(25.0)
 
@@ -171,6 +173,8 @@ class HumanHand:
                 Jf = J * free[..., None, :]
                 Jt = np.swapaxes(Jf, -1, -2)
                 step = (Jt @ np.linalg.solve(Jf @ Jt + damping, error[..., None]))[..., 0]
+                # Far targets and straight fingers ask for steps beyond what the derivative is good for.
+                step /= np.maximum(np.abs(step).max(axis=-1, keepdims=True) / _LARGEST_STEP, 1.0)
                 moved = angles + step
                 free = free * ((moved >= lower) & (moved <= upper))
             theta = np.clip(moved, lower, upper).reshape(theta.shape)

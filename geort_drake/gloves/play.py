@@ -115,7 +115,7 @@ def _sweep(timeline: _Timeline, finger: int, rng: np.random.Generator) -> None:
     rest = _resting(rng)
     targets = [*_abduction_sweeps(finger, rng), *(_anywhere(finger, rng) for _ in range(5))]
     for target in targets:
-        theta = _around(rest, 8.0, rng)  # resting fingers never keep quite still
+        theta = _around(rest, 9.0, rng)  # resting fingers never keep quite still
         theta[finger] = target
         if finger != _THUMB:
             # Fingers are not independent: neighbours follow by a fifth ("enslaving",
@@ -187,15 +187,15 @@ def _wave(timeline: _Timeline, rng: np.random.Generator) -> None:
 def _pinch(timeline: _Timeline, finger: int, postures: np.ndarray, rng: np.random.Generator) -> None:
     """Approaches, touches, slides along while touching, and lets go."""
     for touch, slide in postures:
-        apart = touch.reshape(5, 4).copy()
-        apart[_THUMB, 1:] -= np.deg2rad(rng.uniform(8, 25, 3))
-        apart[finger, 1:] -= np.deg2rad(rng.uniform(8, 30, 3))
-        timeline.move(apart, rng.uniform(0.3, 0.5))
+        opened = np.zeros((5, 4))
+        opened[_THUMB, 1:] = np.deg2rad(rng.uniform(8, 25, 3))
+        opened[finger, 1:] = np.deg2rad(rng.uniform(8, 30, 3))
+        timeline.move(touch - opened.ravel(), rng.uniform(0.3, 0.5))
         timeline.move(touch, rng.uniform(0.25, 0.5))
         timeline.hold(rng.uniform(0.2, 0.7))
         timeline.move(slide, rng.uniform(0.4, 0.9))
         timeline.hold(rng.uniform(0.1, 0.4))
-        timeline.move(apart, rng.uniform(0.25, 0.5))
+        timeline.move(slide - opened.ravel(), rng.uniform(0.25, 0.5))
 
 
 def _pinch_postures(hand: HumanHand, finger: int, rng: np.random.Generator, count: int = 2) -> np.ndarray:
@@ -206,7 +206,12 @@ def _pinch_postures(hand: HumanHand, finger: int, rng: np.random.Generator, coun
         theta[:, i] = np.deg2rad(rng.uniform(low, high, (tries, 4)))
     gap = rng.uniform(*_TIP_GAP_M, tries)
     touch, near = _close(hand, finger, theta.reshape(tries, 20), np.zeros(3), gap)
-    slide, still_near = _close(hand, finger, touch, rng.normal(0.0, 0.008, (tries, 3)), gap)
+    # The other fingers move on meanwhile.
+    onward = rng.normal(0.0, np.deg2rad(10.0), (tries, 5, 4)) * np.array([0.4, 1.0, 1.0, 1.0])
+    onward[:, [_THUMB, finger]] = 0.0
+    slide, still_near = _close(
+        hand, finger, touch + onward.reshape(tries, 20), rng.normal(0.0, 0.008, (tries, 3)), gap
+    )
     kept = np.flatnonzero(near & still_near)[:count]
     return np.stack([touch[kept], slide[kept]], axis=1)
 

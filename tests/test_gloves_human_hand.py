@@ -1,0 +1,277 @@
+"""The human hand model: closed forms, finite differences, anatomy, inverse kinematics and fitting."""
+
+import time
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from geort_drake.errors import RecordingError
+from geort_drake.gloves.human_hand import HumanHand
+from geort_drake.gloves.keypoints import FINGER_NAMES, bone_lengths, to_wrist_frame
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.gloves.readers import read_recording
+from geort_drake.gloves.recording import Recording
+
+
+@pytest.fixture(scope="module")
+def hand():
+    return HumanHand.anatomical()
+
+
+def angles(hand, **degrees):
+    theta = np.zeros(20)
+    for name, value in degrees.items():
+        theta[hand.joint_index(name)] = np.deg2rad(value)
+    return theta
+
+
+def test_joints_are_named_finger_by_finger(hand):
+    """20 distinct names, four per finger, thumb first, with the limits in order."""
+    assert len(set(hand.joint_names)) == 20
+    assert [name.split("_")[0] for name in hand.joint_names] == [f for f in FINGER_NAMES for _ in range(4)]
+    assert hand.joint_names[:4] == (
+        "thumb_cmc_abduction",
+        "thumb_cmc_flexion",
+        "thumb_mcp_flexion",
+        "thumb_ip_flexion",
+    )
+    assert hand.joint_names[4:8] == (
+        "index_mcp_abduction",
+        "index_mcp_flexion",
+        "index_pip_flexion",
+        "index_dip_flexion",
+    )
+    assert (hand.lower < hand.upper).all()
+
+
+def test_a_straight_middle_finger_ends_at_the_hand_length(hand):
+    """The middle tip is on z, 0.19 m from the wrist; the length scales with the argument."""
+    np.testing.assert_allclose(hand.keypoints(np.zeros(20))[12], [0, 0, 0.19], atol=3e-4)
+    small = HumanHand.anatomical(length_m=0.16, breadth_m=0.07)
+    np.testing.assert_allclose(small.keypoints(np.zeros(20))[12], [0, 0, 0.16], atol=3e-4)
+    breadth = small.p_HB[1, 1] - small.p_HB[4, 1]
+    assert breadth == pytest.approx(0.07 * (0.252 + 0.402), rel=1e-9)
+
+
+def test_bones_are_those_of_measured_hands(hand):
+    """Bones lie within 20 % of X-ray means and of two calibrated gloves (proximal, middle; thumb MC, PP).
+
+    X-ray: Buryanov & Kotiuk 2010; gloves: MANUS skeletons of two people. The widest pair bounds.
+    """
+    measured = 1e-3 * np.array(
+        [
+            [[46.2, 48.8, 40.8], [31.6, 34.9, 29.2]],
+            [[39.8, 44.4, 39.2], [22.4, 24.9, 22.0]],
+            [[44.6, 47.2, 44.2], [26.3, 27.3, 25.5]],
+            [[41.4, 44.1, 37.4], [25.7, 27.5, 23.4]],
+            [[32.6, 31.9, 28.7], [18.1, 16.7, 15.0]],
+        ]
+    )
+    ratio = hand.lengths[:, :2] / measured.max(axis=-1)
+    assert ((ratio > 0.85) & (ratio < 1.25)).all()
+
+
+def test_signs_of_the_joints_are_as_documented(hand):
+    """Flexion moves tips to +x, abduction to +y, thumb abduction to +x and thumb flexion to −y."""
+    straight = hand.fingertips(np.zeros(20))
+    for i, finger in enumerate(FINGER_NAMES[1:], start=1):
+        for joint in ("mcp_flexion", "pip_flexion", "dip_flexion"):
+            moved = hand.fingertips(angles(hand, **{f"{finger}_{joint}": 20})) - straight
+            assert moved[i, 0] > 0.003
+            assert np.abs(np.delete(moved, i, axis=0)).max() == 0.0
+        moved = hand.fingertips(angles(hand, **{f"{finger}_mcp_abduction": 10})) - straight
+        assert moved[i, 1] > 0.01
+    assert (hand.fingertips(angles(hand, thumb_cmc_abduction=30)) - straight)[0, 0] > 0.03
+    assert (hand.fingertips(angles(hand, thumb_cmc_flexion=30)) - straight)[0, 1] < -0.03
+
+
+def test_a_bent_middle_finger_is_where_trigonometry_puts_it():
+    """In a hand without twist the tip follows from sums of sines and cosines."""
+    anatomical = HumanHand.anatomical()
+    plain = HumanHand(
+        anatomical.p_HB, np.tile(np.eye(3), (5, 1, 1)), np.zeros(5), anatomical.lengths,
+        anatomical.lower, anatomical.upper,
+    )  # fmt: skip
+    theta = angles(plain, middle_mcp_flexion=40, middle_pip_flexion=60, middle_dip_flexion=30)
+    bend = np.deg2rad([40, 100, 130])
+    expected = plain.p_HB[2] + [
+        plain.lengths[2] @ np.sin(bend),
+        0.0,
+        plain.lengths[2] @ np.cos(bend),
+    ]
+    np.testing.assert_allclose(plain.fingertips(theta)[2], expected, atol=1e-15)
+
+
+def test_kinematics_equal_a_chain_of_rotations(rng):
+    """Keypoints equal a joint-by-joint product of rotations, for a hand with arbitrary frames and twists."""
+    hand = HumanHand(
+        p_HB=rng.normal(size=(5, 3)),
+        R_HB=Rotation.random(5, rng=rng).as_matrix(),
+        twist=rng.uniform(-1, 1, 5),
+        lengths=rng.uniform(0.02, 0.05, (5, 3)),
+        lower=-np.ones(20),
+        upper=np.ones(20),
+    )
+    theta = rng.uniform(-1, 1, (3, 20))
+    for sample, p_HK in zip(theta, hand.keypoints(theta), strict=True):
+        for i in range(5):
+            abduction, flexion, middle, last = sample[4 * i : 4 * i + 4]
+            R, p = hand.R_HB[i], hand.p_HB[i]
+            turns = [
+                Rotation.from_euler("y", flexion) * Rotation.from_euler("x", -abduction),
+                Rotation.from_euler("z", hand.twist[i]) * Rotation.from_euler("y", middle),
+                Rotation.from_euler("y", last),
+            ]
+            np.testing.assert_allclose(p_HK[4 * i + 1], p, atol=1e-14)
+            for k, turn in enumerate(turns):
+                R = R @ turn.as_matrix()
+                p = p + hand.lengths[i, k] * R[:, 2]
+                np.testing.assert_allclose(p_HK[4 * i + 2 + k], p, atol=1e-14)
+    np.testing.assert_array_equal(hand.keypoints(theta)[:, 0], 0.0)
+
+
+def test_fingertips_and_keypoints_agree_and_keep_the_bones(hand, rng):
+    """Tips are the last keypoints, and bone lengths never change."""
+    theta = rng.uniform(hand.lower, hand.upper, (4, 6, 20))
+    p_HK = hand.keypoints(theta)
+    np.testing.assert_allclose(hand.fingertips(theta), p_HK[..., 4::4, :], atol=1e-15)
+    expected = np.broadcast_to(hand.lengths.reshape(15), (4, 6, 15))
+    np.testing.assert_allclose(bone_lengths(p_HK).reshape(4, 6, 5, 4)[..., 1:].reshape(4, 6, 15), expected)
+    np.testing.assert_allclose(to_wrist_frame(p_HK), p_HK, atol=1e-12)
+
+
+def test_jacobians_are_the_derivatives(hand, rng):
+    """Central differences agree to 1e-9; batches equal single hands."""
+    theta = rng.uniform(hand.lower, hand.upper, (5, 20))
+    J = hand.fingertip_jacobians(theta)
+    assert J.shape == (5, 5, 3, 4)
+    np.testing.assert_array_equal(hand.fingertip_jacobians(theta[2]), J[2])
+    step = 1e-6
+    for j in range(20):
+        d = step * np.eye(20)[j]
+        slope = (hand.fingertips(theta + d) - hand.fingertips(theta - d)) / (2 * step)
+        expected = np.zeros_like(slope)
+        expected[:, j // 4] = J[:, j // 4, :, j % 4]
+        np.testing.assert_allclose(slope, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("finger", [1, 2, 3, 4])
+def test_the_thumb_reaches_every_fingertip_within_the_limits(hand, finger):
+    """Closing thumb and finger from a natural posture brings their tips within 1 mm."""
+    theta = angles(hand, thumb_cmc_abduction=25, thumb_mcp_flexion=20, thumb_ip_flexion=30)
+    theta[4 * finger : 4 * finger + 4] = np.deg2rad([0, 40, 50, 30])
+    for _ in range(60):
+        tips = hand.fingertips(theta)
+        tips[[0, finger]] = 0.5 * (tips[0] + tips[finger])
+        theta = hand.solve_fingertips(tips, theta, iterations=3)
+    tips = hand.fingertips(theta)
+    assert np.linalg.norm(tips[0] - tips[finger]) < 1e-3
+    assert (theta >= hand.lower).all()
+    assert (theta <= hand.upper).all()
+    # The pads meet in front of the palm, not behind it.
+    assert tips[0, 0] > 0.015
+
+
+def test_reachable_fingertips_are_reached_from_nearby(hand, rng):
+    """Targets made from postures up to 0.3 rad away are met to 0.1 mm, in a batch and one by one."""
+    goal = rng.uniform(hand.lower, hand.upper, (40, 20))
+    start = np.clip(goal + rng.uniform(-0.3, 0.3, goal.shape), hand.lower, hand.upper)
+    target = hand.fingertips(goal)
+    theta = hand.solve_fingertips(target, start, iterations=30)
+    error = np.linalg.norm(hand.fingertips(theta) - target, axis=-1)
+    assert np.median(error) < 1e-5
+    assert np.mean(error < 1e-4) > 0.97
+    assert (theta >= hand.lower).all()
+    assert (theta <= hand.upper).all()
+    np.testing.assert_allclose(
+        hand.solve_fingertips(target[3], start[3], iterations=30), theta[3], atol=1e-12
+    )
+
+
+def test_unreachable_targets_are_approached_as_far_as_possible(hand):
+    """A target a metre along z is answered with a nearly straight finger inside the limits."""
+    target = hand.p_HB + np.array([0.0, 0.0, 1.0])
+    theta = hand.solve_fingertips(target, 0.3 * hand.upper, iterations=300)
+    reach = np.linalg.norm(hand.fingertips(theta) - hand.p_HB, axis=1)
+    assert np.isfinite(theta).all()
+    np.testing.assert_allclose(reach[1:], hand.lengths.sum(axis=1)[1:], rtol=0.01)
+
+
+def test_a_finger_of_weight_zero_stays(hand, rng):
+    """Only weighted fingers move."""
+    theta0 = 0.3 * hand.upper
+    target = hand.fingertips(theta0) + 0.01
+    theta = hand.solve_fingertips(target, theta0, weights=[1, 0, 1, 0, 0])
+    moved = np.abs(theta - theta0).reshape(5, 4).max(axis=1)
+    assert (moved[[0, 2]] > 0.01).all()
+    np.testing.assert_array_equal(moved[[1, 3, 4]], 0.0)
+
+
+def test_angles_come_back_from_keypoints(hand, rng):
+    """Fitting the angles of postures inside the limits returns them."""
+    theta = rng.uniform(hand.lower, hand.upper, (50, 20))
+    np.testing.assert_allclose(hand.fit_angles(hand.keypoints(theta)), theta, atol=1e-7)
+
+
+def test_fitting_recovers_the_person():
+    """Palm, bones and hinge planes of a person of another size come back from a recording of them."""
+    person = HumanHand.anatomical(0.172, 0.078)
+    recording = synthesize_play(4, duration_s=90.0, rate_hz=60.0, hand=person, jitter=0.0)
+    fitted = HumanHand.fit(recording)
+    np.testing.assert_allclose(fitted.p_HB, person.p_HB, atol=1e-6)
+    np.testing.assert_allclose(fitted.lengths, person.lengths, atol=1e-6)
+    p_HK = recording.p_HK[::20].astype(float)
+    rebuilt = fitted.keypoints(fitted.fit_angles(p_HK))
+    error = np.linalg.norm(rebuilt - p_HK, axis=-1)
+    assert np.sqrt(np.mean(error[:, 4::4] ** 2)) < 1e-3
+    assert np.percentile(error, 99) < 4e-3
+    # PIP range: play bends it from straight to nearly 100°, and the margin is 2°.
+    pip = fitted.joint_index("middle_pip_flexion")
+    assert np.rad2deg(fitted.lower[pip]) == pytest.approx(-2.0, abs=0.5)
+    assert 85 < np.rad2deg(fitted.upper[pip]) < 102.5
+
+
+def test_lost_frames_do_not_disturb_the_fit():
+    """Invalid frames full of NaN give the same hand as leaving them out."""
+    recording = synthesize_play(4, duration_s=20.0, rate_hz=60.0)
+    p_HK, valid = recording.p_HK.copy(), recording.valid.copy()
+    p_HK[::7], valid[::7] = np.nan, False
+    lost = HumanHand.fit(Recording(recording.t, p_HK, valid))
+    kept = HumanHand.fit(Recording(recording.t[valid], recording.p_HK[valid], np.ones(valid.sum(), bool)))
+    for field in ("p_HB", "R_HB", "twist", "lengths", "lower", "upper"):
+        np.testing.assert_array_equal(getattr(lost, field), getattr(kept, field))
+    with pytest.raises(RecordingError, match="at least 10 valid frames, 0 given"):
+        HumanHand.fit(Recording(recording.t, p_HK, np.zeros_like(valid)))
+
+
+@pytest.mark.parametrize(("fixture", "limit_mm"), [("alex_npy", 1.0), ("manus_npz", 1.5)])
+def test_real_hands_are_reproduced(fixture, limit_mm, request):
+    """Fitted to a real recording, the model gives its fingertips back to about half a millimetre RMS.
+
+    The joints between are off by up to 4 mm RMS: four angles cannot follow the twist that the
+    gloves' own models allow a finger.
+    """
+    recording = read_recording(request.getfixturevalue(fixture))
+    hand = HumanHand.fit(recording)
+    p_HK = recording.p_HK.astype(float)
+    error = 1e3 * np.linalg.norm(hand.keypoints(hand.fit_angles(p_HK)) - p_HK, axis=-1)
+    assert np.sqrt(np.mean(error[:, 4::4] ** 2)) < limit_mm
+    assert np.sqrt(np.mean(error**2)) < 3.0
+    assert np.sqrt(np.mean(error**2, axis=0)).max() < 5.0
+
+
+def test_one_hand_takes_microseconds(hand):
+    """Fast enough for a 100 Hz system many times over: the best of many calls, with a wide margin."""
+    theta = 0.3 * hand.upper
+
+    def best_us(call):
+        times = []
+        for _ in range(300):
+            start = time.perf_counter()
+            call(theta)
+            times.append(time.perf_counter() - start)
+        return 1e6 * min(times)
+
+    assert best_us(hand.keypoints) < 300
+    assert best_us(hand.fingertip_jacobians) < 500
