@@ -428,6 +428,18 @@ def test_a_failure_while_writing_leaves_nothing(tmp_path, monkeypatch):
     with pytest.raises(ZeroDivisionError):
         world.recorder.close()
     assert list(tmp_path.iterdir()) == []
+    monkeypatch.undo()
+    world.recorder.close()
+    assert rerun("rrd", "verify", world.recorder.path).returncode == 0
+
+
+def test_rerun_switched_off_writes_nothing_and_says_so(tmp_path, monkeypatch):
+    """Rerun's own environment variable would otherwise leave an empty file."""
+    monkeypatch.setenv("RERUN", "off")
+    world = World().finalize().record(tmp_path / "off.rrd")
+    with pytest.warns(UserWarning, match="RERUN=off"):
+        world.recorder.close()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_closing_twice_or_going_on_changes_nothing(tmp_path):

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -33,7 +34,7 @@ class Recording:
     Attributes:
         times: sample times, s, increasing.
         properties: what the recording is about.
-        closed: whether `close` was called.
+        closed: whether the file was written.
     """
 
     def __init__(
@@ -69,14 +70,9 @@ class Recording:
             track.rows.append(row)
 
     def close(self) -> None:
-        """Writes the file, once."""
+        """Writes the file, once, and lets go of the samples: Drake keeps the system that made them."""
         if self.closed:
             return
-        self.closed = True
-        with atomic_path(self.path) as draft:
-            self._write(draft)
-
-    def _write(self, path: Path) -> None:
         # Without the properties Rerun adds by itself, such as the start time, equal samples give
         # equal recordings.
         stream = rr.RecordingStream(
@@ -84,6 +80,18 @@ class Recording:
             recording_id=self._recording_id or self._digest(),
             send_properties=False,
         )
+        if rr.is_enabled(stream):
+            with atomic_path(self.path) as draft:
+                try:
+                    self._write(stream, draft)
+                finally:
+                    stream.disconnect()
+        else:
+            warnings.warn(f"{self.path}: not written, as the environment says RERUN=off", stacklevel=3)
+        self.closed = True
+        self.tracks.clear()
+
+    def _write(self, stream: rr.RecordingStream, path: Path) -> None:
         stream.set_log_time_enabled(False)
         stream.set_log_tick_enabled(False)
         stream.save(path, default_blueprint=self._blueprint or self.default_blueprint())
@@ -100,8 +108,6 @@ class Recording:
             writer.static(entity, archetype)
         for track in self.tracks:
             track.write(writer)
-        stream.flush()
-        stream.disconnect()
 
     def _digest(self) -> str:
         """An id made of the contents, so that repeating a simulation repeats the recording."""

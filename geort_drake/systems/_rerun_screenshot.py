@@ -8,16 +8,18 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import IO
 
 import psutil
+from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
 from geort_drake.errors import RecordingError
 from geort_drake.files import atomic_path
 from geort_drake.systems._rerun_tracks import TIMELINE
 
-_NEEDS = (
-    "It needs a graphics driver; without a graphics card a software one will do "
+_DRIVER = (
+    "The viewer needs a graphics driver; without a graphics card a software one will do "
     "(Debian and Ubuntu: apt-get install mesa-vulkan-drivers)."
 )
 
@@ -47,6 +49,10 @@ def take_screenshot(
         raise RecordingError(f"{recording}: no such recording")
     if picture.suffix != ".png":
         raise RecordingError(f"{picture}: a picture's name must end with .png")
+    try:
+        RrdReader(recording).recordings()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise RecordingError(f"{recording}: not a Rerun recording: {error}") from error
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -54,21 +60,29 @@ def take_screenshot(
     command = [sys.executable, "-m", "rerun", "--headless", "--bind", "127.0.0.1", "--port", str(port)]
     command += ["--window-size", f"{size[0]}x{size[1]}", "--hide-welcome-screen"]
     with tempfile.TemporaryFile() as log:
-        viewer = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        viewer = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=os.environ | {"NO_COLOR": "1"}
+        )
         try:
             _wait_for(port, viewer, timeout_s)
             client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
             _show(client, recording, time_s, timeout_s)
             with atomic_path(picture) as draft:
                 client.save_screenshot(str(draft))
-        except (OSError, RuntimeError, ConnectionError) as error:
-            log.seek(0)
-            said = [line for line in log.read().decode(errors="replace").splitlines() if line.strip()]
-            raise RecordingError(
-                f"{recording}: Rerun's viewer took no picture: {error}. {_NEEDS}\n" + "\n".join(said[-5:])
-            ) from error
+        except (OSError, RuntimeError) as error:
+            raise RecordingError(f"{recording}: no picture: {error}. {_reason(viewer, log)}") from error
         finally:
             _end(viewer)
+
+
+def _reason(viewer: subprocess.Popen, log: IO[bytes]) -> str:
+    """What the viewer said went wrong, and what to do if it died."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        viewer.wait(timeout=2)
+    log.seek(0)
+    said = log.read().decode(errors="replace").splitlines()
+    telling = [line.strip() for line in said if "ERROR" in line or "adapter" in line]
+    return "\n".join([_DRIVER] * (viewer.poll() is not None) + telling[-3:])
 
 
 def _end(viewer: subprocess.Popen) -> None:
