@@ -42,6 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         fk=arguments.fk,
         show_progress=not arguments.quiet,
         settings=settings,
+        robot_samples=arguments.robot_samples,
     )
     metrics = json.loads((path / METRICS).read_text(encoding="utf-8"))
     if not arguments.quiet:
@@ -62,7 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--hand",
         default="allegro_right",
-        help=f"name or YAML file of a hand description; names: {', '.join(hand_names())} (default: %(default)s)",
+        help=f"name or file of a hand description; names: {', '.join(hand_names())} (default: %(default)s)",
     )
     parser.add_argument(
         "--recording",
@@ -86,6 +87,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"), help="(default: %(default)s)")
     parser.add_argument("--steps", type=int, help=f"descent steps (default: {TrainingConfig.steps})")
+    parser.add_argument(
+        "--robot_samples",
+        type=int,
+        default=100_000,
+        help="joint positions of the robot (default: %(default)s)",
+    )
     parser.add_argument(
         "--set",
         action="append",

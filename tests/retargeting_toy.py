@@ -30,8 +30,7 @@ def toy_kinematics(finger_names=("thumb", "index", "middle")) -> HandKinematics:
 def toy_samples(hand: HandKinematics, count: int = 4000, seed: int = 0) -> SimpleNamespace:
     """Uniform joint samples; the hand counts as colliding where its first joint is beyond 0.3 rad."""
     q = np.random.default_rng(seed).uniform(hand.lower, hand.upper, (count, len(hand.joint_names)))
-    p_BF = hand.fingertips(torch.tensor(q)).numpy()
-    return SimpleNamespace(q=q, p_BF=p_BF, collides_beyond_tips=toy_collides(q))
+    return SimpleNamespace(q=q, collides_beyond_tips=toy_collides(q))
 
 
 def toy_collides(q: np.ndarray) -> np.ndarray:

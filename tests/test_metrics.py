@@ -3,6 +3,7 @@
 import json
 import math
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ class PointHand:
     def kinematics(self):
         return self
 
+    description = SimpleNamespace(side="right")
     finger_names = NAMES
     joint_names = tuple(f"{name}_{axis}" for name in NAMES for axis in "xyz")
     lower, upper = np.full(9, -0.06), np.full(9, 0.06)
@@ -125,7 +127,7 @@ def test_context_averaging_keeps_independent_maps_and_shrinks_coupled_ones(frame
 
     for finger, tips in enumerate(metrics.context_averaged(lambda p: 2 * p, frames)):
         np.testing.assert_allclose(tips, 2 * voxel_thinned(frames[:, finger], 0.001), atol=1e-12)
-    averaged = np.array(metrics.context_averaged(coupled, frames))
+    averaged = np.concatenate(metrics.context_averaged(coupled, frames))
     # Variance of own + 9 × the others', against own + 9/12.
     ratio = averaged.var() / coupled(frames).var()
     assert ratio == pytest.approx((1 + 9 / 12) / 10, rel=0.15)

@@ -238,7 +238,7 @@ def test_a_checkpoint_for_another_hand_is_refused(tmp_path):
         "digest": "abc",
     }
     load_retargeter(path, SimpleNamespace(**facts))
-    with pytest.raises(CheckpointError, match="another hand, 'toy': its joints is thumb_0.*wanted is a, b"):
+    with pytest.raises(CheckpointError, match=r"another hand, 'toy': its joints is thumb_0.*wanted is a, b"):
         load_retargeter(path, SimpleNamespace(**facts | {"joint_names": ["a", "b"]}))
     with pytest.raises(CheckpointError, match="its model digest is abc, wanted is def"):
         load_retargeter(path, SimpleNamespace(**facts | {"digest": "def"}))

@@ -76,6 +76,15 @@ def test_any_leading_shape_and_dtype_is_accepted(rng):
     torch.testing.assert_close(single, whole.float(), atol=1e-6, rtol=0)
 
 
+def test_the_mirror_image_has_its_fingertips_at_negative_y(rng):
+    """Same q, reflected points: what a left hand is to a right one."""
+    hand = random_hand(rng)
+    q = torch.tensor(rng.uniform(-1, 1, (20, len(hand.joint_names))))
+    expected = hand.fingertips(q) * torch.tensor([1.0, -1.0, 1.0])
+    torch.testing.assert_close(hand.mirrored().fingertips(q), expected, atol=1e-14, rtol=0)
+    torch.testing.assert_close(hand.mirrored().mirrored().fingertips(q), hand.fingertips(q))
+
+
 def test_a_fingertip_depends_on_its_own_joints_only(rng):
     """Turning another finger's joints leaves a fingertip where it is."""
     hand = random_hand(rng)

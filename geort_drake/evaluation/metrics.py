@@ -49,7 +49,8 @@ def evaluate_frames(retarget: Callable, hand, frames: np.ndarray, rate_hz: float
     if len(frames) < 10:
         raise RecordingError(f"metrics need at least 10 valid frames, the recording has {len(frames)}")
 
-    kinematics = hand.kinematics()
+    # People are canonical right hands, so a left robot hand is judged in the mirror.
+    kinematics = hand.kinematics().mirrored() if hand.description.side == "left" else hand.kinematics()
 
     def fingertips(q: np.ndarray) -> np.ndarray:
         return kinematics.fingertips(torch.from_numpy(q)).numpy()
@@ -70,9 +71,9 @@ def evaluate_frames(retarget: Callable, hand, frames: np.ndarray, rate_hz: float
     return {
         "motion_preservation": motion_preservation(g, frames, rng),
         "motion_preservation_track": motion_preservation_track(frames, p_BF),
-        "coverage": coverage(reachable, np.moveaxis(p_BF, 1, 0)),
+        "coverage": coverage(reachable, list(np.moveaxis(p_BF, 1, 0))),
         "coverage_context_averaged": coverage(reachable, averaged),
-        "coverage_collision_free": coverage(collision_free, np.moveaxis(p_BF, 1, 0)),
+        "coverage_collision_free": coverage(collision_free, list(np.moveaxis(p_BF, 1, 0))),
         "cross_talk": cross_talk(g, frames, rng),
         "flatness": flat,
         "gain_p95_p5": gain,

@@ -13,7 +13,7 @@ import numpy as np
 
 import geort_drake
 from geort_drake.console import progress_bar
-from geort_drake.errors import UnknownNameError
+from geort_drake.errors import RecordingError, UnknownNameError
 from geort_drake.evaluation.metrics import evaluate
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.readers import read_recording
@@ -39,6 +39,7 @@ def train_checkpoint(
     fk: str = "exact",
     show_progress: bool = True,
     settings: Mapping | None = None,
+    robot_samples: int = 100_000,
 ) -> Path:
     """Trains a retargeter, evaluates it on the same recording and writes its checkpoint.
 
@@ -52,6 +53,7 @@ def train_checkpoint(
         fk: "exact" or "neural" forward kinematics in training.
         show_progress: draw progress bars on stderr.
         settings: other fields of `TrainingConfig`.
+        robot_samples: how many joint positions of the robot are sampled.
 
     Returns:
         The checkpoint directory.
@@ -65,6 +67,8 @@ def train_checkpoint(
     config.validate()
     description = load_hand(hand_name)
     hand = HandModel(description)
+    # People are canonical right hands, so a left robot hand learns in the mirror.
+    kinematics = hand.kinematics().mirrored() if description.side == "left" else hand.kinematics()
     timings: dict[str, float] = {}
     with _Bars(show_progress) as bars:
         with _timed(timings, "recording_s"):
@@ -72,11 +76,11 @@ def train_checkpoint(
             keypoints = [finger.human_keypoint for finger in description.fingers]
             p_HF = recording.fingertips(keypoints).astype(float)
         with _timed(timings, "robot_data_s"):
-            samples = robot_data(hand, seed=seed, progress=bars.counter("robot samples"))
+            samples = robot_data(hand, robot_samples, seed, progress=bars.counter("robot samples"))
         with _timed(timings, "fit_s"):
             result = METHODS[method](
                 p_HF,
-                hand.kinematics(),
+                kinematics,
                 samples,
                 config,
                 seed,
@@ -132,9 +136,11 @@ def train_checkpoint(
 def _recording(source: Recording | str | os.PathLike | None, side: str, seed: int) -> Recording:
     if source is None:
         return synthesize_play(seed)
-    if isinstance(source, Recording):
-        return source
-    return read_recording(source, side=side)
+    if not isinstance(source, Recording):
+        return read_recording(source, side=side)
+    if source.side != side:
+        raise RecordingError(f"the recording is of a {source.side} hand, the robot's is a {side} hand")
+    return source
 
 
 def _versions() -> dict[str, str]:

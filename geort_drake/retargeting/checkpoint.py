@@ -142,7 +142,8 @@ def load_checkpoint(path: str | os.PathLike) -> Checkpoint:
     for name in ("joint_names", "finger_names"):
         if hand[name] != config[name]:
             raise CheckpointError(
-                f"{path}: {name} differ: {HAND} has {_listed(hand[name])}, {CONFIG} has {_listed(config[name])}"
+                f"{path}: {name} differ: {HAND} has {_listed(hand[name])}, "
+                f"{CONFIG} has {_listed(config[name])}"
             )
     if len(config["human_keypoints"]) != len(config["finger_names"]):
         raise CheckpointError(

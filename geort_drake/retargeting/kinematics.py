@@ -6,7 +6,7 @@ one product of a constant 9×3 matrix with a vector, and no rotation matrix is e
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -104,6 +104,19 @@ class HandKinematics:
         tips = [group.points(flat) for group in groups]
         p_FB = tips[0] if len(tips) == 1 else torch.cat(tips)[order]
         return p_FB.transpose(0, 1).reshape(*batch, len(self.fingers), 3)
+
+    def mirrored(self) -> "HandKinematics":
+        """The mirror image in the xz-plane: the same q puts its fingertips at (x, −y, z).
+
+        Human hands are canonical right hands; a left robot hand is compared with them in the mirror.
+        """
+        M = np.diag([1.0, -1.0, 1.0, 1.0])
+        fingers = [
+            # An axis is an axial vector: reflecting it turns it the other way round.
+            replace(f, X_PJ=M @ f.X_PJ @ M, axes=-f.axes @ M[:3, :3], p_tip=M[:3, :3] @ f.p_tip)
+            for f in self.fingers
+        ]
+        return HandKinematics(tuple(fingers), self.joint_names, self.lower, self.upper, self.tip_radius)
 
     def _groups(self, dtype: torch.dtype, device: torch.device):
         key = (dtype, device)

@@ -5,6 +5,7 @@ stacked along a first axis. Fingers with fewer joints than the longest have unus
 Initial weights come from a torch.Generator, never from the global one.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -26,7 +27,7 @@ class StackedMlp(nn.Module):
         super().__init__()
         self.weights = nn.ParameterList()
         self.biases = nn.ParameterList()
-        for a, b in zip(widths[:-1], widths[1:], strict=True):
+        for a, b in itertools.pairwise(widths):
             bound = 1.0 / math.sqrt(a)
             for parameters, shape in ((self.weights, (count, a, b)), (self.biases, (count, 1, b))):
                 values = torch.empty(shape).uniform_(-bound, bound, generator=generator)
@@ -46,6 +47,11 @@ class RetargetingNetwork(nn.Module):
 
     f_i: p_HF → centre + half_range · tanh(MLP_i((p − mean_i) / scale_i)), 3→hidden→hidden→n_i.
     """
+
+    mean: torch.Tensor
+    scale: torch.Tensor
+    centre: torch.Tensor
+    half_range: torch.Tensor
 
     def __init__(
         self,
@@ -98,6 +104,13 @@ class RetargetingNetwork(nn.Module):
 class NeuralKinematics(nn.Module):
     """The paper's per-finger neural forward kinematics, with the call of `HandKinematics`."""
 
+    indices: torch.Tensor
+    used: torch.Tensor
+    centre: torch.Tensor
+    half_range: torch.Tensor
+    mean: torch.Tensor
+    scale: torch.Tensor
+
     def __init__(
         self, kinematics: HandKinematics, p_BF: torch.Tensor, hidden: int, generator: torch.Generator
     ):
@@ -127,6 +140,9 @@ class NeuralKinematics(nn.Module):
 
 class CollisionClassifier(nn.Module):
     """Logit of the probability that joint angles collide."""
+
+    centre: torch.Tensor
+    half_range: torch.Tensor
 
     def __init__(self, kinematics: HandKinematics, hidden: int, generator: torch.Generator):
         super().__init__()

@@ -16,14 +16,13 @@ HELD_OUT = 0.1  # share of the robot samples that is never trained on
 
 
 class RobotSamples(Protocol):
-    """Joint angles of a robot hand, where its fingertips are and whether it collides.
+    """Joint angles of a robot hand and whether it collides there.
 
-    q (N, n) rad; p_BF (N, F, 3) m; collides_beyond_tips (N,) bool: any contact but those between
-    two fingertips, which a pinch needs.
+    q (N, n) rad; collides_beyond_tips (N,) bool: any contact but those between two fingertips, which
+    a pinch needs. Where the fingertips are follows from the kinematics.
     """
 
     q: np.ndarray
-    p_BF: np.ndarray
     collides_beyond_tips: np.ndarray
 
 
@@ -32,7 +31,6 @@ def check_robot_samples(samples: RobotSamples, kinematics: HandKinematics) -> No
     count = len(samples.q)
     shapes = {
         "q": (count, len(kinematics.joint_names)),
-        "p_BF": (count, len(kinematics.fingers), 3),
         "collides_beyond_tips": (count,),
     }
     for name, wanted in shapes.items():
@@ -59,7 +57,8 @@ def fit_neural_kinematics(
     Returns:
         The frozen network, and the distances from held-out samples: mean_mm, p95_mm, max_mm.
     """
-    q, p = (torch.tensor(np.asarray(x), dtype=torch.float32) for x in (samples.q, samples.p_BF))
+    q_exact = torch.tensor(np.asarray(samples.q), dtype=torch.float64)
+    q, p = q_exact.float(), kinematics.fingertips(q_exact).float()
     held_out = int(len(q) * HELD_OUT)
     model = NeuralKinematics(kinematics, p, hidden, generator).to(device)
     q, p = q.to(device), p.to(device)

@@ -47,8 +47,8 @@ class TrainingConfig:
     length_unit: float = 0.1  # m; the unit in which the weights below are meant
     coverage_weight: float = 8.0  # λ1, 1/unit²
     flatness_weight: float = 3.0  # λ2, 1/unit²
-    pinch_weight: float = 3.0  # λ3, 1/unit²
-    collision_weight: float = 0.3  # λ4
+    pinch_weight: float = 2.0  # λ3, 1/unit²
+    collision_weight: float = 0.25  # λ4
     step_sigma: float = 0.004  # m; d ~ N(0, σ²) per coordinate, criteria I and III
     pinch_threshold: float = 0.015  # m; nearer human fingertips pinch
     other_pinches: float = 0.2  # weight of a pinching pair that is not the frame's nearest
@@ -256,7 +256,8 @@ class _Run:
             )
 
     def _load_robot(self, samples: RobotSamples) -> None:
-        p_BF = np.asarray(samples.p_BF, dtype=float)
+        q = torch.tensor(np.asarray(samples.q), dtype=torch.float64)
+        p_BF = self.kinematics.fingertips(q).numpy()
         self.robot_clouds = [
             self._tensor(voxel_thinned(p_BF[:, i], self.config.robot_voxel)) for i in range(p_BF.shape[1])
         ]
@@ -264,21 +265,23 @@ class _Run:
             self._tensor(np.asarray(samples.q)),
             self._tensor(np.asarray(samples.collides_beyond_tips, dtype=float)),
         )
-        self.own: tuple[torch.Tensor, torch.Tensor] | None = None
+        # Joint angles that the retargeter put out, with their labels.
+        self.own = (self.uniform[0][:0], self.uniform[1][:0])
 
     def _refresh_classifier(self) -> None:
         """Labels what the retargeter puts out now, and its surroundings, and learns from it too."""
         started = time.perf_counter()
         with torch.no_grad():
             q = self.network(self.frames[self._rows(self.all_rows, self.config.refresh_samples)])
+            if not torch.isfinite(q).all():
+                return  # the check of the loss, which comes next, stops the run
             noise = torch.randn(q.shape, generator=self.generator).to(self.device)
             near = q + self.config.refresh_sigma * noise
             lower, upper = self._tensor(self.kinematics.lower), self._tensor(self.kinematics.upper)
             q = torch.cat([q, torch.clamp(near, lower, upper)])
         label = np.asarray(self.oracle(q.cpu().numpy().astype(float)), dtype=float)
-        own = (q, self._tensor(label))
         # What was labelled earlier stays in, so that the map cannot slip back unnoticed.
-        self.own = own if self.own is None else tuple(map(torch.cat, zip(self.own, own, strict=True)))
+        self.own = (torch.cat([self.own[0], q]), torch.cat([self.own[1], self._tensor(label)]))
         refit_classifier(self.classifier, self.uniform, self.own, self.generator, self.config.refresh_steps)
         self.timings["refresh_s"] = self.timings.get("refresh_s", 0.0) + time.perf_counter() - started
 
