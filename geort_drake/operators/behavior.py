@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.keypoints import FINGER_NAMES
 from geort_drake.operators.config import OperatorConfig
+from geort_drake.operators.finger_motion import FingerMotion
 from geort_drake.operators.grasp_goal import GraspGoal
 
 
@@ -77,6 +78,8 @@ class OperatorState:
 
     theta: np.ndarray  # (20,) joint angles of the own hand, rad
     X_WH: RigidTransform
+    # (5, 3) own fingertips at the last decisions, the oldest at the time of what is now seen.
+    p_HF_past: tuple[np.ndarray, ...]
     phase: Phase = Phase.REACH
     phase_start: float = 0.0
     attempt: int = 1
@@ -102,6 +105,7 @@ class GraspingPerson:
 
     def __init__(self, hand: HumanHand, goal: GraspGoal, config: OperatorConfig, rng: np.random.Generator):
         self._hand = hand
+        self._motion = FingerMotion(hand)
         self._goal = goal
         self._config = config
         self._rng = rng
@@ -109,13 +113,17 @@ class GraspingPerson:
         self._own = np.array([FINGER_NAMES.index(name) for name in goal.finger_names])
         self._followers = [i for i in range(5) if i not in self._own]
 
-    def start(self, theta: np.ndarray, X_WH: RigidTransform) -> OperatorState:
-        """The state before the first decision."""
-        return OperatorState(theta=np.array(theta, float), X_WH=X_WH)
+    def start(self, X_WH: RigidTransform) -> OperatorState:
+        """The state before the first decision: a relaxed hand at X_WH."""
+        theta = self._motion.rest
+        steps = round(self._config.visual_delay / self._config.period)
+        p_HF = self._hand.fingertips(theta)
+        return OperatorState(theta=theta, X_WH=X_WH, p_HF_past=(p_HF,) * (steps + 1))
 
     def step(self, state: OperatorState, t: float, scene: Seen) -> OperatorState:
         """One decision at time t, s; returns the new state and leaves the old one alone."""
-        state = dc.replace(state)
+        past = (*state.p_HF_past[1:], self._hand.fingertips(state.theta))
+        state = dc.replace(state, p_HF_past=past)
         seen = self._perceive(scene)
         self._advance_phase(state, t, seen)
         self._move_fingers(state, t, seen)
@@ -225,9 +233,12 @@ class GraspingPerson:
                 inwards[self._own[self._goal.touches]] = self._goal.n_OF[self._goal.touches] @ R_BO.T
                 done = minimum_jerk((t - state.phase_start) / config.squeeze_time)
                 target = state.p_HF_start + config.squeeze * done * inwards
-                state.theta = self._hand.solve_fingertips(target, state.theta, iterations=2)
+                state.theta = self._motion.follow(state.theta, target)
             return
-        error = self._fingertip_errors(state, seen)
+        # What the own fingers did since the picture was taken is taken to have moved the robot's alike
+        # (a forward model, as people have one; Miall and Wolpert 1996).
+        done = (p_HF - state.p_HF_past[0])[self._own]
+        error = self._fingertip_errors(state, seen) - done
         wanted = np.zeros((5, 3))
         wanted[self._own] = config.correction_rate * error
         speed = np.linalg.norm(wanted, axis=1, keepdims=True)
@@ -241,7 +252,7 @@ class GraspingPerson:
         velocity = state.finger_velocity + share * (wanted - state.finger_velocity)
         state.finger_velocity = velocity
         noisy = velocity * (1 + self._rng.normal(0, config.motor_noise, (5, 1)))
-        state.theta = self._hand.solve_fingertips(p_HF + config.period * noisy, state.theta, iterations=2)
+        state.theta = self._motion.follow(state.theta, p_HF + config.period * noisy)
 
     def _closing_share(self, error: np.ndarray, seen: Seen) -> np.ndarray:
         """Share of the closing speed for each finger: touching ones stop, leading ones wait."""

@@ -21,9 +21,9 @@ class OperatorConfig:
     visual_delay: float = 0.17
     # Standard deviation of every seen coordinate, m.
     visual_noise: float = 0.001
-    # The person moves a fingertip by this much per second for each metre of seen error, 1/s. It is the
-    # naive gain: nothing is known of how far the robot's finger moves for it.
-    correction_rate: float = 1.5
+    # The person moves a fingertip by this much per second for each metre of error that is seen and not
+    # yet dealt with, 1/s. The naive gain: the robot's fingertip is taken to move like the own.
+    correction_rate: float = 2.5
     # Fastest voluntary fingertip motion while shaping the hand, m/s; median to 95th percentile of free
     # play is 0.1 to 0.5 [M].
     max_fingertip_speed: float = 0.25

@@ -236,11 +236,10 @@ def make_grasp_diagram(
 def _make_operator(
     scenario: Scenario, hand: HumanHand, goal: GraspGoal, X_WB_start: RigidTransform, seed: int
 ) -> SimulatedOperator:
-    # The person begins with a relaxed hand, every joint in the middle of its range, held like the
-    # robot's. The tracker's frame is parallel to W; its origin is where the wrist is at the start.
-    theta = 0.5 * (hand.lower + hand.upper)
+    # The person begins with the hand held like the robot's. The tracker's frame is parallel to W; its
+    # origin is where the wrist is at the start.
     X_WH_start = RigidTransform(X_WB_start.rotation(), np.zeros(3))
-    return SimulatedOperator(hand, goal, scenario.operator, theta, X_WH_start, seed)
+    return SimulatedOperator(hand, goal, scenario.operator, X_WH_start, seed)
 
 
 def _delayed(builder: DiagramBuilder, port: OutputPort, scenario: Scenario) -> OutputPort:

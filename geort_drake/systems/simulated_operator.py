@@ -39,7 +39,6 @@ class SimulatedOperator(LeafSystem):
         hand: HumanHand,
         goal: GraspGoal,
         config: OperatorConfig,
-        theta_start: np.ndarray,
         X_WH_start: RigidTransform,
         seed: int,
     ):
@@ -57,9 +56,10 @@ class SimulatedOperator(LeafSystem):
         self._contact = self.DeclareVectorInputPort("contact", num_fingers)
         # The delays' outputs are zero until their first sample has come through.
         self._first_sight = config.visual_delay + 0.5 * config.period
-        state = self.DeclareAbstractState(AbstractValue.Make(self._person.start(theta_start, X_WH_start)))
+        start = self._person.start(X_WH_start)
+        state = self.DeclareAbstractState(AbstractValue.Make(start))
         # The keypoints are kept beside the state because the tremor must be drawn once per decision.
-        self._keypoints = self.DeclareDiscreteState(hand.keypoints(theta_start).ravel())
+        self._keypoints = self.DeclareDiscreteState(hand.keypoints(start.theta).ravel())
         ticket = {self.abstract_state_ticket(state)}
         self.DeclareStateOutputPort("keypoints", self._keypoints)
         self.DeclareAbstractOutputPort(
