@@ -169,15 +169,15 @@ def test_pinch_by_hand():
         return [[0.0, 0, 0], [index, 0, 0], [0, middle, 0]]
 
     human = np.array([hand(0.010, 0.050), hand(0.014, 0.012), hand(0.005, 0.040), hand(0.060, 0.070)])
-    robot = np.array([hand(0.020, 0.090), hand(0.030, 0.002), hand(0.025, 0.080), hand(0.023, 0.090)])
+    robot = np.array([hand(0.020, 0.015), hand(0.030, 0.002), hand(0.025, 0.080), hand(0.023, 0.090)])
     result = metrics.pinch(human, robot, NAMES, tip_radius=0.012)
     assert result["frames"] == 3
     assert result["closed"] == pytest.approx(2 / 3)
     assert result["too_deep"] == pytest.approx(1 / 3)
     assert result["mean_mm"] == pytest.approx((20 + 2 + 25) / 3)
     assert result["p95_mm"] == pytest.approx(np.percentile([20, 2, 25], 95))
-    # Over 30 mm apart: the middle in frames 0 and 2, both in frame 3; only the last index meets.
-    assert result["false"] == pytest.approx(1 / 4)
+    # Over 30 mm apart: the middle in frames 0 and 2, both in frame 3; the first middle and the last index meet.
+    assert result["false"] == pytest.approx(2 / 4)
     assert result["all_pairs"]["frames"] == 4
     assert result["all_pairs"]["closed"] == pytest.approx(2 / 4)
 

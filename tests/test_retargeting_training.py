@@ -171,6 +171,9 @@ def test_unusable_input_is_refused_with_what_was_wanted(hand, samples, human):
         quick(hand, samples, human, fk="guess")
     with pytest.raises(UnknownNameError, match="cpu, cuda"):
         train_geort(human, hand, samples, QUICK, device="tpu")
+    if not torch.cuda.is_available():
+        with pytest.raises(TrainingError, match="sees no CUDA device"):
+            train_geort(human, hand, samples, QUICK, device="cuda")
     few = toy_samples(hand, 10)
     with pytest.raises(TrainingError, match="at least 1000"):
         quick(hand, few, human)
