@@ -176,7 +176,7 @@ def test_pinch_by_hand():
     assert result["too_deep"] == pytest.approx(1 / 3)
     assert result["mean_mm"] == pytest.approx((20 + 2 + 25) / 3)
     assert result["p95_mm"] == pytest.approx(np.percentile([20, 2, 25], 95))
-    # Over 30 mm apart: the middle in frames 0 and 2, both in frame 3; the first middle and the last index meet.
+    # Over 30 mm apart: the middle in frames 0, 2 and 3, the index in 3; the first and the last of them meet.
     assert result["false"] == pytest.approx(2 / 4)
     assert result["all_pairs"]["frames"] == 4
     assert result["all_pairs"]["closed"] == pytest.approx(2 / 4)

@@ -45,7 +45,7 @@ class TrainingConfig:
     learning_rate: float = 5e-3  # of Adam, falls to zero along half a cosine
     hidden: int = 128  # width of both hidden layers
     length_unit: float = 0.1  # m; the unit in which the weights below are meant
-    coverage_weight: float = 8.0  # λ1, 1/unit²
+    coverage_weight: float = 7.0  # λ1, 1/unit²
     flatness_weight: float = 3.0  # λ2, 1/unit²
     pinch_weight: float = 2.0  # λ3, 1/unit²
     collision_weight: float = 0.25  # λ4
