@@ -120,5 +120,5 @@ def _show(client: ViewerClient, recording: Path, time_s: float | None, timeout_s
         raise RecordingError(f"{recording}: holds nothing on the timeline '{TIMELINE}'")
     shown = ends[0] * 1e-9 if time_s is None else time_s
     client.set_time(TIMELINE, duration=shown, play_state="paused")
-    # Layout and plots settle over several frames.
-    time.sleep(4.0)
+    # Layout and plots settle over several frames, and the viewer greets for a while.
+    time.sleep(6.0)
