@@ -26,6 +26,13 @@ Recordings: a GeoRT .npy (T, 21, 3), a raw MANUS .npz, or this package's own .np
 every finger to its limits and pinch with the thumb; five minutes are plenty.
 """
 
+# Settings without an option of their own, with their defaults.
+SETTINGS = {
+    field.name: field.default
+    for field in dataclasses.fields(TrainingConfig)
+    if field.name not in ("fk", "steps")
+}
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     arguments = _parser().parse_args(argv)
@@ -98,8 +105,7 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="another training setting, repeatable; names: "
-        + ", ".join(field.name for field in dataclasses.fields(TrainingConfig)),
+        help="another training setting, repeatable; names: " + ", ".join(SETTINGS),
     )
     parser.add_argument("--json", action="store_true", help="print the metrics as JSON on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress bars and no table")
@@ -108,13 +114,12 @@ def _parser() -> argparse.ArgumentParser:
 
 def _settings(assignments: Sequence[str]) -> dict:
     """TrainingConfig fields from NAME=VALUE texts."""
-    defaults = {field.name: field.default for field in dataclasses.fields(TrainingConfig)}
     settings = {}
     for assignment in assignments:
         name, equals, text = assignment.partition("=")
-        if not equals or name not in defaults:
-            raise TrainingError(f"--set wants NAME=VALUE, not '{assignment}'; names: {', '.join(defaults)}")
-        kind = type(defaults[name])
+        if not equals or name not in SETTINGS:
+            raise TrainingError(f"--set wants NAME=VALUE, not '{assignment}'; names: {', '.join(SETTINGS)}")
+        kind = type(SETTINGS[name])
         try:
             settings[name] = kind(text)
         except ValueError as error:

@@ -117,6 +117,9 @@ def test_names_that_do_not_exist_are_refused_before_any_work(play, tmp_path):
     with pytest.raises(UnknownNameError, match="allegro_right"):
         train_checkpoint("no_such_hand", play, tmp_path / "x")
     assert list(tmp_path.iterdir()) == []
+    (tmp_path / "thesis.tex").touch()
+    with pytest.raises(CheckpointError, match="exists and is not a checkpoint"):
+        train_checkpoint("allegro_right", play, tmp_path)
 
 
 def test_the_script_trains_and_prints_the_metrics(play, tmp_path, capsys):
@@ -133,7 +136,7 @@ def test_the_script_trains_and_prints_the_metrics(play, tmp_path, capsys):
     assert script.main([*arguments, *settings]) == 0
     assert json.loads(capsys.readouterr().out) == json.loads((output / "metrics.json").read_text())
     assert load_checkpoint(output).config["training"]["steps"] == 10
-    with pytest.raises(TrainingError, match="--set wants NAME=VALUE, not 'speed=3'; names: steps, points"):
+    with pytest.raises(TrainingError, match="--set wants NAME=VALUE, not 'speed=3'; names: points, targets"):
         script.main([*arguments, "--set", "speed=3"])
     with pytest.raises(TrainingError, match="--set points: wants int, not 'many'"):
         script.main([*arguments, "--set", "points=many"])

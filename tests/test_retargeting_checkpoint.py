@@ -252,3 +252,16 @@ def test_a_failed_save_leaves_the_earlier_checkpoint(tmp_path):
         save(path, metrics={"coverage": float("nan")})
     assert load_checkpoint(path).config["method"] == "geort"
     assert [entry.name for entry in tmp_path.iterdir()] == ["run"]
+
+
+def test_a_directory_that_is_not_a_checkpoint_is_not_replaced(tmp_path):
+    """A slip in --output must not cost anybody their files; an empty directory may be used."""
+    (tmp_path / "work").mkdir()
+    (tmp_path / "work" / "thesis.tex").write_text("years")
+    with pytest.raises(CheckpointError, match="exists and is not a checkpoint"):
+        save(tmp_path / "work")
+    with pytest.raises(CheckpointError, match="exists and is not a checkpoint"):
+        save(tmp_path / "work" / "thesis.tex")
+    assert (tmp_path / "work" / "thesis.tex").read_text() == "years"
+    (tmp_path / "empty").mkdir()
+    assert load_checkpoint(save(tmp_path / "empty")).config["method"] == "geort"

@@ -21,7 +21,7 @@ from geort_drake.gloves.recording import Recording
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.samples import robot_data
-from geort_drake.retargeting.checkpoint import save_checkpoint
+from geort_drake.retargeting.checkpoint import check_replaceable, save_checkpoint
 from geort_drake.retargeting.retargeter import Retargeter
 from geort_drake.retargeting.training import TrainingConfig, TrainingResult, train_geort
 
@@ -60,11 +60,13 @@ def train_checkpoint(
 
     Raises:
         HandError, RecordingError, TrainingError, UnknownNameError: something asked for is unusable.
+        CheckpointError: `output` exists and is not a checkpoint.
     """
     if method not in METHODS:
         raise UnknownNameError("retargeting method", method, METHODS)
     config = TrainingConfig(**{**(settings or {}), "fk": fk})
     config.validate()
+    check_replaceable(output)
     description = load_hand(hand_name)
     hand = HandModel(description)
     # People are canonical right hands, so a left robot hand learns in the mirror.

@@ -85,7 +85,11 @@ def save_checkpoint(
         human_keypoints: keypoint of each finger, in the order of finger_names.
         training, provenance, metrics: JSON-ready settings, origin and evaluation.
         history: rows of equal keys.
+
+    Raises:
+        CheckpointError: `path` holds something that is not a checkpoint, or the hand lacks a field.
     """
+    check_replaceable(path)
     missing = [name for name in _HAND_FIELDS if name not in hand]
     if missing:
         raise CheckpointError(f"{path}: the hand lacks {', '.join(missing)}")
@@ -111,6 +115,19 @@ def save_checkpoint(
         }
         _write_json(draft / CONFIG, config)
     return Path(path)
+
+
+def check_replaceable(path: str | os.PathLike) -> None:
+    """Raises CheckpointError where saving would replace something that is not a checkpoint."""
+    path = Path(path)
+    if path.is_dir():
+        harmless = (path / CONFIG).is_file() or not any(path.iterdir())
+    else:
+        harmless = not path.exists()
+    if not harmless:
+        raise CheckpointError(
+            f"{path} exists and is not a checkpoint; it would be replaced: choose another directory"
+        )
 
 
 def load_checkpoint(path: str | os.PathLike) -> Checkpoint:
