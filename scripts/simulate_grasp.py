@@ -50,11 +50,12 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse_arguments(argv)
     # Imported after parsing, so that --help answers at once.
-    from geort_drake.evaluation.pipeline import checkpoint_for
+    from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
     from geort_drake.gloves.human_hand import HumanHand
     from geort_drake.gloves.play import synthesize_play
     from geort_drake.gloves.readers import read_recording
     from geort_drake.hands.description import load_hand
+    from geort_drake.hands.model import HandModel
     from geort_drake.retargeting.retargeter import load_retargeter
     from geort_drake.simulation.grasp_planner import GraspPlanner
     from geort_drake.simulation.scenario import dump_scenario, load_scenario
@@ -83,11 +84,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     else:
         recording = synthesize_play(seed=arguments.seed)
         source = f"synthetic play, seed {arguments.seed}"
-    checkpoint = arguments.retargeter or checkpoint_for(
-        base.hand, recording, arguments.method, seed=arguments.seed, device=arguments.device
-    )
-    retarget = load_retargeter(checkpoint, description.joint_names)
-    console.print(f"Human motion: {source}; retargeter: {checkpoint}")
+    checkpoint, reused = arguments.retargeter, True
+    if checkpoint is None:
+        checkpoint, reused = cached_checkpoint(
+            base.hand, recording, arguments.method, arguments.seed, arguments.device
+        )
+    retarget = load_retargeter(checkpoint, HandModel(description))
+    console.print(f"Human motion: {source}", soft_wrap=True)
+    console.print(f"Retargeter:   {checkpoint} ({'reused' if reused else 'trained now'})", soft_wrap=True)
 
     person = HumanHand.fit(recording)
     goals, results = {}, []

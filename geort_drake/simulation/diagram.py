@@ -210,8 +210,8 @@ def make_grasp_diagram(
             monitor,
             source,
             correction,
-            # The person's hand is drawn beside the robot's, 30 cm to its left.
-            RigidTransform(X_WB_start.translation() + [0.0, 0.30, 0.0]),
+            # The person's hand is drawn beside the robot's, towards the camera.
+            RigidTransform(X_WB_start.translation() + [-0.12, -0.25, 0.0]),
             dict(properties or {}),
         )
 
