@@ -232,6 +232,7 @@ class GraspingPerson:
                 inwards = np.zeros((5, 3))
                 inwards[self._own[self._goal.touches]] = self._goal.n_OF[self._goal.touches] @ R_BO.T
                 done = minimum_jerk((t - state.phase_start) / config.squeeze_time)
+                assert state.p_HF_start is not None  # set on entering the squeeze
                 target = state.p_HF_start + config.squeeze * done * inwards
                 state.theta = self._motion.follow(state.theta, target)
             return

@@ -89,7 +89,7 @@ def make_grasp_diagram(
     retarget: Retarget,
     human: tuple[HumanHand, GraspGoal] | Recording,
     rerun_path: str | os.PathLike | None = None,
-    properties: Mapping[str, object] | None = None,
+    properties: Mapping[str, str | int | float | bool] | None = None,
 ) -> GraspDiagram:
     """Builds glove → retargeting → hand, wrist → arm, and the plant they move.
 

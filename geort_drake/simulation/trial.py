@@ -48,7 +48,7 @@ def run_trial(
     retarget: Retarget,
     human: tuple[HumanHand, GraspGoal] | Recording,
     rerun_path: str | os.PathLike | None = None,
-    properties: Mapping[str, object] | None = None,
+    properties: Mapping[str, str | int | float | bool] | None = None,
     report: Callable[[float], None] | None = None,
 ) -> tuple[TrialResult, Recording]:
     """Simulates until the grasp is judged or the time is up.
