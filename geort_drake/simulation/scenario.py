@@ -156,18 +156,22 @@ def load_scenario(
         raise ScenarioError(f"scenario file {path} does not exist")
     try:
         with path.open(encoding="utf-8") as stream:
-            names = list(yaml.compose(stream, Loader=yaml.SafeLoader).value)
-    except (yaml.YAMLError, AttributeError, UnicodeDecodeError) as error:
+            node = yaml.compose(stream, Loader=yaml.SafeLoader)
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ScenarioError(f"scenario file {path} is no mapping of names to scenarios: {error}") from error
-    choices = [key.value for key, _ in names]
+    if not isinstance(node, yaml.MappingNode):
+        raise ScenarioError(f"scenario file {path} is no mapping of names to scenarios")
+    choices = [key.value for key, _ in node.value]
     if name not in choices:
         raise UnknownNameError(f"scenario in {path}", name, choices)
+    source = f"scenario '{name}' in {path}"
     try:
         scenario = yaml_load_typed(schema=Scenario, filename=str(path), child_name=name, defaults=Scenario())
         if text:
+            source = f"text merged into {source}"
             scenario = yaml_load_typed(schema=Scenario, data=text, defaults=scenario)
-    except Exception as error:  # Drake's loader raises many types; all mean the text is at fault
-        raise ScenarioError(f"scenario '{name}' in {path}: {error}") from error
+    except Exception as error:  # Drake's loader raises many types; all mean the YAML is at fault
+        raise ScenarioError(f"{source}: {error}") from error
     scenario.validate()
     return scenario
 
