@@ -1,0 +1,56 @@
+"""A person and a known map, with which whole grasps are tested without training anything."""
+
+from functools import cache
+
+import numpy as np
+
+from geort_drake.gloves.human_hand import HumanHand
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.operators.affine_map import AffineMap
+from geort_drake.operators.grasp_goal import GraspGoal
+from geort_drake.simulation.grasp_planner import GraspPlanner
+from geort_drake.simulation.scenario import Scenario, load_scenario
+
+GAIN = 1.5
+
+
+@cache
+def allegro() -> HandModel:
+    """The robot hand of the shipped scenario."""
+    return HandModel(load_hand("allegro_right"))
+
+
+@cache
+def person_and_rest() -> tuple[HumanHand, np.ndarray]:
+    """A person fitted to a minute of play, and the mean of their fingertips, (4, 3) m in H."""
+    play = synthesize_play(seed=0, duration_s=60)
+    return HumanHand.fit(play), play.fingertips([4, 8, 12, 16]).mean(axis=0)
+
+
+@cache
+def workspace_centre() -> np.ndarray:
+    """(4, 3) mean robot fingertips in B over uniform joint positions, m."""
+    hand = allegro()
+    q = np.random.default_rng(0).uniform(hand.lower, hand.upper, (2000, len(hand.joint_names)))
+    return hand.fingertips(q).mean(axis=0)
+
+
+def centred_map(gain: float = GAIN) -> AffineMap:
+    """A fresh affine map that takes the human cloud's centre to the robot's."""
+    hand = allegro()
+    _, rest = person_and_rest()
+    return AffineMap(hand, rest, gain, offset=workspace_centre() - hand.fingertips(hand.default_position))
+
+
+@cache
+def planned_goal(object_name: str) -> GraspGoal:
+    """The planned grasp of an object in the shipped scenario."""
+    return GraspPlanner(scenario_with(object_name), allegro().description).plan()
+
+
+def scenario_with(object_name: str = "cylinder", text: str = "") -> Scenario:
+    """The shipped scenario with another object, and with YAML text merged in."""
+    scenario = load_scenario(text=f"object: {{ name: {object_name} }}")
+    return load_scenario(text=f"object: {{ name: {object_name} }}\n{text}") if text else scenario
