@@ -1,0 +1,390 @@
+"""The simulated person by itself: how wrist and fingers move, and what is decided on what is seen."""
+
+import ast
+import dataclasses as dc
+import inspect
+from collections import deque
+
+import numpy as np
+import pytest
+from grasp_setup import allegro, centred_map, person_and_rest, workspace_centre
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from scipy.spatial.transform import Rotation
+
+from geort_drake.gloves.human_hand import HumanHand
+from geort_drake.operators import behavior
+from geort_drake.operators.affine_map import AffineMap
+from geort_drake.operators.behavior import GraspingPerson, Phase, Seen, WristMovement, minimum_jerk
+from geort_drake.operators.config import OperatorConfig
+from geort_drake.operators.finger_motion import FingerMotion
+from geort_drake.operators.grasp_goal import GraspGoal
+
+ROBOT_FINGERS = ("thumb", "index", "middle", "ring")
+# Fingers bend their last joint by two thirds of the one before; the thumb bends both alike.
+COUPLING = np.array([1.0, 2 / 3, 2 / 3, 2 / 3, 2 / 3])
+
+
+# -- wrist
+
+
+def test_minimum_jerk_has_the_closed_form_of_flash_and_hogan():
+    """It starts and ends at rest, peaks at 15/8 of its mean speed half way, and is symmetric."""
+    s = np.linspace(0, 1, 2001)
+    progress = np.array([minimum_jerk(value) for value in s])
+    speed = np.gradient(progress, s)
+    assert progress[0] == 0 and progress[-1] == 1
+    assert speed.max() == pytest.approx(15 / 8, abs=1e-5)
+    assert s[speed.argmax()] == pytest.approx(0.5)
+    np.testing.assert_allclose(speed[[0, -1]], 0, atol=1e-5)
+    np.testing.assert_allclose(progress + progress[::-1], 1, atol=1e-12)
+    assert minimum_jerk(-3.0) == 0 and minimum_jerk(7.0) == 1
+
+
+def test_a_wrist_movement_goes_straight_and_turns_about_one_axis(rng):
+    """Both ends are met, the path is a straight line and the turn so far is the same share of the whole."""
+    for _ in range(5):
+        X_start, X_end = (
+            RigidTransform(RollPitchYaw(*rng.uniform(-1, 1, 3)), rng.normal(0, 0.3, 3)) for _ in range(2)
+        )
+        movement = WristMovement(X_start, X_end, t_start=2.0, duration=0.8)
+        assert movement.t_end == pytest.approx(2.8)
+        for t, X in ((0.0, X_start), (2.0, X_start), (2.8, X_end), (9.0, X_end)):
+            np.testing.assert_allclose(movement.pose(t).GetAsMatrix4(), X.GetAsMatrix4(), atol=1e-9)
+        middle = movement.pose(2.4)
+        np.testing.assert_allclose(
+            middle.translation(), 0.5 * (X_start.translation() + X_end.translation()), atol=1e-12
+        )
+        turns = [
+            Rotation.from_matrix((X_start.rotation().inverse() @ X.rotation()).matrix()).as_rotvec()
+            for X in (middle, X_end)
+        ]
+        np.testing.assert_allclose(turns[0], 0.5 * turns[1], atol=1e-9)
+
+
+# -- fingers
+
+
+def natural_postures(hand: HumanHand, rng: np.random.Generator, count: int) -> np.ndarray:
+    """(count, 20) angles inside the hand's limits whose outer joints bend together."""
+    lower, upper = hand.lower.reshape(5, 4), hand.upper.reshape(5, 4)
+    share = rng.uniform(0.1, 0.9, (count, 5, 3))
+    base = lower[:, :2] + share[..., :2] * (upper - lower)[:, :2]
+    least = np.maximum(np.maximum(lower[:, 2], lower[:, 3] / COUPLING), np.deg2rad(8.0))
+    most = np.minimum(upper[:, 2], upper[:, 3] / COUPLING)
+    bend = least + share[..., 2] * (most - least)
+    return np.concatenate([base, bend[..., None], (COUPLING * bend)[..., None]], axis=-1).reshape(count, 20)
+
+
+@pytest.mark.parametrize("hand", [HumanHand.anatomical(), person_and_rest()[0]], ids=["anatomical", "fitted"])
+def test_fingers_reach_the_tips_of_natural_postures(hand, rng):
+    """Led there as a person moves, fingertips arrive within 0.1 mm, whatever the posture."""
+    motion = FingerMotion(hand)
+    missed = []
+    for posture in natural_postures(hand, rng, 20):
+        start, target = hand.fingertips(motion.rest), hand.fingertips(posture)
+        theta = motion.rest
+        for step in range(1, 61):
+            theta = motion.follow(theta, start + minimum_jerk(step / 50) * (target - start))
+        missed.append(np.linalg.norm(hand.fingertips(theta) - target, axis=1))
+    assert np.quantile(missed, 0.9) < 1e-4
+    assert np.max(missed) < 5e-3
+
+
+def test_fingers_keep_their_limits_and_their_coupling_whatever_is_asked(rng):
+    """Targets far outside the hand and far steps leave every joint inside its limits, bent together."""
+    hand, _ = person_and_rest()
+    motion = FingerMotion(hand)
+    theta = motion.rest
+    for scale in np.geomspace(1e-3, 1.0, 100):
+        theta = motion.follow(theta, hand.fingertips(theta) + rng.normal(0, scale, (5, 3)))
+        assert np.isfinite(theta).all()
+        assert (theta >= hand.lower - 1e-9).all() and (theta <= hand.upper + 1e-9).all()
+        bends = theta.reshape(5, 4)
+        np.testing.assert_allclose(bends[:, 3], COUPLING * bends[:, 2], atol=1e-12)
+
+
+# -- the known map
+
+
+def test_the_affine_map_moves_the_tips_by_gain_and_rotation(rng):
+    """Within reach, robot tips move by gain · R times what the human tips move."""
+    hand = allegro()
+    rest = np.array([[0.05, 0.05, 0.06], [0.03, 0.03, 0.15], [0.03, 0.0, 0.16], [0.03, -0.03, 0.15]])
+    R_BH = RotationMatrix(RollPitchYaw(0.2, -0.3, 0.4)).matrix()
+    offset = workspace_centre() - hand.fingertips(hand.default_position)
+    for gain in (0.5, 1.5):
+        for _ in range(10):
+            retarget = AffineMap(hand, rest, gain, R_BH, offset)
+            for _ in range(30):
+                q = retarget(rest)
+            centre = hand.fingertips(q)
+            np.testing.assert_allclose(centre, workspace_centre(), atol=5e-4)
+            moved = rest + rng.uniform(-0.006, 0.006, (4, 3))
+            for _ in range(30):
+                q = retarget(moved)
+            wanted = gain * (moved - rest) @ R_BH.T
+            np.testing.assert_allclose(hand.fingertips(q) - centre, wanted, atol=1e-3)
+            np.testing.assert_allclose(
+                retarget.target(moved) - retarget.target(rest), wanted, atol=1e-12, rtol=0
+            )
+
+
+def test_the_affine_map_keeps_the_robots_limits_and_its_fingers_apart(rng):
+    """Far targets end at joint limits; a finger moves only with its own human finger; reset starts over."""
+    hand = allegro()
+    retarget = centred_map()
+    for _ in range(20):
+        q = retarget(rng.normal(0, 0.3, (21, 3)))
+        assert (q >= hand.lower).all() and (q <= hand.upper).all() and np.isfinite(q).all()
+    retarget.reset()
+    _, rest = person_and_rest()
+    keypoints = rng.normal(0, 0.1, (21, 3))
+    keypoints[[4, 8, 12, 16]] = rest
+    first = retarget(keypoints)
+    retarget.reset()
+    np.testing.assert_array_equal(retarget(rest), first)
+    retarget.reset()
+    moved = rest.copy()
+    moved[1] += 0.01
+    others = [name not in hand.description.fingers[1].joints for name in hand.joint_names]
+    after = retarget(moved)
+    np.testing.assert_array_equal(after[others], first[others])
+    assert np.abs(after - first).max() > 1e-3
+
+
+# -- the goal
+
+
+def some_goal(yaw_symmetry: float) -> GraspGoal:
+    return GraspGoal(
+        finger_names=ROBOT_FINGERS,
+        touches=np.array([True, True, True, False]),
+        X_OB=RigidTransform(),
+        X_OB_before=RigidTransform(),
+        p_BF_open=np.zeros((4, 3)),
+        p_OF_touch=np.zeros((4, 3)),
+        n_OF=np.zeros((4, 3)),
+        yaw_symmetry=yaw_symmetry,
+    )
+
+
+@pytest.mark.parametrize(
+    ("symmetry", "yaw", "wanted"),
+    [
+        (0.0, 2.5, 0.0),
+        (np.pi / 2, 0.2, 0.2),
+        (np.pi / 2, 0.2 + np.pi / 2, 0.2),
+        (np.pi / 2, -0.2 - np.pi, -0.2),
+        (np.pi / 2, np.pi / 2 - 0.1, -0.1),
+        (np.pi, 1.4, 1.4),
+        (np.pi, 1.4 + np.pi, 1.4),
+        (np.pi, 1.8, 1.8 - np.pi),
+    ],
+)
+def test_the_object_frame_takes_the_nearest_of_equivalent_yaws(symmetry, yaw, wanted):
+    """The wrist never turns further than half the object's symmetry."""
+    X_WO = some_goal(symmetry).object_frame(RigidTransform(RotationMatrix.MakeZRotation(yaw), [1, 2, 3]))
+    np.testing.assert_allclose(
+        X_WO.rotation().matrix(), RotationMatrix.MakeZRotation(wanted).matrix(), atol=1e-12
+    )
+    np.testing.assert_array_equal(X_WO.translation(), [1, 2, 3])
+
+
+def test_the_object_frame_stays_upright_when_the_object_leans():
+    """A leaning object is grasped as if it stood, at its yaw."""
+    R_lean = RotationMatrix.MakeZRotation(0.3) @ RotationMatrix.MakeYRotation(0.2)
+    X = some_goal(np.pi).object_frame(RigidTransform(R_lean, [0, 0, 1]))
+    np.testing.assert_allclose(X.rotation().matrix()[2], [0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(X.rotation().matrix(), RotationMatrix.MakeZRotation(0.3).matrix(), atol=1e-12)
+
+
+# -- the person's decisions
+
+
+class StandInWorld:
+    """A robot without physics: its tips move with the human tips at a known gain, and are seen late.
+
+    A finger touches where its tip is at the wanted surface point or beyond, in the inward direction. From
+    the moment all grasping fingers touch and the hand is raised, the object comes along, but not on the
+    first `slips` lifts.
+    """
+
+    def __init__(self, gain: float, config: OperatorConfig, slips: int = 0):
+        self.hand = HumanHand.anatomical()
+        self.config = config
+        self._gain, self._slips = gain, slips
+        theta = FingerMotion(self.hand).rest
+        self._rest = rest = self.hand.fingertips(theta)[:4]
+        centre = rest[:3].mean(axis=0)
+        # Inwards is where a finger goes that bends at its base.
+        bent = theta + 0.01 * np.tile([0.0, 1.0, 0.0, 0.0], 5)
+        inwards = self.hand.fingertips(bent)[:4] - rest
+        inwards /= np.linalg.norm(inwards, axis=1, keepdims=True)
+        X_BO = RigidTransform(centre)
+        touches = np.array([True, True, True, False])
+        self.goal = GraspGoal(
+            finger_names=ROBOT_FINGERS,
+            touches=touches,
+            X_OB=X_BO.inverse(),
+            X_OB_before=X_BO.inverse() @ RigidTransform([-0.08, 0, 0]),
+            p_BF_open=rest.copy(),
+            p_OF_touch=rest + 0.02 * inwards - centre,
+            n_OF=np.where(touches[:, None], inwards, 0.0),
+            yaw_symmetry=0.0,
+        )
+        self.X_WO = RigidTransform([0.5, 0.02, 0.15])
+        self.X_WB_start = RigidTransform([0.3, 0.1, 0.2])
+        self.X_WB = self.X_WB_start
+        self._p_BO_held: np.ndarray | None = None
+        self._past: deque[Seen] = deque(maxlen=round(config.visual_delay / config.period) + 1)
+
+    def advance(self, theta: np.ndarray, X_WH: RigidTransform, lifting: bool) -> Seen:
+        """What the person sees after the robot has followed hand and wrist."""
+        self.X_WB = RigidTransform(X_WH.rotation(), self.X_WB_start.translation() + X_WH.translation())
+        p_BF = self._rest + self._gain * (self.hand.fingertips(theta)[:4] - self._rest)
+        p_WF = self.X_WB.multiply(p_BF.T).T
+        depth = ((p_WF - self.X_WO.translation() - self.goal.p_OF_touch) * self.goal.n_OF).sum(axis=1)
+        contact = np.where(self.goal.touches, np.maximum(100.0 * (depth + 1e-4), 0.0), 0.0)
+        if lifting and self._p_BO_held is None and contact[self.goal.touches].all():
+            self._p_BO_held = (self.X_WB.inverse() @ self.X_WO).translation()
+        if not lifting and self._p_BO_held is not None:
+            self._p_BO_held = None
+            self._slips -= 1
+        if self._p_BO_held is not None and self._slips <= 0:
+            self.X_WO = RigidTransform(self.X_WB @ self._p_BO_held)
+        self._past.append(Seen(p_WF=p_WF, X_WB=self.X_WB, X_WO=self.X_WO, contact=contact))
+        return self._past[0]
+
+
+@dc.dataclass
+class Session:
+    phases: list[Phase]
+    theta: np.ndarray
+    wrist: np.ndarray
+    attempts: int
+    raised: float
+    squeeze: float
+    duration: float
+
+
+def act(gain: float, seed: int = 3, slips: int = 0, until: float = 20.0, **changes: float) -> Session:
+    """Lets a person grasp in the stand-in world; ends one second into the hold."""
+    config = dc.replace(OperatorConfig(), **changes)
+    world = StandInWorld(gain, config, slips)
+    person = GraspingPerson(world.hand, world.goal, config, np.random.default_rng(seed))
+    state = person.start(RigidTransform())
+    p_WO = world.X_WO.translation()
+    phases, theta, wrist, squeeze = [state.phase], [state.theta], [], []
+    for step in range(round(until / config.period)):
+        seen = world.advance(state.theta, state.X_WH, state.phase in (Phase.LIFT, Phase.HOLD))
+        before = state
+        state = person.step(state, step * config.period, seen)
+        theta.append(state.theta)
+        wrist.append(state.X_WH.translation())
+        if state.phase != before.phase:
+            phases.append(state.phase)
+        if state.phase == Phase.SQUEEZE:
+            moved = world.hand.fingertips(state.theta) - state.p_HF_start
+            squeeze.append((moved[:3] * world.goal.n_OF[:3]).sum(axis=1))
+        if state.phase == Phase.HOLD and step * config.period > state.phase_start + 1.0:
+            break
+    return Session(
+        phases=phases,
+        theta=np.array(theta),
+        wrist=np.array(wrist),
+        attempts=state.attempt,
+        raised=float(world.X_WO.translation()[2] - p_WO[2]),
+        squeeze=float(np.mean(squeeze[-1])) if squeeze else 0.0,
+        duration=step * config.period,
+    )
+
+
+STRAIGHT = [
+    Phase.REACH,
+    Phase.APPROACH,
+    Phase.SURROUND,
+    Phase.CLOSE,
+    Phase.SQUEEZE,
+    Phase.LIFT,
+    Phase.HOLD,
+]
+
+
+@pytest.mark.parametrize("gain", [0.7, 1.0, 1.5, 2.5])
+def test_the_person_grasps_through_maps_of_different_gain(gain):
+    """Reach, approach, surround, close, squeeze, lift, hold: without knowing the gain, at first try."""
+    session = act(gain)
+    assert session.phases == STRAIGHT
+    assert session.attempts == 1
+    assert session.raised == pytest.approx(OperatorConfig().lift_height, abs=0.03)
+    # The squeeze moves the own fingertips inwards by what the configuration says.
+    assert session.squeeze == pytest.approx(OperatorConfig().squeeze, abs=0.003)
+
+
+def test_the_person_tries_again_when_the_object_stays_behind():
+    """An object lost in the lift is noticed; the hand opens, goes back and the second attempt holds."""
+    session = act(1.5, slips=1, until=30.0)
+    lost = session.phases.index(Phase.RELEASE)
+    assert session.phases[:lost] in (STRAIGHT, STRAIGHT[:-1])
+    assert session.phases[lost + 1 :] == STRAIGHT[1:]
+    assert session.attempts == 2
+    assert session.raised > 0.1
+
+
+def test_the_persons_joints_and_speeds_stay_human():
+    """At every decision the joints are inside the hand's limits, and no fingertip outruns a person's."""
+    config = OperatorConfig()
+    hand = HumanHand.anatomical()
+    for gain in (0.5, 3.0):
+        session = act(gain)
+        assert (session.theta >= hand.lower - 1e-9).all() and (session.theta <= hand.upper + 1e-9).all()
+        tips = hand.fingertips(session.theta)
+        speed = np.linalg.norm(np.diff(tips, axis=0), axis=-1) / config.period
+        # Motor noise adds to the wanted speed.
+        assert speed.max() < config.max_fingertip_speed * (1 + 6 * config.motor_noise)
+        wrist_speed = np.linalg.norm(np.diff(session.wrist, axis=0), axis=-1) / config.period
+        assert wrist_speed.max() < config.peak_wrist_speed * (1 + 6 * config.motor_noise)
+
+
+def test_one_seed_gives_one_session_and_another_gives_another():
+    """All noise comes from the generator."""
+    first, again, other = act(1.2, seed=5), act(1.2, seed=5), act(1.2, seed=6)
+    np.testing.assert_array_equal(first.theta, again.theta)
+    np.testing.assert_array_equal(first.wrist, again.wrist)
+    count = min(len(first.theta), len(other.theta))
+    assert np.abs(first.theta[:count] - other.theta[:count]).max() > 1e-3
+
+
+def test_a_decision_leaves_the_earlier_state_alone():
+    """A state can be kept and gone back to, as a simulation context is."""
+    config = OperatorConfig()
+    world = StandInWorld(1.0, config)
+    person = GraspingPerson(world.hand, world.goal, config, np.random.default_rng(0))
+    state = person.start(RigidTransform())
+    for step in range(300):
+        kept = (state.theta.copy(), state.phase, state.X_WH.GetAsMatrix4().copy(), state.attempt)
+        after = person.step(
+            state, step * config.period, world.advance(state.theta, state.X_WH, lifting=False)
+        )
+        np.testing.assert_array_equal(state.theta, kept[0])
+        np.testing.assert_array_equal(state.X_WH.GetAsMatrix4(), kept[2])
+        assert (state.phase, state.attempt) == (kept[1], kept[3])
+        state = after
+
+
+def test_the_person_without_noise_draws_nothing_from_chance():
+    """With all noise off, two seeds give the same session: there is no other use of chance."""
+    quiet = {"visual_noise": 0.0, "motor_noise": 0.0}
+    np.testing.assert_array_equal(act(1.2, seed=1, **quiet).theta, act(1.2, seed=2, **quiet).theta)
+
+
+def test_the_person_cannot_know_the_map():
+    """The person's module imports nothing that maps hands, and is given only what can be seen."""
+    tree = ast.parse(inspect.getsource(behavior))
+    imported = {
+        node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module
+    } | {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    forbidden = ("retargeting", "affine_map", "geort_drake.hands", "geort_drake.evaluation")
+    assert not [name for name in imported for part in forbidden if part in name]
+    assert list(inspect.signature(GraspingPerson).parameters) == ["hand", "goal", "config", "rng"]
+    assert {field.name for field in dc.fields(Seen)} == {"p_WF", "X_WB", "X_WO", "contact"}
