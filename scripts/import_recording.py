@@ -15,7 +15,7 @@ from geort_drake.gloves.summary import summarize
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    arguments = _parser().parse_args(argv)
+    arguments = _arguments(argv)
     recording = read_recording(arguments.input, arguments.side)
     _report(recording, str(arguments.input))
     if arguments.output is not None:
@@ -53,14 +53,21 @@ def _report(recording: Recording, name: str) -> None:
         console.print(f"verdict: fit for replay, not for training: {error}", markup=False)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "input", type=Path, help="GeoRT .npy (T, 21, 3), raw MANUS .npz (T, 25, 7), or our own .npz"
     )
     parser.add_argument("output", type=Path, nargs="?", help=".npz to write; without it, only the report")
     parser.add_argument("--side", choices=SIDES, default="right", help="which hand was recorded (right)")
-    return parser
+    arguments = parser.parse_args(argv)
+    if arguments.output is not None:
+        if arguments.output.suffix != ".npz":
+            parser.error(f"{arguments.output}: the name must end with .npz")
+        for parent in arguments.output.parents:
+            if parent.is_file():
+                parser.error(f"{arguments.output} must lie in a directory, but {parent} is a file")
+    return arguments
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from rich.table import Table
 
 from geort_drake import __version__
 from geort_drake.console import console, progress_bar, run_main
-from geort_drake.errors import ScenarioError
+from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.files import write_text
 
 DEFAULT_OBJECTS = ("cylinder", "sphere", "cube")
@@ -44,6 +44,11 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     arguments = parser.parse_args(argv)
     if arguments.trials < 1:
         parser.error(f"--trials must be at least 1, not {arguments.trials}")
+    if arguments.seed < 0:
+        parser.error(f"--seed must be 0 or more, not {arguments.seed}")
+    for path in (arguments.output, *arguments.output.parents):
+        if path.is_file():
+            parser.error(f"--output {arguments.output} must be a directory, but {path} is a file")
     return arguments
 
 
@@ -51,6 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse_arguments(argv)
     # Imported after parsing, so that --help answers at once.
     from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
+    from geort_drake.evaluation.pipeline import METHODS
     from geort_drake.gloves.human_hand import HumanHand
     from geort_drake.gloves.play import synthesize_play
     from geort_drake.gloves.readers import read_recording
@@ -62,6 +68,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     from geort_drake.simulation.trial import run_trial
 
     # What is wrong with the request is found before anything is computed or written.
+    if arguments.method not in METHODS:
+        raise UnknownNameError("retargeting method", arguments.method, METHODS)
     base = load_scenario(arguments.scenario_file, arguments.scenario_name, arguments.scenario_text)
     description = load_hand(base.hand)
     scenarios = []
@@ -84,27 +92,39 @@ def main(argv: Sequence[str] | None = None) -> int:
     else:
         recording = synthesize_play(seed=arguments.seed)
         source = f"synthetic play, seed {arguments.seed}"
-    checkpoint, reused = arguments.retargeter, True
-    if checkpoint is None:
+    hand = HandModel(description)
+    checkpoint, retarget = arguments.retargeter, None
+    if checkpoint is not None:
+        retarget = load_retargeter(checkpoint, hand)
+
+    # Planning comes before training, as it shows whether the robot can grasp the objects at all.
+    goals = {}
+    if replay is None:
+        with progress_bar() as progress:
+            task = progress.add_task("planning", total=len(scenarios), note="")
+            for scenario in scenarios:
+                name = scenario.object.name
+                progress.update(task, note=name)
+                if name not in goals:
+                    goals[name] = GraspPlanner(scenario, description).plan()
+                progress.update(task, advance=1, note="")
+    reused = True
+    if retarget is None:
         checkpoint, reused = cached_checkpoint(
             base.hand, recording, arguments.method, arguments.seed, arguments.device
         )
-    retarget = load_retargeter(checkpoint, HandModel(description))
+        retarget = load_retargeter(checkpoint, hand)
     console.print(f"Human motion: {source}", soft_wrap=True)
     console.print(f"Retargeter:   {checkpoint} ({'reused' if reused else 'trained now'})", soft_wrap=True)
 
     person = HumanHand.fit(recording)
-    goals, results = {}, []
-    arguments.output.mkdir(parents=True, exist_ok=True)
+    results = []
     with progress_bar() as progress:
         total = len(scenarios)
         task = progress.add_task("grasping", total=total, note="")
         for scenario in scenarios:
             name = scenario.object.name
             stem = f"{name}-{scenario.random_seed}"
-            progress.update(task, note=f"{stem}: planning")
-            if replay is None and name not in goals:
-                goals[name] = GraspPlanner(scenario, description).plan()
             result, glove = run_trial(
                 scenario,
                 retarget,

@@ -20,10 +20,14 @@ _COLORS = dict(zip(FINGER_NAMES, ["#D55E00", "#0072B2", "#009E73", "#CC79A7", "#
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    arguments = _parser().parse_args(argv)
+    arguments = _arguments(argv)
     hand = None
     if arguments.hand_of is not None:
         hand = HumanHand.fit(read_recording(arguments.hand_of, arguments.side))
+    compared = {}
+    if arguments.compare is not None:
+        name = f"glove: {arguments.compare.name}"
+        compared[name] = read_recording(arguments.compare, arguments.side)
     recording = check_recording(
         synthesize_play(arguments.seed, arguments.duration, arguments.rate, hand), str(arguments.output)
     )
@@ -34,10 +38,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     for warning in recording.metadata["warnings"]:
         console.print(f"warning: {warning}", markup=False)
     if arguments.plot is not None:
-        shown = {f"synthetic play, seed {arguments.seed}": recording}
-        if arguments.compare is not None:
-            shown[f"glove: {arguments.compare.name}"] = read_recording(arguments.compare, arguments.side)
-        plot(shown, arguments.plot)
+        plot({f"synthetic play, seed {arguments.seed}": recording} | compared, arguments.plot)
         console.print(f"plotted to {arguments.plot}", markup=False)
 
 
@@ -114,7 +115,7 @@ def _draw_pinches(axis, recording: Recording) -> None:
     axis.spines[["top", "right"]].set_visible(False)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("output", type=Path, help=".npz to write")
     parser.add_argument("--seed", type=int, default=0, help="(0)")
@@ -126,7 +127,19 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--plot", type=Path, help=".png to draw clouds, speeds and pinches to")
     parser.add_argument("--compare", type=Path, help="recording to draw below, for comparison")
     parser.add_argument("--side", choices=SIDES, default="right", help="of --hand_of and --compare (right)")
-    return parser
+    arguments = parser.parse_args(argv)
+    if arguments.seed < 0:
+        parser.error(f"--seed must be 0 or more, not {arguments.seed}")
+    # Also the name of the plot, which comes last, is looked at before anything is written.
+    for path, suffix in ((arguments.output, ".npz"), (arguments.plot, ".png")):
+        if path is None:
+            continue
+        if path.suffix != suffix:
+            parser.error(f"{path}: the name must end with {suffix}")
+        for parent in path.parents:
+            if parent.is_file():
+                parser.error(f"{path} must lie in a directory, but {parent} is a file")
+    return arguments
 
 
 def _positive(text: str) -> float:

@@ -14,7 +14,8 @@ from rich.table import Table
 from geort_drake.console import console, run_main
 from geort_drake.errors import TrainingError
 from geort_drake.evaluation.pipeline import METHODS, train_checkpoint
-from geort_drake.hands.description import hand_names
+from geort_drake.gloves.readers import read_recording
+from geort_drake.hands.description import hand_names, load_hand
 from geort_drake.retargeting.checkpoint import CONFIG, METRICS, PROVENANCE
 from geort_drake.retargeting.training import FORWARD_KINEMATICS, TrainingConfig
 
@@ -35,13 +36,25 @@ SETTINGS = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    arguments = _parser().parse_args(argv)
+    parser = _parser()
+    arguments = parser.parse_args(argv)
+    if arguments.seed < 0:
+        parser.error(f"--seed must be 0 or more, not {arguments.seed}")
+    if arguments.robot_samples < 1:
+        parser.error(f"--robot_samples must be at least 1, not {arguments.robot_samples}")
+    for path in arguments.output.parents:
+        if path.is_file():
+            parser.error(f"--output {arguments.output} must be a directory, but {path} is a file")
     settings = _settings(arguments.set)
     if arguments.steps is not None:
         settings["steps"] = arguments.steps
+    recording = None
+    if arguments.recording is not None:
+        # Read here, where a recording can be held to what training needs.
+        recording = read_recording(arguments.recording, load_hand(arguments.hand).side, training=True)
     path = train_checkpoint(
         arguments.hand,
-        arguments.recording,
+        recording,
         arguments.output,
         method=arguments.method,
         seed=arguments.seed,
