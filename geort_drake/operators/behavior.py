@@ -84,7 +84,9 @@ class OperatorState:
     phase_start: float = 0.0
     attempt: int = 1
     finger_velocity: np.ndarray = dc.field(default_factory=lambda: np.zeros((5, 3)))
+    # The wrist's present or last movement in this phase, and how many there were.
     movement: WristMovement | None = None
+    movements: int = 0
     # Smallest shape error seen in this phase, and when it last fell.
     best_error: float = np.inf
     best_time: float = 0.0
@@ -141,7 +143,10 @@ class GraspingPerson:
 
     def _advance_phase(self, state: OperatorState, t: float, seen: Seen) -> None:
         config, goal = self._config, self._goal
-        there = self._wrist_rests(state, t) and self._at(seen, self._wanted_hand_pose(state, seen))
+        # A hand that several movements have not brought nearer is as near as the arm gets it.
+        there = self._wrist_rests(state, t) and (
+            state.movements >= config.max_corrections or self._at(seen, self._wanted_hand_pose(state, seen))
+        )
         touching = (seen.contact > config.touch_force)[goal.touches]
         if state.phase in (Phase.REACH, Phase.RELEASE):
             if there and self._shaped(state, t, seen, config.shape_tolerance):
@@ -170,7 +175,7 @@ class GraspingPerson:
         state.phase, state.phase_start = phase, t
         state.best_error, state.best_time = np.inf, t
         if phase != Phase.HOLD:
-            state.movement = None
+            state.movement, state.movements = None, 0
 
     def _shaped(self, state: OperatorState, t: float, seen: Seen, tolerance: float) -> bool:
         """Whether the fingers are as wanted, or as near to it as fingers and hand can get them."""
@@ -290,6 +295,7 @@ class GraspingPerson:
             shift = self._wrist_shift(state, t, seen)
             if shift is not None:
                 state.movement = self._plan_movement(state.X_WH, *shift, t)
+                state.movements += 1
         if state.movement is not None:
             state.X_WH = state.movement.pose(t)
 

@@ -44,6 +44,8 @@ class OperatorConfig:
     # Pause after a wrist movement before its result is judged, on top of the visual delay, s:
     # with delay, people move and wait [F65].
     judging_time: float = 0.1
+    # After so many movements to one place the hand is taken to be as near as the arm gets it.
+    max_corrections: int = 4
     # The hand counts as there and shaped within these, m and rad.
     reach_tolerance: float = 0.008
     turn_tolerance: float = 0.08

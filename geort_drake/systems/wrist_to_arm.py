@@ -3,17 +3,19 @@
 import dataclasses as dc
 
 import numpy as np
+from pydrake.common import Parallelism
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.multibody.inverse_kinematics import (
-    DifferentialInverseKinematicsIntegrator,
-    DifferentialInverseKinematicsParameters,
+    DifferentialInverseKinematicsController,
+    DifferentialInverseKinematicsSystem,
 )
+from pydrake.multibody.math import SpatialVelocity
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, ModelInstanceIndex
-from pydrake.planning import RobotDiagram
-from pydrake.solvers import OsqpSolver
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
-from pydrake.systems.primitives import MatrixGain, StateInterpolatorWithDiscreteDerivative
+from pydrake.planning import DofMask, JointLimits, RobotDiagram, SceneGraphCollisionChecker
+from pydrake.systems.framework import BusValue, Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
+from pydrake.systems.primitives import ConstantVectorSource, MatrixGain, Multiplexer
 
 
 @dc.dataclass
@@ -22,9 +24,11 @@ class WristToArmConfig:
 
     # Period of the differential inverse kinematics, s.
     period: float = 0.01
+    # Share of the pose error that one period takes back; below 1 it smooths the tracker's noise.
+    pose_gain: float = 0.3
     # Largest commanded speed of the hand, m/s and rad/s.
     max_translation_speed: float = 0.6
-    max_rotation_speed: float = 2.0
+    max_rotation_speed: float = 2.5
     # Share of the arm's joint speed limits that is used.
     joint_speed_share: float = 0.9
     # Gain of the pull towards the starting posture in the arm's null space, 1/s.
@@ -48,17 +52,23 @@ class Clutch(LeafSystem):
         valid (1): 1 tracked, 0 lost. While lost, the last target stands; afterwards the wrist's
             motion is taken on from there, so that a gap never makes the arm jump.
     Output port:
-        desired_pose (abstract RigidTransform): X_WB.
+        desired_poses (abstract BusValue): frame name → X_WB, as Drake's inverse kinematics wants it.
     """
 
-    def __init__(self, X_WB_start: RigidTransform, period: float):
+    def __init__(self, frame_name: str, X_WB_start: RigidTransform, period: float):
         super().__init__()
+        self._frame_name = frame_name
         self._wrist = self.DeclareAbstractInputPort("wrist_pose", AbstractValue.Make(RigidTransform()))
         self._valid = self.DeclareVectorInputPort("valid", 1)
         self._target = self.DeclareAbstractState(AbstractValue.Make(X_WB_start))
         # None until engaged, else the wrist's and the hand's pose at that moment.
         self._engaged = self.DeclareAbstractState(AbstractValue.Make(_Engagement()))
-        self.DeclareStateOutputPort("desired_pose", self._target)
+        self.DeclareAbstractOutputPort(
+            "desired_poses",
+            lambda: AbstractValue.Make(BusValue()),
+            self._calc,
+            {self.abstract_state_ticket(self._target)},
+        )
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
 
     def _update(self, context: Context, state) -> EventStatus:
@@ -76,6 +86,10 @@ class Clutch(LeafSystem):
         state.get_mutable_abstract_state(self._target).set_value(RigidTransform(R_WB, p_WB))
         return EventStatus.Succeeded()
 
+    def _calc(self, context: Context, output) -> None:
+        target = context.get_abstract_state(self._target).get_value()
+        output.get_mutable_value().Set(self._frame_name, AbstractValue.Make(target))
+
 
 @dc.dataclass(frozen=True)
 class _Engagement:
@@ -92,13 +106,12 @@ class WristToArm(Diagram):
     Output port:
         arm_desired_state (2·na): the arm's joint positions (rad), then velocities (rad/s), plant order.
 
-    Inside: `Clutch` → Drake's DifferentialInverseKinematicsIntegrator, which keeps to the arm's position
-    and speed limits and starts at the robot's default positions → velocities by differences. Give its
-    root context to `initialize` before simulating.
+    Inside: `Clutch` → Drake's DifferentialInverseKinematicsController, which keeps to the arm's position
+    and speed limits and starts at the robot's default positions. Give the root context of the diagram to
+    `initialize` before simulating.
 
     Args:
-        robot: robot and surroundings, in discrete time; its default positions are the start and the
-            nominal posture.
+        robot: robot and surroundings; its default positions are the start and the nominal posture.
         arm: the model in `robot` whose joints move; everything else stays at its default.
         hand_frame: the frame of `robot` that follows the wrist, the hand base B.
     """
@@ -110,59 +123,100 @@ class WristToArm(Diagram):
         config.validate()
         plant = robot.plant()
         context = plant.CreateDefaultContext()
-        moving = np.zeros(plant.num_positions(), bool)
-        for index in plant.GetJointIndices():
-            joint = plant.get_joint(index)
-            if joint.model_instance() == arm:
-                moving[joint.position_start() : joint.position_start() + joint.num_positions()] = True
-            elif joint.num_velocities():
-                joint.Lock(context)
         q_start = plant.GetPositions(context)
-        num_arm = int(moving.sum())
-
-        parameters = DifferentialInverseKinematicsParameters(plant.num_positions(), plant.num_velocities())
-        parameters.set_joint_position_limits((plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()))
-        share = config.joint_speed_share
-        parameters.set_joint_velocity_limits(
-            (share * plant.GetVelocityLowerLimits(), share * plant.GetVelocityUpperLimits())
-        )
-        parameters.set_nominal_joint_position(q_start)
-        parameters.set_joint_centering_gain(config.posture_gain * np.diag(moving.astype(float)))
-        parameters.set_end_effector_angular_speed_limit(config.max_rotation_speed)
-        parameters.set_end_effector_translational_velocity_limits(
-            np.full(3, -config.max_translation_speed), np.full(3, config.max_translation_speed)
-        )
-        # OSQP's polishing prints to stdout whenever no limit is active (OSQP issue 785).
-        parameters.get_mutable_solver_options().SetOption(OsqpSolver.id(), "polishing", 0)
-        builder = DiagramBuilder()
-        clutch = builder.AddNamedSystem("clutch", Clutch(hand_frame.CalcPoseInWorld(context), config.period))
-        inverse_kinematics = builder.AddNamedSystem(
-            "differential_inverse_kinematics",
-            DifferentialInverseKinematicsIntegrator(
-                plant, plant.world_frame(), hand_frame, config.period, parameters, context
+        arm_dofs, idle_dof = _dofs(plant, arm)
+        q_nominal = q_start.copy()
+        speed = config.joint_speed_share * plant.GetVelocityUpperLimits()
+        active = np.zeros(len(q_start), bool)
+        active[arm_dofs] = True
+        if idle_dof is not None:
+            # OSQP prints a line to stdout for every solution that meets no limit (OSQP issue 785). A
+            # joint that is asked to move but held at zero speed keeps one limit met, at no effect.
+            active[idle_dof] = True
+            speed[idle_dof] = 0.0
+            q_nominal[idle_dof] += 1.0
+        inverse_kinematics = DifferentialInverseKinematicsSystem(
+            recipe=_recipe(config, plant, active, speed),
+            task_frame=plant.world_frame().scoped_name().get_full(),
+            collision_checker=SceneGraphCollisionChecker(
+                model=robot,
+                robot_model_instances=[arm, hand_frame.model_instance()],
+                edge_step_size=0.1,
+                implicit_context_parallelism=Parallelism(False),
+            ),
+            active_dof=DofMask(active.tolist()),
+            time_step=config.period,
+            K_VX=config.pose_gain,
+            Vd_TG_limit=SpatialVelocity(
+                w=np.full(3, config.max_rotation_speed), v=np.full(3, config.max_translation_speed)
             ),
         )
-        arm_only = builder.AddNamedSystem("arm_positions", MatrixGain(np.eye(len(moving))[moving]))
-        differences = builder.AddNamedSystem(
-            "desired_state",
-            StateInterpolatorWithDiscreteDerivative(num_arm, config.period, suppress_initial_transient=True),
+
+        builder = DiagramBuilder()
+        frame_name = hand_frame.scoped_name().get_full()
+        X_WB_start = hand_frame.CalcPoseInWorld(context)
+        clutch = builder.AddNamedSystem("clutch", Clutch(frame_name, X_WB_start, config.period))
+        controller = builder.AddNamedSystem(
+            "differential_inverse_kinematics",
+            DifferentialInverseKinematicsController(inverse_kinematics, planar_rotation_dof_indices=[]),
         )
-        builder.Connect(clutch.GetOutputPort("desired_pose"), inverse_kinematics.GetInputPort("X_AE_desired"))
-        builder.Connect(inverse_kinematics.GetOutputPort("joint_positions"), arm_only.get_input_port())
-        builder.Connect(arm_only.get_output_port(), differences.get_input_port())
+        nominal = builder.AddNamedSystem("nominal_posture", ConstantVectorSource(q_nominal))
+        start = builder.AddNamedSystem(
+            "start_state", ConstantVectorSource(np.concatenate([q_start, np.zeros(plant.num_velocities())]))
+        )
+        to_arm = np.eye(len(q_start))[arm_dofs][:, active]
+        positions = builder.AddNamedSystem("arm_positions", MatrixGain(to_arm))
+        velocities = builder.AddNamedSystem("arm_velocities", MatrixGain(to_arm))
+        both = builder.AddNamedSystem("desired_state", Multiplexer([len(arm_dofs)] * 2))
+        builder.Connect(clutch.GetOutputPort("desired_poses"), controller.GetInputPort("desired_poses"))
+        builder.Connect(nominal.get_output_port(), controller.GetInputPort("nominal_posture"))
+        builder.Connect(start.get_output_port(), controller.GetInputPort("estimated_state"))
+        builder.Connect(controller.GetOutputPort("commanded_position"), positions.get_input_port())
+        builder.Connect(controller.GetOutputPort("commanded_velocity"), velocities.get_input_port())
+        builder.Connect(positions.get_output_port(), both.get_input_port(0))
+        builder.Connect(velocities.get_output_port(), both.get_input_port(1))
         builder.ExportInput(clutch.GetInputPort("wrist_pose"), "wrist_pose")
         builder.ExportInput(clutch.GetInputPort("valid"), "valid")
-        builder.ExportOutput(differences.get_output_port(), "arm_desired_state")
+        builder.ExportOutput(both.get_output_port(), "arm_desired_state")
         builder.BuildInto(self)
-        self._robot = robot  # owns the plant that the inverse kinematics refers to
-        self._inverse_kinematics, self._differences = inverse_kinematics, differences
-        self._q_start, self._moving = q_start, moving
+        self._controller, self._q_start = controller, q_start
 
     def initialize(self, root: Context) -> None:
-        """Starts the commands at the robot's default positions, in the root context of the diagram."""
-        self._inverse_kinematics.SetPositions(
-            self._inverse_kinematics.GetMyMutableContextFromRoot(root), self._q_start
-        )
-        self._differences.set_initial_position(
-            self._differences.GetMyMutableContextFromRoot(root), self._q_start[self._moving]
-        )
+        """Starts the commanded positions at the robot's default, in the root context of the diagram."""
+        context = self._controller.GetMyMutableContextFromRoot(root)
+        self._controller.set_initial_position(context, self._q_start)
+
+
+def _dofs(plant: MultibodyPlant, arm: ModelInstanceIndex) -> tuple[np.ndarray, int | None]:
+    """Positions of the arm's joints in the plant, and one position that is not the arm's, if any."""
+    is_arm = np.zeros(plant.num_positions(), bool)
+    for index in plant.GetJointIndices(arm):
+        joint = plant.get_joint(index)
+        is_arm[joint.position_start() : joint.position_start() + joint.num_positions()] = True
+    others = np.flatnonzero(~is_arm)
+    return np.flatnonzero(is_arm), int(others[0]) if len(others) else None
+
+
+def _recipe(
+    config: WristToArmConfig, plant: MultibodyPlant, active: np.ndarray, speed: np.ndarray
+) -> DifferentialInverseKinematicsSystem.Recipe:
+    """Follow the pose before all else, drift to the nominal posture, stay within the limits."""
+    ik = DifferentialInverseKinematicsSystem
+    recipe = ik.Recipe()
+    recipe.AddIngredient(ik.LeastSquaresCost(ik.LeastSquaresCost.Config(cartesian_qp_weight=100.0)))
+    recipe.AddIngredient(
+        ik.JointCenteringCost(ik.JointCenteringCost.Config(posture_gain=config.posture_gain))
+    )
+    # A joint slows down over the last 0.1 rad and stops 0.01 rad before its position limit.
+    margins = ik.JointVelocityLimitConstraint.Config(min_margin=0.01, influence_margin=0.1)
+    unlimited = np.full(int(active.sum()), np.inf)
+    limits = JointLimits(
+        position_lower=plant.GetPositionLowerLimits()[active],
+        position_upper=plant.GetPositionUpperLimits()[active],
+        velocity_lower=-speed[active],
+        velocity_upper=speed[active],
+        acceleration_lower=-unlimited,
+        acceleration_upper=unlimited,
+    )
+    recipe.AddIngredient(ik.JointVelocityLimitConstraint(margins, limits))
+    return recipe
