@@ -50,7 +50,8 @@ def planned_goal(object_name: str) -> GraspGoal:
     return GraspPlanner(scenario_with(object_name), allegro().description).plan()
 
 
-def scenario_with(object_name: str = "cylinder", text: str = "") -> Scenario:
+def scenario_with(object_name: str = "cylinder", text: str = "{}") -> Scenario:
     """The shipped scenario with another object, and with YAML text merged in."""
-    scenario = load_scenario(text=f"object: {{ name: {object_name} }}")
-    return load_scenario(text=f"object: {{ name: {object_name} }}\n{text}") if text else scenario
+    scenario = load_scenario(text=text)
+    scenario.object.name = object_name
+    return scenario
