@@ -1,6 +1,7 @@
 """Reads a glove recording, checks it, reports its health and saves it as our own .npz."""
 
 import argparse
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -64,9 +65,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     if arguments.output is not None:
         if arguments.output.suffix != ".npz":
             parser.error(f"{arguments.output}: the name must end with .npz")
-        for parent in arguments.output.parents:
-            if parent.is_file():
-                parser.error(f"{arguments.output} must lie in a directory, but {parent} is a file")
+        nearest = next(parent for parent in arguments.output.parents if parent.exists())
+        if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
+            parser.error(f"{arguments.output}: {nearest} is not a directory that can be written to")
     return arguments
 
 

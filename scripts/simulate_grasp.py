@@ -9,6 +9,7 @@ import argparse
 import copy
 import dataclasses
 import json
+import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -46,9 +47,9 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         parser.error(f"--trials must be at least 1, not {arguments.trials}")
     if arguments.seed < 0:
         parser.error(f"--seed must be 0 or more, not {arguments.seed}")
-    for path in (arguments.output, *arguments.output.parents):
-        if path.is_file():
-            parser.error(f"--output {arguments.output} must be a directory, but {path} is a file")
+    nearest = next(path for path in (arguments.output, *arguments.output.parents) if path.exists())
+    if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
+        parser.error(f"--output {arguments.output}: {nearest} is not a directory that can be written to")
     return arguments
 
 

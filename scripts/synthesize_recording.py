@@ -1,6 +1,7 @@
 """Makes a synthetic recording of a hand at play: ranges, fists, waves and pinches, from a seed."""
 
 import argparse
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -136,9 +137,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
             continue
         if path.suffix != suffix:
             parser.error(f"{path}: the name must end with {suffix}")
-        for parent in path.parents:
-            if parent.is_file():
-                parser.error(f"{path} must lie in a directory, but {parent} is a file")
+        nearest = next(parent for parent in path.parents if parent.exists())
+        if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
+            parser.error(f"{path}: {nearest} is not a directory that can be written to")
     return arguments
 
 

@@ -6,6 +6,7 @@ python scripts/train_retargeter.py --hand allegro_right --recording alex.npy --o
 import argparse
 import dataclasses
 import json
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -42,9 +43,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.error(f"--seed must be 0 or more, not {arguments.seed}")
     if arguments.robot_samples < 1:
         parser.error(f"--robot_samples must be at least 1, not {arguments.robot_samples}")
-    for path in arguments.output.parents:
-        if path.is_file():
-            parser.error(f"--output {arguments.output} must be a directory, but {path} is a file")
+    nearest = next(path for path in (arguments.output, *arguments.output.parents) if path.exists())
+    if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
+        parser.error(f"--output {arguments.output}: {nearest} is not a directory that can be written to")
     settings = _settings(arguments.set)
     if arguments.steps is not None:
         settings["steps"] = arguments.steps

@@ -246,7 +246,8 @@ def test_simulate_grasp_refuses_impossible_requests(refused, arguments, parts):
         ("--output out --steps 0", ["steps", "0"]),
         ("--output out --robot_samples 0", ["robot_samples", "0"]),
         ("--output out --seed -1", ["--seed", "-1"]),
-        ("--output file", ["file exists and is not a checkpoint"]),
+        ("--output file", ["file is not a directory"]),
+        ("--output .", ["exists and is not a checkpoint"]),
         ("--output file/out", ["file", "directory"]),
         ("", ["--output"]),
     ],
@@ -292,6 +293,16 @@ def test_import_recording_refuses_impossible_requests(refused, arguments, parts)
     said = refused("import_recording.py", arguments)
     for part in parts:
         assert part in said
+
+
+@pytest.mark.parametrize("script", READERS)
+def test_a_folder_without_write_permission_is_refused(refused, monkeypatch, script):
+    """Nothing is computed for an output that cannot be stored."""
+    # Permissions themselves do not stop the superuser, who runs tests in many containers.
+    monkeypatch.setattr("os.access", lambda _path, _mode: False)
+    assert "is not a directory that can be written to" in refused(
+        script, READERS[script].format("@r/good.npy")
+    )
 
 
 @pytest.mark.parametrize(
