@@ -1,0 +1,265 @@
+"""The assembled diagram: hand and arm follow the glove, ports are named and described, forces are bounded."""
+
+import dataclasses as dc
+import inspect
+import re
+from functools import cache
+
+import numpy as np
+import pytest
+from grasp_setup import allegro, centred_map, person_and_rest, planned_goal, scenario_with
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import LeafSystem, PortDataType
+
+from geort_drake.errors import HandError, ScenarioError
+from geort_drake.gloves.recording import Recording
+from geort_drake.operators.finger_motion import FingerMotion
+from geort_drake.simulation.diagram import GraspDiagram, draw_placement, make_grasp_diagram
+from geort_drake.simulation.trial import run_trial
+from geort_drake.simulation.world import ARM, HAND
+
+OWN_PACKAGE = "geort_drake."
+
+
+def glove(p_W_moved=(0.0, 0.0, 0.0), spread: float = 0.0, duration: float = 3.0) -> Recording:
+    """A hand held still at rest, its fingertips spread by a share, and a wrist that moves away at once."""
+    hand, _ = person_and_rest()
+    keypoints = hand.keypoints(FingerMotion(hand).rest)
+    keypoints[[4, 8, 12, 16, 20]] *= 1 + spread
+    t = np.arange(0, duration, 0.01)
+    X_WH = np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(t), 1))
+    # The clutch engages at the first sample; the wrist moves in the half second after it.
+    X_WH[:, 4:] = np.clip((t - 0.1) / 0.5, 0, 1)[:, None] * np.asarray(p_W_moved)
+    return Recording(
+        t=t,
+        p_HK=np.tile(keypoints, (len(t), 1, 1)),
+        valid=np.ones(len(t), bool),
+        X_WH=X_WH,
+        metadata={"side": "right"},
+    )
+
+
+def start(parts: GraspDiagram) -> Simulator:
+    simulator = Simulator(parts.diagram)
+    parts.initialize(simulator.get_mutable_context())
+    return simulator
+
+
+@cache
+def whole_diagram() -> GraspDiagram:
+    """The diagram with the simulated operator."""
+    human = (person_and_rest()[0], planned_goal("cylinder"))
+    return make_grasp_diagram(scenario_with("cylinder"), centred_map(), human)
+
+
+@cache
+def moved_by(shift: tuple[float, float, float]) -> tuple[np.ndarray, float, np.ndarray]:
+    """Displacement of the hand base, its turn, and how far the finger joints are from their targets."""
+    parts = make_grasp_diagram(scenario_with("cylinder"), centred_map(), glove(shift, spread=0.05))
+    simulator = start(parts)
+    root, plant = simulator.get_context(), parts.plant
+    context = plant.GetMyContextFromRoot(root)
+    hand = plant.GetModelInstanceByName(HAND)
+    base = plant.GetFrameByName(parts.description.base_frame, hand)
+    X_WB0 = base.CalcPoseInWorld(context)
+    simulator.AdvanceTo(2.5)
+    X_WB = base.CalcPoseInWorld(context)
+    desired = parts.retargeting.GetOutputPort("desired_state").Eval(
+        parts.retargeting.GetMyContextFromRoot(root)
+    )
+    actuators = [plant.get_joint_actuator(i) for i in plant.GetJointActuatorIndices(hand)]
+    q = np.array([actuator.joint().GetOnePosition(context) for actuator in actuators])
+    turn = (X_WB0.rotation().inverse() @ X_WB.rotation()).ToAngleAxis().angle()
+    return X_WB.translation() - X_WB0.translation(), turn, q - desired[: len(q)]
+
+
+# -- what moves
+
+
+def test_the_fingers_go_where_the_retargeter_says():
+    """A glove held still takes every joint of the hand to its target within 0.03 rad, none left behind."""
+    _, _, error = moved_by((0.0, 0.0, 0.0))
+    hand = allegro()
+    keypoints = glove(spread=0.05).p_HK[0]
+    retarget = centred_map()
+    for _ in range(200):
+        q = retarget(keypoints)
+    # The targets are far from where the hand starts, so staying there would not pass.
+    assert np.abs(q - hand.default_position).max() > 0.2
+    assert len(error) == len(hand.joint_names)
+    np.testing.assert_allclose(error, 0, atol=0.03)
+
+
+@pytest.mark.parametrize("shift", [(0.05, 0.0, 0.0), (0.0, -0.05, 0.0), (0.0, 0.0, 0.05)])
+def test_the_arm_carries_the_hand_as_the_wrist_moves(shift):
+    """A wrist displaced by 5 cm displaces the hand base by 5 cm within 3 mm, and does not turn it."""
+    moved, turn, _ = moved_by(shift)
+    np.testing.assert_allclose(moved, shift, atol=3e-3)
+    assert abs(turn) < 0.02
+
+
+def test_the_arm_stays_where_the_wrist_stays():
+    """Gravity, the hand's motion and the tracker's own origin do not move the hand base."""
+    moved, turn, _ = moved_by((0.0, 0.0, 0.0))
+    np.testing.assert_allclose(moved, 0, atol=1.5e-3)
+    assert abs(turn) < 0.01
+
+
+# -- ports
+
+
+def own_leaf_systems() -> list[LeafSystem]:
+    """Our own systems of the diagram, those inside its diagrams too."""
+    seen, todo = [], [whole_diagram().diagram]
+    while todo:
+        system = todo.pop()
+        if hasattr(system, "GetSystems"):
+            todo += system.GetSystems()
+        if type(system).__module__.startswith(OWN_PACKAGE):
+            seen.append(system)
+    replay = make_grasp_diagram(scenario_with("cylinder"), centred_map(), glove())
+    return [*seen, replay.diagram.GetSubsystemByName("glove_replay")]
+
+
+def documented_ports(docstring: str, direction: str) -> set[str]:
+    """Names in the list below `Input port(s)` or `Output port(s)` of a docstring."""
+    section = re.search(
+        rf"^ *{direction} ports?[^\n]*:\n(.*?)(?=^ *\w+ ports?[^\n]*:\n|^\s*$|\Z)", docstring, re.M | re.S
+    )
+    return set(re.findall(r"^ *(\w+) \(", section.group(1), re.M)) if section else set()
+
+
+def test_every_port_is_described_where_it_is_declared():
+    """The docstring of each system lists exactly its ports, inputs and outputs apart."""
+    systems = own_leaf_systems()
+    kinds = {type(system).__name__ for system in systems}
+    assert {"RetargetingSystem", "SimulatedOperator", "GloveReplay", "WristToArm", "SceneView"} <= kinds
+    for system in systems:
+        docstring = inspect.getdoc(type(system)) or ""
+        inputs = {system.get_input_port(i).get_name() for i in range(system.num_input_ports())}
+        outputs = {system.get_output_port(i).get_name() for i in range(system.num_output_ports())}
+        assert documented_ports(docstring, "Input") == inputs, type(system).__name__
+        assert documented_ports(docstring, "Output") == outputs, type(system).__name__
+
+
+@pytest.mark.parametrize(
+    ("system", "port", "size"),
+    [
+        ("operator", "keypoints", 63),
+        ("operator", "wrist_pose", None),
+        ("operator", "valid", 1),
+        ("retargeting", "desired_state", 32),
+        ("retargeting", "status", None),
+        ("action_correction", "desired_state", 32),
+        ("wrist_to_arm", "arm_desired_state", 14),
+        ("scene_view", "fingertips", 12),
+        ("scene_view", "hand_pose", 7),
+        ("scene_view", "object_pose", 7),
+        ("scene_view", "contact", 4),
+        ("grasp_monitor", "phase", 1),
+        ("grasp_monitor", "outcome", None),
+    ],
+)
+def test_ports_have_the_names_and_sizes_that_others_rely_on(system, port, size):
+    """Names and sizes of the output ports; no size for abstract ones."""
+    found = whole_diagram().diagram.GetSubsystemByName(system).GetOutputPort(port)
+    if size is None:
+        assert found.get_data_type() == PortDataType.kAbstractValued
+    else:
+        assert found.get_data_type() == PortDataType.kVectorValued and found.size() == size
+
+
+def test_the_diagram_is_closed_and_nothing_runs_through_it_unsampled():
+    """No port is left open; building it proved that there is no algebraic loop; what samples, samples."""
+    parts = whole_diagram()
+    assert parts.diagram.num_input_ports() == 0
+    parts.diagram.ForcedPublish(parts.diagram.CreateDefaultContext())
+    # Every path from the scene to the commands passes through one of these.
+    for system in ("operator", "retargeting", "contact_seen_late", "wrist_to_arm"):
+        assert not parts.diagram.GetSubsystemByName(system).HasAnyDirectFeedthrough(), system
+
+
+# -- forces
+
+
+def test_motors_keep_to_their_limits_and_the_object_is_not_pierced():
+    """In a grasp no actuator exceeds its effort, and nothing is deeper in the object than 3 mm."""
+    scenario = scenario_with("cylinder")
+    human = (person_and_rest()[0], planned_goal("cylinder"))
+    parts = make_grasp_diagram(scenario, centred_map(), human)
+    simulator = start(parts)
+    plant = parts.plant
+    actuators = [plant.get_joint_actuator(i) for i in plant.GetJointActuatorIndices()]
+    limits = np.array([actuator.effort_limit() for actuator in actuators])
+    assert np.isfinite(limits).all() and len(limits) == 7 + 16
+    worst, deepest, contacts = 0.0, 0.0, 0
+    while simulator.get_context().get_time() < 10.0:
+        simulator.AdvanceTo(simulator.get_context().get_time() + 0.05)
+        context = plant.GetMyContextFromRoot(simulator.get_context())
+        effort = plant.get_net_actuation_output_port().Eval(context)
+        worst = max(worst, float((np.abs(effort) / limits).max()))
+        results = plant.get_contact_results_output_port().Eval(context)
+        for number in range(results.num_point_pair_contacts()):
+            info = results.point_pair_contact_info(number)
+            if parts.object_body.index() in (info.bodyA_index(), info.bodyB_index()):
+                deepest, contacts = max(deepest, info.point_pair().depth), contacts + 1
+        if parts.monitor.outcome(parts.monitor.GetMyContextFromRoot(simulator.get_context())).over:
+            break
+    assert parts.monitor.outcome(parts.monitor.GetMyContextFromRoot(simulator.get_context())).peak_force > 1.0
+    assert 0.05 < worst <= 1 + 1e-6
+    assert contacts > 50 and deepest <= 3e-3
+
+
+# -- what is drawn by chance, and what is refused
+
+
+def test_the_placement_is_the_seeds_and_within_its_ranges():
+    """Position, yaw and mass stay in the ranges and fill them; one seed gives one placement."""
+    scenario = scenario_with("cylinder")
+    config = scenario.object
+    placements = [draw_placement(scenario, -0.05, np.random.default_rng(seed)) for seed in range(300)]
+    p = np.array([placement.X_WO.translation() for placement in placements])
+    offsets = p[:, :2] - config.position
+    assert np.abs(offsets).max() <= config.position_range
+    assert np.abs(offsets).max(axis=0).min() > 0.9 * config.position_range
+    np.testing.assert_allclose(p[:, 2], config.support_height + 0.05, atol=1e-12)
+    yaw = np.array([np.arctan2(*placement.X_WO.rotation().matrix()[[1, 0], 0]) for placement in placements])
+    assert 0.9 * config.yaw_range < np.abs(yaw).max() <= config.yaw_range
+    factor = np.array([placement.mass_factor for placement in placements])
+    assert 0.9 * config.mass_range < np.abs(factor - 1).max() <= config.mass_range
+    again = draw_placement(scenario, -0.05, np.random.default_rng(7))
+    np.testing.assert_array_equal(again.X_WO.GetAsMatrix4(), placements[7].X_WO.GetAsMatrix4())
+
+
+def test_the_object_weighs_what_was_drawn():
+    """`initialize` scales the object's mass by the placement's factor and keeps its shape of inertia."""
+    parts = whole_diagram()
+    root = parts.diagram.CreateDefaultContext()
+    nominal = parts.object_body.get_mass(parts.plant.GetMyContextFromRoot(root))
+    parts.initialize(root)
+    drawn = parts.object_body.get_mass(parts.plant.GetMyContextFromRoot(root))
+    assert drawn == pytest.approx(nominal * parts.placement.mass_factor)
+    assert parts.placement.mass_factor != 1.0
+
+
+def test_only_the_object_feels_gravity():
+    """The arm's controller compensates for its own weight and the hand's; the object falls."""
+    plant = whole_diagram().plant
+    for model in (ARM, HAND):
+        assert not plant.is_gravity_enabled(plant.GetModelInstanceByName(model))
+    assert plant.is_gravity_enabled(whole_diagram().object_body.model_instance())
+
+
+def test_a_retargeter_for_another_hand_is_refused():
+    """The message names the joints of both."""
+    retarget = centred_map()
+    retarget.joint_names = [f"finger_{name}" for name in retarget.joint_names]
+    with pytest.raises(HandError, match=r"finger_joint_0.*the plant's hand has joint_0"):
+        make_grasp_diagram(scenario_with("cylinder"), retarget, glove())
+
+
+def test_a_scenario_without_a_robot_is_refused():
+    """What the models lack is said before anything is simulated."""
+    scenario = dc.replace(scenario_with("cylinder"), directives=[])
+    with pytest.raises(ScenarioError, match="must add a model named 'arm'"):
+        run_trial(scenario, centred_map(), glove())
