@@ -170,7 +170,6 @@ def test_the_thumb_opposes_the_fingers(name):
 # -- plans
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cylinder", "cube"])
 def test_a_planned_grasp_touches_and_nothing_collides(name):
     """In the planned posture, in a plant without collision filters, only fingertips meet the object."""

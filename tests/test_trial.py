@@ -1,0 +1,205 @@
+"""Whole grasps: a person lifts an object through a known map, the same way twice, and from the recording."""
+
+import dataclasses as dc
+import json
+import subprocess
+import sys
+import sysconfig
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from grasp_setup import allegro, centred_map, person_and_rest, planned_goal, scenario_with
+
+from geort_drake.gloves.recording import Recording
+from geort_drake.simulation.trial import TrialResult, run_trial
+from geort_drake.systems.grasp_monitor import GraspPhase
+
+# A shorter hold than a benchmark's, to save time.
+TEXT = "{monitor: {hold_time: 0.5}, timeout: 15.0}"
+
+
+@cache
+def lifted(seed: int = 0) -> tuple[TrialResult, Recording]:
+    """The cylinder, grasped by the simulated operator through the centred map."""
+    scenario = scenario_with("cylinder", TEXT)
+    scenario.random_seed = seed
+    return run_trial(scenario, centred_map(), (person_and_rest()[0], planned_goal("cylinder")))
+
+
+def still_hand(duration: float = 2.0) -> Recording:
+    """A hand that does nothing."""
+    hand, _ = person_and_rest()
+    t = np.arange(0, duration, 0.01)
+    return Recording(
+        t=t,
+        p_HK=np.tile(hand.keypoints(np.zeros(20)), (len(t), 1, 1)),
+        valid=np.ones(len(t), bool),
+        X_WH=np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(t), 1)),
+        metadata={"side": "right"},
+    )
+
+
+def verify(path: Path) -> subprocess.CompletedProcess:
+    """Rerun's own check of a recording."""
+    rerun = Path(sysconfig.get_path("scripts")) / "rerun"
+    return subprocess.run([rerun, "rrd", "verify", path], capture_output=True, text=True, check=False)
+
+
+class HoldPose:
+    """A retargeter that ignores the human."""
+
+    def __init__(self):
+        self.joint_names = list(allegro().joint_names)
+        self._q = allegro().default_position
+
+    def __call__(self, _keypoints: np.ndarray) -> np.ndarray:
+        return self._q.copy()
+
+
+class Failing(HoldPose):
+    """A retargeter that fails on its hundredth call."""
+
+    calls = 0
+
+    def __call__(self, keypoints: np.ndarray) -> np.ndarray:
+        self.calls += 1
+        if self.calls == 100:
+            raise ArithmeticError("the map has failed")
+        return super().__call__(keypoints)
+
+
+# -- a grasp
+
+
+def test_the_cylinder_is_lifted_through_a_known_map():
+    """The result tells a plausible story: touched, grasped, lifted above 10 cm, held."""
+    result, glove = lifted()
+    assert result.success and result.outcome == "success"
+    assert (result.object, result.seed, result.attempts) == ("cylinder", 0, 1)
+    assert result.first_attempt is True and result.drops == 0
+    order = [result.phase_times[name] for name in ("REACH", "TOUCH", "LIFT", "HOLD", "DONE")]
+    assert order == sorted(order)
+    assert set(result.phase_times) <= {phase.name for phase in GraspPhase}
+    assert 2.0 < result.completion_time < 12.0
+    assert result.completion_time == pytest.approx(result.phase_times["DONE"] - 0.5, abs=0.011)
+    assert result.simulated_time == pytest.approx(result.phase_times["DONE"], abs=0.011)
+    assert 0.10 < result.peak_height < 0.20
+    # At least the weight of 0.1 kg held by friction of two sides, at most what the motors can do.
+    assert 0.3 < result.peak_force < 20.0
+    assert result.wall_time > 0
+    # The glove's data cover the trial at the operator's rate and stay a human hand's.
+    assert glove.rate_hz == pytest.approx(100, rel=1e-3)
+    assert glove.t[-1] == pytest.approx(result.simulated_time, abs=0.02)
+    assert glove.valid.all() and np.isfinite(glove.p_HK).all()
+    assert glove.X_WH is not None and np.ptp(glove.X_WH[:, 6]) > 0.1
+    assert glove.metadata["outcome"] == "success" and glove.metadata["side"] == "right"
+
+
+def test_results_are_plain_json():
+    """`to_json` has every field, and nothing that JSON lacks."""
+    result, _ = lifted()
+    again = json.loads(json.dumps(result.to_json(), allow_nan=False))
+    assert set(again) == {field.name for field in dc.fields(TrialResult)}
+    assert again["phase_times"]["DONE"] == result.phase_times["DONE"]
+
+
+def test_one_seed_gives_one_trial():
+    """A second run with the same seed is the same to the last bit, but for the time it took."""
+    first, glove = lifted()
+    second, glove_again = lifted.__wrapped__()
+    assert dc.replace(second, wall_time=first.wall_time) == first
+    for name in ("t", "p_HK", "X_WH", "valid"):
+        np.testing.assert_array_equal(getattr(glove_again, name), getattr(glove, name))
+    assert glove_again.digest == glove.digest
+
+
+def test_the_gloves_recording_played_again_grasps_again(tmp_path):
+    """Saved, loaded and replayed, the operator's hand and wrist lift the object at the same time."""
+    result, glove = lifted()
+    glove.save(tmp_path / "session.npz")
+    scenario = scenario_with("cylinder", TEXT)
+    again, glove_again = run_trial(scenario, centred_map(), Recording.load(tmp_path / "session.npz"))
+    assert again.success
+    assert again.completion_time == pytest.approx(result.completion_time, abs=0.1)
+    assert again.attempts is None and again.first_attempt is None
+    count = min(len(glove.t), len(glove_again.t))
+    np.testing.assert_allclose(glove_again.p_HK[:count], glove.p_HK[:count], atol=1e-6)
+
+
+# -- failures
+
+
+def test_a_map_that_does_nothing_times_out_in_a_named_phase(tmp_path):
+    """Without finger motion nothing is lifted; the failure has the phase it ended in."""
+    scenario = scenario_with("cylinder", "{timeout: 5.0}")
+    human = (person_and_rest()[0], planned_goal("cylinder"))
+    result, glove = run_trial(scenario, HoldPose(), human)
+    assert not result.success and result.completion_time is None and result.first_attempt is False
+    failure, phase = result.outcome.split(": ")
+    assert failure in ("timeout", "thrown")
+    assert phase in {one.name.lower() for one in GraspPhase} - {"done", "hold", "lift"}
+    if failure == "timeout":
+        assert result.simulated_time == pytest.approx(5.0)
+    assert result.peak_height < 0.05
+    assert glove.metadata["outcome"] == result.outcome
+
+
+def test_an_object_that_falls_off_its_support_ends_the_trial():
+    """Beside the plinth the object falls to the table: thrown, long before the timeout."""
+    scenario = scenario_with("cylinder", "{object: {position: [0.5, 0.35]}}")
+    result, _ = run_trial(scenario, HoldPose(), still_hand())
+    assert result.outcome == "thrown: reach" and not result.success
+    assert result.simulated_time < 1.0
+    assert result.phase_times["THROWN"] == pytest.approx(result.simulated_time, abs=0.011)
+
+
+# -- what is written and reported
+
+
+def test_a_rerun_file_is_written_and_whole_when_asked_for(tmp_path):
+    """Rerun's own check accepts it; the glove and the result do not depend on it."""
+    scenario = scenario_with("cylinder", "{timeout: 0.5}")
+    path = tmp_path / "trial.rrd"
+    result, glove = run_trial(scenario, HoldPose(), still_hand(), path, {"method": "hold"})
+    checked = verify(path)
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+    assert path.stat().st_size > 20_000
+    without, glove_without = run_trial(scenario, HoldPose(), still_hand())
+    assert dc.replace(without, wall_time=result.wall_time) == result
+    assert glove_without.digest == glove.digest
+
+
+def test_nothing_is_written_and_rerun_not_loaded_unless_asked_for(tmp_path):
+    """A trial without a path leaves its folder empty, and runs where Rerun is not installed."""
+    code = (
+        "import sys; sys.modules['rerun'] = None\n"
+        f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from test_trial import HoldPose, run_trial, scenario_with, still_hand\n"
+        "result, _ = run_trial(scenario_with('cylinder', '{timeout: 0.1}'), HoldPose(), still_hand())\n"
+        "print(result.outcome)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip().splitlines()[-1] == "timeout: reach"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_was_recorded_before_a_failure_is_kept(tmp_path):
+    """When the retargeter raises, its error comes through and the recording so far is whole."""
+    path = tmp_path / "trial.rrd"
+    with pytest.raises(ArithmeticError, match="the map has failed"):
+        run_trial(scenario_with("cylinder", "{timeout: 3.0}"), Failing(), still_hand(), path)
+    assert verify(path).returncode == 0
+
+
+def test_progress_is_reported_in_simulated_time():
+    """The callback sees rising times, some four a simulated second."""
+    seen: list[float] = []
+    scenario = scenario_with("cylinder", "{timeout: 1.0}")
+    run_trial(scenario, HoldPose(), still_hand(), report=seen.append)
+    assert seen[0] == 0.0 and seen == sorted(seen)
+    assert 4 <= len(seen) <= 6
