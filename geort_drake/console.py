@@ -1,5 +1,6 @@
 """What every script shares: one console, progress bars, and errors that end with exit code 2."""
 
+import logging
 import sys
 from collections.abc import Callable, Sequence
 
@@ -35,6 +36,8 @@ def progress_bar() -> Progress:
 
 def run_main(main: Callable[[Sequence[str] | None], int | None]) -> None:
     """Runs a script's `main` and exits: 0 when it worked, 2 when the user can correct something."""
+    # Drake's notices (how many contexts it allocates) would break the progress bars.
+    logging.getLogger("drake").setLevel(logging.WARNING)
     try:
         sys.exit(main(None) or 0)
     except GeortError as error:

@@ -58,15 +58,26 @@ class AffineMap:
         """Joint positions (n,) rad for keypoints (21, 3) or fingertips (F, 3), m in H."""
         p_H = np.asarray(p_H, float)
         target = self.target(p_H[self._keypoints] if len(p_H) == 21 else p_H)
-        q = self._q
-        for _ in range(3):
+        q, error = self._solve(target, self._q, 3)
+        # A finger folded the wrong way does not find back by small steps; it starts over.
+        stuck = error > 0.03
+        if stuck.any():
+            again, error_again = self._solve(target, self._hand.default_position, 30)
+            for finger in np.flatnonzero(stuck & (error_again < error - 0.01)):
+                q[self._columns[finger]] = again[self._columns[finger]]
+        self._q = q
+        return q.copy()
+
+    def _solve(self, target: np.ndarray, q: np.ndarray, iterations: int) -> tuple[np.ndarray, np.ndarray]:
+        """Joint positions near q for fingertips at target, and the (F,) errors left, m."""
+        q = q.copy()
+        for _ in range(iterations):
             p_BF, jacobians = self._linearise(q)
             for columns, J, error in zip(self._columns, jacobians, target - p_BF, strict=True):
                 step = J.T @ np.linalg.solve(J @ J.T + 1e-5 * np.eye(3), error)
                 q[columns] += np.clip(step, -0.3, 0.3)
             q = np.clip(q, self._hand.lower, self._hand.upper)
-        self._q = q
-        return q.copy()
+        return q, np.linalg.norm(target - self._hand.fingertips(q), axis=1)
 
     def _linearise(self, q: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
         """Fingertips (F, 3) at q, and each one's derivative by its own finger's joints, (3, k)."""

@@ -90,8 +90,10 @@ class OperatorState:
     # Smallest shape error seen in this phase, and when it last fell.
     best_error: float = np.inf
     best_time: float = 0.0
-    # Squeeze: where the own fingertips started; lift: the object's place in the hand.
+    # Squeeze: where the own fingertips started, and which way is inwards, (F, 3).
     p_HF_start: np.ndarray | None = None
+    n_BF: np.ndarray | None = None
+    # Lift: the object's place in the hand when it began.
     p_BO_start: np.ndarray | None = None
 
 
@@ -161,11 +163,13 @@ class GraspingPerson:
             if touching.all():
                 self._enter(state, Phase.SQUEEZE, t)
                 state.p_HF_start = self._hand.fingertips(state.theta)
+                R_BO = (seen.X_WB.inverse() @ goal.object_frame(seen.X_WO)).rotation().matrix()
+                state.n_BF = goal.n_OF @ R_BO.T
         elif state.phase == Phase.SQUEEZE:
             if t - state.phase_start >= config.squeeze_time + config.settle_time:
                 self._enter(state, Phase.LIFT, t)
                 state.p_BO_start = seen.X_WB.inverse() @ seen.X_WO.translation()
-        elif self._lost(state, seen):
+        elif self._slip(state, seen) > config.lost_distance:
             self._enter(state, Phase.RELEASE, t)
             state.attempt += 1
         elif state.phase == Phase.LIFT and self._wrist_rests(state, t) and state.movement is not None:
@@ -194,21 +198,26 @@ class GraspingPerson:
         return t - state.best_time > self._config.patience
 
     def _hand_shift(self, state: OperatorState, seen: Seen) -> np.ndarray | None:
-        """How to move the hand, (3,) m in W, to take over the mean of what the fingers cannot reach."""
+        """How to move the hand, (3,) m in W, to take over what the fingers cannot reach.
+
+        It is the middle of the fingertips' errors, which leaves the least for the worst of them.
+        """
         error = self._fingertip_errors(state, seen)
         if state.phase == Phase.CLOSE:
             # Up to the surface, not below it; a finger that touches has arrived.
             X_BO = seen.X_WB.inverse() @ self._goal.object_frame(seen.X_WO)
             error -= self._config.overshoot * (self._goal.n_OF @ X_BO.rotation().matrix().T)
             error[seen.contact > self._config.touch_force] = 0
-        mean = error[self._goal.touches].mean(axis=0)
-        if np.linalg.norm(mean) < self._config.shift_tolerance:
+        error = error[self._goal.touches]
+        middle = 0.5 * (error.min(axis=0) + error.max(axis=0))
+        if np.linalg.norm(middle) < self._config.shift_tolerance:
             return None
-        return seen.X_WB.rotation().matrix() @ mean
+        return seen.X_WB.rotation().matrix() @ middle
 
-    def _lost(self, state: OperatorState, seen: Seen) -> bool:
+    def _slip(self, state: OperatorState, seen: Seen) -> float:
+        """How far the object has moved in the hand since the lift began, m."""
         p_BO = seen.X_WB.inverse() @ seen.X_WO.translation()
-        return bool(np.linalg.norm(p_BO - state.p_BO_start) > self._config.lost_distance)
+        return float(np.linalg.norm(p_BO - state.p_BO_start))
 
     # -- fingers
 
@@ -230,16 +239,7 @@ class GraspingPerson:
         config = self._config
         p_HF = self._hand.fingertips(state.theta)
         if state.phase in (Phase.SQUEEZE, Phase.LIFT, Phase.HOLD):
-            state.finger_velocity = np.zeros((5, 3))
-            if state.phase == Phase.SQUEEZE:
-                # Own axes H and the robot hand's axes B are read as the same directions.
-                R_BO = (seen.X_WB.inverse() @ self._goal.object_frame(seen.X_WO)).rotation().matrix()
-                inwards = np.zeros((5, 3))
-                inwards[self._own[self._goal.touches]] = self._goal.n_OF[self._goal.touches] @ R_BO.T
-                done = minimum_jerk((t - state.phase_start) / config.squeeze_time)
-                assert state.p_HF_start is not None  # set on entering the squeeze
-                target = state.p_HF_start + config.squeeze * done * inwards
-                state.theta = self._motion.follow(state.theta, target)
+            self._squeeze(state, t)
             return
         # What the own fingers did since the picture was taken is taken to have moved the robot's alike
         # (a forward model, as people have one; Miall and Wolpert 1996).
@@ -259,6 +259,19 @@ class GraspingPerson:
         state.finger_velocity = velocity
         noisy = velocity * (1 + self._rng.normal(0, config.motor_noise, (5, 1)))
         state.theta = self._motion.follow(state.theta, p_HF + config.period * noisy)
+
+    def _squeeze(self, state: OperatorState, t: float) -> None:
+        """Moves the touching fingertips inwards by a fixed amount, and keeps them there."""
+        config, goal = self._config, self._goal
+        state.finger_velocity = np.zeros((5, 3))
+        if state.phase != Phase.SQUEEZE:
+            return
+        assert state.p_HF_start is not None and state.n_BF is not None  # set on entering the squeeze
+        # Own axes H and the robot hand's axes B are read as the same directions.
+        inwards = np.zeros((5, 3))
+        inwards[self._own[goal.touches]] = state.n_BF[goal.touches]
+        depth = config.squeeze * minimum_jerk((t - state.phase_start) / config.squeeze_time)
+        state.theta = self._motion.follow(state.theta, state.p_HF_start + depth * inwards)
 
     def _closing_share(self, error: np.ndarray, seen: Seen) -> np.ndarray:
         """Share of the closing speed for each finger: touching ones stop, leading ones wait."""
