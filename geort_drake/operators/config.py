@@ -55,8 +55,8 @@ class OperatorConfig:
     patience: float = 0.5
     shift_tolerance: float = 0.003
     # Before closing, the fingertips gather this far from the surface, m, each this well, m.
-    aperture: float = 0.005
-    aperture_tolerance: float = 0.004
+    aperture: float = 0.008
+    aperture_tolerance: float = 0.007
     # Then they aim this far below the surface, m.
     overshoot: float = 0.02
     # A finger this far ahead of the slowest waits for it, m.
