@@ -40,7 +40,7 @@ def run_main(main: Callable[[Sequence[str] | None], int | None]) -> None:
     logging.getLogger("drake").setLevel(logging.WARNING)
     try:
         sys.exit(main(None) or 0)
-    except GeortError as error:
+    except (GeortError, OSError) as error:
         console.print("[bold red]error:[/]", end=" ")
         console.print(str(error), markup=False, soft_wrap=True)
         sys.exit(2)

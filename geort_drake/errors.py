@@ -31,6 +31,10 @@ class TrainingError(GeortError):
     """Training cannot start or had to stop."""
 
 
+class OutputError(GeortError):
+    """A file or folder cannot be written where it was asked for."""
+
+
 class UnknownNameError(GeortError):
     """A name stands for nothing; the message lists the names that do."""
 

@@ -8,6 +8,8 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from geort_drake.errors import OutputError
+
 
 @contextlib.contextmanager
 def atomic_path(target: str | os.PathLike) -> Iterator[Path]:
@@ -50,6 +52,24 @@ def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         raise
+
+
+def require_writable(target: str | os.PathLike, directory: bool = False) -> None:
+    """Checks, before long work, that `target` can be written later; creates nothing.
+
+    Args:
+        target: a file, or with `directory` a folder that may exist already.
+
+    Raises:
+        OutputError: the nearest existing folder is none, or may not be written to.
+    """
+    target = Path(target)
+    candidates = (target, *target.parents) if directory else target.parents
+    nearest = next(path for path in candidates if path.exists())
+    if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
+        raise OutputError(f"{target}: {nearest} is not a directory that can be written to")
+    if not directory and target.is_dir():
+        raise OutputError(f"{target}: is a directory; a file was wanted")
 
 
 def write_text(target: str | os.PathLike, text: str) -> None:

@@ -1,7 +1,6 @@
 """Reads a glove recording, checks it, reports its health and saves it as our own .npz."""
 
 import argparse
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,6 +8,7 @@ from rich.table import Table
 
 from geort_drake.console import console, run_main
 from geort_drake.errors import RecordingError
+from geort_drake.files import require_writable
 from geort_drake.gloves.keypoints import FINGER_NAMES
 from geort_drake.gloves.readers import read_recording
 from geort_drake.gloves.recording import SIDES, Recording, check_pinches, check_recording
@@ -65,9 +65,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     if arguments.output is not None:
         if arguments.output.suffix != ".npz":
             parser.error(f"{arguments.output}: the name must end with .npz")
-        nearest = next(parent for parent in arguments.output.parents if parent.exists())
-        if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
-            parser.error(f"{arguments.output}: {nearest} is not a directory that can be written to")
+        require_writable(arguments.output)
     return arguments
 
 

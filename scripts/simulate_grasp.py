@@ -7,9 +7,7 @@ and of each trial a Rerun recording (.rrd) and the glove and tracker data (.npz)
 
 import argparse
 import copy
-import dataclasses
 import json
-import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +17,7 @@ from rich.table import Table
 from geort_drake import __version__
 from geort_drake.console import console, progress_bar, run_main
 from geort_drake.errors import ScenarioError, UnknownNameError
-from geort_drake.files import write_text
+from geort_drake.files import require_writable, write_text
 
 DEFAULT_OBJECTS = ("cylinder", "sphere", "cube")
 
@@ -32,7 +30,11 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     add("--trials", type=int, default=1, help="trials per object, each with its own seed (1)")
     add("--recording", type=Path, help="train on this glove recording instead of synthetic play")
     add("--side", default="right", choices=["left", "right"], help="side of the recorded hand (right)")
-    add("--retargeter", type=Path, help="use this checkpoint instead of training one")
+    add(
+        "--retargeter",
+        type=Path,
+        help="use this checkpoint, do not train; give its --recording too",
+    )
     add("--method", default="geort", help="retargeting method to train (geort)")
     add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train (cpu)")
     add("--seed", type=int, default=0, help="seed of training and synthetic play (0)")
@@ -47,9 +49,7 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         parser.error(f"--trials must be at least 1, not {arguments.trials}")
     if arguments.seed < 0:
         parser.error(f"--seed must be 0 or more, not {arguments.seed}")
-    nearest = next(path for path in (arguments.output, *arguments.output.parents) if path.exists())
-    if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
-        parser.error(f"--output {arguments.output}: {nearest} is not a directory that can be written to")
+    require_writable(arguments.output, directory=True)
     return arguments
 
 
@@ -145,7 +145,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "retargeter": str(checkpoint),
         "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "successes": sum(result.success for result in results),
-        "trials": [dataclasses.asdict(result) for result in results],
+        "trials": [result.to_json() for result in results],
     }
     text = json.dumps(report, indent=2, allow_nan=False)
     write_text(arguments.output / "results.json", text + "\n")
@@ -162,8 +162,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 def results_table(results) -> Table:
     """One row a trial."""
     table = Table(title="Grasps")
-    for heading in ("object", "seed", "outcome", "time to hold", "attempts", "lifted", "peak force", "speed"):
-        table.add_column(heading, justify="left" if heading in ("object", "outcome") else "right")
+    columns = ("object", "seed", "outcome", "hold at", "tries", "lifted", "force", "speed")
+    for heading in columns:
+        table.add_column(
+            heading, justify="left" if heading in ("object", "outcome") else "right", no_wrap=True
+        )
     for r in results:
         table.add_row(
             r.object,
@@ -172,9 +175,10 @@ def results_table(results) -> Table:
             "–" if r.completion_time is None else f"{r.completion_time:.1f} s",
             "–" if r.attempts is None else str(r.attempts),
             f"{100 * r.peak_height:.0f} cm",
-            f"{r.peak_force:.1f} N",
-            f"{r.simulated_time / r.wall_time:.1f} × real time",
+            f"{r.peak_force:.0f} N",
+            f"{r.simulated_time / r.wall_time:.1f} ×",
         )
+    table.caption = "hold at: start of the successful hold; force: peak; speed: of real time"
     return table
 
 

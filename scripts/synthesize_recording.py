@@ -1,14 +1,13 @@
 """Makes a synthetic recording of a hand at play: ranges, fists, waves and pinches, from a seed."""
 
 import argparse
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from geort_drake.console import console, run_main
-from geort_drake.files import atomic_path
+from geort_drake.files import atomic_path, require_writable
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.keypoints import FINGER_NAMES
 from geort_drake.gloves.play import synthesize_play
@@ -137,9 +136,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
             continue
         if path.suffix != suffix:
             parser.error(f"{path}: the name must end with {suffix}")
-        nearest = next(parent for parent in path.parents if parent.exists())
-        if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
-            parser.error(f"{path}: {nearest} is not a directory that can be written to")
+        require_writable(path)
     return arguments
 
 

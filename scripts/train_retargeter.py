@@ -6,7 +6,6 @@ python scripts/train_retargeter.py --hand allegro_right --recording alex.npy --o
 import argparse
 import dataclasses
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from rich.table import Table
 from geort_drake.console import console, run_main
 from geort_drake.errors import TrainingError
 from geort_drake.evaluation.pipeline import METHODS, train_checkpoint
+from geort_drake.files import require_writable
 from geort_drake.gloves.readers import read_recording
 from geort_drake.hands.description import hand_names, load_hand
 from geort_drake.retargeting.checkpoint import CONFIG, METRICS, PROVENANCE
@@ -43,9 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.error(f"--seed must be 0 or more, not {arguments.seed}")
     if arguments.robot_samples < 1:
         parser.error(f"--robot_samples must be at least 1, not {arguments.robot_samples}")
-    nearest = next(path for path in (arguments.output, *arguments.output.parents) if path.exists())
-    if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
-        parser.error(f"--output {arguments.output}: {nearest} is not a directory that can be written to")
+    require_writable(arguments.output, directory=True)
     settings = _settings(arguments.set)
     if arguments.steps is not None:
         settings["steps"] = arguments.steps

@@ -63,3 +63,14 @@ def test_schema_modules_do_not_postpone_annotations():
         "hands/description.py",
     ):
         assert "__future__" not in _imports(PACKAGE / name), name
+
+
+def test_every_public_name_imports_and_a_wrong_one_does_not():
+    """The package's lazy names stand for what their modules define."""
+    import geort_drake
+
+    for name in geort_drake.__all__:
+        assert getattr(geort_drake, name).__name__ == name
+    assert set(geort_drake.__all__) <= set(dir(geort_drake))
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        geort_drake.nothing  # noqa: B018

@@ -139,7 +139,7 @@ def _recording(source: Recording | str | os.PathLike | None, side: str, seed: in
     if source is None:
         return synthesize_play(seed)
     if not isinstance(source, Recording):
-        return read_recording(source, side=side)
+        return read_recording(source, side=side, training=True)
     if source.side != side:
         raise RecordingError(f"the recording is of a {source.side} hand, the robot's is a {side} hand")
     return source

@@ -76,8 +76,6 @@ class Scenario:
     arm_posture: dict[str, float] = dc.field(default_factory=dict)
     object: ObjectConfig = dc.field(default_factory=ObjectConfig)
     operator: OperatorConfig = dc.field(default_factory=OperatorConfig)
-    # A glove recording with wrist poses to replay in the operator's place; empty: the operator.
-    glove_recording: str = ""
     retargeting: RetargetingConfig = dc.field(default_factory=RetargetingConfig)
     wrist_to_arm: WristToArmConfig = dc.field(default_factory=WristToArmConfig)
     monitor: GraspMonitorConfig = dc.field(default_factory=GraspMonitorConfig)
