@@ -36,8 +36,7 @@ def progress_bar() -> Progress:
 
 def run_main(main: Callable[[Sequence[str] | None], int | None]) -> None:
     """Runs a script's `main` and exits: 0 when it worked, 2 when the user can correct something."""
-    # Drake's notices (how many contexts it allocates) would break the progress bars.
-    logging.getLogger("drake").setLevel(logging.WARNING)
+    logging.getLogger("drake").addFilter(_first_of_its_kind())
     try:
         sys.exit(main(None) or 0)
     except (GeortError, OSError) as error:
@@ -47,3 +46,16 @@ def run_main(main: Callable[[Sequence[str] | None], int | None]) -> None:
     except KeyboardInterrupt:
         console.print("interrupted")
         sys.exit(130)
+
+
+def _first_of_its_kind() -> Callable[[logging.LogRecord], bool]:
+    """A filter that passes a warning once and no notices: Drake repeats some of both at every step."""
+    seen: set[str] = set()
+
+    def passes(record: logging.LogRecord) -> bool:
+        kind = record.getMessage()[:40]
+        new = record.levelno >= logging.WARNING and kind not in seen
+        seen.add(kind)
+        return new
+
+    return passes

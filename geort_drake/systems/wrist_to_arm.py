@@ -15,7 +15,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, ModelInstanceIndex
 from pydrake.planning import DofMask, JointLimits, RobotDiagram, SceneGraphCollisionChecker
 from pydrake.systems.framework import BusValue, Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
-from pydrake.systems.primitives import ConstantVectorSource, MatrixGain, Multiplexer
+from pydrake.systems.primitives import ConstantVectorSource, MatrixGain, Multiplexer, ZeroOrderHold
 
 
 @dc.dataclass
@@ -167,12 +167,15 @@ class WristToArm(Diagram):
         to_arm = np.eye(len(q_start))[arm_dofs][:, active]
         positions = builder.AddNamedSystem("arm_positions", MatrixGain(to_arm))
         velocities = builder.AddNamedSystem("arm_velocities", MatrixGain(to_arm))
+        # Without the hold, every step of the plant would solve the inverse kinematics again.
+        hold = builder.AddNamedSystem("velocity_hold", ZeroOrderHold(config.period, int(active.sum())))
         both = builder.AddNamedSystem("desired_state", Multiplexer([len(arm_dofs)] * 2))
         builder.Connect(clutch.GetOutputPort("desired_poses"), controller.GetInputPort("desired_poses"))
         builder.Connect(nominal.get_output_port(), controller.GetInputPort("nominal_posture"))
         builder.Connect(start.get_output_port(), controller.GetInputPort("estimated_state"))
         builder.Connect(controller.GetOutputPort("commanded_position"), positions.get_input_port())
-        builder.Connect(controller.GetOutputPort("commanded_velocity"), velocities.get_input_port())
+        builder.Connect(controller.GetOutputPort("commanded_velocity"), hold.get_input_port())
+        builder.Connect(hold.get_output_port(), velocities.get_input_port())
         builder.Connect(positions.get_output_port(), both.get_input_port(0))
         builder.Connect(velocities.get_output_port(), both.get_input_port(1))
         builder.ExportInput(clutch.GetInputPort("wrist_pose"), "wrist_pose")
