@@ -8,6 +8,8 @@ and of each trial a Rerun recording (.rrd) and the glove and tracker data (.npz)
 import argparse
 import copy
 import json
+import os
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -155,8 +157,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(text)
     console.print(f"Results: {arguments.output / 'results.json'}")
     if not arguments.no_rerun:
-        console.print(f"Watch them: rerun {arguments.output}/*.rrd", soft_wrap=True)
+        console.print(f"Watch them: {rerun_command()} {arguments.output}/*.rrd", soft_wrap=True)
     return 0
+
+
+def rerun_command() -> str:
+    """The viewer that belongs to this Python, as one would type it here."""
+    beside = Path(sys.executable).with_name("rerun")
+    return os.path.relpath(beside) if beside.exists() else "rerun"
 
 
 def results_table(results) -> Table:
