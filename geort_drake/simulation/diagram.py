@@ -211,7 +211,7 @@ def make_grasp_diagram(
             source,
             correction,
             # The person's hand is drawn beside the robot's, towards the camera.
-            RigidTransform(X_WB_start.translation() + [-0.12, -0.25, 0.0]),
+            RigidTransform(X_WB_start.translation() + [-0.05, -0.42, -0.10]),
             dict(properties or {}),
         )
 
