@@ -51,7 +51,7 @@ class OperatorConfig:
     turn_tolerance: float = 0.08
     shape_tolerance: float = 0.010
     # When the fingers' error has not fallen for this long, the fingers are seen to be at their limit, s;
-    # then the whole hand is shifted by their mean error, if that is above this, m.
+    # then the whole hand is shifted by the middle of their errors, if that is above this, m.
     patience: float = 0.5
     shift_tolerance: float = 0.003
     # Before closing, the fingertips gather this far from the surface, m, each this well, m.

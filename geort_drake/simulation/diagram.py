@@ -206,7 +206,6 @@ def make_grasp_diagram(
             rerun_path,
             scenario,
             description,
-            view,
             monitor,
             source,
             correction,

@@ -17,13 +17,11 @@ from geort_drake.systems.grasp_monitor import GraspMonitor, GraspPhase
 from geort_drake.systems.rerun_recorder import (
     ContactSpec,
     HandSpec,
-    PointsSpec,
     RerunRecorder,
     SignalSpec,
     StateSpec,
     add_rerun_recorder,
 )
-from geort_drake.systems.scene_view import SceneView
 from geort_drake.systems.simulated_operator import SimulatedOperator
 
 
@@ -34,7 +32,6 @@ def add_grasp_recorder(
     path: str | os.PathLike,
     scenario: Scenario,
     description: HandDescription,
-    view: SceneView,
     monitor: GraspMonitor,
     source: LeafSystem,
     correction: LeafSystem,
@@ -88,7 +85,6 @@ def add_grasp_recorder(
                 X_WO=X_WHand,
             )
         },
-        points={"fingertips": PointsSpec(view.GetOutputPort("fingertips"))},
         states=states,
         properties=properties,
     )
