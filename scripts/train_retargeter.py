@@ -165,6 +165,10 @@ def _table(path: Path, metrics: dict) -> Table:
     ]
     for row in rows:
         table.add_row(*row)
+    if neural := metrics.get("neural_kinematics"):
+        errors = (neural["mean_mm"], neural["p95_mm"], neural["max_mm"])
+        text = " / ".join(f"{error:.2f}" for error in errors) + " mm"
+        table.add_row("neural kinematics' error, mean / p95 / max", text)
     return table
 
 

@@ -96,6 +96,8 @@ def train_checkpoint(
         with _timed(timings, "evaluation_s"), bars.spinner("evaluation"):
             metrics = evaluate(retarget, hand, recording, seed)
     metrics = {"hand": description.name, "recording_sha256": recording.digest, "seed": seed, **metrics}
+    if result.neural_kinematics:
+        metrics["neural_kinematics"] = result.neural_kinematics
     return save_checkpoint(
         output,
         arrays,
