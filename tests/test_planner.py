@@ -15,7 +15,7 @@ from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import load_hand
 from geort_drake.simulation.grasp_contacts import (
     contact_heights,
-    tripod_contacts,
+    grip_contacts,
     vertical_extent,
     yaw_candidates,
 )
@@ -143,7 +143,7 @@ def test_contacts_lie_on_the_surface_and_point_inwards(name):
     assert symmetry in (0.0, math.pi / 2, math.pi)
     for height in contact_heights(thing.shape):
         for yaw in yaws:
-            contacts = tripod_contacts(thing.shape, yaw, height)
+            contacts = grip_contacts(thing.shape, yaw, height)
             assert [contact.finger for contact in contacts] == ["thumb", "index", "middle"]
             for contact in contacts:
                 assert np.linalg.norm(contact.n_O) == pytest.approx(1)
@@ -159,7 +159,7 @@ def test_the_thumb_opposes_the_fingers(name):
     """The thumb pushes along the grasp's axis, and the fingers' mean push against it."""
     shape = ObjectAlone(name).shape
     for yaw in yaw_candidates(shape)[0]:
-        thumb, index, middle = tripod_contacts(shape, yaw)
+        thumb, index, middle = grip_contacts(shape, yaw)
         axis = np.array([math.cos(yaw), math.sin(yaw), 0])
         np.testing.assert_allclose(thumb.n_O, axis, atol=1e-9)
         against = index.n_O + middle.n_O

@@ -1,4 +1,4 @@
-"""Where a tripod touches an object, from the object's shape alone."""
+"""Where a grip touches an object, from the object's shape alone."""
 
 import dataclasses as dc
 import math
@@ -9,8 +9,14 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.simulation.object_shape import ObjectShape
 
-# The thumb opposes index and middle, which stand this far to either side of the axis.
+# In a tripod, index and middle stand this far to either side of the axis.
 _SPREAD = math.radians(28)
+# Fingers of each grip, and their angle around the vertical from the grip's axis; the first that the robot
+# can do is taken.
+GRIPS: dict[str, tuple[tuple[str, float], ...]] = {
+    "tripod": (("thumb", math.pi), ("index", _SPREAD), ("middle", -_SPREAD)),
+    "pinch": (("thumb", math.pi), ("index", 0.0)),
+}
 # Objects taller than this are first tried above their middle, m.
 _TALL = 0.07
 
@@ -24,18 +30,19 @@ class Contact:
     n_O: np.ndarray
 
 
-def tripod_contacts(shape: ObjectShape, yaw: float, height: float = 0.5) -> list[Contact]:
-    """Thumb against index and middle around the vertical at `yaw`, on the object's main part.
+def grip_contacts(shape: ObjectShape, yaw: float, height: float = 0.5, grip: str = "tripod") -> list[Contact]:
+    """The contacts of a grip around the vertical at `yaw`, on the object's main part.
 
     Args:
         yaw: direction of the grasp's axis from the thumb to the fingers, rad.
         height: of the contacts, as a share of the object's height.
+        grip: one of `GRIPS`.
     """
     main, X_OG = shape.main
     bottom, top = vertical_extent(shape)
     z = bottom + height * (top - bottom)
     contacts = []
-    for finger, angle in (("thumb", math.pi), ("index", _SPREAD), ("middle", -_SPREAD)):
+    for finger, angle in GRIPS[grip]:
         direction = np.array([math.cos(yaw + angle), math.sin(yaw + angle), 0.0])
         if isinstance(main, Box):
             p, outward = _on_box(main.size() / 2, X_OG, direction, yaw, z)

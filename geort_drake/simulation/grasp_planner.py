@@ -24,9 +24,10 @@ from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import FingerDescription, HandDescription
 from geort_drake.operators.grasp_goal import GraspGoal
 from geort_drake.simulation.grasp_contacts import (
+    GRIPS,
     Contact,
     contact_heights,
-    tripod_contacts,
+    grip_contacts,
     yaw_candidates,
 )
 from geort_drake.simulation.object_shape import ObjectShape, object_shape
@@ -39,6 +40,8 @@ _STARTS = 3
 # come nearer to each other than a few millimetres by design.
 _CLEARANCE = 0.004
 _OPEN_CLEARANCE = 0.003
+# Least gap between two fingertips on the object, m.
+_TIP_GAP = 0.002
 # Further room between the hand and what the object stands on, m: a hand that is not quite where or how it
 # should be must not meet it.
 _GROUND_CLEARANCE = 0.006
@@ -100,17 +103,20 @@ class GraspPlanner:
         return self._shape
 
     def plan(self) -> GraspGoal:
-        """The most comfortable tripod grasp.
+        """The most comfortable grasp: a tripod or, where there is none, a pinch of thumb and index.
 
         Raises:
             ScenarioError: no yaw has a solution.
         """
         yaws, symmetry = yaw_candidates(self._shape)
         best: tuple[float, list[Contact], np.ndarray] | None = None
-        # Other heights and starts are only tried where the first ones lead nowhere.
-        for height, start in itertools.product(contact_heights(self._shape), range(_STARTS)):
+        # Other grips, heights and starts are only tried where the first ones lead nowhere.
+        heights = contact_heights(self._shape)
+        for grip, start, height in itertools.product(GRIPS, range(_STARTS), heights):
             for yaw in yaws:
-                contacts = tripod_contacts(self._shape, yaw, height)
+                contacts = grip_contacts(self._shape, yaw, height, grip)
+                if not self._room_for_tips(contacts):
+                    continue
                 solution = self._solve(contacts, start)
                 if solution is not None and (best is None or solution[0] < best[0]):
                     best = (solution[0], contacts, solution[1])
@@ -119,7 +125,7 @@ class GraspPlanner:
         if best is None:
             raise ScenarioError(
                 f"the robot cannot grasp object '{self._scenario.object.name}' at "
-                f"{self._scenario.object.position}: no collision-free tripod grasp was found"
+                f"{self._scenario.object.position}: no collision-free {' or '.join(GRIPS)} was found"
             )
         return self._goal(best[1], best[2], symmetry)
 
@@ -204,6 +210,17 @@ class GraspPlanner:
                     q_nominal[index] = 0.5 * (low[index] + high[index])
         ik.get_mutable_prog().AddQuadraticErrorCost(np.diag(weight), q_nominal, ik.q())
         return ik, q_nominal, low, high
+
+    def _room_for_tips(self, contacts: list[Contact]) -> bool:
+        """Whether the fingertips at these contacts would be clear of each other."""
+        tips = [
+            (contact.p_OC - contact.n_O * finger.tip_radius, finger.tip_radius)
+            for contact, finger in zip(contacts, self._fingers(contacts), strict=True)
+        ]
+        return all(
+            np.linalg.norm(p - other_p) > r + other_r + _TIP_GAP
+            for (p, r), (other_p, other_r) in itertools.combinations(tips, 2)
+        )
 
     def _fingers(self, contacts: list[Contact]) -> list[FingerDescription]:
         by_name = {finger.name: finger for finger in self._description.fingers}
