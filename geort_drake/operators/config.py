@@ -3,6 +3,16 @@
 import dataclasses as dc
 import math
 
+# Times, lengths and speeds that something is divided by.
+_DIVISORS = (
+    "period",
+    "peak_wrist_speed",
+    "peak_wrist_turn",
+    "min_movement_time",
+    "closing_lead",
+    "squeeze_time",
+)
+
 
 @dc.dataclass
 class OperatorConfig:
@@ -78,8 +88,9 @@ class OperatorConfig:
             value = getattr(self, field.name)
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"operator.{field.name} must be finite and not negative, not {value}")
-        if self.period <= 0:
-            raise ValueError("operator.period must be positive")
+        for name in _DIVISORS:
+            if getattr(self, name) == 0:
+                raise ValueError(f"operator.{name} must be positive, not 0")
         steps = self.visual_delay / self.period
         if abs(steps - round(steps)) > 1e-6:
             raise ValueError(

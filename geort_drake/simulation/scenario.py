@@ -11,7 +11,8 @@ from pathlib import Path
 import yaml
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 from pydrake.multibody.parsing import ModelDirective
-from pydrake.multibody.plant import MultibodyPlantConfig
+from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
+from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.operators.config import OperatorConfig
@@ -97,10 +98,32 @@ class Scenario:
         }.items():
             if not (math.isfinite(value) and value > 0):
                 raise ScenarioError(f"scenario field {name} must be positive, not {value}")
-        if len(self.object.position) != 2:
+        try:
+            self.operator.validate()
+            self.wrist_to_arm.validate()
+            self.monitor.validate()
+        except ValueError as error:
+            raise ScenarioError(f"scenario field {error}") from error
+        try:
+            AddMultibodyPlant(self.plant_config, DiagramBuilder())
+        except RuntimeError as error:
+            raise ScenarioError(f"scenario field plant_config: {error}") from error
+        if self.random_seed < 0:
+            raise ScenarioError(f"scenario field random_seed must be 0 or more, not {self.random_seed}")
+        if len(self.object.position) != 2 or not all(map(math.isfinite, self.object.position)):
             raise ScenarioError(
                 f"scenario field object.position must be [x, y] in m, not {self.object.position}"
             )
+        if not math.isfinite(self.object.support_height):
+            raise ScenarioError(
+                f"scenario field object.support_height must be finite, not {self.object.support_height}"
+            )
+        for name in ("position_range", "yaw_range"):
+            value = getattr(self.object, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise ScenarioError(
+                    f"scenario field object.{name} must be finite and not negative, not {value}"
+                )
         if not 0 <= self.object.mass_range < 1:
             raise ScenarioError(
                 f"scenario field object.mass_range must be in [0, 1), not {self.object.mass_range}"
@@ -120,12 +143,6 @@ class Scenario:
                 )
         if self.object.name not in object_names():
             raise UnknownNameError("object", self.object.name, object_names())
-        try:
-            self.operator.validate()
-            self.wrist_to_arm.validate()
-            self.monitor.validate()
-        except ValueError as error:
-            raise ScenarioError(f"scenario field {error}") from error
 
 
 def object_names() -> list[str]:

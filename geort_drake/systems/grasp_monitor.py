@@ -2,6 +2,7 @@
 
 import dataclasses as dc
 import enum
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -45,8 +46,9 @@ class GraspMonitorConfig:
     def validate(self) -> None:
         """Raises ValueError for values that cannot work."""
         for field in dc.fields(self):
-            if not getattr(self, field.name) > 0:
-                raise ValueError(f"monitor.{field.name} must be positive")
+            value = getattr(self, field.name)
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"monitor.{field.name} must be positive and finite, not {value}")
 
 
 @dc.dataclass(frozen=True)

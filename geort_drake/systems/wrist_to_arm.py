@@ -1,6 +1,7 @@
 """From the tracker on a person's wrist to the arm that carries the robot hand."""
 
 import dataclasses as dc
+import math
 
 import numpy as np
 from pydrake.common import Parallelism
@@ -37,8 +38,13 @@ class WristToArmConfig:
     def validate(self) -> None:
         """Raises ValueError for values that cannot work."""
         for field in dc.fields(self):
-            if not getattr(self, field.name) > 0:
-                raise ValueError(f"wrist_to_arm.{field.name} must be positive")
+            value = getattr(self, field.name)
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"wrist_to_arm.{field.name} must be positive and finite, not {value}")
+        if self.joint_speed_share > 1:
+            raise ValueError(
+                f"wrist_to_arm.joint_speed_share must be at most 1, not {self.joint_speed_share}"
+            )
 
 
 class Clutch(LeafSystem):
