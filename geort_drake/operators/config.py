@@ -27,7 +27,7 @@ class OperatorConfig:
     # Time between two decisions, s.
     period: float = 0.01
     # The scene is seen this late, s: visual corrections start after 117 ms (direction) to 200 ms
-    # (distance) [S05]. A multiple of `period`.
+    # (distance) [S05]. A multiple of `period`; sampling adds one more `period` to it in the diagram.
     visual_delay: float = 0.17
     # Standard deviation of every seen coordinate, m.
     visual_noise: float = 0.001

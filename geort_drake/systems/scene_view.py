@@ -21,7 +21,8 @@ class SceneView(LeafSystem):
         fingertips (3F): p_WF, m.
         hand_pose (7): X_WB of the hand base, qw qx qy qz x y z.
         object_pose (7): X_WO of the object, qw qx qy qz x y z.
-        contact (F): largest-magnitude normal force between a finger's links and the object, N.
+        contact (F): magnitude of the largest contact force, normal and friction, between one of a
+            finger's links and the object, N.
     """
 
     def __init__(
@@ -45,6 +46,8 @@ class SceneView(LeafSystem):
             for number, finger in enumerate(description.fingers)
             for joint in finger.joints
         }
+        # A tip link may be welded to the last joint's link.
+        self._finger_of_body |= {body: number for number, (body, _) in enumerate(self._tips)}
         self._poses = self.DeclareAbstractInputPort("body_poses", AbstractValue.Make([RigidTransform()]))
         self._contacts = self.DeclareAbstractInputPort(
             "contact_results", AbstractValue.Make(ContactResults())
