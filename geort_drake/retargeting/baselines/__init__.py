@@ -1,0 +1,1 @@
+"""Retargeting methods that GeoRT is compared with, written from their papers."""

@@ -1,0 +1,328 @@
+"""The baselines: kinematics, the optimiser, projection, state, and what each must get right."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from retargeting_toy import toy_human, toy_kinematics
+from scipy.optimize import minimize
+
+from geort_drake.errors import GeortError, HandError, TrainingError, UnknownNameError
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.retargeting.baselines.linear_offline import ALLEGRO_WRIST, SCALE, train_linear_offline
+from geort_drake.retargeting.baselines.numpy_kinematics import NumpyKinematics
+from geort_drake.retargeting.baselines.online import (
+    DexPilotConfig,
+    DexPilotOnline,
+    VectorConfig,
+    VectorOnline,
+)
+from geort_drake.retargeting.baselines.registry import BASELINES, make_baseline
+from geort_drake.retargeting.baselines.trivial import NearestNeighbour
+from geort_drake.retargeting.kinematics import FingerChain, HandKinematics
+from geort_drake.retargeting.training import TrainingConfig
+
+P_BW = np.array(ALLEGRO_WRIST)
+
+
+@pytest.fixture(scope="module")
+def allegro() -> HandModel:
+    return HandModel(load_hand("allegro_right"))
+
+
+@pytest.fixture(scope="module")
+def kinematics(allegro) -> HandKinematics:
+    return allegro.kinematics()
+
+
+def interior(kinematics, count: int, seed: int = 0) -> np.ndarray:
+    """Joint angles (count, n) at least a tenth of the range away from the limits."""
+    width = kinematics.upper - kinematics.lower
+    rng = np.random.default_rng(seed)
+    return rng.uniform(kinematics.lower + 0.1 * width, kinematics.upper - 0.1 * width, (count, len(width)))
+
+
+def reachable(kinematics, q: np.ndarray, scale: float = 1.6) -> np.ndarray:
+    """Human fingertips whose scaled vectors from the wrist are those of the robot at q."""
+    return (NumpyKinematics.of(kinematics).fingertips(q) - P_BW) / scale
+
+
+def walk(kinematics, frames: int = 60, seed: int = 0) -> np.ndarray:
+    """Smooth human fingertips (frames, F, 3) that are mostly within the robot's reach."""
+    ends = interior(kinematics, 2, seed)
+    s = 0.5 - 0.5 * np.cos(np.linspace(0, np.pi, frames))[:, None]
+    return reachable(kinematics, ends[0] + s * (ends[1] - ends[0]))
+
+
+def pinching(kinematics, distance: float) -> np.ndarray:
+    """Human fingertips whose thumb and first finger are `distance` apart, the others over 6 cm away."""
+    p = np.tile([0.05, 0.0, 0.10], (len(kinematics.finger_names), 1))
+    p[:, 1] -= 0.07 * np.arange(len(p))
+    p[1] = p[0] + [0.0, 0.0, distance]
+    return p
+
+
+def test_fingertips_agree_with_drake(allegro, kinematics):
+    """NumPy's kinematics are Drake's."""
+    q = np.random.default_rng(1).uniform(allegro.lower, allegro.upper, (40, 16))
+    assert np.abs(NumpyKinematics.of(kinematics).fingertips(q) - allegro.fingertips(q)).max() < 1e-9
+
+
+def test_fingertips_agree_with_torch_for_fingers_of_unequal_length():
+    """A finger with fewer joints is evaluated with fixed ones, which change nothing."""
+    hand = toy_kinematics()
+    short = hand.fingers[0]
+    thumb = FingerChain("thumb", short.joint_names[1:], (0, 1), short.X_PJ[1:], short.axes[1:], short.p_tip)
+    others = [
+        FingerChain(f.name, f.joint_names, tuple(i - 1 for i in f.joint_indices), f.X_PJ, f.axes, f.p_tip)
+        for f in hand.fingers[1:]
+    ]
+    hand = HandKinematics(
+        (thumb, *others), hand.joint_names[1:], hand.lower[1:], hand.upper[1:], hand.tip_radius
+    )
+    q = np.random.default_rng(2).uniform(hand.lower, hand.upper, (20, 8))
+    p, J = NumpyKinematics.of(hand).fingertips_and_jacobians(q)
+    assert np.abs(p - hand.fingertips(torch.tensor(q)).numpy()).max() < 1e-12
+    assert np.abs(J[:, 0, :, 2:]).max() == 0.0
+
+
+def test_jacobians_are_the_finite_differences(kinematics):
+    """∂p/∂q agrees with central differences to their accuracy."""
+    hand, h = NumpyKinematics.of(kinematics), 1e-6
+    q = interior(kinematics, 5)
+    _, J = hand.fingertips_and_jacobians(q)
+    for j in range(16):
+        d = h * np.eye(16)[j]
+        numeric = (hand.fingertips(q + d) - hand.fingertips(q - d)) / (2 * h)
+        assert np.abs(J[..., j] - numeric).max() < 1e-8
+
+
+def test_kinematics_survive_json(kinematics):
+    """A hand read back from JSON is the same hand; a broken one is named."""
+    hand = NumpyKinematics.of(kinematics)
+    data = json.loads(json.dumps(hand.to_json()))
+    q = interior(kinematics, 3)
+    np.testing.assert_array_equal(NumpyKinematics(data).fingertips(q), hand.fingertips(q))
+    with pytest.raises(HandError, match="upper missing"):
+        NumpyKinematics({name: value for name, value in data.items() if name != "upper"})
+    with pytest.raises(HandError, match=r"lower must be finite and of shape \(16,\)"):
+        NumpyKinematics({**data, "lower": [0.0]})
+
+
+@pytest.mark.parametrize("method", [VectorOnline, DexPilotOnline])
+def test_the_gradient_is_the_finite_difference(kinematics, method):
+    """The objective's analytic gradient, regulariser and switched vectors included."""
+    online = method(kinematics)
+    p_HF = np.stack([pinching(kinematics, 0.02), reachable(kinematics, interior(kinematics, 1, 5))[0]])
+    targets, weights, _ = online._targets(p_HF, np.zeros((2, len(online._vectors.pairs)), dtype=bool))
+    q, previous = interior(kinematics, 2, 6), interior(kinematics, 2, 7)
+    given = online._vectors.gradient(q, targets, weights, previous)
+    for j in range(16):
+        d = 1e-6 * np.eye(16)[j]
+        up, down = (online._vectors.loss(q + s * d, targets, weights, previous) for s in (1, -1))
+        np.testing.assert_allclose(given[:, j], (up - down) / 2e-6, rtol=1e-5, atol=1e-8)
+
+
+@pytest.mark.parametrize("method", [VectorOnline, DexPilotOnline])
+def test_the_optimum_is_scipys(kinematics, method):
+    """The solver ends where SciPy's bounded quasi-Newton method ends, on targets out of reach too."""
+    online = method(kinematics)
+    rng = np.random.default_rng(3)
+    p_HF = reachable(kinematics, interior(kinematics, 4, 8)) + 0.02 * rng.normal(size=(4, 4, 3))
+    start = interior(kinematics, 4, 9)
+    switches = np.zeros((4, len(online._vectors.pairs)), dtype=bool)
+    targets, weights, _ = online._targets(p_HF, switches)
+    q = online._vectors.solve(targets, weights, start, start, tolerance=1e-7, iterations=500)
+    loss = online._vectors.loss(q, targets, weights, start)
+    for k in range(4):
+        row = slice(k, k + 1)
+
+        def value(x, row=row):
+            arguments = x[None], targets[row], weights[row], start[row]
+            return online._vectors.loss(*arguments)[0], online._vectors.gradient(*arguments)[0]
+
+        bounds = list(zip(kinematics.lower, kinematics.upper, strict=True))
+        found = minimize(
+            value, start[k], jac=True, method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-14, "gtol": 1e-9}
+        )
+        assert loss[k] == pytest.approx(found.fun, rel=1e-4)
+
+
+def test_a_reachable_hand_is_reproduced(kinematics):
+    """Held still, human tips that are the robot's over α put the robot's tips there."""
+    q = interior(kinematics, 20, 10)
+    p_HF = reachable(kinematics, q)
+    online = VectorOnline(kinematics)
+    rest = online.settle(p_HF, np.clip(q + 0.2, kinematics.lower, kinematics.upper))
+    hand = online.kinematics
+    error = np.linalg.norm(hand.fingertips(rest) - hand.fingertips(q), axis=-1)
+    assert error.max() < 1e-3
+    # The same through the sequential call, whose regulariser lets go as the pose is held.
+    for _ in range(60):
+        answer = online(p_HF[0])
+    assert np.linalg.norm(hand.fingertips(answer[None]) - hand.fingertips(q[:1]), axis=-1).max() < 1e-3
+
+
+def test_the_scale_and_the_wrist_are_honoured(kinematics):
+    """α and p_BW move the target as Eq. 1 says."""
+    q = interior(kinematics, 6, 11)
+    p_BW = (0.0, 0.01, -0.08)
+    hand = NumpyKinematics.of(kinematics)
+    p_HF = (hand.fingertips(q) - np.array(p_BW)) / 1.2
+    rest = VectorOnline(kinematics, VectorConfig(scale=1.2, p_BW=p_BW)).settle(p_HF, q + 0.05)
+    assert np.linalg.norm(hand.fingertips(rest) - hand.fingertips(q), axis=-1).max() < 1e-3
+
+
+def test_a_projected_pinch_brings_the_tips_together(kinematics):
+    """With the thumb 25 mm from the index DexPilot closes the pinch, and vectors alone leave it open."""
+    p_HF = reachable(kinematics, np.full((1, 16), 0.4))
+    p_HF[0, 0] = p_HF[0, 1] + [0.0, 0.0, -0.025]
+    tips = {}
+    for method in (VectorOnline, DexPilotOnline):
+        online = method(kinematics)
+        tips[method] = online.kinematics.fingertips(online.settle(p_HF))[0]
+    distance = {method: np.linalg.norm(p[0] - p[1]) for method, p in tips.items()}
+    assert distance[DexPilotOnline] < 0.012
+    assert distance[VectorOnline] > 0.030
+
+
+def test_projection_switches_with_hysteresis(kinematics):
+    """On under 30 mm, off over 50 mm, and in between as it was."""
+    online = DexPilotOnline(kinematics)
+    states = []
+    for millimetres in (60, 40, 29, 40, 49, 51, 40, 31, 29):
+        online(pinching(kinematics, 0.001 * millimetres))
+        states.append(bool(online._projected[0]))
+    assert states == [False, False, True, True, True, False, False, False, True]
+
+
+def test_two_pinching_fingers_are_kept_apart(kinematics):
+    """The vector between two fingers is projected while both pinch and are near each other."""
+    online = DexPilotOnline(kinematics)
+    p_HF = pinching(kinematics, 0.02)
+    p_HF[2] = p_HF[0] + [0.0, -0.02, 0.0]
+    row = online._vectors.pairs.index((1, 2))
+    targets, weights, near = online._targets(p_HF[None], np.zeros((1, 10), dtype=bool))
+    assert near[0].tolist() == [k in (0, 1, row) for k in range(10)]
+    assert np.linalg.norm(targets[0, row]) == pytest.approx(0.03, rel=1e-3)
+    assert np.linalg.norm(targets[0, 0]) == pytest.approx(1e-4, rel=1e-3)
+    assert weights[0].tolist() == [200, 200, 1, 400, 1, 1, 10, 10, 10, 10]
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_limits_are_respected_and_every_shape_is_answered(kinematics, name):
+    """Wild hands stay inside the limits; fingertips and whole hands, one or many, are taken."""
+    rng = np.random.default_rng(12)
+    frames = rng.uniform(-0.3, 0.3, (12, 4, 3))
+    retarget = make_baseline(name, kinematics, frames=frames)
+    q = retarget(frames)
+    assert q.shape == (12, 16)
+    assert (q >= kinematics.lower).all() and (q <= kinematics.upper).all()
+    hands = rng.uniform(-0.2, 0.2, (3, 21, 3))
+    assert retarget(hands).shape == (3, 16) and retarget(hands[0]).shape == (16,)
+    assert retarget.joint_names == kinematics.joint_names
+    assert retarget.finger_names == kinematics.finger_names
+    with pytest.raises(ValueError, match="human points"):
+        retarget(np.zeros((5, 3)))
+    with pytest.raises(GeortError, match="finite"):
+        retarget(np.full((4, 3), np.nan))
+
+
+@pytest.mark.parametrize("method", [VectorOnline, DexPilotOnline])
+def test_a_batch_is_a_sequence_and_reset_forgets_it(kinematics, method):
+    """Frame by frame and as a batch give the same; after reset the first answer is given again."""
+    frames = walk(kinematics, 15)
+    online = method(kinematics)
+    together = online(frames)
+    online.reset()
+    np.testing.assert_array_equal(together, [online(frame) for frame in frames])
+    continued = online(frames[0])
+    assert np.abs(continued - together[0]).max() > 1e-3
+    online.reset()
+    np.testing.assert_array_equal(online(frames[0]), together[0])
+
+
+def test_warm_starts_give_continuous_joints(kinematics):
+    """A hand that moves by a millimetre or two a frame moves the joints by little, after the first frames."""
+    frames = np.concatenate([np.repeat(walk(kinematics)[:1], 20, axis=0), walk(kinematics)])
+    q = VectorOnline(kinematics)(frames)
+    assert np.abs(np.diff(q[20:], axis=0)).max() < 0.1
+
+
+def test_the_low_pass_lags_by_four_frames(kinematics):
+    """A share of 0.2 takes 20 % of the remaining way in each frame: a mean delay of (1 − α) / α = 4."""
+    frames = walk(kinematics, 30)
+    plain = VectorOnline(kinematics)(frames)
+    filtered = VectorOnline(kinematics, VectorConfig(low_pass=0.2))(frames)
+    expected = [plain[0]]
+    for q in plain[1:]:
+        expected.append(expected[-1] + 0.2 * (q - expected[-1]))
+    np.testing.assert_allclose(filtered, expected, atol=1e-12)
+
+
+def test_settled_answers_have_no_memory(kinematics):
+    """The same hand gets the same answer, in any order and company, and a held one stays."""
+    frames = walk(kinematics, 20)
+    online = DexPilotOnline(kinematics)
+    settled = online.settled_map(frames)
+    first = settled(frames)
+    np.testing.assert_allclose(settled(frames[::-1])[::-1], first, atol=1e-9)
+    np.testing.assert_allclose(settled(frames[7:8])[0], first[7], atol=1e-9)
+    online.reset()
+    answers = online(np.concatenate([frames, np.repeat(frames[-1:], 80, axis=0)]))
+    hand = online.kinematics
+    assert np.abs(hand.fingertips(answers[-1:]) - hand.fingertips(first[-1:])).max() < 1e-3
+
+
+def test_the_nearest_neighbour_answers_a_stored_hand_exactly(kinematics):
+    """At a stored frame the answer is that frame's, and so is it nearby."""
+    frames = walk(kinematics, 50)
+    retarget = NearestNeighbour(kinematics, frames, count=50)
+    rest = VectorOnline(kinematics).settle(frames)
+    np.testing.assert_allclose(retarget(frames), rest, atol=1e-9)
+    np.testing.assert_array_equal(retarget(frames[3] + 1e-6), retarget(frames[3]))
+
+
+def test_linear_offline_learns_the_scaled_hand():
+    """A person whose scaled hand the robot can have is reproduced within a few millimetres."""
+    hand = toy_kinematics()
+    robot = toy_human(hand, 1500, seed=4) / 0.8 - np.array([0.0, 0.0, 0.05]) / 0.8  # the robot's own tips
+    p_HF = (robot - P_BW) / SCALE
+    config = TrainingConfig(steps=600, points=128, hidden=48)
+    rows = []
+    result = train_linear_offline(p_HF, hand, config=config, seed=0, report=lambda *row: rows.append(row))
+    with torch.no_grad():
+        q = result.network(torch.tensor(p_HF, dtype=torch.float32))
+    error = np.linalg.norm(hand.fingertips(q).numpy() - robot, axis=-1)
+    assert error.mean() < 0.003
+    assert result.history[-1]["matching"] < 0.02 * result.history[0]["matching"]
+    assert len(rows) == len(result.history)
+    again = train_linear_offline(p_HF, hand, config=config, seed=0)
+    for name, array in again.network.arrays().items():
+        np.testing.assert_array_equal(array, result.network.arrays()[name])
+
+
+def test_unknown_names_and_senseless_settings_are_refused(kinematics):
+    """Messages list what there is."""
+    with pytest.raises(UnknownNameError, match="dexpilot_online, hold, nearest_neighbour, vector_online"):
+        make_baseline("mimic", kinematics)
+    with pytest.raises(UnknownNameError, match=r"setting of vector_online 'alpha'.*scale"):
+        make_baseline("vector_online", kinematics, alpha=1.6)
+    with pytest.raises(GeortError, match="no settings"):
+        make_baseline("hold", kinematics, scale=1.0)
+    with pytest.raises(GeortError, match="recorded frames"):
+        make_baseline("nearest_neighbour", kinematics)
+    with pytest.raises(GeortError, match="low_pass must be at most 1"):
+        VectorOnline(kinematics, VectorConfig(low_pass=1.5))
+    with pytest.raises(GeortError, match="scale must be positive, it is nan"):
+        VectorOnline(kinematics, VectorConfig(scale=float("nan")))
+    with pytest.raises(GeortError, match="project <= escape"):
+        DexPilotOnline(kinematics, DexPilotConfig(project=0.06))
+    with pytest.raises(HandError, match="needs a thumb"):
+        DexPilotOnline(toy_kinematics(("index", "middle")))
+    with pytest.raises(UnknownNameError, match="finger 'pollex'"):
+        VectorOnline(toy_kinematics(("pollex",)))
+    with pytest.raises(TrainingError, match="shape"):
+        train_linear_offline(np.zeros((10, 2, 3)), toy_kinematics())
