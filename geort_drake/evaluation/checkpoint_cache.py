@@ -56,5 +56,5 @@ def cached_checkpoint(
 def _code_digest() -> str:
     """SHA-256 over the sources of the training package."""
     folder = Path(geort_drake.retargeting.__file__).parent
-    digests = [sha256_of(source) for source in sorted(folder.glob("*.py"))]
+    digests = [sha256_of(source) for source in sorted(folder.rglob("*.py"))]
     return hashlib.sha256("".join(digests).encode()).hexdigest()

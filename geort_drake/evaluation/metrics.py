@@ -44,8 +44,20 @@ def evaluate(retarget: Callable, hand, recording, seed: int = 0) -> dict:
     return evaluate_frames(retarget, hand, frames, recording.rate_hz, seed)
 
 
-def evaluate_frames(retarget: Callable, hand, frames: np.ndarray, rate_hz: float, seed: int = 0) -> dict:
-    """`evaluate` for human fingertips (T, F, 3) of successive frames at `rate_hz`."""
+def evaluate_frames(
+    retarget: Callable,
+    hand,
+    frames: np.ndarray,
+    rate_hz: float,
+    seed: int = 0,
+    settled: Callable | None = None,
+) -> dict:
+    """`evaluate` for human fingertips (T, F, 3) of successive frames at `rate_hz`.
+
+    A retargeter whose answers depend on the past answers `frames` in their order, as a batch. Where
+    hands are asked about that were not recorded (random motion, cross-talk, flatness, gain and the
+    context average), `settled` answers in its place: a map without memory.
+    """
     if len(frames) < 10:
         raise RecordingError(f"metrics need at least 10 valid frames, the recording has {len(frames)}")
 
@@ -56,7 +68,7 @@ def evaluate_frames(retarget: Callable, hand, frames: np.ndarray, rate_hz: float
         return kinematics.fingertips(torch.from_numpy(q)).numpy()
 
     def g(p_HF: np.ndarray) -> np.ndarray:
-        return fingertips(_in_chunks(retarget, p_HF))
+        return fingertips(_in_chunks(settled or retarget, p_HF))
 
     rng = np.random.default_rng(seed)
     q = _in_chunks(retarget, frames)

@@ -21,12 +21,16 @@ from geort_drake.gloves.recording import Recording
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.samples import robot_data
+from geort_drake.retargeting.baselines.linear_offline import train_linear_offline
 from geort_drake.retargeting.checkpoint import check_replaceable, save_checkpoint
 from geort_drake.retargeting.retargeter import Retargeter
 from geort_drake.retargeting.training import TrainingConfig, TrainingResult, train_geort
 
 # Name of a retargeting method → the function that trains it, called as `train_geort` is.
-METHODS: dict[str, Callable[..., TrainingResult]] = {"geort": train_geort}
+METHODS: dict[str, Callable[..., TrainingResult]] = {
+    "geort": train_geort,
+    "linear_offline": train_linear_offline,
+}
 
 
 def train_checkpoint(
@@ -205,8 +209,8 @@ class _Bars:
 
     def losses(self, name: str) -> Callable[[int, int, dict], None]:
         """A callback (done, total, losses)."""
-        shown = ("direction", "coverage", "pinch", "collision")
-        return self._updater(name, lambda v: "  ".join(f"{key} {v[key]:.3f}" for key in shown))
+        shown = ("direction", "matching", "coverage", "pinch", "collision")
+        return self._updater(name, lambda v: "  ".join(f"{key} {v[key]:.3f}" for key in shown if key in v))
 
     @contextlib.contextmanager
     def spinner(self, name: str):

@@ -165,7 +165,7 @@ def load_retargeter(path: str | os.PathLike, hand=None) -> Retargeter:
 
 
 # Name in a checkpoint's config.json → the class that evaluates its weights.
-METHODS = {"geort": Retargeter}
+METHODS = {"geort": Retargeter, "linear_offline": Retargeter}
 
 
 def _silu(a: np.ndarray) -> np.ndarray:
