@@ -90,6 +90,19 @@ def test_the_fingers_go_where_the_retargeter_says():
     np.testing.assert_allclose(error, 0, atol=0.03)
 
 
+def test_the_fingers_keep_to_the_scenarios_joint_speed():
+    """`retargeting.max_joint_speed` bounds the targets: no joint is sent further than speed times time."""
+    scenario = scenario_with("cylinder", "{retargeting: {max_joint_speed: 0.5}}")
+    parts = make_grasp_diagram(scenario, centred_map(), glove(spread=0.05))
+    simulator = start(parts)
+    context = parts.retargeting.GetMyContextFromRoot(simulator.get_context())
+    port = parts.retargeting.GetOutputPort("desired_state")
+    before = port.Eval(context)[:16].copy()
+    simulator.AdvanceTo(0.195)  # 20 updates
+    moved = np.abs(port.Eval(context)[:16] - before).max()
+    assert moved == pytest.approx(20 * 0.5 * scenario.retargeting.period, rel=1e-6)
+
+
 @pytest.mark.parametrize("shift", [(0.05, 0.0, 0.0), (0.0, -0.05, 0.0), (0.0, 0.0, 0.05)])
 def test_the_arm_carries_the_hand_as_the_wrist_moves(shift):
     """A wrist displaced by 5 cm displaces the hand base by 5 cm within 3 mm, and does not turn it."""
@@ -177,6 +190,31 @@ def test_the_diagram_is_closed_and_nothing_runs_through_it_unsampled():
     # Every path from the scene to the commands passes through one of these.
     for system in ("operator", "retargeting", "contact_seen_late", "wrist_to_arm"):
         assert not parts.diagram.GetSubsystemByName(system).HasAnyDirectFeedthrough(), system
+
+
+def test_the_person_sees_the_scene_late():
+    """Just after a tick, every seen port holds the scene as it was `visual_delay` before."""
+    scenario = scenario_with("cylinder")
+    parts = make_grasp_diagram(scenario, centred_map(), (person_and_rest()[0], planned_goal("cylinder")))
+    simulator = start(parts)
+    root = simulator.get_context()
+    period = scenario.operator.period
+    steps = round(scenario.operator.visual_delay / period)
+
+    def values(system_name: str, port: str) -> np.ndarray:
+        system = parts.diagram.GetSubsystemByName(system_name)
+        return system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(root)).copy()
+
+    names = ("fingertips", "hand_pose", "object_pose", "contact")
+    scene: list[dict[str, np.ndarray]] = []
+    for number in range(1, 61):
+        simulator.AdvanceTo(number * period + 1e-6)
+        scene.append({name: values("scene_view", name) for name in names})
+    for name in names:
+        np.testing.assert_array_equal(values(f"{name}_seen_late", "delayed_u"), scene[-1 - steps][name])
+    # The robot moves meanwhile, so a wrong delay would show.
+    for other in (-steps, -2 - steps, -1):
+        assert np.abs(scene[other]["fingertips"] - scene[-1 - steps]["fingertips"]).max() > 1e-5
 
 
 # -- forces

@@ -331,6 +331,43 @@ def test_the_person_tries_again_when_the_object_stays_behind():
     assert session.raised > 0.1
 
 
+def test_the_person_sees_tips_and_object_with_noise():
+    """Every seen coordinate of fingertips and object scatters by `visual_noise`, by its own draw."""
+    config = OperatorConfig(visual_noise=0.002)
+    world = StandInWorld(1.0, config)
+    person = GraspingPerson(world.hand, world.goal, config, np.random.default_rng(0))
+    scene = world.advance(FingerMotion(world.hand).rest, RigidTransform(), lifting=False)
+    seen = [person._perceive(scene) for _ in range(2000)]
+    points = np.array([[*one.p_WF, one.X_WO.translation()] for one in seen])
+    np.testing.assert_allclose(points.std(axis=0), 0.002, rtol=0.1)
+    np.testing.assert_allclose(points.mean(axis=0), [*scene.p_WF, scene.X_WO.translation()], atol=2e-4)
+    correlation = np.corrcoef(points.reshape(len(seen), -1).T)
+    assert np.abs(correlation - np.eye(len(correlation))).max() < 0.12
+
+
+def test_the_person_does_not_repeat_what_is_done_but_not_yet_seen():
+    """Own motion of the last delay counts as done: an error that it will mend moves no finger further."""
+    config = OperatorConfig(visual_noise=0.0, motor_noise=0.0)
+    world = StandInWorld(1.0, config)
+    motion = FingerMotion(world.hand)
+    rest = world.hand.fingertips(motion.rest)
+    moved = motion.follow(motion.rest, rest + [0.004, 0.0, -0.004])
+    done = world.hand.fingertips(moved) - rest
+    assert np.linalg.norm(done, axis=1).min() > 1e-3
+    seen = world.advance(motion.rest, RigidTransform(), lifting=False)
+
+    def step_towards(p_BF_wanted: np.ndarray) -> np.ndarray:
+        goal = dc.replace(world.goal, p_BF_open=p_BF_wanted)
+        person = GraspingPerson(world.hand, goal, config, np.random.default_rng(0))
+        state = dc.replace(person.start(RigidTransform()), theta=moved)
+        return (world.hand.fingertips(person.step(state, 0.0, seen).theta) - rest - done)[:4]
+
+    # The robot is seen at rest still; wanted is where the own motion will have taken it.
+    np.testing.assert_allclose(step_towards(rest[:4] + done[:4]), 0, atol=1e-9)
+    # Wanted where it was, it is led back.
+    assert ((step_towards(rest[:4]) * done[:4]).sum(axis=1) < 0).all()
+
+
 def test_the_persons_joints_and_speeds_stay_human():
     """At every decision the joints are inside the hand's limits, and no fingertip outruns a person's."""
     config = OperatorConfig()

@@ -8,7 +8,10 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import HandError
+from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.recording import Recording
+from geort_drake.operators.config import OperatorConfig
+from geort_drake.operators.grasp_goal import GraspGoal
 from geort_drake.systems.action_correction import ActionCorrection
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.glove_replay import GloveReplay
@@ -21,6 +24,7 @@ from geort_drake.systems.retargeting_system import (
     TRACKING,
     RetargetingSystem,
 )
+from geort_drake.systems.simulated_operator import SimulatedOperator
 from geort_drake.systems.wrist_to_arm import Clutch
 
 JOINTS = ("thumb_a", "thumb_b", "index_a")
@@ -207,15 +211,15 @@ def test_clutch_moves_the_hand_by_what_the_wrist_moved_and_survives_a_gap():
 # -- GraspMonitor
 
 
-def run_monitor(heights, contacts, period=0.1, **config):
-    """Feeds one height and contact vector per period; returns the outcome after the last."""
+def run_monitor(heights, contacts, period=0.1, x=None, **config):
+    """Feeds one height, contact vector and place x per period; returns the outcome after the last."""
     monitor = GraspMonitor(
         2, lambda X_WO: X_WO.translation()[2] - 0.02, 0.1, GraspMonitorConfig(period=period, **config)
     )
     simulator = Simulator(monitor)
     context = simulator.get_mutable_context()
     for step, (height, contact) in enumerate(zip(heights, contacts, strict=True)):
-        pose = pose_to_vector(RigidTransform([0.5, 0, 0.12 + height]))
+        pose = pose_to_vector(RigidTransform([0.5 if x is None else x[step], 0, 0.12 + height]))
         monitor.GetInputPort("object_pose").FixValue(context, pose)
         monitor.GetInputPort("contact").FixValue(context, contact)
         simulator.AdvanceTo((step + 0.5) * period)
@@ -248,3 +252,54 @@ def test_monitor_does_not_take_a_flying_object_for_a_lift():
     """Without two fingers on it, an object in the air is not held."""
     outcome = run_monitor([0.0, 0.15, 0.15], [[1, 1], [0, 0], [1, 0]])
     assert GraspPhase.LIFT.name not in outcome.times and GraspPhase.HOLD.name not in outcome.times
+
+
+def test_monitor_ends_when_the_object_strays_out_of_the_hand():
+    """Far from its start and touched by nothing it is thrown, at any height; in the hand it is not."""
+    far = [0.5, 0.9, 0.9]
+    thrown = run_monitor([0.0, 0.0, 0.0], [[1, 0], [0, 0], [1, 1]], x=far)
+    assert thrown.phase == GraspPhase.THROWN and thrown.over
+    carried = run_monitor([0.0, 0.05, 0.05], [[1, 1], [1, 1], [1, 1]], x=far)
+    assert carried.phase == GraspPhase.LIFT
+
+
+# -- SimulatedOperator
+
+
+def test_the_operators_fingers_tremble_and_its_wrist_does_not():
+    """The keypoints differ from those of a person without tremor by its root mean square."""
+
+    def session(tremor: float) -> np.ndarray:
+        config = OperatorConfig(tremor=tremor)
+        hand = HumanHand.anatomical()
+        goal = GraspGoal(
+            finger_names=("thumb", "index", "middle"),
+            touches=np.ones(3, bool),
+            X_OB=RigidTransform([0, 0, 0.1]),
+            X_OB_before=RigidTransform([0, 0, 0.2]),
+            p_BF_open=np.full((3, 3), 0.05),
+            p_OF_touch=np.zeros((3, 3)),
+            n_OF=np.tile([1.0, 0, 0], (3, 1)),
+            yaw_symmetry=0.0,
+        )
+        system = SimulatedOperator(hand, goal, config, RigidTransform(), seed=4)
+        simulator = Simulator(system)
+        context = simulator.get_mutable_context()
+        upright = pose_to_vector(RigidTransform([0.5, 0, 0.3]))
+        for name, value in (
+            ("fingertips", np.full(9, 0.3)),
+            ("hand_pose", upright),
+            ("object_pose", upright),
+            ("contact", np.zeros(3)),
+        ):
+            system.GetInputPort(name).FixValue(context, value)
+        frames = []
+        for step in range(20, 120):
+            simulator.AdvanceTo(step * config.period + 0.005)
+            frames.append(system.GetOutputPort("keypoints").Eval(context).reshape(21, 3).copy())
+        return np.array(frames)
+
+    tremor = session(5e-4) - session(0.0)
+    np.testing.assert_array_equal(tremor[:, 0], 0)
+    rms = np.sqrt((tremor[:, 1:] ** 2).sum(axis=-1).mean())
+    assert rms == pytest.approx(5e-4, rel=0.05)
