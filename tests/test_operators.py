@@ -345,6 +345,59 @@ def test_the_person_sees_tips_and_object_with_noise():
     assert np.abs(correlation - np.eye(len(correlation))).max() < 0.12
 
 
+def test_a_wrist_movement_misses_by_a_share_of_its_length():
+    """Signal-dependent noise: the end scatters around the wanted place by `motor_noise` of the distance."""
+    config = OperatorConfig()
+    world = StandInWorld(1.0, config)
+    person = GraspingPerson(world.hand, world.goal, config, np.random.default_rng(0))
+    for length in (0.05, 0.2):
+        shift = np.array([0.0, length, 0.0])
+        ends = np.array(
+            [
+                person._plan_movement(RigidTransform(), shift, RotationMatrix(), 0.0).X_end.translation()
+                for _ in range(1000)
+            ]
+        )
+        np.testing.assert_allclose(ends.mean(axis=0), shift, atol=0.01 * length)
+        missed = np.sqrt(((ends - shift) ** 2).sum(axis=1).mean())
+        assert missed == pytest.approx(config.motor_noise * length, rel=0.1)
+
+
+def test_a_closing_finger_stops_at_the_object_and_does_not_run_ahead():
+    """Touching fingers rest, one that leads the slowest by twice the lead waits, the slowest goes on."""
+    config = OperatorConfig()
+    world = StandInWorld(1.0, config)
+    person = GraspingPerson(world.hand, world.goal, config, np.random.default_rng(0))
+    scene = world.advance(FingerMotion(world.hand).rest, RigidTransform(), lifting=False)
+    remaining = np.array([0.02, 0.02 - 2.1 * config.closing_lead, 0.02 - 0.5 * config.closing_lead, 0.0])
+    error = remaining[:, None] * [1.0, 0.0, 0.0]
+    free = person._closing_share(error, dc.replace(scene, contact=np.zeros(4)))
+    np.testing.assert_allclose(free[:3], [1, 0, 1], atol=1e-9)
+    touching = person._closing_share(error, dc.replace(scene, contact=np.array([1.0, 0, 0, 0])))
+    # With the slowest arrived, the next slowest sets the pace.
+    np.testing.assert_allclose(touching[:3], [0, 0.4, 1], atol=1e-9)
+
+
+def test_the_hand_shifts_to_the_middle_of_what_the_fingers_lack():
+    """Halfway between the extremes of the errors to the surface; a finger that touches lacks nothing."""
+    config = OperatorConfig(visual_noise=0.0)
+    world = StandInWorld(1.0, config)
+    person = GraspingPerson(world.hand, world.goal, config, np.random.default_rng(0))
+    scene = world.advance(FingerMotion(world.hand).rest, RigidTransform(), lifting=False)
+    X_WB = RigidTransform(world.X_WO @ world.goal.X_OB)
+    rest = (world.X_WO @ world.goal.X_OB).multiply(world.goal.p_BF_open.T).T
+    state = dc.replace(person.start(RigidTransform()), phase=Phase.CLOSE)
+    # At the goal's hand pose every fingertip is 20 mm off the surface along its own way inwards.
+    lacking = 0.02 * world.goal.n_OF[:3]
+    for contact in ([0.0, 0, 0, 0], [1.0, 0, 0, 0]):
+        seen = dc.replace(scene, p_WF=rest, X_WB=X_WB, contact=np.array(contact))
+        left = np.where(np.array(contact)[:3, None] > 0, 0.0, lacking)
+        wanted = 0.5 * (left.min(axis=0) + left.max(axis=0))
+        shift = person._hand_shift(state, seen)
+        assert shift is not None
+        np.testing.assert_allclose(shift, wanted, atol=1e-9)
+
+
 def test_the_person_does_not_repeat_what_is_done_but_not_yet_seen():
     """Own motion of the last delay counts as done: an error that it will mend moves no finger further."""
     config = OperatorConfig(visual_noise=0.0, motor_noise=0.0)

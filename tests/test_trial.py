@@ -13,8 +13,9 @@ import pytest
 from grasp_setup import allegro, centred_map, person_and_rest, planned_goal, scenario_with
 
 from geort_drake.gloves.recording import Recording
-from geort_drake.simulation.trial import TrialResult, run_trial
-from geort_drake.systems.grasp_monitor import GraspPhase
+from geort_drake.simulation.diagram import make_grasp_diagram
+from geort_drake.simulation.trial import TrialResult, _result, run_trial
+from geort_drake.systems.grasp_monitor import GraspOutcome, GraspPhase
 
 # A shorter hold than a benchmark's, to save time.
 TEXT = "{monitor: {hold_time: 0.5}, timeout: 15.0}"
@@ -194,6 +195,19 @@ def test_what_was_recorded_before_a_failure_is_kept(tmp_path):
     with pytest.raises(ArithmeticError, match="the map has failed"):
         run_trial(scenario_with("cylinder", "{timeout: 3.0}"), Failing(), still_hand(), path)
     assert verify(path).returncode == 0
+
+
+@pytest.mark.parametrize(("attempt", "first"), [(1, True), (2, False)])
+def test_a_success_after_a_loss_is_no_success_at_first_try(attempt, first):
+    """`first_attempt` says whether the operator needed only one."""
+    scenario = scenario_with("cylinder", TEXT)
+    parts = make_grasp_diagram(scenario, centred_map(), (person_and_rest()[0], planned_goal("cylinder")))
+    root = parts.diagram.CreateDefaultContext()
+    state = parts.operator.GetMyMutableContextFromRoot(root).get_mutable_abstract_state(0)
+    state.set_value(dc.replace(state.get_value(), attempt=attempt))
+    done = GraspOutcome(phase=GraspPhase.DONE, held_since=4.0)
+    result = _result(scenario, parts, done, root, wall_time=1.0)
+    assert (result.success, result.attempts, result.first_attempt) == (True, attempt, first)
 
 
 def test_progress_is_reported_in_simulated_time():
