@@ -217,6 +217,37 @@ def test_the_person_sees_the_scene_late():
         assert np.abs(scene[other]["fingertips"] - scene[-1 - steps]["fingertips"]).max() > 1e-5
 
 
+def test_the_hand_is_asked_for_what_the_correction_gives():
+    """A controller put in the place of ActionCorrection has the last word on the hand."""
+    parts = whole_diagram()
+    hand = parts.plant.GetModelInstanceByName(HAND)
+    wanted = parts.plant.get_desired_state_input_port(hand)
+    (source,) = [
+        output
+        for (system, port), output in parts.diagram.connection_map().items()
+        if system is parts.plant and port == wanted.get_index()
+    ]
+    assert source[0].get_name() == "action_correction"
+
+
+def test_the_arm_follows_at_the_scenarios_gain():
+    """A lower `wrist_to_arm.pose_gain` lags further behind a moving wrist."""
+
+    def moved_after(gain: float, time: float = 0.5) -> float:
+        scenario = scenario_with("cylinder", f"{{wrist_to_arm: {{pose_gain: {gain}}}}}")
+        parts = make_grasp_diagram(scenario, centred_map(), glove((0.0, 0.0, 0.05)))
+        simulator = start(parts)
+        view = parts.diagram.GetSubsystemByName("scene_view")
+        port, context = view.GetOutputPort("hand_pose"), view.GetMyContextFromRoot(simulator.get_context())
+        before = port.Eval(context)[6]
+        simulator.AdvanceTo(time)
+        return float(port.Eval(context)[6] - before)
+
+    # The wrist has moved 40 mm by then, at 100 mm/s; the lag is about speed × period / gain.
+    assert moved_after(0.05) < 0.027
+    assert moved_after(0.3) > 0.032
+
+
 # -- forces
 
 
