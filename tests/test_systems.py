@@ -1,5 +1,7 @@
 """Each system by itself: fix the inputs, advance, evaluate."""
 
+import dataclasses as dc
+
 import numpy as np
 import pytest
 from pydrake.common.value import AbstractValue
@@ -69,6 +71,17 @@ def test_replay_holds_each_sample_until_the_next():
         assert replay.GetOutputPort("valid").Eval(context)[0] == recording.valid[sample]
         X_WH = replay.GetOutputPort("wrist_pose").Eval(context)
         np.testing.assert_allclose(X_WH.translation(), recording.X_WH[sample, 4:])
+
+
+def test_replay_gives_a_sample_that_is_due_but_for_rounding():
+    """Six times 0.01 added up is a little more than 0.06, and the sample is due at 0.06 all the same."""
+    recording = dc.replace(small_recording(), t=np.cumsum([0.0] + [0.01] * 11))
+    assert recording.t[6] > 0.06
+    replay = GloveReplay(recording)
+    context = replay.CreateDefaultContext()
+    context.SetTime(0.06)
+    keypoints = replay.GetOutputPort("keypoints").Eval(context)
+    np.testing.assert_array_equal(keypoints.reshape(21, 3), recording.p_HK[6])
 
 
 def test_recording_a_replay_gives_the_recording_back():
@@ -252,6 +265,13 @@ def test_monitor_does_not_take_a_flying_object_for_a_lift():
     """Without two fingers on it, an object in the air is not held."""
     outcome = run_monitor([0.0, 0.15, 0.15], [[1, 1], [0, 0], [1, 0]])
     assert GraspPhase.LIFT.name not in outcome.times and GraspPhase.HOLD.name not in outcome.times
+
+
+def test_monitor_keeps_the_peaks():
+    """The largest force of any finger and the greatest height stand after both have fallen again."""
+    outcome = run_monitor([0.0, 0.07, 0.02], [[1, 2], [9, 3], [1, 1]])
+    assert outcome.peak_force == 9
+    assert outcome.peak_height == pytest.approx(0.07)
 
 
 def test_monitor_ends_when_the_object_strays_out_of_the_hand():
