@@ -155,6 +155,21 @@ def test_retargeting_holds_while_the_hand_is_lost_or_not_finite():
     assert status.Eval(context).state == HELD_NOT_FINITE
 
 
+def test_retargeting_holds_when_the_map_gives_no_number():
+    """One NaN among the joint targets holds them all, and the next good answer is followed."""
+    answers = iter([[0.1, 0.1, 0.1], [0.2, np.nan, 0.2], [0.3, 0.3, 0.3]])
+    system, simulator, context = make_retargeting(lambda _keypoints: np.array(next(answers)))
+    system.GetInputPort("keypoints").FixValue(context, np.zeros(63))
+    for until, wanted, state in (
+        (0.005, 0.1, TRACKING),
+        (0.015, 0.1, HELD_NOT_FINITE),
+        (0.025, 0.3, TRACKING),
+    ):
+        simulator.AdvanceTo(until)
+        np.testing.assert_allclose(system.GetOutputPort("desired_state").Eval(context)[:3], wanted)
+        assert system.GetOutputPort("status").Eval(context).state == state
+
+
 def test_retargeting_limits_the_joints_speed():
     """A jump of the keypoints becomes a ramp at the speed limit."""
     system, simulator, context = make_retargeting(first_three, max_speed=2.0)

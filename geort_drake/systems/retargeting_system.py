@@ -11,7 +11,7 @@ from geort_drake.errors import HandError
 
 TRACKING = "tracking"
 HELD_LOST = "held: the glove lost the hand"
-HELD_NOT_FINITE = "held: a keypoint is not finite"
+HELD_NOT_FINITE = "held: a keypoint or a joint target is not finite"
 LIMITED = "limited: a joint is at its speed limit"
 _STATES = (TRACKING, HELD_LOST, HELD_NOT_FINITE, LIMITED)
 
@@ -96,9 +96,12 @@ class RetargetingSystem(LeafSystem):
             state = HELD_NOT_FINITE
         else:
             wanted = self._retarget(keypoints.reshape(21, 3))[self._to_plant]
-            after = np.clip(wanted, before - self._max_step, before + self._max_step)
-            if not np.array_equal(after, wanted):
-                state = LIMITED
+            if not np.isfinite(wanted).all():
+                state = HELD_NOT_FINITE
+            else:
+                after = np.clip(wanted, before - self._max_step, before + self._max_step)
+                if not np.array_equal(after, wanted):
+                    state = LIMITED
         # The velocity target keeps the joint's damping from acting against a wanted motion.
         velocity = (after - before) / self._period
         discrete_state.get_mutable_vector(0).SetFromVector(np.concatenate([after, velocity]))
