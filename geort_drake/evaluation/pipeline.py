@@ -18,19 +18,24 @@ from geort_drake.evaluation.metrics import evaluate
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.readers import read_recording
 from geort_drake.gloves.recording import Recording
+from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.samples import robot_data
 from geort_drake.retargeting.baselines.linear_offline import train_linear_offline
 from geort_drake.retargeting.checkpoint import check_replaceable, save_checkpoint
-from geort_drake.retargeting.retargeter import Retargeter
+from geort_drake.retargeting.coupled_training import CoupledConfig, train_coupled
+from geort_drake.retargeting.retargeter import METHODS as RETARGETERS
 from geort_drake.retargeting.training import TrainingConfig, TrainingResult, train_geort
 
 # Name of a retargeting method → the function that trains it, called as `train_geort` is.
 METHODS: dict[str, Callable[..., TrainingResult]] = {
     "geort": train_geort,
+    "geort_coupled": train_coupled,
     "linear_offline": train_linear_offline,
 }
+# The settings of a method that has its own.
+CONFIGS: dict[str, type[TrainingConfig]] = {"geort_coupled": CoupledConfig}
 
 
 def train_checkpoint(
@@ -56,7 +61,7 @@ def train_checkpoint(
         device: "cpu" or "cuda".
         fk: "exact" or "neural" forward kinematics in training.
         show_progress: draw progress bars on stderr.
-        settings: other fields of `TrainingConfig`.
+        settings: other fields of the method's config, `TrainingConfig` or `CoupledConfig`.
         robot_samples: how many joint positions of the robot are sampled.
 
     Returns:
@@ -68,7 +73,7 @@ def train_checkpoint(
     """
     if method not in METHODS:
         raise UnknownNameError("retargeting method", method, METHODS)
-    config = TrainingConfig(**{**(settings or {}), "fk": fk})
+    config = CONFIGS.get(method, TrainingConfig)(**{**(settings or {}), "fk": fk})
     config.validate()
     check_replaceable(output)
     description = load_hand(hand_name)
@@ -83,6 +88,10 @@ def train_checkpoint(
             p_HF = recording.fingertips(keypoints).astype(float)
         with _timed(timings, "robot_data_s"):
             samples = robot_data(hand, robot_samples, seed, progress=bars.counter("robot samples"))
+        extra = {}
+        if method == "geort_coupled":
+            shapes = collision_shapes(hand)
+            extra["shapes"] = shapes.mirrored() if description.side == "left" else shapes
         with _timed(timings, "fit_s"):
             result = METHODS[method](
                 p_HF,
@@ -93,10 +102,11 @@ def train_checkpoint(
                 device,
                 report=bars.losses("training"),
                 collides_beyond_tips=hand.collides_beyond_tips,
+                **extra,
             )
         arrays = result.network.arrays()
         names = (hand.finger_names, hand.joint_names)
-        retarget = Retargeter(arrays, *names, keypoints, hand.lower, hand.upper)
+        retarget = RETARGETERS[method](arrays, *names, keypoints, hand.lower, hand.upper)
         with _timed(timings, "evaluation_s"), bars.spinner("evaluation"):
             metrics = evaluate(retarget, hand, recording, seed)
     metrics = {"hand": description.name, "recording_sha256": recording.digest, "seed": seed, **metrics}

@@ -143,8 +143,12 @@ class HandModel:
         found = []
         for pair in pairs:
             link_a, link_b = sorted((self._link(pair.id_A), self._link(pair.id_B)))
-            found.append((pair.depth, link_a, link_b, self._between_tips(pair)))
+            found.append((pair.depth, link_a, link_b, self.are_tips(pair.id_A, pair.id_B)))
         return sorted(found, key=lambda contact: (-contact[0], *contact[1:3]))
+
+    def are_tips(self, geometry_a: GeometryId, geometry_b: GeometryId) -> bool:
+        """Whether both collision geometries belong to fingertips."""
+        return geometry_a in self._tip_geometries and geometry_b in self._tip_geometries
 
     def kinematics(self) -> "HandKinematics":
         """The fingers as serial chains for torch, read off the plant."""
@@ -244,9 +248,6 @@ class HandModel:
             named = [id for id in everything if "tip" in inspector.GetName(id).split("::")[-1]]
             tips.update({id: number for id in named or everything})
         return tips
-
-    def _between_tips(self, pair) -> bool:
-        return pair.id_A in self._tip_geometries and pair.id_B in self._tip_geometries
 
     def _link(self, geometry: GeometryId) -> str:
         frame = self.scene_graph.model_inspector().GetFrameId(geometry)

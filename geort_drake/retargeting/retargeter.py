@@ -6,7 +6,7 @@ q = retarget(p_HF)
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -164,8 +164,19 @@ def load_retargeter(path: str | os.PathLike, hand=None) -> Retargeter:
     )
 
 
-# Name in a checkpoint's config.json → the class that evaluates its weights.
-METHODS = {"geort": Retargeter, "linear_offline": Retargeter}
+def _coupled(*arguments) -> Retargeter:
+    # Imported here because it builds on this module.
+    from geort_drake.retargeting.coupled_retargeter import CoupledRetargeter
+
+    return CoupledRetargeter(*arguments)
+
+
+# Name in a checkpoint's config.json → what makes the map from its weights, called as `Retargeter` is.
+METHODS: dict[str, Callable[..., Retargeter]] = {
+    "geort": Retargeter,
+    "geort_coupled": _coupled,
+    "linear_offline": Retargeter,
+}
 
 
 def _silu(a: np.ndarray) -> np.ndarray:

@@ -123,8 +123,8 @@ def train_geort(
     config = config or TrainingConfig()
     config.validate()
     check_robot_samples(robot_samples, kinematics)
-    with _one_thread():
-        run = _Run(p_HF, kinematics, robot_samples, config, seed, _device(device), collides_beyond_tips)
+    with one_thread():
+        run = _Run(p_HF, kinematics, robot_samples, config, seed, device_of(device), collides_beyond_tips)
         return run.train(report)
 
 
@@ -312,7 +312,7 @@ class _Run:
 
 
 @contextlib.contextmanager
-def _one_thread():
+def one_thread():
     """Lets torch use one CPU thread.
 
     The products are too small to gain from a second one, and waiting for each other costs threads far
@@ -326,7 +326,7 @@ def _one_thread():
         torch.set_num_threads(threads)
 
 
-def _device(name: str) -> torch.device:
+def device_of(name: str) -> torch.device:
     if name not in ("cpu", "cuda"):
         raise UnknownNameError("device", name, ("cpu", "cuda"))
     if name == "cuda" and not torch.cuda.is_available():

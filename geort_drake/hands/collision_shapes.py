@@ -1,0 +1,78 @@
+"""A hand's collision geometry as plain arrays, for training without Drake."""
+
+import numpy as np
+from pydrake.geometry import Box, Capsule, Cylinder, Role, Sphere
+from pydrake.multibody.tree import RevoluteJoint
+
+from geort_drake.errors import HandError
+from geort_drake.hands.model import HandModel
+from geort_drake.retargeting.collision_geometry import CollisionShapes
+
+
+def collision_shapes(hand: HandModel) -> CollisionShapes:
+    """The boxes and spheres of a hand, and the pairs of them that must not touch.
+
+    Boxes and spheres are taken as they are. A cylinder becomes the box of equal length and
+    cross-section, a capsule such a box with its two end spheres. Pairs that Drake filters
+    and pairs of two fingers' tips are left out.
+
+    Raises:
+        HandError: the hand has collision geometry of another kind.
+    """
+    plant, inspector = hand.plant, hand.scene_graph.model_inspector()
+    context = plant.CreateDefaultContext()
+    inboard = {plant.get_joint(i).child_body().index(): plant.get_joint(i) for i in plant.GetJointIndices()}
+    joint, X_JS, half, radius, source = [], [], [], [], []
+    for geometry in sorted(inspector.GetAllGeometryIds(Role.kProximity), key=lambda id: id.get_value()):
+        body = plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
+        X_WS = plant.EvalBodyPoseInWorld(context, body).GetAsMatrix4() @ (
+            inspector.GetPoseInFrame(geometry).GetAsMatrix4()
+        )
+        mover = inboard.get(body.index())
+        while mover is not None and not _moves(mover, hand):
+            mover = inboard.get(mover.parent_body().index())
+        if mover is None:
+            X_WJ = np.eye(4)  # the hand base is welded to the world
+        else:
+            X_WJ = mover.frame_on_child().CalcPoseInWorld(context).GetAsMatrix4()
+        for X_GS, half_edges, r in _parts(inspector.GetShape(geometry), inspector.GetName(geometry)):
+            joint.append(-1 if mover is None else hand.joint_names.index(mover.name()))
+            X_JS.append(np.linalg.inv(X_WJ) @ X_WS @ X_GS)
+            half.append(half_edges)
+            radius.append(r)
+            source.append(geometry)
+    pairs = []
+    for i in range(len(source)):
+        for j in range(i + 1, len(source)):
+            a, b = source[i], source[j]
+            if a == b or joint[i] == joint[j] or inspector.CollisionFiltered(a, b) or hand.are_tips(a, b):
+                continue
+            pairs.append((j, i) if radius[i] > 0 else (i, j))
+    return CollisionShapes(
+        np.array(joint), np.array(X_JS), np.array(half), np.array(radius), np.array(pairs).reshape(-1, 2)
+    )
+
+
+def _moves(joint, hand: HandModel) -> bool:
+    return isinstance(joint, RevoluteJoint) and joint.name() in hand.joint_names
+
+
+def _parts(shape, name: str) -> list[tuple[np.ndarray, tuple[float, float, float], float]]:
+    """Pose in the geometry's frame, half edges and radius of each box or sphere that stands for a shape."""
+    if isinstance(shape, Box):
+        return [(np.eye(4), tuple(0.5 * shape.size()), 0.0)]
+    if isinstance(shape, Sphere):
+        return [(np.eye(4), (0.0, 0.0, 0.0), shape.radius())]
+    if isinstance(shape, Cylinder | Capsule):
+        side, end = 0.5 * np.sqrt(np.pi) * shape.radius(), 0.5 * shape.length()
+        parts = [(np.eye(4), (side, side, end), 0.0)]
+        if isinstance(shape, Capsule):
+            for z in (-end, end):
+                X = np.eye(4)
+                X[2, 3] = z
+                parts.append((X, (0.0, 0.0, 0.0), shape.radius()))
+        return parts
+    raise HandError(
+        f"collision geometry '{name}' is a {type(shape).__name__}; "
+        "choose one of: box, sphere, cylinder, capsule"
+    )

@@ -1,0 +1,356 @@
+"""Trains `geort_coupled`; docs/criteria.md says where it departs from the paper, and why."""
+
+import copy
+import math
+import time
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from geort_drake.errors import TrainingError
+from geort_drake.retargeting import coupled_losses as losses
+from geort_drake.retargeting.clouds import voxel_centres, voxel_index
+from geort_drake.retargeting.collision_geometry import CollisionGaps, CollisionShapes
+from geort_drake.retargeting.coupled_network import CoupledNetwork
+from geort_drake.retargeting.criteria import direction_loss, pinch_weights
+from geort_drake.retargeting.human_data import HumanData
+from geort_drake.retargeting.kinematics import HandKinematics
+from geort_drake.retargeting.pretraining import RobotSamples, check_robot_samples
+from geort_drake.retargeting.training import (
+    Report,
+    TrainingConfig,
+    TrainingResult,
+    device_of,
+    one_thread,
+)
+
+TIP_MARGIN = 0.002  # m; apart fingertips are kept this far from touching
+ACTIVE_FRAMES = 2000  # how many frames that nearly collide are remembered
+STEP_LAGS = (1, 2, 3, 4)  # frames
+STEP_RANGE = (0.001, 0.03)  # m; shorter real steps are noise, longer ones gaps in the recording
+
+
+@dataclass(frozen=True)
+class CoupledConfig(TrainingConfig):
+    """Settings of `train_coupled`. Weights are of ratios; `length_unit` and the classifier's are unused."""
+
+    steps: int = 5000
+    points: int = 40  # real frames per finger and step at which that finger is moved
+    targets: int = 64  # robot voxels per finger and step
+    pinches: int = 64  # real frames with a pinch per step, and as many made-up ones
+    frames: int = 96  # real steps per step
+    collisions: int = 64  # frames per step whose collisions are computed
+    hidden: int = 64
+    residual_hidden: int = 96
+    direction_weight: float = 1.0
+    track_weight: float = 1.0
+    coverage_weight: float = 0.65
+    cross_talk_weight: float = 0.2
+    flatness_weight: float = 0.2
+    response_weight: float = 0.3
+    pinch_weight: float = 0.35
+    false_pinch_weight: float = 0.3
+    collision_weight: float = 0.2
+    coverage_radius: float = 0.010  # m
+    response_band: float = 0.6  # of log gain around its median
+    pinch_wanted: float = 0.012  # m; between a touch (two tip radii) and fingertips in one place
+    pinch_scale: float = 0.008  # m
+    pinch_reach: float = 0.030  # m; fingertips nearer than this are moved together to make up pinches
+    jitter: float = 0.004  # m; of the frames that must not collide
+    collision_margin: float = 0.001  # m
+    collision_scale: float = 0.005  # m
+    robot_voxel: float = 0.005
+    assign_every: int = 25  # steps between searches for the frames nearest to the robot's voxels
+    weight_decay: float = 1e-2
+    averaging: float = 0.998  # of the weights, in the second half
+
+
+def train_coupled(
+    p_HF: np.ndarray,
+    kinematics: HandKinematics,
+    robot_samples: RobotSamples,
+    config: TrainingConfig | None = None,
+    seed: int = 0,
+    device: str = "cpu",
+    report: Report | None = None,
+    collides_beyond_tips=None,
+    shapes: CollisionShapes | None = None,
+) -> TrainingResult:
+    """Trains a map in which fingers see each other, without paired data.
+
+    Args:
+        p_HF: (T, F, 3) human fingertips in H, m, of successive frames; fingers as in `kinematics`.
+        kinematics: exact kinematics of the robot hand.
+        robot_samples: uniform samples of the robot's joint angles.
+        config: a `CoupledConfig`; the defaults are meant for all recordings.
+        seed: fixes the initial weights and every draw.
+        device: "cpu" or "cuda".
+        report: called as report(step, steps, row of losses) about a hundred times.
+        collides_beyond_tips: not used, as collisions come from `shapes`.
+        shapes: the hand's collision geometry; without it collisions are not avoided.
+
+    Raises:
+        TrainingError: on unusable input, or when the loss is not finite from the start. When it
+            stops being finite later, the last good weights are returned with a RuntimeWarning.
+            A finger that never pinches is named in a RuntimeWarning.
+    """
+    config = config or CoupledConfig()
+    if not isinstance(config, CoupledConfig):
+        raise TrainingError(f"geort_coupled takes a CoupledConfig, not a {type(config).__name__}")
+    config.validate()
+    if config.fk != "exact":
+        raise TrainingError(f"geort_coupled trains with exact kinematics only, not with fk '{config.fk}'")
+    check_robot_samples(robot_samples, kinematics)
+    with one_thread():
+        run = _Run(p_HF, kinematics, robot_samples, config, seed, device_of(device), shapes)
+        return run.train(report)
+
+
+class _Run:
+    """The state of one training run."""
+
+    def __init__(self, p_HF, kinematics, samples, config: CoupledConfig, seed, device, shapes):
+        self.config, self.kinematics, self.device = config, kinematics, device
+        self.generator = torch.Generator().manual_seed(seed)
+        self.rng = np.random.default_rng(seed)
+        self._load_human(p_HF)
+        q = torch.tensor(np.asarray(samples.q), dtype=torch.float32, device=device)
+        with torch.no_grad():
+            p_BF = kinematics.fingertips(q).cpu().numpy()
+        self.voxels = [voxel_centres(p_BF[:, i], config.robot_voxel) for i in range(p_BF.shape[1])]
+        self.gaps = None
+        self.active = torch.zeros(0, dtype=torch.long)
+        if shapes is not None and config.collision_weight > 0:
+            self.gaps = CollisionGaps(kinematics, shapes, device)
+            self.gaps.keep_pairs_that_meet(q[:4000], config.collision_margin)
+        self.network = CoupledNetwork(
+            kinematics, self.mean, self.scale, config.hidden, config.residual_hidden, self.generator
+        ).to(device)
+
+    def _load_human(self, p_HF: np.ndarray) -> None:
+        config = self.config
+        names = self.kinematics.finger_names
+        human = HumanData(p_HF, names, config.human_voxel)
+        self.human_points, self.pairs = human.points, human.pairs
+        self.mean, self.scale = torch.tensor(human.mean), torch.tensor(human.scale)
+        self.frames = self._tensor(human.frames)
+        self.anchors = []
+        for i in range(len(names)):
+            voxels = voxel_index(human.frames[:, i], config.human_voxel)
+            _, first = np.unique(voxels, axis=0, return_index=True)
+            self.anchors.append(torch.tensor(first))
+        # Real steps of the recording, as numbers of frames in the order they were recorded.
+        p_HF = np.asarray(p_HF, dtype=float)
+        self.track = self._tensor(p_HF)
+        steps = []
+        for lag in STEP_LAGS:
+            length = np.linalg.norm(p_HF[lag:] - p_HF[:-lag], axis=-1).max(axis=1)
+            start = np.flatnonzero((length > STEP_RANGE[0]) & (length < STEP_RANGE[1]))
+            steps.append(np.stack([start, start + lag], axis=1))
+        self.steps = torch.tensor(np.concatenate(steps))
+        # Pinches.
+        self.pinch_weights = pinch_weights(
+            self.frames, self.pairs, config.pinch_threshold, config.other_pinches
+        )
+        self.pinch_rows = torch.nonzero(self.pinch_weights.sum(1).cpu() > 0)[:, 0]
+        nearest = torch.nonzero((self.pinch_weights == 1.0).any(0))[:, 0].tolist()
+        missing = [names[pair[1]] for k, pair in enumerate(self.pairs) if k not in nearest]
+        if missing and config.pinch_weight > 0 and "thumb" in names:
+            warnings.warn(
+                f"the recording holds no pinch of the thumb with: {', '.join(missing)}; "
+                "such pinches of the robot may not close",
+                RuntimeWarning,
+                stacklevel=5,
+            )
+        distance = losses.pair_distances(self.frames, self.pairs)
+        self.near_rows, self.near_pair = torch.nonzero(distance.cpu() < config.pinch_reach, as_tuple=True)
+
+    def train(self, report: Report | None) -> TrainingResult:
+        config = self.config
+        optimiser = torch.optim.AdamW(
+            self.network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+        )
+        interval = max(config.steps // 100, 1)
+        history: list[dict[str, float]] = []
+        average: dict[str, torch.Tensor] | None = None
+        good, stopped_at = None, None
+        started = time.perf_counter()
+        for step in range(config.steps):
+            progress = step / config.steps
+            if step % config.assign_every == 0 and not self._assign(progress):
+                stopped_at = step
+                break
+            rate = config.learning_rate * 0.5 * (1.0 + math.cos(math.pi * progress))
+            for group in optimiser.param_groups:
+                group["lr"] = rate * min((step + 1) / 50, 1.0)
+            total, row = self._losses(step, progress)
+            if not torch.isfinite(total):
+                stopped_at = step
+                break
+            if step % interval == 0:
+                good = copy.deepcopy(self.network.state_dict())
+            optimiser.zero_grad(set_to_none=True)
+            total.backward()
+            torch.nn.utils.clip_grad_norm_(self.network.parameters(), 2.0)
+            optimiser.step()
+            if progress >= 0.5:
+                average = self._averaged(average)
+            if step % interval == 0 or step == config.steps - 1:
+                values = {name: float(value.detach()) for name, value in row.items()}
+                values = {"step": step, "total": float(total.detach()), **values}
+                values["seconds"] = round(time.perf_counter() - started, 3)
+                history.append(values)
+                if report is not None:
+                    report(step + 1, config.steps, values)
+        if stopped_at is not None:
+            if good is None:
+                raise TrainingError(
+                    "the loss is not finite at the first step; check the weights and the data"
+                )
+            self.network.load_state_dict(good)
+            warnings.warn(
+                f"the loss stopped being finite at step {stopped_at} of {config.steps}; the last good "
+                "weights are kept. A lower learning rate may help.",
+                RuntimeWarning,
+                stacklevel=3,
+            )
+        elif average is not None:
+            self.network.load_state_dict(average)
+        return TrainingResult(
+            network=self.network.cpu(),
+            history=history,
+            timings={"training_s": time.perf_counter() - started},
+            stopped_at=stopped_at,
+            human_points=self.human_points,
+            pinch_frames=len(self.pinch_rows),
+        )
+
+    def _averaged(self, average: dict[str, torch.Tensor] | None) -> dict[str, torch.Tensor]:
+        """The running average of the weights, with the present ones added."""
+        state = self.network.state_dict()
+        if average is None:
+            return {name: value.clone() for name, value in state.items()}
+        for name, value in state.items():
+            average[name].lerp_(value, 1.0 - self.config.averaging)
+        return average
+
+    def _assign(self, progress: float) -> bool:
+        """Finds the frames nearest to the voxels of the coming steps; False if the map is not finite."""
+        config = self.config
+        with torch.no_grad():
+            q = self.network(self.frames)
+            p_BF = self.kinematics.fingertips(q).cpu().numpy()
+        if not np.isfinite(p_BF).all():
+            return False
+        count = config.targets * config.assign_every
+        targets, rows = [], []
+        for i, voxels in enumerate(self.voxels):
+            chosen = voxels[self.rng.integers(len(voxels), size=count)]
+            targets.append(chosen)
+            rows.append(cKDTree(p_BF[:, i]).query(chosen)[1])
+        self.targets, self.nearest = self._tensor(np.stack(targets)), torch.tensor(np.stack(rows))
+        if self.gaps is not None and progress >= 0.1:
+            # The active set: frames in which something was about to touch lately.
+            some = torch.randint(len(q), (2000,), generator=self.generator)
+            least = self.gaps.least(q[some], 3 * config.collision_margin)
+            touching = some[(least < 2 * config.collision_margin).cpu()]
+            self.active = torch.cat([touching, self.active])[:ACTIVE_FRAMES]
+        return True
+
+    def _losses(self, step: int, progress: float) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+        """The weighted sum of the losses on one random batch, and each of them."""
+        config = self.config
+        fingers, n = self.frames.shape[1], config.points
+        # One finger moves, at real frames drawn uniformly from the places it visited.
+        rows = torch.stack([anchors[self._draw(len(anchors), n)] for anchors in self.anchors])
+        x = self.frames[rows]
+        d = self._normal((fingers, n, 3))
+        d = d / d.norm(dim=-1, keepdim=True) * (0.001 + 0.01 * self._uniform((fingers, n, 1)))
+        ahead, behind = x.clone(), x.clone()
+        each = torch.arange(fingers)
+        ahead[each, :, each] += d
+        behind[each, :, each] -= d
+        # Robot voxels and the real frames assigned to them.
+        window = slice((step % config.assign_every) * config.targets, None)
+        cover = self.nearest[:, window][:, : config.targets]
+        targets = self.targets[:, window][:, : config.targets]
+        pair = self.steps[self._draw(len(self.steps), config.frames)]
+        before, after = self.track[pair[:, 0]], self.track[pair[:, 1]]
+        pinching, weights = self._pinches()
+        parts = [x.flatten(0, 1), ahead.flatten(0, 1), behind.flatten(0, 1), self.frames[cover].flatten(0, 1)]
+        parts += [before, after, pinching, self._crowded()]
+        q = self.network(torch.cat(parts)).split([len(part) for part in parts])
+        p_BF = self.kinematics.fingertips(torch.cat(q[:-1])).split([len(part) for part in parts[:-1]])
+        g_x, g_ahead, g_behind = (p.reshape(fingers, n, fingers, 3) for p in p_BF[:3])
+        own_x, own_ahead, own_behind = (g[each, :, each] for g in (g_x, g_ahead, g_behind))
+        reached = p_BF[3].reshape(fingers, -1, fingers, 3)[each, :, each]
+        step_d, step_answer = after - before, p_BF[5] - p_BF[4]
+        long = step_d.norm(dim=-1) > STEP_RANGE[0]
+        human_apart = losses.pair_distances(torch.cat([after, pinching]), self.pairs)
+        robot_apart = losses.pair_distances(torch.cat([p_BF[5], p_BF[6]]), self.pairs)
+        tips = 2 * self.kinematics.tip_radius
+        zero = q[0].new_zeros(())
+        row = {
+            "direction": direction_loss(d, own_ahead - own_x),
+            "track": direction_loss(step_d[long], step_answer[long]) if len(before) else zero,
+            "coverage": losses.bounded_coverage_loss(reached, targets, config.coverage_radius),
+            "cross_talk": losses.cross_talk_loss(g_ahead - g_x),
+            "flatness": losses.curvature_loss(own_ahead, own_x, own_behind),
+            "response": losses.uniform_response_loss(d, own_ahead - own_x, config.response_band),
+            "pinch": losses.pinch_distance_loss(
+                robot_apart[len(after) :], weights, config.pinch_wanted, config.pinch_scale
+            ),
+            "false_pinch": losses.false_pinch_loss(
+                robot_apart, human_apart > 0.9 * config.pinch_reach, tips + TIP_MARGIN, 0.005
+            ),
+            "collision": zero,
+        }
+        if self.gaps is not None and progress > 0.15:
+            row["collision"] = self.gaps.loss(q[-1], config.collision_margin, config.collision_scale)
+        scale = {"collision": min(max((progress - 0.15) / 0.25, 0.0), 1.0)}
+        total = sum(
+            (scale.get(name, 1.0) * getattr(config, f"{name}_weight") * value for name, value in row.items()),
+            start=zero,
+        )
+        return total, row
+
+    def _pinches(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Frames (N, F, 3) with pinches, real and made up, and the weights (N, P) of their pairs."""
+        config = self.config
+        real = self.pinch_rows[self._draw(len(self.pinch_rows), config.pinches)]
+        some = self._draw(len(self.near_rows), config.pinches)
+        made_up = self.frames[self.near_rows[some]].clone()
+        pair = self.near_pair[some]
+        weights = made_up.new_zeros((len(some), len(self.pairs)))
+        if len(some):
+            row = torch.arange(len(some))
+            first, second = torch.tensor(self.pairs)[pair].T
+            middle = 0.5 * (made_up[row, first] + made_up[row, second])
+            middle = middle + 0.003 * self._normal(middle.shape)
+            made_up[row, first], made_up[row, second] = middle, middle
+            weights[row, pair] = 1.0
+        return torch.cat([self.frames[real], made_up]), torch.cat([self.pinch_weights[real], weights])
+
+    def _crowded(self) -> torch.Tensor:
+        """Jittered frames, three quarters of them from those in which something nearly touches."""
+        count = self.config.collisions if self.gaps is not None else 0
+        active = self.active[self._draw(len(self.active), 3 * count // 4)]
+        rows = torch.cat([active, self._draw(len(self.frames), count - len(active))])
+        frames = self.frames[rows]
+        return frames + self.config.jitter * self._normal(frames.shape)
+
+    def _draw(self, length: int, count: int) -> torch.Tensor:
+        """`count` numbers below `length`; none where there is nothing to draw from."""
+        return torch.randint(max(length, 1), (count if length else 0,), generator=self.generator)
+
+    def _normal(self, shape) -> torch.Tensor:
+        return torch.randn(shape, generator=self.generator).to(self.device)
+
+    def _uniform(self, shape) -> torch.Tensor:
+        return torch.rand(shape, generator=self.generator).to(self.device)
+
+    def _tensor(self, array: np.ndarray) -> torch.Tensor:
+        return torch.tensor(array, dtype=torch.float32, device=self.device)
