@@ -181,7 +181,7 @@ class VectorOnline:
         if projected is None:
             projected = np.zeros((count, len(self._vectors.pairs)), dtype=bool)
         targets, weights, _ = self._targets(p_HF, projected)
-        return self._vectors.solve(targets, weights, start, None, tolerance=1e-5)
+        return self._vectors.solve(targets, weights, start, None)
 
     def _step(self, p_HF: np.ndarray) -> np.ndarray:
         targets, weights, projected = self._targets(p_HF[None], self._projected[None])

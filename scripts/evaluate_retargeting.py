@@ -1,0 +1,217 @@
+"""Evaluates retargeting methods side by side on a recording of a person's hand.
+
+python scripts/evaluate_retargeting.py --recording alex.npy --methods geort vector_online --json table.json
+"""
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+
+from geort_drake.console import console, progress_bar, run_main
+from geort_drake.evaluation.comparison import Judged, check_methods, judge, method_names, report
+from geort_drake.files import atomic_path, require_writable, write_text
+from geort_drake.gloves.readers import read_recording
+from geort_drake.hands.description import hand_names, load_hand
+from geort_drake.hands.model import HandModel
+
+EPILOG = """\
+Methods that are trained are kept for the next run in the cache. A method may also be the directory of a
+checkpoint. Online methods answer the recording's frames in their order; where a metric asks about hands that
+were not recorded, the hand is held until their answer has settled, from their state at the nearest frame.
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = _parser()
+    arguments = parser.parse_args(argv)
+    if arguments.seed < 0:
+        parser.error(f"--seed must be 0 or more, not {arguments.seed}")
+    if arguments.frames is not None and arguments.frames < 10:
+        parser.error(f"--frames must be at least 10, not {arguments.frames}")
+    check_methods(arguments.methods)
+    if arguments.json:
+        require_writable(arguments.json)
+    if arguments.plots:
+        require_writable(arguments.plots, directory=True)
+    description = load_hand(arguments.hand)
+    recording = read_recording(arguments.recording, description.side, training=True)
+    scored = recording
+    if arguments.score_on:
+        scored = read_recording(arguments.score_on, description.side)
+    hand = HandModel(description)
+    results: dict[str, Judged] = {}
+    with progress_bar() as progress:
+        task = progress.add_task("methods", total=len(arguments.methods), note="")
+        for name in arguments.methods:
+            progress.update(task, note=name)
+            results[name] = judge(
+                name, hand, recording, arguments.seed, scored, arguments.frames, trainer=_trainer(progress)
+            )
+            progress.advance(task)
+    console.print(_table(description.name, results))
+    keypoints = [finger.human_keypoint for finger in description.fingers]
+    frames = scored.fingertips(keypoints)[: arguments.frames]
+    if arguments.json:
+        files = {
+            "recording": arguments.recording.name,
+            "scored_on": (arguments.score_on or arguments.recording).name,
+        }
+        content = {**files, **report(results, hand, recording, arguments.seed, scored)}
+        write_text(arguments.json, json.dumps(content, indent=2, allow_nan=False) + "\n")
+        print(arguments.json)
+    if arguments.plots:
+        for path in _plots(arguments.plots, results, frames, hand.finger_names):
+            print(path)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        description=__doc__.splitlines()[0],
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--hand",
+        default="allegro_right",
+        help=f"name or file of a hand description; names: {', '.join(hand_names())} (default: %(default)s)",
+    )
+    parser.add_argument("--recording", type=Path, required=True, help="what methods are trained on")
+    parser.add_argument("--score_on", type=Path, help="score on this recording, of another person perhaps")
+    parser.add_argument(
+        "--methods",
+        nargs="+",
+        metavar="NAME",
+        default=list(method_names()),
+        help=f"any of {', '.join(method_names())}, or directories of checkpoints (default: all names)",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of training and metrics (default: %(default)s)")
+    parser.add_argument("--frames", type=int, help="score on the first so many valid frames only")
+    parser.add_argument("--json", type=Path, help="write every figure to this file")
+    parser.add_argument("--plots", type=Path, help="write plots of the frontier and the fingertips here")
+    return parser
+
+
+def _trainer(progress):
+    """`cached_checkpoint`, with the bars of training in place of these ones."""
+    from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
+
+    def train(*arguments, **options):
+        progress.stop()
+        try:
+            return cached_checkpoint(*arguments, **options)
+        finally:
+            progress.start()
+
+    return train
+
+
+# Heading → what to look up in a method's metrics, and how to print it.
+COLUMNS: dict[str, tuple[tuple[str, ...], str]] = {
+    "MP": (("motion_preservation",), "{:.3f}"),
+    "track": (("motion_preservation_track",), "{:.3f}"),
+    "coverage\n10 mm": (("coverage", "10mm"), "{:.2f}"),
+    "\n15 mm": (("coverage", "15mm"), "{:.2f}"),
+    "averaged\n10 mm": (("coverage_context_averaged", "10mm"), "{:.2f}"),
+    "cross-\ntalk": (("cross_talk",), "{:.2f}"),
+    "flat-\nness": (("flatness",), "{:.3f}"),
+    "gain\np95/p5": (("gain_p95_p5",), "{:.1f}"),
+    "pinches\nclosed": (("pinch", "closed"), "{:.1%}"),
+    "too\ndeep": (("pinch", "too_deep"), "{:.1%}"),
+    "false": (("pinch", "false"), "{:.2%}"),
+    "self-\ncollision": (("self_collision",), "{:.1%}"),
+    "call\nµs": (("latency_us", "median"), "{:.0f}"),
+}
+
+
+def _table(hand: str, results: Mapping[str, Judged]) -> Table:
+    table = Table(title=f"Retargeting to {hand}")
+    table.add_column("method", no_wrap=True)
+    for heading in COLUMNS:
+        table.add_column(heading, justify="right")
+    for name, judged in results.items():
+        cells = []
+        for path, form in COLUMNS.values():
+            value = _looked_up(judged.metrics, path)
+            cells.append("–" if value is None else form.format(value))
+        table.add_row(name, *cells)
+    return table
+
+
+def _looked_up(metrics: Mapping, path: Sequence[str]) -> float | None:
+    value = metrics
+    for key in path:
+        if value is None:
+            return None
+        value = value[key]
+    return value
+
+
+def _plots(
+    folder: Path, results: Mapping[str, Judged], frames: np.ndarray, fingers: Sequence[str]
+) -> list[Path]:
+    """Writes the frontier, and both fingertip spaces as in the paper's figure 2."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    folder.mkdir(parents=True, exist_ok=True)
+    style = {"axes.spines.top": False, "axes.spines.right": False, "font.size": 9, "axes.grid": True}
+    style |= {"grid.alpha": 0.3}
+    with plt.rc_context(style):
+        figures = {
+            "frontier.png": _frontier(plt, results),
+            "fingertips.png": _fingertips(plt, results, frames, fingers),
+        }
+        for name, figure in figures.items():
+            with atomic_path(folder / name) as draft:
+                figure.savefig(draft, dpi=150)
+            plt.close(figure)
+    return [folder / name for name in figures]
+
+
+def _frontier(plt, results: Mapping[str, Judged]):
+    axes_of = {
+        "motion preservation": ("motion_preservation",),
+        "pinches closed": ("pinch", "closed"),
+        "self-collision over 2 mm": ("self_collision",),
+        "gain, 95th over 5th percentile": ("gain_p95_p5",),
+    }
+    figure, axes = plt.subplots(1, len(axes_of), figsize=(3.1 * len(axes_of), 3.4), layout="constrained")
+    for ax, (label, path) in zip(axes, axes_of.items(), strict=True):
+        for number, (name, judged) in enumerate(results.items()):
+            x, y = _looked_up(judged.metrics, ("coverage", "10mm")), _looked_up(judged.metrics, path)
+            if x is not None and y is not None:
+                ax.scatter(x, y, color=f"C{number}", label=Path(name).name, s=40, zorder=3)
+        ax.set(xlabel="coverage at 10 mm", ylabel=label, xlim=(0, 1))
+    # A method that never moves, or steps, has a gain of any size.
+    axes[-1].set_yscale("symlog")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    return figure
+
+
+def _fingertips(plt, results: Mapping[str, Judged], frames: np.ndarray, fingers: Sequence[str]):
+    clouds = {"human": frames, **{Path(name).name: judged.p_BF for name, judged in results.items()}}
+    width = 2.4 * len(clouds)
+    figure, axes = plt.subplots(1, len(clouds), figsize=(width, 3.2), layout="constrained", squeeze=False)
+    for ax, (name, points) in zip(axes[0], clouds.items(), strict=True):
+        for number, finger in enumerate(fingers):
+            x, z = points[:, number, 0], points[:, number, 2]
+            ax.scatter(1000 * x, 1000 * z, s=1, color=f"C{number}", label=finger)
+        ax.set(title=name, xlabel="x / mm", aspect="equal")
+    axes[0, 0].set_ylabel("z / mm")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=len(labels), frameon=False, markerscale=6
+    )
+    return figure
+
+
+if __name__ == "__main__":
+    run_main(main)
