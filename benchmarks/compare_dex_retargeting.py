@@ -1,0 +1,169 @@
+"""Compares our online baselines with the dex-retargeting package on a recording, frame by frame.
+
+python benchmarks/compare_dex_retargeting.py --recording alex.npy
+
+Needs `pip install dex-retargeting six` beside this package. Both sides get the same hand (its kinematics
+are written as URDF), the same frames in order and the same settings, without low-pass. What remains is
+the optimiser: theirs stops at a change of 1e-6 in the objective, and puts the pull towards the previous
+joint angles into the gradient but not into the value that its line search compares.
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+from geort_drake.console import console, progress_bar, run_main
+from geort_drake.errors import GeortError
+from geort_drake.files import require_writable, write_text
+from geort_drake.gloves.readers import read_recording
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.retargeting.baselines.registry import ONLINE
+
+TYPES = {"vector_online": "vector", "dexpilot_online": "dexpilot"}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__.splitlines()[0], epilog=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--hand", default="allegro_right", help="(default: %(default)s)")
+    parser.add_argument("--recording", type=Path, required=True, help="of a person's hand")
+    parser.add_argument("--frames", type=int, help="compare the first so many valid frames only")
+    parser.add_argument("--json", type=Path, help="write the figures to this file")
+    arguments = parser.parse_args(argv)
+    if arguments.json:
+        require_writable(arguments.json)
+    try:
+        from dex_retargeting.retargeting_config import RetargetingConfig
+    except ImportError as error:
+        raise GeortError(
+            f"{error}: this benchmark needs the package; pip install dex-retargeting six"
+        ) from error
+    description = load_hand(arguments.hand)
+    if description.side != "right":
+        raise GeortError(f"hand '{description.name}' is a left one; this benchmark compares right hands")
+    recording = read_recording(arguments.recording, description.side)
+    hands = recording.p_HK[recording.valid].astype(float)[: arguments.frames]
+    hand = HandModel(description)
+    results = {}
+    with tempfile.TemporaryDirectory() as folder, progress_bar() as progress:
+        for name, kind in TYPES.items():
+            keypoints = [finger.human_keypoint for finger in description.fingers]
+            ours = ONLINE[name](hand.kinematics(), human_keypoints=keypoints)
+            urdf = Path(folder) / f"{name}.urdf"
+            urdf.write_text(_urdf(hand.kinematics(), ours.config.p_BW), encoding="utf-8")
+            theirs = RetargetingConfig.from_dict(_settings(kind, urdf, description, ours.config)).build()
+            task = progress.add_task(name, total=len(hands), note="")
+            q, spent = {"ours": [], "theirs": []}, {"ours": 0.0, "theirs": 0.0}
+            origin, tip = theirs.optimizer.target_link_human_indices
+            order = [theirs.joint_names.index(joint) for joint in hand.joint_names]
+            for p_HK in hands:
+                started = time.perf_counter()
+                q["ours"].append(ours(p_HK))
+                middle = time.perf_counter()
+                q["theirs"].append(theirs.retarget(p_HK[tip] - p_HK[origin])[order])
+                spent["ours"] += middle - started
+                spent["theirs"] += time.perf_counter() - middle
+                progress.advance(task)
+            results[name] = _figures(hand, q, spent, ours, hands)
+    table = Table(title=f"ours and dex-retargeting on {description.name}, {len(hands)} frames")
+    for heading in ("method", "tips apart, mean / p95 / max", "ours fits better", "call, ours / theirs"):
+        table.add_column(heading)
+    for name, row in results.items():
+        apart = " / ".join(f"{row[key]:.1f}" for key in ("mean_mm", "p95_mm", "max_mm"))
+        calls = f"{row['call_ms']['ours']:.1f} / {row['call_ms']['theirs']:.1f} ms"
+        table.add_row(name, f"{apart} mm", f"{row['ours_lower']:.1%}", calls)
+    console.print(table)
+    if arguments.json:
+        write_text(arguments.json, json.dumps(results, indent=2) + "\n")
+        print(arguments.json)
+    return 0
+
+
+def _figures(hand, q, spent, ours, hands) -> dict:
+    """How far apart the fingertips are, and whose answer has the lower objective (without the pull)."""
+    q = {side: np.array(rows, dtype=float) for side, rows in q.items()}
+    p = {side: hand.fingertips(rows) for side, rows in q.items()}
+    apart = 1000 * np.linalg.norm(p["ours"] - p["theirs"], axis=-1)
+    # The switches are a matter of the human hand alone, so both sides have the same.
+    ours.reset()
+    loss: dict[str, list[float]] = {"ours": [], "theirs": []}
+    projected = np.zeros((1, len(ours._vectors.pairs)), dtype=bool)
+    for number, p_HK in enumerate(hands):
+        targets, weights, projected = ours._targets(ours._points(p_HK)[None], projected)
+        for side, values in loss.items():
+            values.append(ours._vectors.loss(q[side][number][None], targets, weights, None)[0])
+    return {
+        "frames": len(hands),
+        "mean_mm": float(apart.mean()),
+        "median_mm": float(np.median(apart)),
+        "p95_mm": float(np.percentile(apart, 95)),
+        "max_mm": float(apart.max()),
+        "loss": {side: float(np.mean(values)) for side, values in loss.items()},
+        "ours_lower": float((np.array(loss["ours"]) <= np.array(loss["theirs"])).mean()),
+        "call_ms": {side: 1000 * seconds / len(hands) for side, seconds in spent.items()},
+    }
+
+
+def _settings(kind: str, urdf: Path, description, config) -> dict:
+    """dex-retargeting's settings with the names and numbers of ours."""
+    tips = [f"{finger.name}_tip" for finger in description.fingers]
+    settings = {"type": kind, "urdf_path": str(urdf), "scaling_factor": config.scale, "low_pass_alpha": 1.0}
+    if kind == "vector":
+        keypoints = [finger.human_keypoint for finger in description.fingers]
+        return settings | {
+            "target_origin_link_names": ["wrist"] * len(tips),
+            "target_task_link_names": tips,
+            "target_link_human_indices": np.array([[0] * len(tips), keypoints]),
+            "huber_delta": config.huber_delta,
+            "normal_delta": config.norm_delta,
+        }
+    return settings | {
+        "wrist_link_name": "wrist",
+        "finger_tip_link_names": tips,
+        "project_dist": config.project,
+        "escape_dist": config.escape,
+    }
+
+
+def _urdf(kinematics, p_BW: Sequence[float]) -> str:
+    """The hand as a URDF of frames: base, wrist, one link per joint and one per fingertip."""
+
+    def fixed(name: str, parent: str, p: Sequence[float]) -> str:
+        return (
+            f'<link name="{name}"/><joint name="{name}_joint" type="fixed"><parent link="{parent}"/>'
+            f'<child link="{name}"/><origin xyz="{_numbers(p)}" rpy="0 0 0"/></joint>'
+        )
+
+    parts = ['<link name="base"/>', fixed("wrist", "base", p_BW)]
+    for finger in kinematics.fingers:
+        parent = "base"
+        for k, joint in enumerate(finger.joint_names):
+            X, i = finger.X_PJ[k], finger.joint_indices[k]
+            rpy = Rotation.from_matrix(X[:3, :3]).as_euler("xyz")
+            link = f"{joint}_link"
+            parts.append(
+                f'<link name="{link}"/><joint name="{joint}" type="revolute"><parent link="{parent}"/>'
+                f'<child link="{link}"/><origin xyz="{_numbers(X[:3, 3])}" rpy="{_numbers(rpy)}"/>'
+                f'<axis xyz="{_numbers(finger.axes[k])}"/><limit lower="{float(kinematics.lower[i])!r}" '
+                f'upper="{float(kinematics.upper[i])!r}" effort="1" velocity="1"/></joint>'
+            )
+            parent = link
+        parts.append(fixed(f"{finger.name}_tip", parent, finger.p_tip))
+    return '<?xml version="1.0"?><robot name="hand">' + "\n".join(parts) + "</robot>\n"
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+if __name__ == "__main__":
+    run_main(main)
