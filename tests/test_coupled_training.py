@@ -9,6 +9,7 @@ from retargeting_toy import toy_human, toy_kinematics, toy_samples
 
 from geort_drake.errors import CheckpointError, TrainingError
 from geort_drake.retargeting.checkpoint import save_checkpoint
+from geort_drake.retargeting.collision_geometry import CollisionShapes
 from geort_drake.retargeting.coupled_network import CoupledNetwork
 from geort_drake.retargeting.coupled_retargeter import CoupledRetargeter
 from geort_drake.retargeting.coupled_training import CoupledConfig, train_coupled
@@ -17,7 +18,17 @@ from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.retargeting.training import TrainingConfig
 
 KEYPOINTS = [4, 8, 12]
-QUICK = CoupledConfig(steps=200, points=16, targets=32, pinches=16, frames=32, hidden=32, residual_hidden=32)
+QUICK = CoupledConfig(
+    steps=200,
+    points=16,
+    targets=32,
+    pinches=16,
+    frames=32,
+    hidden=32,
+    residual_hidden=32,
+    context_targets=16,
+    collisions=32,
+)
 
 
 @pytest.fixture(scope="module")
@@ -178,3 +189,30 @@ def test_settings_of_another_method_are_refused(hand, human):
         quick(hand, human, fk="neural")
     with pytest.raises(TrainingError, match="coverage_weight must be zero or positive"):
         quick(hand, human, coverage_weight=-1.0)
+
+
+def test_training_avoids_collisions_of_the_given_shapes(hand, human):
+    """Spheres on the fingertips that may not touch keep apart; without shapes they are not computed."""
+    X = np.tile(np.eye(4), (2, 1, 1))
+    X[:, 2, 3] = 0.04
+    # Index and middle fingertips, as the thumb is to pinch.
+    shapes = CollisionShapes(
+        np.array([5, 8]), X, np.zeros((2, 3)), np.array([0.012, 0.012]), np.array([[0, 1]])
+    )
+    config = dataclasses.replace(QUICK, steps=150, collision_weight=2.0)
+
+    def share(given) -> float:
+        result = train_coupled(human, hand, toy_samples(hand), config, shapes=given)
+        with torch.no_grad():
+            tips = hand.fingertips(result.network(torch.tensor(human).float())).numpy()
+        return float((np.linalg.norm(tips[:, 1] - tips[:, 2], axis=-1) < 0.022).mean())
+
+    without, having = share(None), share(shapes)
+    assert without > 0.02
+    assert having < 0.3 * without
+
+
+def test_context_coverage_is_optional(hand, human):
+    """Its weight at zero leaves it out."""
+    assert quick(hand, human, steps=30, context_weight=0.0).history[-1]["context"] == 0.0
+    assert quick(hand, human, steps=30).history[-1]["context"] > 0.0

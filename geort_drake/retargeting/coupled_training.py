@@ -28,6 +28,8 @@ from geort_drake.retargeting.training import (
 )
 
 TIP_MARGIN = 0.002  # m; apart fingertips are kept this far from touching
+CONTEXTS = 12  # recorded hands with nearly the same fingertip; their other fingers differ
+AVERAGED = 3  # how many of them are averaged at a time
 ACTIVE_FRAMES = 2000  # how many frames that nearly collide are remembered
 STEP_LAGS = (1, 2, 3, 4)  # frames
 STEP_RANGE = (0.001, 0.03)  # m; shorter real steps are noise, longer ones gaps in the recording
@@ -37,21 +39,23 @@ STEP_RANGE = (0.001, 0.03)  # m; shorter real steps are noise, longer ones gaps 
 class CoupledConfig(TrainingConfig):
     """Settings of `train_coupled`. Weights are of ratios; `length_unit` and the classifier's are unused."""
 
-    steps: int = 5000
+    steps: int = 3500
     points: int = 40  # real frames per finger and step at which that finger is moved
-    targets: int = 64  # robot voxels per finger and step
+    targets: int = 48  # robot voxels per finger and step
+    context_targets: int = 32  # the same, to be reached whatever the other fingers are doing
     pinches: int = 64  # real frames with a pinch per step, and as many made-up ones
     frames: int = 96  # real steps per step
     collisions: int = 64  # frames per step whose collisions are computed
     hidden: int = 64
     residual_hidden: int = 96
-    direction_weight: float = 1.0
-    track_weight: float = 1.0
-    coverage_weight: float = 0.65
-    cross_talk_weight: float = 0.2
-    flatness_weight: float = 0.2
+    direction_weight: float = 1.5
+    track_weight: float = 2.0
+    coverage_weight: float = 1.0
+    context_weight: float = 0.6
+    cross_talk_weight: float = 2.0
+    flatness_weight: float = 0.1
     response_weight: float = 0.3
-    pinch_weight: float = 0.35
+    pinch_weight: float = 0.5
     false_pinch_weight: float = 0.3
     collision_weight: float = 0.2
     coverage_radius: float = 0.010  # m
@@ -137,11 +141,15 @@ class _Run:
         self.human_points, self.pairs = human.points, human.pairs
         self.mean, self.scale = torch.tensor(human.mean), torch.tensor(human.scale)
         self.frames = self._tensor(human.frames)
-        self.anchors = []
+        self.anchors: list[torch.Tensor] = []
+        self.contexts: list[torch.Tensor] = []
         for i in range(len(names)):
             voxels = voxel_index(human.frames[:, i], config.human_voxel)
             _, first = np.unique(voxels, axis=0, return_index=True)
             self.anchors.append(torch.tensor(first))
+            count = min(CONTEXTS, len(human.frames))
+            _, alike = cKDTree(human.frames[:, i]).query(human.frames[first, i], k=count)
+            self.contexts.append(torch.tensor(alike.reshape(len(first), -1)))
         # Real steps of the recording, as numbers of frames in the order they were recorded.
         p_HF = np.asarray(p_HF, dtype=float)
         self.track = self._tensor(p_HF)
@@ -252,6 +260,8 @@ class _Run:
             targets.append(chosen)
             rows.append(cKDTree(p_BF[:, i]).query(chosen)[1])
         self.targets, self.nearest = self._tensor(np.stack(targets)), torch.tensor(np.stack(rows))
+        if config.context_weight > 0:
+            self._assign_contexts()
         if self.gaps is not None and progress >= 0.1:
             # The active set: frames in which something was about to touch lately.
             some = torch.randint(len(q), (2000,), generator=self.generator)
@@ -259,6 +269,24 @@ class _Run:
             touching = some[(least < 2 * config.collision_margin).cpu()]
             self.active = torch.cat([touching, self.active])[:ACTIVE_FRAMES]
         return True
+
+    def _assign_contexts(self) -> None:
+        """The same for where a fingertip goes on average over what the other fingers may be doing."""
+        count = self.config.context_targets * self.config.assign_every
+        targets, hands = [], []
+        for i, (voxels, anchors, contexts) in enumerate(
+            zip(self.voxels, self.anchors, self.contexts, strict=True)
+        ):
+            some = torch.randint(contexts.shape[1], (len(anchors), AVERAGED), generator=self.generator)
+            tried = self.frames[contexts.gather(1, some)]  # (M, AVERAGED, F, 3)
+            tried[:, :, i] = self.frames[anchors, i][:, None]
+            with torch.no_grad():
+                p_BF = self.kinematics.fingertips(self.network(tried.flatten(0, 1)))[:, i]
+            points = p_BF.reshape(len(anchors), AVERAGED, 3).mean(1).cpu().numpy()
+            chosen = voxels[self.rng.integers(len(voxels), size=count)]
+            targets.append(chosen)
+            hands.append(tried[torch.tensor(cKDTree(points).query(chosen)[1])])
+        self.context_targets, self.context_hands = self._tensor(np.stack(targets)), torch.stack(hands)
 
     def _losses(self, step: int, progress: float) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
         """The weighted sum of the losses on one random batch, and each of them."""
@@ -274,19 +302,26 @@ class _Run:
         ahead[each, :, each] += d
         behind[each, :, each] -= d
         # Robot voxels and the real frames assigned to them.
-        window = slice((step % config.assign_every) * config.targets, None)
-        cover = self.nearest[:, window][:, : config.targets]
-        targets = self.targets[:, window][:, : config.targets]
+        start = (step % config.assign_every) * config.targets
+        window = slice(start, start + config.targets)
+        cover, targets = self.nearest[:, window], self.targets[:, window]
+        if config.context_weight > 0:
+            start = (step % config.assign_every) * config.context_targets
+            window = slice(start, start + config.context_targets)
+            context_targets, hands = self.context_targets[:, window], self.context_hands[:, window]
+        else:
+            context_targets, hands = targets[:, :0], self.frames[:0].reshape(fingers, 0, AVERAGED, fingers, 3)
         pair = self.steps[self._draw(len(self.steps), config.frames)]
         before, after = self.track[pair[:, 0]], self.track[pair[:, 1]]
         pinching, weights = self._pinches()
         parts = [x.flatten(0, 1), ahead.flatten(0, 1), behind.flatten(0, 1), self.frames[cover].flatten(0, 1)]
-        parts += [before, after, pinching, self._crowded()]
+        parts += [before, after, pinching, hands.flatten(0, 2), self._crowded()]
         q = self.network(torch.cat(parts)).split([len(part) for part in parts])
         p_BF = self.kinematics.fingertips(torch.cat(q[:-1])).split([len(part) for part in parts[:-1]])
         g_x, g_ahead, g_behind = (p.reshape(fingers, n, fingers, 3) for p in p_BF[:3])
         own_x, own_ahead, own_behind = (g[each, :, each] for g in (g_x, g_ahead, g_behind))
         reached = p_BF[3].reshape(fingers, -1, fingers, 3)[each, :, each]
+        averaged = p_BF[7].reshape(fingers, -1, AVERAGED, fingers, 3)[each, :, :, each].mean(2)
         step_d, step_answer = after - before, p_BF[5] - p_BF[4]
         long = step_d.norm(dim=-1) > STEP_RANGE[0]
         human_apart = losses.pair_distances(torch.cat([after, pinching]), self.pairs)
@@ -297,6 +332,9 @@ class _Run:
             "direction": direction_loss(d, own_ahead - own_x),
             "track": direction_loss(step_d[long], step_answer[long]) if len(before) else zero,
             "coverage": losses.bounded_coverage_loss(reached, targets, config.coverage_radius),
+            "context": losses.bounded_coverage_loss(averaged, context_targets, config.coverage_radius)
+            if config.context_weight > 0
+            else zero,
             "cross_talk": losses.cross_talk_loss(g_ahead - g_x),
             "flatness": losses.curvature_loss(own_ahead, own_x, own_behind),
             "response": losses.uniform_response_loss(d, own_ahead - own_x, config.response_band),
