@@ -5,10 +5,11 @@ python scripts/evaluate_retargeting.py --recording alex.npy --methods geort vect
 
 import argparse
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from rich import box
 from rich.table import Table
 
 from geort_drake.console import console, progress_bar, run_main
@@ -52,7 +53,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 name, hand, recording, arguments.seed, scored, arguments.frames, trainer=_trainer(progress)
             )
             progress.advance(task)
-    console.print(_table(description.name, results))
+    for table in _tables(description.name, results):
+        console.print(table)
     keypoints = [finger.human_keypoint for finger in description.fingers]
     frames = scored.fingertips(keypoints)[: arguments.frames]
     if arguments.json:
@@ -110,36 +112,40 @@ def _trainer(progress):
     return train
 
 
-# Heading → what to look up in a method's metrics, and how to print it.
-COLUMNS: dict[str, tuple[tuple[str, ...], str]] = {
-    "MP": (("motion_preservation",), "{:.3f}"),
-    "track": (("motion_preservation_track",), "{:.3f}"),
-    "coverage\n10 mm": (("coverage", "10mm"), "{:.2f}"),
-    "\n15 mm": (("coverage", "15mm"), "{:.2f}"),
-    "averaged\n10 mm": (("coverage_context_averaged", "10mm"), "{:.2f}"),
-    "cross-\ntalk": (("cross_talk",), "{:.2f}"),
-    "flat-\nness": (("flatness",), "{:.3f}"),
-    "gain\np95/p5": (("gain_p95_p5",), "{:.1f}"),
-    "pinches\nclosed": (("pinch", "closed"), "{:.1%}"),
-    "too\ndeep": (("pinch", "too_deep"), "{:.1%}"),
-    "false": (("pinch", "false"), "{:.2%}"),
-    "self-\ncollision": (("self_collision",), "{:.1%}"),
-    "call\nµs": (("latency_us", "median"), "{:.0f}"),
+# Title → heading → what to look up in a method's metrics, and how to print it. Two tables fit a terminal.
+TABLES: dict[str, dict[str, tuple[tuple[str, ...], str]]] = {
+    "motion and space": {
+        "MP": (("motion_preservation",), "{:.3f}"),
+        "track": (("motion_preservation_track",), "{:.3f}"),
+        "cover\n10 mm": (("coverage", "10mm"), "{:.2f}"),
+        "\n15 mm": (("coverage", "15mm"), "{:.2f}"),
+        "averaged\n10 mm": (("coverage_context_averaged", "10mm"), "{:.2f}"),
+        "cross\ntalk": (("cross_talk",), "{:.2f}"),
+        "flat-\nness": (("flatness",), "{:.3f}"),
+        "gain": (("gain_p95_p5",), "{:.1f}"),
+    },
+    "pinch, collision and speed": {
+        "pinches\nclosed": (("pinch", "closed"), "{:.1%}"),
+        "too\ndeep": (("pinch", "too_deep"), "{:.1%}"),
+        "mean\nmm": (("pinch", "mean_mm"), "{:.1f}"),
+        "false": (("pinch", "false"), "{:.2%}"),
+        "self-\ncollision": (("self_collision",), "{:.1%}"),
+        "call\nµs": (("latency_us", "median"), "{:.0f}"),
+    },
 }
 
 
-def _table(hand: str, results: Mapping[str, Judged]) -> Table:
-    table = Table(title=f"Retargeting to {hand}")
-    table.add_column("method", no_wrap=True)
-    for heading in COLUMNS:
-        table.add_column(heading, justify="right")
-    for name, judged in results.items():
-        cells = []
-        for path, form in COLUMNS.values():
-            value = _looked_up(judged.metrics, path)
-            cells.append("–" if value is None else form.format(value))
-        table.add_row(name, *cells)
-    return table
+def _tables(hand: str, results: Mapping[str, Judged]) -> Iterator[Table]:
+    for title, columns in TABLES.items():
+        table = Table(title=f"{hand}: {title}", box=box.SIMPLE, padding=(0, 1, 0, 0))
+        table.add_column("method")
+        for heading in columns:
+            table.add_column(heading, justify="right", no_wrap=True)
+        for name, judged in results.items():
+            values = [(_looked_up(judged.metrics, path), form) for path, form in columns.values()]
+            cells = ["–" if value is None else form.format(value) for value, form in values]
+            table.add_row(Path(name).name, *cells)
+        yield table
 
 
 def _looked_up(metrics: Mapping, path: Sequence[str]) -> float | None:
