@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from geort_drake.console import console, progress_bar, run_main
 from geort_drake.errors import GeortError
+from geort_drake.evaluation.metrics import pinch
 from geort_drake.files import require_writable, write_text
 from geort_drake.gloves.readers import read_recording
 from geort_drake.hands.description import load_hand
@@ -101,8 +102,12 @@ def _figures(hand, q, spent, ours, hands) -> dict:
         targets, weights, projected = ours._targets(ours._points(p_HK)[None], projected)
         for side, values in loss.items():
             values.append(ours._vectors.loss(q[side][number][None], targets, weights, None)[0])
+    tips = ours._points(hands)
     return {
         "frames": len(hands),
+        "pinch": {
+            side: pinch(tips, points, hand.finger_names, hand.tip_radius) for side, points in p.items()
+        },
         "mean_mm": float(apart.mean()),
         "median_mm": float(np.median(apart)),
         "p95_mm": float(np.percentile(apart, 95)),
