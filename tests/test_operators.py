@@ -14,7 +14,14 @@ from scipy.spatial.transform import Rotation
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.operators import behavior
 from geort_drake.operators.affine_map import AffineMap
-from geort_drake.operators.behavior import GraspingPerson, Phase, Seen, WristMovement, minimum_jerk
+from geort_drake.operators.behavior import (
+    GraspingPerson,
+    Phase,
+    Seen,
+    SensedGain,
+    WristMovement,
+    minimum_jerk,
+)
 from geort_drake.operators.config import OperatorConfig
 from geort_drake.operators.finger_motion import FingerMotion
 from geort_drake.operators.grasp_goal import GraspGoal
@@ -317,8 +324,24 @@ def test_the_person_grasps_through_maps_of_different_gain(gain):
     assert session.phases == STRAIGHT
     assert session.attempts == 1
     assert session.raised == pytest.approx(OperatorConfig().lift_height, abs=0.03)
-    # The squeeze moves the own fingertips inwards by what the configuration says.
-    assert session.squeeze == pytest.approx(OperatorConfig().squeeze, abs=0.003)
+    # The squeeze asks the robot's fingertips for what the configuration says, by the gain that was sensed:
+    # within a half, as part of every motion is still under way when it is looked at.
+    assert session.squeeze * gain == pytest.approx(OperatorConfig().squeeze, rel=0.5)
+
+
+def test_the_sensed_gain_is_the_ratio_of_the_motions():
+    """Looks a quarter second apart at motions twice as large give two; touching fingers do not count."""
+    rng = np.random.default_rng(0)
+    sensed, own = SensedGain(), np.zeros((4, 3))
+    for look in range(20):
+        own = own + rng.normal(0, 0.03, (4, 3))
+        robot = 2.0 * own
+        robot[3] = 0.0
+        sensed = sensed.look(0.25 * look, own, robot, np.array([True, True, True, False]))
+    assert sensed.ratio == pytest.approx(2.0, rel=0.02)
+    again = sensed.look(4.8, own + 1.0, robot, np.ones(4, bool))
+    assert again is sensed  # too soon for another look
+    assert SensedGain().ratio == 1.0
 
 
 def test_the_person_tries_again_when_the_object_stays_behind():

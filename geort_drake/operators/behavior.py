@@ -80,6 +80,8 @@ class OperatorState:
     X_WH: RigidTransform
     # (5, 3) own fingertips at the last decisions, the oldest at the time of what is now seen.
     p_HF_past: tuple[np.ndarray, ...]
+    # How far the robot's fingertips were seen to move for the own ones' motion.
+    sensed: "SensedGain"
     phase: Phase = Phase.REACH
     phase_start: float = 0.0
     attempt: int = 1
@@ -95,6 +97,49 @@ class OperatorState:
     n_BF: np.ndarray | None = None
     # Lift: the object's place in the hand when it began.
     p_BO_start: np.ndarray | None = None
+
+
+@dc.dataclass(frozen=True)
+class SensedGain:
+    """What a person senses of the ratio between the robot's fingertip motion and the own.
+
+    People take on a new visuomotor gain within a few movements (Krakauer et al. 2000). The ratio is one
+    number for the whole hand: Σ |Δrobot| |Δown| / Σ |Δown|², over free motions between looks that are
+    `interval` apart, beginning with the belief that the gain is one.
+    """
+
+    # Since the last look: its time, the own (F, 3) and the robot's (F, 3) fingertips in their hands' frames.
+    t: float = -np.inf
+    own: np.ndarray | None = None
+    robot: np.ndarray | None = None
+    # The two sums; m².
+    product: float = 1e-4
+    square: float = 1e-4
+
+    interval = 0.25
+
+    @property
+    def ratio(self) -> float:
+        """Robot motion over own motion."""
+        return self.product / self.square
+
+    def look(self, t: float, own: np.ndarray, robot: np.ndarray, free: np.ndarray) -> "SensedGain":
+        """The estimate after a look at time t, s; fingers that touch something are not `free` (F,)."""
+        if t - self.t < self.interval:
+            return self
+        if self.own is None or self.robot is None:
+            return dc.replace(self, t=t, own=own, robot=robot)
+        own_step = np.linalg.norm(own - self.own, axis=1)
+        robot_step = np.linalg.norm(robot - self.robot, axis=1)
+        # Smaller motions drown in the noise of what is seen.
+        use = free & (own_step > 0.005)
+        return SensedGain(
+            t,
+            own,
+            robot,
+            self.product + float((own_step * robot_step)[use].sum()),
+            self.square + float((own_step**2)[use].sum()),
+        )
 
 
 class GraspingPerson:
@@ -122,13 +167,17 @@ class GraspingPerson:
         theta = self._motion.rest
         steps = round(self._config.visual_delay / self._config.period)
         p_HF = self._hand.fingertips(theta)
-        return OperatorState(theta=theta, X_WH=X_WH, p_HF_past=(p_HF,) * (steps + 1))
+        return OperatorState(theta=theta, X_WH=X_WH, p_HF_past=(p_HF,) * (steps + 1), sensed=SensedGain())
 
     def step(self, state: OperatorState, t: float, scene: Seen) -> OperatorState:
         """One decision at time t, s; returns the new state and leaves the old one alone."""
         past = (*state.p_HF_past[1:], self._hand.fingertips(state.theta))
         state = dc.replace(state, p_HF_past=past)
         seen = self._perceive(scene)
+        # The picture is as old as the oldest own motion that is remembered.
+        p_BF = seen.X_WB.inverse().multiply(seen.p_WF.T).T
+        free = seen.contact <= self._config.touch_force
+        state.sensed = state.sensed.look(t, past[0][self._own], p_BF, free)
         self._advance_phase(state, t, seen)
         self._move_fingers(state, t, seen)
         self._move_wrist(state, t, seen)
@@ -261,7 +310,7 @@ class GraspingPerson:
         state.theta = self._motion.follow(state.theta, p_HF + config.period * noisy)
 
     def _squeeze(self, state: OperatorState, t: float) -> None:
-        """Moves the touching fingertips inwards by a fixed amount, and keeps them there."""
+        """Moves the touching fingertips inwards by what is sensed to be enough, and keeps them there."""
         config, goal = self._config, self._goal
         state.finger_velocity = np.zeros((5, 3))
         if state.phase != Phase.SQUEEZE:
@@ -270,7 +319,8 @@ class GraspingPerson:
         # Own axes H and the robot hand's axes B are read as the same directions.
         inwards = np.zeros((5, 3))
         inwards[self._own[goal.touches]] = state.n_BF[goal.touches]
-        depth = config.squeeze * minimum_jerk((t - state.phase_start) / config.squeeze_time)
+        depth = config.squeeze / state.sensed.ratio
+        depth *= minimum_jerk((t - state.phase_start) / config.squeeze_time)
         state.theta = self._motion.follow(state.theta, state.p_HF_start + depth * inwards)
 
     def _closing_share(self, error: np.ndarray, seen: Seen) -> np.ndarray:
