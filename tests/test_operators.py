@@ -14,17 +14,12 @@ from scipy.spatial.transform import Rotation
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.operators import behavior
 from geort_drake.operators.affine_map import AffineMap
-from geort_drake.operators.behavior import (
-    GraspingPerson,
-    Phase,
-    Seen,
-    SensedGain,
-    WristMovement,
-    minimum_jerk,
-)
+from geort_drake.operators.behavior import GraspingPerson, Phase, Seen
 from geort_drake.operators.config import OperatorConfig
 from geort_drake.operators.finger_motion import FingerMotion
 from geort_drake.operators.grasp_goal import GraspGoal
+from geort_drake.operators.sensed_gain import SensedGain
+from geort_drake.operators.wrist_motion import WristMovement, minimum_jerk
 
 ROBOT_FINGERS = ("thumb", "index", "middle", "ring")
 # Fingers bend their last joint by two thirds of the one before; the thumb bends both alike.

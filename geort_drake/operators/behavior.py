@@ -18,6 +18,8 @@ from geort_drake.gloves.keypoints import FINGER_NAMES
 from geort_drake.operators.config import OperatorConfig
 from geort_drake.operators.finger_motion import FingerMotion
 from geort_drake.operators.grasp_goal import GraspGoal
+from geort_drake.operators.sensed_gain import SensedGain
+from geort_drake.operators.wrist_motion import WristMovement, minimum_jerk
 
 
 class Phase(enum.IntEnum):
@@ -44,35 +46,6 @@ class Seen:
 
 
 @dc.dataclass
-class WristMovement:
-    """A minimum-jerk movement of the wrist (Flash and Hogan 1985)."""
-
-    X_start: RigidTransform
-    X_end: RigidTransform
-    t_start: float
-    duration: float
-
-    def pose(self, t: float) -> RigidTransform:
-        s = minimum_jerk((t - self.t_start) / self.duration)
-        p = self.X_start.translation() + s * (self.X_end.translation() - self.X_start.translation())
-        R_SE = self.X_start.rotation().inverse() @ self.X_end.rotation()
-        turn = Rotation.from_matrix(R_SE.matrix()).as_rotvec() * s
-        return RigidTransform(
-            self.X_start.rotation() @ RotationMatrix(Rotation.from_rotvec(turn).as_matrix()), p
-        )
-
-    @property
-    def t_end(self) -> float:
-        return self.t_start + self.duration
-
-
-def minimum_jerk(s: float) -> float:
-    """Progress in [0, 1] at the relative time s: 10 s³ − 15 s⁴ + 6 s⁵."""
-    s = min(max(s, 0.0), 1.0)
-    return s**3 * (10 - 15 * s + 6 * s**2)
-
-
-@dc.dataclass
 class OperatorState:
     """All that the person remembers from one decision to the next."""
 
@@ -81,7 +54,7 @@ class OperatorState:
     # (5, 3) own fingertips at the last decisions, the oldest at the time of what is now seen.
     p_HF_past: tuple[np.ndarray, ...]
     # How far the robot's fingertips were seen to move for the own ones' motion.
-    sensed: "SensedGain"
+    sensed: SensedGain
     phase: Phase = Phase.REACH
     phase_start: float = 0.0
     attempt: int = 1
@@ -97,49 +70,6 @@ class OperatorState:
     n_BF: np.ndarray | None = None
     # Lift: the object's place in the hand when it began.
     p_BO_start: np.ndarray | None = None
-
-
-@dc.dataclass(frozen=True)
-class SensedGain:
-    """What a person senses of the ratio between the robot's fingertip motion and the own.
-
-    People take on a new visuomotor gain within a few movements (Krakauer et al. 2000). The ratio is one
-    number for the whole hand: Σ |Δrobot| |Δown| / Σ |Δown|², over free motions between looks that are
-    `interval` apart, beginning with the belief that the gain is one.
-    """
-
-    # Since the last look: its time, the own (F, 3) and the robot's (F, 3) fingertips in their hands' frames.
-    t: float = -np.inf
-    own: np.ndarray | None = None
-    robot: np.ndarray | None = None
-    # The two sums; m².
-    product: float = 1e-4
-    square: float = 1e-4
-
-    interval = 0.25
-
-    @property
-    def ratio(self) -> float:
-        """Robot motion over own motion."""
-        return self.product / self.square
-
-    def look(self, t: float, own: np.ndarray, robot: np.ndarray, free: np.ndarray) -> "SensedGain":
-        """The estimate after a look at time t, s; fingers that touch something are not `free` (F,)."""
-        if t - self.t < self.interval:
-            return self
-        if self.own is None or self.robot is None:
-            return dc.replace(self, t=t, own=own, robot=robot)
-        own_step = np.linalg.norm(own - self.own, axis=1)
-        robot_step = np.linalg.norm(robot - self.robot, axis=1)
-        # Smaller motions drown in the noise of what is seen.
-        use = free & (own_step > 0.005)
-        return SensedGain(
-            t,
-            own,
-            robot,
-            self.product + float((own_step * robot_step)[use].sum()),
-            self.square + float((own_step**2)[use].sum()),
-        )
 
 
 class GraspingPerson:

@@ -1,0 +1,35 @@
+"""How a person moves the wrist: minimum-jerk movements from one rest to the next."""
+
+import dataclasses as dc
+
+from pydrake.math import RigidTransform, RotationMatrix
+from scipy.spatial.transform import Rotation
+
+
+@dc.dataclass
+class WristMovement:
+    """A minimum-jerk movement of the wrist (Flash and Hogan 1985)."""
+
+    X_start: RigidTransform
+    X_end: RigidTransform
+    t_start: float
+    duration: float
+
+    def pose(self, t: float) -> RigidTransform:
+        s = minimum_jerk((t - self.t_start) / self.duration)
+        p = self.X_start.translation() + s * (self.X_end.translation() - self.X_start.translation())
+        R_SE = self.X_start.rotation().inverse() @ self.X_end.rotation()
+        turn = Rotation.from_matrix(R_SE.matrix()).as_rotvec() * s
+        return RigidTransform(
+            self.X_start.rotation() @ RotationMatrix(Rotation.from_rotvec(turn).as_matrix()), p
+        )
+
+    @property
+    def t_end(self) -> float:
+        return self.t_start + self.duration
+
+
+def minimum_jerk(s: float) -> float:
+    """Progress in [0, 1] at the relative time s: 10 s³ − 15 s⁴ + 6 s⁵."""
+    s = min(max(s, 0.0), 1.0)
+    return s**3 * (10 - 15 * s + 6 * s**2)
