@@ -4,16 +4,14 @@ retarget = load_retargeter("runs/allegro_right")
 q = retarget(p_HF)
 """
 
-import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from geort_drake.errors import CheckpointError, GeortError, UnknownNameError
+from geort_drake.errors import CheckpointError, UnknownNameError
 from geort_drake.retargeting.checkpoint import load_checkpoint
-
-KEYPOINT_COUNT = 21
+from geort_drake.retargeting.human_points import HumanPoints
 
 
 class Retargeter:
@@ -51,7 +49,7 @@ class Retargeter:
         """
         self.finger_names, self.joint_names = tuple(finger_names), tuple(joint_names)
         self.lower, self.upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
-        self._keypoints = np.array(human_keypoints, dtype=int)
+        self._fingertips = HumanPoints(finger_names, human_keypoints)
         fingers, joints = len(self.finger_names), len(self.joint_names)
         hidden = _array(arrays, "weight0", (fingers, 3, -1)).shape[2]
         self._w0, self._b0 = arrays["weight0"], _array(arrays, "bias0", (fingers, 1, hidden))
@@ -114,26 +112,6 @@ class Retargeter:
         a0 = x @ self._w0 + self._b0
         a1 = _silu(a0) @ self._w1 + self._b1
         return a0, a1, _silu(a1) @ self._w2 + self._b2
-
-    def _fingertips(self, points: np.ndarray) -> np.ndarray:
-        points = np.asarray(points, dtype=float)
-        fingers = len(self._keypoints)
-        if (
-            points.ndim not in (2, 3)
-            or points.shape[-1] != 3
-            or points.shape[-2] not in (fingers, KEYPOINT_COUNT)
-        ):
-            raise ValueError(
-                f"human points must be fingertips ({fingers}, 3) or (N, {fingers}, 3) for "
-                f"{', '.join(self.finger_names)}, or whole hands ({KEYPOINT_COUNT}, 3) or "
-                f"(N, {KEYPOINT_COUNT}, 3); they have shape {points.shape}"
-            )
-        if points.shape[-2] != fingers:
-            points = points.take(self._keypoints, axis=-2)
-        # The sum is finite if and only if every term is (lengths in metres do not overflow).
-        if not math.isfinite(points.sum()):
-            raise GeortError("human points must be finite; at least one coordinate is NaN or infinite")
-        return points
 
 
 def load_retargeter(path: str | os.PathLike, hand=None) -> Retargeter:

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from geort_drake.errors import GeortError, HandError
-from geort_drake.retargeting.baselines.human_points import HumanPoints
 from geort_drake.retargeting.baselines.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.baselines.task_vectors import WRIST, TaskVectors
+from geort_drake.retargeting.human_points import HumanPoints
 
 # The wrist of the Allegro hand in its base frame, as dex-retargeting's model has it: the palm's foot.
 ALLEGRO_WRIST = (0.0, 0.0, -0.095)

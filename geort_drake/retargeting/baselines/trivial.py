@@ -6,9 +6,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from geort_drake.errors import GeortError
-from geort_drake.retargeting.baselines.human_points import HumanPoints
 from geort_drake.retargeting.baselines.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.baselines.online import VectorOnline
+from geort_drake.retargeting.human_points import HumanPoints
 
 
 class Hold:

@@ -1,17 +1,16 @@
-"""Human fingertips out of what a retargeter is called with."""
+"""Human fingertips out of what a retargeter is called with; NumPy alone."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from geort_drake.errors import GeortError, UnknownNameError
-from geort_drake.gloves.keypoints import TIP_KEYPOINT
-
-KEYPOINT_COUNT = 21
+from geort_drake.gloves.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
 
 
 class HumanPoints:
-    """Checks points as `Retargeter` does, and takes the fingertips of whole hands."""
+    """Takes the fingertips of whole hands, and refuses what is no hand; every retargeter's first step."""
 
     def __init__(self, finger_names: Sequence[str], human_keypoints: Sequence[int] | None = None):
         """`human_keypoints` are the fingers' tips; None goes by the names.
@@ -24,7 +23,7 @@ class HumanPoints:
                 if name not in TIP_KEYPOINT:
                     raise UnknownNameError("finger", name, TIP_KEYPOINT)
             human_keypoints = [TIP_KEYPOINT[name] for name in finger_names]
-        self._fingers = len(finger_names)
+        self._finger_names = tuple(finger_names)
         self._keypoints = np.array(human_keypoints, dtype=int)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
@@ -35,12 +34,20 @@ class HumanPoints:
             GeortError: a coordinate is not finite.
         """
         points = np.asarray(points, dtype=float)
-        counts = (self._fingers, KEYPOINT_COUNT)
-        if points.ndim not in (2, 3) or points.shape[-1] != 3 or points.shape[-2] not in counts:
+        fingers = len(self._keypoints)
+        if (
+            points.ndim not in (2, 3)
+            or points.shape[-1] != 3
+            or points.shape[-2] not in (fingers, KEYPOINT_COUNT)
+        ):
             raise ValueError(
-                f"human points must be ({self._fingers}, 3) fingertips or ({KEYPOINT_COUNT}, 3) keypoints, "
-                f"or N of them; they have shape {points.shape}"
+                f"human points must be fingertips ({fingers}, 3) or (N, {fingers}, 3) for "
+                f"{', '.join(self._finger_names)}, or whole hands ({KEYPOINT_COUNT}, 3) or "
+                f"(N, {KEYPOINT_COUNT}, 3); they have shape {points.shape}"
             )
-        if not np.isfinite(points).all():
+        if points.shape[-2] != fingers:
+            points = points.take(self._keypoints, axis=-2)
+        # The sum is finite if and only if every term is (lengths in metres do not overflow).
+        if not math.isfinite(points.sum()):
             raise GeortError("human points must be finite; at least one coordinate is NaN or infinite")
-        return points if points.shape[-2] == self._fingers else points[..., self._keypoints, :]
+        return points
