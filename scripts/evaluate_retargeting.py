@@ -8,13 +8,13 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
 from rich import box
 from rich.table import Table
 
 from geort_drake.console import console, progress_bar, run_main
 from geort_drake.evaluation.comparison import Judged, check_methods, judge, method_names, report
-from geort_drake.files import atomic_path, require_writable, write_text
+from geort_drake.evaluation.plots import looked_up, write_plots
+from geort_drake.files import require_writable, write_text
 from geort_drake.gloves.readers import read_recording
 from geort_drake.hands.description import hand_names, load_hand
 from geort_drake.hands.model import HandModel
@@ -66,7 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         write_text(arguments.json, json.dumps(content, indent=2, allow_nan=False) + "\n")
         print(arguments.json)
     if arguments.plots:
-        for path in _plots(arguments.plots, results, frames, hand.finger_names):
+        for path in write_plots(arguments.plots, results, frames, hand.finger_names):
             print(path)
     return 0
 
@@ -142,81 +142,10 @@ def _tables(hand: str, results: Mapping[str, Judged]) -> Iterator[Table]:
         for heading in columns:
             table.add_column(heading, justify="right", no_wrap=True)
         for name, judged in results.items():
-            values = [(_looked_up(judged.metrics, path), form) for path, form in columns.values()]
+            values = [(looked_up(judged.metrics, path), form) for path, form in columns.values()]
             cells = ["–" if value is None else form.format(value) for value, form in values]
             table.add_row(Path(name).name, *cells)
         yield table
-
-
-def _looked_up(metrics: Mapping, path: Sequence[str]) -> float | None:
-    value = metrics
-    for key in path:
-        if value is None:
-            return None
-        value = value[key]
-    return value
-
-
-def _plots(
-    folder: Path, results: Mapping[str, Judged], frames: np.ndarray, fingers: Sequence[str]
-) -> list[Path]:
-    """Writes the frontier, and both fingertip spaces as in the paper's figure 2."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    folder.mkdir(parents=True, exist_ok=True)
-    style = {"axes.spines.top": False, "axes.spines.right": False, "font.size": 9, "axes.grid": True}
-    style |= {"grid.alpha": 0.3}
-    with plt.rc_context(style):
-        figures = {
-            "frontier.png": _frontier(plt, results),
-            "fingertips.png": _fingertips(plt, results, frames, fingers),
-        }
-        for name, figure in figures.items():
-            with atomic_path(folder / name) as draft:
-                figure.savefig(draft, dpi=150)
-            plt.close(figure)
-    return [folder / name for name in figures]
-
-
-def _frontier(plt, results: Mapping[str, Judged]):
-    axes_of = {
-        "motion preservation": ("motion_preservation",),
-        "pinches closed": ("pinch", "closed"),
-        "self-collision over 2 mm": ("self_collision",),
-        "gain, 95th over 5th percentile": ("gain_p95_p5",),
-    }
-    figure, axes = plt.subplots(1, len(axes_of), figsize=(3.1 * len(axes_of), 3.4), layout="constrained")
-    for ax, (label, path) in zip(axes, axes_of.items(), strict=True):
-        for number, (name, judged) in enumerate(results.items()):
-            x, y = _looked_up(judged.metrics, ("coverage", "10mm")), _looked_up(judged.metrics, path)
-            if x is not None and y is not None:
-                ax.scatter(x, y, color=f"C{number}", label=Path(name).name, s=40, zorder=3)
-        ax.set(xlabel="coverage at 10 mm", ylabel=label, xlim=(0, 1))
-    # A method that never moves, or steps, has a gain of any size.
-    axes[-1].set_yscale("symlog")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
-    return figure
-
-
-def _fingertips(plt, results: Mapping[str, Judged], frames: np.ndarray, fingers: Sequence[str]):
-    clouds = {"human": frames, **{Path(name).name: judged.p_BF for name, judged in results.items()}}
-    width = 2.4 * len(clouds)
-    figure, axes = plt.subplots(1, len(clouds), figsize=(width, 3.2), layout="constrained", squeeze=False)
-    for ax, (name, points) in zip(axes[0], clouds.items(), strict=True):
-        for number, finger in enumerate(fingers):
-            x, z = points[:, number, 0], points[:, number, 2]
-            ax.scatter(1000 * x, 1000 * z, s=1, color=f"C{number}", label=finger)
-        ax.set(title=name, xlabel="x / mm", aspect="equal")
-    axes[0, 0].set_ylabel("z / mm")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="outside lower center", ncols=len(labels), frameon=False, markerscale=6
-    )
-    return figure
 
 
 if __name__ == "__main__":
