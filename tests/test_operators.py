@@ -238,7 +238,7 @@ class StandInWorld:
         self.X_WB_start = RigidTransform([0.3, 0.1, 0.2])
         self.X_WB = self.X_WB_start
         self._p_BO_held: np.ndarray | None = None
-        self._past: deque[Seen] = deque(maxlen=round(config.visual_delay / config.period) + 1)
+        self._past: deque[Seen] = deque(maxlen=round(config.visual_delay / config.period))
 
     def advance(self, theta: np.ndarray, X_WH: RigidTransform, lifting: bool) -> Seen:
         """What the person sees after the robot has followed hand and wrist."""

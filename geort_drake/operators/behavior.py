@@ -97,14 +97,14 @@ class GraspingPerson:
         theta = self._motion.rest
         steps = round(self._config.visual_delay / self._config.period)
         p_HF = self._hand.fingertips(theta)
-        return OperatorState(theta=theta, X_WH=X_WH, p_HF_past=(p_HF,) * (steps + 1), sensed=SensedGain())
+        return OperatorState(theta=theta, X_WH=X_WH, p_HF_past=(p_HF,) * max(steps, 1), sensed=SensedGain())
 
     def step(self, state: OperatorState, t: float, scene: Seen) -> OperatorState:
         """One decision at time t, s; returns the new state and leaves the old one alone."""
         past = (*state.p_HF_past[1:], self._hand.fingertips(state.theta))
         state = dc.replace(state, p_HF_past=past)
         seen = self._perceive(scene)
-        # The picture is as old as the oldest own motion that is remembered.
+        # The oldest own posture that is remembered was taken up when the picture was made.
         p_BF = seen.X_WB.inverse().multiply(seen.p_WF.T).T
         free = seen.contact <= self._config.touch_force
         state.sensed = state.sensed.look(t, past[0][self._own], p_BF, free)

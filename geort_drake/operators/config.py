@@ -27,8 +27,8 @@ class OperatorConfig:
     # Time between two decisions, s.
     period: float = 0.01
     # The scene is seen this late, s: visual corrections start after 117 ms (direction) to 200 ms
-    # (distance) [S05]. A multiple of `period`; sampling adds one more `period` to it in the diagram.
-    visual_delay: float = 0.17
+    # (distance) [S05]. A multiple of `period`.
+    visual_delay: float = 0.18
     # Standard deviation of every seen coordinate, m.
     visual_noise: float = 0.001
     # The person moves a fingertip by this much per second for each metre of error that is seen and not
@@ -53,7 +53,7 @@ class OperatorConfig:
     min_movement_time: float = 0.4
     # Pause after a wrist movement before its result is judged, on top of the visual delay, s:
     # with delay, people move and wait [F65].
-    judging_time: float = 0.1
+    judging_time: float = 0.09
     # After so many movements to one place the hand is taken to be as near as the arm gets it.
     max_corrections: int = 4
     # The hand counts as there and shaped within these, m and rad.

@@ -244,8 +244,11 @@ def _make_operator(
 def _delayed(builder: DiagramBuilder, port: OutputPort, scenario: Scenario) -> OutputPort:
     config = scenario.operator
     steps = round(config.visual_delay / config.period)
+    if steps == 0:
+        return port
+    # Who samples a delay's output at its own ticks gets it before the tick's update, one period older.
     delay = builder.AddNamedSystem(
-        f"{port.get_name()}_seen_late", DiscreteTimeDelay(config.period, steps, port.size())
+        f"{port.get_name()}_seen_late", DiscreteTimeDelay(config.period, steps - 1, port.size())
     )
     builder.Connect(port, delay.get_input_port())
     return delay.get_output_port()

@@ -55,7 +55,7 @@ class SimulatedOperator(LeafSystem):
         self._object_pose = self.DeclareVectorInputPort("object_pose", 7)
         self._contact = self.DeclareVectorInputPort("contact", num_fingers)
         # The delays' outputs are zero until their first sample has come through.
-        self._first_sight = config.visual_delay + 0.5 * config.period
+        self._first_sight = config.visual_delay - 0.5 * config.period
         start = self._person.start(X_WH_start)
         state = self.DeclareAbstractState(AbstractValue.Make(start))
         # The keypoints are kept beside the state because the tremor must be drawn once per decision.
