@@ -6,7 +6,7 @@ functions take g = FK∘f, "where do the robot's fingertips (N, F, 3) go for hum
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ COVERAGE_RADII_MM = (5, 10, 15)
 ROBOT_SAMPLES = 200_000
 ROBOT_VOXEL = 0.003  # m
 HUMAN_VOXEL = 0.001  # m
+SMALL_STEP = 0.002  # m, at which flatness and gain are measured
 PINCH_DISTANCE = 0.015  # m, nearer human fingertips pinch
 APART_DISTANCE = 0.030  # m, human fingertips farther apart do not mean to pinch
 TOO_DEEP = 0.004  # m, nearer robot fingertips fight each other
@@ -178,17 +179,18 @@ def flatness_and_gain(
 ) -> tuple[float, float]:
     """Mean squared second over first difference, and 95th over 5th percentile of the gain, at 2 mm."""
     flats, gains = [], []
-    for finger in range(frames.shape[1]):
-        x = frames[_anchor_rows(frames[:, finger], anchors, rng)]
-        d = 0.002 * _directions(anchors, rng)
-        here = g(x)[:, finger]
-        ahead, behind = _moved(g, x, finger, d)[:, finger], _moved(g, x, finger, -d)[:, finger]
-        first = np.linalg.norm(ahead - here, axis=1)
-        second = np.linalg.norm(ahead + behind - 2 * here, axis=1)
+    for first, second in _small_steps(g, frames, rng, anchors):
         flats.append((second**2).mean() / max((first**2).mean(), 1e-18))
-        low, high = np.percentile(first / 0.002, (5, 95))
+        low, high = np.percentile(first / SMALL_STEP, (5, 95))
         gains.append(high / max(low, 1e-9))
     return float(np.mean(flats)), float(np.mean(gains))
+
+
+def local_gains(
+    g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 2000
+) -> np.ndarray:
+    """How far each robot fingertip moves per metre of its human one: (F, anchors), steps of 2 mm."""
+    return np.stack([first / SMALL_STEP for first, _ in _small_steps(g, frames, rng, anchors)])
 
 
 def pinch(
@@ -276,6 +278,18 @@ def _anchor_rows(tips: np.ndarray, count: int, rng: np.random.Generator) -> np.n
 def _in_chunks(retarget: Callable, p_HF: np.ndarray, rows: int = 4096) -> np.ndarray:
     """retarget(p_HF) in pieces, because hidden layers of a long recording would fill the memory."""
     return np.concatenate([retarget(p_HF[i : i + rows]) for i in range(0, len(p_HF), rows)])
+
+
+def _small_steps(
+    g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Per finger, norms of first and second differences of its tip where it alone moves by 2 mm, m."""
+    for finger in range(frames.shape[1]):
+        x = frames[_anchor_rows(frames[:, finger], anchors, rng)]
+        d = SMALL_STEP * _directions(anchors, rng)
+        here = g(x)[:, finger]
+        ahead, behind = _moved(g, x, finger, d)[:, finger], _moved(g, x, finger, -d)[:, finger]
+        yield np.linalg.norm(ahead - here, axis=1), np.linalg.norm(ahead + behind - 2 * here, axis=1)
 
 
 def _moved(g: FingertipMap, x: np.ndarray, finger: int, d: np.ndarray) -> np.ndarray:
