@@ -103,6 +103,20 @@ def test_the_fingers_keep_to_the_scenarios_joint_speed():
     assert moved == pytest.approx(20 * 0.5 * scenario.retargeting.period, rel=1e-6)
 
 
+def test_a_slow_retargeter_acts_late():
+    """`retargeting.latency`, rounded up to plant steps, is the first time that the targets move."""
+    scenario = scenario_with("cylinder", "{retargeting: {latency: 0.0131}}")
+    parts = make_grasp_diagram(scenario, centred_map(), glove(spread=0.05))
+    simulator = start(parts)
+    context = parts.retargeting.GetMyContextFromRoot(simulator.get_context())
+    port = parts.retargeting.GetOutputPort("desired_state")
+    rest = port.Eval(context).copy()
+    simulator.AdvanceTo(0.0139)
+    np.testing.assert_array_equal(port.Eval(context), rest)
+    simulator.AdvanceTo(0.0141)
+    assert np.abs(port.Eval(context) - rest)[:16].max() > 1e-3
+
+
 @pytest.mark.parametrize("shift", [(0.05, 0.0, 0.0), (0.0, -0.05, 0.0), (0.0, 0.0, 0.05)])
 def test_the_arm_carries_the_hand_as_the_wrist_moves(shift):
     """A wrist displaced by 5 cm displaces the hand base by 5 cm within 3 mm, and does not turn it."""

@@ -146,6 +146,11 @@ def test_a_dumped_scenario_reads_back_the_same(tmp_path, file, name):
         ("{recording: {period: 0.001}}", ScenarioError, r"recording\.period .* multiple"),
         ("{recording: {period: .inf}}", ScenarioError, r"recording\.period must be positive"),
         ("{operator: {period: 0.005, visual_delay: 0.2}}", ScenarioError, r"operator\.period .* multiple"),
+        (
+            "{retargeting: {latency: -0.001}}",
+            ScenarioError,
+            r"retargeting\.latency must be finite and not neg",
+        ),
         ("{operator: {visual_delay: 0.175}}", ScenarioError, r"visual_delay \(0\.175\) must be a multiple"),
         ("{operator: {tremor: -1}}", ScenarioError, r"operator\.tremor must be finite and not negative"),
         ("{operator: {overshoot: .nan}}", ScenarioError, r"operator\.overshoot must be finite"),

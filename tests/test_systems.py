@@ -104,10 +104,10 @@ def test_recording_a_replay_gives_the_recording_back():
 # -- RetargetingSystem
 
 
-def make_retargeting(retarget, period=0.01, max_speed=1e9):
+def make_retargeting(retarget, period=0.01, max_speed=1e9, latency=0.0):
     start = dict.fromkeys(JOINTS, 0.0)
     plant_order = ("index_a", "thumb_a", "thumb_b")
-    system = RetargetingSystem(retarget, JOINTS, plant_order, start, period, max_speed)
+    system = RetargetingSystem(retarget, JOINTS, plant_order, start, period, max_speed, latency)
     simulator = Simulator(system)
     context = simulator.get_mutable_context()
     system.GetInputPort("valid").FixValue(context, [1.0])
@@ -179,6 +179,26 @@ def test_retargeting_limits_the_joints_speed():
     assert system.GetOutputPort("status").Eval(context).state == LIMITED
 
 
+@pytest.mark.parametrize(
+    ("latency", "updates"),
+    [(0.0, 0.01), (0.002, 0.01), (0.008, 0.01), (0.01, 0.01), (0.014, 0.014), (0.05, 0.05)],
+)
+def test_retargeting_answers_after_its_latency_and_as_often_as_it_can(latency, updates):
+    """What comes out at any time was made of the keypoints of the last update that is `latency` ago."""
+    system, simulator, context = make_retargeting(first_three, latency=latency)
+    port = system.GetOutputPort("desired_state")
+    start = port.Eval(context)[:3].copy()
+    seen = []
+    for millisecond in range(300):
+        system.GetInputPort("keypoints").FixValue(context, np.full(63, 1e-3 * millisecond))
+        simulator.AdvanceTo(1e-3 * (millisecond + 0.5))
+        seen.append(port.Eval(context)[:3].copy())
+    for millisecond, q in enumerate(seen):
+        answered = np.floor((millisecond - 1e3 * latency) / (1e3 * updates) + 1e-6)
+        wanted = start if answered < 0 else np.full(3, answered * updates)
+        np.testing.assert_allclose(q, wanted, atol=1e-9)
+
+
 def test_retargeting_has_no_direct_feedthrough():
     """So that no loop through it is algebraic."""
     system, _, _ = make_retargeting(first_three)
@@ -239,8 +259,8 @@ def test_clutch_moves_the_hand_by_what_the_wrist_moved_and_survives_a_gap():
 # -- GraspMonitor
 
 
-def run_monitor(heights, contacts, period=0.1, x=None, **config):
-    """Feeds one height, contact vector and place x per period; returns the outcome after the last."""
+def run_monitor(heights, contacts, period=0.1, x=None, hand_heights=None, **config):
+    """Feeds one height, contact vector, place x and hand per period; returns the outcome after the last."""
     monitor = GraspMonitor(
         2, lambda X_WO: X_WO.translation()[2] - 0.02, 0.1, GraspMonitorConfig(period=period, **config)
     )
@@ -250,6 +270,9 @@ def run_monitor(heights, contacts, period=0.1, x=None, **config):
         pose = pose_to_vector(RigidTransform([0.5 if x is None else x[step], 0, 0.12 + height]))
         monitor.GetInputPort("object_pose").FixValue(context, pose)
         monitor.GetInputPort("contact").FixValue(context, contact)
+        above = height if hand_heights is None else hand_heights[step]
+        X_WB = RigidTransform(RotationMatrix.MakeXRotation(1.0), [0.4, 0.1, 0.3 + above])
+        monitor.GetInputPort("hand_pose").FixValue(context, pose_to_vector(X_WB))
         simulator.AdvanceTo((step + 0.5) * period)
     return monitor.outcome(context)
 
@@ -296,6 +319,27 @@ def test_monitor_ends_when_the_object_strays_out_of_the_hand():
     assert thrown.phase == GraspPhase.THROWN and thrown.over
     carried = run_monitor([0.0, 0.05, 0.05], [[1, 1], [1, 1], [1, 1]], x=far)
     assert carried.phase == GraspPhase.LIFT
+
+
+def test_monitor_measures_the_slip_of_the_last_lift():
+    """The object's way in the hand counts from where its lift began, and a new lift begins at zero."""
+    heights, touched = [0.0, 0.02, 0.05, 0.06], [[1, 1]] * 4
+    assert run_monitor(heights, touched).slip == pytest.approx(0, abs=1e-12)
+    assert run_monitor(heights, touched, hand_heights=[0, 0.02, 0.06, 0.064]).slip == pytest.approx(0.01)
+    again = run_monitor(
+        [*heights, 0.0, 0.02, 0.05],
+        [*touched, [0, 0], [1, 1], [1, 1]],
+        hand_heights=[0, 0.02, 0.09] + [0] * 4,
+    )
+    assert again.slip == pytest.approx(0.03)
+    assert np.isnan(run_monitor([0.0, 0.0], [[1, 1]] * 2).slip)
+
+
+def test_monitor_adds_up_the_time_in_each_phase():
+    """The times in all phases make up the trial, also when a phase comes twice."""
+    contacts = [[0, 0], [1, 0], [1, 1], [1, 0], [1, 0], [1, 0]]
+    outcome = run_monitor([0.0] * 6, contacts)
+    assert outcome.durations == pytest.approx({"REACH": 0.1, "TOUCH": 0.3, "GRASP": 0.1})
 
 
 # -- SimulatedOperator

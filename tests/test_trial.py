@@ -87,6 +87,9 @@ def test_the_cylinder_is_lifted_through_a_known_map():
     assert result.completion_time == pytest.approx(result.phase_times["DONE"] - 0.5, abs=0.011)
     assert result.simulated_time == pytest.approx(result.phase_times["DONE"], abs=0.011)
     assert 0.10 < result.peak_height < 0.20
+    assert sum(result.phase_durations.values()) == pytest.approx(result.simulated_time, abs=0.011)
+    assert result.phase_durations["HOLD"] == pytest.approx(0.5, abs=0.011)
+    assert 0 < result.slip < 0.05
     # At least the weight of 0.1 kg held by friction of two sides, at most what the motors can do.
     assert 0.3 < result.peak_force < 20.0
     assert result.wall_time > 0
@@ -129,6 +132,17 @@ def test_the_gloves_recording_played_again_grasps_again(tmp_path):
     np.testing.assert_allclose(glove_again.p_HK[:count], glove.p_HK[:count], atol=1e-6)
 
 
+def test_a_map_with_a_memory_begins_each_trial_afresh():
+    """`run_trial` resets it, so a used map gives what a new one gives."""
+    scenario = scenario_with("cylinder", "{timeout: 0.3}")
+    used = centred_map()
+    first, glove = run_trial(scenario, used, (person_and_rest()[0], planned_goal("cylinder")))
+    used(glove.p_HK[0] + [0.02, 0.0, -0.03])
+    again, glove_again = run_trial(scenario, used, (person_and_rest()[0], planned_goal("cylinder")))
+    assert dc.replace(again, wall_time=first.wall_time) == first
+    assert glove_again.digest == glove.digest
+
+
 # -- failures
 
 
@@ -143,7 +157,7 @@ def test_a_map_that_does_nothing_times_out_in_a_named_phase(tmp_path):
     assert phase in {one.name.lower() for one in GraspPhase} - {"done", "hold", "lift"}
     if failure == "timeout":
         assert result.simulated_time == pytest.approx(5.0)
-    assert result.peak_height < 0.05
+    assert result.peak_height < 0.05 and result.slip is None
     assert glove.metadata["outcome"] == result.outcome
 
 

@@ -1,6 +1,7 @@
 """One straight function from a scenario to a diagram that can be simulated."""
 
 import dataclasses as dc
+import math
 import os
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
@@ -155,6 +156,8 @@ def make_grasp_diagram(
         plant.get_joint_actuator(index).joint().name() for index in plant.GetJointActuatorIndices(hand)
     ]
     start = {name: plant.GetJointByName(name, hand).default_positions()[0] for name in actuated}
+    step = scenario.plant_config.time_step
+    latency = step * math.ceil(scenario.retargeting.latency / step - 1e-6)
     retargeting = builder.AddNamedSystem(
         "retargeting",
         RetargetingSystem(
@@ -164,6 +167,7 @@ def make_grasp_diagram(
             start,
             scenario.retargeting.period,
             scenario.retargeting.max_joint_speed,
+            latency,
         ),
     )
     correction = builder.AddNamedSystem("action_correction", ActionCorrection(len(actuated)))
@@ -189,8 +193,8 @@ def make_grasp_diagram(
             len(description.fingers), shape.lowest_point, scenario.object.support_height, scenario.monitor
         ),
     )
-    builder.Connect(view.GetOutputPort("object_pose"), monitor.GetInputPort("object_pose"))
-    builder.Connect(view.GetOutputPort("contact"), monitor.GetInputPort("contact"))
+    for name in ("object_pose", "hand_pose", "contact"):
+        builder.Connect(view.GetOutputPort(name), monitor.GetInputPort(name))
     glove_recorder = builder.AddNamedSystem("glove_recorder", GloveRecorder(scenario.operator.period))
     for name in ("keypoints", "wrist_pose", "valid"):
         builder.Connect(source.GetOutputPort(name), glove_recorder.GetInputPort(name))

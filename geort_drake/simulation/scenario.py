@@ -45,6 +45,9 @@ class RetargetingConfig:
     # Time between updates, s, and the speed limit of the joint targets, rad/s.
     period: float = 0.01
     max_joint_speed: float = 7.0
+    # How long the retargeter takes, s, rounded up to whole steps of the plant: its joint targets come so
+    # much later, and it is not called again before.
+    latency: float = 0.0
 
 
 @dc.dataclass
@@ -108,6 +111,11 @@ class Scenario:
             AddMultibodyPlant(self.plant_config, DiagramBuilder())
         except RuntimeError as error:
             raise ScenarioError(f"scenario field plant_config: {error}") from error
+        if not (math.isfinite(self.retargeting.latency) and self.retargeting.latency >= 0):
+            raise ScenarioError(
+                "scenario field retargeting.latency must be finite and not negative, not "
+                f"{self.retargeting.latency}"
+            )
         if self.random_seed < 0:
             raise ScenarioError(f"scenario field random_seed must be 0 or more, not {self.random_seed}")
         if len(self.object.position) != 2 or not all(map(math.isfinite, self.object.position)):

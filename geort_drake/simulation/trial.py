@@ -32,8 +32,12 @@ class TrialResult:
     first_attempt: bool | None
     attempts: int | None
     simulated_time: float
+    # First entry of each phase of the monitor, and the time spent in it.
     phase_times: dict[str, float]
+    phase_durations: dict[str, float]
     drops: int
+    # Furthest way of the object in the hand during the last lift, m; None where nothing was lifted.
+    slip: float | None
     peak_force: float
     peak_height: float
     wall_time: float
@@ -61,6 +65,9 @@ def run_trial(
         The result, and the glove and tracker data of the trial, which `GloveReplay` can play again.
     """
     started = time.perf_counter()
+    # Methods that continue from their last answer begin each trial afresh.
+    if callable(reset := getattr(retarget, "reset", None)):
+        reset()
     parts = make_grasp_diagram(
         scenario, retarget, human, rerun_path, {**(properties or {}), "seed": scenario.random_seed}
     )
@@ -122,7 +129,9 @@ def _result(
         attempts=attempts,
         simulated_time=root.get_time(),
         phase_times=outcome.times,
+        phase_durations={name: round(spent, 6) for name, spent in outcome.durations.items()},
         drops=outcome.drops,
+        slip=None if math.isnan(outcome.slip) else outcome.slip,
         peak_force=outcome.peak_force,
         peak_height=outcome.peak_height,
         wall_time=wall_time,

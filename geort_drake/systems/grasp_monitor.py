@@ -56,11 +56,15 @@ class GraspOutcome:
     """What has come of the grasp so far; times in s since the start, NaN where it has not happened."""
 
     phase: GraspPhase = GraspPhase.REACH
-    # First entry of each phase, by its name.
+    # First entry of each phase, by its name, and the time spent in it altogether.
     times: dict[str, float] = dc.field(default_factory=dict)
+    durations: dict[str, float] = dc.field(default_factory=dict)
     # The present time above the height began here; NaN while lower.
     held_since: float = float("nan")
     drops: int = 0
+    # Furthest way of the object's origin in the hand base's frame since the last lift began, m; NaN where
+    # nothing was lifted.
+    slip: float = float("nan")
     peak_force: float = 0.0
     peak_height: float = 0.0
 
@@ -85,6 +89,7 @@ class GraspMonitor(LeafSystem):
 
     Input ports (F fingers):
         object_pose (7): X_WO, qw qx qy qz x y z.
+        hand_pose (7): X_WB of the robot's hand base.
         contact (F): force between each finger and the object, N.
     Output ports:
         phase (1): `GraspPhase` as a number.
@@ -108,9 +113,11 @@ class GraspMonitor(LeafSystem):
         self._support = support_height
         self._config = config
         self._object_pose = self.DeclareVectorInputPort("object_pose", 7)
+        self._hand_pose = self.DeclareVectorInputPort("hand_pose", 7)
         self._contact = self.DeclareVectorInputPort("contact", num_fingers)
         self._outcome = self.DeclareAbstractState(AbstractValue.Make(GraspOutcome()))
         self._start = self.DeclareDiscreteState(np.full(3, np.nan))
+        self._p_BO_lifted = self.DeclareDiscreteState(np.full(3, np.nan))
         ticket = {self.abstract_state_ticket(self._outcome)}
         self.DeclareVectorOutputPort(
             "phase",
@@ -153,15 +160,31 @@ class GraspMonitor(LeafSystem):
                 phase = GraspPhase.LIFT
             else:
                 phase = GraspPhase(min(touching, 2))
-        lifted = (GraspPhase.LIFT, GraspPhase.HOLD)
+        lifted = (GraspPhase.LIFT, GraspPhase.HOLD, GraspPhase.DONE)
+        slip = before.slip
+        if phase in lifted:
+            X_WB = vector_to_pose(self._hand_pose.Eval(context))
+            p_BO = X_WB.inverse().multiply(pose[4:])
+            if before.phase in lifted:
+                p_BO_lifted = context.get_discrete_state(self._p_BO_lifted).value()
+                slip = max(slip, float(np.linalg.norm(p_BO - p_BO_lifted)))
+            else:
+                state.get_mutable_discrete_state(self._p_BO_lifted).set_value(p_BO)
+                slip = 0.0
         times = before.times
         if phase.name not in times:
             times = {**times, phase.name: t}
+        durations = before.durations
+        if t > 0:
+            spent = durations.get(before.phase.name, 0.0) + config.period
+            durations = {**durations, before.phase.name: spent}
         outcome = GraspOutcome(
             phase=phase,
             times=times,
+            durations=durations,
             held_since=held_since,
             drops=before.drops + int(before.phase in lifted and phase < GraspPhase.GRASP),
+            slip=slip,
             peak_force=max(before.peak_force, float(force.max())),
             peak_height=max(before.peak_height, float(height)),
         )
