@@ -11,6 +11,7 @@ from geort_drake.errors import RecordingError, UnknownNameError
 from geort_drake.evaluation import pipeline
 from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
 from geort_drake.evaluation.metrics import evaluate_frames
+from geort_drake.evaluation.versions import versions
 from geort_drake.gloves.recording import Recording
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.baselines.online import VectorOnline
@@ -113,7 +114,7 @@ def report(
         "scored_on_sha256": scored.digest,
         "frames": min((len(judged.p_BF) for judged in results.values()), default=0),
         "seed": seed,
-        "versions": pipeline._versions(),
+        "versions": versions(),
         "methods": {
             name: {"remembers": judged.remembers, **judged.metrics} for name, judged in results.items()
         },

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import os
-import platform
 import subprocess
 import time
 from collections.abc import Callable, Mapping
@@ -15,6 +14,7 @@ import geort_drake
 from geort_drake.console import progress_bar
 from geort_drake.errors import RecordingError, UnknownNameError
 from geort_drake.evaluation.metrics import evaluate
+from geort_drake.evaluation.versions import versions
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.readers import read_recording
 from geort_drake.gloves.recording import Recording
@@ -135,7 +135,7 @@ def train_checkpoint(
             },
             "robot_data": {"count": len(samples.q), "seed": seed, "model_sha256": samples.digest},
             "seed": seed,
-            "versions": _versions(),
+            "versions": versions(),
             "git": _git_state(),
             "timings": {key: round(value, 3) for key, value in (timings | result.timings).items()},
             "training": {
@@ -159,20 +159,6 @@ def _recording(source: Recording | str | os.PathLike | None, side: str, seed: in
     if source.side != side:
         raise RecordingError(f"the recording is of a {source.side} hand, the robot's is a {side} hand")
     return source
-
-
-def _versions() -> dict[str, str]:
-    import pydrake
-    import torch
-
-    return {
-        "geort_drake": geort_drake.__version__,
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "torch": torch.__version__,
-        "drake": getattr(pydrake, "__version__", "unknown"),
-        "platform": platform.platform(),
-    }
 
 
 def _git_state() -> dict | None:
