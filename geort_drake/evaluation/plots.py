@@ -1,23 +1,55 @@
-"""Plots of an evaluation: where methods stand against each other, and where they put the fingertips."""
+"""Plots of an evaluation: methods against each other, the spaces of the fingertips, and the gain."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from geort_drake.evaluation.comparison import Judged
+from geort_drake.evaluation.metrics import ROBOT_VOXEL
 from geort_drake.files import atomic_path
 
+# Okabe and Ito's colours, which colour-blind people tell apart as well; shapes say the same once more.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p", "h", "*")
+
 STYLE: Any = {
-    "axes.spines.top": False,
-    "axes.spines.right": False,
+    "axes.axisbelow": True,
     "axes.grid": True,
+    "axes.prop_cycle": mpl.cycler(color=COLOURS),
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlesize": "medium",
+    "figure.facecolor": "white",
     "font.size": 9,
     "grid.alpha": 0.3,
+    "legend.frameon": False,
 }
+WIDTH = 7.0  # inches: a page of print between its margins, so that letters keep their size
+
+
+class Quantity(NamedTuple):
+    """A figure of `evaluate` as an axis: its label with the unit, where it is, and the factor to the unit."""
+
+    label: str
+    path: tuple[str, ...]
+    factor: float = 1.0
+
+
+COVERAGE = Quantity("coverage at 10 mm / %", ("coverage", "10mm"), 100)
+COVERAGE_IN_CONTEXT = Quantity(
+    "context-averaged coverage at 10 mm / %", ("coverage_context_averaged", "10mm"), 100
+)
+MOTION = Quantity("motion preservation", ("motion_preservation",))
+PINCHES = Quantity("pinches closed / %", ("pinch", "closed"), 100)
+COLLISION = Quantity("self-collision over 2 mm / %", ("self_collision",), 100)
+# Abscissa and ordinate of each panel.
+FRONTIER = ((COVERAGE, MOTION), (COVERAGE, PINCHES), (COVERAGE, COLLISION), (COVERAGE_IN_CONTEXT, MOTION))
 
 
 def write_plots(
@@ -34,62 +66,144 @@ def write_plots(
     Returns:
         The files.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    named = {Path(name).name: judged for name, judged in results.items()}
+    clouds = {name: judged.p_BF for name, judged in named.items()}
     with mpl.rc_context(STYLE):
         figures = {
-            "frontier.png": _frontier(results),
-            "fingertips.png": _fingertips(results, frames, finger_names),
+            "frontier.png": frontier({name: judged.metrics for name, judged in named.items()}),
+            "fingertips.png": fingertips(frames, clouds, finger_names),
         }
-        for name, figure in figures.items():
-            with atomic_path(folder / name) as draft:
-                figure.savefig(draft, dpi=150)
-    return [folder / name for name in figures]
+        return [save(figure, folder / name) for name, figure in figures.items()]
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Writes a figure to a PNG file, atomically."""
+    with atomic_path(path) as draft:
+        figure.savefig(draft, dpi=200)
+    return path
 
 
 def looked_up(metrics: Mapping, path: Sequence[str]) -> float | None:
     """The figure at a path of keys; None where the metric, or a part on the way, is None."""
-    value = metrics
+    value: Any = metrics
     for key in path:
         if value is None:
             return None
         value = value[key]
-    return value  # type: ignore[return-value]
+    return value
 
 
-def _frontier(results: Mapping[str, Judged]) -> Figure:
-    axes_of = {
-        "motion preservation": ("motion_preservation",),
-        "pinches closed": ("pinch", "closed"),
-        "self-collision over 2 mm": ("self_collision",),
-        "gain, 95th over 5th percentile": ("gain_p95_p5",),
-    }
-    figure = Figure(figsize=(3.1 * len(axes_of), 3.4), layout="constrained")
-    axes = figure.subplots(1, len(axes_of))
-    for ax, (label, path) in zip(axes, axes_of.items(), strict=True):
-        for number, (name, judged) in enumerate(results.items()):
-            x, y = looked_up(judged.metrics, ("coverage", "10mm")), looked_up(judged.metrics, path)
-            if x is not None and y is not None:
-                ax.scatter(x, y, color=f"C{number}", label=Path(name).name, s=40, zorder=3)
-        ax.set(xlabel="coverage at 10 mm", ylabel=label, xlim=(0, 1))
-    # A method that never moves, or steps, has a gain of any size.
-    axes[-1].set_yscale("symlog")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+def frontier(metrics: Mapping[str, Mapping]) -> Figure:
+    """A point per method in each panel of `FRONTIER`; a metric that a method lacks leaves its point out."""
+    figure = Figure(figsize=(WIDTH, 6.4), layout="constrained")
+    for ax, (x, y) in zip(figure.subplots(2, 2).flat, FRONTIER, strict=True):
+        for number, (name, values) in enumerate(metrics.items()):
+            at = [np.nan if v is None else q.factor * v for q in (x, y) for v in [looked_up(values, q.path)]]
+            ax.plot(*at, MARKERS[number % len(MARKERS)], color=f"C{number}", label=name, ms=7)
+        panel(ax, x, y)
+    legend_below(figure)
     return figure
 
 
-def _fingertips(results: Mapping[str, Judged], frames: np.ndarray, finger_names: Sequence[str]) -> Figure:
-    clouds = {"human": frames, **{Path(name).name: judged.p_BF for name, judged in results.items()}}
-    figure = Figure(figsize=(2.4 * len(clouds), 3.2), layout="constrained")
-    axes = figure.subplots(1, len(clouds), squeeze=False)
-    for ax, (name, points) in zip(axes[0], clouds.items(), strict=True):
-        for number, finger in enumerate(finger_names):
-            x, z = points[:, number, 0], points[:, number, 2]
-            ax.scatter(1000 * x, 1000 * z, s=1, color=f"C{number}", label=finger)
-        ax.set(title=name, xlabel="x / mm", aspect="equal")
-    axes[0, 0].set_ylabel("z / mm")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="outside lower center", ncols=len(labels), frameon=False, markerscale=6
-    )
+def panel(ax: Axes, x: Quantity, y: Quantity) -> None:
+    """Labels the axes of one panel of a frontier."""
+    ax.set(xlabel=x.label, ylabel=y.label)
+    ax.margins(0.08)
+
+
+def legend_below(figure: Figure, columns: int = 4, **options: Any) -> None:
+    """One legend for all axes, of what the first one shows."""
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), columns), **options)
+
+
+# What is seen from where: (horizontal, vertical) coordinates in B and H.
+VIEWS = {"from the side": (0, 2), "from the front": (1, 2)}
+
+
+def fingertips(
+    human: np.ndarray,
+    robot: Mapping[str, np.ndarray],
+    finger_names: Sequence[str],
+    reachable: Sequence[np.ndarray] = (),
+    columns: int = 4,
+) -> Figure:
+    """Where the person's fingertips were and where each method puts the robot's, in two views.
+
+    Args:
+        human: (T, F, 3) fingertips in H, m.
+        robot: name of a method → (T, F, 3) fingertips in B, m.
+        finger_names: F names.
+        reachable: per finger, (M, 3) centres of the voxels of the robot's C-space in B, m.
+        columns: clouds beside each other.
+    """
+    clouds = {"human": human, **robot}
+    bands = -(-len(clouds) // columns)
+    columns = min(columns, len(clouds))
+    every = 1000 * np.concatenate([*(points.reshape(-1, 3) for points in clouds.values()), *reachable])
+    low, high = every.min(axis=0) - 5, every.max(axis=0) + 5
+    span = high - low
+    ratios = [span[up] / span[across] for across, up in VIEWS.values()]
+    cell = WIDTH / 4 - 0.3
+    height = bands * sum(ratio * cell + 0.5 for ratio in ratios) + 0.5
+    figure = Figure(figsize=(cell * columns + 1.2, height), layout="constrained")
+    grid = figure.add_gridspec(2 * bands, columns, height_ratios=ratios * bands)
+    for number, (name, points) in enumerate(clouds.items()):
+        band, column = divmod(number, columns)
+        for row, (view, (across, up)) in enumerate(VIEWS.items()):
+            ax = figure.add_subplot(grid[2 * band + row, column])
+            for finger, voxels in enumerate(reachable if name != "human" else ()):
+                _shade(ax, voxels[:, [across, up]], f"C{finger}")
+            for finger, finger_name in enumerate(finger_names):
+                x, y = 1000 * points[:, finger, across], 1000 * points[:, finger, up]
+                ax.scatter(x, y, s=1.5, linewidths=0, color=f"C{finger}", label=finger_name)
+            ax.set(aspect="equal", xlim=(low[across], high[across]), ylim=(low[up], high[up]))
+            ax.set_xlabel(f"{'xyz'[across]} / mm")
+            if row == 0:
+                ax.set_title(name)
+            if column == 0:
+                ax.set_ylabel(f"{view}\n{'xyz'[up]} / mm")
+            else:
+                ax.tick_params(labelleft=False)
+    legend_below(figure, markerscale=6)
+    return figure
+
+
+def _shade(ax: Axes, centres: np.ndarray, colour: str) -> None:
+    """Tints the squares of the C-space's voxels, centres (M, 2) in m."""
+    squares = np.round(centres / ROBOT_VOXEL - 0.5).astype(int)
+    corner = squares.min(axis=0)
+    width, height = squares.max(axis=0) - corner + 1
+    image = np.full((height, width), np.nan)
+    image[tuple((squares - corner).T[::-1])] = 1.0
+    left, bottom = 1000 * ROBOT_VOXEL * corner
+    extent = (left, left + 1000 * ROBOT_VOXEL * width, bottom, bottom + 1000 * ROBOT_VOXEL * height)
+    colours = ListedColormap([colour])
+    ax.imshow(image, colours, extent=extent, origin="lower", interpolation="nearest", alpha=0.18)
+
+
+def gain(gains: Mapping[str, np.ndarray]) -> Figure:
+    """How far a robot fingertip moves when the human one moves by 2 mm, as a distribution per method.
+
+    The 5th and 95th percentiles, over all fingers, are marked. Steps that are not answered have no place
+    on the logarithmic axis; their share is written beside.
+
+    Args:
+        gains: name of a method → (F, N) of `metrics.local_gains`.
+    """
+    figure = Figure(figsize=(WIDTH, 0.8 + 0.75 * len(gains)), layout="constrained")
+    axes = figure.subplots(len(gains), 1, sharex=True, squeeze=False)[:, 0]
+    bins = np.geomspace(0.02, 50, 120)
+    for number, (ax, (name, values)) in enumerate(zip(axes, gains.items(), strict=True)):
+        low, high = np.percentile(values, (5, 95))
+        ax.hist(np.ravel(values), bins, color=f"C{number}", alpha=0.6)
+        for mark in (low, high):
+            ax.axvline(mark, color=f"C{number}", lw=1.5)
+        ax.axvline(1, color="black", lw=0.6, ls=":")
+        ax.set(xscale="log", xlim=(bins[0], bins[-1]), yticks=[])
+        note = f"5 %: {low:.2g}\n95 %: {high:.2g}\nunanswered: {(values == 0).mean():.0%}"
+        ax.text(1.02, 0.5, note, transform=ax.transAxes, va="center", fontsize="small")
+        ax.spines["left"].set_visible(False)
+        ax.set_ylabel(name, rotation=0, ha="right", va="center")
+    axes[-1].set_xlabel("robot fingertip's motion / human fingertip's motion, steps of 2 mm")
     return figure
