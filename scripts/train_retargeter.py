@@ -4,21 +4,23 @@ python scripts/train_retargeter.py --hand allegro_right --recording alex.npy --o
 """
 
 import argparse
-import dataclasses
 import json
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.table import Table
 
 from geort_drake.console import console, run_main
 from geort_drake.errors import TrainingError
-from geort_drake.evaluation.pipeline import METHODS, train_checkpoint
+from geort_drake.evaluation.pipeline import CONFIGS, METHODS, train_checkpoint, training_config
 from geort_drake.files import require_writable
 from geort_drake.gloves.readers import read_recording
 from geort_drake.hands.description import hand_names, load_hand
-from geort_drake.retargeting.checkpoint import CONFIG, METRICS, PROVENANCE
-from geort_drake.retargeting.training import FORWARD_KINEMATICS, TrainingConfig
+from geort_drake.retargeting.checkpoint import METRICS, Checkpoint, load_checkpoint
+from geort_drake.retargeting.training import FORWARD_KINEMATICS, PRESETS
+from geort_drake.settings import parse_settings, settings_of
 
 EPILOG = """\
 The output directory holds weights.safetensors, config.json, hand.json, provenance.json, history.csv and
@@ -26,14 +28,11 @@ metrics.json; load it with geort_drake.retargeting.retargeter.load_retargeter(DI
 
 Recordings: a GeoRT .npy (T, 21, 3), a raw MANUS .npz, or this package's own .npz. The person should move
 every finger to its limits and pinch with the thumb; five minutes are plenty.
-"""
 
-# Settings without an option of their own, with their defaults.
-SETTINGS = {
-    field.name: field.default
-    for field in dataclasses.fields(TrainingConfig)
-    if field.name not in ("fk", "steps")
-}
+Exit codes: 0 the checkpoint was written; 2 something asked for is unusable, nothing was written; 3 the
+checkpoint was written, but the loss stopped being finite on the way and the last good weights were kept.
+"""
+STOPPED_EARLY = 3
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -44,33 +43,36 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.robot_samples < 1:
         parser.error(f"--robot_samples must be at least 1, not {arguments.robot_samples}")
     require_writable(arguments.output, directory=True)
-    settings = _settings(arguments.set)
-    if arguments.steps is not None:
-        settings["steps"] = arguments.steps
+    settings = _settings(arguments)
     recording = None
     if arguments.recording is not None:
         # Read here, where a recording can be held to what training needs.
         recording = read_recording(arguments.recording, load_hand(arguments.hand).side, training=True)
-    path = train_checkpoint(
-        arguments.hand,
-        recording,
-        arguments.output,
-        method=arguments.method,
-        seed=arguments.seed,
-        device=arguments.device,
-        fk=arguments.fk,
-        show_progress=not arguments.quiet,
-        settings=settings,
-        robot_samples=arguments.robot_samples,
-    )
+    with warnings.catch_warnings():
+        # They are in the checkpoint, from where they are shown below.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        path = train_checkpoint(
+            arguments.hand,
+            recording,
+            arguments.output,
+            method=arguments.method,
+            seed=arguments.seed,
+            device=arguments.device,
+            show_progress=not arguments.quiet,
+            settings=settings,
+            robot_samples=arguments.robot_samples,
+        )
+    checkpoint = load_checkpoint(path)
     metrics = json.loads((path / METRICS).read_text(encoding="utf-8"))
     if not arguments.quiet:
-        console.print(_table(path, metrics))
+        console.print(_table(checkpoint, metrics))
+    for text in checkpoint.provenance["warnings"]:
+        console.print(f"warning: {text}", markup=False, soft_wrap=True)
     if arguments.json:
         print(json.dumps(metrics, indent=2))
     else:
         print(path)
-    return 0
+    return 0 if checkpoint.provenance["training"]["stopped_at"] is None else STOPPED_EARLY
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -96,16 +98,22 @@ def _parser() -> argparse.ArgumentParser:
         "--method", default="geort", help=f"one of {', '.join(METHODS)} (default: %(default)s)"
     )
     parser.add_argument(
+        "--preset",
+        choices=tuple(PRESETS),
+        help="settings of geort other than the defaults: public, what the authors' public code does "
+        "otherwise than the paper; other options take precedence",
+    )
+    parser.add_argument(
         "--fk",
-        default="exact",
         choices=FORWARD_KINEMATICS,
-        help="forward kinematics used in training; neural is the paper's (default: %(default)s)",
+        help="forward kinematics used in training; neural is the paper's (default: exact)",
     )
     parser.add_argument(
         "--seed", type=int, default=0, help="seed of everything random (default: %(default)s)"
     )
     parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"), help="(default: %(default)s)")
-    parser.add_argument("--steps", type=int, help=f"descent steps (default: {TrainingConfig.steps})")
+    steps = ", ".join(f"{method} {config.steps}" for method, config in CONFIGS.items())
+    parser.add_argument("--steps", type=int, help=f"descent steps (default: {steps})")
     parser.add_argument(
         "--robot_samples",
         type=int,
@@ -117,33 +125,44 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="another training setting, repeatable; names: " + ", ".join(SETTINGS),
+        help="another setting of the method, repeatable; "
+        + "; ".join(f"{method}: {names}" for method, names in _names_by_method().items()),
     )
     parser.add_argument("--json", action="store_true", help="print the metrics as JSON on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress bars and no table")
     return parser
 
 
-def _settings(assignments: Sequence[str]) -> dict:
-    """TrainingConfig fields from NAME=VALUE texts."""
-    settings = {}
-    for assignment in assignments:
-        name, equals, text = assignment.partition("=")
-        if not equals or name not in SETTINGS:
-            raise TrainingError(f"--set wants NAME=VALUE, not '{assignment}'; names: {', '.join(SETTINGS)}")
-        kind = type(SETTINGS[name])
-        try:
-            settings[name] = kind(text)
-        except ValueError as error:
-            raise TrainingError(f"--set {name}: wants {kind.__name__}, not '{text}'") from error
+def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Fields of the method's config out of --preset, --set, --steps and --fk, the later ones first."""
+    method = arguments.method
+    config = training_config(method)
+    if arguments.preset is not None and method != "geort":
+        raise TrainingError(f"--preset {arguments.preset} is a preset of geort, not of {method}")
+    settings = dict(PRESETS[arguments.preset]) if arguments.preset else {}
+    settings |= parse_settings(arguments.set, config, method)
+    settings |= {name: value for name in ("steps", "fk") if (value := getattr(arguments, name)) is not None}
+    training_config(method, settings)
     return settings
 
 
-def _table(path: Path, metrics: dict) -> Table:
-    config = json.loads((path / CONFIG).read_text(encoding="utf-8"))
-    timings = json.loads((path / PROVENANCE).read_text(encoding="utf-8"))["timings"]
+def _names_by_method() -> dict[str, str]:
+    """The settings that --set knows: of geort, and what other methods have besides."""
+    common = list(settings_of(CONFIGS["geort"]))
+    names = {"geort": ", ".join(common)}
+    for method, config in CONFIGS.items():
+        more = [name for name in settings_of(config) if name not in common]
+        if more:
+            names[method] = "also " + ", ".join(more)
+    return names
+
+
+def _table(checkpoint: Checkpoint, metrics: dict) -> Table:
+    timings = checkpoint.provenance["timings"]
     spent = timings["robot_data_s"] + timings["fit_s"]
-    table = Table(title=f"{config['method']} on {metrics['hand']}, seed {metrics['seed']}, {spent:.0f} s")
+    table = Table(
+        title=f"{checkpoint.config['method']} on {metrics['hand']}, seed {metrics['seed']}, {spent:.0f} s"
+    )
     table.add_column("metric")
     table.add_column("value", justify="right")
     pinch, coverage = metrics["pinch"], metrics["coverage"]

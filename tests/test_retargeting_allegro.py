@@ -1,5 +1,6 @@
 """From a recording to an evaluated checkpoint, on the Allegro hand."""
 
+import functools
 import importlib.util
 import json
 from pathlib import Path
@@ -8,11 +9,13 @@ import numpy as np
 import pytest
 import torch
 
-from geort_drake.errors import CheckpointError, TrainingError, UnknownNameError
+from geort_drake.errors import CheckpointError, UnknownNameError
+from geort_drake.evaluation import checkpoint_cache, metrics
 from geort_drake.evaluation.metrics import evaluate
 from geort_drake.evaluation.pipeline import train_checkpoint
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.readers import read_recording
+from geort_drake.gloves.recording import Recording
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.checkpoint import load_checkpoint
@@ -113,7 +116,9 @@ def test_names_that_do_not_exist_are_refused_before_any_work(play, tmp_path):
     with pytest.raises(UnknownNameError, match="unknown retargeting method 'magic'; choose one of: geort"):
         train_checkpoint("allegro_right", play, tmp_path / "x", method="magic")
     with pytest.raises(UnknownNameError, match="exact, neural"):
-        train_checkpoint("allegro_right", play, tmp_path / "x", fk="guess")
+        train_checkpoint("allegro_right", play, tmp_path / "x", settings={"fk": "guess"})
+    with pytest.raises(UnknownNameError, match="setting of geort 'jitter'; choose one of: classifier_steps"):
+        train_checkpoint("allegro_right", play, tmp_path / "x", settings={"jitter": 0.002})
     with pytest.raises(UnknownNameError, match="allegro_right"):
         train_checkpoint("no_such_hand", play, tmp_path / "x")
     assert list(tmp_path.iterdir()) == []
@@ -122,11 +127,27 @@ def test_names_that_do_not_exist_are_refused_before_any_work(play, tmp_path):
         train_checkpoint("allegro_right", play, tmp_path)
 
 
-def test_the_script_trains_and_prints_the_metrics(play, tmp_path, capsys):
-    """--recording to a file, --set and --steps reach the training, --json prints what was stored."""
+@pytest.fixture
+def light(monkeypatch):
+    """An evaluation with few samples, where the plumbing is what is tested."""
+    monkeypatch.setattr(metrics, "ROBOT_SAMPLES", 500)
+    for name in ("motion_preservation", "cross_talk", "flatness_and_gain"):
+        monkeypatch.setattr(metrics, name, functools.partial(getattr(metrics, name), anchors=30))
+    monkeypatch.setattr(metrics, "context_averaged", functools.partial(metrics.context_averaged, contexts=2))
+    monkeypatch.setattr(metrics, "latency", functools.partial(metrics.latency, calls=50))
+
+
+@pytest.fixture
+def script(light):
+    """scripts/train_retargeter.py as a module."""
     spec = importlib.util.spec_from_file_location("train_retargeter", SCRIPT)
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_script_trains_and_prints_the_metrics(script, play, tmp_path, capsys):
+    """--recording to a file, --set and --steps reach the training, --json prints what was stored."""
     recording = tmp_path / "play.npz"
     play.save(recording)
     settings = [f"--set={name}={value}" for name, value in QUICK.items() if name != "steps"]
@@ -136,10 +157,114 @@ def test_the_script_trains_and_prints_the_metrics(play, tmp_path, capsys):
     assert script.main([*arguments, *settings]) == 0
     assert json.loads(capsys.readouterr().out) == json.loads((output / "metrics.json").read_text())
     assert load_checkpoint(output).config["training"]["steps"] == 10
-    with pytest.raises(TrainingError, match="--set wants NAME=VALUE, not 'speed=3'; names: points, targets"):
-        script.main([*arguments, "--set", "speed=3"])
-    with pytest.raises(TrainingError, match="--set points: wants int, not 'many'"):
-        script.main([*arguments, "--set", "points=many"])
+
+
+def test_the_script_knows_every_methods_settings(script, play, tmp_path, capsys):
+    """A preset, what takes precedence over it, and the settings of geort_coupled."""
+    play.save(tmp_path / "play.npz")
+    arguments = ["--recording", str(tmp_path / "play.npz"), "--robot_samples", "2000", "--quiet"]
+
+    def trained(name, *more) -> dict:
+        assert script.main([*arguments, "--output", str(tmp_path / name), "--steps", "3", *more]) == 0
+        return load_checkpoint(tmp_path / name).config["training"]
+
+    quick = ["--set=kinematics_steps=5", "--set=classifier_steps=5", "--set=points=64", "--set=targets=64"]
+    public = trained("public", "--preset", "public", *quick, "--set", "pinch_weight=0.5")
+    assert public["resampling"] == "independent" and public["fk"] == "neural"
+    assert public["length_unit"] == 1.0 and public["collision_weight"] == 0.0
+    assert public["pinch_weight"] == 0.5 and public["steps"] == 3
+    coupled = trained("coupled", "--method", "geort_coupled", "--set", "jitter=0.002")
+    assert coupled["jitter"] == 0.002 and "averaging" in coupled
+    assert trained("neural", *quick, "--fk", "neural")["fk"] == "neural"
+
+
+@pytest.mark.parametrize("method", ["geort", "geort_coupled"])
+def test_what_the_recording_lacks_is_in_the_report(script, play, tmp_path, capsys, method):
+    """A finger that never pinches and one that hardly bends are named in checkpoint and report."""
+    p_HK = play.p_HK.astype(float)
+    index = slice(5, 9)
+    p_HK[:, index] = p_HK[:, index].mean(0) + 0.2 * (p_HK[:, index] - p_HK[:, index].mean(0))
+    distance = np.linalg.norm(p_HK[:, [8, 12, 16]] - p_HK[:, [4]], axis=-1)
+    keep = distance[:, 0] > 0.02
+    narrow = Recording(play.t[keep], p_HK[keep], play.valid[keep], None, {**play.metadata})
+    narrow.save(tmp_path / "narrow.npz")
+    arguments = ["--recording", str(tmp_path / "narrow.npz"), "--output", str(tmp_path / "run")]
+    quick = [f"--set={name}={value}" for name, value in QUICK.items() if name != "steps"]
+    assert script.main([*arguments, "--method", method, "--steps=2", "--robot_samples=2000", *quick]) == 0
+    said = load_checkpoint(tmp_path / "run").provenance["warnings"]
+    motions = [text.split(" by only ")[0] for text in said if " by only " in text]
+    assert motions == ["the recording's index bends", "the recording's index moves sideways"]
+    assert any("no pinch of the thumb with: index" in text for text in said)
+    shown = " ".join(capsys.readouterr().err.split())
+    for text in said:
+        assert f"warning: {text}" in shown
+
+
+@pytest.mark.parametrize("method", ["geort", "geort_coupled", "linear_offline"])
+def test_a_diverging_training_leaves_a_usable_checkpoint(script, play, tmp_path, capsys, method, hand):
+    """An absurd learning rate ends with exit code 3, a warning, and the last good weights."""
+    play.save(tmp_path / "play.npz")
+    arguments = ["--recording", str(tmp_path / "play.npz"), "--output", str(tmp_path / "run")]
+    arguments += ["--method", method, "--steps", "40", "--robot_samples", "2000", "--quiet"]
+    quick = [f"--set={name}={QUICK[name]}" for name in ("hidden", "points", "targets", "classifier_steps")]
+    assert script.main([*arguments, *quick, "--set", "learning_rate=1e30"]) == 3
+    assert "warning: the loss stopped being finite at step" in " ".join(capsys.readouterr().err.split())
+    checkpoint = load_checkpoint(tmp_path / "run")
+    assert checkpoint.provenance["training"]["stopped_at"] < 40
+    q = load_retargeter(tmp_path / "run", hand)(play.p_HK[:50])
+    assert np.isfinite(q).all()
+    assert (tmp_path / "run" / "metrics.json").is_file()
+
+
+def test_the_cache_tells_settings_methods_and_code_apart(light, play, monkeypatch, tmp_path):
+    """Equal requests share a checkpoint; other settings, another method or other code do not."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    trained = []
+
+    def train(hand, recording, path, method, seed, device, settings):
+        trained.append(settings)
+        return train_checkpoint(
+            hand, recording, path, method, seed, device, False, {**QUICK, "steps": 2, **settings}, 2000
+        )
+
+    monkeypatch.setattr(checkpoint_cache, "train_checkpoint", train)
+
+    def cached(**settings):
+        return checkpoint_cache.cached_checkpoint("allegro_right", play, settings=settings)
+
+    first, reused = cached(hidden=16)
+    assert not reused
+    assert cached(hidden=16) == (first, True)
+    assert not cached(hidden=24)[1]
+    assert not checkpoint_cache.cached_checkpoint("allegro_right", play, "linear_offline", settings={})[1]
+    monkeypatch.setattr(checkpoint_cache, "_code_digest", lambda: "other")
+    assert not cached(hidden=16)[1]
+    assert len(trained) == 4
+    with pytest.raises(UnknownNameError, match="setting of geort 'speed'"):
+        cached(speed=1)
+
+
+def test_the_cache_repeats_what_training_warned_of(light, play, monkeypatch, tmp_path):
+    """A checkpoint that stopped early is not handed out in silence the second time."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+
+    def train(*arguments, settings):
+        return train_checkpoint(
+            *arguments, show_progress=False, robot_samples=2000, settings={**QUICK, "learning_rate": 1e30}
+        )
+
+    monkeypatch.setattr(checkpoint_cache, "train_checkpoint", train)
+    for _ in range(2):
+        with pytest.warns(RuntimeWarning, match="stopped being finite"):
+            checkpoint_cache.cached_checkpoint("allegro_right", play)
+
+
+def test_the_code_digest_covers_what_weights_depend_on(monkeypatch):
+    """Training code and the hand's geometry count."""
+    read = []
+    monkeypatch.setattr(checkpoint_cache, "sha256_of", lambda path: read.append(path.name) or "0")
+    checkpoint_cache._code_digest()
+    assert {"collision_shapes.py", "samples.py", "criteria.py", "linear_offline.py"} <= set(read)
 
 
 @pytest.mark.slow
@@ -149,13 +274,13 @@ def test_a_tenth_of_the_training_already_serves_the_real_recording(alex_npy, han
         "allegro_right", alex_npy, tmp_path / "alex", show_progress=False, robot_samples=20_000,
         settings={"steps": 400, "refreshes": 5, "classifier_steps": 500},
     )  # fmt: skip
-    metrics = json.loads((path / "metrics.json").read_text())
-    assert metrics["motion_preservation"] > 0.75
-    assert metrics["coverage"]["10mm"] > 0.4
-    assert metrics["pinch"]["closed"] > 0.8
-    assert metrics["pinch"]["frames"] == 1071
-    assert metrics["self_collision"] < 0.05
-    assert metrics["cross_talk"] == 0.0
+    figures = json.loads((path / "metrics.json").read_text())
+    assert figures["motion_preservation"] > 0.75
+    assert figures["coverage"]["10mm"] > 0.4
+    assert figures["pinch"]["closed"] > 0.8
+    assert figures["pinch"]["frames"] == 1071
+    assert figures["self_collision"] < 0.05
+    assert figures["cross_talk"] == 0.0
     retarget = load_retargeter(path, hand)
     frames = read_recording(alex_npy).p_HK
     q = retarget(frames)

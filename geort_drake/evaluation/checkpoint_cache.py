@@ -3,28 +3,41 @@
 import dataclasses
 import hashlib
 import json
+import warnings
+from collections.abc import Mapping
 from pathlib import Path
 
-import geort_drake.retargeting
+import geort_drake
 from geort_drake.errors import CheckpointError
-from geort_drake.evaluation.pipeline import train_checkpoint
+from geort_drake.evaluation.pipeline import train_checkpoint, training_config
 from geort_drake.files import sha256_of
 from geort_drake.gloves.recording import Recording
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.resources import cache_dir
+from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.retargeter import load_retargeter
-from geort_drake.retargeting.training import TrainingConfig
+
+# What the weights depend on besides data and settings: training, and the hand's samples and geometry.
+_SOURCES = ("retargeting", "hands")
 
 
 def cached_checkpoint(
-    hand_name: str, recording: Recording, method: str = "geort", seed: int = 0, device: str = "cpu"
+    hand_name: str,
+    recording: Recording,
+    method: str = "geort",
+    seed: int = 0,
+    device: str = "cpu",
+    settings: Mapping | None = None,
 ) -> tuple[Path, bool]:
     """The checkpoint for a hand and a recording, trained now unless an equal one is at hand.
 
     The key covers the hand's model and description, the recording's contents, method, seed, device,
-    training settings and the training code, so a change in any of them trains anew. A damaged
-    checkpoint is trained again.
+    all of the method's settings and the code of training and hands, so a change in any of them trains
+    anew. A damaged checkpoint is trained again. What training warned of is warned of at every use.
+
+    Args:
+        hand_name, recording, method, seed, device, settings: as in `train_checkpoint`.
 
     Returns:
         The checkpoint's directory in `cache_dir() / "retargeters"`, and whether it was there already.
@@ -32,6 +45,7 @@ def cached_checkpoint(
     Raises:
         HandError, RecordingError, TrainingError, UnknownNameError: see `train_checkpoint`.
     """
+    config = training_config(method, settings)
     hand = HandModel(load_hand(hand_name))
     facts = {
         "hand": hand.digest,
@@ -39,7 +53,7 @@ def cached_checkpoint(
         "method": method,
         "seed": seed,
         "device": device,
-        "training": dataclasses.asdict(TrainingConfig()),
+        "training": dataclasses.asdict(config),
         "code": _code_digest(),
     }
     key = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
@@ -47,14 +61,18 @@ def cached_checkpoint(
     if path.is_dir():
         try:
             load_retargeter(path, hand)
-            return path, True
+            said = load_checkpoint(path).provenance["warnings"]
         except CheckpointError:
             pass  # damaged: train it again
-    return train_checkpoint(hand_name, recording, path, method, seed, device), False
+        else:
+            for text in said:
+                warnings.warn(text, RuntimeWarning, stacklevel=2)
+            return path, True
+    return train_checkpoint(hand_name, recording, path, method, seed, device, settings=settings), False
 
 
 def _code_digest() -> str:
-    """SHA-256 over the sources of the training package."""
-    folder = Path(geort_drake.retargeting.__file__).parent
-    digests = [sha256_of(source) for source in sorted(folder.rglob("*.py"))]
-    return hashlib.sha256("".join(digests).encode()).hexdigest()
+    """SHA-256 over the sources that decide what training gives."""
+    package = Path(geort_drake.__file__).parent
+    sources = [source for folder in _SOURCES for source in sorted((package / folder).rglob("*.py"))]
+    return hashlib.sha256("".join(map(sha256_of, sources)).encode()).hexdigest()

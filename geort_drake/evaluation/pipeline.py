@@ -5,7 +5,8 @@ import dataclasses
 import os
 import subprocess
 import time
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from geort_drake.errors import RecordingError, UnknownNameError
 from geort_drake.evaluation.metrics import evaluate
 from geort_drake.evaluation.versions import versions
 from geort_drake.gloves.play import synthesize_play
+from geort_drake.gloves.range_of_motion import narrow_motions
 from geort_drake.gloves.readers import read_recording
 from geort_drake.gloves.recording import Recording
 from geort_drake.hands.collision_shapes import collision_shapes
@@ -26,16 +28,35 @@ from geort_drake.retargeting.baselines.linear_offline import train_linear_offlin
 from geort_drake.retargeting.checkpoint import check_replaceable, save_checkpoint
 from geort_drake.retargeting.coupled_training import CoupledConfig, train_coupled
 from geort_drake.retargeting.retargeter import METHODS as RETARGETERS
-from geort_drake.retargeting.training import TrainingConfig, TrainingResult, train_geort
+from geort_drake.retargeting.training import Trainer, TrainingConfig, train_geort
+from geort_drake.settings import check_names
 
-# Name of a retargeting method → the function that trains it, called as `train_geort` is.
-METHODS: dict[str, Callable[..., TrainingResult]] = {
+# Name of a retargeting method → the function that trains it, and the settings it has.
+METHODS: dict[str, Trainer] = {
     "geort": train_geort,
     "geort_coupled": train_coupled,
     "linear_offline": train_linear_offline,
 }
-# The settings of a method that has its own.
-CONFIGS: dict[str, type[TrainingConfig]] = {"geort_coupled": CoupledConfig}
+CONFIGS: dict[str, type[TrainingConfig]] = {
+    "geort": TrainingConfig,
+    "geort_coupled": CoupledConfig,
+    "linear_offline": TrainingConfig,
+}
+
+
+def training_config(method: str, settings: Mapping | None = None) -> TrainingConfig:
+    """The configuration of a method, with `settings` in place of its defaults.
+
+    Raises:
+        UnknownNameError: no such method or setting; the message lists those there are.
+        TrainingError: a value makes no sense.
+    """
+    if method not in METHODS:
+        raise UnknownNameError("retargeting method", method, METHODS)
+    check_names(settings or {}, CONFIGS[method], method)
+    config = CONFIGS[method](**(settings or {}))
+    config.validate()
+    return config
 
 
 def train_checkpoint(
@@ -45,7 +66,6 @@ def train_checkpoint(
     method: str = "geort",
     seed: int = 0,
     device: str = "cpu",
-    fk: str = "exact",
     show_progress: bool = True,
     settings: Mapping | None = None,
     robot_samples: int = 100_000,
@@ -59,22 +79,19 @@ def train_checkpoint(
         method: name of the retargeting method.
         seed: of everything random: robot samples, synthetic play, training and metrics.
         device: "cpu" or "cuda".
-        fk: "exact" or "neural" forward kinematics in training.
         show_progress: draw progress bars on stderr.
-        settings: other fields of the method's config, `TrainingConfig` or `CoupledConfig`.
+        settings: fields of the method's config that differ from its defaults; see `CONFIGS`.
         robot_samples: how many joint positions of the robot are sampled.
 
     Returns:
-        The checkpoint directory.
+        The checkpoint directory. What the recording lacks and what went wrong in training is in its
+        provenance under "warnings", and is warned of as RuntimeWarning at the end.
 
     Raises:
         HandError, RecordingError, TrainingError, UnknownNameError: something asked for is unusable.
         CheckpointError: `output` exists and is not a checkpoint.
     """
-    if method not in METHODS:
-        raise UnknownNameError("retargeting method", method, METHODS)
-    config = CONFIGS.get(method, TrainingConfig)(**{**(settings or {}), "fk": fk})
-    config.validate()
+    config = training_config(method, settings)
     check_replaceable(output)
     description = load_hand(hand_name)
     hand = HandModel(description)
@@ -85,14 +102,15 @@ def train_checkpoint(
         with _timed(timings, "recording_s"):
             recording = _recording(recording, description.side, seed)
             keypoints = [finger.human_keypoint for finger in description.fingers]
-            p_HF = recording.fingertips(keypoints).astype(float)
+            p_HF = recording.fingertips(keypoints)
+            said = narrow_motions(recording.p_HK[recording.valid], keypoints)
         with _timed(timings, "robot_data_s"):
             samples = robot_data(hand, robot_samples, seed, progress=bars.counter("robot samples"))
         extra = {}
         if method == "geort_coupled":
             shapes = collision_shapes(hand)
             extra["shapes"] = shapes.mirrored() if description.side == "left" else shapes
-        with _timed(timings, "fit_s"):
+        with _timed(timings, "fit_s"), _collected(said):
             result = METHODS[method](
                 p_HF,
                 kinematics,
@@ -112,7 +130,7 @@ def train_checkpoint(
     metrics = {"hand": description.name, "recording_sha256": recording.digest, "seed": seed, **metrics}
     if result.neural_kinematics:
         metrics["neural_kinematics"] = result.neural_kinematics
-    return save_checkpoint(
+    path = save_checkpoint(
         output,
         arrays,
         method=method,
@@ -135,6 +153,7 @@ def train_checkpoint(
             },
             "robot_data": {"count": len(samples.q), "seed": seed, "model_sha256": samples.digest},
             "seed": seed,
+            "warnings": said,
             "versions": versions(),
             "git": _git_state(),
             "timings": {key: round(value, 3) for key, value in (timings | result.timings).items()},
@@ -149,6 +168,9 @@ def train_checkpoint(
         history=result.history,
         metrics=metrics,
     )
+    for text in said:
+        warnings.warn(text, RuntimeWarning, stacklevel=2)
+    return path
 
 
 def _recording(source: Recording | str | os.PathLike | None, side: str, seed: int) -> Recording:
@@ -175,6 +197,19 @@ def _git_state() -> dict | None:
         return {"commit": git("rev-parse", "HEAD"), "changed": bool(git("status", "--porcelain"))}
     except (OSError, subprocess.SubprocessError):
         return None
+
+
+@contextlib.contextmanager
+def _collected(said: list[str]) -> Iterator[None]:
+    """Appends the RuntimeWarnings of the block to `said`; warnings of other kinds stay what they are."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield
+    for warning in caught:
+        if issubclass(warning.category, RuntimeWarning):
+            said.append(str(warning.message))
+        else:
+            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
 
 
 @contextlib.contextmanager

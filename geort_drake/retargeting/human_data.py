@@ -1,5 +1,6 @@
 """What GeoRT learns from about the person: real frames, and each fingertip's cloud."""
 
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,6 +15,7 @@ class HumanData:
     """Human fingertips, checked and thinned.
 
     Attributes:
+        finger_names: F names.
         frames: (T, F, 3) real instants without exact repeats, m.
         clouds: F arrays (M, 3), each fingertip's places, one per voxel.
         mean, scale: (F, 3) mean and standard deviation of the clouds, m.
@@ -29,7 +31,8 @@ class HumanData:
             TrainingError: wrong shape, values that are not finite, or a finger that hardly moved.
         """
         p_HF = np.asarray(p_HF, dtype=float)
-        fingers = len(finger_names)
+        self.finger_names = tuple(finger_names)
+        fingers = len(self.finger_names)
         if p_HF.ndim != 3 or p_HF.shape[1:] != (fingers, 3) or not np.isfinite(p_HF).all():
             raise TrainingError(
                 f"human fingertips must be finite and of shape (T, {fingers}, 3) for "
@@ -52,8 +55,32 @@ class HumanData:
         else:
             self.pairs = [(i, j) for i in range(fingers) for j in range(i + 1, fingers)]
 
-    def nearest_pinch(self) -> float:
-        """The least distance of a pair in any frame, m."""
-        return min(
-            float(np.linalg.norm(self.frames[:, i] - self.frames[:, j], axis=1).min()) for i, j in self.pairs
-        )
+    def check_pinches(self, threshold: float) -> None:
+        """Warns of fingers that never pinch: nearest to the thumb, with tips under `threshold` (m) apart.
+
+        Raises:
+            TrainingError: no pair of fingertips ever pinches.
+        """
+        if not self.pairs:
+            return
+        first, second = zip(*self.pairs, strict=True)
+        distance = np.linalg.norm(self.frames[:, list(first)] - self.frames[:, list(second)], axis=-1)
+        if distance.min() >= threshold:
+            raise TrainingError(
+                "the recording holds no pinch: the thumb's tip should come nearer than "
+                f"{1000 * threshold:.0f} mm to another fingertip, the nearest is "
+                f"{1000 * distance.min():.0f} mm; record pinches, or set pinch_weight to 0"
+            )
+        nearest = distance.argmin(axis=1)[distance.min(axis=1) < threshold]
+        missing = [
+            f"{self.finger_names[j]} (nearest {1000 * distance[:, k].min():.0f} mm)"
+            for k, (_, j) in enumerate(self.pairs)
+            if k not in nearest
+        ]
+        if missing and "thumb" in self.finger_names:
+            warnings.warn(
+                f"the recording holds no pinch of the thumb with: {', '.join(missing)}; "
+                "such pinches of the robot may not close",
+                RuntimeWarning,
+                stacklevel=2,
+            )

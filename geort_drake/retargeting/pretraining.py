@@ -22,8 +22,11 @@ class RobotSamples(Protocol):
     a pinch needs. Where the fingertips are follows from the kinematics.
     """
 
-    q: np.ndarray
-    collides_beyond_tips: np.ndarray
+    @property
+    def q(self) -> np.ndarray: ...
+
+    @property
+    def collides_beyond_tips(self) -> np.ndarray: ...
 
 
 def check_robot_samples(samples: RobotSamples, kinematics: HandKinematics) -> None:

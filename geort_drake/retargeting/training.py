@@ -4,14 +4,12 @@ Randomness comes from the seed alone and the CPU's work is done by one thread, s
 machine give the same weights.
 """
 
-import contextlib
-import copy
 import dataclasses
 import math
 import time
-import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -19,6 +17,7 @@ import torch
 from geort_drake.errors import TrainingError, UnknownNameError
 from geort_drake.retargeting import criteria
 from geort_drake.retargeting.clouds import voxel_thinned
+from geort_drake.retargeting.descent import Report, descend, device_of, one_thread
 from geort_drake.retargeting.human_data import HumanData
 from geort_drake.retargeting.kinematics import HandKinematics
 from geort_drake.retargeting.networks import RetargetingNetwork
@@ -31,6 +30,8 @@ from geort_drake.retargeting.pretraining import (
 )
 
 FORWARD_KINEMATICS = ("exact", "neural")
+RESAMPLING = ("frames", "independent")
+_CHOICES = {"fk": ("forward kinematics", FORWARD_KINEMATICS), "resampling": ("resampling", RESAMPLING)}
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,7 @@ class TrainingConfig:
     human_voxel: float = 0.001  # m; thinning of the human clouds
     robot_voxel: float = 0.003  # m; thinning of the robot's clouds
     fk: str = "exact"  # exact | neural
+    resampling: str = "frames"  # frames | independent: hands of criteria IV, V are recorded or put together
     classifier_steps: int = 2000  # descent steps of the collision classifier
     kinematics_steps: int = 4000  # descent steps of the neural forward kinematics
     refreshes: int = 10  # how often the classifier learns from the retargeter's own outputs
@@ -63,12 +65,13 @@ class TrainingConfig:
     refresh_sigma: float = 0.08  # rad; spread of the samples around the retargeter's outputs
 
     def validate(self) -> None:
-        """Raises TrainingError where a value makes no sense."""
-        if self.fk not in FORWARD_KINEMATICS:
-            raise UnknownNameError("forward kinematics", self.fk, FORWARD_KINEMATICS)
+        """Raises TrainingError where a value makes no sense, UnknownNameError where a name is none."""
         for item in dataclasses.fields(self):
             value = getattr(self, item.name)
-            if isinstance(value, str):
+            if item.name in _CHOICES:
+                kind, choices = _CHOICES[item.name]
+                if value not in choices:
+                    raise UnknownNameError(kind, value, choices)
                 continue
             may_be_zero = item.name.endswith("_weight") or item.name in ("refreshes", "other_pinches")
             if not math.isfinite(value) or value < 0 or (value == 0 and not may_be_zero):
@@ -76,9 +79,29 @@ class TrainingConfig:
                 raise TrainingError(f"training config: {item.name} must be {wanted}, it is {value}")
 
 
+# What the authors' public code does otherwise than their paper, as far as the terms here can express it;
+# docs/criteria.md lists the differences and what they cost.
+PUBLIC_CHOICES: Mapping[str, int | float | str] = {
+    "resampling": "independent",
+    "fk": "neural",
+    "length_unit": 1.0,
+    "coverage_weight": 80.0,
+    "flatness_weight": 0.1,
+    "pinch_weight": 1.0,
+    "collision_weight": 0.0,
+    "other_pinches": 1.0,
+    "steps": 1250,  # 50 epochs of 25 batches
+    "points": 2048,
+    "targets": 2048,
+    "pinches": 2048,
+    "refreshes": 0,
+}
+PRESETS: Mapping[str, Mapping[str, int | float | str]] = {"public": PUBLIC_CHOICES}
+
+
 @dataclass
 class TrainingResult:
-    """What `train_geort` learned, and how it went."""
+    """What a trainer learned, and how it went."""
 
     network: RetargetingNetwork
     history: list[dict[str, float]]
@@ -90,7 +113,20 @@ class TrainingResult:
     pinch_frames: int = 0
 
 
-Report = Callable[[int, int, dict[str, float]], None]
+class Trainer(Protocol):
+    """How every method is trained: `train_geort` documents the arguments."""
+
+    def __call__(
+        self,
+        p_HF: np.ndarray,
+        kinematics: HandKinematics,
+        robot_samples: RobotSamples,
+        config: TrainingConfig | None = None,
+        seed: int = 0,
+        device: str = "cpu",
+        report: Report | None = None,
+        collides_beyond_tips: Callable[[np.ndarray], np.ndarray] | None = None,
+    ) -> TrainingResult: ...
 
 
 def train_geort(
@@ -119,6 +155,7 @@ def train_geort(
     Raises:
         TrainingError: on unusable input, or when the loss is not finite from the start. When it
             stops being finite later, the last good weights are returned with a RuntimeWarning.
+            A finger that never pinches is named in a RuntimeWarning.
     """
     config = config or TrainingConfig()
     config.validate()
@@ -160,47 +197,21 @@ class _Run:
 
     def train(self, report: Report | None) -> TrainingResult:
         config = self.config
-        optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
-        history: list[dict[str, float]] = []
-        interval = max(config.steps // 100, 1)
-        refresh_steps = {
-            round(config.steps * (k + 1) / (config.refreshes + 1)) for k in range(config.refreshes)
-        }
-        good = None
-        stopped_at = None
-        started = time.perf_counter()
-        for step in range(config.steps):
-            if self.oracle is not None and step in refresh_steps:
+        refreshes = {round(config.steps * (k + 1) / (config.refreshes + 1)) for k in range(config.refreshes)}
+
+        def losses(step: int) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+            if self.oracle is not None and step in refreshes:
                 self._refresh_classifier()
-            progress = step / config.steps
-            for group in optimiser.param_groups:
-                group["lr"] = config.learning_rate * 0.5 * (1.0 + math.cos(math.pi * progress))
-            total, row = self._losses()
-            if not torch.isfinite(total):
-                stopped_at = step
-                break
-            if step % interval == 0:
-                good = copy.deepcopy(self.network.state_dict())
-            optimiser.zero_grad(set_to_none=True)
-            total.backward()
-            optimiser.step()
-            if step % interval == 0 or step == config.steps - 1:
-                values = {name: float(value.detach()) for name, value in row.items()}
-                values = {"step": step, "total": float(total.detach()), **values}
-                values["seconds"] = round(time.perf_counter() - started, 3)
-                history.append(values)
-                if report is not None:
-                    report(step + 1, config.steps, values)
-        self.timings["training_s"] = time.perf_counter() - started
-        if stopped_at is not None:
-            self._keep_last_good(good, stopped_at)
+            return self._losses()
+
+        descent = descend(self.network, losses, config.steps, config.learning_rate, report)
         return TrainingResult(
             network=self.network.cpu(),
-            history=history,
+            history=descent.history,
             classifier=self.classifier_figures,
             neural_kinematics=self.kinematics_figures,
-            timings=self.timings,
-            stopped_at=stopped_at,
+            timings={**self.timings, "training_s": descent.seconds},
+            stopped_at=descent.stopped_at,
             human_points=self.human_points,
             pinch_frames=len(self.pinch_rows),
         )
@@ -211,12 +222,11 @@ class _Run:
         # Criteria I to III: points drawn uniformly from each finger's cloud, and steps around them.
         x = self._draw(self.human_clouds, config.points)
         d = config.step_sigma * torch.randn(x.shape, generator=self.generator).to(self.device)
-        pinching = self._rows(self.pinch_rows, config.pinches)
-        frames = self._rows(self.all_rows, config.frames)
+        pinching, pinch_weights = self._pinches()
+        hands = self._hands(config.frames)
         # One pass through the networks for everything is faster than one per criterion.
         n, k = config.points, len(pinching)
-        inputs = torch.cat([x, x + d, x - d, self.frames[pinching], self.frames[frames]])
-        q = self.network(inputs)
+        q = self.network(torch.cat([x, x + d, x - d, pinching, hands]))
         p_BF = self.fingertips(q[: 3 * n + k]) / unit
         here, ahead, behind = p_BF[:n], p_BF[n : 2 * n], p_BF[2 * n : 3 * n]
         targets = self._draw(self.robot_clouds, config.targets) / unit
@@ -224,7 +234,7 @@ class _Run:
             "direction": criteria.direction_loss(d / unit, ahead - here),
             "coverage": criteria.chamfer_loss(targets.transpose(0, 1), here.transpose(0, 1)),
             "flatness": criteria.flatness_loss(ahead, here, behind),
-            "pinch": criteria.pinch_loss(p_BF[3 * n :], self.pairs, self.pinch_weights[pinching]),
+            "pinch": criteria.pinch_loss(p_BF[3 * n :], self.pairs, pinch_weights),
             "collision": criteria.collision_loss(self.classifier(q[3 * n :])),
         }
         total = (
@@ -236,6 +246,25 @@ class _Run:
         )
         return total, row
 
+    def _pinches(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Hands (N, F, 3) for criterion IV and the weights (N, P) of their pairs."""
+        config = self.config
+        if config.resampling == "independent":
+            hands = self._hands(config.pinches)
+            return hands, self._pinch_weights_of(hands)
+        rows = self._rows(self.pinch_rows, config.pinches)
+        return self.frames[rows], self.pinch_weights[rows]
+
+    def _hands(self, count: int) -> torch.Tensor:
+        """Hands (N, F, 3): recorded ones, or such that no person made, each finger from its own cloud."""
+        if self.config.resampling == "independent":
+            return self._draw(self.human_clouds, count)
+        return self.frames[self._rows(self.all_rows, count)]
+
+    def _pinch_weights_of(self, hands: torch.Tensor) -> torch.Tensor:
+        config = self.config
+        return criteria.pinch_weights(hands, self.pairs, config.pinch_threshold, config.other_pinches)
+
     def _load_human(self, p_HF: np.ndarray) -> None:
         human = HumanData(p_HF, self.kinematics.finger_names, self.config.human_voxel)
         self.human_points = human.points
@@ -244,16 +273,10 @@ class _Run:
         self.frames = self._tensor(human.frames)
         self.all_rows = torch.arange(len(human.frames))
         self.pairs = human.pairs
-        self.pinch_weights = criteria.pinch_weights(
-            self.frames, self.pairs, self.config.pinch_threshold, self.config.other_pinches
-        )
+        self.pinch_weights = self._pinch_weights_of(self.frames)
         self.pinch_rows = torch.nonzero(self.pinch_weights.sum(1).cpu() > 0)[:, 0]
-        if self.config.pinch_weight > 0 and self.pairs and len(self.pinch_rows) == 0:
-            raise TrainingError(
-                "the recording holds no pinch: the thumb's tip should come nearer than "
-                f"{1000 * self.config.pinch_threshold:.0f} mm to another fingertip, the nearest is "
-                f"{1000 * human.nearest_pinch():.0f} mm; record pinches, or set pinch_weight to 0"
-            )
+        if self.config.pinch_weight > 0:
+            human.check_pinches(self.config.pinch_threshold)
 
     def _load_robot(self, samples: RobotSamples) -> None:
         q = torch.tensor(np.asarray(samples.q), dtype=torch.float64)
@@ -272,7 +295,7 @@ class _Run:
         """Labels what the retargeter puts out now, and its surroundings, and learns from it too."""
         started = time.perf_counter()
         with torch.no_grad():
-            q = self.network(self.frames[self._rows(self.all_rows, self.config.refresh_samples)])
+            q = self.network(self._hands(self.config.refresh_samples))
             if not torch.isfinite(q).all():
                 return  # the check of the loss, which comes next, stops the run
             noise = torch.randn(q.shape, generator=self.generator).to(self.device)
@@ -284,17 +307,6 @@ class _Run:
         self.own = (torch.cat([self.own[0], q]), torch.cat([self.own[1], self._tensor(label)]))
         refit_classifier(self.classifier, self.uniform, self.own, self.generator, self.config.refresh_steps)
         self.timings["refresh_s"] = self.timings.get("refresh_s", 0.0) + time.perf_counter() - started
-
-    def _keep_last_good(self, good: dict | None, stopped_at: int) -> None:
-        if good is None:
-            raise TrainingError("the loss is not finite at the first step; check the weights and the data")
-        self.network.load_state_dict(good)
-        warnings.warn(
-            f"the loss stopped being finite at step {stopped_at} of {self.config.steps}; the last good "
-            "weights are kept. A lower learning rate may help.",
-            RuntimeWarning,
-            stacklevel=3,
-        )
 
     def _tensor(self, array: np.ndarray) -> torch.Tensor:
         return torch.tensor(array, dtype=torch.float32, device=self.device)
@@ -309,26 +321,3 @@ class _Run:
         return torch.stack(
             [cloud[torch.randint(len(cloud), (count,), generator=self.generator)] for cloud in clouds], dim=1
         )
-
-
-@contextlib.contextmanager
-def one_thread():
-    """Lets torch use one CPU thread.
-
-    The products are too small to gain from a second one, and waiting for each other costs threads far
-    more than they save as soon as the machine has anything else to do.
-    """
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
-
-
-def device_of(name: str) -> torch.device:
-    if name not in ("cpu", "cuda"):
-        raise UnknownNameError("device", name, ("cpu", "cuda"))
-    if name == "cuda" and not torch.cuda.is_available():
-        raise TrainingError("device 'cuda' was asked for, but this machine's torch sees no CUDA device")
-    return torch.device(name)

@@ -1,0 +1,116 @@
+"""The descent of every map that is trained: its schedule, its history, and what happens when it diverges."""
+
+import contextlib
+import copy
+import math
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import nn
+
+from geort_drake.errors import TrainingError, UnknownNameError
+
+# Called as report(step, steps, row of losses) about a hundred times.
+Report = Callable[[int, int, dict[str, float]], None]
+
+
+@dataclass(frozen=True)
+class Descent:
+    """How a descent went."""
+
+    history: list[dict[str, float]]  # about a hundred rows: step, total, each loss, seconds
+    seconds: float  # wall time
+    stopped_at: int | None  # the step at which the loss or the weights stopped being finite
+
+
+def descend(
+    network: nn.Module,
+    losses: Callable[[int], tuple[torch.Tensor, dict[str, torch.Tensor]]],
+    steps: int,
+    learning_rate: float,
+    report: Report | None = None,
+) -> Descent:
+    """Minimises a loss with Adam, whose learning rate falls to zero along half a cosine.
+
+    Args:
+        network: what is trained, in place.
+        losses: called with the step, returns the loss and the terms it is the sum of.
+        steps: how many.
+        learning_rate: of the first step.
+        report: see `Report`.
+
+    Raises:
+        TrainingError: the loss is not finite at the first step. When it stops being finite later, the
+            last good weights, at most a hundredth of the descent old, are put back with a RuntimeWarning.
+    """
+    optimiser = torch.optim.Adam(network.parameters(), lr=learning_rate)
+    history: list[dict[str, float]] = []
+    interval = max(steps // 100, 1)
+    good: dict | None = None
+    stopped_at = None
+    started = time.perf_counter()
+    for step in range(steps):
+        for group in optimiser.param_groups:
+            group["lr"] = learning_rate * 0.5 * (1.0 + math.cos(math.pi * step / steps))
+        total, row = losses(step)
+        if not torch.isfinite(total):
+            stopped_at = step
+            break
+        if step % interval == 0:
+            good = copy.deepcopy(network.state_dict())
+        optimiser.zero_grad(set_to_none=True)
+        total.backward()
+        optimiser.step()
+        if step % interval == 0 or step == steps - 1:
+            values = {name: float(value.detach()) for name, value in row.items()}
+            values = {"step": step, "total": float(total.detach()), **values}
+            values["seconds"] = round(time.perf_counter() - started, 3)
+            history.append(values)
+            if report is not None:
+                report(step + 1, steps, values)
+    # The last step's weights were in no loss yet.
+    if stopped_at is None and not all(torch.isfinite(p).all() for p in network.parameters()):
+        stopped_at = steps
+    if stopped_at is not None:
+        if good is None:
+            raise TrainingError("the loss is not finite at the first step; check the weights and the data")
+        network.load_state_dict(good)
+        warnings.warn(
+            f"the loss stopped being finite at step {stopped_at} of {steps}; the last good weights are "
+            "kept. A lower learning rate may help.",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+    return Descent(history, time.perf_counter() - started, stopped_at)
+
+
+@contextlib.contextmanager
+def one_thread():
+    """Lets torch use one CPU thread.
+
+    The products are too small to gain from a second one, and waiting for each other costs threads far
+    more than they save as soon as the machine has anything else to do.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def device_of(name: str) -> torch.device:
+    """The torch device "cpu" or "cuda".
+
+    Raises:
+        UnknownNameError: another name.
+        TrainingError: torch sees no CUDA device.
+    """
+    if name not in ("cpu", "cuda"):
+        raise UnknownNameError("device", name, ("cpu", "cuda"))
+    if name == "cuda" and not torch.cuda.is_available():
+        raise TrainingError("device 'cuda' was asked for, but this machine's torch sees no CUDA device")
+    return torch.device(name)

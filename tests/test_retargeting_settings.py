@@ -1,0 +1,48 @@
+"""Settings given as text."""
+
+import dataclasses
+
+import pytest
+
+from geort_drake.errors import GeortError, UnknownNameError
+from geort_drake.settings import parse_settings, settings_of
+
+
+@dataclasses.dataclass
+class Config:
+    steps: int = 10
+    rate: float = 0.5
+    exact: bool = True
+    mode: str = "slow"
+    extent: tuple = (1, 2)
+
+
+def test_values_get_the_type_of_the_default():
+    """Numbers, truth values and texts, also those with an equals sign; the last of a name counts."""
+    texts = ["steps=20", "rate=1e-3", "exact=False", "mode=a=b", "steps=30"]
+    assert parse_settings(texts, Config, "x") == {"steps": 30, "rate": 1e-3, "exact": False, "mode": "a=b"}
+    assert parse_settings([], Config(), "x") == {}
+
+
+def test_only_plain_fields_are_settings():
+    """Their values are those of the object, or the defaults of the class."""
+    assert settings_of(Config(steps=3)) == {"steps": 3, "rate": 0.5, "exact": True, "mode": "slow"}
+    assert list(settings_of(Config)) == ["steps", "rate", "exact", "mode"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("steps", "setting of the toy is given as NAME=VALUE, not as 'steps'"),
+        ("steps=", "steps of the toy: wants int, not ''"),
+        ("steps=1.5", "wants int, not '1.5'"),
+        ("rate=fast", "wants float, not 'fast'"),
+        ("exact=1", "wants true or false, not '1'"),
+        ("extent=3", "unknown setting of the toy 'extent'; choose one of: exact, mode, rate, steps"),
+    ],
+)
+def test_what_is_no_setting_is_refused(text, message):
+    """Form, type and name, each with what was wanted."""
+    with pytest.raises(GeortError, match=message):
+        parse_settings([text], Config, "the toy")
+    assert issubclass(UnknownNameError, GeortError)
