@@ -31,6 +31,10 @@ class TrainingError(GeortError):
     """Training cannot start or had to stop."""
 
 
+class BenchmarkError(GeortError):
+    """A benchmark's folder is corrupt, in use, or of another configuration."""
+
+
 class OutputError(GeortError):
     """A file or folder cannot be written where it was asked for."""
 

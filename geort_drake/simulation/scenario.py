@@ -199,6 +199,11 @@ def load_scenario(
     return scenario
 
 
+def parse_scenario(text: str) -> Scenario:
+    """The scenario that `dump_scenario` wrote."""
+    return yaml_load_typed(schema=Scenario, data=text, child_name="Resolved", defaults=Scenario())
+
+
 def dump_scenario(scenario: Scenario) -> str:
     """The whole scenario as YAML that `load_scenario` reads under the name `Resolved`."""
     return yaml_dump_typed(scenario, child_name="Resolved")

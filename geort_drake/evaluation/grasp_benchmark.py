@@ -1,0 +1,236 @@
+"""A grasp benchmark in its folder: which trials there are, which are left, and how they are run.
+
+FOLDER/config.json     what decides every trial; another run may add methods, objects and trials to it
+FOLDER/scenario.yaml   the resolved scenario
+FOLDER/methods/        copies of the checkpoints
+FOLDER/trials.jsonl    one line per finished trial
+FOLDER/errors/         the traceback of each trial that raised
+"""
+
+import contextlib
+import dataclasses as dc
+import functools
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor
+from pathlib import Path
+from typing import Any
+
+from joblib import Parallel, delayed, parallel_config
+
+import geort_drake
+from geort_drake.errors import BenchmarkError, GeortError
+from geort_drake.evaluation.grasp_methods import Method, make_retargeter, measure_latency, names_of
+from geort_drake.evaluation.grasp_trial import plan, simulate
+from geort_drake.evaluation.trial_log import TrialKey
+from geort_drake.evaluation.versions import versions
+from geort_drake.files import sha256_of, write_text
+from geort_drake.gloves.human_hand import HumanHand
+from geort_drake.gloves.recording import Recording
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.operators.grasp_goal import GraspGoal
+from geort_drake.resources import diagrams_dir, models_dir
+from geort_drake.simulation.scenario import Scenario, dump_scenario
+
+CONFIG, SCENARIO, TRIALS, METHODS, ERRORS = (
+    "config.json",
+    "scenario.yaml",
+    "trials.jsonl",
+    "methods",
+    "errors",
+)
+BACKENDS = ("loky", "ray")
+# What a trial runs through; reports and metrics may change without it.
+_SOURCES = ("gloves", "hands", "operators", "retargeting", "simulation", "systems")
+_VERSIONS = ("geort_drake", "python", "numpy", "scipy", "drake")
+
+
+@dc.dataclass(frozen=True)
+class Benchmark:
+    """Methods, objects and seeds, and all that their trials share."""
+
+    folder: Path
+    config: dict
+    scenario_text: str
+    person: HumanHand
+    methods: dict[str, Method]
+
+    def keys(self, methods: Iterable[str], objects: Iterable[str], trials: int) -> list[TrialKey]:
+        """Trials in the order in which they are run: seed by seed, so that any beginning is balanced."""
+        first = self.config["settings"]["first_seed"]
+        return [TrialKey(m, o, first + k) for k in range(trials) for o in objects for m in methods]
+
+    def goals(self, objects: Sequence[str], jobs: int, backend: str) -> Iterator[tuple[str, GraspGoal]]:
+        """Plans a grasp of each object, which is the same for all methods."""
+        tasks = (delayed(plan)(self.scenario_text, name) for name in objects)
+        with _workers(jobs, backend) as parallel:
+            yield from zip(objects, parallel(return_as="generator")(tasks), strict=True)
+
+    def run(
+        self, keys: Sequence[TrialKey], goals: dict[str, GraspGoal], jobs: int, backend: str
+    ) -> Iterator[dict]:
+        """Simulates trials and yields their lines as they finish."""
+        tasks = (delayed(simulate)(*self.arguments(key, goals[key.object])) for key in keys)
+        with _workers(jobs, backend) as parallel:
+            yield from parallel(return_as="generator_unordered")(tasks)
+
+    def arguments(self, key: TrialKey, goal: GraspGoal) -> tuple:
+        """What `simulate` takes for a trial."""
+        method = self.methods[key.method]
+        return key, self.scenario_text, method.retarget, method.latency, self.person, goal
+
+
+def open_benchmark(
+    folder: Path,
+    scenario: Scenario,
+    recording: Recording,
+    methods: Sequence[str],
+    objects: Sequence[str],
+    trials: int,
+    seed: int = 0,
+    zero_latency: bool = False,
+    notes: dict | None = None,
+) -> Benchmark:
+    """Begins a benchmark in a folder, or goes on with the one that is there.
+
+    Args:
+        folder: of the results.
+        scenario: of every trial but for object and seed; its seed is the first one.
+        recording: of the person who teleoperates, and on which methods are trained.
+        methods: names of methods and directories of checkpoints.
+        objects: names of objects.
+        trials: how many seeds per method and object.
+        seed: of the training.
+        zero_latency: every method answers at once.
+        notes: what else the configuration says; not compared.
+
+    Raises:
+        BenchmarkError: the folder's benchmark was begun with another configuration.
+        UnknownNameError, HandError, CheckpointError, TrainingError: see `make_retargeter`.
+    """
+    names = names_of(methods)
+    description = load_hand(scenario.hand)
+    hand = HandModel(description)
+    text = dump_scenario(scenario)
+    made_with, package = versions(), Path(geort_drake.__file__).parent
+    wanted: dict[str, Any] = {
+        "settings": {
+            "hand": description.name,
+            "hand_sha256": hand.digest,
+            "recording_sha256": recording.digest,
+            "training_seed": seed,
+            "first_seed": scenario.random_seed,
+            "timeout": scenario.timeout,
+            "latency": "zero" if zero_latency else "measured",
+            "scenario_sha256": hashlib.sha256(text.encode()).hexdigest(),
+            "models_sha256": _digest(models_dir().parent, [models_dir(), diagrams_dir()]),
+            "code_sha256": _digest(package, [package / room for room in _SOURCES]),
+            "versions": {
+                name: made_with[name] for name in ("geort_drake", "python", "numpy", "scipy", "drake")
+            },
+        },
+        "objects": list(objects),
+        "methods": {},
+        "trials": trials,
+        "notes": {"platform": made_with["platform"], **(notes or {})},
+    }
+    path = folder / CONFIG
+    stored = read_config(folder) if path.exists() else None
+    if stored is not None:
+        _require_same(path, stored["settings"], wanted["settings"])
+        wanted["objects"] = list(dict.fromkeys([*stored["objects"], *objects]))
+        wanted["trials"] = max(trials, stored["trials"])
+        wanted["notes"] = stored["notes"]
+        wanted["methods"] = dict(stored["methods"])
+    elif (folder / TRIALS).exists() and (folder / TRIALS).stat().st_size:
+        raise BenchmarkError(f"{folder / TRIALS}: holds trials without their {CONFIG}; choose another folder")
+    ready = {}
+    for name, method in names.items():
+        retarget, digest = make_retargeter(name, method, folder / METHODS, hand, recording, seed)
+        known = wanted["methods"].get(name)
+        if known is None:
+            latency = 0.0 if zero_latency else measure_latency(retarget, recording)
+            known = {"weights_sha256": digest, "latency_s": latency}
+        _require_same(path, {name: known["weights_sha256"]}, {name: digest})
+        wanted["methods"][name] = known
+        ready[name] = Method(retarget, digest, known["latency_s"])
+    if wanted != stored:
+        write_text(folder / SCENARIO, text)
+        write_text(path, json.dumps(wanted, indent=2, allow_nan=False) + "\n")
+    return Benchmark(folder, wanted, text, HumanHand.fit(recording), ready)
+
+
+def read_config(folder: Path) -> dict:
+    """The configuration of the benchmark in a folder.
+
+    Raises:
+        BenchmarkError: there is none, or it is not one.
+    """
+    path = folder / CONFIG
+    if not path.is_file():
+        raise BenchmarkError(f"{path}: there is no such file; a benchmark writes it when it begins")
+    try:
+        config = json.loads(path.read_text(encoding="utf-8"))
+        missing = {"settings", "objects", "methods", "trials", "notes"} - set(config)
+    except (ValueError, TypeError) as error:
+        raise BenchmarkError(f"{path}: not a benchmark's configuration: {error}") from error
+    if missing:
+        raise BenchmarkError(f"{path}: {', '.join(sorted(missing))} missing")
+    return config
+
+
+def keep_error(folder: Path, record: dict) -> dict:
+    """Moves the traceback of a trial that raised into a file, and names the file in its line."""
+    if "error" not in record:
+        return record
+    path = Path(ERRORS) / f"{record['method']}-{record['object']}-{record['seed']}.txt"
+    write_text(folder / path, record["error"])
+    return {**record, "error": record["error"].strip().splitlines()[-1], "traceback": str(path)}
+
+
+def _require_same(path: Path, stored: dict, wanted: dict) -> None:
+    for field in sorted({*stored, *wanted}):
+        before, now = stored.get(field), wanted.get(field)
+        if before != now:
+            raise BenchmarkError(
+                f"{path}: this benchmark was begun with another {field}: {before}, not {now}; "
+                "go on with the same, or choose another folder"
+            )
+
+
+def _digest(root: Path, folders: Iterable[Path]) -> str:
+    """SHA-256 over names and contents of all files in folders, but for what Python compiles."""
+    files = sorted(path for folder in folders for path in folder.rglob("*") if path.is_file())
+    lines = [f"{path.relative_to(root)} {sha256_of(path)}" for path in files if path.suffix != ".pyc"]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+@contextlib.contextmanager
+def _workers(jobs: int, backend: str) -> Iterator[Callable[..., Parallel]]:
+    """Yields what makes a `Parallel` of so many workers, called with joblib's `return_as`."""
+    options: dict = {"inner_max_num_threads": 1}
+    if backend == "ray":
+        options = {}
+        _register_ray()
+    try:
+        with parallel_config(backend=backend, n_jobs=jobs, **options):
+            # Trials are long and their arguments small: one at a time, and none mapped into files.
+            yield functools.partial(Parallel, batch_size=1, max_nbytes=None)
+    except BrokenExecutor as error:
+        raise BenchmarkError(
+            "a worker process ended, perhaps for want of memory; finished trials are kept: "
+            "run the same command again, with fewer --jobs perhaps"
+        ) from error
+
+
+def _register_ray() -> None:
+    try:
+        from ray.util.joblib import register_ray
+    except ImportError as error:
+        raise GeortError("the backend 'ray' needs Ray: pip install 'geort-drake[ray]'") from error
+    # What one trial computes must not depend on how many processors its machine has.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    register_ray()

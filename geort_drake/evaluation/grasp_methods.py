@@ -1,0 +1,96 @@
+"""Retargeting methods as a grasp benchmark takes them: trained where needed, loaded and timed."""
+
+import dataclasses as dc
+import shutil
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from geort_drake.errors import UnknownNameError
+from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
+from geort_drake.evaluation.comparison import check_methods
+from geort_drake.files import atomic_directory, sha256_of
+from geort_drake.gloves.recording import Recording
+from geort_drake.hands.model import HandModel
+from geort_drake.retargeting.baselines.registry import BASELINES, make_baseline
+from geort_drake.retargeting.checkpoint import WEIGHTS
+from geort_drake.retargeting.retargeter import load_retargeter
+from geort_drake.simulation.diagram import Retarget
+
+# Timed are the answers to so many successive frames, after a warm-up.
+_CALLS, _WARM_UP = 500, 50
+
+
+@dc.dataclass(frozen=True)
+class Method:
+    """A method that is ready to be called; it can be sent to another process."""
+
+    retarget: Retarget
+    # Of the learned weights; None where nothing is learned.
+    weights_sha256: str | None
+    # From keypoints to joint targets, s.
+    latency: float
+
+
+def names_of(methods: Sequence[str]) -> dict[str, str]:
+    """Name → method for methods and directories of checkpoints, which are named after the directory.
+
+    Raises:
+        UnknownNameError: neither a method nor a checkpoint, or two of one name.
+    """
+    check_methods(methods)
+    names = {Path(method).name: method for method in methods}
+    if len(names) != len(methods):
+        raise UnknownNameError("set of methods, as two have one name,", " ".join(methods), names)
+    return names
+
+
+def make_retargeter(
+    name: str, method: str, keep: Path, hand: HandModel, recording: Recording, seed: int
+) -> tuple[Retarget, str | None]:
+    """A retargeter, and the digest of its weights.
+
+    Args:
+        name, method: an item of `names_of`.
+        keep: folder in which a copy of its checkpoint is kept, and found again.
+        hand: model of the robot hand.
+        recording: what it is trained on, and what nearest_neighbour stores.
+        seed: of the training, and of what nearest_neighbour draws.
+
+    Raises:
+        UnknownNameError, CheckpointError, TrainingError: see `cached_checkpoint` and `load_retargeter`.
+    """
+    description = hand.description
+    if method in BASELINES:
+        keypoints = [finger.human_keypoint for finger in description.fingers]
+        kinematics = hand.kinematics().mirrored() if description.side == "left" else hand.kinematics()
+        frames = recording.fingertips(keypoints).astype(float)
+        return make_baseline(method, kinematics, keypoints, frames=frames, seed=seed), None
+    kept = keep / name
+    if name != method:
+        load_retargeter(method, hand)
+        source = Path(method)
+    elif not kept.is_dir():
+        source, _ = cached_checkpoint(description.name, recording, method, seed)
+    else:
+        source = kept
+    if not kept.is_dir():
+        with atomic_directory(kept) as draft:
+            shutil.copytree(source, draft, dirs_exist_ok=True)
+    return load_retargeter(source, hand), sha256_of(source / WEIGHTS)
+
+
+def measure_latency(retarget: Retarget, recording: Recording) -> float:
+    """Processor time of one call, s: the median over successive frames of a recording.
+
+    Processor time and not wall time, as what else the machine is doing is no property of the method.
+    """
+    frames = recording.p_HK[recording.valid][: _WARM_UP + _CALLS].astype(float)
+    times = np.empty(len(frames))
+    for k, frame in enumerate(frames):
+        started = time.thread_time()
+        retarget(frame)
+        times[k] = time.thread_time() - started
+    return float(np.median(times[min(_WARM_UP, len(times) // 2) :]))

@@ -1,0 +1,112 @@
+"""The results file of a benchmark: one JSON line per trial, whole after an interruption at any time."""
+
+import dataclasses as dc
+import fcntl
+import json
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+from geort_drake.errors import BenchmarkError
+from geort_drake.simulation.trial import TrialResult
+
+_FIELDS = {"method", *(field.name for field in dc.fields(TrialResult))}
+
+
+class TrialKey(NamedTuple):
+    """What a trial is known by."""
+
+    method: str
+    object: str
+    seed: int
+
+
+def key_of(record: dict) -> TrialKey:
+    """The key of a line."""
+    return TrialKey(record["method"], record["object"], record["seed"])
+
+
+def read_records(path: str | os.PathLike) -> list[dict]:
+    """The lines of a results file; one that was being written when the program ended is left out.
+
+    Raises:
+        BenchmarkError: the file does not exist, or a line of it is not a trial's, or is its second.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise BenchmarkError(f"{path}: there is no such results file")
+    return _parse(path, path.read_bytes().rpartition(b"\n")[0])
+
+
+class TrialLog:
+    """A results file opened for writing by this process alone; use as a context manager.
+
+    Opening drops a torn last line from the file. Every line that `append` has written survives the end of
+    the process and of the machine.
+
+    Attributes:
+        records: what was in the file when it was opened.
+        torn: whether a torn last line was dropped.
+
+    Raises:
+        BenchmarkError: another process has the file open, or see `read_records`.
+    """
+
+    def __init__(self, path: str | os.PathLike):
+        self._path = Path(path)
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = open(self._path, "a+b")
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            self._file.close()
+            raise BenchmarkError(f"{self._path}: another process is writing to this file") from error
+        try:
+            self._file.seek(0)
+            whole, newline, rest = self._file.read().rpartition(b"\n")
+            self.records = _parse(self._path, whole)
+            self.torn = bool(rest)
+            if self.torn:
+                self._file.truncate(len(whole) + len(newline))
+        except BaseException:
+            self.close()
+            raise
+
+    def append(self, record: dict) -> None:
+        """Writes a trial's line to the disk."""
+        self._file.write(json.dumps(record, allow_nan=False).encode() + b"\n")
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Gives the file free."""
+        self._file.close()
+
+    def __enter__(self) -> "TrialLog":
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.close()
+
+
+def _parse(path: Path, content: bytes) -> list[dict]:
+    records: dict[TrialKey, dict] = {}
+    for number, line in enumerate(content.splitlines(), start=1):
+        try:
+            record = json.loads(line)
+            key = key_of(record)
+            repeated = key in records
+            missing = [] if "error" in record else sorted(_FIELDS - set(record))
+        except (ValueError, TypeError, KeyError) as error:
+            raise BenchmarkError(
+                f"{path}, line {number}: not a trial's result ({type(error).__name__}: {error}); mend or "
+                f"delete the line, or choose another folder"
+            ) from error
+        if missing:
+            raise BenchmarkError(f"{path}, line {number}: {', '.join(missing)} missing")
+        if repeated:
+            raise BenchmarkError(
+                f"{path}, line {number}: a second result of {key.method}, {key.object}, seed {key.seed}"
+            )
+        records[key] = record
+    return list(records.values())

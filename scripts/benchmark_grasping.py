@@ -1,0 +1,254 @@
+"""Compares retargeting methods by grasping: every method with every object, over paired seeds.
+
+Each method gets the same simulated person, objects, placements and noise. What is finished is kept, so an
+interrupted benchmark goes on with the same command, and methods, objects and trials can be added.
+"""
+
+import argparse
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.table import Table
+
+from geort_drake.console import console, progress_bar, run_main
+from geort_drake.errors import BenchmarkError, UnknownNameError
+from geort_drake.files import require_writable
+
+# The first one is what the others are compared with.
+METHODS = (
+    "geort_coupled",
+    "geort",
+    "linear_offline",
+    "vector_online",
+    "dexpilot_online",
+    "nearest_neighbour",
+    "hold",
+)
+# Those that need no training but that of `make grasp`.
+QUICK = {
+    "methods": ("geort", "vector_online", "dexpilot_online", "nearest_neighbour", "hold"),
+    "objects": ("cylinder", "sphere", "cube"),
+    "trials": 2,
+}
+EPILOG = """\
+The folder given by --output holds trials.jsonl (one line per trial, as it finishes), summary.json,
+report.html and report.md. docs/benchmark.md says what is measured. The exit status is 1 when a trial
+raised an error.
+"""
+
+
+def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("--output", type=Path, default=Path("runs/benchmark"), help="folder for the results (runs/benchmark)")
+    add(
+        "--methods",
+        nargs="+",
+        metavar="NAME",
+        help=f"methods or directories of checkpoints; the first is the reference ({' '.join(METHODS)})",
+    )
+    add("--objects", nargs="+", metavar="NAME", help="what to grasp (every object)")
+    add("--trials", type=int, help="trials per method and object, each with its own seed (30)")
+    add("--quick", action="store_true", help="a small benchmark of some five minutes on two cores")
+    add("--jobs", type=int, default=os.cpu_count() or 1, help="trials at a time (the number of processors)")
+    add("--backend", default="loky", choices=["loky", "ray"], help="processes here, or a Ray cluster (loky)")
+    add("--zero_latency", action="store_true", help="let every method answer at once")
+    add("--recording", type=Path, help="the person's glove recording instead of synthetic play")
+    add("--side", default="right", choices=["left", "right"], help="side of the recorded hand (right)")
+    add("--seed", type=int, default=0, help="seed of training and synthetic play (0)")
+    add("--scenario_file", type=Path, help="scenarios in YAML (the package's)")
+    add("--scenario_name", default="Grasp", help="which scenario of the file (Grasp)")
+    add("--scenario_text", help="YAML merged into the scenario, for example '{timeout: 30}'")
+    add(
+        "--rrd",
+        nargs=3,
+        metavar=("METHOD", "OBJECT", "SEED"),
+        help="simulate one finished trial of --output again, check it, and write its Rerun recording",
+    )
+    add("--report", action="store_true", help="only write the report of --output again")
+    arguments = parser.parse_args(argv)
+    for name in ("trials", "jobs"):
+        value = getattr(arguments, name)
+        if value is not None and value < 1:
+            parser.error(f"--{name} must be at least 1, not {value}")
+    if arguments.seed < 0:
+        parser.error(f"--seed must be 0 or more, not {arguments.seed}")
+    if arguments.rrd and not arguments.rrd[2].isdecimal():
+        parser.error(f"--rrd: SEED must be a whole number, not {arguments.rrd[2]}")
+    chosen = QUICK if arguments.quick else {"methods": METHODS, "objects": None, "trials": 30}
+    for name, default in chosen.items():
+        if getattr(arguments, name) is None:
+            setattr(arguments, name, default)
+    require_writable(arguments.output, directory=True)
+    return arguments
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    arguments = parse_arguments(argv)
+    # Imported after parsing, so that --help answers at once.
+    from geort_drake.evaluation.grasp_report import write_report
+
+    if arguments.report:
+        return finish(arguments.output, write_report(arguments.output))
+    if arguments.rrd:
+        method, thing, seed = arguments.rrd
+        return watch(arguments.output, method, thing, int(seed))
+    run(arguments)
+    return finish(arguments.output, write_report(arguments.output))
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Runs what is left of the benchmark."""
+    from geort_drake.evaluation.grasp_benchmark import TRIALS, keep_error, open_benchmark
+    from geort_drake.evaluation.grasp_methods import names_of
+    from geort_drake.evaluation.trial_log import TrialLog, key_of
+    from geort_drake.simulation.scenario import load_scenario, object_names
+
+    # What is wrong with the request is found before anything is computed or written.
+    names = names_of(arguments.methods)
+    objects = list(arguments.objects or object_names())
+    for name in objects:
+        if name not in object_names():
+            raise UnknownNameError("object", name, object_names())
+    scenario = load_scenario(arguments.scenario_file, arguments.scenario_name, arguments.scenario_text)
+    recording, notes = read_person(arguments.recording, arguments.side, arguments.seed)
+    with TrialLog(arguments.output / TRIALS) as log:
+        if log.torn:
+            console.print("The last trial was not written to its end; it is repeated.")
+        benchmark = open_benchmark(
+            arguments.output,
+            scenario,
+            recording,
+            arguments.methods,
+            objects,
+            arguments.trials,
+            arguments.seed,
+            arguments.zero_latency,
+            notes,
+        )
+        keys = benchmark.keys(names, objects, arguments.trials)
+        done = {key_of(record) for record in log.records}
+        left = [key for key in keys if key not in done]
+        console.print(f"{len(keys)} trials, {len(keys) - len(left)} of them finished before")
+        if not left:
+            return
+        jobs, backend = arguments.jobs, arguments.backend
+        with progress_bar() as progress:
+            wanted = [name for name in objects if any(key.object == name for key in left)]
+            goals = {}
+            task = progress.add_task("planning", total=len(wanted), note="")
+            for name, goal in benchmark.goals(wanted, min(jobs, len(wanted)), backend):
+                goals[name] = goal
+                progress.update(task, advance=1, note=name)
+            progress.update(task, note="")
+            task = progress.add_task("grasping", total=len(left), note="")
+            for record in benchmark.run(left, goals, min(jobs, len(left)), backend):
+                log.append(keep_error(arguments.output, record))
+                outcome = "error" if "error" in record else record["outcome"]
+                progress.update(task, advance=1, note=f"{record['method']}, {record['object']}: {outcome}")
+
+
+def read_person(path: Path | None, side: str, seed: int):
+    """The recording of the person who teleoperates, and what the configuration says of it."""
+    from geort_drake.gloves.play import synthesize_play
+    from geort_drake.gloves.readers import read_recording
+
+    if path is None:
+        return synthesize_play(seed=seed), {"recording": None}
+    return read_recording(path, side, training=True), {"recording": str(path.resolve()), "side": side}
+
+
+def watch(folder: Path, method: str, thing: str, seed: int) -> int:
+    """Simulates a finished trial again, with a recording; 1 when it did not come out the same."""
+    from geort_drake.evaluation.grasp_benchmark import METHODS as KEPT
+    from geort_drake.evaluation.grasp_benchmark import SCENARIO, TRIALS, open_benchmark, read_config
+    from geort_drake.evaluation.grasp_report import rerun_path
+    from geort_drake.evaluation.grasp_trial import simulate
+    from geort_drake.evaluation.trial_log import TrialKey, key_of, read_records
+    from geort_drake.simulation.scenario import load_scenario
+
+    config = read_config(folder)
+    key = TrialKey(method, thing, seed)
+    records = {key_of(record): record for record in read_records(folder / TRIALS)}
+    if key not in records:
+        finished = [" ".join(map(str, other)) for other in records if other.object == thing] or records
+        raise UnknownNameError("finished trial", " ".join(map(str, key)), map(str, finished))
+    notes, settings = config["notes"], config["settings"]
+    recording, _ = read_person(
+        Path(notes["recording"]) if notes["recording"] else None,
+        notes.get("side", "right"),
+        settings["training_seed"],
+    )
+    kept = folder / KEPT / method
+    with progress_bar() as progress:
+        task = progress.add_task("simulating", total=None, note=" ".join(map(str, key)))
+        benchmark = open_benchmark(
+            folder,
+            load_scenario(folder / SCENARIO, "Resolved"),
+            recording,
+            [str(kept) if kept.is_dir() else method],
+            [thing],
+            1,
+            settings["training_seed"],
+            settings["latency"] == "zero",
+        )
+        ((_, goal),) = benchmark.goals([thing], 1, "loky")
+        path = folder / rerun_path(key)
+        path.parent.mkdir(exist_ok=True)
+        record = simulate(*benchmark.arguments(key, goal), path)
+        progress.update(task, total=1, completed=1)
+    if "error" in record:
+        console.print(record["error"], markup=False)
+        return 1
+    differing = [name for name in record if name != "wall_time" and record[name] != records[key].get(name)]
+    if differing:
+        raise BenchmarkError(
+            f"{folder / TRIALS}: this time the trial came out otherwise in {', '.join(differing)}; "
+            f"was it run on another kind of machine? The recording is of this time: {path}"
+        )
+    console.print(f"The same outcome: {record['outcome']}", markup=False)
+    console.print(f"Watch it: rerun {path}", soft_wrap=True)
+    return 0
+
+
+def finish(folder: Path, summary: dict) -> int:
+    """Prints what came out; the exit status."""
+    console.print(results_table(summary))
+    errors = sum(entry["overall"]["errors"] for entry in summary["methods"].values())
+    if errors:
+        console.print(
+            f"[bold red]{errors} trials raised an error:[/] see {folder / 'errors'}", soft_wrap=True
+        )
+    console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
+    return 1 if errors else 0
+
+
+def results_table(summary: dict) -> Table:
+    """One row a method."""
+    table = Table(title="Grasps")
+    for heading in ("method", "at once", "95 %", "success", "mean time", "against the first"):
+        table.add_column(heading, justify="left" if heading == "method" else "right", no_wrap=True)
+    for name, entry in summary["methods"].items():
+        of = entry["overall"]
+        once, success = of["one_time_success"], of["success"]
+        if not once["trials"]:
+            table.add_row(name, *["–"] * 5)
+            continue
+        against = summary["differences"].get(name, {}).get("overall", {}).get("one_time_success", {})
+        table.add_row(
+            name,
+            f"{once['successes']} of {once['trials']}",
+            f"{100 * once['low']:.0f}–{100 * once['high']:.0f} %",
+            f"{100 * success['rate']:.0f} %",
+            f"{of['completion_time_s']['restricted_mean']['mean']:.1f} s",
+            "–" if against.get("mean") is None else f"{100 * against['mean']:+.0f} points",
+        )
+    table.caption = "at once: lifted and held at the first closing; mean time: failures count as the timeout"
+    return table
+
+
+if __name__ == "__main__":
+    run_main(main)
