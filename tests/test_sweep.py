@@ -10,7 +10,7 @@ import pytest
 from geort_drake.errors import CheckpointError, GeortError, OutputError, TrainingError, UnknownNameError
 from geort_drake.evaluation import sweep as sweeping
 from geort_drake.evaluation.pipeline import training_config
-from geort_drake.evaluation.sweep import SWEEP, Ground, Run, plan, read_sweep, sweep
+from geort_drake.evaluation.sweep import SWEEP, Ground, Run, Sweep, plan, read_sweep
 from geort_drake.retargeting.checkpoint import METRICS, WEIGHTS, save_checkpoint
 
 GROUND = Ground(
@@ -51,6 +51,14 @@ def trained(monkeypatch):
 
     monkeypatch.setattr(sweeping, "train_checkpoint", train)
     return names
+
+
+def done(runs, ground, folder, jobs=1) -> list[dict]:
+    """The records of all runs that are there after what was missing is trained."""
+    sweep = Sweep(runs, ground, folder)
+    names = [record["name"] for record in sweep.train(jobs)]
+    assert sorted(names) == sorted(run.name for run in sweep.missing)
+    return list(sweep.records.values())
 
 
 def test_without_names_every_weight_is_removed_halved_and_doubled():
@@ -100,7 +108,7 @@ def test_what_cannot_be_run_is_refused_by_name(arguments, message):
 
 def test_a_second_run_trains_only_what_failed(trained, tmp_path):
     """One failure leaves the other runs alone and is recorded; a rerun tries it again, and nothing else."""
-    records = list(sweep(RUNS, GROUND, tmp_path))
+    records = done(RUNS, GROUND, tmp_path)
     assert trained == [run.name for run in RUNS] and len(records) == 6
     (failed,) = (record for record in records if "error" in record)
     assert failed["name"] == "geort-coverage_weight=3.5-seed1"
@@ -112,7 +120,7 @@ def test_a_second_run_trains_only_what_failed(trained, tmp_path):
     assert (first["changed"], first["seconds"], first["warnings"]) == (None, 6, ["no pinch"])
     assert first["settings"]["steps"] == 7 and first["metrics"]["motion_preservation"] == pytest.approx(0.7)
     trained.clear()
-    again = list(sweep(RUNS, GROUND, tmp_path))
+    again = done(RUNS, GROUND, tmp_path)
     assert trained == [failed["name"]]
     assert sorted(again, key=lambda r: r["name"]) == sorted(records, key=lambda r: r["name"])
 
@@ -120,56 +128,56 @@ def test_a_second_run_trains_only_what_failed(trained, tmp_path):
 def test_a_damaged_run_is_trained_again(trained, tmp_path):
     """Altered weights, or no metrics; whatever is whole stays."""
     runs = RUNS[:4]
-    list(sweep(runs, GROUND, tmp_path))
+    done(runs, GROUND, tmp_path)
     (tmp_path / "runs" / runs[1].name / WEIGHTS).write_bytes(b"torn")
     (tmp_path / "runs" / runs[2].name / METRICS).unlink()
     trained.clear()
-    assert len(list(sweep(runs, GROUND, tmp_path))) == 4
+    assert len(done(runs, GROUND, tmp_path)) == 4
     assert trained == [runs[1].name, runs[2].name]
 
 
 def test_other_runs_join_a_sweep(trained, tmp_path):
     """What an earlier command trained stays in the table."""
-    list(sweep(RUNS[:2], GROUND, tmp_path))
-    list(sweep(RUNS[2:4], GROUND, tmp_path))
+    done(RUNS[:2], GROUND, tmp_path)
+    done(RUNS[2:4], GROUND, tmp_path)
     assert [record["name"] for record in read_sweep(tmp_path)["runs"]] == [run.name for run in RUNS[:4]]
 
 
 @pytest.mark.parametrize("fact", ["hand_sha256", "recording_sha256", "code_sha256", "settings"])
 def test_a_folder_holds_a_sweep_on_one_ground(trained, tmp_path, fact):
     """Another hand, recording, code or common setting is refused by name, and nothing is changed."""
-    list(sweep(RUNS[:1], GROUND, tmp_path))
+    done(RUNS[:1], GROUND, tmp_path)
     before = (tmp_path / SWEEP).read_bytes()
     other = Ground(GROUND.hand, GROUND.recording, {**GROUND.facts, fact: "other"})
     with pytest.raises(OutputError, match=f"differs in {fact}"):
-        list(sweep(RUNS[:1], other, tmp_path))
+        done(RUNS[:1], other, tmp_path)
     assert (tmp_path / SWEEP).read_bytes() == before and len(trained) == 1
 
 
 def test_another_checkpoint_in_a_runs_place_is_refused(trained, tmp_path):
     """It is neither taken for the run nor replaced."""
-    list(sweep(RUNS[:1], GROUND, tmp_path))
+    done(RUNS[:1], GROUND, tmp_path)
     (tmp_path / "runs" / RUNS[0].name).rename(tmp_path / "runs" / RUNS[2].name)
     with pytest.raises(CheckpointError, match=r"another run: coverage_weight differ"):
-        list(sweep(RUNS[2:3], GROUND, tmp_path))
+        done(RUNS[2:3], GROUND, tmp_path)
 
 
 @pytest.mark.parametrize("content", ["{", "[]", '{"runs": []}'])
 def test_a_damaged_table_is_refused(trained, tmp_path, content):
     """Also runs without a table: what they were trained with is not known."""
-    list(sweep(RUNS[:1], GROUND, tmp_path))
+    done(RUNS[:1], GROUND, tmp_path)
     (tmp_path / SWEEP).write_text(content, encoding="utf-8")
     with pytest.raises(OutputError, match=r"sweep\.json: is not the table of a sweep"):
-        list(sweep(RUNS[:1], GROUND, tmp_path))
+        done(RUNS[:1], GROUND, tmp_path)
     (tmp_path / SWEEP).unlink()
     with pytest.raises(OutputError, match=r"runs holds runs without sweep\.json"):
-        list(sweep(RUNS[:1], GROUND, tmp_path))
+        done(RUNS[:1], GROUND, tmp_path)
 
 
 def test_processes_of_their_own_record_their_failures(tmp_path):
     """Two workers: a recording that is not there is every run's error, and the table is whole."""
     ground = Ground("allegro_right", tmp_path / "none.npz", GROUND.facts)
-    records = list(sweep([Run("geort", seed) for seed in range(3)], ground, tmp_path / "sweep", jobs=2))
+    records = done([Run("geort", seed) for seed in range(3)], ground, tmp_path / "sweep", jobs=2)
     assert sorted(record["seed"] for record in records) == [0, 1, 2]
     assert all(record["error"].startswith("RecordingError: ") for record in records)
     assert len(json.loads((tmp_path / "sweep" / SWEEP).read_text("utf-8"))["runs"]) == 3

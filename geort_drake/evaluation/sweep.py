@@ -125,38 +125,56 @@ def _changes(method: str, config, texts: Sequence[str]) -> Iterator[tuple[str, f
                 yield from ((name, factor * value) for factor in FACTORS)
 
 
-def sweep(runs: Sequence[Run], ground: Ground, folder: Path, jobs: int = 1) -> Iterator[dict]:
-    """Trains what is missing, and yields the record of every run: first those at hand, then as they end.
+class Sweep:
+    """A sweep in its folder.
 
-    A record holds name, method, seed, changed, value, settings, seconds, warnings, and metrics or else
-    error. `sweep.json` is written whenever a run ends. A folder holds runs on one `Ground` only; a
-    checkpoint that is damaged is trained again.
+    A record says of a run: name, method, seed, changed, value, settings, seconds, warnings, and metrics or
+    else error. A folder holds runs on one `Ground` only; a checkpoint that is damaged is trained again.
 
     Args:
         runs: of `plan`.
         ground: what they are trained on.
-        folder: of the sweep; made if it is not there.
-        jobs: how many processes train at a time, each with one thread.
+        folder: made if it is not there.
+
+    Attributes:
+        records: name → record of the runs that are there, those of earlier commands included.
+        missing: the runs that are to be trained.
 
     Raises:
         OutputError: the folder holds a sweep on another ground, or cannot be written to.
         CheckpointError: a run's folder holds another checkpoint.
     """
-    require_writable(folder, directory=True)
-    records = {record["name"]: record for record in _earlier(folder, ground)}
-    at_hand = {run.name: record for run in runs if (record := _at_hand(folder, run, ground)) is not None}
-    missing = [run for run in runs if run.name not in at_hand]
-    records |= at_hand
-    _write(folder, ground, records)
-    yield from at_hand.values()
-    with parallel_config("loky", inner_max_num_threads=1):
-        trained = Parallel(n_jobs=jobs, return_as="generator_unordered")(
-            delayed(_trained)(run, ground, folder) for run in missing
-        )
-        for record in trained:
-            records[record["name"]] = record
-            _write(folder, ground, records)
-            yield record
+
+    def __init__(self, runs: Sequence[Run], ground: Ground, folder: Path):
+        require_writable(folder, directory=True)
+        self.folder, self.ground = folder, ground
+        self.records = {record["name"]: record for record in _earlier(folder, ground)}
+        self.missing = []
+        for run in runs:
+            record = _at_hand(folder, run, ground)
+            if record is None:
+                self.missing.append(run)
+            else:
+                self.records[run.name] = record
+
+    def train(self, jobs: int = 1) -> Iterator[dict]:
+        """Trains what is missing in `jobs` processes of one thread each; yields each record as its run ends.
+
+        `sweep.json` is written at the beginning and whenever a run ends.
+        """
+        self._write()
+        with parallel_config("loky", inner_max_num_threads=1):
+            for record in Parallel(n_jobs=jobs, return_as="generator_unordered")(
+                delayed(_trained)(run, self.ground, self.folder) for run in self.missing
+            ):
+                self.records[record["name"]] = record
+                self._write()
+                yield record
+
+    def _write(self) -> None:
+        ground = {"recording": self.ground.recording.name, **self.ground.facts}
+        content = {"ground": ground, "runs": list(self.records.values())}
+        write_text(self.folder / SWEEP, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def read_sweep(folder: Path) -> dict:
@@ -187,11 +205,6 @@ def _earlier(folder: Path, ground: Ground) -> list[dict]:
             f"{folder} holds a sweep that differs in {', '.join(other)}; choose another folder or delete it"
         )
     return content["runs"]
-
-
-def _write(folder: Path, ground: Ground, records: Mapping[str, dict]) -> None:
-    content = {"ground": {"recording": ground.recording.name, **ground.facts}, "runs": list(records.values())}
-    write_text(folder / SWEEP, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def _at_hand(folder: Path, run: Run, ground: Ground) -> dict | None:
