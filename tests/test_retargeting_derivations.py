@@ -1,0 +1,205 @@
+"""What docs/derivations.md derives, checked by computation; its tables of settings are the code's."""
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+from geort_drake.retargeting import coupled_losses, criteria
+from geort_drake.retargeting.coupled_training import CoupledConfig
+from geort_drake.retargeting.training import TrainingConfig
+from geort_drake.settings import settings_of
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "derivations.md"
+
+
+def sphere(count: int = 20_000) -> np.ndarray:
+    """(N, 3) directions spread evenly over the sphere along a Fibonacci spiral."""
+    k = np.arange(count) + 0.5
+    z, angle = 1.0 - 2.0 * k / count, math.pi * (1.0 + math.sqrt(5.0)) * k
+    r = np.sqrt(1.0 - z * z)
+    return np.column_stack([r * np.cos(angle), r * np.sin(angle), z])
+
+
+def mean_cosine(A: np.ndarray) -> float:
+    """Motion preservation of x ↦ A x + b, through the loss itself."""
+    d = torch.tensor(sphere())
+    return -float(criteria.direction_loss(d, d @ torch.tensor(A).T, floor=1e-12))
+
+
+def gradient(loss, x: torch.Tensor) -> torch.Tensor:
+    x = x.clone().requires_grad_(True)
+    return torch.autograd.grad(loss(x), x)[0]
+
+
+def normal(*shape, seed=0) -> torch.Tensor:
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def test_the_direction_gradient_turns_and_never_stretches():
+    """It is −(û − cos v̂) / |Δ|: orthogonal to Δ, of size sin / |Δ|."""
+    d, delta = normal(40, 3), normal(40, 3, seed=1)
+    g = gradient(lambda x: criteria.direction_loss(d, x, floor=1e-12), delta) * len(d)
+    u, v = d / d.norm(dim=-1, keepdim=True), delta / delta.norm(dim=-1, keepdim=True)
+    cosine = (u * v).sum(-1, keepdim=True)
+    torch.testing.assert_close(g, -(u - cosine * v) / delta.norm(dim=-1, keepdim=True))
+    assert (g * delta).sum(-1).abs().max() < 1e-12
+    torch.testing.assert_close(
+        g.norm(dim=-1), torch.sqrt(1 - cosine[:, 0] ** 2) / delta.norm(dim=-1), atol=1e-9, rtol=1e-9
+    )
+
+
+def test_the_floor_bounds_the_direction_gradient_where_nothing_moves():
+    """At Δ = 0 the loss is 0 and its gradient −û / floor."""
+    d, floor = normal(10, 3), 1e-3
+    g = gradient(lambda x: criteria.direction_loss(d, x, floor), torch.zeros(10, 3, dtype=torch.float64))
+    wanted = -d / torch.sqrt(d.square().sum(-1, keepdim=True) + floor**2) / floor
+    torch.testing.assert_close(g * len(d), wanted)
+
+
+@pytest.mark.parametrize(("shape", "ratio"), [("a11", 1.93), ("aa1", 2.08), ("geometric", 2.22)])
+def test_a_mean_cosine_of_97_percent_permits_an_anisotropy_of_two(shape, ratio):
+    """The ratios s1 : s3 that the page states, for one stiff, one soft and evenly spread directions."""
+    values = {"a11": lambda a: (a, 1, 1), "aa1": lambda a: (a, a, 1), "geometric": lambda a: (a, a**0.5, 1)}
+    found = brentq(lambda a: mean_cosine(np.diag(values[shape](a)).astype(float)) - 0.97, 1.0, 5.0)
+    assert found == pytest.approx(ratio, abs=0.01)
+
+
+def test_small_anisotropy_costs_three_tenths_of_its_variance():
+    """1 − 0.3 (standard deviation / mean)² of the singular values."""
+    s = np.array([1.1, 1.0, 0.93])
+    assert 1.0 - mean_cosine(np.diag(s)) == pytest.approx(0.3 * s.var() / s.mean() ** 2, rel=0.05)
+
+
+def test_a_rotation_costs_two_thirds_of_its_versine():
+    """(1 + 2 cos θ) / 3; 0.97 is a rotation by 17.3°, or every step 14.1° off."""
+    for degrees in (10.0, 17.25, 60.0):
+        R = Rotation.from_rotvec(np.deg2rad(degrees) * np.array([0.6, 0.0, 0.8])).as_matrix()
+        wanted = (1.0 + 2.0 * math.cos(math.radians(degrees))) / 3.0
+        assert mean_cosine(R) == pytest.approx(wanted, abs=1e-4)
+    assert math.degrees(math.acos((3 * 0.97 - 1) / 2)) == pytest.approx(17.25, abs=0.01)
+    assert math.degrees(math.acos(0.97)) == pytest.approx(14.07, abs=0.01)
+
+
+def test_no_rotation_of_an_affine_map_does_better_than_none(rng):
+    """The polar factor of the best map is the identity, whatever the singular values."""
+    for seed in range(20):
+        P = Rotation.random(random_state=seed).as_matrix()
+        P = P @ np.diag(rng.uniform(0.2, 3.0, 3)) @ P.T
+        turned = Rotation.random(random_state=100 + seed).as_matrix() @ P
+        assert mean_cosine(turned) < mean_cosine(P)
+
+
+@pytest.mark.parametrize(("human", "cosine"), [((34, 18, 4.5), 0.906), ((45, 21, 9.7), 0.969)])
+def test_stretching_a_persons_cloud_to_the_robots_has_its_price(human, cosine):
+    """The page's principal standard deviations of two people's clouds and of the Allegro hand's."""
+    assert mean_cosine(np.diag(np.array([46, 26, 21]) / human)) == pytest.approx(cosine, abs=0.001)
+
+
+def test_chamfers_gradient_is_that_of_its_assignments():
+    """Each point is pulled by the targets nearest to it, and towards the target nearest to it."""
+    targets, points = normal(2, 30, 3), normal(2, 8, 3, seed=1)
+    given = gradient(lambda x: criteria.chamfer_loss(targets, x), points)
+    wanted = torch.zeros_like(points)
+    for finger in range(2):
+        distance = torch.cdist(targets[finger], points[finger])
+        for m, k in enumerate(distance.argmin(1)):
+            wanted[finger, k] += 2 * (points[finger, k] - targets[finger, m]) / (2 * 30)
+        for k, m in enumerate(distance.argmin(0)):
+            wanted[finger, k] += 2 * (points[finger, k] - targets[finger, m]) / (2 * 8)
+    torch.testing.assert_close(given, wanted)
+
+
+def test_flatness_is_the_energy_of_the_hessian():
+    """For quadratic maps and steps of deviation σ: σ⁴ Σ (2 |H|² + (tr H)²) over the coordinates, exactly."""
+    H, b = normal(3, 3, 3), normal(3, 3, seed=1)
+    H = H + H.transpose(1, 2)
+    x, d = normal(200_000, 3, seed=2), 0.3 * normal(200_000, 3, seed=3)
+
+    def g(p):
+        return 0.5 * torch.einsum("ni,kij,nj->nk", p, H, p) + p @ b
+
+    energy = float((2 * H.square().sum((1, 2)) + torch.einsum("kii->k", H).square()).sum())
+    value = float(criteria.flatness_loss(g(x + d), g(x), g(x - d)))
+    assert value == pytest.approx(0.3**4 * energy, rel=0.03)
+
+
+def test_flatness_falls_with_the_fourth_power_of_the_step():
+    """What is left of the Hessian's term is two orders smaller."""
+    x, d = normal(500, 3), 0.05 * normal(500, 3, seed=1)
+
+    def value(scale):
+        steps = scale * d
+        return float(criteria.flatness_loss(torch.sin(x + steps), torch.sin(x), torch.sin(x - steps)))
+
+    assert value(1.0) / value(0.5) == pytest.approx(16.0, rel=0.01)
+
+
+def test_pinching_fingertips_pull_each_other_with_equal_force():
+    """The gradient on one is minus that on the other, 2 w (p_i − p_j) / Σ w."""
+    p, weights = normal(4, 3, 3), torch.tensor([[1.0, 0.2]] * 4, dtype=torch.float64)
+    g = gradient(lambda x: criteria.pinch_loss(x, [(0, 1), (0, 2)], weights), p)
+    torch.testing.assert_close(g[:, 1], 2 * (p[:, 1] - p[:, 0]) / (4 * 1.2))
+    assert g.sum(1).abs().max() < 1e-12
+
+
+def test_the_collision_gradient_is_the_probability_of_colliding():
+    """A pose that the classifier holds for free is left alone."""
+    z = torch.tensor([-20.0, 0.0, 20.0], dtype=torch.float64)
+    torch.testing.assert_close(gradient(criteria.collision_loss, z), torch.sigmoid(z) / 3)
+
+
+def test_bounded_coverage_pulls_hardest_at_its_radius_over_root_three():
+    """There by 3√3 / 8c, and beyond less and less: 2c² / d³ in the limit."""
+    c = 0.01
+    d = torch.linspace(1e-4, 0.2, 20_000, dtype=torch.float64)
+    points = torch.stack([d, 0 * d, 0 * d], dim=1)
+    slope = len(d) * gradient(lambda p: coupled_losses.bounded_coverage_loss(p, 0 * p, c), points)[:, 0]
+    assert float(d[slope.argmax()]) == pytest.approx(c / math.sqrt(3), abs=1e-5)
+    assert float(slope.max()) == pytest.approx(3 * math.sqrt(3) / (8 * c), rel=1e-6)
+    assert float(slope[-1]) == pytest.approx(2 * c**2 / 0.2**3, rel=0.01)
+
+
+def test_the_pinch_distance_loss_pulls_evenly_from_afar():
+    """Its slope e (2 + e) / (1 + e)² rises from 0 to 1 per scale, and never falls."""
+    scale, e = 0.008, torch.linspace(0.01, 20.0, 400, dtype=torch.float64)
+    weights = torch.ones(400, 1, dtype=torch.float64)
+    distances = 0.012 + scale * e[:, None]
+    slope = gradient(lambda d: coupled_losses.pinch_distance_loss(d, weights, 0.012, scale), distances)[:, 0]
+    torch.testing.assert_close(400 * scale * slope, e * (2 + e) / (1 + e) ** 2, rtol=1e-6, atol=1e-6)
+    assert (slope.diff() > 0).all()
+
+
+def test_ratios_do_not_change_with_the_unit_or_the_gain():
+    """Cross-talk, curvature and uniform response of a map that is enlarged as a whole stay as they are."""
+    answers, d = normal(3, 6, 3, 3), 0.01 * normal(3, 6, 3, seed=1)
+    talk = [float(coupled_losses.cross_talk_loss(k * answers, 1e-9)) for k in (1.0, 7.0)]
+    bend = [float(coupled_losses.curvature_loss(*(k * answers).unbind(2))) for k in (1.0, 7.0)]
+    even = [float(coupled_losses.uniform_response_loss(d, k * answers[:, :, 0], 0.3)) for k in (1.0, 7.0)]
+    for one, seven in (talk, bend, even):
+        assert one > 0.01
+        assert seven == pytest.approx(one, rel=1e-6)
+
+
+@pytest.mark.parametrize("config", [TrainingConfig, CoupledConfig])
+def test_the_documented_settings_are_the_codes(config):
+    """Every row of the page's tables has the default of its field, and no setting is missing."""
+    name, page = config.__name__, f"docs/{PAGE.name}"
+    table = PAGE.read_text("utf-8").split(f"| field of `{name}` |")[1].split("\n\n")[0]
+    rows = dict(re.findall(r"^\| `(\w+)` \| ([^|]+?) \|", table, re.MULTILINE))
+    defaults = settings_of(config)
+    if config is CoupledConfig:
+        base = settings_of(TrainingConfig)
+        own = {field for field in config.__annotations__} | {f for f in base if base[f] != defaults[f]}
+        defaults = {field: value for field, value in defaults.items() if field in own}
+    for field, value in defaults.items():
+        assert field in rows, f"{page}: add a row `{field}` | {value} to the table of {name}"
+        given = rows[field] if isinstance(value, str) else float(rows[field])
+        assert given == value, f"{page}, table of {name}: the default of `{field}` is {value}, not {given}"
+    extra = set(rows) - set(defaults)
+    assert not extra, f"{page}, table of {name}: remove the rows of {', '.join(sorted(extra))}"
