@@ -304,6 +304,16 @@ def test_linear_offline_learns_the_scaled_hand():
         np.testing.assert_array_equal(array, result.network.arrays()[name])
 
 
+def test_a_diverging_linear_offline_keeps_its_last_good_weights():
+    """As every trained method does."""
+    hand = toy_kinematics()
+    config = TrainingConfig(steps=50, points=32, hidden=16, learning_rate=1e30)
+    with pytest.warns(RuntimeWarning, match="stopped being finite"):
+        result = train_linear_offline(toy_human(hand, 400), hand, config=config)
+    assert result.stopped_at is not None
+    assert all(np.isfinite(array).all() for array in result.network.arrays().values())
+
+
 def test_unknown_names_and_senseless_settings_are_refused(kinematics):
     """Messages list what there is."""
     with pytest.raises(UnknownNameError, match="dexpilot_online, hold, nearest_neighbour, vector_online"):

@@ -1,6 +1,8 @@
 """Algorithm 1 on a small hand whose right answer is known."""
 
 import dataclasses
+import math
+import warnings
 
 import numpy as np
 import pytest
@@ -8,8 +10,10 @@ import torch
 from retargeting_toy import toy_collides, toy_human, toy_kinematics, toy_samples
 
 from geort_drake.errors import GeortError, TrainingError, UnknownNameError
+from geort_drake.retargeting import criteria
+from geort_drake.retargeting.descent import descend
 from geort_drake.retargeting.pretraining import fit_classifier, fit_neural_kinematics
-from geort_drake.retargeting.training import TrainingConfig, train_geort
+from geort_drake.retargeting.training import PUBLIC_CHOICES, TrainingConfig, train_geort
 
 QUICK = TrainingConfig(
     steps=200, points=64, targets=96, pinches=32, frames=32, hidden=32,
@@ -104,6 +108,84 @@ def test_a_loss_that_stops_being_finite_keeps_the_last_good_weights(hand, sample
     assert all(np.isfinite(array).all() for array in result.network.arrays().values())
 
 
+def test_a_last_step_into_nothing_is_noticed():
+    """Weights that no loss has seen are checked too: √0 is finite, its gradient is not."""
+    network = torch.nn.Linear(1, 1)
+    before = network.weight.item()
+
+    def losses(_step):
+        return torch.sqrt(0.0 * network.weight).sum(), {}
+
+    with pytest.warns(RuntimeWarning, match="at step 1 of 1"):
+        assert descend(network, losses, 1, 1e-2).stopped_at == 1
+    assert network.weight.item() == before
+
+
+def test_a_loss_that_is_never_finite_is_an_error(hand, samples, human):
+    """There are no good weights to keep."""
+    with pytest.raises(TrainingError, match="not finite at the first step"):
+        quick(hand, samples, human, coverage_weight=1e300)
+
+
+def test_the_best_weights_of_a_descent_are_not_older_than_a_hundredth_of_it():
+    """A loss that breaks at step 150 of 200 leaves the weights of step 150, two steps being a hundredth."""
+    network = torch.nn.Linear(1, 1)
+    seen = []
+
+    def losses(step):
+        seen.append(network.weight.item())
+        value = (network.weight * (math.nan if step == 151 else 1.0)).square().sum()
+        return value, {"square": value}
+
+    with pytest.warns(RuntimeWarning, match="at step 151 of 200"):
+        descent = descend(network, losses, 200, 1e-2)
+    assert descent.stopped_at == 151 and len(seen) == 152
+    assert network.weight.item() == seen[150]
+    assert descent.history[-1]["step"] == 150
+
+
+def test_a_finger_that_never_pinches_is_named(hand, samples, human):
+    """The others keep pinching, so training goes on; without the criterion nobody is asked to pinch."""
+    apart = human.copy()
+    apart[:, 2, 1] += 0.2
+    with pytest.warns(RuntimeWarning, match=r"no pinch of the thumb with: middle \(nearest \d+ mm\)"):
+        quick(hand, samples, apart, steps=2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        quick(hand, samples, human, steps=2)
+        quick(hand, samples, apart, steps=2, pinch_weight=0.0)
+
+
+def test_independent_resampling_puts_hands_together_that_nobody_made(hand, samples, human, monkeypatch):
+    """Every finger is where it was recorded, but not at the same time; by default hands are frames."""
+    judged = []
+    weights_of = criteria.pinch_weights
+
+    def pinch_weights(p_HF, *arguments):
+        judged.append(p_HF.numpy())
+        return weights_of(p_HF, *arguments)
+
+    monkeypatch.setattr(criteria, "pinch_weights", pinch_weights)
+    quick(hand, samples, human, steps=3)
+    assert [len(hands) for hands in judged] == [len(human)]
+    quick(hand, samples, human, steps=3, resampling="independent")
+    assert [len(hands) for hands in judged[2:]] == [QUICK.pinches] * 3
+    recorded = human.astype(np.float32)
+    for finger in range(3):
+        assert np.isin(judged[2][:, finger, 0], recorded[:, finger, 0]).all()
+    same = np.isin(judged[2].reshape(-1, 9), recorded.reshape(-1, 9)).all(axis=1)
+    whole = (judged[2][:, None] == recorded[None]).all(axis=(2, 3)).any(axis=1)
+    assert same.all() and not whole.any()
+
+
+def test_the_public_choices_are_settings_that_train(hand, samples, human):
+    """Each of them is a field, and together they make a valid configuration."""
+    config = dataclasses.replace(TrainingConfig(**PUBLIC_CHOICES), steps=3, kinematics_steps=5, points=64)
+    result = train_geort(human, hand, samples, dataclasses.replace(config, targets=64, classifier_steps=5))
+    assert np.isfinite(result.history[-1]["total"])
+    assert result.neural_kinematics["mean_mm"] > 0
+
+
 def test_neural_kinematics_train_the_map_as_exact_ones_do(hand, samples, human):
     """The paper's neural kinematics are selectable and report their error on held-out samples."""
     result = quick(hand, samples, human, fk="neural", steps=60)
@@ -169,6 +251,8 @@ def test_unusable_input_is_refused_with_what_was_wanted(hand, samples, human):
         quick(hand, samples, human, learning_rate=-1)
     with pytest.raises(UnknownNameError, match="exact, neural"):
         quick(hand, samples, human, fk="guess")
+    with pytest.raises(UnknownNameError, match="unknown resampling 'often'.*frames, independent"):
+        quick(hand, samples, human, resampling="often")
     with pytest.raises(UnknownNameError, match="cpu, cuda"):
         train_geort(human, hand, samples, QUICK, device="tpu")
     if not torch.cuda.is_available():
