@@ -203,7 +203,7 @@ def _git_state() -> dict | None:
 def _collected(said: list[str]) -> Iterator[None]:
     """Appends the RuntimeWarnings of the block to `said`; warnings of other kinds stay what they are."""
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+        warnings.simplefilter("default")  # what is said at every step counts once
         yield
     for warning in caught:
         if issubclass(warning.category, RuntimeWarning):
