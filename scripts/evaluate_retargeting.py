@@ -1,74 +1,125 @@
-"""Evaluates retargeting methods side by side on a recording of a person's hand.
+"""Evaluates retargeting methods side by side on recordings of people's hands.
 
 python scripts/evaluate_retargeting.py --recording alex.npy --methods geort vector_online --json table.json
 """
 
 import argparse
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from rich import box
-from rich.table import Table
+from rich.progress import Progress
 
 from geort_drake.console import console, progress_bar, run_main
-from geort_drake.evaluation.comparison import Judged, check_methods, judge, method_names, report
-from geort_drake.evaluation.plots import looked_up, write_plots
+from geort_drake.evaluation.comparison import Comparison, Outcome, check_methods, method_names
+from geort_drake.evaluation.plots import write_plots
+from geort_drake.evaluation.protocols import (
+    GUARD_S,
+    SAME_PERSON,
+    held_out,
+    other_person,
+    same_person,
+)
+from geort_drake.evaluation.report import failures, report, tables
 from geort_drake.files import require_writable, write_text
 from geort_drake.gloves.readers import read_recording
+from geort_drake.gloves.recording import Recording
 from geort_drake.hands.description import hand_names, load_hand
 from geort_drake.hands.model import HandModel
 
-EPILOG = """\
-Methods that are trained are kept for the next run in the cache. A method may also be the directory of a
-checkpoint. Online methods answer the recording's frames in their order; where a metric asks about hands that
-were not recorded, the hand is held until their answer has settled, from their state at the nearest frame.
+EPILOG = f"""\
+protocols, each with tables of its own:
+  same person      trained and scored on --recording, as in the paper; always done
+  held-out blocks  with --held_out K: the recording is cut into K blocks, and each is scored by a method
+                   trained on the others, without the {GUARD_S:g} s before and after the block
+  another person   with --score_on FILE...: trained on --recording, scored on the other files
+
+for the table of all methods:
+  python scripts/evaluate_retargeting.py --recording alex.npy --held_out 5 --score_on ben.npz \\
+      --seeds 0 1 2 --json table.json
+
+Every training is kept in the cache and --json is written anew after each method, so a run that was stopped
+is continued by the same command. K blocks train K times more. A method may also be the directory of a
+checkpoint, which is scored as it is, by the protocols that fit what it was trained on.
+
+Online methods start from rest in every recording and block and answer its frames in their order; where a
+metric asks about hands that were not recorded, the hand is held until their answer has settled, from their
+state at the nearest frame.
+
+Ends with code 1 if something could not be scored; the rest is shown all the same.
 """
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = _parser()
     arguments = parser.parse_args(argv)
-    if arguments.seed < 0:
-        parser.error(f"--seed must be 0 or more, not {arguments.seed}")
-    if arguments.frames is not None and arguments.frames < 10:
-        parser.error(f"--frames must be at least 10, not {arguments.frames}")
-    check_methods(arguments.methods)
-    if arguments.json:
-        require_writable(arguments.json)
-    if arguments.plots:
-        require_writable(arguments.plots, directory=True)
+    _check(parser, arguments)
     description = load_hand(arguments.hand)
-    recording = read_recording(arguments.recording, description.side, training=True)
-    scored = recording
-    if arguments.score_on:
-        scored = read_recording(arguments.score_on, description.side)
     hand = HandModel(description)
-    results: dict[str, Judged] = {}
+    check_methods(arguments.methods, hand)
+    recording = read_recording(arguments.recording, description.side, training=True)
+    protocols = [same_person(recording, arguments.recording.name)]
+    if arguments.held_out is not None:
+        protocols.append(held_out(recording, arguments.held_out))
+    if arguments.score_on:
+        others = {str(path): read_recording(path, description.side) for path in arguments.score_on}
+        protocols.append(other_person(recording, others))
+
     with progress_bar() as progress:
-        task = progress.add_task("methods", total=len(arguments.methods), note="")
-        for name in arguments.methods:
-            progress.update(task, note=name)
-            results[name] = judge(
-                name, hand, recording, arguments.seed, scored, arguments.frames, trainer=_trainer(progress)
-            )
-            progress.advance(task)
-    for table in _tables(description.name, results):
+        trainer = _trainer(arguments.hand, progress)
+        comparison = Comparison(hand, protocols, arguments.seeds, trainer, arguments.frames)
+        results = _run(comparison, arguments, recording, progress)
+    for table in tables(comparison, results):
         console.print(table)
-    keypoints = [finger.human_keypoint for finger in description.fingers]
-    frames = scored.fingertips(keypoints)[: arguments.frames]
+    for line in failures(results):
+        console.print(f"not scored: {line}", style="yellow", markup=False, soft_wrap=True)
     if arguments.json:
-        files = {
-            "recording": arguments.recording.name,
-            "scored_on": (arguments.score_on or arguments.recording).name,
-        }
-        content = {**files, **report(results, hand, recording, arguments.seed, scored)}
-        write_text(arguments.json, json.dumps(content, indent=2, allow_nan=False) + "\n")
         print(arguments.json)
     if arguments.plots:
-        for path in write_plots(arguments.plots, results, frames, hand.finger_names):
+        firsts = {name: of_method[SAME_PERSON][0].judged for name, of_method in results.items()}
+        scored = {name: judged for name, judged in firsts.items() if judged is not None}
+        keypoints = [finger.human_keypoint for finger in description.fingers]
+        frames = recording.fingertips(keypoints)[: arguments.frames]
+        for path in write_plots(arguments.plots, scored, frames, hand.finger_names):
             print(path)
-    return 0
+    return 1 if any(failures(results)) else 0
+
+
+def _run(
+    comparison: Comparison, arguments: argparse.Namespace, recording: Recording, progress: Progress
+) -> dict[str, dict[str, list[Outcome]]]:
+    """Judges every method, and writes the JSON file whenever one is done."""
+    results = {}
+    total = comparison.cases_per_method * len(arguments.methods)
+    task = progress.add_task("evaluation", total=total, note="")
+    done = -1
+
+    def starts(note: str) -> None:
+        nonlocal done
+        done += 1
+        progress.update(task, completed=done, note=note)
+
+    for name in arguments.methods:
+        results[name] = comparison.run(name, starts)
+        if arguments.json:
+            content = report(comparison, results, recording, arguments.recording.name)
+            write_text(arguments.json, json.dumps(content, indent=2, allow_nan=False) + "\n")
+    progress.update(task, completed=total, note="")
+    return results
+
+
+def _trainer(hand_name: str, progress: Progress) -> Callable[[Recording, str, int], Path]:
+    """`cached_checkpoint`, with the bars of training in place of these ones."""
+    from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
+
+    def train(recording: Recording, method: str, seed: int) -> Path:
+        progress.stop()
+        try:
+            return cached_checkpoint(hand_name, recording, method, seed)[0]
+        finally:
+            progress.start()
+
+    return train
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -83,7 +134,10 @@ def _parser() -> argparse.ArgumentParser:
         help=f"name or file of a hand description; names: {', '.join(hand_names())} (default: %(default)s)",
     )
     parser.add_argument("--recording", type=Path, required=True, help="what methods are trained on")
-    parser.add_argument("--score_on", type=Path, help="score on this recording, of another person perhaps")
+    parser.add_argument("--held_out", type=int, metavar="K", help="also score on K held-out blocks; 5, say")
+    parser.add_argument(
+        "--score_on", type=Path, nargs="+", metavar="FILE", help="also score on recordings of other people"
+    )
     parser.add_argument(
         "--methods",
         nargs="+",
@@ -91,61 +145,43 @@ def _parser() -> argparse.ArgumentParser:
         default=list(method_names()),
         help=f"any of {', '.join(method_names())}, or directories of checkpoints (default: all names)",
     )
-    parser.add_argument("--seed", type=int, default=0, help="of training and metrics (default: %(default)s)")
-    parser.add_argument("--frames", type=int, help="score on the first so many valid frames only")
-    parser.add_argument("--json", type=Path, help="write every figure to this file")
-    parser.add_argument("--plots", type=Path, help="write plots of the frontier and the fingertips here")
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        nargs="+",
+        metavar="SEED",
+        default=[0],
+        help="of training and metrics; of several, the mean and the worst are shown (default: 0)",
+    )
+    parser.add_argument(
+        "--frames", type=int, metavar="N", help="score on the first N valid frames only, of each block too"
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure to this file")
+    parser.add_argument(
+        "--plots", type=Path, metavar="FOLDER", help="write plots of the first seed, same person, here"
+    )
     return parser
 
 
-def _trainer(progress):
-    """`cached_checkpoint`, with the bars of training in place of these ones."""
-    from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
-
-    def train(*arguments, **options):
-        progress.stop()
-        try:
-            return cached_checkpoint(*arguments, **options)
-        finally:
-            progress.start()
-
-    return train
-
-
-# Title → heading → what to look up in a method's metrics, and how to print it. Two tables fit a terminal.
-TABLES: dict[str, dict[str, tuple[tuple[str, ...], str]]] = {
-    "motion and space": {
-        "MP": (("motion_preservation",), "{:.3f}"),
-        "track": (("motion_preservation_track",), "{:.3f}"),
-        "cover\n10 mm": (("coverage", "10mm"), "{:.2f}"),
-        "\n15 mm": (("coverage", "15mm"), "{:.2f}"),
-        "averaged\n10 mm": (("coverage_context_averaged", "10mm"), "{:.2f}"),
-        "cross\ntalk": (("cross_talk",), "{:.2f}"),
-        "flat-\nness": (("flatness",), "{:.3f}"),
-        "gain": (("gain_p95_p5",), "{:.1f}"),
-    },
-    "pinch, collision and speed": {
-        "pinches\nclosed": (("pinch", "closed"), "{:.1%}"),
-        "too\ndeep": (("pinch", "too_deep"), "{:.1%}"),
-        "mean\nmm": (("pinch", "mean_mm"), "{:.1f}"),
-        "false": (("pinch", "false"), "{:.2%}"),
-        "self-\ncollision": (("self_collision",), "{:.1%}"),
-        "call\nµs": (("latency_us", "median"), "{:.0f}"),
-    },
-}
-
-
-def _tables(hand: str, results: Mapping[str, Judged]) -> Iterator[Table]:
-    for title, columns in TABLES.items():
-        table = Table(title=f"{hand}: {title}", box=box.SIMPLE, padding=(0, 1, 0, 0))
-        table.add_column("method")
-        for heading in columns:
-            table.add_column(heading, justify="right", no_wrap=True)
-        for name, judged in results.items():
-            values = [(looked_up(judged.metrics, path), form) for path, form in columns.values()]
-            cells = ["–" if value is None else form.format(value) for value, form in values]
-            table.add_row(Path(name).name, *cells)
-        yield table
+def _check(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
+    """Refuses what argparse cannot, before anything is read."""
+    if min(arguments.seeds) < 0:
+        parser.error(f"--seeds must be 0 or more, not {min(arguments.seeds)}")
+    if arguments.frames is not None and arguments.frames < 10:
+        parser.error(f"--frames must be at least 10, not {arguments.frames}")
+    listed = {
+        "seeds": arguments.seeds,
+        "score_on": arguments.score_on or [],
+        "methods": [Path(name).name for name in arguments.methods],
+    }
+    for option, values in listed.items():
+        twice = sorted({str(value) for value in values if values.count(value) > 1})
+        if twice:
+            parser.error(f"--{option} lists {', '.join(twice)} more than once")
+    if arguments.json:
+        require_writable(arguments.json)
+    if arguments.plots:
+        require_writable(arguments.plots, directory=True)
 
 
 if __name__ == "__main__":

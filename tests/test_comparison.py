@@ -3,15 +3,20 @@
 import functools
 import importlib.util
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from geort_drake.errors import UnknownNameError
-from geort_drake.evaluation import comparison, metrics
-from geort_drake.evaluation.metrics import evaluate_frames
+from geort_drake.errors import TrainingError, UnknownNameError
+from geort_drake.evaluation import metrics
+from geort_drake.evaluation.comparison import Comparison, Judged, Outcome
+from geort_drake.evaluation.contact_metrics import pinch
+from geort_drake.evaluation.metric_table import mean
+from geort_drake.evaluation.metrics import evaluate_frames, robot_space
 from geort_drake.evaluation.pipeline import train_checkpoint
+from geort_drake.evaluation.protocols import held_out, same_person
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
@@ -48,38 +53,174 @@ def quick(monkeypatch, tmp_path):
     monkeypatch.setattr(metrics, "context_averaged", functools.partial(metrics.context_averaged, contexts=2))
     monkeypatch.setattr(metrics, "latency", functools.partial(metrics.latency, calls=50))
 
-    def train(hand, recording, method, seed):
-        path = tmp_path / method
+    def train(hand_name, recording, method="geort", seed=0):
+        path = tmp_path / f"{method}-{seed}-{recording.digest[:8]}"
+        if path.is_dir():
+            return path, True
         train_checkpoint(
-            hand, recording, path, method, seed, show_progress=False, settings=QUICK, robot_samples=2000
+            hand_name, recording, path, method, seed, show_progress=False, settings=QUICK, robot_samples=2000
         )
         return path, False
 
     return train
 
 
-def test_the_script_writes_a_row_for_every_method(play, quick, monkeypatch, tmp_path, capsys):
-    """Trained, online and trivial methods and a checkpoint's directory; JSON and plots are whole."""
+@pytest.fixture
+def evaluate(play, quick, monkeypatch, tmp_path):
+    """Runs the script on the play; returns its exit code and what it wrote as JSON."""
     monkeypatch.setattr("geort_drake.evaluation.checkpoint_cache.cached_checkpoint", quick)
     play.save(tmp_path / "hand.npz")
-    path, _ = quick("allegro_right", play, "geort", 0)
-    methods = ["linear_offline", "hold", "nearest_neighbour", "vector_online", str(path)]
-    arguments = [
-        "--recording", str(tmp_path / "hand.npz"), "--methods", *methods,
-        "--frames", "40", "--json", str(tmp_path / "table.json"), "--plots", str(tmp_path / "plots"),
-    ]  # fmt: skip
-    assert script("evaluate_retargeting").main(arguments) == 0
-    report = json.loads((tmp_path / "table.json").read_text("utf-8"))
-    assert list(report["methods"]) == methods
-    assert report["frames"] == 40 and report["recording_sha256"] == play.digest
-    assert report["hand"] == "allegro_right" and report["seed"] == 0 and "drake" in report["versions"]
-    assert [row["remembers"] for row in report["methods"].values()] == [False, False, False, True, False]
-    hold, vector = report["methods"]["hold"], report["methods"]["vector_online"]
-    assert hold["motion_preservation"] == 0.0 and hold["smoothness"]["max"] == 0.0
-    assert vector["motion_preservation"] > 0.5
-    assert set(vector) == set(report["methods"][str(path)])
-    assert sorted(p.name for p in (tmp_path / "plots").iterdir()) == ["fingertips.png", "frontier.png"]
-    assert str(tmp_path / "table.json") in capsys.readouterr().out
+    synthesize_play(1, duration_s=20.0, rate_hz=30.0).save(tmp_path / "other.npz")
+    monkeypatch.chdir(tmp_path)
+
+    def run(arguments: str):
+        command = f"--recording hand.npz --frames 40 --json table.json {arguments}"
+        code = script("evaluate_retargeting").main(shlex.split(command))
+        return code, json.loads((tmp_path / "table.json").read_text("utf-8"))
+
+    return run
+
+
+def test_every_method_is_scored_under_every_protocol(evaluate, play, quick, tmp_path, capsys):
+    """Trained and trivial methods, two seeds: JSON, tables and plots are whole."""
+    methods = ["linear_offline", "hold", "nearest_neighbour"]
+    code, report = evaluate(
+        f"--methods {' '.join(methods)} --held_out 2 --score_on other.npz --seeds 0 1 --plots plots"
+    )
+    assert code == 0
+    assert report["hand"] == "allegro_right" and "drake" in report["versions"]
+    assert (report["recording"], report["recording_sha256"]) == ("hand.npz", play.digest)
+    assert report["seeds"] == [0, 1] and list(report["methods"]) == methods
+    parts = {name: [part["name"] for part in p["parts"]] for name, p in report["protocols"].items()}
+    assert parts == {
+        "same_person": ["hand.npz"],
+        "held_out": ["block 1 of 2", "block 2 of 2"],
+        "other_person": ["other.npz"],
+    }
+    for of_method in report["methods"].values():
+        assert list(of_method) == list(parts)
+        for protocol, figures in of_method.items():
+            done = [(outcome["part"], outcome["seed"]) for outcome in figures["outcomes"]]
+            assert done == [(part, seed) for seed in (0, 1) for part in parts[protocol]]
+            assert all(outcome["frames"] == 40 for outcome in figures["outcomes"])
+            assert (figures["worst_part"] is None) == (protocol != "held_out")
+            covered = figures["mean"]["coverage"]["10mm"]
+            assert (covered is None) == (protocol == "held_out")
+    hold = report["methods"]["hold"]["same_person"]
+    assert hold["mean"]["motion_preservation"] == 0.0 and hold["mean"]["smoothness"]["max"] == 0.0
+    assert not hold["outcomes"][0]["remembers"]
+    assert {path.name for path in (tmp_path / "plots").iterdir()} >= {"fingertips.png", "frontier.png"}
+    said = capsys.readouterr()
+    assert "table.json" in said.out
+    for title in ("same person, training recording", "held-out blocks", "another person", "worst part"):
+        assert title in said.err
+
+
+def test_a_checkpoint_is_scored_only_where_its_training_fits(evaluate, play, quick, capsys):
+    """It cannot be held out; what it learned from decides which of the other protocols it is for."""
+    path, _ = quick("allegro_right", play)
+    code, report = evaluate(f"--methods {path} --held_out 2 --score_on other.npz")
+    assert code == 1
+    (of_method,) = report["methods"].values()
+    assert of_method["same_person"]["mean"]["motion_preservation"] is not None
+    assert of_method["other_person"]["mean"]["motion_preservation"] is not None
+    assert of_method["held_out"]["mean"] is None
+    assert "cannot be trained without the block" in of_method["held_out"]["outcomes"][0]["error"]
+    assert "block 1 of 2, seed 0" in " ".join(capsys.readouterr().err.split())
+    stranger, _ = quick("allegro_right", synthesize_play(2, duration_s=20.0, rate_hz=30.0), seed=1)
+    code, report = evaluate(f"--methods {stranger}")
+    assert code == 1
+    (outcome,) = report["methods"][str(stranger)]["same_person"]["outcomes"]
+    assert "was trained on another recording than hand.npz" in outcome["error"]
+
+
+def test_a_case_that_fails_leaves_the_others(evaluate, quick, monkeypatch, capsys):
+    """A fold that cannot be learned from has its reason in place of figures; means are of the rest."""
+
+    def train(hand_name, recording, method, seed):
+        if recording.valid[-1] and not recording.valid[0]:
+            raise TrainingError("the recording's ring tip visits only 7 places")
+        return quick(hand_name, recording, method, seed)
+
+    monkeypatch.setattr("geort_drake.evaluation.checkpoint_cache.cached_checkpoint", train)
+    code, report = evaluate("--methods linear_offline hold --held_out 2")
+    assert code == 1
+    failed, done = report["methods"]["linear_offline"]["held_out"]["outcomes"]
+    assert failed == {
+        "part": "block 1 of 2",
+        "seed": 0,
+        "error": "the recording's ring tip visits only 7 places",
+    }
+    mean = report["methods"]["linear_offline"]["held_out"]["mean"]
+    assert mean["motion_preservation"] == done["metrics"]["motion_preservation"]
+    assert len(report["methods"]["hold"]["held_out"]["outcomes"]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "linear_offline, block 1 of 2, seed 0: the recording's ring tip" in said
+    assert "(1 of 2)" in said
+
+
+def test_a_stopped_run_leaves_the_methods_that_were_done(evaluate, quick, monkeypatch, tmp_path):
+    """The file is whole after each method, and trained checkpoints are found again."""
+    trained = []
+
+    def train(hand_name, recording, method, seed):
+        if method == "geort" and not trained[1:]:
+            raise KeyboardInterrupt
+        path, found = quick(hand_name, recording, method, seed)
+        trained.append((method, found))
+        return path, found
+
+    monkeypatch.setattr("geort_drake.evaluation.checkpoint_cache.cached_checkpoint", train)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate("--methods linear_offline geort")
+    assert list(json.loads((tmp_path / "table.json").read_text("utf-8"))["methods"]) == ["linear_offline"]
+    code, report = evaluate("--methods linear_offline geort")
+    assert code == 0 and list(report["methods"]) == ["linear_offline", "geort"]
+    assert trained == [("linear_offline", False), ("linear_offline", True), ("geort", False)]
+
+
+def compare(play, seeds):
+    """A comparison on the whole play and its halves, of methods that need no training."""
+    hand = HandModel(load_hand("allegro_right"))
+    protocols = [same_person(play, "play"), held_out(play, 2)]
+    return Comparison(hand, protocols, seeds, trainer=pytest.fail, frame_limit=20)
+
+
+def test_pinches_of_all_blocks_count_alike(play):
+    """A block without pinches has no share of closed ones, and one with few does not count as much."""
+    comparison = compare(play, seeds=(0,))
+    rng = np.random.default_rng(0)
+    outcomes = []
+    for case, pinches in zip(comparison.protocols[1].cases, (1, 3), strict=True):
+        p_HF = np.zeros((4, 4, 3)) + [[0, 0, 0], [0, 0.1, 0], [0, 0.2, 0], [0, 0.3, 0]]
+        p_HF[:pinches, 1, 1] = 0.01
+        p_BF = p_HF + (0.05 if pinches == 1 else 0.0) * np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0], [0, 0, 0]])
+        figures = {**mean([]), "motion_preservation": float(rng.uniform())}
+        figures["pinch"] = pinch(p_HF, p_BF, comparison.hand.finger_names, 0.012)
+        outcomes.append(Outcome(case, 0, Judged(figures, False, p_HF, p_BF)))
+    summary = comparison.summary(outcomes)
+    assert summary["mean"]["pinch"]["closed"] == pytest.approx(3 / 4)
+    assert summary["mean"]["pinch"]["frames"] == 4
+    assert summary["worst_part"]["pinch"]["closed"] == 0.0
+    motions = [outcome.judged.metrics["motion_preservation"] for outcome in outcomes]
+    assert summary["mean"]["motion_preservation"] == pytest.approx(np.mean(motions))
+    assert summary["worst_part"]["motion_preservation"] == min(motions)
+
+
+def test_the_worst_seed_is_of_whole_protocols(play):
+    """Over parts a seed counts with its mean; the worst part is the worst with any seed."""
+    comparison = compare(play, seeds=(0, 1))
+    blocks = comparison.protocols[1].cases
+    talks = {(0, 0): 0.1, (1, 0): 0.5, (0, 1): 0.4, (1, 1): 0.4}
+    hands = np.zeros((4, 4, 3))
+    outcomes = [
+        Outcome(blocks[part], seed, Judged({**mean([]), "cross_talk": talk}, False, hands, hands))
+        for (part, seed), talk in talks.items()
+    ]
+    summary = comparison.summary(outcomes)
+    assert summary["mean"]["cross_talk"] == pytest.approx(0.35)
+    assert summary["worst_seed"]["cross_talk"] == pytest.approx(0.4)
+    assert summary["worst_part"]["cross_talk"] == pytest.approx(0.5)
 
 
 def test_an_unknown_method_is_refused_before_anything_is_read(tmp_path):
@@ -91,20 +232,23 @@ def test_an_unknown_method_is_refused_before_anything_is_read(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_recorded_frames_are_answered_in_their_order(play, quick):
-    """Track and coverage of an online method are of the sequence, whatever was asked about it before."""
-    hand = HandModel(load_hand("allegro_right"))
-    judged = comparison.judge("vector_online", hand, play, frame_limit=60)
-    frames = play.fingertips([4, 8, 12, 16]).astype(float)[:60]
-    p_BF = hand.fingertips(VectorOnline(hand.kinematics())(frames))
-    np.testing.assert_allclose(judged.p_BF, p_BF, atol=1e-12)
-    assert judged.remembers and judged.metrics["smoothness"]["mean"] > 0
+def test_recorded_frames_are_answered_in_their_order_from_rest(play, quick):
+    """Track and coverage of an online method are of each sequence, whatever was asked about before."""
+    comparison = compare(play, seeds=(0,))
+    results = comparison.run("vector_online")
+    keypoints, hand = [4, 8, 12, 16], comparison.hand
+    for outcomes in results.values():
+        for outcome in outcomes:
+            frames = outcome.case.scored_on.fingertips(keypoints)[:20]
+            p_BF = hand.fingertips(VectorOnline(hand.kinematics())(frames))
+            np.testing.assert_allclose(outcome.judged.p_BF, p_BF, atol=1e-12)
+            assert outcome.judged.remembers and outcome.judged.metrics["motion_preservation"] > 0.5
 
 
 def test_unrecorded_hands_are_answered_without_memory(play, quick):
     """Where `settled` is given, it answers for perturbed hands and the method for the recorded ones."""
     hand = HandModel(load_hand("allegro_right"))
-    frames = play.fingertips([4, 8, 12, 16]).astype(float)[:20]
+    frames = play.fingertips([4, 8, 12, 16])[:20]
     middle = 0.5 * (hand.lower + hand.upper)
     asked = {"method": 0, "settled": 0}
 
@@ -116,5 +260,7 @@ def test_unrecorded_hands_are_answered_without_memory(play, quick):
 
         return retarget
 
-    evaluate_frames(answers("method"), hand, frames, 30.0, settled=answers("settled"))
+    evaluate_frames(
+        answers("method"), hand, frames, 30.0, space=robot_space(hand), settled=answers("settled")
+    )
     assert asked["method"] > 1 and asked["settled"] > 10

@@ -7,25 +7,52 @@ functions take g = FK∘f, "where do the robot's fingertips (N, F, 3) go for hum
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
 from geort_drake.errors import RecordingError
+from geort_drake.evaluation.contact_metrics import pinch, self_collision
 from geort_drake.retargeting.clouds import voxel_centres, voxel_index, voxel_thinned
 
 FingertipMap = Callable[[np.ndarray], np.ndarray]
 
 COVERAGE_RADII_MM = (5, 10, 15)
+MIN_FRAMES = 10
 ROBOT_SAMPLES = 200_000
 ROBOT_VOXEL = 0.003  # m
 HUMAN_VOXEL = 0.001  # m
 SMALL_STEP = 0.002  # m, at which flatness and gain are measured
-PINCH_DISTANCE = 0.015  # m, nearer human fingertips pinch
-APART_DISTANCE = 0.030  # m, human fingertips farther apart do not mean to pinch
-TOO_DEEP = 0.004  # m, nearer robot fingertips fight each other
-PENETRATION = 0.002  # m, deeper penetrations count as self-collision
+
+
+@dataclass(frozen=True)
+class RobotSpace:
+    """Where the robot's fingertips can go: its C-space, from uniform samples of the joint angles.
+
+    Attributes:
+        p_BF: (N, F, 3) fingertips of all samples, m; a left hand's in the mirror, as people are right hands.
+        reachable: F arrays (M, 3), the centres of the 3 mm voxels that samples hit, m.
+        collision_free: the same of the samples without self-collision.
+    """
+
+    p_BF: np.ndarray
+    reachable: list[np.ndarray]
+    collision_free: list[np.ndarray]
+
+
+def robot_space(hand, seed: int = 0) -> RobotSpace:
+    """Samples the C-space of a hand; it is the same for all methods, so it is worth keeping."""
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(hand.lower, hand.upper, (ROBOT_SAMPLES, len(hand.joint_names)))
+    p_BF = _fingertips_of(hand)(q)
+    return RobotSpace(p_BF, robot_voxels(p_BF), robot_voxels(p_BF[~hand.collides(q)]))
+
+
+def canonical_kinematics(hand):
+    """The hand's kinematics as a right hand: people are canonical right hands, so a left one is mirrored."""
+    return hand.kinematics().mirrored() if hand.description.side == "left" else hand.kinematics()
 
 
 def evaluate(retarget: Callable, hand, recording, seed: int = 0) -> dict:
@@ -41,8 +68,17 @@ def evaluate(retarget: Callable, hand, recording, seed: int = 0) -> dict:
         RecordingError: when the recording has too few frames to measure on.
     """
     keypoints = [finger.human_keypoint for finger in hand.description.fingers]
-    frames = recording.fingertips(keypoints).astype(float)
-    return evaluate_frames(retarget, hand, frames, recording.rate_hz, seed)
+    frames = recording.fingertips(keypoints)
+    check_frames(frames)
+    return evaluate_frames(retarget, hand, frames, recording.rate_hz, seed, robot_space(hand, seed))[0]
+
+
+def check_frames(frames: np.ndarray) -> None:
+    """Raises RecordingError unless there are enough frames (T, F, 3) to measure on."""
+    if len(frames) < MIN_FRAMES:
+        raise RecordingError(
+            f"metrics need at least {MIN_FRAMES} valid frames, the recording has {len(frames)}"
+        )
 
 
 def evaluate_frames(
@@ -51,42 +87,35 @@ def evaluate_frames(
     frames: np.ndarray,
     rate_hz: float,
     seed: int = 0,
+    space: RobotSpace | None = None,
     settled: Callable | None = None,
-) -> dict:
+) -> tuple[dict, np.ndarray]:
     """`evaluate` for human fingertips (T, F, 3) of successive frames at `rate_hz`.
 
     A retargeter whose answers depend on the past answers `frames` in their order, as a batch. Where
     hands are asked about that were not recorded (random motion, cross-talk, flatness, gain and the
-    context average), `settled` answers in its place: a map without memory.
+    context average), `settled` answers in its place: a map without memory. Without `space` the
+    coverages are None.
+
+    Returns:
+        The metrics, and where the robot's fingertips went, p_BF (T, F, 3) in m, as in `RobotSpace`.
     """
-    if len(frames) < 10:
-        raise RecordingError(f"metrics need at least 10 valid frames, the recording has {len(frames)}")
+    check_frames(frames)
+    rng = np.random.default_rng([seed, 1])  # not the numbers that robot_space drew
 
-    # People are canonical right hands, so a left robot hand is judged in the mirror.
-    kinematics = hand.kinematics().mirrored() if hand.description.side == "left" else hand.kinematics()
-
-    def fingertips(q: np.ndarray) -> np.ndarray:
-        return kinematics.fingertips(torch.from_numpy(q)).numpy()
+    fingertips = _fingertips_of(hand)
 
     def g(p_HF: np.ndarray) -> np.ndarray:
         return fingertips(_in_chunks(settled or retarget, p_HF))
 
-    rng = np.random.default_rng(seed)
     q = _in_chunks(retarget, frames)
     p_BF = fingertips(q)
-    q_uniform = rng.uniform(hand.lower, hand.upper, (ROBOT_SAMPLES, len(hand.joint_names)))
-    p_uniform = fingertips(q_uniform)
-    reachable = robot_voxels(p_uniform)
-    collision_free = robot_voxels(p_uniform[~hand.collides(q_uniform)])
-    averaged = context_averaged(g, frames)
     flat, gain = flatness_and_gain(g, frames, rng)
     collided = self_collision(hand, q)
     return {
         "motion_preservation": motion_preservation(g, frames, rng),
         "motion_preservation_track": motion_preservation_track(frames, p_BF),
-        "coverage": coverage(reachable, list(np.moveaxis(p_BF, 1, 0))),
-        "coverage_context_averaged": coverage(reachable, averaged),
-        "coverage_collision_free": coverage(collision_free, list(np.moveaxis(p_BF, 1, 0))),
+        **_coverages(g, frames, p_BF, space),
         "cross_talk": cross_talk(g, frames, rng),
         "flatness": flat,
         "gain_p95_p5": gain,
@@ -95,6 +124,23 @@ def evaluate_frames(
         "self_collision_raw": collided["any"],
         "smoothness": smoothness(q, rate_hz),
         "latency_us": latency(retarget, frames),
+    }, p_BF
+
+
+def _fingertips_of(hand) -> Callable[[np.ndarray], np.ndarray]:
+    """From joint angles (N, n) to fingertips (N, F, 3)."""
+    kinematics = canonical_kinematics(hand)
+    return lambda q: kinematics.fingertips(torch.from_numpy(q)).numpy()
+
+
+def _coverages(g: FingertipMap, frames: np.ndarray, p_BF: np.ndarray, space: RobotSpace | None) -> dict:
+    if space is None:
+        return dict.fromkeys(("coverage", "coverage_context_averaged", "coverage_collision_free"))
+    tips = list(np.moveaxis(p_BF, 1, 0))
+    return {
+        "coverage": coverage(space.reachable, tips),
+        "coverage_context_averaged": coverage(space.reachable, context_averaged(g, frames)),
+        "coverage_collision_free": coverage(space.collision_free, tips),
     }
 
 
@@ -191,57 +237,6 @@ def local_gains(
 ) -> np.ndarray:
     """How far each robot fingertip moves per metre of its human one: (F, anchors), steps of 2 mm."""
     return np.stack([first / SMALL_STEP for first, _ in _small_steps(g, frames, rng, anchors)])
-
-
-def pinch(
-    frames: np.ndarray, p_BF: np.ndarray, finger_names: Sequence[str], tip_radius: float
-) -> dict | None:
-    """Do the robot's thumb and finger meet where the person's do?
-
-    `closed`, `too_deep`, `mean_mm`, `p95_mm` and `frames` are of the nearest thumb–finger pair in
-    frames in which it is under 15 mm apart (None if there are none), `all_pairs` of all such pairs;
-    `false` is the share of pairs over 30 mm apart in which the robot's meet. Robot fingertips meet
-    when their spheres touch: centres at most two tip radii apart. None for a hand without a thumb.
-    """
-    if "thumb" not in finger_names or len(finger_names) == 1:
-        return None
-    thumb = list(finger_names).index("thumb")
-    others = [i for i in range(len(finger_names)) if i != thumb]
-    human = np.linalg.norm(frames[:, others] - frames[:, [thumb]], axis=-1)
-    robot = np.linalg.norm(p_BF[:, others] - p_BF[:, [thumb]], axis=-1)
-    nearest = human.argmin(axis=1)
-    rows = np.arange(len(human))
-    in_pinch = human[rows, nearest] < PINCH_DISTANCE
-    apart = human > APART_DISTANCE
-
-    def figures(distance: np.ndarray) -> dict:
-        if len(distance) == 0:
-            return dict.fromkeys(("closed", "too_deep", "mean_mm", "p95_mm")) | {"frames": 0}
-        return {
-            "closed": float((distance <= 2 * tip_radius).mean()),
-            "too_deep": float((distance < TOO_DEEP).mean()),
-            "mean_mm": float(1000 * distance.mean()),
-            "p95_mm": float(1000 * np.percentile(distance, 95)),
-            "frames": len(distance),
-        }
-
-    return figures(robot[rows, nearest][in_pinch]) | {
-        "false": float((robot[apart] <= 2 * tip_radius).mean()) if apart.any() else None,
-        "all_pairs": figures(robot[human < PINCH_DISTANCE]),
-    }
-
-
-def self_collision(hand, q: np.ndarray) -> dict[str, float]:
-    """Shares of joint angles (T, n) that collide.
-
-    `deep` counts penetrations over 2 mm between links that are not both fingertips, `any` every contact.
-    """
-    touching = np.asarray(hand.collides(q), dtype=bool)
-    deep = [
-        any(depth > PENETRATION and not tip_tip for depth, _, _, tip_tip in hand.penetrations(row))
-        for row in q[touching]
-    ]
-    return {"deep": sum(deep) / len(q), "any": float(touching.mean())}
 
 
 def smoothness(q: np.ndarray, rate_hz: float) -> dict[str, float]:

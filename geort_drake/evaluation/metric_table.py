@@ -1,0 +1,119 @@
+"""What each metric is called, how it is printed, and whether more of it is better."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+Direction = Literal["higher", "lower"]
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One figure of a method.
+
+    Attributes:
+        path: keys to it in the metrics, joined by dots.
+        heading: of its column; empty where it is in no table.
+        form: how it is printed.
+        better: "higher" or "lower"; None where neither is better, so that there is no worst.
+    """
+
+    path: str
+    heading: str = ""
+    form: str = "{}"
+    better: Direction | None = None
+
+    def of(self, metrics: Mapping) -> float | None:
+        """This metric's value; None where it, or a part on the way to it, is None."""
+        value: Any = metrics
+        for key in self.path.split("."):
+            if value is None:
+                return None
+            value = value[key]
+        return value
+
+    def text(self, metrics: Mapping) -> str:
+        """The value as a cell of a table."""
+        value = self.of(metrics)
+        return "–" if value is None else self.form.format(value)
+
+    def worst(self, values: Iterable[float | None]) -> float | None:
+        """The worst of several values; None where there is none."""
+        known = [value for value in values if value is not None]
+        if self.better is None or not known:
+            return None
+        return min(known) if self.better == "higher" else max(known)
+
+
+# Title of a table → its columns. A table fits a terminal of 80 characters.
+TABLES: dict[str, tuple[Metric, ...]] = {
+    "motion": (
+        Metric("motion_preservation", "MP", "{:.3f}", "higher"),
+        Metric("motion_preservation_track", "track", "{:.3f}", "higher"),
+        Metric("cross_talk", "cross\ntalk", "{:.2f}", "lower"),
+        Metric("flatness", "flat-\nness", "{:.3f}", "lower"),
+        Metric("gain_p95_p5", "gain", "{:.3g}", "lower"),
+        Metric("smoothness.mean", "step\nrad", "{:.3f}", "lower"),
+        Metric("smoothness.p95", "95 %\nrad", "{:.3f}", "lower"),
+        Metric("smoothness.jerk", "jerk\nrad/s³", "{:.0f}", "lower"),
+    ),
+    "C-space and collision": (
+        Metric("coverage.5mm", "cover\n5 mm", "{:.2f}", "higher"),
+        Metric("coverage.10mm", "\n10 mm", "{:.2f}", "higher"),
+        Metric("coverage.15mm", "\n15 mm", "{:.2f}", "higher"),
+        Metric("coverage_context_averaged.10mm", "averaged\n10 mm", "{:.2f}", "higher"),
+        Metric("coverage_collision_free.10mm", "free\n10 mm", "{:.2f}", "higher"),
+        Metric("self_collision", "self-\ncollision", "{:.1%}", "lower"),
+        Metric("self_collision_raw", "\nraw", "{:.1%}", "lower"),
+    ),
+    "pinch and latency": (
+        Metric("pinch.closed", "pinches\nclosed", "{:.1%}", "higher"),
+        Metric("pinch.too_deep", "too\ndeep", "{:.1%}", "lower"),
+        Metric("pinch.mean_mm", "mean\nmm", "{:.1f}"),
+        Metric("pinch.p95_mm", "95 %\nmm", "{:.1f}", "lower"),
+        Metric("pinch.false", "false", "{:.2%}", "lower"),
+        Metric("pinch.all_pairs.closed", "all pairs\nclosed", "{:.1%}", "higher"),
+        Metric("latency_us.median", "call\nµs", "{:.0f}", "lower"),
+        Metric("latency_us.p99", "99 %\nµs", "{:.0f}", "lower"),
+    ),
+    "as mimic_retargeter_lab defines it": (
+        Metric("related.motion_preservation", "motion\npreservation", "{:.3f}", "higher"),
+        Metric("related.workspace", "workspace\n5 mm", "{:.3f}", "higher"),
+    ),
+}
+METRICS: tuple[Metric, ...] = (
+    *(metric for columns in TABLES.values() for metric in columns),
+    *(Metric(f"coverage_context_averaged.{r}mm", better="higher") for r in (5, 15)),
+    *(Metric(f"coverage_collision_free.{r}mm", better="higher") for r in (5, 15)),
+    Metric("pinch.frames"),
+    Metric("pinch.all_pairs.too_deep", better="lower"),
+    Metric("pinch.all_pairs.mean_mm"),
+    Metric("pinch.all_pairs.p95_mm", better="lower"),
+    Metric("pinch.all_pairs.frames"),
+    Metric("smoothness.max", better="lower"),
+)
+
+
+def mean(metrics: Sequence[Mapping]) -> dict:
+    """Every metric's mean over those that have it, nested as in each of them."""
+    values: dict[str, float | None] = {}
+    for metric in METRICS:
+        known = [value for value in map(metric.of, metrics) if value is not None]
+        values[metric.path] = sum(known) / len(known) if known else None
+    return _nested(values)
+
+
+def worst(metrics: Sequence[Mapping]) -> dict:
+    """Every metric's worst value, each by itself, nested as in each of them."""
+    return _nested({metric.path: metric.worst(map(metric.of, metrics)) for metric in METRICS})
+
+
+def _nested(values: Mapping[str, float | None]) -> dict:
+    result: dict = {}
+    for path, value in values.items():
+        *folders, name = path.split(".")
+        place = result
+        for folder in folders:
+            place = place.setdefault(folder, {})
+        place[name] = value
+    return result
