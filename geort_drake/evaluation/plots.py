@@ -2,26 +2,29 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.rcsetup import cycler
+from matplotlib.ticker import PercentFormatter
 
 from geort_drake.evaluation.comparison import Judged
+from geort_drake.evaluation.metric_table import Metric
 from geort_drake.evaluation.metrics import ROBOT_VOXEL
 from geort_drake.files import atomic_path
 
 # Okabe and Ito's colours, which colour-blind people tell apart as well; shapes say the same once more.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31")
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#777777", "#8C6D31")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p", "h", "*")
 
 STYLE: Any = {
     "axes.axisbelow": True,
     "axes.grid": True,
-    "axes.prop_cycle": mpl.cycler(color=COLOURS),
+    "axes.prop_cycle": cycler(color=COLOURS),
     "axes.spines.right": False,
     "axes.spines.top": False,
     "axes.titlesize": "medium",
@@ -33,21 +36,13 @@ STYLE: Any = {
 WIDTH = 7.0  # inches: a page of print between its margins, so that letters keep their size
 
 
-class Quantity(NamedTuple):
-    """A figure of `evaluate` as an axis: its label with the unit, where it is, and the factor to the unit."""
-
-    label: str
-    path: tuple[str, ...]
-    factor: float = 1.0
-
-
-COVERAGE = Quantity("coverage at 10 mm / %", ("coverage", "10mm"), 100)
-COVERAGE_IN_CONTEXT = Quantity(
-    "context-averaged coverage at 10 mm / %", ("coverage_context_averaged", "10mm"), 100
+COVERAGE = Metric("coverage.10mm", "coverage at 10 mm", "{:.0%}", "higher")
+COVERAGE_IN_CONTEXT = Metric(
+    "coverage_context_averaged.10mm", "context-averaged coverage at 10 mm", "{:.0%}", "higher"
 )
-MOTION = Quantity("motion preservation", ("motion_preservation",))
-PINCHES = Quantity("pinches closed / %", ("pinch", "closed"), 100)
-COLLISION = Quantity("self-collision over 2 mm / %", ("self_collision",), 100)
+MOTION = Metric("motion_preservation", "motion preservation", "{:.2f}", "higher")
+PINCHES = Metric("pinch.closed", "pinches closed", "{:.0%}", "higher")
+COLLISION = Metric("self_collision", "self-collision over 2 mm", "{:.1%}", "lower")
 # Abscissa and ordinate of each panel.
 FRONTIER = ((COVERAGE, MOTION), (COVERAGE, PINCHES), (COVERAGE, COLLISION), (COVERAGE_IN_CONTEXT, MOTION))
 
@@ -83,35 +78,91 @@ def save(figure: Figure, path: Path) -> Path:
     return path
 
 
-def looked_up(metrics: Mapping, path: Sequence[str]) -> float | None:
-    """The figure at a path of keys; None where the metric, or a part on the way, is None."""
-    value: Any = metrics
-    for key in path:
-        if value is None:
-            return None
-        value = value[key]
-    return value
-
-
 def frontier(metrics: Mapping[str, Mapping]) -> Figure:
-    """A point per method in each panel of `FRONTIER`; a metric that a method lacks leaves its point out."""
+    """A point per method in each panel of `FRONTIER`; a method without the metric has none there."""
     figure = Figure(figsize=(WIDTH, 6.4), layout="constrained")
     for ax, (x, y) in zip(figure.subplots(2, 2).flat, FRONTIER, strict=True):
         for number, (name, values) in enumerate(metrics.items()):
-            at = [np.nan if v is None else q.factor * v for q in (x, y) for v in [looked_up(values, q.path)]]
-            ax.plot(*at, MARKERS[number % len(MARKERS)], color=f"C{number}", label=name, ms=7)
-        panel(ax, x, y)
-    legend_below(figure)
+            marker = MARKERS[number % len(MARKERS)]
+            ax.plot(_number(x, values), _number(y, values), marker, color=f"C{number}", label=name, ms=7)
+        _label(ax, x, y)
+    _legend_below(figure)
     return figure
 
 
-def panel(ax: Axes, x: Quantity, y: Quantity) -> None:
-    """Labels the axes of one panel of a frontier."""
-    ax.set(xlabel=x.label, ylabel=y.label)
+def sweep_frontier(runs: Sequence[Mapping]) -> Figure:
+    """The frontier of a sweep, method by method: a line through the values of each setting, seeds averaged.
+
+    Bars span the seeds. A small marker is a value below the default, a large one above; the run without a
+    criterion, where its weight is 0, is hollow.
+
+    Args:
+        runs: the `runs` of a `sweep.json`; those that failed are left out.
+    """
+    runs = [run for run in runs if "metrics" in run]
+    methods = list(dict.fromkeys(run["method"] for run in runs))
+    figure = Figure(figsize=(WIDTH, 7.4 * max(len(methods), 1)), layout="constrained")
+    parts = figure.subfigures(max(len(methods), 1), 1, squeeze=False)[:, 0]
+    for part, method in zip(parts, methods, strict=False):
+        part.suptitle(method)
+        _sweep_panels(part, [run for run in runs if run["method"] == method])
+    return figure
+
+
+def _sweep_panels(part: SubFigure, runs: Sequence[Mapping]) -> None:
+    groups: dict[tuple, list[Mapping]] = {}  # setting and value → metrics by seed
+    usual: Mapping = {}
+    for run in runs:
+        groups.setdefault((run["changed"], run["value"]), []).append(run["metrics"])
+        usual = run["settings"] if run["changed"] is None else usual
+    default = groups.pop((None, None), [])
+    for ax, (x, y) in zip(part.subplots(2, 2).flat, FRONTIER, strict=True):
+        for number, name in enumerate(dict.fromkeys(name for name, _ in groups)):
+            colour, marker = f"C{number}", MARKERS[number % len(MARKERS)]
+            values = {value: metrics for (changed, value), metrics in groups.items() if changed == name}
+            for value, metrics in values.items():
+                face, size = ("white", 6) if value == 0 else (colour, 7 if value > usual.get(name, 0) else 4)
+                _point(ax, x, y, metrics, color=colour, marker=marker, ms=size, markerfacecolor=face)
+            line = values | ({usual[name]: default} if default else {})
+            through = [[_mean(metric, line[value]) for metric in (x, y)] for value in sorted(line) if value]
+            ax.plot(*np.transpose(through), color=colour, lw=0.8)
+            label = name.removesuffix("_weight").replace("_", " ")
+            ax.plot([], [], marker, color=colour, label=label, ms=6)
+        if default:
+            _point(ax, x, y, default, color="black", marker="*", ms=11)
+            ax.plot([], [], "*", color="black", label="default", ms=9)
+        ax.plot([], [], "o", color="black", markerfacecolor="white", label="removed", ms=6)
+        _label(ax, x, y)
+    _legend_below(part, columns=5)
+
+
+def _point(ax: Axes, x: Metric, y: Metric, seeds: Sequence[Mapping], **style: Any) -> None:
+    """The mean over seeds, with bars from the least to the greatest."""
+    numbers = np.array([[_number(metric, values) for values in seeds] for metric in (x, y)])
+    across, up = numbers.mean(axis=1)
+    xerr, yerr = np.abs(np.stack([numbers.min(axis=1), numbers.max(axis=1)], axis=1) - [[across], [up]])
+    ax.errorbar([across], [up], yerr[:, None], xerr[:, None], elinewidth=0.5, **style)
+
+
+def _mean(metric: Metric, seeds: Sequence[Mapping]) -> float:
+    return float(np.mean([_number(metric, values) for values in seeds]))
+
+
+def _number(metric: Metric, values: Mapping) -> float:
+    value = metric.of(values)
+    return np.nan if value is None else value
+
+
+def _label(ax: Axes, x: Metric, y: Metric) -> None:
+    """Names both axes, with an arrow to where it is better."""
+    for axis, metric in ((ax.xaxis, x), (ax.yaxis, y)):
+        axis.set_label_text(f"{metric.heading} →" if metric.better == "higher" else f"← {metric.heading}")
+        if metric.form.endswith("%}"):
+            axis.set_major_formatter(PercentFormatter(1.0))
     ax.margins(0.08)
 
 
-def legend_below(figure: Figure, columns: int = 4, **options: Any) -> None:
+def _legend_below(figure: Figure | SubFigure, columns: int = 4, **options: Any) -> None:
     """One legend for all axes, of what the first one shows."""
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), columns), **options)
@@ -165,7 +216,7 @@ def fingertips(
                 ax.set_ylabel(f"{view}\n{'xyz'[up]} / mm")
             else:
                 ax.tick_params(labelleft=False)
-    legend_below(figure, markerscale=6)
+    _legend_below(figure, markerscale=6)
     return figure
 
 
