@@ -269,6 +269,35 @@ def test_train_retargeter_refuses_impossible_requests(refused, arguments, parts)
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
+        ("--recording @r/good.npy --hand claw", ["unknown hand 'claw'", "allegro_right"]),
+        ("--recording @r/good.npy --methods hold magic", ["'magic'", "geort", "vector_online"]),
+        ("--recording @r/good.npy --methods @c/altered", ["weights.safetensors", "altered", "sha256"]),
+        ("--recording @r/good.npy --methods @c/other_joints", ["another hand", "axis_12"]),
+        ("--recording @r/good.npy --methods hold geort hold", ["--methods", "hold more than once"]),
+        ("--recording @r/missing.npy", ["missing.npy: no such file"]),
+        ("--recording @r/short.npy", ["short.npy: 100 valid frames, training needs at least 300"]),
+        ("--recording @r/good.npy --score_on @r/nan.npy", ["nan.npy", "360 of 1800 frames"]),
+        ("--recording @r/good.npy --score_on @r/good.npy", ["good.npy", "give another one"]),
+        ("--recording @r/good.npy --held_out 1", ["held-out blocks must be 2 to 180", "not 1"]),
+        ("--recording @r/good.npy --held_out 181", ["held-out blocks must be 2 to 180", "not 181"]),
+        ("--recording @r/good.npy --seeds 0 -1", ["--seeds", "-1"]),
+        ("--recording @r/good.npy --seeds 3 3", ["--seeds", "3 more than once"]),
+        ("--recording @r/good.npy --frames 9", ["--frames", "at least 10", "9"]),
+        ("--recording @r/good.npy --json file/t.json", ["file", "directory"]),
+        ("--recording @r/good.npy --plots file", ["file", "directory"]),
+        ("", ["--recording"]),
+    ],
+)
+def test_evaluate_retargeting_refuses_impossible_requests(refused, arguments, parts):
+    """Methods, recordings, protocols and outputs are checked before anything is trained or scored."""
+    said = refused("evaluate_retargeting.py", arguments)
+    for part in parts:
+        assert part in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
         ("out.npy", ["out.npy", ".npz"]),
         ("file/out.npz", ["file", "directory"]),
         ("out.npz --duration 0", ["--duration", "positive", "0"]),
