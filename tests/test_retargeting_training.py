@@ -121,6 +121,12 @@ def test_a_last_step_into_nothing_is_noticed():
     assert network.weight.item() == before
 
 
+def test_a_map_that_is_driven_into_its_limits_is_noticed(hand, samples, human):
+    """Its loss is finite and worse than at the start."""
+    with pytest.warns(RuntimeWarning, match=r"loss did not fall: \S+ at the start, \S+ at the end"):
+        quick(hand, samples, human, learning_rate=100.0)
+
+
 def test_a_loss_that_is_never_finite_is_an_error(hand, samples, human):
     """There are no good weights to keep."""
     with pytest.raises(TrainingError, match="not finite at the first step"):

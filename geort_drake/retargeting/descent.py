@@ -45,6 +45,7 @@ def descend(
     Raises:
         TrainingError: the loss is not finite at the first step. When it stops being finite later, the
             last good weights, at most a hundredth of the descent old, are put back with a RuntimeWarning.
+            One whose last tenth is no better than its start gives a RuntimeWarning as well.
     """
     optimiser = torch.optim.Adam(network.parameters(), lr=learning_rate)
     history: list[dict[str, float]] = []
@@ -84,6 +85,16 @@ def descend(
             RuntimeWarning,
             stacklevel=3,
         )
+    elif len(history) >= 100:
+        # A map that is driven into its limits has a finite loss, and learns nothing more.
+        last = sum(row["total"] for row in history[-10:]) / 10
+        if last >= history[0]["total"]:
+            warnings.warn(
+                f"the loss did not fall: {history[0]['total']:.3g} at the start, {last:.3g} at the end. "
+                "A lower learning rate may help.",
+                RuntimeWarning,
+                stacklevel=3,
+            )
     return Descent(history, time.perf_counter() - started, stopped_at)
 
 
