@@ -38,9 +38,10 @@ for the table of all methods:
   python scripts/evaluate_retargeting.py --recording alex.npy --held_out 5 --score_on ben.npz \\
       --seeds 0 1 2 --json table.json
 
-Every training is kept in the cache and --json is written anew after each method, so a run that was stopped
-is continued by the same command. K blocks train K times more. A method may also be the directory of a
-checkpoint, which is scored as it is, by the protocols that fit what it was trained on.
+K blocks train K times more, every seed all of them again. Each training is kept in the cache, so the same
+command goes on where a run was stopped; only scoring is repeated. --json is written anew after each method.
+A method may also be the directory of a checkpoint, which is scored as it is, by the protocols that fit what
+it was trained on.
 
 Online methods start from rest in every recording and block and answer its frames in their order; where a
 metric asks about hands that were not recorded, the hand is held until their answer has settled, from their
@@ -78,9 +79,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.plots:
         firsts = {name: of_method[SAME_PERSON][0].judged for name, of_method in results.items()}
         scored = {name: judged for name, judged in firsts.items() if judged is not None}
-        keypoints = [finger.human_keypoint for finger in description.fingers]
-        frames = recording.fingertips(keypoints)[: arguments.frames]
-        for path in write_plots(arguments.plots, scored, frames, hand.finger_names):
+        space = comparison.space(arguments.seeds[0])
+        for path in write_plots(arguments.plots, scored, hand.finger_names, space):
             print(path)
     return 1 if any(failures(results)) else 0
 
