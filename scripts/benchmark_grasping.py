@@ -165,7 +165,7 @@ def watch(folder: Path, method: str, thing: str, seed: int) -> int:
     """Simulates a finished trial again, with a recording; 1 when it did not come out the same."""
     from geort_drake.evaluation.grasp_benchmark import METHODS as KEPT
     from geort_drake.evaluation.grasp_benchmark import SCENARIO, TRIALS, open_benchmark, read_config
-    from geort_drake.evaluation.grasp_report import rerun_path
+    from geort_drake.evaluation.grasp_report import rerun_path, write_report
     from geort_drake.evaluation.grasp_trial import simulate
     from geort_drake.evaluation.trial_log import TrialKey, key_of, read_records
     from geort_drake.simulation.scenario import load_scenario
@@ -209,6 +209,7 @@ def watch(folder: Path, method: str, thing: str, seed: int) -> int:
             f"{folder / TRIALS}: this time the trial came out otherwise in {', '.join(differing)}; "
             f"was it run on another kind of machine? The recording is of this time: {path}"
         )
+    write_report(folder)  # which now links the recording
     console.print(f"The same outcome: {record['outcome']}", markup=False)
     console.print(f"Watch it: rerun {path}", soft_wrap=True)
     return 0

@@ -12,13 +12,13 @@ import dataclasses as dc
 import functools
 import hashlib
 import json
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import Any
 
-from joblib import Parallel, delayed, parallel_config
+import yaml
+from joblib import Parallel, delayed, parallel_config, register_parallel_backend
 
 import geort_drake
 from geort_drake.errors import BenchmarkError, GeortError
@@ -60,7 +60,7 @@ class Benchmark:
 
     def keys(self, methods: Iterable[str], objects: Iterable[str], trials: int) -> list[TrialKey]:
         """Trials in the order in which they are run: seed by seed, so that any beginning is balanced."""
-        first = self.config["settings"]["first_seed"]
+        first = self.config["settings"]["scenario"]["random_seed"]
         return [TrialKey(m, o, first + k) for k in range(trials) for o in objects for m in methods]
 
     def goals(self, objects: Sequence[str], jobs: int, backend: str) -> Iterator[tuple[str, GraspGoal]]:
@@ -122,10 +122,8 @@ def open_benchmark(
             "hand_sha256": hand.digest,
             "recording_sha256": recording.digest,
             "training_seed": seed,
-            "first_seed": scenario.random_seed,
-            "timeout": scenario.timeout,
             "latency": "zero" if zero_latency else "measured",
-            "scenario_sha256": hashlib.sha256(text.encode()).hexdigest(),
+            "scenario": yaml.safe_load(text)["Resolved"],
             "models_sha256": _digest(models_dir().parent, [models_dir(), diagrams_dir()]),
             "code_sha256": _digest(package, [package / room for room in _SOURCES]),
             "versions": {
@@ -154,7 +152,9 @@ def open_benchmark(
         if known is None:
             latency = 0.0 if zero_latency else measure_latency(retarget, recording)
             known = {"weights_sha256": digest, "latency_s": latency}
-        _require_same(path, {name: known["weights_sha256"]}, {name: digest})
+        _require_same(
+            path, {"weights_sha256": known["weights_sha256"]}, {"weights_sha256": digest}, f"{name}."
+        )
         wanted["methods"][name] = known
         ready[name] = Method(retarget, digest, known["latency_s"])
     if wanted != stored:
@@ -191,12 +191,14 @@ def keep_error(folder: Path, record: dict) -> dict:
     return {**record, "error": record["error"].strip().splitlines()[-1], "traceback": str(path)}
 
 
-def _require_same(path: Path, stored: dict, wanted: dict) -> None:
-    for field in sorted({*stored, *wanted}):
+def _require_same(path: Path, stored: dict, wanted: dict, within: str = "") -> None:
+    for field in {**stored, **wanted}:
         before, now = stored.get(field), wanted.get(field)
-        if before != now:
+        if isinstance(before, dict) and isinstance(now, dict):
+            _require_same(path, before, now, f"{within}{field}.")
+        elif before != now:
             raise BenchmarkError(
-                f"{path}: this benchmark was begun with another {field}: {before}, not {now}; "
+                f"{path}: this benchmark was begun with another {within}{field}: {before}, not {now}; "
                 "go on with the same, or choose another folder"
             )
 
@@ -228,9 +230,12 @@ def _workers(jobs: int, backend: str) -> Iterator[Callable[..., Parallel]]:
 
 def _register_ray() -> None:
     try:
-        from ray.util.joblib import register_ray
+        from ray.util.joblib.ray_backend import RayBackend
     except ImportError as error:
         raise GeortError("the backend 'ray' needs Ray: pip install 'geort-drake[ray]'") from error
-    # What one trial computes must not depend on how many processors its machine has.
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    register_ray()
+
+    class Backend(RayBackend):
+        # Inherited is what holds for pools of processes; Ray's pool gives results as they come.
+        supports_return_generator = True
+
+    register_parallel_backend("ray", Backend)

@@ -20,7 +20,7 @@ from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.simulation.diagram import Retarget
 
 # Timed are the answers to so many successive frames, after a warm-up.
-_CALLS, _WARM_UP = 500, 50
+_CALLS, _WARM_UP = 200, 20
 
 
 @dc.dataclass(frozen=True)

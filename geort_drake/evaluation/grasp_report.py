@@ -35,7 +35,7 @@ def write_report(folder: Path) -> dict:
                 f"{CONFIG} does not know of"
             )
     records.sort(key=lambda r: (order.index(r["method"]), r["object"], r["seed"]))
-    summary = summarize(records, order, config["settings"]["timeout"])
+    summary = summarize(records, order, config["settings"]["scenario"]["timeout"])
     write_text(folder / SUMMARY, json.dumps({**summary, "config": config}, indent=2, allow_nan=False) + "\n")
     environment = Environment(
         loader=PackageLoader("geort_drake.evaluation"),

@@ -45,6 +45,7 @@ class TrialLog:
     the process and of the machine.
 
     Attributes:
+        path: of the file.
         records: what was in the file when it was opened.
         torn: whether a torn last line was dropped.
 
@@ -53,18 +54,18 @@ class TrialLog:
     """
 
     def __init__(self, path: str | os.PathLike):
-        self._path = Path(path)
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = open(self._path, "a+b")
+        self.path = Path(path)
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = open(self.path, "a+b")
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             self._file.close()
-            raise BenchmarkError(f"{self._path}: another process is writing to this file") from error
+            raise BenchmarkError(f"{self.path}: another process is writing to this file") from error
         try:
             self._file.seek(0)
             whole, newline, rest = self._file.read().rpartition(b"\n")
-            self.records = _parse(self._path, whole)
+            self.records = _parse(self.path, whole)
             self.torn = bool(rest)
             if self.torn:
                 self._file.truncate(len(whole) + len(newline))
