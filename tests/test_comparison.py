@@ -109,7 +109,11 @@ def test_every_method_is_scored_under_every_protocol(evaluate, play, quick, tmp_
     hold = report["methods"]["hold"]["same_person"]
     assert hold["mean"]["motion_preservation"] == 0.0 and hold["mean"]["smoothness"]["max"] == 0.0
     assert not hold["outcomes"][0]["remembers"]
-    assert {path.name for path in (tmp_path / "plots").iterdir()} >= {"fingertips.png", "frontier.png"}
+    assert {path.name for path in (tmp_path / "plots").iterdir()} == {
+        "fingertips.png",
+        "frontier.png",
+        "gain.png",
+    }
     said = capsys.readouterr()
     assert "table.json" in said.out
     for title in ("same person, training recording", "held-out blocks", "another person", "worst part"):
@@ -197,7 +201,7 @@ def test_pinches_of_all_blocks_count_alike(play):
         p_BF = p_HF + (0.05 if pinches == 1 else 0.0) * np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0], [0, 0, 0]])
         figures = {**mean([]), "motion_preservation": float(rng.uniform())}
         figures["pinch"] = pinch(p_HF, p_BF, comparison.hand.finger_names, 0.012)
-        outcomes.append(Outcome(case, 0, Judged(figures, False, p_HF, p_BF)))
+        outcomes.append(Outcome(case, 0, Judged(figures, False, p_HF, p_BF, np.ones((4, 1)))))
     summary = comparison.summary(outcomes)
     assert summary["mean"]["pinch"]["closed"] == pytest.approx(3 / 4)
     assert summary["mean"]["pinch"]["frames"] == 4
@@ -214,7 +218,9 @@ def test_the_worst_seed_is_of_whole_protocols(play):
     talks = {(0, 0): 0.1, (1, 0): 0.5, (0, 1): 0.4, (1, 1): 0.4}
     hands = np.zeros((4, 4, 3))
     outcomes = [
-        Outcome(blocks[part], seed, Judged({**mean([]), "cross_talk": talk}, False, hands, hands))
+        Outcome(
+            blocks[part], seed, Judged({**mean([]), "cross_talk": talk}, False, hands, hands, np.ones((4, 1)))
+        )
         for (part, seed), talk in talks.items()
     ]
     summary = comparison.summary(outcomes)

@@ -137,14 +137,15 @@ def test_context_averaging_keeps_independent_maps_and_shrinks_coupled_ones(frame
 
 def test_an_affine_map_is_flat_and_its_gain_ratio_follows_from_its_scales(frames, rng):
     """An isotropic map has gain ratio 1; one that stretches z tenfold does not, but is as flat."""
-    flat, gain = metrics.flatness_and_gain(lambda p: 3 * p + 0.2, frames, rng)
+    flat, gains = metrics.flatness_and_gain(lambda p: 3 * p + 0.2, frames, rng)
     assert flat == pytest.approx(0.0, abs=1e-18)
-    assert gain == pytest.approx(1.0)
-    flat, gain = metrics.flatness_and_gain(lambda p: p * [1, 1, 10], frames, rng)
+    np.testing.assert_allclose(gains, 3.0)
+    assert metrics.gain_ratio(gains) == pytest.approx(1.0)
+    flat, gains = metrics.flatness_and_gain(lambda p: p * [1, 1, 10], frames, rng)
     assert flat == pytest.approx(0.0, abs=1e-18)
     # |Δ|² = 1 + 99 z² with z uniform in [−1, 1] on the sphere.
     expected = math.sqrt((1 + 99 * 0.95**2) / (1 + 99 * 0.05**2))
-    assert gain == pytest.approx(expected, rel=0.03)
+    assert metrics.gain_ratio(gains) == pytest.approx(expected, rel=0.03)
 
 
 def test_flatness_of_a_parabola_is_its_second_over_first_difference(rng):
@@ -234,8 +235,9 @@ def test_all_metrics_of_the_identity_on_a_hand_without_links(frames, monkeypatch
         return np.reshape(p, (*p.shape[:-2], 9))
 
     space = metrics.robot_space(PointHand(), seed=5)
-    result, p_BF = metrics.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5, space=space)
+    result, p_BF, gains = metrics.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5, space=space)
     np.testing.assert_array_equal(p_BF, frames)
+    np.testing.assert_allclose(gains, 1.0)
     assert set(json.loads(json.dumps(result, allow_nan=False))) == {
         "motion_preservation", "motion_preservation_track", "coverage", "coverage_context_averaged",
         "coverage_collision_free", "cross_talk", "flatness", "gain_p95_p5", "pinch", "self_collision",
@@ -248,10 +250,10 @@ def test_all_metrics_of_the_identity_on_a_hand_without_links(frames, monkeypatch
     assert result["coverage"]["15mm"] > 0.5
     assert set(result["coverage"]) == {"5mm", "10mm", "15mm"}
     assert result["self_collision_raw"] == pytest.approx((frames[:, 0, 0] < 0).mean())
-    again, _ = metrics.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5, space=space)
+    again, *_ = metrics.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5, space=space)
     result.pop("latency_us"), again.pop("latency_us")
     assert result == again
-    without, _ = metrics.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5)
+    without, *_ = metrics.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5)
     coverages = {"coverage", "coverage_context_averaged", "coverage_collision_free"}
     assert {key for key, value in without.items() if value is None} == coverages
 
@@ -264,7 +266,7 @@ def test_every_figure_has_a_direction_or_none(frames, monkeypatch):
         return np.reshape(p, (*p.shape[:-2], 9))
 
     space = metrics.robot_space(PointHand())
-    measured, _ = metrics.evaluate_frames(identity, PointHand(), frames[:50], 60.0, space=space)
+    measured, *_ = metrics.evaluate_frames(identity, PointHand(), frames[:50], 60.0, space=space)
 
     def leaves(value, path=""):
         if not isinstance(value, dict):

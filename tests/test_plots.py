@@ -5,8 +5,8 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from geort_drake.evaluation import metrics, plots
-from geort_drake.evaluation.metrics import ROBOT_VOXEL, local_gains, robot_voxels
+from geort_drake.evaluation import plots
+from geort_drake.evaluation.metrics import ROBOT_VOXEL, robot_voxels
 
 NAMES = ("thumb", "index")
 
@@ -129,17 +129,3 @@ def test_the_gain_is_marked_at_its_percentiles(rng):
     assert [note.splitlines()[-1] for note in notes] == [
         f"unanswered: {share}" for share in ("0%", "50%", "100%")
     ]
-
-
-def test_local_gains_are_those_of_the_metric(rng):
-    """A stretched map's are between its least and greatest factor, and give the metric's percentiles."""
-    frames = rng.uniform(-0.04, 0.04, (300, 2, 3))
-
-    def g(p):
-        return p * [1.0, 2.0, 3.0]
-
-    gains = local_gains(g, frames, np.random.default_rng(5), anchors=500)
-    assert gains.shape == (2, 500) and gains.min() >= 1 - 1e-9 and gains.max() <= 3 + 1e-9
-    _, ratio = metrics.flatness_and_gain(g, frames, np.random.default_rng(5), anchors=500)
-    low, high = np.percentile(gains, (5, 95), axis=1)
-    assert ratio == pytest.approx((high / low).mean())

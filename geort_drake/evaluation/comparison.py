@@ -40,6 +40,7 @@ class Judged:
     remembers: bool  # answers depend on earlier frames
     p_HF: np.ndarray  # (T, F, 3) m, the scored frames
     p_BF: np.ndarray  # (T, F, 3) m, the answers
+    gains: np.ndarray  # (F, N) of `flatness_and_gain`
 
 
 @dataclass(frozen=True)
@@ -169,8 +170,8 @@ class Comparison:
         if isinstance(retarget, VectorOnline):
             settled = retarget.settled_map(frames)
             retarget.reset()
-        space = self._space(seed)
-        metrics, p_BF = evaluate_frames(
+        space = self.space(seed)
+        metrics, p_BF, gains = evaluate_frames(
             retarget,
             self.hand,
             frames,
@@ -187,7 +188,7 @@ class Comparison:
             "motion_preservation": aligned_motion_preservation(p_HL, p_BL),
             "workspace": workspace(space.p_BF, p_BF) if protocol.with_coverage else None,
         }
-        return Judged(_finite(metrics), settled is not None, frames, p_BF)
+        return Judged(_finite(metrics), settled is not None, frames, p_BF, gains)
 
     def _retargeter(self, name: str, protocol: Protocol, case: Case, seed: int) -> Callable:
         if name in BASELINES:
@@ -209,7 +210,8 @@ class Comparison:
             raise CheckpointError(f"{name}: was trained on {case.part}, so that is no other person's to it")
         return load_retargeter(name, self.hand)
 
-    def _space(self, seed: int) -> RobotSpace:
+    def space(self, seed: int) -> RobotSpace:
+        """The C-space of the hand."""
         if seed not in self._spaces:
             self._spaces[seed] = robot_space(self.hand, seed)
         return self._spaces[seed]

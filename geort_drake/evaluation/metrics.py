@@ -6,7 +6,7 @@ functions take g = FK∘f, "where do the robot's fingertips (N, F, 3) go for hum
 """
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,7 +89,7 @@ def evaluate_frames(
     seed: int = 0,
     space: RobotSpace | None = None,
     settled: Callable | None = None,
-) -> tuple[dict, np.ndarray]:
+) -> tuple[dict, np.ndarray, np.ndarray]:
     """`evaluate` for human fingertips (T, F, 3) of successive frames at `rate_hz`.
 
     A retargeter whose answers depend on the past answers `frames` in their order, as a batch. Where
@@ -98,7 +98,8 @@ def evaluate_frames(
     coverages are None.
 
     Returns:
-        The metrics, and where the robot's fingertips went, p_BF (T, F, 3) in m, as in `RobotSpace`.
+        The metrics; where the robot's fingertips went, p_BF (T, F, 3) in m, as in `RobotSpace`; and the
+        gains of `flatness_and_gain`.
     """
     check_frames(frames)
     rng = np.random.default_rng([seed, 1])  # not the numbers that robot_space drew
@@ -110,21 +111,22 @@ def evaluate_frames(
 
     q = _in_chunks(retarget, frames)
     p_BF = fingertips(q)
-    flat, gain = flatness_and_gain(g, frames, rng)
+    flat, gains = flatness_and_gain(g, frames, rng)
     collided = self_collision(hand, q)
-    return {
+    figures = {
         "motion_preservation": motion_preservation(g, frames, rng),
         "motion_preservation_track": motion_preservation_track(frames, p_BF),
         **_coverages(g, frames, p_BF, space),
         "cross_talk": cross_talk(g, frames, rng),
         "flatness": flat,
-        "gain_p95_p5": gain,
+        "gain_p95_p5": gain_ratio(gains),
         "pinch": pinch(frames, p_BF, hand.finger_names, hand.tip_radius),
         "self_collision": collided["deep"],
         "self_collision_raw": collided["any"],
         "smoothness": smoothness(q, rate_hz),
         "latency_us": latency(retarget, frames),
-    }, p_BF
+    }
+    return figures, p_BF, gains
 
 
 def _fingertips_of(hand) -> Callable[[np.ndarray], np.ndarray]:
@@ -222,21 +224,28 @@ def context_averaged(g: FingertipMap, frames: np.ndarray, contexts: int = 12) ->
 
 def flatness_and_gain(
     g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 2000
-) -> tuple[float, float]:
-    """Mean squared second over first difference, and 95th over 5th percentile of the gain, at 2 mm."""
+) -> tuple[float, np.ndarray]:
+    """Mean squared second over first difference, and the gain of every step (F, anchors), at 2 mm.
+
+    The gain is how far a robot fingertip moves per metre of its human one.
+    """
     flats, gains = [], []
-    for first, second in _small_steps(g, frames, rng, anchors):
+    for finger in range(frames.shape[1]):
+        x = frames[_anchor_rows(frames[:, finger], anchors, rng)]
+        d = SMALL_STEP * _directions(anchors, rng)
+        here = g(x)[:, finger]
+        ahead, behind = _moved(g, x, finger, d)[:, finger], _moved(g, x, finger, -d)[:, finger]
+        first = np.linalg.norm(ahead - here, axis=1)
+        second = np.linalg.norm(ahead + behind - 2 * here, axis=1)
         flats.append((second**2).mean() / max((first**2).mean(), 1e-18))
-        low, high = np.percentile(first / SMALL_STEP, (5, 95))
-        gains.append(high / max(low, 1e-9))
-    return float(np.mean(flats)), float(np.mean(gains))
+        gains.append(first / SMALL_STEP)
+    return float(np.mean(flats)), np.stack(gains)
 
 
-def local_gains(
-    g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 2000
-) -> np.ndarray:
-    """How far each robot fingertip moves per metre of its human one: (F, anchors), steps of 2 mm."""
-    return np.stack([first / SMALL_STEP for first, _ in _small_steps(g, frames, rng, anchors)])
+def gain_ratio(gains: np.ndarray) -> float:
+    """95th over 5th percentile of the gain (F, anchors), averaged over fingers."""
+    low, high = np.percentile(gains, (5, 95), axis=1)
+    return float((high / np.maximum(low, 1e-9)).mean())
 
 
 def smoothness(q: np.ndarray, rate_hz: float) -> dict[str, float]:
@@ -273,18 +282,6 @@ def _anchor_rows(tips: np.ndarray, count: int, rng: np.random.Generator) -> np.n
 def _in_chunks(retarget: Callable, p_HF: np.ndarray, rows: int = 4096) -> np.ndarray:
     """retarget(p_HF) in pieces, because hidden layers of a long recording would fill the memory."""
     return np.concatenate([retarget(p_HF[i : i + rows]) for i in range(0, len(p_HF), rows)])
-
-
-def _small_steps(
-    g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Per finger, norms of first and second differences of its tip where it alone moves by 2 mm, m."""
-    for finger in range(frames.shape[1]):
-        x = frames[_anchor_rows(frames[:, finger], anchors, rng)]
-        d = SMALL_STEP * _directions(anchors, rng)
-        here = g(x)[:, finger]
-        ahead, behind = _moved(g, x, finger, d)[:, finger], _moved(g, x, finger, -d)[:, finger]
-        yield np.linalg.norm(ahead - here, axis=1), np.linalg.norm(ahead + behind - 2 * here, axis=1)
 
 
 def _moved(g: FingertipMap, x: np.ndarray, finger: int, d: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from matplotlib.ticker import PercentFormatter
 
 from geort_drake.evaluation.comparison import Judged
 from geort_drake.evaluation.metric_table import Metric
-from geort_drake.evaluation.metrics import ROBOT_VOXEL
+from geort_drake.evaluation.metrics import ROBOT_VOXEL, RobotSpace
 from geort_drake.files import atomic_path
 
 # Okabe and Ito's colours, which colour-blind people tell apart as well; shapes say the same once more.
@@ -48,25 +48,29 @@ FRONTIER = ((COVERAGE, MOTION), (COVERAGE, PINCHES), (COVERAGE, COLLISION), (COV
 
 
 def write_plots(
-    folder: Path, results: Mapping[str, Judged], frames: np.ndarray, finger_names: Sequence[str]
+    folder: Path, results: Mapping[str, Judged], finger_names: Sequence[str], space: RobotSpace
 ) -> list[Path]:
-    """Writes the frontier, and both fingertip spaces as in the paper's figure 2.
+    """Writes the frontier, both fingertip spaces as in the paper's figure 2, and the gain.
 
     Args:
         folder: of the PNG files; made if it is not there.
-        results: name or checkpoint of a method → its figures.
-        frames: (T, F, 3) human fingertips in H that the methods were scored on, m.
+        results: name or checkpoint of a method → its figures, all on the same frames.
         finger_names: F names.
+        space: the C-space of the hand.
 
     Returns:
-        The files.
+        The files; none without results.
     """
     named = {Path(name).name: judged for name, judged in results.items()}
+    if not named:
+        return []
+    human = next(iter(named.values())).p_HF
     clouds = {name: judged.p_BF for name, judged in named.items()}
     with mpl.rc_context(STYLE):
         figures = {
             "frontier.png": frontier({name: judged.metrics for name, judged in named.items()}),
-            "fingertips.png": fingertips(frames, clouds, finger_names),
+            "fingertips.png": fingertips(human, clouds, finger_names, space.reachable),
+            "gain.png": gain({name: judged.gains for name, judged in named.items()}),
         }
         return [save(figure, folder / name) for name, figure in figures.items()]
 
@@ -240,7 +244,7 @@ def gain(gains: Mapping[str, np.ndarray]) -> Figure:
     on the logarithmic axis; their share is written beside.
 
     Args:
-        gains: name of a method → (F, N) of `metrics.local_gains`.
+        gains: name of a method → (F, N) of `metrics.flatness_and_gain`.
     """
     figure = Figure(figsize=(WIDTH, 0.8 + 0.75 * len(gains)), layout="constrained")
     axes = figure.subplots(len(gains), 1, sharex=True, squeeze=False)[:, 0]
