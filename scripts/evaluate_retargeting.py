@@ -5,14 +5,17 @@ python scripts/evaluate_retargeting.py --recording alex.npy --methods geort vect
 
 import argparse
 import json
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rich.progress import Progress
 
 from geort_drake.console import console, progress_bar, run_main
+from geort_drake.evaluation.ablation import ablation
 from geort_drake.evaluation.comparison import Comparison, Outcome, check_methods, method_names
-from geort_drake.evaluation.plots import write_plots
+from geort_drake.evaluation.pipeline import METHODS
+from geort_drake.evaluation.plots import write_plots, write_sweep_plot
 from geort_drake.evaluation.protocols import (
     GUARD_S,
     SAME_PERSON,
@@ -21,6 +24,7 @@ from geort_drake.evaluation.protocols import (
     same_person,
 )
 from geort_drake.evaluation.report import failures, report, tables
+from geort_drake.evaluation.sweep import SWEEP, Ground, Sweep, plan, read_sweep
 from geort_drake.files import require_writable, write_text
 from geort_drake.gloves.readers import read_recording
 from geort_drake.gloves.recording import Recording
@@ -47,7 +51,12 @@ Online methods start from rest in every recording and block and answer its frame
 metric asks about hands that were not recorded, the hand is held until their answer has settled, from their
 state at the nearest frame.
 
-Ends with code 1 if something could not be scored; the rest is shown all the same.
+A sweep trains methods again and again with one setting changed, and writes tables and a plot to --output:
+  python scripts/evaluate_retargeting.py --recording alex.npy --methods geort --sweep --seeds 0 1 2 \\
+      --jobs 2 --output runs/sweep
+docs/frontier.md says what is in that folder. What is there is not trained again by the same command.
+
+Ends with code 1 if something could not be scored or trained; the rest is shown all the same.
 """
 
 
@@ -55,9 +64,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = _parser()
     arguments = parser.parse_args(argv)
     _check(parser, arguments)
+    if arguments.sweep is not None:
+        return _sweep(arguments)
     description = load_hand(arguments.hand)
     hand = HandModel(description)
-    check_methods(arguments.methods, hand)
+    methods = arguments.methods or list(method_names())
+    check_methods(methods, hand)
     recording = read_recording(arguments.recording, description.side, training=True)
     protocols = [same_person(recording, arguments.recording.name)]
     if arguments.held_out is not None:
@@ -69,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     with progress_bar() as progress:
         trainer = _trainer(arguments.hand, progress)
         comparison = Comparison(hand, protocols, arguments.seeds, trainer, arguments.frames)
-        results = _run(comparison, arguments, recording, progress)
+        results = _run(comparison, methods, arguments, recording, progress)
     for table in tables(comparison, results):
         console.print(table)
     for line in failures(results):
@@ -86,11 +98,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(
-    comparison: Comparison, arguments: argparse.Namespace, recording: Recording, progress: Progress
+    comparison: Comparison,
+    methods: Sequence[str],
+    arguments: argparse.Namespace,
+    recording: Recording,
+    progress: Progress,
 ) -> dict[str, dict[str, list[Outcome]]]:
     """Judges every method, and writes the JSON file whenever one is done."""
     results = {}
-    total = comparison.cases_per_method * len(arguments.methods)
+    total = comparison.cases_per_method * len(methods)
     task = progress.add_task("evaluation", total=total, note="")
     done = -1
 
@@ -99,13 +115,36 @@ def _run(
         done += 1
         progress.update(task, completed=done, note=note)
 
-    for name in arguments.methods:
+    for name in methods:
         results[name] = comparison.run(name, starts)
         if arguments.json:
             content = report(comparison, results, recording, arguments.recording.name)
             write_text(arguments.json, json.dumps(content, indent=2, allow_nan=False) + "\n")
     progress.update(task, completed=total, note="")
     return results
+
+
+def _sweep(arguments: argparse.Namespace) -> int:
+    """Trains what a sweep still lacks, and writes its tables and plot."""
+    runs = plan(arguments.methods, arguments.seeds, arguments.sweep, arguments.set)
+    ground = Ground.of(arguments.hand, arguments.recording, runs[0].common)
+    sweep = Sweep(runs, ground, arguments.output)
+    failed = []
+    with progress_bar() as progress:
+        progress.speed_estimate_period = math.inf
+        task = progress.add_task("runs", total=len(runs), completed=len(runs) - len(sweep.missing), note="")
+        progress.advance(task, 1e-9)  # the time left is reckoned from here on
+        for record in sweep.train(arguments.jobs or 1):
+            progress.update(task, advance=1, note=record["name"])
+            if "error" in record:
+                failed.append(record["name"])
+                progress.console.print(f"{record['name']}: {record['error']}", style="yellow", markup=False)
+    content = read_sweep(arguments.output)
+    write_text(arguments.output / "ablation.md", ablation(content))
+    plot = write_sweep_plot(arguments.output, content["runs"])
+    for path in (arguments.output / SWEEP, arguments.output / "ablation.md", plot):
+        print(path)
+    return 1 if failed else 0
 
 
 def _trainer(hand_name: str, progress: Progress) -> Callable[[Recording, str, int], Path]:
@@ -142,8 +181,8 @@ def _parser() -> argparse.ArgumentParser:
         "--methods",
         nargs="+",
         metavar="NAME",
-        default=list(method_names()),
-        help=f"any of {', '.join(method_names())}, or directories of checkpoints (default: all names)",
+        help=f"any of {', '.join(method_names())}, or directories of checkpoints (default: all names); with "
+        f"--sweep, any of {', '.join(METHODS)}",
     )
     parser.add_argument(
         "--seeds",
@@ -160,6 +199,21 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--plots", type=Path, metavar="FOLDER", help="write plots of the first seed, same person, here"
     )
+    group = parser.add_argument_group("sweep")
+    group.add_argument(
+        "--sweep",
+        nargs="*",
+        metavar="NAME=V1,V2",
+        help="train with other values of these settings, one at a time; without names, with every loss "
+        "weight at 0, half and double its value",
+    )
+    group.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of all runs, repeatable"
+    )
+    group.add_argument(
+        "--output", type=Path, metavar="FOLDER", help="of the sweep; one that is there goes on"
+    )
+    group.add_argument("--jobs", type=int, metavar="N", help="runs at a time (default: 1)")
     return parser
 
 
@@ -169,10 +223,19 @@ def _check(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> No
         parser.error(f"--seeds must be 0 or more, not {min(arguments.seeds)}")
     if arguments.frames is not None and arguments.frames < 10:
         parser.error(f"--frames must be at least 10, not {arguments.frames}")
+    sweeping, comparing = ("set", "output", "jobs"), ("held_out", "score_on", "frames", "json", "plots")
+    others = sweeping if arguments.sweep is None else comparing
+    wrong = [f"--{name}" for name in others if getattr(arguments, name)]
+    if wrong:
+        parser.error(f"{', '.join(wrong)}: {'only' if arguments.sweep is None else 'not'} with --sweep")
+    if arguments.sweep is not None and not (arguments.methods and arguments.output):
+        parser.error("--sweep needs --methods and --output")
+    if arguments.jobs is not None and arguments.jobs < 1:
+        parser.error(f"--jobs must be at least 1, not {arguments.jobs}")
     listed = {
         "seeds": arguments.seeds,
         "score_on": arguments.score_on or [],
-        "methods": [Path(name).name for name in arguments.methods],
+        "methods": [Path(name).name for name in arguments.methods or []],
     }
     for option, values in listed.items():
         twice = sorted({str(value) for value in values if values.count(value) > 1})

@@ -1,5 +1,6 @@
 """Sweeps: what is run, what is not run again, what a failure does, and the tables."""
 
+import importlib.util
 import json
 from dataclasses import asdict
 from pathlib import Path
@@ -9,8 +10,12 @@ import pytest
 
 from geort_drake.errors import CheckpointError, GeortError, OutputError, TrainingError, UnknownNameError
 from geort_drake.evaluation import sweep as sweeping
+from geort_drake.evaluation.metric_table import mean
 from geort_drake.evaluation.pipeline import training_config
 from geort_drake.evaluation.sweep import SWEEP, Ground, Run, Sweep, plan, read_sweep
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.checkpoint import METRICS, WEIGHTS, save_checkpoint
 
 GROUND = Ground(
@@ -27,10 +32,8 @@ GROUND = Ground(
 RUNS = plan(["geort"], [0, 1], ["coverage_weight=0,3.5"], ["steps=7"])
 
 
-@pytest.fixture
-def trained(monkeypatch):
-    """The names of the runs that were trained; the trainer writes a whole checkpoint, but learns nothing."""
-    names: list[str] = []
+def trainer(names: list[str], hand_sha256: str = "a", recording_sha256: str = "b"):
+    """Stands in for training: notes the run's name and writes a whole checkpoint that has learned nothing."""
 
     def train(hand, recording, output, method, seed, show_progress, settings):
         names.append(Path(output).name)
@@ -39,17 +42,26 @@ def trained(monkeypatch):
             raise TrainingError("the loss is not finite")
         hand = {
             "name": hand, "joint_names": ["j"], "finger_names": ["thumb"],
-            "lower": [0], "upper": [1], "model_sha256": "a",
+            "lower": [0], "upper": [1], "model_sha256": hand_sha256,
         }  # fmt: skip
         timings = {"recording_s": 0, "robot_data_s": 1, "fit_s": 2, "evaluation_s": 3}
+        recording = {"sha256": recording_sha256}
         save_checkpoint(
             output, {"x": np.zeros(1)}, method=method, hand=hand, human_keypoints=[4],
             training={**asdict(config), "seed": seed, "device": "cpu"},
-            provenance={"recording": {"sha256": "b"}, "warnings": ["no pinch"], "timings": timings},
-            history=[], metrics={"motion_preservation": 0.1 * config.coverage_weight + 0.01 * seed},
+            provenance={"recording": recording, "warnings": ["no pinch"], "timings": timings},
+            history=[],
+            metrics={**mean([]), "motion_preservation": 0.1 * config.coverage_weight + 0.01 * seed},
         )  # fmt: skip
 
-    monkeypatch.setattr(sweeping, "train_checkpoint", train)
+    return train
+
+
+@pytest.fixture
+def trained(monkeypatch):
+    """The names of the runs that were trained."""
+    names: list[str] = []
+    monkeypatch.setattr(sweeping, "train_checkpoint", trainer(names))
     return names
 
 
@@ -181,3 +193,53 @@ def test_processes_of_their_own_record_their_failures(tmp_path):
     assert sorted(record["seed"] for record in records) == [0, 1, 2]
     assert all(record["error"].startswith("RecordingError: ") for record in records)
     assert len(json.loads((tmp_path / "sweep" / SWEEP).read_text("utf-8"))["runs"]) == 3
+
+
+def script():
+    """The script as a module."""
+    path = Path(__file__).resolve().parents[1] / "scripts" / "evaluate_retargeting.py"
+    spec = importlib.util.spec_from_file_location("evaluate_retargeting", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_script_writes_table_and_plot_and_goes_on(monkeypatch, tmp_path, capsys):
+    """A failure ends with code 1 after everything else is written; the same command tries only it again."""
+    play = synthesize_play(0, duration_s=20.0, rate_hz=30.0)
+    play.save(tmp_path / "hand.npz")
+    names: list[str] = []
+    train = trainer(names, HandModel(load_hand("allegro_right")).digest, play.digest)
+    monkeypatch.setattr(sweeping, "train_checkpoint", train)
+    command = [
+        "--recording", str(tmp_path / "hand.npz"), "--methods", "geort", "--sweep", "coverage_weight=0,3.5",
+        "--seeds", "0", "1", "--set", "steps=7", "--output", str(tmp_path / "sweep"),
+    ]  # fmt: skip
+    assert script().main(command) == 1
+    files = [tmp_path / "sweep" / name for name in ("sweep.json", "ablation.md", "frontier.png")]
+    said = capsys.readouterr()
+    assert said.out.split() == [str(path) for path in files]
+    assert "geort-coverage_weight=3.5-seed1: TrainingError: the loss is not finite" in said.err
+    assert "| `coverage_weight` = 0 | 0, 1 | -0.700 ± 0.000 |" in files[1].read_text("utf-8")
+    assert files[2].read_bytes().startswith(b"\x89PNG")
+    assert read_sweep(tmp_path / "sweep")["ground"]["settings"] == {"steps": 7}
+    assert len(names) == 6
+    assert script().main(command) == 1
+    assert names[6:] == ["geort-coverage_weight=3.5-seed1"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--sweep", "--methods", "geort"], "--sweep needs --methods and --output"),
+        (["--sweep", "--output", "out"], "--sweep needs --methods and --output"),
+        (["--sweep", "--methods", "geort", "--output", "out", "--json", "t"], "--json: not with --sweep"),
+        (["--output", "out", "--jobs", "2"], "--output, --jobs: only with --sweep"),
+        (["--sweep", "--methods", "geort", "--output", "out", "--jobs", "0"], "--jobs must be at least 1"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(arguments, message, capsys):
+    """Before anything is read."""
+    with pytest.raises(SystemExit):
+        script().main(["--recording", "none.npy", *arguments])
+    assert message in capsys.readouterr().err

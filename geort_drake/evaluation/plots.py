@@ -75,6 +75,12 @@ def write_plots(
         return [save(figure, folder / name) for name, figure in figures.items()]
 
 
+def write_sweep_plot(folder: Path, runs: Sequence[Mapping]) -> Path:
+    """Writes the frontier of a sweep; see `sweep_frontier`."""
+    with mpl.rc_context(STYLE):
+        return save(sweep_frontier(runs), folder / "frontier.png")
+
+
 def save(figure: Figure, path: Path) -> Path:
     """Writes a figure to a PNG file, atomically."""
     with atomic_path(path) as draft:
