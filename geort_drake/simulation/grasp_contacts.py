@@ -4,28 +4,73 @@ import dataclasses as dc
 import math
 
 import numpy as np
+import yaml
 from pydrake.geometry import Box, Ellipsoid, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 
-from geort_drake.simulation.object_shape import ObjectShape
+from geort_drake.errors import UnknownNameError
+from geort_drake.resources import models_dir
+from geort_drake.simulation.object_shape import ObjectShape, half_extents
 
-# In a tripod, index and middle stand this far to either side of the axis.
-_SPREAD = math.radians(28)
-# Fingers of each grip, and their angle around the vertical from the grip's axis; the first that the robot
-# can do is taken.
-GRIPS: dict[str, tuple[tuple[str, float], ...]] = {
-    "tripod": (("thumb", math.pi), ("index", _SPREAD), ("middle", -_SPREAD)),
-    "pinch": (("thumb", math.pi), ("index", 0.0)),
+# Fingers that take part in a grip beside each other keep at least this far apart, m.
+_BESIDE = 0.014
+# A contact keeps this far from the edges of the surface it lies on, m.
+_EDGE = 0.003
+
+
+@dc.dataclass(frozen=True)
+class Grip:
+    """A way to hold something upright: which fingers touch, and from where around the vertical.
+
+    Names as in the taxonomy of grasps (Cutkosky 1989; Feix et al. 2016): pinch and tripod are precision
+    grasps between fingertips; a power grasp presses the object into the palm.
+    """
+
+    # Finger → its angle from the grip's axis, which runs from the thumb to the fingers, rad, and its
+    # height over the grip's, m.
+    fingers: dict[str, tuple[float, float]]
+    # Whether the object shall lie in the palm. The palm's normal then is at 90° from the grip's axis.
+    palm: bool = False
+
+
+GRIPS = {
+    "pinch": Grip({"thumb": (math.pi, 0.0), "index": (0.0, 0.0)}),
+    "tripod": Grip(
+        {"thumb": (math.pi, 0.0), "index": (math.radians(28), 0.0), "middle": (math.radians(-28), 0.0)}
+    ),
+    # The fingers go round the far side, so that they and the thumb press towards the palm.
+    "power": Grip(
+        {
+            "thumb": (math.radians(150), 0.0),
+            "index": (math.radians(45), 0.04),
+            "middle": (math.radians(45), 0.0),
+            "ring": (math.radians(45), -0.04),
+        },
+        palm=True,
+    ),
 }
-# Objects taller than this are first tried above their middle, m.
-_TALL = 0.07
+
+
+def grip_of(name: str) -> str:
+    """The grip, one of `GRIPS`, that an object is made for, from models/objects.yaml.
+
+    Raises:
+        UnknownNameError: the object is not listed there, or with a grip that does not exist.
+    """
+    path = models_dir() / "objects.yaml"
+    grips = yaml.safe_load(path.read_text(encoding="utf-8"))
+    if name not in grips:
+        raise UnknownNameError(f"object in {path}", name, grips)
+    if grips[name] not in GRIPS:
+        raise UnknownNameError(f"grip of object '{name}' in {path}", str(grips[name]), GRIPS)
+    return grips[name]
 
 
 @dc.dataclass(frozen=True)
 class Contact:
-    """Where a finger shall touch: a surface point and the inward normal, in O, m."""
+    """Where a finger or the palm shall touch: a surface point and the inward normal, in O, m."""
 
-    finger: str
+    part: str
     p_OC: np.ndarray
     n_O: np.ndarray
 
@@ -35,22 +80,33 @@ def grip_contacts(shape: ObjectShape, yaw: float, height: float = 0.5, grip: str
 
     Args:
         yaw: direction of the grasp's axis from the thumb to the fingers, rad.
-        height: of the contacts, as a share of the object's height.
+        height: of the grip, as a share of the object's height.
         grip: one of `GRIPS`.
     """
-    main, X_OG = shape.main
     bottom, top = vertical_extent(shape)
     z = bottom + height * (top - bottom)
-    contacts = []
-    for finger, angle in GRIPS[grip]:
-        direction = np.array([math.cos(yaw + angle), math.sin(yaw + angle), 0.0])
-        if isinstance(main, Box):
-            p, outward = _on_box(main.size() / 2, X_OG, direction, yaw, z)
-        else:
-            p, outward = direction * _radius_at(main, z - X_OG.translation()[2]), direction
-            p = p + X_OG.translation() * [1, 1, 0]
-        contacts.append(Contact(finger, np.array([p[0], p[1], z]), -outward))
-    return contacts
+    return [
+        _contact(shape, finger, yaw, angle, z + raised)
+        for finger, (angle, raised) in GRIPS[grip].fingers.items()
+    ]
+
+
+def palm_contact(shape: ObjectShape, yaw: float, height: float) -> Contact:
+    """Where the palm shall touch in a power grasp at `yaw` and `height` as in `grip_contacts`."""
+    bottom, top = vertical_extent(shape)
+    # Across the grip's axis: the side the object shows there is found as for a grip turned that way.
+    return _contact(shape, "palm", yaw - math.pi / 2, 0.0, bottom + height * (top - bottom))
+
+
+def _contact(shape: ObjectShape, part: str, yaw: float, angle: float, z: float) -> Contact:
+    main, X_OG = shape.main
+    direction = np.array([math.cos(yaw + angle), math.sin(yaw + angle), 0.0])
+    if isinstance(main, Box):
+        p, outward = _on_box(main.size() / 2, X_OG, direction, yaw)
+    else:
+        p, outward = direction * _radius_at(main, z - X_OG.translation()[2]), direction
+        p = p + X_OG.translation() * [1, 1, 0]
+    return Contact(part, np.array([p[0], p[1], z]), -outward)
 
 
 def vertical_extent(shape: ObjectShape) -> tuple[float, float]:
@@ -59,32 +115,29 @@ def vertical_extent(shape: ObjectShape) -> tuple[float, float]:
     return shape.lowest_point(RigidTransform()), -shape.lowest_point(upside_down)
 
 
-def _radius_at(shape, z: float) -> float:
-    """Radius of a round shape at the height z over its centre."""
-    if hasattr(shape, "length"):
-        return shape.radius()
-    return math.sqrt(max(shape.radius() ** 2 - z**2, 0.0))
+def contact_heights(shape: ObjectShape, grip: str, lowest: float) -> list[float]:
+    """Heights of the grip to try, best first, as shares of the object's height.
 
+    A little above the middle is best, as the object then hangs from its contacts.
 
-def _on_box(half: np.ndarray, X_OG: RigidTransform, direction: np.ndarray, yaw: float, z: float):
-    """The side of a box that faces along the grasp's axis, and the point on it under `direction`."""
-    axis = np.array([math.cos(yaw), math.sin(yaw), 0.0])
-    side = axis if direction @ axis > 0 else -axis
-    lateral = np.array([-math.sin(yaw), math.cos(yaw), 0.0])
-    depth = float(np.abs(side) @ half)
-    width = float(np.abs(lateral) @ half)
-    # Neighbouring fingertips need room beside each other even on a narrow side.
-    offset = float(np.clip(depth * (direction @ lateral) / abs(direction @ axis), -width, width))
-    offset = 0.0 if abs(direction @ lateral) < 1e-9 else math.copysign(max(abs(offset), 0.014), offset)
-    return X_OG.translation() + depth * side + offset * lateral, side
-
-
-def contact_heights(shape: ObjectShape) -> tuple[float, ...]:
-    """Heights to try for the contacts, best first, as shares of the object's height."""
-    if isinstance(shape.main[0], Sphere | Ellipsoid):
-        return (0.5,)  # elsewhere the surface is not upright
+    Args:
+        lowest: no contact may be nearer to the object's bottom than this, m.
+    """
+    main, X_OG = shape.main
+    if isinstance(main, Sphere | Ellipsoid):
+        shares: tuple[float, ...] = (0.5,)  # elsewhere the surface is not upright
+    else:
+        shares = (0.55, 0.4, 0.75)
     bottom, top = vertical_extent(shape)
-    return (0.6, 0.5, 0.7) if top - bottom > _TALL else (0.5, 0.6, 0.7)
+    centre, half = X_OG.translation()[2], half_extents(main)[2]
+    raised = [over for _, over in GRIPS[grip].fingers.values()]
+    fitting = []
+    for share in shares:
+        z = bottom + share * (top - bottom)
+        on_main = z + max(raised) <= centre + half - _EDGE and z + min(raised) >= centre - half + _EDGE
+        if on_main and z + min(raised) - bottom >= lowest:
+            fitting.append(share)
+    return fitting
 
 
 def yaw_candidates(shape: ObjectShape) -> tuple[list[float], float]:
@@ -97,3 +150,23 @@ def yaw_candidates(shape: ObjectShape) -> tuple[list[float], float]:
             yaws = [math.pi / 2, -math.pi / 2]
         return yaws, math.pi / 2 if square else math.pi
     return [math.radians(a) for a in range(-180, 180, 30)], 0.0
+
+
+def _radius_at(shape, z: float) -> float:
+    """Radius of a round shape at the height z over its centre."""
+    if hasattr(shape, "length"):
+        return shape.radius()
+    return math.sqrt(max(shape.radius() ** 2 - z**2, 0.0))
+
+
+def _on_box(half: np.ndarray, X_OG: RigidTransform, direction: np.ndarray, yaw: float):
+    """The side of a box that faces along the grasp's axis, and the point on it under `direction`."""
+    axis = np.array([math.cos(yaw), math.sin(yaw), 0.0])
+    side = axis if direction @ axis > 0 else -axis
+    lateral = np.array([-math.sin(yaw), math.cos(yaw), 0.0])
+    depth = float(np.abs(side) @ half)
+    width = float(np.abs(lateral) @ half)
+    # Neighbouring fingertips need room beside each other even on a narrow side.
+    offset = float(np.clip(depth * (direction @ lateral) / abs(direction @ axis), -width, width))
+    offset = 0.0 if abs(direction @ lateral) < 1e-9 else math.copysign(max(abs(offset), _BESIDE), offset)
+    return X_OG.translation() + depth * side + offset * lateral, side

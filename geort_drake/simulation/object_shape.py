@@ -22,7 +22,7 @@ class ObjectShape:
     @property
     def main(self) -> tuple[Shape, RigidTransform]:
         """The largest part by bounding volume, with its pose in O."""
-        return max(self.parts, key=lambda part: float(np.prod(_half_extents(part[0]))))
+        return max(self.parts, key=lambda part: float(np.prod(half_extents(part[0]))))
 
     def lowest_point(self, X_WO: RigidTransform) -> float:
         """Height in W of the lowest point of the object at X_WO, m."""
@@ -50,7 +50,8 @@ def object_shape(plant: MultibodyPlant, inspector: SceneGraphInspector, body: Ri
     return ObjectShape(parts)
 
 
-def _half_extents(shape: Shape) -> np.ndarray:
+def half_extents(shape: Shape) -> np.ndarray:
+    """Half the sides of the box around a primitive, along its own axes, (3,) m."""
     if isinstance(shape, Box):
         return shape.size() / 2
     if isinstance(shape, Cylinder):
@@ -65,7 +66,7 @@ def _half_extents(shape: Shape) -> np.ndarray:
 def _lowest(shape: Shape, X_WG: RigidTransform) -> float:
     """Height of the shape's lowest point: its centre less the support in the direction of −z."""
     down_G = X_WG.rotation().matrix()[2]  # the world's z axis in G
-    half = _half_extents(shape)
+    half = half_extents(shape)
     if isinstance(shape, Box):
         reach = float(np.abs(down_G) @ half)
     elif isinstance(shape, Cylinder):

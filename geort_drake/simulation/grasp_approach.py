@@ -1,0 +1,108 @@
+"""Finds a way for the open hand to its grasp that does not knock the object over."""
+
+import itertools
+
+import numpy as np
+from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, Role
+from pydrake.math import RigidTransform
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.framework import DiagramBuilder
+
+from geort_drake.hands.description import HandDescription
+from geort_drake.operators.wrist_motion import WristMovement
+from geort_drake.resources import PACKAGE_NAME, resolve_uri, resource_root
+from geort_drake.simulation.world import add_object
+
+# Where the hand may wait before the grasp: this far back along the palm's normal and this far up, m.
+_RETREATS = (0.08, 0.11, 0.14, 0.17)
+_RISES = (0.0, 0.05, 0.10)
+# Distance that the hand keeps from the object on its way there, m: the object is not always where it was
+# planned to be, and fingers move meanwhile.
+_REACH_CLEARANCE = 0.03
+# And on the way from there to the grasp, m.
+_APPROACH_CLEARANCE = 0.001
+# Each way is looked at in so many places.
+_PLACES = 9
+
+
+class GraspApproach:
+    """A hand without its arm, and an object; the object's frame O is the world.
+
+    Args:
+        object_name: the object.
+        X_OB_start: where the hand base starts.
+        q_start: joint positions by name at the start, rad.
+    """
+
+    def __init__(
+        self,
+        description: HandDescription,
+        object_name: str,
+        X_OB_start: RigidTransform,
+        q_start: dict[str, float],
+    ):
+        self._X_OB_start, self._q_start = X_OB_start, q_start
+        builder = DiagramBuilder()
+        self._plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+        parser = Parser(self._plant)
+        parser.package_map().Add(PACKAGE_NAME, resource_root())
+        (hand,) = parser.AddModels(resolve_uri(description.model))
+        thing = add_object(self._plant, object_name)
+        self._plant.WeldFrames(self._plant.world_frame(), thing.body_frame())
+        self._plant.Finalize()
+        self._joints = {
+            name: self._plant.GetJointByName(name, hand)
+            for finger in description.fingers
+            for name in finger.joints
+        }
+        self._base = self._plant.GetFrameByName(description.base_frame, hand)
+        inspector = scene_graph.model_inspector()
+        parts = [
+            geometry
+            for body in map(self._plant.get_body, self._plant.GetBodyIndices(hand))
+            for geometry in inspector.GetGeometries(
+                self._plant.GetBodyFrameIdOrThrow(body.index()), Role.kProximity
+            )
+        ]
+        scene_graph.collision_filter_manager().Apply(
+            CollisionFilterDeclaration().ExcludeWithin(GeometrySet(parts))
+        )
+        self._diagram = builder.Build()
+        self._context = self._diagram.CreateDefaultContext()
+        self._plant_context = self._plant.GetMyMutableContextFromRoot(self._context)
+
+    def waiting_pose(self, X_OB: RigidTransform, q_open: dict[str, float]) -> RigidTransform | None:
+        """Where the hand can wait with open fingers before the grasp at X_OB; None if nowhere.
+
+        It is reached from the start, and the grasp from it, in straight minimum-jerk movements.
+
+        Args:
+            q_open: joint positions by name of the open hand, rad.
+        """
+        for rise, retreat in itertools.product(_RISES, _RETREATS):
+            X_OB_before = RigidTransform([0, 0, rise]) @ X_OB @ RigidTransform([-retreat, 0, 0])
+            if self._clear(X_OB_before, X_OB, q_open, _APPROACH_CLEARANCE) and all(
+                self._clear(self._X_OB_start, X_OB_before, q, _REACH_CLEARANCE)
+                for q in (q_open, self._q_start)
+            ):
+                return X_OB_before
+        return None
+
+    def _clear(
+        self, X_OB_from: RigidTransform, X_OB_to: RigidTransform, q: dict[str, float], distance: float
+    ) -> bool:
+        """Whether the hand keeps this distance, m, from the object all the way."""
+        movement = WristMovement(X_OB_from, X_OB_to, 0.0, 1.0)
+        for name, joint in self._joints.items():
+            joint.set_angle(self._plant_context, q[name])
+        X_BaseB = self._base.GetFixedPoseInBodyFrame()
+        for t in np.linspace(0, 1, _PLACES):
+            self._plant.SetFloatingBaseBodyPoseInWorldFrame(
+                self._plant_context, self._base.body(), movement.pose(t) @ X_BaseB.inverse()
+            )
+            query = self._plant.get_geometry_query_input_port().Eval(self._plant_context)
+            near = query.ComputeSignedDistancePairwiseClosestPoints(distance)
+            if any(pair.distance < distance for pair in near):
+                return False
+        return True
