@@ -16,6 +16,7 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.resources import models_dir
+from geort_drake.simulation.object_shape import half_extents
 
 FACTS_DIR = Path(__file__).resolve().parents[2] / "shared" / "facts"
 SDF_FILES = sorted((models_dir() / "sdf").rglob("*.sdf"))
@@ -325,6 +326,28 @@ def test_there_are_ten_objects_named_after_their_files():
         scene = Scene(path)
         assert scene.plant.num_bodies() == 2
         assert scene.plant.GetBodyByName(path.stem).is_floating_base_body()
+
+
+def test_the_objects_span_what_the_hand_should_manage():
+    """Among them are a wide, a tall, a tiny (2 cm) and a heavy (0.5 kg) one, none of them absurd."""
+    sizes, masses = {}, {}
+    for path in OBJECTS:
+        scene = Scene(path)
+        body, inspector = scene.plant.GetBodyByName(path.stem), scene.scene_graph.model_inspector()
+        masses[path.stem] = body.default_mass()
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        for id in inspector.GetGeometries(scene.plant.GetBodyFrameIdOrThrow(body.index()), Role.kProximity):
+            centre, half = inspector.GetPoseInFrame(id).translation(), half_extents(inspector.GetShape(id))
+            low, high = np.minimum(low, centre - half), np.maximum(high, centre + half)
+            friction = inspector.GetProximityProperties(id).GetProperty("material", "coulomb_friction")
+            assert 0.5 <= friction.static_friction() <= 1.0
+        sizes[path.stem] = high - low
+        # From a foam to a stone, by the box around it.
+        assert 50 < masses[path.stem] / np.prod(high - low) < 3000
+    assert sizes["wide_box"][0] == pytest.approx(0.09) and sizes["wide_box"].argmax() == 0
+    assert max(size[2] for size in sizes.values()) == pytest.approx(0.2)
+    assert sizes["block_tiny"] == pytest.approx([0.02] * 3)
+    assert max(masses.values()) == masses["can_heavy"] == 0.5
 
 
 @pytest.mark.parametrize("path", OBJECTS, ids=lambda path: path.stem)

@@ -20,8 +20,9 @@ _RISES = (0.0, 0.05, 0.10)
 # Distance that the hand keeps from the object on its way there, m: the object is not always where it was
 # planned to be, and fingers move meanwhile.
 _REACH_CLEARANCE = 0.03
-# And on the way from there to the grasp, m.
-_APPROACH_CLEARANCE = 0.001
+# Distance that the fingers keep on the way from there to the grasp, m, unless the grasp itself leaves less:
+# a hand that counts as open is so only within some tolerance.
+_APPROACH_CLEARANCE = 0.012
 # Each way is looked at in so many places.
 _PLACES = 9
 
@@ -60,11 +61,11 @@ class GraspApproach:
         inspector = scene_graph.model_inspector()
         parts = [
             geometry
-            for body in map(self._plant.get_body, self._plant.GetBodyIndices(hand))
-            for geometry in inspector.GetGeometries(
-                self._plant.GetBodyFrameIdOrThrow(body.index()), Role.kProximity
-            )
+            for index in self._plant.GetBodyIndices(hand)
+            for geometry in inspector.GetGeometries(self._plant.GetBodyFrameIdOrThrow(index), Role.kProximity)
         ]
+        palm = self._plant.GetBodyFrameIdOrThrow(self._base.body().index())
+        self._palm = set(inspector.GetGeometries(palm, Role.kProximity))
         scene_graph.collision_filter_manager().Apply(
             CollisionFilterDeclaration().ExcludeWithin(GeometrySet(parts))
         )
@@ -80,29 +81,38 @@ class GraspApproach:
         Args:
             q_open: joint positions by name of the open hand, rad.
         """
+        room = self._distance(X_OB, X_OB, q_open, fingers_only=True)
+        if room <= 0:
+            return None
         for rise, retreat in itertools.product(_RISES, _RETREATS):
             X_OB_before = RigidTransform([0, 0, rise]) @ X_OB @ RigidTransform([-retreat, 0, 0])
-            if self._clear(X_OB_before, X_OB, q_open, _APPROACH_CLEARANCE) and all(
-                self._clear(self._X_OB_start, X_OB_before, q, _REACH_CLEARANCE)
+            approach = self._distance(X_OB_before, X_OB, q_open, fingers_only=True)
+            if approach >= min(0.9 * room, _APPROACH_CLEARANCE) and all(
+                self._distance(self._X_OB_start, X_OB_before, q) >= _REACH_CLEARANCE
                 for q in (q_open, self._q_start)
             ):
                 return X_OB_before
         return None
 
-    def _clear(
-        self, X_OB_from: RigidTransform, X_OB_to: RigidTransform, q: dict[str, float], distance: float
-    ) -> bool:
-        """Whether the hand keeps this distance, m, from the object all the way."""
+    def _distance(
+        self,
+        X_OB_from: RigidTransform,
+        X_OB_to: RigidTransform,
+        q: dict[str, float],
+        fingers_only: bool = False,
+    ) -> float:
+        """Least distance between hand and object on the way, m, as far as that is below 50 mm."""
         movement = WristMovement(X_OB_from, X_OB_to, 0.0, 1.0)
         for name, joint in self._joints.items():
             joint.set_angle(self._plant_context, q[name])
         X_BaseB = self._base.GetFixedPoseInBodyFrame()
+        least = 0.05
         for t in np.linspace(0, 1, _PLACES):
             self._plant.SetFloatingBaseBodyPoseInWorldFrame(
                 self._plant_context, self._base.body(), movement.pose(t) @ X_BaseB.inverse()
             )
             query = self._plant.get_geometry_query_input_port().Eval(self._plant_context)
-            near = query.ComputeSignedDistancePairwiseClosestPoints(distance)
-            if any(pair.distance < distance for pair in near):
-                return False
-        return True
+            for pair in query.ComputeSignedDistancePairwiseClosestPoints(least):
+                if not (fingers_only and {pair.id_A, pair.id_B} & self._palm):
+                    least = min(least, pair.distance)
+        return least

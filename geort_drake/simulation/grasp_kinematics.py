@@ -107,11 +107,18 @@ class GraspKinematics:
         """Positions with the fingertips `opening` off the contacts, the arm as at q_touch; None if none."""
         ik = self._program(contacts, opening, _OPEN_TOLERANCE)
         ik.AddMinimumDistanceLowerBoundConstraint(_CLEARANCE, 0.02)
-        joints = map(self._plant.get_joint, self._plant.GetJointIndices(self._arm))
-        arm = [joint.position_start() for joint in joints if joint.num_positions()]
+        arm = self._arm_positions()
         ik.get_mutable_prog().AddBoundingBoxConstraint(q_touch[arm], q_touch[arm], ik.q()[arm])
         result = SnoptSolver().Solve(ik.prog(), q_touch, _options())
         return result.GetSolution(ik.q()) if result.is_success() else None
+
+    def open_wide(self, q_touch: np.ndarray) -> np.ndarray | None:
+        """Positions with the hand in its default posture, the arm as at q_touch; None if that collides."""
+        q, arm = self.q_default.copy(), self._arm_positions()
+        q[arm] = q_touch[arm]
+        self._plant.SetPositions(self._plant_context, q)
+        query = self._plant.get_geometry_query_input_port().Eval(self._plant_context)
+        return None if query.HasCollisions() else q
 
     def hand_pose(self, q: np.ndarray) -> RigidTransform:
         """X_OB of the hand base at the plant's positions q."""
@@ -131,6 +138,10 @@ class GraspKinematics:
         """The plant's positions q by joint name, rad."""
         joints = map(self._plant.get_joint, self._plant.GetJointIndices())
         return {joint.name(): q[joint.position_start()] for joint in joints if joint.num_positions()}
+
+    def _arm_positions(self) -> list[int]:
+        joints = map(self._plant.get_joint, self._plant.GetJointIndices(self._arm))
+        return [joint.position_start() for joint in joints if joint.num_positions()]
 
     def _program(self, contacts: list[Contact], opening: float, tolerance: float) -> InverseKinematics:
         """Fingertips `opening` off their contacts, as near as can be to a comfortable posture."""

@@ -34,7 +34,7 @@ _TIP_GAP = 0.002
 _HEIGHT_STEP = 0.2
 # Of so many grasps the best is taken, and so many places are tried at most.
 _ENOUGH, _TRIES = 2, 15
-# How far the fingers open, m.
+# How far fingertips open around their contacts, m.
 _OPENING = 0.025
 
 
@@ -114,7 +114,9 @@ class GraspPlanner:
         if solution is None:
             return None
         discomfort, q_touch = solution
-        q_open = robot.open(place.contacts, _OPENING, q_touch)
+        # To take an object into the palm, the whole hand opens.
+        palm = place.palm is not None
+        q_open = robot.open_wide(q_touch) if palm else robot.open(place.contacts, _OPENING, q_touch)
         if q_open is None:
             return None
         X_OB_before = self._approach.waiting_pose(robot.hand_pose(q_touch), robot.joint_positions(q_open))
