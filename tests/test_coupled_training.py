@@ -187,6 +187,8 @@ def test_settings_of_another_method_are_refused(hand, human):
         train_coupled(human, hand, toy_samples(hand), TrainingConfig())
     with pytest.raises(TrainingError, match="exact kinematics only"):
         quick(hand, human, fk="neural")
+    with pytest.raises(TrainingError, match="not with resampled fingers"):
+        quick(hand, human, resampling="independent")
     with pytest.raises(TrainingError, match="coverage_weight must be zero or positive"):
         quick(hand, human, coverage_weight=-1.0)
 

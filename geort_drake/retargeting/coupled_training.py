@@ -1,35 +1,26 @@
-"""Trains `geort_coupled`; docs/criteria.md says where it departs from the paper, and why."""
+"""Trains `geort_coupled`; docs/derivations.md says where it departs from the paper, and why."""
 
-import copy
 import math
-import time
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
 
 from geort_drake.errors import TrainingError
 from geort_drake.retargeting import coupled_losses as losses
-from geort_drake.retargeting.clouds import voxel_centres, voxel_index
+from geort_drake.retargeting.clouds import voxel_centres
 from geort_drake.retargeting.collision_geometry import CollisionGaps, CollisionShapes
+from geort_drake.retargeting.coupled_coverage import AVERAGED, CoverageTargets
 from geort_drake.retargeting.coupled_network import CoupledNetwork
 from geort_drake.retargeting.criteria import direction_loss, pinch_weights
+from geort_drake.retargeting.descent import Report, descend, device_of, one_thread
 from geort_drake.retargeting.human_data import HumanData
 from geort_drake.retargeting.kinematics import HandKinematics
 from geort_drake.retargeting.pretraining import RobotSamples, check_robot_samples
-from geort_drake.retargeting.training import (
-    Report,
-    TrainingConfig,
-    TrainingResult,
-    device_of,
-    one_thread,
-)
+from geort_drake.retargeting.soap import Soap
+from geort_drake.retargeting.training import TrainingConfig, TrainingResult
 
 TIP_MARGIN = 0.002  # m; apart fingertips are kept this far from touching
-CONTEXTS = 12  # recorded hands with nearly the same fingertip; their other fingers differ
-AVERAGED = 3  # how many of them are averaged at a time
 ACTIVE_FRAMES = 2000  # how many frames that nearly collide are remembered
 STEP_LAGS = (1, 2, 3, 4)  # frames
 STEP_RANGE = (0.001, 0.03)  # m; shorter real steps are noise, longer ones gaps in the recording
@@ -39,23 +30,24 @@ STEP_RANGE = (0.001, 0.03)  # m; shorter real steps are noise, longer ones gaps 
 class CoupledConfig(TrainingConfig):
     """Settings of `train_coupled`. Weights are of ratios; `length_unit` and the classifier's are unused."""
 
-    steps: int = 3500
+    steps: int = 4700
+    learning_rate: float = 0.02  # of SOAP, falls to zero along half a cosine
     points: int = 40  # real frames per finger and step at which that finger is moved
     targets: int = 48  # robot voxels per finger and step
     context_targets: int = 32  # the same, to be reached whatever the other fingers are doing
     pinches: int = 64  # real frames with a pinch per step, and as many made-up ones
     frames: int = 96  # real steps per step
-    collisions: int = 64  # frames per step whose collisions are computed
+    collisions: int = 48  # frames per step whose collisions are computed
     hidden: int = 64
     residual_hidden: int = 96
-    direction_weight: float = 1.5
-    track_weight: float = 2.0
-    coverage_weight: float = 1.0
-    context_weight: float = 0.6
-    cross_talk_weight: float = 2.0
-    flatness_weight: float = 0.1
-    response_weight: float = 0.3
-    pinch_weight: float = 0.5
+    direction_weight: float = 2.2
+    track_weight: float = 5.5
+    coverage_weight: float = 1.6
+    context_weight: float = 1.65
+    cross_talk_weight: float = 2.25
+    flatness_weight: float = 0.42
+    response_weight: float = 0.35
+    pinch_weight: float = 0.6
     false_pinch_weight: float = 0.3
     collision_weight: float = 0.2
     coverage_radius: float = 0.010  # m
@@ -107,6 +99,8 @@ def train_coupled(
     config.validate()
     if config.fk != "exact":
         raise TrainingError(f"geort_coupled trains with exact kinematics only, not with fk '{config.fk}'")
+    if config.resampling != "frames":
+        raise TrainingError("geort_coupled takes hands as they were recorded, not with resampled fingers")
     check_robot_samples(robot_samples, kinematics)
     with one_thread():
         run = _Run(p_HF, kinematics, robot_samples, config, seed, device_of(device), shapes)
@@ -119,12 +113,14 @@ class _Run:
     def __init__(self, p_HF, kinematics, samples, config: CoupledConfig, seed, device, shapes):
         self.config, self.kinematics, self.device = config, kinematics, device
         self.generator = torch.Generator().manual_seed(seed)
-        self.rng = np.random.default_rng(seed)
         self._load_human(p_HF)
         q = torch.tensor(np.asarray(samples.q), dtype=torch.float32, device=device)
         with torch.no_grad():
             p_BF = kinematics.fingertips(q).cpu().numpy()
-        self.voxels = [voxel_centres(p_BF[:, i], config.robot_voxel) for i in range(p_BF.shape[1])]
+        voxels = [voxel_centres(p_BF[:, i], config.robot_voxel) for i in range(p_BF.shape[1])]
+        self.space = CoverageTargets(
+            self.frames, kinematics, voxels, config.human_voxel, self.generator, np.random.default_rng(seed)
+        )
         self.gaps = None
         self.active = torch.zeros(0, dtype=torch.long)
         if shapes is not None and config.collision_weight > 0:
@@ -136,20 +132,12 @@ class _Run:
 
     def _load_human(self, p_HF: np.ndarray) -> None:
         config = self.config
-        names = self.kinematics.finger_names
-        human = HumanData(p_HF, names, config.human_voxel)
+        human = HumanData(p_HF, self.kinematics.finger_names, config.human_voxel)
+        if config.pinch_weight > 0:
+            human.check_pinches(config.pinch_threshold)
         self.human_points, self.pairs = human.points, human.pairs
         self.mean, self.scale = torch.tensor(human.mean), torch.tensor(human.scale)
         self.frames = self._tensor(human.frames)
-        self.anchors: list[torch.Tensor] = []
-        self.contexts: list[torch.Tensor] = []
-        for i in range(len(names)):
-            voxels = voxel_index(human.frames[:, i], config.human_voxel)
-            _, first = np.unique(voxels, axis=0, return_index=True)
-            self.anchors.append(torch.tensor(first))
-            count = min(CONTEXTS, len(human.frames))
-            _, alike = cKDTree(human.frames[:, i]).query(human.frames[first, i], k=count)
-            self.contexts.append(torch.tensor(alike.reshape(len(first), -1)))
         # Real steps of the recording, as numbers of frames in the order they were recorded.
         p_HF = np.asarray(p_HF, dtype=float)
         self.track = self._tensor(p_HF)
@@ -164,104 +152,45 @@ class _Run:
             self.frames, self.pairs, config.pinch_threshold, config.other_pinches
         )
         self.pinch_rows = torch.nonzero(self.pinch_weights.sum(1).cpu() > 0)[:, 0]
-        nearest = torch.nonzero((self.pinch_weights == 1.0).any(0))[:, 0].tolist()
-        missing = [names[pair[1]] for k, pair in enumerate(self.pairs) if k not in nearest]
-        if missing and config.pinch_weight > 0 and "thumb" in names:
-            warnings.warn(
-                f"the recording holds no pinch of the thumb with: {', '.join(missing)}; "
-                "such pinches of the robot may not close",
-                RuntimeWarning,
-                stacklevel=5,
-            )
         distance = losses.pair_distances(self.frames, self.pairs)
         self.near_rows, self.near_pair = torch.nonzero(distance.cpu() < config.pinch_reach, as_tuple=True)
 
     def train(self, report: Report | None) -> TrainingResult:
         config = self.config
-        optimiser = torch.optim.AdamW(
-            self.network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+        optimiser = Soap(self.network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay)
+        descent = descend(
+            self.network,
+            self._losses,
+            config.steps,
+            config.learning_rate,
+            report,
+            optimiser,
+            warm_up=50,
+            clip=2.0,
+            averaging=config.averaging,
         )
-        interval = max(config.steps // 100, 1)
-        history: list[dict[str, float]] = []
-        average: dict[str, torch.Tensor] | None = None
-        good, stopped_at = None, None
-        started = time.perf_counter()
-        for step in range(config.steps):
-            progress = step / config.steps
-            if step % config.assign_every == 0 and not self._assign(progress):
-                stopped_at = step
-                break
-            rate = config.learning_rate * 0.5 * (1.0 + math.cos(math.pi * progress))
-            for group in optimiser.param_groups:
-                group["lr"] = rate * min((step + 1) / 50, 1.0)
-            total, row = self._losses(step, progress)
-            if not torch.isfinite(total):
-                stopped_at = step
-                break
-            if step % interval == 0:
-                good = copy.deepcopy(self.network.state_dict())
-            optimiser.zero_grad(set_to_none=True)
-            total.backward()
-            torch.nn.utils.clip_grad_norm_(self.network.parameters(), 2.0)
-            optimiser.step()
-            if progress >= 0.5:
-                average = self._averaged(average)
-            if step % interval == 0 or step == config.steps - 1:
-                values = {name: float(value.detach()) for name, value in row.items()}
-                values = {"step": step, "total": float(total.detach()), **values}
-                values["seconds"] = round(time.perf_counter() - started, 3)
-                history.append(values)
-                if report is not None:
-                    report(step + 1, config.steps, values)
-        if stopped_at is not None:
-            if good is None:
-                raise TrainingError(
-                    "the loss is not finite at the first step; check the weights and the data"
-                )
-            self.network.load_state_dict(good)
-            warnings.warn(
-                f"the loss stopped being finite at step {stopped_at} of {config.steps}; the last good "
-                "weights are kept. A lower learning rate may help.",
-                RuntimeWarning,
-                stacklevel=3,
-            )
-        elif average is not None:
-            self.network.load_state_dict(average)
         return TrainingResult(
             network=self.network.cpu(),
-            history=history,
-            timings={"training_s": time.perf_counter() - started},
-            stopped_at=stopped_at,
+            history=descent.history,
+            timings={"training_s": descent.seconds},
+            stopped_at=descent.stopped_at,
             human_points=self.human_points,
             pinch_frames=len(self.pinch_rows),
         )
 
-    def _averaged(self, average: dict[str, torch.Tensor] | None) -> dict[str, torch.Tensor]:
-        """The running average of the weights, with the present ones added."""
-        state = self.network.state_dict()
-        if average is None:
-            return {name: value.clone() for name, value in state.items()}
-        for name, value in state.items():
-            average[name].lerp_(value, 1.0 - self.config.averaging)
-        return average
-
     def _assign(self, progress: float) -> bool:
-        """Finds the frames nearest to the voxels of the coming steps; False if the map is not finite."""
+        """Chooses voxels for the coming steps, and who should reach them; False if the map is not finite."""
         config = self.config
         with torch.no_grad():
             q = self.network(self.frames)
-            p_BF = self.kinematics.fingertips(q).cpu().numpy()
-        if not np.isfinite(p_BF).all():
+            p_BF = self.kinematics.fingertips(q)
+        if not torch.isfinite(p_BF).all():
             return False
-        count = config.targets * config.assign_every
-        targets, rows = [], []
-        for i, voxels in enumerate(self.voxels):
-            chosen = voxels[self.rng.integers(len(voxels), size=count)]
-            targets.append(chosen)
-            rows.append(cKDTree(p_BF[:, i]).query(chosen)[1])
-        self.targets, self.nearest = self._tensor(np.stack(targets)), torch.tensor(np.stack(rows))
+        self.targets, self.nearest = self.space.nearest(p_BF, config.targets * config.assign_every)
         if config.context_weight > 0:
-            self._assign_contexts()
+            self.context_targets, self.context_hands = self.space.nearest_in_context(
+                self.network, config.context_targets * config.assign_every
+            )
         if self.gaps is not None and progress >= 0.1:
             # The active set: frames in which something was about to touch lately.
             some = torch.randint(len(q), (2000,), generator=self.generator)
@@ -270,30 +199,15 @@ class _Run:
             self.active = torch.cat([touching, self.active])[:ACTIVE_FRAMES]
         return True
 
-    def _assign_contexts(self) -> None:
-        """The same for where a fingertip goes on average over what the other fingers may be doing."""
-        count = self.config.context_targets * self.config.assign_every
-        targets, hands = [], []
-        for i, (voxels, anchors, contexts) in enumerate(
-            zip(self.voxels, self.anchors, self.contexts, strict=True)
-        ):
-            some = torch.randint(contexts.shape[1], (len(anchors), AVERAGED), generator=self.generator)
-            tried = self.frames[contexts.gather(1, some)]  # (M, AVERAGED, F, 3)
-            tried[:, :, i] = self.frames[anchors, i][:, None]
-            with torch.no_grad():
-                p_BF = self.kinematics.fingertips(self.network(tried.flatten(0, 1)))[:, i]
-            points = p_BF.reshape(len(anchors), AVERAGED, 3).mean(1).cpu().numpy()
-            chosen = voxels[self.rng.integers(len(voxels), size=count)]
-            targets.append(chosen)
-            hands.append(tried[torch.tensor(cKDTree(points).query(chosen)[1])])
-        self.context_targets, self.context_hands = self._tensor(np.stack(targets)), torch.stack(hands)
-
-    def _losses(self, step: int, progress: float) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+    def _losses(self, step: int) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
         """The weighted sum of the losses on one random batch, and each of them."""
         config = self.config
+        progress = step / config.steps
+        if step % config.assign_every == 0 and not self._assign(progress):
+            return torch.tensor(math.nan), {}
         fingers, n = self.frames.shape[1], config.points
         # One finger moves, at real frames drawn uniformly from the places it visited.
-        rows = torch.stack([anchors[self._draw(len(anchors), n)] for anchors in self.anchors])
+        rows = torch.stack([anchors[self._draw(len(anchors), n)] for anchors in self.space.anchors])
         x = self.frames[rows]
         d = self._normal((fingers, n, 3))
         d = d / d.norm(dim=-1, keepdim=True) * (0.001 + 0.01 * self._uniform((fingers, n, 1)))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from geort_drake.errors import TrainingError, UnknownNameError
 
@@ -32,30 +33,41 @@ def descend(
     steps: int,
     learning_rate: float,
     report: Report | None = None,
+    optimiser: torch.optim.Optimizer | None = None,
+    warm_up: int = 0,
+    clip: float = math.inf,
+    averaging: float = 0.0,
 ) -> Descent:
-    """Minimises a loss with Adam, whose learning rate falls to zero along half a cosine.
+    """Minimises a loss; the learning rate falls to zero along half a cosine.
 
     Args:
         network: what is trained, in place.
         losses: called with the step, returns the loss and the terms it is the sum of.
         steps: how many.
-        learning_rate: of the first step.
+        learning_rate: of the first step after the warm-up.
         report: see `Report`.
+        optimiser: of the network's parameters; None is Adam.
+        warm_up: steps in which the learning rate rises from zero.
+        clip: the gradient's norm is kept at most this.
+        averaging: share that the average of the weights keeps at each step of the second half; the
+            average is what remains in the network at the end. 0: the last weights remain.
 
     Raises:
         TrainingError: the loss is not finite at the first step. When it stops being finite later, the
             last good weights, at most a hundredth of the descent old, are put back with a RuntimeWarning.
             One whose last tenth is no better than its start gives a RuntimeWarning as well.
     """
-    optimiser = torch.optim.Adam(network.parameters(), lr=learning_rate)
+    optimiser = optimiser or torch.optim.Adam(network.parameters(), lr=learning_rate)
+    average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(averaging)) if averaging else None
     history: list[dict[str, float]] = []
     interval = max(steps // 100, 1)
     good: dict | None = None
     stopped_at = None
     started = time.perf_counter()
     for step in range(steps):
+        rate = learning_rate * 0.5 * (1.0 + math.cos(math.pi * step / steps))
         for group in optimiser.param_groups:
-            group["lr"] = learning_rate * 0.5 * (1.0 + math.cos(math.pi * step / steps))
+            group["lr"] = rate * min((step + 1) / (warm_up + 1), 1.0)
         total, row = losses(step)
         if not torch.isfinite(total):
             stopped_at = step
@@ -64,7 +76,11 @@ def descend(
             good = copy.deepcopy(network.state_dict())
         optimiser.zero_grad(set_to_none=True)
         total.backward()
+        if math.isfinite(clip):
+            nn.utils.clip_grad_norm_(network.parameters(), clip)
         optimiser.step()
+        if average is not None and 2 * step >= steps:
+            average.update_parameters(network)
         if step % interval == 0 or step == steps - 1:
             values = {name: float(value.detach()) for name, value in row.items()}
             values = {"step": step, "total": float(total.detach()), **values}
@@ -85,7 +101,8 @@ def descend(
             RuntimeWarning,
             stacklevel=3,
         )
-    elif len(history) >= 100:
+        return Descent(history, time.perf_counter() - started, stopped_at)
+    if len(history) >= 100:
         # A map that is driven into its limits has a finite loss, and learns nothing more.
         last = sum(row["total"] for row in history[-10:]) / 10
         if last >= history[0]["total"]:
@@ -95,6 +112,8 @@ def descend(
                 RuntimeWarning,
                 stacklevel=3,
             )
+    if average is not None and steps > 1:
+        network.load_state_dict(average.module.state_dict())
     return Descent(history, time.perf_counter() - started, stopped_at)
 
 
