@@ -8,10 +8,14 @@ def voxel_index(points: np.ndarray, size: float) -> np.ndarray:
     return np.floor(np.asarray(points) / size).astype(np.int64)
 
 
+def first_in_voxels(points: np.ndarray, size: float) -> np.ndarray:
+    """Rows (M,) of the points (N, 3) that are the first in their voxel of edge `size`, ascending."""
+    return np.sort(np.unique(voxel_index(points, size), axis=0, return_index=True)[1])
+
+
 def voxel_thinned(points: np.ndarray, size: float) -> np.ndarray:
     """One point, the first one given, of each voxel of edge `size` that holds any: (M, 3) of (N, 3)."""
-    _, first = np.unique(voxel_index(points, size), axis=0, return_index=True)
-    return np.asarray(points)[np.sort(first)]
+    return np.asarray(points)[first_in_voxels(points, size)]
 
 
 def voxel_centres(points: np.ndarray, size: float) -> np.ndarray:

@@ -8,24 +8,22 @@ import torch
 from scipy.spatial import cKDTree
 from torch import nn
 
-from geort_drake.retargeting.clouds import voxel_index
+from geort_drake.retargeting.clouds import first_in_voxels
 from geort_drake.retargeting.kinematics import HandKinematics
 
 CONTEXTS = 12  # recorded hands with nearly the same fingertip; their other fingers differ
 AVERAGED = 3  # how many of them are tried at a time
 MEMORY = 0.4  # weight of the latest trial in the mean over contexts
+ANCHORS = 2000  # places of a fingertip that are searched at most
+FRAMES = 4000  # a longer recording is thinned
 
 
 class CoverageTargets:
     """Robot voxels, each with the recorded hand that comes nearest to it.
 
-    Nearest is meant over the whole recording, so it is found for many steps at once with a k-d tree.
-
-    Attributes:
-        anchors: per finger, the rows of the frames that were the first in a voxel of its tip.
+    Nearest is meant over the whole recording, so it is found for many steps at once with a k-d tree. A long
+    recording is thinned: its frames lie closer together than the map can tell apart.
     """
-
-    anchors: list[torch.Tensor]
 
     def __init__(
         self,
@@ -38,19 +36,25 @@ class CoverageTargets:
     ):
         """Takes real frames (T, F, 3), m, and each finger's voxel centres (M, 3) in B, m."""
         self._frames, self._voxels, self._generator, self._rng = frames, voxels, generator, rng
+        self._kinematics = kinematics
         self._fingers = [replace(kinematics, fingers=(finger,)) for finger in kinematics.fingers]
-        self.anchors, self._contexts = [], []
         tips = frames.cpu().numpy()
-        for i in range(len(voxels)):
-            _, first = np.unique(voxel_index(tips[:, i], human_voxel), axis=0, return_index=True)
-            self.anchors.append(torch.tensor(first))
+        rows = [at_most(ANCHORS, tips[:, i], human_voxel) for i in range(len(voxels))]
+        kept = np.unique(np.concatenate(rows)) if len(tips) > FRAMES else np.arange(len(tips))
+        self._rows = torch.tensor(kept)
+        self._anchors = [torch.tensor(first) for first in rows]
+        self._contexts = []
+        for i, first in enumerate(rows):
             _, alike = cKDTree(tips[:, i]).query(tips[first, i], k=min(CONTEXTS, len(tips)))
             self._contexts.append(torch.tensor(alike.reshape(len(first), -1)))
         self._means: list[torch.Tensor] = []
 
-    def nearest(self, p_BF: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Voxels (F, count, 3) in B, m, and the frames (F, count) whose tips p_BF (T, F, 3) are nearest."""
-        return self._search([p_BF[:, i] for i in range(p_BF.shape[1])], count)
+    def nearest(self, network: nn.Module, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Voxels (F, count, 3) in B, m, and the rows (F, count) of the frames that come nearest to them."""
+        with torch.no_grad():
+            p_BF = self._kinematics.fingertips(network(self._frames[self._rows]))
+        targets, rows = self._search(p_BF.unbind(1), count)
+        return targets, self._rows[rows]
 
     def nearest_in_context(self, network: nn.Module, count: int) -> tuple[torch.Tensor, torch.Tensor]:
         """The same, nearest on average over what the other fingers may be doing.
@@ -59,7 +63,7 @@ class CoverageTargets:
             Voxels (F, count, 3) and hands (F, count, AVERAGED, F, 3): the finger's own tip is the same
             in each, the others are from recorded hands whose own tip is nearly there.
         """
-        for i, anchors in enumerate(self.anchors):
+        for i, anchors in enumerate(self._anchors):
             hands = self._in_contexts(i, torch.arange(len(anchors)))
             with torch.no_grad():
                 tips = self._fingers[i].fingertips(network(hands.flatten(0, 1)))
@@ -86,5 +90,12 @@ class CoverageTargets:
         contexts = self._contexts[finger][rows]
         some = torch.randint(contexts.shape[1], (len(rows), AVERAGED), generator=self._generator)
         hands = self._frames[contexts.gather(1, some)]
-        hands[:, :, finger] = self._frames[self.anchors[finger][rows], finger][:, None]
+        hands[:, :, finger] = self._frames[self._anchors[finger][rows], finger][:, None]
         return hands
+
+
+def at_most(count: int, points: np.ndarray, size: float) -> np.ndarray:
+    """Rows of points (N, 3) that were the first in a voxel, whose edge grows from `size` until `count` do."""
+    while len(first := first_in_voxels(points, size)) > count:
+        size *= 1.1
+    return first

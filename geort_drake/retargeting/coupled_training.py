@@ -8,7 +8,7 @@ import torch
 
 from geort_drake.errors import TrainingError
 from geort_drake.retargeting import coupled_losses as losses
-from geort_drake.retargeting.clouds import voxel_centres
+from geort_drake.retargeting.clouds import first_in_voxels, voxel_centres
 from geort_drake.retargeting.collision_geometry import CollisionGaps, CollisionShapes
 from geort_drake.retargeting.coupled_coverage import AVERAGED, CoverageTargets
 from geort_drake.retargeting.coupled_network import CoupledNetwork
@@ -30,7 +30,7 @@ STEP_RANGE = (0.001, 0.03)  # m; shorter real steps are noise, longer ones gaps 
 class CoupledConfig(TrainingConfig):
     """Settings of `train_coupled`. Weights are of ratios; `length_unit` and the classifier's are unused."""
 
-    steps: int = 4700
+    steps: int = 5000
     learning_rate: float = 0.02  # of SOAP, falls to zero along half a cosine
     points: int = 40  # real frames per finger and step at which that finger is moved
     targets: int = 48  # robot voxels per finger and step
@@ -41,8 +41,8 @@ class CoupledConfig(TrainingConfig):
     hidden: int = 64
     residual_hidden: int = 96
     direction_weight: float = 2.2
-    track_weight: float = 5.5
-    coverage_weight: float = 1.6
+    track_weight: float = 5.6
+    coverage_weight: float = 1.65
     context_weight: float = 1.65
     cross_talk_weight: float = 2.25
     flatness_weight: float = 0.42
@@ -138,6 +138,11 @@ class _Run:
         self.human_points, self.pairs = human.points, human.pairs
         self.mean, self.scale = torch.tensor(human.mean), torch.tensor(human.scale)
         self.frames = self._tensor(human.frames)
+        # Where a finger is moved: real frames, uniform over the places that its tip visited.
+        self.anchors = [
+            torch.tensor(first_in_voxels(human.frames[:, i], config.human_voxel))
+            for i in range(len(self.mean))
+        ]
         # Real steps of the recording, as numbers of frames in the order they were recorded.
         p_HF = np.asarray(p_HF, dtype=float)
         self.track = self._tensor(p_HF)
@@ -181,20 +186,19 @@ class _Run:
     def _assign(self, progress: float) -> bool:
         """Chooses voxels for the coming steps, and who should reach them; False if the map is not finite."""
         config = self.config
+        some = torch.randint(len(self.frames), (2000,), generator=self.generator)
         with torch.no_grad():
-            q = self.network(self.frames)
-            p_BF = self.kinematics.fingertips(q)
-        if not torch.isfinite(p_BF).all():
+            q = self.network(self.frames[some])
+        if not torch.isfinite(q).all():
             return False
-        self.targets, self.nearest = self.space.nearest(p_BF, config.targets * config.assign_every)
+        self.targets, self.nearest = self.space.nearest(self.network, config.targets * config.assign_every)
         if config.context_weight > 0:
             self.context_targets, self.context_hands = self.space.nearest_in_context(
                 self.network, config.context_targets * config.assign_every
             )
         if self.gaps is not None and progress >= 0.1:
             # The active set: frames in which something was about to touch lately.
-            some = torch.randint(len(q), (2000,), generator=self.generator)
-            least = self.gaps.least(q[some], 3 * config.collision_margin)
+            least = self.gaps.least(q, 3 * config.collision_margin)
             touching = some[(least < 2 * config.collision_margin).cpu()]
             self.active = torch.cat([touching, self.active])[:ACTIVE_FRAMES]
         return True
@@ -207,7 +211,7 @@ class _Run:
             return torch.tensor(math.nan), {}
         fingers, n = self.frames.shape[1], config.points
         # One finger moves, at real frames drawn uniformly from the places it visited.
-        rows = torch.stack([anchors[self._draw(len(anchors), n)] for anchors in self.space.anchors])
+        rows = torch.stack([anchors[self._draw(len(anchors), n)] for anchors in self.anchors])
         x = self.frames[rows]
         d = self._normal((fingers, n, 3))
         d = d / d.norm(dim=-1, keepdim=True) * (0.001 + 0.01 * self._uniform((fingers, n, 1)))
