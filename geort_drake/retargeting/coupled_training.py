@@ -46,8 +46,8 @@ class CoupledConfig(TrainingConfig):
     context_weight: float = 1.65
     cross_talk_weight: float = 2.25
     flatness_weight: float = 0.42
-    response_weight: float = 0.35
-    pinch_weight: float = 0.6
+    response_weight: float = 0.45
+    pinch_weight: float = 0.7
     false_pinch_weight: float = 0.3
     collision_weight: float = 0.2
     coverage_radius: float = 0.010  # m
