@@ -37,7 +37,7 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         type=Path,
         help="use this checkpoint, do not train; give its --recording too",
     )
-    add("--method", default="geort", help="retargeting method to train (geort)")
+    add("--method", default="geort_coupled", help="retargeting method to train (geort_coupled)")
     add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train (cpu)")
     add("--seed", type=int, default=0, help="seed of training and synthetic play (0)")
     add("--replay", type=Path, help="replay this recording with wrist poses in the operator's place")

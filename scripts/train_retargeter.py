@@ -14,7 +14,13 @@ from rich.table import Table
 
 from geort_drake.console import console, run_main
 from geort_drake.errors import TrainingError
-from geort_drake.evaluation.pipeline import CONFIGS, METHODS, train_checkpoint, training_config
+from geort_drake.evaluation.pipeline import (
+    CONFIGS,
+    DEFAULT_METHOD,
+    METHODS,
+    train_checkpoint,
+    training_config,
+)
 from geort_drake.files import require_writable
 from geort_drake.gloves.readers import read_recording
 from geort_drake.hands.description import hand_names, load_hand
@@ -95,7 +101,7 @@ def _parser() -> argparse.ArgumentParser:
         "--output", type=Path, required=True, help="checkpoint directory; replaced if it exists"
     )
     parser.add_argument(
-        "--method", default="geort", help=f"one of {', '.join(METHODS)} (default: %(default)s)"
+        "--method", default=DEFAULT_METHOD, help=f"one of {', '.join(METHODS)} (default: %(default)s)"
     )
     parser.add_argument(
         "--preset",

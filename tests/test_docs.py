@@ -55,7 +55,7 @@ def desk(tmp_path_factory):
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
         patch.setattr("geort_drake.evaluation.metrics.ROBOT_SAMPLES", 2_000)
         train_checkpoint(
-            "allegro_right", play, folder / "runs" / "allegro_right",
+            "allegro_right", play, folder / "runs" / "allegro_right", "geort",
             show_progress=False, settings=QUICK, robot_samples=2000,
         )  # fmt: skip
     return folder

@@ -53,7 +53,14 @@ def checkpoint(tmp_path_factory, play):
         patch.setattr("geort_drake.evaluation.metrics.ROBOT_SAMPLES", 20_000)
         output = tmp_path_factory.mktemp("runs") / "allegro"
         return train_checkpoint(
-            "allegro_right", play, output, seed=2, show_progress=False, settings=QUICK, robot_samples=5000
+            "allegro_right",
+            play,
+            output,
+            "geort",
+            seed=2,
+            show_progress=False,
+            settings=QUICK,
+            robot_samples=5000,
         )
 
 
@@ -95,7 +102,7 @@ def test_the_stored_metrics_are_those_of_the_stored_weights(checkpoint, hand, pl
 
 def test_the_same_seed_gives_the_same_checkpoint(checkpoint, play, tmp_path):
     """Robot samples, training and evaluation repeat; another seed differs."""
-    arguments = {"show_progress": False, "settings": QUICK, "robot_samples": 5000}
+    arguments = {"method": "geort", "show_progress": False, "settings": QUICK, "robot_samples": 5000}
     again = train_checkpoint("allegro_right", play, tmp_path / "again", seed=2, **arguments)
     other = train_checkpoint("allegro_right", play, tmp_path / "other", seed=3, **arguments)
     digest, same, different = (load_checkpoint(p).config["sha256"] for p in (checkpoint, again, other))
@@ -118,7 +125,7 @@ def test_names_that_do_not_exist_are_refused_before_any_work(play, tmp_path):
     with pytest.raises(UnknownNameError, match="exact, neural"):
         train_checkpoint("allegro_right", play, tmp_path / "x", settings={"fk": "guess"})
     with pytest.raises(UnknownNameError, match="setting of geort 'jitter'; choose one of: classifier_steps"):
-        train_checkpoint("allegro_right", play, tmp_path / "x", settings={"jitter": 0.002})
+        train_checkpoint("allegro_right", play, tmp_path / "x", "geort", settings={"jitter": 0.002})
     with pytest.raises(UnknownNameError, match="allegro_right"):
         train_checkpoint("no_such_hand", play, tmp_path / "x")
     assert list(tmp_path.iterdir()) == []
@@ -168,12 +175,18 @@ def test_the_script_knows_every_methods_settings(script, play, tmp_path, capsys)
         assert script.main([*arguments, "--output", str(tmp_path / name), "--steps", "3", *more]) == 0
         return load_checkpoint(tmp_path / name).config["training"]
 
-    quick = ["--set=kinematics_steps=5", "--set=classifier_steps=5", "--set=points=64", "--set=targets=64"]
+    quick = [
+        "--method=geort",
+        "--set=kinematics_steps=5",
+        "--set=classifier_steps=5",
+        "--set=points=64",
+        "--set=targets=64",
+    ]
     public = trained("public", "--preset", "public", *quick, "--set", "pinch_weight=0.5")
     assert public["resampling"] == "independent" and public["fk"] == "neural"
     assert public["length_unit"] == 1.0 and public["collision_weight"] == 0.0
     assert public["pinch_weight"] == 0.5 and public["steps"] == 3
-    coupled = trained("coupled", "--method", "geort_coupled", "--set", "jitter=0.002")
+    coupled = trained("coupled", "--set", "jitter=0.002")
     assert coupled["jitter"] == 0.002 and "averaging" in coupled
     assert trained("neural", *quick, "--fk", "neural")["fk"] == "neural"
 
@@ -230,7 +243,7 @@ def test_the_cache_tells_settings_methods_and_code_apart(light, play, monkeypatc
     monkeypatch.setattr(checkpoint_cache, "train_checkpoint", train)
 
     def cached(**settings):
-        return checkpoint_cache.cached_checkpoint("allegro_right", play, settings=settings)
+        return checkpoint_cache.cached_checkpoint("allegro_right", play, "geort", settings=settings)
 
     first, reused = cached(hidden=16)
     assert not reused
@@ -256,7 +269,7 @@ def test_the_cache_repeats_what_training_warned_of(light, play, monkeypatch, tmp
     monkeypatch.setattr(checkpoint_cache, "train_checkpoint", train)
     for _ in range(2):
         with pytest.warns(RuntimeWarning, match="stopped being finite"):
-            checkpoint_cache.cached_checkpoint("allegro_right", play)
+            checkpoint_cache.cached_checkpoint("allegro_right", play, "geort")
 
 
 def test_the_code_digest_covers_what_weights_depend_on(monkeypatch):
@@ -268,19 +281,28 @@ def test_the_code_digest_covers_what_weights_depend_on(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_tenth_of_the_training_already_serves_the_real_recording(alex_npy, hand, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("method", "settings", "motion", "closed", "collision", "cross_talk"),
+    [
+        ("geort", {"steps": 400, "refreshes": 5, "classifier_steps": 500}, 0.75, 0.8, 0.05, 0.0),
+        ("geort_coupled", {"steps": 400}, 0.95, 0.95, 0.005, 0.08),
+    ],
+)
+def test_a_tenth_of_the_training_already_serves_the_real_recording(
+    alex_npy, hand, tmp_path, method, settings, motion, closed, collision, cross_talk
+):
     """Pinches close, the hand does not collide, and the C-space is used; the full run does better."""
     path = train_checkpoint(
-        "allegro_right", alex_npy, tmp_path / "alex", show_progress=False, robot_samples=20_000,
-        settings={"steps": 400, "refreshes": 5, "classifier_steps": 500},
+        "allegro_right", alex_npy, tmp_path / "alex", method, show_progress=False, robot_samples=20_000,
+        settings=settings,
     )  # fmt: skip
     figures = json.loads((path / "metrics.json").read_text())
-    assert figures["motion_preservation"] > 0.75
+    assert figures["motion_preservation"] > motion
     assert figures["coverage"]["10mm"] > 0.4
-    assert figures["pinch"]["closed"] > 0.8
+    assert figures["pinch"]["closed"] > closed
     assert figures["pinch"]["frames"] == 1071
-    assert figures["self_collision"] < 0.05
-    assert figures["cross_talk"] == 0.0
+    assert figures["self_collision"] < collision
+    assert figures["cross_talk"] <= cross_talk
     retarget = load_retargeter(path, hand)
     frames = read_recording(alex_npy).p_HK
     q = retarget(frames)

@@ -62,7 +62,13 @@ def checkpoints(tmp_path_factory, play):
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
         patch.setattr("geort_drake.evaluation.metrics.ROBOT_SAMPLES", 2_000)
         good = train_checkpoint(
-            "allegro_right", play, folder / "good", show_progress=False, settings=QUICK, robot_samples=2000
+            "allegro_right",
+            play,
+            folder / "good",
+            "geort",
+            show_progress=False,
+            settings=QUICK,
+            robot_samples=2000,
         )
     faults = ("altered", "incomplete", "other_joints", "other_model", "not_json", "other_method")
     copies = {name: Path(shutil.copytree(good, folder / name)) for name in faults}
@@ -242,14 +248,14 @@ def test_simulate_grasp_refuses_impossible_requests(refused, arguments, parts):
         ("--output out --method magic", ["unknown retargeting method 'magic'", "geort"]),
         ("--output out --fk guess", ["--fk", "exact", "neural"]),
         ("--output out --set speed", ["NAME=VALUE", "'speed'"]),
-        ("--output out --set speed=3", ["unknown setting of geort 'speed'", "points"]),
-        ("--output out --set jitter=0.1", ["unknown setting of geort 'jitter'", "points"]),
-        ("--output out --method geort_coupled --set speed=3", ["of geort_coupled 'speed'", "jitter"]),
+        ("--output out --set speed=3", ["unknown setting of geort_coupled 'speed'", "points"]),
+        ("--output out --method geort --set jitter=0.1", ["unknown setting of geort 'jitter'", "points"]),
+        ("--output out --method geort --set speed=3", ["of geort 'speed'", "points"]),
         ("--output out --set points=many", ["points", "int", "'many'"]),
         ("--output out --set points=0", ["points must be positive"]),
         ("--output out --set resampling=often", ["unknown resampling 'often'", "frames, independent"]),
         ("--output out --preset private", ["--preset", "public"]),
-        ("--output out --method geort_coupled --preset public", ["preset of geort, not of geort_coupled"]),
+        ("--output out --preset public", ["preset of geort, not of geort_coupled"]),
         ("--output out --steps 0", ["steps", "0"]),
         ("--output out --robot_samples 0", ["robot_samples", "0"]),
         ("--output out --seed -1", ["--seed", "-1"]),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import geort_drake
 from geort_drake.errors import CheckpointError
-from geort_drake.evaluation.pipeline import train_checkpoint, training_config
+from geort_drake.evaluation.pipeline import DEFAULT_METHOD, train_checkpoint, training_config
 from geort_drake.files import sha256_of
 from geort_drake.gloves.recording import Recording
 from geort_drake.hands.description import load_hand
@@ -25,7 +25,7 @@ _SOURCES = ("retargeting", "hands")
 def cached_checkpoint(
     hand_name: str,
     recording: Recording,
-    method: str = "geort",
+    method: str = DEFAULT_METHOD,
     seed: int = 0,
     device: str = "cpu",
     settings: Mapping | None = None,

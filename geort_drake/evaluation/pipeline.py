@@ -31,6 +31,7 @@ from geort_drake.retargeting.retargeter import METHODS as RETARGETERS
 from geort_drake.retargeting.training import Trainer, TrainingConfig, train_geort
 from geort_drake.settings import check_names
 
+DEFAULT_METHOD = "geort_coupled"
 # Name of a retargeting method → the function that trains it, and the settings it has.
 METHODS: dict[str, Trainer] = {
     "geort": train_geort,
@@ -63,7 +64,7 @@ def train_checkpoint(
     hand_name: str | os.PathLike,
     recording: Recording | str | os.PathLike | None,
     output: str | os.PathLike,
-    method: str = "geort",
+    method: str = DEFAULT_METHOD,
     seed: int = 0,
     device: str = "cpu",
     show_progress: bool = True,
