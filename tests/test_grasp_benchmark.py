@@ -8,14 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from grasp_setup import person_and_rest, planned_goal
 
-from geort_drake.errors import BenchmarkError, GeortError, OutputError, UnknownNameError
+from geort_drake.errors import BenchmarkError, GeortError, OutputError, TrainingError, UnknownNameError
 from geort_drake.evaluation import grasp_benchmark, grasp_methods, grasp_trial
 from geort_drake.evaluation.grasp_benchmark import open_benchmark, read_config
 from geort_drake.evaluation.grasp_methods import measure_latency
 from geort_drake.evaluation.trial_log import TrialKey, TrialLog, key_of, read_records
 from geort_drake.gloves.play import synthesize_play
+from geort_drake.hands.description import load_hand
+from geort_drake.resources import models_dir
 from geort_drake.simulation.scenario import load_scenario
 
 SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "benchmark_grasping.py"
@@ -208,6 +211,21 @@ def test_a_trial_that_raises_is_recorded_and_stops_no_other(script, tmp_path, mo
     assert "error" not in records[TrialKey("hold", "cylinder", 0)]
     assert script.main(arguments(tmp_path)) == 1
     assert "ArithmeticError: the &lt;map&gt; has failed" in (tmp_path / "report.html").read_text()
+
+
+def test_a_hand_given_as_a_file_is_the_one_that_is_trained(tmp_path, play, monkeypatch):
+    """Its name stands for nothing that is shipped, so training must be asked for by the file."""
+    facts = yaml.safe_load((models_dir() / "hands" / "allegro_right.yaml").read_text(encoding="utf-8"))
+    path = tmp_path / "hand.yaml"
+    path.write_text(yaml.safe_dump(facts | {"name": "my_hand"}), encoding="utf-8")
+
+    def train(hand_name, *_):
+        raise TrainingError(f"trained for {load_hand(hand_name).name}")
+
+    monkeypatch.setattr(grasp_methods, "cached_checkpoint", train)
+    scenario = load_scenario(text=f"{{timeout: 0.3, hand: {path}}}")
+    with pytest.raises(TrainingError, match="trained for my_hand"):
+        open_benchmark(tmp_path / "benchmark", scenario, play, ["geort"], ["cylinder"], 1)
 
 
 # -- what is the same, and what is refused

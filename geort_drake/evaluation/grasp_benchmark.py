@@ -147,7 +147,9 @@ def open_benchmark(
         raise BenchmarkError(f"{folder / TRIALS}: holds trials without their {CONFIG}; choose another folder")
     ready = {}
     for name, method in names.items():
-        retarget, digest = make_retargeter(name, method, folder / METHODS, hand, recording, seed)
+        retarget, digest = make_retargeter(
+            name, method, folder / METHODS, scenario.hand, hand, recording, seed
+        )
         known = wanted["methods"].get(name)
         if known is None:
             latency = 0.0 if zero_latency else measure_latency(retarget, recording)

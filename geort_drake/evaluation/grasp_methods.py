@@ -48,14 +48,15 @@ def names_of(methods: Sequence[str]) -> dict[str, str]:
 
 
 def make_retargeter(
-    name: str, method: str, keep: Path, hand: HandModel, recording: Recording, seed: int
+    name: str, method: str, keep: Path, hand_name: str, hand: HandModel, recording: Recording, seed: int
 ) -> tuple[Retarget, str | None]:
     """A retargeter, and the digest of its weights.
 
     Args:
         name, method: an item of `names_of`.
         keep: folder in which a copy of its checkpoint is kept, and found again.
-        hand: model of the robot hand.
+        hand_name: name or file of the robot hand's description.
+        hand: its model.
         recording: what it is trained on, and what nearest_neighbour stores.
         seed: of the training, and of what nearest_neighbour draws.
 
@@ -73,7 +74,7 @@ def make_retargeter(
         load_retargeter(method, hand)
         source = Path(method)
     elif not kept.is_dir():
-        source, _ = cached_checkpoint(description.name, recording, method, seed)
+        source, _ = cached_checkpoint(hand_name, recording, method, seed)
     else:
         source = kept
     if not kept.is_dir():
