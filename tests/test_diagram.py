@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from grasp_setup import allegro, centred_map, person_and_rest, planned_goal, scenario_with
+from pydrake.geometry import Role
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem, PortDataType
 
@@ -312,8 +313,63 @@ def test_the_placement_is_the_seeds_and_within_its_ranges():
     assert 0.9 * config.yaw_range < np.abs(yaw).max() <= config.yaw_range
     factor = np.array([placement.mass_factor for placement in placements])
     assert 0.9 * config.mass_range < np.abs(factor - 1).max() <= config.mass_range
+    assert {placement.friction_factor for placement in placements} == {1.0}
     again = draw_placement(scenario, -0.05, np.random.default_rng(7))
     np.testing.assert_array_equal(again.X_WO.GetAsMatrix4(), placements[7].X_WO.GetAsMatrix4())
+
+
+def test_the_centre_of_a_placement_can_be_chosen():
+    """Without ranges the placement is the centre; friction has draws of its own and changes no other."""
+    text = "{object: {yaw: 0.3, mass_factor: 2.0, friction_factor: 0.5, %s}}"
+    ranges = "position_range: 0, yaw_range: 0, mass_range: 0"
+    exact = draw_placement(scenario_with("cube", text % ranges), -0.05, np.random.default_rng(3))
+    p, R = exact.X_WO.translation(), exact.X_WO.rotation().matrix()
+    np.testing.assert_allclose(p[:2], scenario_with("cube").object.position)
+    assert np.arctan2(R[1, 0], R[0, 0]) == pytest.approx(0.3)
+    assert (exact.mass_factor, exact.friction_factor) == (2.0, 0.5)
+    drawn = []
+    for friction_range in (0.0, 0.4):
+        scenario = scenario_with("cube", f"{{object: {{friction_range: {friction_range}}}}}")
+        generators = [np.random.default_rng(seed) for seed in range(100)]
+        drawn.append([(draw_placement(scenario, -0.05, rng), rng.random()) for rng in generators])
+    for (first, after), (second, after_second) in zip(*drawn, strict=True):
+        np.testing.assert_array_equal(first.X_WO.GetAsMatrix4(), second.X_WO.GetAsMatrix4())
+        assert (first.mass_factor, after) == (second.mass_factor, after_second)
+    friction = np.array([placement.friction_factor for placement, _ in drawn[1]])
+    assert 0.35 < np.abs(friction - 1).max() <= 0.4
+
+
+def test_friction_and_stiffness_are_scaled_in_the_plant():
+    """The object's coefficients and the hand's gains, and nobody else's."""
+    text = "{hand_stiffness_factor: 4.0, object: {friction_factor: 0.5}}"
+    scaled = make_grasp_diagram(scenario_with("cylinder", text), centred_map(), glove())
+    nominal = whole_diagram()
+
+    def coefficients(parts: GraspDiagram) -> dict[str, float]:
+        inspector = parts.scene_graph.model_inspector()
+        return {
+            inspector.GetName(geometry): inspector.GetProximityProperties(geometry)
+            .GetProperty("material", "coulomb_friction")
+            .dynamic_friction()
+            for geometry in inspector.GetAllGeometryIds(Role.kProximity)
+        }
+
+    def gains(parts: GraspDiagram) -> dict[str, tuple[float, float]]:
+        indices = parts.plant.GetJointActuatorIndices()
+        actuators = [parts.plant.get_joint_actuator(index) for index in indices]
+        return {a.name(): (a.get_controller_gains().p, a.get_controller_gains().d) for a in actuators}
+
+    before, after = coefficients(nominal), coefficients(scaled)
+    changed = {name: after[name] / before[name] for name in before if after[name] != before[name]}
+    assert set(changed) == {name for name in before if name.startswith("cylinder::")} != set()
+    assert set(changed.values()) == {0.5}
+    hand = nominal.plant.GetModelInstanceByName(HAND)
+    of_hand = {
+        nominal.plant.get_joint_actuator(i).name() for i in nominal.plant.GetJointActuatorIndices(hand)
+    }
+    stiff = gains(scaled)
+    for name, (p, d) in gains(nominal).items():
+        assert stiff[name] == pytest.approx((4 * p, 2 * d) if name in of_hand else (p, d))
 
 
 def test_the_object_weighs_what_was_drawn():

@@ -22,7 +22,15 @@ from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.operators.grasp_goal import GraspGoal
 from geort_drake.simulation.object_shape import object_shape
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.world import ARM, HAND, add_object, add_robot, standing_pose
+from geort_drake.simulation.world import (
+    ARM,
+    HAND,
+    add_object,
+    add_robot,
+    scale_friction,
+    scale_stiffness,
+    standing_pose,
+)
 from geort_drake.systems.action_correction import ActionCorrection
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.glove_replay import GloveReplay
@@ -40,10 +48,11 @@ Retarget = Callable[[np.ndarray], np.ndarray]
 
 @dc.dataclass(frozen=True)
 class Placement:
-    """Where the object stands in one trial, and how heavy it is."""
+    """Where the object stands in one trial, how heavy and how rough it is."""
 
     X_WO: RigidTransform
     mass_factor: float
+    friction_factor: float
 
 
 @dc.dataclass(frozen=True)
@@ -77,12 +86,16 @@ class GraspDiagram:
 
 
 def draw_placement(scenario: Scenario, lowest_at_identity: float, rng: np.random.Generator) -> Placement:
-    """Draws the object's pose and mass factor within the scenario's ranges."""
+    """Draws the object's pose and the factors on mass and friction within the scenario's ranges."""
     config = scenario.object
     dx, dy = rng.uniform(-config.position_range, config.position_range, 2)
-    yaw = rng.uniform(-config.yaw_range, config.yaw_range)
-    factor = 1 + rng.uniform(-config.mass_range, config.mass_range)
-    return Placement(standing_pose(scenario, lowest_at_identity, dx, dy, yaw), factor)
+    yaw = config.yaw + rng.uniform(-config.yaw_range, config.yaw_range)
+    mass = config.mass_factor * (1 + rng.uniform(-config.mass_range, config.mass_range))
+    # From a generator of its own, so that what is drawn next does not depend on it.
+    friction = config.friction_factor * (
+        1 + rng.spawn(1)[0].uniform(-config.friction_range, config.friction_range)
+    )
+    return Placement(standing_pose(scenario, lowest_at_identity, dx, dy, yaw), mass, friction)
 
 
 def make_grasp_diagram(
@@ -116,7 +129,9 @@ def make_grasp_diagram(
     shape = object_shape(plant, scene_graph.model_inspector(), object_body)
     placement = draw_placement(scenario, shape.lowest_point(RigidTransform()), rng)
     plant.SetDefaultFloatingBaseBodyPose(object_body, placement.X_WO)
+    scale_friction(plant, scene_graph, object_body, placement.friction_factor)
     arm, hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
+    scale_stiffness(plant, hand, scenario.hand_stiffness_factor)
     # The real arm's controller compensates for gravity, its own and that of what it carries; the rest
     # of the scene but the object stands still anyway.
     for number in range(plant.num_model_instances()):

@@ -31,11 +31,16 @@ class ObjectConfig:
     position: list[float] = dc.field(default_factory=lambda: [0.5, 0.0])
     # Height in W of what the object stands on, m.
     support_height: float = 0.1
-    # Largest deviation from the centre in x and y, m, and from zero yaw, rad.
+    # Yaw in W, rad, and factors on the model's mass and on its friction coefficients.
+    yaw: float = 0.0
+    mass_factor: float = 1.0
+    friction_factor: float = 1.0
+    # Largest deviation from the centre in x and y, m, and from that yaw, rad.
     position_range: float = 0.02
     yaw_range: float = 0.35
-    # The mass is scaled by a factor drawn between 1 - this and 1 + this.
+    # Mass and friction are scaled further by factors drawn between 1 - this and 1 + this.
     mass_range: float = 0.2
+    friction_range: float = 0.0
 
 
 @dc.dataclass
@@ -76,6 +81,9 @@ class Scenario:
     directives: list[ModelDirective] = dc.field(default_factory=list)
     # Description of the robot hand: a stem in models/hands, or a path.
     hand: str = "allegro_right"
+    # Factor on the proportional gains of the hand's controllers; the derivative gains go with its root,
+    # which leaves the damping ratio as it is.
+    hand_stiffness_factor: float = 1.0
     # Joint positions of the arm at the start, by name, rad.
     arm_posture: dict[str, float] = dc.field(default_factory=dict)
     object: ObjectConfig = dc.field(default_factory=ObjectConfig)
@@ -98,6 +106,9 @@ class Scenario:
             "retargeting.period": self.retargeting.period,
             "retargeting.max_joint_speed": self.retargeting.max_joint_speed,
             "recording.period": self.recording.period,
+            "hand_stiffness_factor": self.hand_stiffness_factor,
+            "object.mass_factor": self.object.mass_factor,
+            "object.friction_factor": self.object.friction_factor,
         }.items():
             if not (math.isfinite(value) and value > 0):
                 raise ScenarioError(f"scenario field {name} must be positive, not {value}")
@@ -122,20 +133,20 @@ class Scenario:
             raise ScenarioError(
                 f"scenario field object.position must be [x, y] in m, not {self.object.position}"
             )
-        if not math.isfinite(self.object.support_height):
-            raise ScenarioError(
-                f"scenario field object.support_height must be finite, not {self.object.support_height}"
-            )
+        for name in ("support_height", "yaw"):
+            value = getattr(self.object, name)
+            if not math.isfinite(value):
+                raise ScenarioError(f"scenario field object.{name} must be finite, not {value}")
         for name in ("position_range", "yaw_range"):
             value = getattr(self.object, name)
             if not (math.isfinite(value) and value >= 0):
                 raise ScenarioError(
                     f"scenario field object.{name} must be finite and not negative, not {value}"
                 )
-        if not 0 <= self.object.mass_range < 1:
-            raise ScenarioError(
-                f"scenario field object.mass_range must be in [0, 1), not {self.object.mass_range}"
-            )
+        for name in ("mass_range", "friction_range"):
+            value = getattr(self.object, name)
+            if not 0 <= value < 1:
+                raise ScenarioError(f"scenario field object.{name} must be in [0, 1), not {value}")
         step = self.plant_config.time_step
         for name, period in {
             "retargeting.period": self.retargeting.period,

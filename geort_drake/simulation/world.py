@@ -1,9 +1,12 @@
 """Loading robot, surroundings and object into a plant, the same way for simulation and planning."""
 
+import math
+
+from pydrake.geometry import RoleAssign, SceneGraph
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.parsing import ModelDirectives, Parser, ProcessModelDirectives
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
+from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
+from pydrake.multibody.tree import ModelInstanceIndex, PdControllerGains, RigidBody
 
 from geort_drake.errors import HandError, ScenarioError, UnknownNameError
 from geort_drake.hands.description import HandDescription
@@ -54,6 +57,31 @@ def standing_pose(
     x, y = scenario.object.position
     z = scenario.object.support_height - lowest_at_identity
     return RigidTransform(RotationMatrix.MakeZRotation(yaw), [x + dx, y + dy, z])
+
+
+def scale_friction(plant: MultibodyPlant, scene_graph: SceneGraph, body: RigidBody, factor: float) -> None:
+    """Multiplies the friction coefficients of a body's shapes, before the plant is finalized.
+
+    At a contact of two bodies Drake takes 2 μ₁ μ₂ / (μ₁ + μ₂).
+    """
+    for geometry in plant.GetCollisionGeometriesForBody(body):
+        properties = scene_graph.model_inspector().GetProximityProperties(geometry)
+        friction = properties.GetProperty("material", "coulomb_friction")
+        scaled = CoulombFriction(factor * friction.static_friction(), factor * friction.dynamic_friction())
+        properties.UpdateProperty("material", "coulomb_friction", scaled)
+        scene_graph.AssignRole(plant.get_source_id(), geometry, properties, RoleAssign.kReplace)
+
+
+def scale_stiffness(plant: MultibodyPlant, model: ModelInstanceIndex, factor: float) -> None:
+    """Multiplies a model's proportional gains before the plant is finalized; damping ratios stay."""
+    # Before the plant is finalized it does not know yet which actuators are the model's.
+    for index in plant.GetJointActuatorIndices():
+        actuator = plant.get_joint_actuator(index)
+        if actuator.model_instance() == model and actuator.has_controller():
+            gains = actuator.get_controller_gains()
+            actuator.set_controller_gains(
+                PdControllerGains(p=factor * gains.p, d=math.sqrt(factor) * gains.d)
+            )
 
 
 def _set_defaults(
