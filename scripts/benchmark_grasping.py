@@ -57,6 +57,13 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     add("--backend", default="loky", choices=["loky", "ray"], help="processes here, or a Ray cluster (loky)")
     add("--zero_latency", action="store_true", help="let every method answer at once")
     add("--recording", type=Path, help="the person's glove recording instead of synthetic play")
+    add(
+        "--sensitivity",
+        nargs="*",
+        metavar="NAME=V1,V2",
+        help="run the trials also with one assumption changed: delay (ms), gain (1/s), and factors on "
+        "noise, stiffness and friction; a NAME alone takes its usual values, no NAME takes all",
+    )
     add("--side", default="right", choices=["left", "right"], help="side of the recorded hand (right)")
     add("--seed", type=int, default=0, help="seed of training and synthetic play (0)")
     add("--scenario_file", type=Path, help="scenarios in YAML (the package's)")
@@ -104,6 +111,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Runs what is left of the benchmark."""
     from geort_drake.evaluation.grasp_benchmark import TRIALS, keep_error, open_benchmark
     from geort_drake.evaluation.grasp_methods import names_of
+    from geort_drake.evaluation.sensitivity import PARAMETERS, make_conditions, parse_values
     from geort_drake.evaluation.trial_log import TrialLog, key_of
     from geort_drake.simulation.scenario import load_scenario, object_names
 
@@ -114,6 +122,10 @@ def run(arguments: argparse.Namespace) -> None:
         if name not in object_names():
             raise UnknownNameError("object", name, object_names())
     scenario = load_scenario(arguments.scenario_file, arguments.scenario_name, arguments.scenario_text)
+    conditions = {}
+    if arguments.sensitivity is not None:
+        usual = {name: parameter.values for name, parameter in PARAMETERS.items()}
+        conditions = make_conditions(scenario, parse_values(arguments.sensitivity, usual))
     recording, notes = read_person(arguments.recording, arguments.side, arguments.seed)
     with TrialLog(arguments.output / TRIALS) as log:
         if log.torn:
@@ -128,6 +140,7 @@ def run(arguments: argparse.Namespace) -> None:
             arguments.seed,
             arguments.zero_latency,
             notes,
+            conditions,
         )
         keys = benchmark.keys(names, objects, arguments.trials)
         done = {key_of(record) for record in log.records}
@@ -148,7 +161,7 @@ def run(arguments: argparse.Namespace) -> None:
             for record in benchmark.run(left, goals, min(jobs, len(left)), backend):
                 log.append(keep_error(arguments.output, record))
                 outcome = "error" if "error" in record else record["outcome"]
-                progress.update(task, advance=1, note=f"{record['method']}, {record['object']}: {outcome}")
+                progress.update(task, advance=1, note=f"{key_of(record)}: {outcome}")
 
 
 def read_person(path: Path | None, side: str, seed: int):
@@ -174,8 +187,10 @@ def watch(folder: Path, method: str, thing: str, seed: int) -> int:
     key = TrialKey(method, thing, seed)
     records = {key_of(record): record for record in read_records(folder / TRIALS)}
     if key not in records:
-        finished = [" ".join(map(str, other)) for other in records if other.object == thing] or records
-        raise UnknownNameError("finished trial", " ".join(map(str, key)), map(str, finished))
+        nominal = [other for other in records if not other.condition]
+        finished = [other for other in nominal if other.object == thing] or nominal
+        named = [f"{other.method} {other.object} {other.seed}" for other in finished]
+        raise UnknownNameError("finished trial", f"{method} {thing} {seed}", named)
     notes, settings = config["notes"], config["settings"]
     recording, _ = read_person(
         Path(notes["recording"]) if notes["recording"] else None,
@@ -184,7 +199,7 @@ def watch(folder: Path, method: str, thing: str, seed: int) -> int:
     )
     kept = folder / KEPT / method
     with progress_bar() as progress:
-        task = progress.add_task("simulating", total=None, note=" ".join(map(str, key)))
+        task = progress.add_task("simulating", total=None, note=str(key))
         benchmark = open_benchmark(
             folder,
             load_scenario(folder / SCENARIO, "Resolved"),
@@ -218,7 +233,7 @@ def watch(folder: Path, method: str, thing: str, seed: int) -> int:
 def finish(folder: Path, summary: dict) -> int:
     """Prints what came out; the exit status."""
     console.print(results_table(summary))
-    errors = sum(entry["overall"]["errors"] for entry in summary["methods"].values())
+    errors = summary["errors"]
     if errors:
         console.print(
             f"[bold red]{errors} trials raised an error:[/] see {folder / 'errors'}", soft_wrap=True

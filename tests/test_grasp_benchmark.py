@@ -329,13 +329,10 @@ def test_every_method_has_its_measured_latency_unless_none_is_wanted(benchmark, 
     )
     assert zero.config["methods"]["hold"]["latency_s"] == 0 and zero.methods["hold"].latency == 0
     key, text, *rest = benchmark.arguments(TrialKey("vector_online", "cylinder", 0), planned_goal("cylinder"))
-    retarget, _, person, goal = rest
-    slow = grasp_trial.simulate(
-        key, text.replace("timeout: 0.3", "timeout: 4.5"), retarget, 0.1, person, goal
-    )
-    quick = grasp_trial.simulate(
-        key, text.replace("timeout: 0.3", "timeout: 4.5"), retarget, 0.0, person, goal
-    )
+    retarget, _, human = rest
+    longer = text.replace("timeout: 0.3", "timeout: 4.5")
+    slow = grasp_trial.simulate(key, longer, retarget, 0.1, human)
+    quick = grasp_trial.simulate(key, longer, retarget, 0.0, human)
     assert judged(slow) != judged(quick)
 
 
@@ -353,7 +350,7 @@ def test_processes_give_what_one_process_gives(benchmark):
     """Bit by bit, also for a method that remembers its last answer."""
     alone = run_all(benchmark, 1)
     assert [key_of(record) for record in alone] == [
-        (method, "cylinder", seed) for method in ("hold", "vector_online") for seed in (0, 1)
+        TrialKey(method, "cylinder", seed) for method in ("hold", "vector_online") for seed in (0, 1)
     ]
     assert not any("error" in record for record in alone)
     assert run_all(benchmark, 2) == alone

@@ -12,7 +12,7 @@ import dataclasses as dc
 import functools
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ import geort_drake
 from geort_drake.errors import BenchmarkError, GeortError
 from geort_drake.evaluation.grasp_methods import Method, make_retargeter, measure_latency, names_of
 from geort_drake.evaluation.grasp_trial import plan, simulate
-from geort_drake.evaluation.trial_log import TrialKey
+from geort_drake.evaluation.trial_log import TrialKey, key_of
 from geort_drake.evaluation.versions import versions
 from geort_drake.files import sha256_of, write_text
 from geort_drake.gloves.human_hand import HumanHand
@@ -57,16 +57,24 @@ class Benchmark:
     scenario_text: str
     person: HumanHand
     methods: dict[str, Method]
+    # Name of each changed scenario → its resolved text.
+    conditions: dict[str, str] = dc.field(default_factory=dict)
 
     def keys(self, methods: Iterable[str], objects: Iterable[str], trials: int) -> list[TrialKey]:
         """Trials in the order in which they are run: seed by seed, so that any beginning is balanced."""
         first = self.config["settings"]["scenario"]["random_seed"]
-        return [TrialKey(m, o, first + k) for k in range(trials) for o in objects for m in methods]
+        return [
+            TrialKey(method, name, first + k, condition)
+            for k in range(trials)
+            for condition in ("", *self.conditions)
+            for name in objects
+            for method in methods
+        ]
 
     def goals(self, objects: Sequence[str], jobs: int, backend: str) -> Iterator[tuple[str, GraspGoal]]:
         """Plans a grasp of each object, which is the same for all methods."""
         tasks = (delayed(plan)(self.scenario_text, name) for name in objects)
-        with _workers(jobs, backend) as parallel:
+        with workers(jobs, backend) as parallel:
             yield from zip(objects, parallel(return_as="generator")(tasks), strict=True)
 
     def run(
@@ -74,13 +82,14 @@ class Benchmark:
     ) -> Iterator[dict]:
         """Simulates trials and yields their lines as they finish."""
         tasks = (delayed(simulate)(*self.arguments(key, goals[key.object])) for key in keys)
-        with _workers(jobs, backend) as parallel:
+        with workers(jobs, backend) as parallel:
             yield from parallel(return_as="generator_unordered")(tasks)
 
     def arguments(self, key: TrialKey, goal: GraspGoal) -> tuple:
         """What `simulate` takes for a trial."""
         method = self.methods[key.method]
-        return key, self.scenario_text, method.retarget, method.latency, self.person, goal
+        text = self.conditions[key.condition] if key.condition else self.scenario_text
+        return key, text, method.retarget, method.latency, (self.person, goal)
 
 
 def open_benchmark(
@@ -93,6 +102,7 @@ def open_benchmark(
     seed: int = 0,
     zero_latency: bool = False,
     notes: dict | None = None,
+    conditions: Mapping[str, Scenario] | None = None,
 ) -> Benchmark:
     """Begins a benchmark in a folder, or goes on with the one that is there.
 
@@ -106,6 +116,7 @@ def open_benchmark(
         seed: of the training.
         zero_latency: every method answers at once.
         notes: what else the configuration says; not compared.
+        conditions: name → changed scenario in which the trials are run as well.
 
     Raises:
         BenchmarkError: the folder's benchmark was begun with another configuration.
@@ -115,30 +126,32 @@ def open_benchmark(
     description = load_hand(scenario.hand)
     hand = HandModel(description)
     text = dump_scenario(scenario)
-    made_with, package = versions(), Path(geort_drake.__file__).parent
+    resolved = yaml.safe_load(text)["Resolved"]
+    texts = {name: dump_scenario(changed) for name, changed in (conditions or {}).items()}
     wanted: dict[str, Any] = {
         "settings": {
-            "hand": description.name,
-            "hand_sha256": hand.digest,
             "recording_sha256": recording.digest,
             "training_seed": seed,
             "latency": "zero" if zero_latency else "measured",
-            "scenario": yaml.safe_load(text)["Resolved"],
-            "models_sha256": _digest(models_dir().parent, [models_dir(), diagrams_dir()]),
-            "code_sha256": _digest(package, [package / room for room in _SOURCES]),
-            "versions": {
-                name: made_with[name] for name in ("geort_drake", "python", "numpy", "scipy", "drake")
-            },
+            "scenario": resolved,
+            **simulation_settings(hand),
         },
         "objects": list(objects),
         "methods": {},
         "trials": trials,
-        "notes": {"platform": made_with["platform"], **(notes or {})},
+        "conditions": {
+            name: _changes(resolved, yaml.safe_load(changed)["Resolved"]) for name, changed in texts.items()
+        },
+        "notes": {"platform": versions()["platform"], **(notes or {})},
     }
     path = folder / CONFIG
     stored = read_config(folder) if path.exists() else None
     if stored is not None:
-        _require_same(path, stored["settings"], wanted["settings"])
+        require_same(path, stored["settings"], wanted["settings"])
+        known_conditions = stored.get("conditions", {})
+        for name in known_conditions.keys() & wanted["conditions"].keys():
+            require_same(path, known_conditions[name], wanted["conditions"][name], f"condition {name}: ")
+        wanted["conditions"] = {**known_conditions, **wanted["conditions"]}
         wanted["objects"] = list(dict.fromkeys([*stored["objects"], *objects]))
         wanted["trials"] = max(trials, stored["trials"])
         wanted["notes"] = stored["notes"]
@@ -154,7 +167,7 @@ def open_benchmark(
         if known is None:
             latency = 0.0 if zero_latency else measure_latency(retarget, recording)
             known = {"weights_sha256": digest, "latency_s": latency}
-        _require_same(
+        require_same(
             path, {"weights_sha256": known["weights_sha256"]}, {"weights_sha256": digest}, f"{name}."
         )
         wanted["methods"][name] = known
@@ -162,7 +175,19 @@ def open_benchmark(
     if wanted != stored:
         write_text(folder / SCENARIO, text)
         write_text(path, json.dumps(wanted, indent=2, allow_nan=False) + "\n")
-    return Benchmark(folder, wanted, text, HumanHand.fit(recording), ready)
+    return Benchmark(folder, wanted, text, HumanHand.fit(recording), ready, texts)
+
+
+def simulation_settings(hand: HandModel) -> dict:
+    """What decides a trial beside scenario and method: the models, the code and the libraries."""
+    made_with, package = versions(), Path(geort_drake.__file__).parent
+    return {
+        "hand": hand.description.name,
+        "hand_sha256": hand.digest,
+        "models_sha256": _digest(models_dir().parent, [models_dir(), diagrams_dir()]),
+        "code_sha256": _digest(package, [package / room for room in _SOURCES]),
+        "versions": {name: made_with[name] for name in _VERSIONS},
+    }
 
 
 def read_config(folder: Path) -> dict:
@@ -188,21 +213,31 @@ def keep_error(folder: Path, record: dict) -> dict:
     """Moves the traceback of a trial that raised into a file, and names the file in its line."""
     if "error" not in record:
         return record
-    path = Path(ERRORS) / f"{record['method']}-{record['object']}-{record['seed']}.txt"
+    path = Path(ERRORS) / f"{'-'.join(str(part) for part in key_of(record) if part != '')}.txt"
     write_text(folder / path, record["error"])
     return {**record, "error": record["error"].strip().splitlines()[-1], "traceback": str(path)}
 
 
-def _require_same(path: Path, stored: dict, wanted: dict, within: str = "") -> None:
+def require_same(path: Path, stored: dict, wanted: dict, within: str = "") -> None:
+    """Raises BenchmarkError, by its name, for the first field in which two configurations differ."""
     for field in {**stored, **wanted}:
         before, now = stored.get(field), wanted.get(field)
         if isinstance(before, dict) and isinstance(now, dict):
-            _require_same(path, before, now, f"{within}{field}.")
+            require_same(path, before, now, f"{within}{field}.")
         elif before != now:
             raise BenchmarkError(
                 f"{path}: this benchmark was begun with another {within}{field}: {before}, not {now}; "
                 "go on with the same, or choose another folder"
             )
+
+
+def _changes(nominal: dict, changed: dict) -> dict:
+    """The fields of a changed scenario that differ, nested as they are."""
+    return {
+        name: _changes(nominal[name], value) if isinstance(value, dict) else value
+        for name, value in changed.items()
+        if value != nominal.get(name)
+    }
 
 
 def _digest(root: Path, folders: Iterable[Path]) -> str:
@@ -213,7 +248,7 @@ def _digest(root: Path, folders: Iterable[Path]) -> str:
 
 
 @contextlib.contextmanager
-def _workers(jobs: int, backend: str) -> Iterator[Callable[..., Parallel]]:
+def workers(jobs: int, backend: str) -> Iterator[Callable[..., Parallel]]:
     """Yields what makes a `Parallel` of so many workers, called with joblib's `return_as`."""
     options: dict = {"inner_max_num_threads": 1}
     if backend == "ray":

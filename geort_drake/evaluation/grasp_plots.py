@@ -87,6 +87,47 @@ def _phases(summary: Mapping) -> Figure:
     return figure
 
 
+def success_panels(panels: Mapping[str, Mapping]) -> str:
+    """SVG of small multiples: success against a parameter, a line for each method, with intervals.
+
+    Args:
+        panels: parameter → `label` and `conditions`: each `value` → `methods`: name → `proportion`; a
+            condition that is `nominal` is marked by an upright line.
+    """
+    names = list(dict.fromkeys(n for p in panels.values() for c in p["conditions"] for n in c["methods"]))
+    with mpl.rc_context({**STYLE, "svg.fonttype": "none", "svg.hashsalt": "geort_drake"}):
+        columns = min(3, len(panels))
+        rows = -(-len(panels) // columns)
+        figure = Figure(figsize=(WIDTH, 0.6 + 2.2 * rows), layout="constrained")
+        grid = figure.subplots(rows, columns, sharey=True, squeeze=False).ravel()
+        for axes in grid[len(panels) :]:
+            axes.remove()
+        for axes, panel in zip(grid, panels.values(), strict=False):
+            conditions = panel["conditions"]
+            # Equally far apart, as factors and shares crowd at one end of a scale; lines a little aside.
+            for number, name in enumerate(names):
+                known = [k for k, c in enumerate(conditions) if c["methods"].get(name, {}).get("trials")]
+                shares = [conditions[k]["methods"][name] for k in known]
+                rate = np.array([share["rate"] for share in shares])
+                bounds = np.array([[s["low"], s["high"]] for s in shares]).reshape(-1, 2).T
+                axes.errorbar(
+                    np.array(known) + 0.3 * ((number + 0.5) / len(names) - 0.5), rate,
+                    yerr=np.abs(bounds - rate), label=name, elinewidth=0.8, markersize=3.5, linewidth=1,
+                    color=COLOURS[number % len(COLOURS)], marker=MARKERS[number % len(MARKERS)],
+                )  # fmt: skip
+            for k, condition in enumerate(conditions):
+                if condition["nominal"]:
+                    axes.axvline(k, color="#222222", linewidth=0.8, linestyle=":", zorder=0)
+            axes.set(xlabel=panel["label"], ylim=(-0.04, 1.04), xlim=(-0.4, len(conditions) - 0.6))
+            axes.set_xticks(range(len(conditions)), [f"{c['value']:g}" for c in conditions])
+            axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+        for row in range(rows):
+            grid[row * columns].set_ylabel("success")
+        if len(names) > 1:
+            figure.legend(*grid[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+        return _svg(figure)
+
+
 def _svg(figure: Figure) -> str:
     stream = io.StringIO()
     figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})

@@ -4,8 +4,9 @@ import logging
 import os
 import traceback
 
-from geort_drake.evaluation.trial_log import TrialKey
+from geort_drake.evaluation.trial_log import TrialKey, identity
 from geort_drake.gloves.human_hand import HumanHand
+from geort_drake.gloves.recording import Recording
 from geort_drake.hands.description import load_hand
 from geort_drake.operators.grasp_goal import GraspGoal
 from geort_drake.simulation.diagram import Retarget
@@ -25,11 +26,10 @@ def simulate(
     scenario_text: str,
     retarget: Retarget,
     latency: float,
-    person: HumanHand,
-    goal: GraspGoal,
+    human: tuple[HumanHand, GraspGoal] | Recording,
     rerun_path: str | os.PathLike | None = None,
 ) -> dict:
-    """One trial, as its line in the results: the fields of `TrialResult` and `method`.
+    """One trial, as its line in the results: the fields of `TrialResult`, `method` and `condition`.
 
     Whatever a trial raises becomes the text of its traceback under `error`, in place of a result.
     """
@@ -38,10 +38,10 @@ def simulate(
         scenario.random_seed = key.seed
         scenario.retargeting.latency = latency
         properties = {"method": key.method}
-        result, _ = run_trial(scenario, retarget, (person, goal), rerun_path, properties)
+        result, _ = run_trial(scenario, retarget, human, rerun_path, properties)
     except Exception:
-        return {**key._asdict(), "error": traceback.format_exc()}
-    return {"method": key.method, **result.to_json()}
+        return {**identity(key), "error": traceback.format_exc()}
+    return {**identity(key), **result.to_json()}
 
 
 def _scenario(text: str, object_name: str) -> Scenario:

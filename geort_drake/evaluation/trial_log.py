@@ -19,11 +19,23 @@ class TrialKey(NamedTuple):
     method: str
     object: str
     seed: int
+    # Name of a changed scenario; empty for the scenario as it is.
+    condition: str = ""
+
+    def __str__(self) -> str:
+        parts = [self.method, self.object, f"seed {self.seed}", self.condition]
+        return ", ".join(part for part in parts if part)
 
 
 def key_of(record: dict) -> TrialKey:
     """The key of a line."""
-    return TrialKey(record["method"], record["object"], record["seed"])
+    return TrialKey(record["method"], record["object"], record["seed"], record.get("condition", ""))
+
+
+def identity(key: TrialKey) -> dict:
+    """The fields of a line that say which trial it is."""
+    named = key._asdict()
+    return named if key.condition else {name: named[name] for name in ("method", "object", "seed")}
 
 
 def read_records(path: str | os.PathLike) -> list[dict]:
@@ -106,8 +118,6 @@ def _parse(path: Path, content: bytes) -> list[dict]:
         if missing:
             raise BenchmarkError(f"{path}, line {number}: {', '.join(missing)} missing")
         if repeated:
-            raise BenchmarkError(
-                f"{path}, line {number}: a second result of {key.method}, {key.object}, seed {key.seed}"
-            )
+            raise BenchmarkError(f"{path}, line {number}: a second result of {key}")
         records[key] = record
     return list(records.values())

@@ -1,0 +1,109 @@
+"""Replays recorded sessions of teleoperation while the object is not quite as it was.
+
+Sessions are glove recordings with wrist poses: those that simulate_grasp.py keeps of its trials, or your own.
+Every trial draws place, yaw, mass or friction of the object anew, up to the given size. What is finished is
+kept, so an interrupted evaluation goes on with the same command.
+"""
+
+import argparse
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.table import Table
+
+from geort_drake.console import console, progress_bar, run_main
+from geort_drake.files import require_writable
+
+
+def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    add = parser.add_argument
+    add("sessions", nargs="+", type=Path, metavar="SESSION", help="recordings with wrist poses (.npz)")
+    add("--retargeter", type=Path, required=True, help="directory of the checkpoint to replay through")
+    add("--object", help="what was grasped (what the session says)")
+    add(
+        "--perturb",
+        nargs="+",
+        default=(),
+        metavar="NAME=S1,S2",
+        help="largest changes to try: position (mm), yaw (°), and shares of mass and friction\n"
+        "(all four with their usual sizes)",
+    )
+    add("--trials", type=int, default=20, help="draws per session and size (20)")
+    add("--jobs", type=int, default=os.cpu_count() or 1, help="trials at a time (the number of processors)")
+    add("--backend", default="loky", choices=["loky", "ray"], help="processes here, or a Ray cluster (loky)")
+    add("--output", type=Path, default=Path("runs/replay"), help="folder for the results (runs/replay)")
+    add("--side", default="right", choices=["left", "right"], help="side of the recorded hands (right)")
+    add("--scenario_file", type=Path, help="scenarios in YAML (the package's)")
+    add("--scenario_name", default="Grasp", help="which scenario of the file (Grasp)")
+    add("--scenario_text", help="YAML merged into the scenario, for example '{retargeting: {latency: 0.01}}'")
+    arguments = parser.parse_args(argv)
+    for name in ("trials", "jobs"):
+        if getattr(arguments, name) < 1:
+            parser.error(f"--{name} must be at least 1, not {getattr(arguments, name)}")
+    require_writable(arguments.output, directory=True)
+    return arguments
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    arguments = parse_arguments(argv)
+    # Imported after parsing, so that --help answers at once.
+    from geort_drake.evaluation.grasp_benchmark import TRIALS, keep_error
+    from geort_drake.evaluation.replay import PERTURBATIONS, REPORT, Replay, write_report
+    from geort_drake.evaluation.sensitivity import parse_values
+    from geort_drake.evaluation.trial_log import TrialLog, key_of
+    from geort_drake.simulation.scenario import load_scenario
+
+    usual = {name: perturbation.sizes for name, perturbation in PERTURBATIONS.items()}
+    replay = Replay(
+        load_scenario(arguments.scenario_file, arguments.scenario_name, arguments.scenario_text),
+        arguments.sessions,
+        arguments.side,
+        arguments.object,
+        arguments.retargeter,
+        parse_values(arguments.perturb, usual),
+        arguments.trials,
+    )
+    with TrialLog(arguments.output / TRIALS) as log:
+        replay.open(arguments.output)
+        keys = replay.keys()
+        done = set(map(key_of, log.records))
+        left = [key for key in keys if key not in done]
+        console.print(f"{len(keys)} trials, {len(keys) - len(left)} of them finished before")
+        with progress_bar() as progress:
+            task = progress.add_task("replaying", total=len(left), note="")
+            if left:
+                for record in replay.run(left, min(arguments.jobs, len(left)), arguments.backend):
+                    log.append(keep_error(arguments.output, record))
+                    outcome = "error" if "error" in record else record["outcome"]
+                    progress.update(task, advance=1, note=f"{key_of(record)}: {outcome}")
+    summary = write_report(arguments.output)
+    console.print(results_table(summary))
+    if summary["errors"]:
+        console.print(
+            f"[bold red]{summary['errors']} trials raised an error:[/] see {arguments.output}/errors"
+        )
+    console.print(f"Report: {arguments.output / REPORT}", soft_wrap=True)
+    return 1 if summary["errors"] else 0
+
+
+def results_table(summary: dict) -> Table:
+    """One row a perturbation and size."""
+    table = Table(title="Replayed sessions")
+    for heading in ("change", "size", "success", "95 %"):
+        table.add_column(heading, justify="left" if heading == "change" else "right", no_wrap=True)
+    for panel in summary["perturbations"].values():
+        for condition in panel["conditions"]:
+            (share,) = condition["methods"].values()
+            table.add_row(
+                panel["label"],
+                f"{condition['value']:g}",
+                f"{share['successes']} of {share['trials']}",
+                f"{100 * share['low']:.0f}–{100 * share['high']:.0f} %",
+            )
+    return table
+
+
+if __name__ == "__main__":
+    run_main(main)

@@ -1,0 +1,132 @@
+"""Replayed sessions: the object stands as it did, changes are drawn, and what is finished is kept."""
+
+import dataclasses as dc
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from grasp_setup import centred_map, person_and_rest, scenario_with
+
+from geort_drake.errors import BenchmarkError, RecordingError, ScenarioError
+from geort_drake.evaluation import replay
+from geort_drake.evaluation.replay import as_recorded, summarize_replay
+from geort_drake.evaluation.trial_log import read_records
+from geort_drake.gloves.recording import Recording
+from geort_drake.operators.finger_motion import FingerMotion
+from geort_drake.simulation.diagram import draw_placement
+
+SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "evaluate_replay.py"
+
+
+def session(**metadata) -> Recording:
+    """A tenth of a second of a hand that rests."""
+    hand, _ = person_and_rest()
+    t = np.arange(0, 0.1, 0.01)
+    return Recording(
+        t=t,
+        p_HK=np.tile(hand.keypoints(FingerMotion(hand).rest), (len(t), 1, 1)),
+        valid=np.ones(len(t), bool),
+        X_WH=np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(t), 1)),
+        metadata={"side": "right", **metadata},
+    )
+
+
+def test_a_simulated_session_meets_the_object_as_it_was():
+    """Place, yaw and mass are those that its seed drew, and nothing is left to chance."""
+    scenario = scenario_with("cylinder")
+    drawn = draw_placement(scenario_with("cube"), -0.05, np.random.default_rng(7))
+    again = as_recorded(scenario, session(object="cube", seed=7), None)
+    assert again.object.name == "cube" and scenario.object.name == "cylinder"
+    assert again.timeout == pytest.approx(0.09 + scenario.monitor.hold_time)
+    for seed in (0, 1):
+        placement = draw_placement(again, -0.05, np.random.default_rng(seed))
+        np.testing.assert_allclose(
+            placement.X_WO.GetAsMatrix4(), drawn.X_WO.GetAsMatrix4(), rtol=0, atol=1e-12
+        )
+        assert placement.mass_factor == drawn.mass_factor
+
+
+def test_another_session_meets_it_where_the_scenario_says():
+    """And it must be told what was grasped."""
+    scenario = scenario_with("cylinder")
+    own = as_recorded(scenario, session(), "sphere").object
+    assert (own.name, own.position, own.yaw, own.mass_factor) == (
+        "sphere", scenario.object.position, 0.0, 1.0,
+    )  # fmt: skip
+    with pytest.raises(ScenarioError, match="name it with --object"):
+        as_recorded(scenario, session(), None)
+
+
+def test_the_summary_pools_sessions_and_begins_without_a_change():
+    """A size's share is over all sessions; errors are counted apart."""
+
+    def line(name, success, condition="", seed=0):
+        outcome = {"success": success, "outcome": "success" if success else "timeout: touch"}
+        return {"method": name, "object": "cube", "seed": seed, "condition": condition, **outcome}
+
+    records = [
+        line("a", True),
+        line("b", False),
+        *[line(name, k < 3, "position=10", k) for name in "ab" for k in range(4)],
+        {"method": "a", "object": "cube", "seed": 9, "condition": "position=10", "error": "no"},
+    ]
+    summary = summarize_replay(records)
+    (panel,) = summary["perturbations"].values()
+    shares = [(c["value"], c["methods"]["replay"]["rate"]) for c in panel["conditions"]]
+    assert shares == [(0.0, 0.5), (10.0, 0.75)]
+    assert summary["trials"] == 10 and summary["errors"] == 1
+    assert summary["sessions"]["b"]["unchanged"] == "timeout: touch"
+    assert summary["sessions"]["b"]["changed"]["successes"] == 3
+
+
+@pytest.fixture
+def script(monkeypatch, tmp_path):
+    """The script, with a known map in place of a checkpoint."""
+    spec = importlib.util.spec_from_file_location("evaluate_replay", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    monkeypatch.setattr(replay, "load_retargeter", lambda *_: centred_map())
+    (tmp_path / "map").mkdir()
+    (tmp_path / "map" / replay.WEIGHTS).write_bytes(b"a known map")
+    return module
+
+
+def test_sessions_are_replayed_under_every_change_and_gone_on_with(script, tmp_path):
+    """One trial without a change, some with each; more trials add to them; another map is refused."""
+    session(object="cube", seed=3).save(tmp_path / "cube-3.glove.npz")
+    folder = tmp_path / "out"
+    common = [
+        str(tmp_path / "cube-3.glove.npz"), "--retargeter", str(tmp_path / "map"), "--output", str(folder),
+        "--jobs", "1", "--scenario_text", "{monitor: {hold_time: 0.01}}", "--perturb", "position=0,20",
+        "mass=0.5",
+    ]  # fmt: skip
+    assert script.main([*common, "--trials", "1"]) == 0
+    before = read_records(folder / "trials.jsonl")
+    assert [record.get("condition", "") for record in before] == ["", "position=20", "mass=0.5"]
+    assert {record["method"] for record in before} == {"cube-3"}
+    assert script.main([*common, "--trials", "2"]) == 0
+    records = read_records(folder / "trials.jsonl")
+    assert records[:3] == before and len(records) == 5
+    summary = json.loads((folder / "summary.json").read_text())
+    assert set(summary["perturbations"]) == {"position", "mass"}
+    assert "| 20 | 2 | 0 [0, 66] |" in (folder / "report.md").read_text()
+    assert (folder / "success.svg").read_text().startswith("<svg")
+    (tmp_path / "map" / replay.WEIGHTS).write_bytes(b"another map")
+    with pytest.raises(BenchmarkError, match="begun with another weights_sha256"):
+        script.main([*common, "--trials", "2"])
+
+
+def test_what_cannot_be_replayed_is_refused_by_its_file(script, tmp_path):
+    """No wrist poses, and a share above what can be drawn; nothing is written."""
+    dc.replace(session(object="cube"), X_WH=None).save(tmp_path / "glove.npz")
+    session(object="cube").save(tmp_path / "good.npz")
+    common = ["--retargeter", str(tmp_path / "map"), "--output", str(tmp_path / "out")]
+    with pytest.raises(ScenarioError, match=r"glove\.npz: a replay needs wrist poses"):
+        script.main([str(tmp_path / "glove.npz"), *common])
+    with pytest.raises(ScenarioError, match=r"mass_range must be in \[0, 1\), not 1\.5"):
+        script.main([str(tmp_path / "good.npz"), *common, "--perturb", "mass=1.5"])
+    with pytest.raises(RecordingError, match=r"none\.npz"):
+        script.main([str(tmp_path / "none.npz"), *common])
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,178 @@
+"""The sensitivity of a grasp benchmark: conditions, how they are run and kept, and the ranking."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import pytest
+from grasp_setup import planned_goal
+
+from geort_drake.errors import BenchmarkError, ScenarioError, UnknownNameError
+from geort_drake.evaluation import grasp_benchmark
+from geort_drake.evaluation.grasp_benchmark import read_config
+from geort_drake.evaluation.sensitivity import (
+    PARAMETERS,
+    make_conditions,
+    parse_values,
+    summarize_sensitivity,
+)
+from geort_drake.evaluation.trial_log import key_of, read_records
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.simulation.scenario import Scenario, dump_scenario, load_scenario
+
+SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "benchmark_grasping.py"
+USUAL = {name: parameter.values for name, parameter in PARAMETERS.items()}
+
+
+def trial(method: str, seed: int, success: bool, condition: str = "") -> dict:
+    """As much of a line as the ranking needs."""
+    named = {"method": method, "object": "cube", "seed": seed, "first_attempt": success}
+    return {**named, "condition": condition} if condition else named
+
+
+def trials(rates: dict[str, int], condition: str = "") -> list[dict]:
+    """Ten trials of each method, so many of them successes."""
+    return [trial(name, k, k < rate, condition) for name, rate in rates.items() for k in range(10)]
+
+
+# -- conditions
+
+
+def test_values_are_read_and_the_usual_ones_filled_in():
+    """A name with values, a name alone, and no name at all."""
+    assert parse_values(["delay=0,250", "noise"], USUAL) == {"delay": [0, 250], "noise": [0, 2, 4]}
+    assert parse_values([], USUAL) == {name: list(values) for name, values in USUAL.items()}
+
+
+@pytest.mark.parametrize("text", ["delay=", "delay=1,x", "gain=nan", "noise=-1", "noise=inf"])
+def test_senseless_values_are_refused(text):
+    """By the parameter's name."""
+    with pytest.raises(BenchmarkError, match=f"{text.split('=')[0]} takes finite numbers"):
+        parse_values([text], USUAL)
+
+
+def test_an_unknown_parameter_is_refused_with_the_choices():
+    """The choices are in the message."""
+    with pytest.raises(UnknownNameError, match=r"parameter 'speed'.*delay, friction, gain, noise, stiffness"):
+        parse_values(["speed=1"], USUAL)
+
+
+def test_a_condition_changes_what_its_name_says_and_the_nominal_value_makes_none():
+    """Every parameter acts on the scenario's own fields, and leaves the nominal scenario alone."""
+    scenario = load_scenario()
+    before = dump_scenario(scenario)
+    wanted = {"delay": [180, 300], "gain": [2.5, 0.5], "noise": [1, 2], "stiffness": [4], "friction": [0.5]}
+    conditions = make_conditions(scenario, wanted)
+    assert list(conditions) == ["delay=300", "gain=0.5", "noise=2", "stiffness=4", "friction=0.5"]
+    assert conditions["delay=300"].operator.visual_delay == 0.3
+    assert conditions["gain=0.5"].operator.correction_rate == 0.5
+    noisy, person = conditions["noise=2"].operator, scenario.operator
+    for field in ("visual_noise", "motor_noise", "tremor"):
+        assert getattr(noisy, field) == 2 * getattr(person, field)
+    assert conditions["stiffness=4"].hand_stiffness_factor == 4
+    assert conditions["friction=0.5"].object.friction_factor == 0.5
+    assert dump_scenario(scenario) == before
+    assert set(make_conditions(scenario, USUAL)) == {
+        f"{name}={value:g}" for name, values in USUAL.items() for value in values
+    }
+    with pytest.raises(ScenarioError, match="visual_delay"):
+        make_conditions(scenario, {"delay": [5]})
+    with pytest.raises(ScenarioError, match=r"friction_factor must be positive, not 0"):
+        make_conditions(scenario, {"friction": [0]})
+
+
+# -- the ranking
+
+
+def test_tau_says_whether_the_ranking_holds():
+    """1 where all fare worse alike, −1 where the order is turned, none where all are equal."""
+    records = [
+        *trials({"a": 9, "b": 6, "c": 3}),
+        *trials({"a": 6, "b": 3, "c": 0}, "delay=300"),
+        *trials({"a": 1, "b": 5, "c": 8}, "delay=0"),
+        *trials({"a": 0, "b": 0, "c": 0}, "noise=4"),
+    ]
+    summary = summarize_sensitivity(records, ["a", "b", "c"], Scenario())
+    assert list(summary) == ["delay", "noise"]
+    delay = summary["delay"]["conditions"]
+    assert [(c["value"], c["nominal"], c["tau"]) for c in delay] == [
+        (0.0, False, pytest.approx(-1)),
+        (180.0, True, pytest.approx(1)),
+        (300.0, False, pytest.approx(1)),
+    ]
+    assert delay[2]["methods"]["b"]["rate"] == 0.3
+    assert delay[2]["methods"]["b"]["low"] < 0.3 < delay[2]["methods"]["b"]["high"]
+    assert [c["tau"] for c in summary["noise"]["conditions"]] == [pytest.approx(1), None]
+
+
+def test_nominal_trials_count_where_a_condition_tried_the_same():
+    """Other methods, objects and seeds of the benchmark are left out, and so are errors."""
+    records = [
+        *trials({"a": 5, "b": 10, "c": 0}),
+        *[record for record in trials({"a": 5, "b": 10}, "gain=1") if record["seed"] < 5],
+        {"method": "a", "object": "cube", "seed": 7, "condition": "gain=1", "error": "ValueError: no"},
+    ]
+    (parameter,) = summarize_sensitivity(records, ["a", "b", "c"], Scenario()).values()
+    for condition in parameter["conditions"]:
+        assert set(condition["methods"]) == {"a", "b"}
+        assert condition["methods"]["a"]["trials"] == condition["methods"]["a"]["successes"] == 5
+
+
+# -- the script
+
+
+@pytest.fixture
+def script(monkeypatch):
+    """The script, with a person made already and one plan; no trial lasts long enough to follow it."""
+    spec = importlib.util.spec_from_file_location("benchmark_grasping", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    play = synthesize_play(seed=0, duration_s=60)
+    monkeypatch.setattr(module, "read_person", lambda *_: (play, {"recording": None}))
+    monkeypatch.setattr(grasp_benchmark, "plan", lambda *_: planned_goal("cylinder"))
+    return module
+
+
+def arguments(folder, *more: str) -> list[str]:
+    return [
+        "--output", str(folder), "--methods", "hold", "vector_online", "--objects", "cylinder",
+        "--jobs", "1", "--scenario_text", "{timeout: 0.1}", "--trials", "1", *more,
+    ]  # fmt: skip
+
+
+def test_conditions_are_added_to_a_benchmark_and_reported(script, tmp_path):
+    """Finished trials stay; every condition is run with the same seeds; report and figure show it."""
+    assert script.main(arguments(tmp_path)) == 0
+    before = read_records(tmp_path / "trials.jsonl")
+    assert script.main(arguments(tmp_path, "--sensitivity", "delay=0,180", "stiffness=2")) == 0
+    records = read_records(tmp_path / "trials.jsonl")
+    assert records[:2] == before
+    assert {str(key_of(record)) for record in records[2:]} == {
+        f"{method}, cylinder, seed 0, {condition}"
+        for method in ("hold", "vector_online")
+        for condition in ("delay=0", "stiffness=2")
+    }
+    assert read_config(tmp_path)["conditions"] == {
+        "delay=0": {"operator": {"visual_delay": 0.0}},
+        "stiffness=2": {"hand_stiffness_factor": 2.0},
+    }
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["methods"]["hold"]["overall"]["trials"] == 1
+    assert [c["value"] for c in summary["sensitivity"]["delay"]["conditions"]] == [0, 180]
+    report = (tmp_path / "report.md").read_text()
+    assert "![One-time success in every condition](sensitivity.svg)" in report
+    assert "| **180** | – | 0 % [0, 79] | 0 % [0, 79] |" in report
+    assert (tmp_path / "sensitivity.svg").read_text().startswith("<svg")
+    assert (tmp_path / "report.html").read_text().count("<svg") == 4
+    # Going on finds all of it finished.
+    script.main(arguments(tmp_path, "--sensitivity", "delay=0"))
+    assert read_records(tmp_path / "trials.jsonl") == records
+
+
+def test_a_condition_of_another_meaning_is_refused(script, tmp_path):
+    """One that was begun with other values is named."""
+    script.main(arguments(tmp_path, "--sensitivity", "noise=2"))
+    path = tmp_path / "config.json"
+    path.write_text(path.read_text().replace('"visual_noise": 0.002', '"visual_noise": 0.003'))
+    with pytest.raises(BenchmarkError, match=r"another condition noise=2: operator\.visual_noise: 0\.003"):
+        script.main(arguments(tmp_path, "--sensitivity", "noise=2"))
