@@ -282,14 +282,14 @@ def test_the_code_digest_covers_what_weights_depend_on(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("method", "settings", "motion", "closed", "collision", "cross_talk"),
+    ("method", "settings", "motion", "coverage", "closed", "collision", "cross_talk"),
     [
-        ("geort", {"steps": 400, "refreshes": 5, "classifier_steps": 500}, 0.75, 0.8, 0.05, 0.0),
-        ("geort_coupled", {"steps": 400}, 0.95, 0.95, 0.005, 0.08),
+        ("geort", {"steps": 400, "refreshes": 5, "classifier_steps": 500}, 0.75, 0.4, 0.8, 0.05, 0.0),
+        ("geort_coupled", {"steps": 400}, 0.95, 0.3, 0.95, 0.005, 0.08),
     ],
 )
 def test_a_tenth_of_the_training_already_serves_the_real_recording(
-    alex_npy, hand, tmp_path, method, settings, motion, closed, collision, cross_talk
+    alex_npy, hand, tmp_path, method, settings, motion, coverage, closed, collision, cross_talk
 ):
     """Pinches close, the hand does not collide, and the C-space is used; the full run does better."""
     path = train_checkpoint(
@@ -298,7 +298,7 @@ def test_a_tenth_of_the_training_already_serves_the_real_recording(
     )  # fmt: skip
     figures = json.loads((path / "metrics.json").read_text())
     assert figures["motion_preservation"] > motion
-    assert figures["coverage"]["10mm"] > 0.4
+    assert figures["coverage"]["10mm"] > coverage
     assert figures["pinch"]["closed"] > closed
     assert figures["pinch"]["frames"] == 1071
     assert figures["self_collision"] < collision
