@@ -5,7 +5,7 @@ import hashlib
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from geort_drake.errors import OutputError
@@ -82,6 +82,18 @@ def sha256_of(path: str | os.PathLike) -> str:
     """Hexadecimal SHA-256 of a file's bytes."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def digest_of(root: Path, paths: Iterable[Path]) -> str:
+    """Hexadecimal SHA-256 over the names below `root` and the contents of files, and of all files in folders.
+
+    What Python compiles does not count.
+    """
+    files: set[Path] = set()
+    for path in paths:
+        files.update([path] if path.is_file() else (p for p in path.rglob("*") if p.is_file()))
+    lines = [f"{file.relative_to(root)} {sha256_of(file)}" for file in sorted(files) if file.suffix != ".pyc"]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
 def _umask() -> int:

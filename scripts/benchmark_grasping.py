@@ -27,7 +27,7 @@ METHODS = (
 )
 # Those that need no training but that of `make grasp`.
 QUICK = {
-    "methods": ("geort", "vector_online", "dexpilot_online", "nearest_neighbour", "hold"),
+    "methods": ("geort_coupled", "vector_online", "dexpilot_online", "nearest_neighbour", "hold"),
     "objects": ("cylinder", "sphere", "cube"),
     "trials": 2,
 }

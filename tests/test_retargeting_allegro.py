@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 import torch
 
+import geort_drake
+from geort_drake import files
 from geort_drake.errors import CheckpointError, UnknownNameError
 from geort_drake.evaluation import checkpoint_cache, metrics
 from geort_drake.evaluation.metrics import evaluate
@@ -250,7 +252,7 @@ def test_the_cache_tells_settings_methods_and_code_apart(light, play, monkeypatc
     assert cached(hidden=16) == (first, True)
     assert not cached(hidden=24)[1]
     assert not checkpoint_cache.cached_checkpoint("allegro_right", play, "linear_offline", settings={})[1]
-    monkeypatch.setattr(checkpoint_cache, "_code_digest", lambda: "other")
+    monkeypatch.setattr(checkpoint_cache, "digest_of", lambda root, paths: "other")
     assert not cached(hidden=16)[1]
     assert len(trained) == 4
     with pytest.raises(UnknownNameError, match="setting of geort 'speed'"):
@@ -275,9 +277,27 @@ def test_the_cache_repeats_what_training_warned_of(light, play, monkeypatch, tmp
 def test_the_code_digest_covers_what_weights_depend_on(monkeypatch):
     """Training code and the hand's geometry count."""
     read = []
-    monkeypatch.setattr(checkpoint_cache, "sha256_of", lambda path: read.append(path.name) or "0")
-    checkpoint_cache._code_digest()
+    monkeypatch.setattr(files, "sha256_of", lambda path: read.append(path.name) or "0")
+    files.digest_of(Path(geort_drake.__file__).parent, checkpoint_cache.TRAINING_CODE)
     assert {"collision_shapes.py", "samples.py", "criteria.py", "linear_offline.py"} <= set(read)
+
+
+def test_a_digest_tells_names_and_contents_apart_and_skips_what_python_compiles(tmp_path):
+    """A renamed, changed or added file changes it; a .pyc does not, nor the order of what is asked for."""
+    a, b = tmp_path / "a.py", tmp_path / "room" / "b.py"
+    b.parent.mkdir()
+    a.write_text("1")
+    b.write_text("2")
+    digests = [files.digest_of(tmp_path, [a, b.parent])]
+    (b.parent / "b.pyc").write_text("compiled")
+    assert files.digest_of(tmp_path, [b.parent, a]) == digests[0]
+    b.write_text("3")
+    digests.append(files.digest_of(tmp_path, [a, b.parent]))
+    b.rename(b.with_name("c.py"))
+    digests.append(files.digest_of(tmp_path, [a, b.parent]))
+    b.write_text("3")
+    digests.append(files.digest_of(tmp_path, [a, b.parent]))
+    assert len(set(digests)) == 4
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from pathlib import Path
 import geort_drake
 from geort_drake.errors import CheckpointError
 from geort_drake.evaluation.pipeline import DEFAULT_METHOD, train_checkpoint, training_config
-from geort_drake.files import sha256_of
+from geort_drake.files import digest_of
 from geort_drake.gloves.recording import Recording
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
@@ -18,8 +18,9 @@ from geort_drake.resources import cache_dir
 from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.retargeter import load_retargeter
 
+_PACKAGE = Path(geort_drake.__file__).parent
 # What the weights depend on besides data and settings: training, and the hand's samples and geometry.
-_SOURCES = ("retargeting", "hands")
+TRAINING_CODE = (_PACKAGE / "retargeting", _PACKAGE / "hands")
 
 
 def cached_checkpoint(
@@ -54,7 +55,7 @@ def cached_checkpoint(
         "seed": seed,
         "device": device,
         "training": dataclasses.asdict(config),
-        "code": _code_digest(),
+        "code": digest_of(_PACKAGE, TRAINING_CODE),
     }
     key = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
     path = cache_dir() / "retargeters" / f"{hand.description.name}-{method}-{key}"
@@ -69,10 +70,3 @@ def cached_checkpoint(
                 warnings.warn(text, RuntimeWarning, stacklevel=2)
             return path, True
     return train_checkpoint(hand_name, recording, path, method, seed, device, settings=settings), False
-
-
-def _code_digest() -> str:
-    """SHA-256 over the sources that decide what training gives."""
-    package = Path(geort_drake.__file__).parent
-    sources = [source for folder in _SOURCES for source in sorted((package / folder).rglob("*.py"))]
-    return hashlib.sha256("".join(map(sha256_of, sources)).encode()).hexdigest()

@@ -10,7 +10,6 @@ FOLDER/errors/         the traceback of each trial that raised
 import contextlib
 import dataclasses as dc
 import functools
-import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
@@ -26,7 +25,7 @@ from geort_drake.evaluation.grasp_methods import Method, make_retargeter, measur
 from geort_drake.evaluation.grasp_trial import plan, simulate
 from geort_drake.evaluation.trial_log import TrialKey, key_of
 from geort_drake.evaluation.versions import versions
-from geort_drake.files import sha256_of, write_text
+from geort_drake.files import digest_of, write_text
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.recording import Recording
 from geort_drake.hands.description import load_hand
@@ -184,8 +183,8 @@ def simulation_settings(hand: HandModel) -> dict:
     return {
         "hand": hand.description.name,
         "hand_sha256": hand.digest,
-        "models_sha256": _digest(models_dir().parent, [models_dir(), diagrams_dir()]),
-        "code_sha256": _digest(package, [package / room for room in _SOURCES]),
+        "models_sha256": digest_of(models_dir().parent, [models_dir(), diagrams_dir()]),
+        "code_sha256": digest_of(package, [package / room for room in _SOURCES]),
         "versions": {name: made_with[name] for name in _VERSIONS},
     }
 
@@ -238,13 +237,6 @@ def _changes(nominal: dict, changed: dict) -> dict:
         for name, value in changed.items()
         if value != nominal.get(name)
     }
-
-
-def _digest(root: Path, folders: Iterable[Path]) -> str:
-    """SHA-256 over names and contents of all files in folders, but for what Python compiles."""
-    files = sorted(path for folder in folders for path in folder.rglob("*") if path.is_file())
-    lines = [f"{path.relative_to(root)} {sha256_of(path)}" for path in files if path.suffix != ".pyc"]
-    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
 @contextlib.contextmanager

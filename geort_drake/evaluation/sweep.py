@@ -6,7 +6,6 @@ more settings or seeds can join.
 """
 
 import dataclasses
-import hashlib
 import json
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,9 +16,9 @@ from typing import Any
 from joblib import Parallel, delayed, parallel_config
 
 from geort_drake.errors import CheckpointError, GeortError, OutputError
-from geort_drake.evaluation.checkpoint_cache import _code_digest
+from geort_drake.evaluation.checkpoint_cache import TRAINING_CODE
 from geort_drake.evaluation.pipeline import train_checkpoint, training_config
-from geort_drake.files import require_writable, sha256_of, write_text
+from geort_drake.files import digest_of, require_writable, write_text
 from geort_drake.gloves.readers import read_recording
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
@@ -71,12 +70,12 @@ class Ground:
             HandError, RecordingError: one of them is unusable.
         """
         description = load_hand(hand)
-        sources = [_code_digest(), *map(sha256_of, sorted(Path(__file__).parent.glob("*metrics.py")))]
+        here = Path(__file__).parent
         facts = {
             "hand": description.name,
             "hand_sha256": HandModel(description).digest,
             "recording_sha256": read_recording(recording, description.side, training=True).digest,
-            "code_sha256": hashlib.sha256("".join(sources).encode()).hexdigest(),
+            "code_sha256": digest_of(here.parent, [*TRAINING_CODE, *here.glob("*metrics.py")]),
             "settings": dict(common),
         }
         return cls(hand, Path(recording), facts)
