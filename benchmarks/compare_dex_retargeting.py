@@ -60,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             keypoints = [finger.human_keypoint for finger in description.fingers]
             ours = ONLINE[name](hand.kinematics(), human_keypoints=keypoints)
             urdf = Path(folder) / f"{name}.urdf"
-            urdf.write_text(_urdf(hand.kinematics(), ours.config.p_BW), encoding="utf-8")
+            urdf.write_text(_urdf(hand.kinematics()), encoding="utf-8")
             theirs = RetargetingConfig.from_dict(_settings(kind, urdf, description, ours.config)).build()
             task = progress.add_task(name, total=len(hands), note="")
             q, spent = {"ours": [], "theirs": []}, {"ours": 0.0, "theirs": 0.0}
@@ -139,7 +139,7 @@ def _settings(kind: str, urdf: Path, description, config) -> dict:
     }
 
 
-def _urdf(kinematics, p_BW: Sequence[float]) -> str:
+def _urdf(kinematics) -> str:
     """The hand as a URDF of frames: base, wrist, one link per joint and one per fingertip."""
 
     def fixed(name: str, parent: str, p: Sequence[float]) -> str:
@@ -148,7 +148,7 @@ def _urdf(kinematics, p_BW: Sequence[float]) -> str:
             f'<child link="{name}"/><origin xyz="{_numbers(p)}" rpy="0 0 0"/></joint>'
         )
 
-    parts = ['<link name="base"/>', fixed("wrist", "base", p_BW)]
+    parts = ['<link name="base"/>', fixed("wrist", "base", kinematics.p_BW)]
     for finger in kinematics.fingers:
         parent = "base"
         for k, joint in enumerate(finger.joint_names):

@@ -88,14 +88,16 @@ def test_no_pair_near_costs_nothing():
     assert (gaps.least(q, 0.002) == 0.002).all()
 
 
-def test_gaps_agree_with_drake(allegro):
+@pytest.mark.parametrize("name", ["allegro_right", "leap_right"])
+def test_gaps_agree_with_drake(name):
     """The sign of the least gap is Drake's answer, except where a cylinder's rim decides."""
-    q = np.random.default_rng(0).uniform(allegro.lower, allegro.upper, (1500, 16))
-    shapes = collision_shapes(allegro)
-    gaps = CollisionGaps(allegro.kinematics(), shapes, CPU)
+    hand = HandModel(load_hand(name))
+    q = np.random.default_rng(0).uniform(hand.lower, hand.upper, (1500, 16))
+    shapes = collision_shapes(hand)
+    gaps = CollisionGaps(hand.kinematics(), shapes, CPU)
     before = len(gaps.pairs)
     least = gaps.least(torch.tensor(q).float(), 0.002).numpy()
-    label = allegro.collides_beyond_tips(q)
+    label = hand.collides_beyond_tips(q)
     assert ((least < 0) == label).mean() > 0.99
     gaps.keep_pairs_that_meet(torch.tensor(q).float(), 0.001)
     assert len(gaps.pairs) < before

@@ -1,5 +1,6 @@
 """Hand descriptions, the exact hand model, and the sampled robot data."""
 
+import dataclasses as dc
 import shutil
 
 import numpy as np
@@ -9,10 +10,12 @@ import yaml
 from scipy.optimize import minimize
 
 from geort_drake.errors import HandError, UnknownNameError
+from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.description import HandDescription, hand_names, load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.samples import robot_data
 from geort_drake.resources import models_dir
+from geort_drake.retargeting.baselines.numpy_kinematics import NumpyKinematics
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +56,83 @@ def test_every_shipped_hand_builds(name):
     assert hand.description.name == name
     assert not hand.collides(hand.default_position)
     assert len(hand.kinematics().fingers) == len(hand.finger_names)
+
+
+@pytest.mark.parametrize("name", hand_names())
+def test_every_thumb_can_pinch_with_every_finger(name):
+    """Some posture brings each pair of tips to where their spheres meet, and nothing else into contact."""
+    hand = HandModel(load_hand(name))
+    kinematics = NumpyKinematics.of(hand.kinematics())
+    thumb, *others = hand.description.fingers
+    rng = np.random.default_rng(0)
+    for number, finger in enumerate(others, start=1):
+        moved = [hand.joint_names.index(joint) for joint in (*thumb.joints, *finger.joints)]
+        q = np.tile(hand.default_position, (3000, 1))
+        q[:, moved] = rng.uniform(hand.lower[moved], hand.upper[moved], (len(q), len(moved)))
+        apart = _pair_distance(kinematics, q, number)
+        pinches = [_pinch(kinematics, start, moved, number) for start in q[np.argsort(apart)[:8]]]
+        closed = [p for p in pinches if _pair_distance(kinematics, p[None], number) < 2 * hand.tip_radius]
+        assert any(not hand.collides_beyond_tips(p) for p in closed), finger.name
+
+
+def _pair_distance(kinematics: NumpyKinematics, q: np.ndarray, number: int) -> np.ndarray:
+    p_BF = kinematics.fingertips(q)
+    return np.linalg.norm(p_BF[:, 0] - p_BF[:, number], axis=1)
+
+
+def _pinch(kinematics: NumpyKinematics, q: np.ndarray, moved: list[int], number: int) -> np.ndarray:
+    """q with the thumb's and a finger's tip brought to nine tenths of the distance at which they touch."""
+
+    def cost(x):
+        trial = q.copy()
+        trial[moved] = x
+        p_BF, J = kinematics.fingertips_and_jacobians(trial[None])
+        v = p_BF[0, 0] - p_BF[0, number]
+        distance = np.linalg.norm(v)
+        excess = distance - 1.8 * kinematics.tip_radius
+        slope = (v / distance) @ (J[0, 0] - J[0, number])[:, moved]
+        return 1e4 * excess**2, 2e4 * excess * slope
+
+    bounds = list(zip(kinematics.lower[moved], kinematics.upper[moved], strict=True))
+    pinched = q.copy()
+    pinched[moved] = minimize(cost, q[moved], jac=True, bounds=bounds, method="L-BFGS-B").x
+    return pinched
+
+
+def test_a_left_hand_is_described_as_its_right_one():
+    """But for name, model, side and mount, the descriptions of the Allegro's two hands are the same."""
+    right, left = (dc.asdict(load_hand(f"allegro_{side}")) for side in ("right", "left"))
+    for facts, side in ((right, "right"), (left, "left")):
+        assert facts.pop("side") == side
+        assert facts.pop("name").endswith(f"_{side}") and facts.pop("model").endswith(f"_{side}.sdf")
+        facts.pop("mount")
+        for finger in facts["fingers"]:
+            finger["tip_point"] = np.abs(finger["tip_point"]).tolist()
+    assert left == right
+
+
+def test_a_mirrored_left_hand_is_the_right_one(allegro, rng):
+    """In the mirror, kinematics, wrist and collision shapes of a left hand are those of the right one."""
+    left = HandModel(load_hand("allegro_left"))
+    q = torch.tensor(_uniform(allegro, rng, 20))
+    ours, theirs = left.kinematics().mirrored(), allegro.kinematics()
+    torch.testing.assert_close(ours.fingertips(q), theirs.fingertips(q), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(ours.p_BW, theirs.p_BW, atol=1e-12)
+    ours, theirs = collision_shapes(left).mirrored(), collision_shapes(allegro)
+    for field in ("joint", "half", "radius", "pairs"):
+        np.testing.assert_array_equal(getattr(ours, field), getattr(theirs, field))
+    np.testing.assert_allclose(ours.X_JS, theirs.X_JS, atol=1e-12)
+
+
+def test_the_mount_is_the_wrist_and_not_part_of_the_hand(copied):
+    """It says where the wrist is, may be left out, and does not make another hand of it."""
+    facts, load = copied
+    mounted = HandModel(load())
+    np.testing.assert_allclose(mounted.p_BW, [0, 0, -0.095], atol=1e-12)
+    del facts["mount"]
+    bare = HandModel(load())
+    np.testing.assert_array_equal(bare.p_BW, np.zeros(3))
+    assert bare.digest == mounted.digest
 
 
 def test_unknown_hand_lists_the_choices():
@@ -266,6 +346,8 @@ def _set(path: str, value):
         (_set("fingers", []), r"fingers must be a list of at least one finger"),
         (_set("default_positions.joint_12", 0.0), r"joint_12 must be within its limits.*0\.263.*given: 0"),
         (_set("default_positions.wrist", 0.0), r"default_positions names.*'wrist'.*joint_0"),
+        (_set("mount.frame", "wrist"), r"mount\.frame names the frame or link 'wrist'.*mount"),
+        (_set("mount.rpy_deg", [90]), r"mount\.rpy_deg must be three finite numbers"),
         (_set("colour", "red"), r"hand\.yaml is malformed.*colour"),
         (_set("fingers.0.tip_radius", "wide"), r"hand\.yaml is malformed"),
     ],

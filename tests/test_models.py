@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from pydrake.geometry import Role
+from pydrake.geometry import Box, Role
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
@@ -13,7 +13,9 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake.hands.description import load_hand
+from geort_drake.errors import HandError
+from geort_drake.hands.description import hand_names, load_hand
+from geort_drake.hands.mirror import left_sdf
 from geort_drake.hands.model import HandModel
 from geort_drake.resources import models_dir
 from geort_drake.simulation.object_shape import half_extents
@@ -45,6 +47,31 @@ ALLEGRO_TIPS = {
         },
     ),
 }
+# Centres of the pads' round ends in mm in the published palm frame: x along the fingers, y towards the index
+# side, z out of the back; joint_0 to joint_15.
+LEAP_TIPS = {
+    "zero": (
+        [0.0] * 16,
+        {
+            "index": [122.0, 8.1, -20.4],
+            "middle": [121.9, -37.3, -20.4],
+            "ring": [121.9, -82.7, -20.4],
+            "thumb": [-81.4, 128.5, -21.4],
+        },
+    ),
+    "random": (
+        [1.038, 1.703, 0.982, 2.015, -0.596, 0.094, 0.959, -0.26]
+        + [-0.972, 0.996, 0.609, 1.843, 1.188, 1.028, 0.34, -0.543],
+        {
+            "index": [-47.03, 12.14, -49.18],
+            "middle": [79.8, -0.4, -83.79],
+            "ring": [-20.78, -71.52, -82.31],
+            "thumb": [-79.04, 41.27, -140.49],
+        },
+    ),
+}
+# That frame in base_link: origin in m, axes as columns.
+LEAP_PALM = RigidTransform(RotationMatrix.MakeYRotation(-np.pi / 2), [-0.0187, 0.038, 0.007])
 # Origins in mm of the flange, panda_link8, from the Denavit-Hartenberg table of Franka's documentation.
 PANDA_FLANGE = {
     "zero": ([0.0] * 7, [88.0, 0.0, 926.0]),
@@ -103,6 +130,16 @@ def allegro() -> HandModel:
     return HandModel(load_hand("allegro_right"))
 
 
+@pytest.fixture(scope="module")
+def allegro_left() -> HandModel:
+    return HandModel(load_hand("allegro_left"))
+
+
+@pytest.fixture(scope="module")
+def leap() -> HandModel:
+    return HandModel(load_hand("leap_right"))
+
+
 def _facts(name: str) -> dict:
     path = FACTS_DIR / name
     if not path.is_file():
@@ -138,6 +175,186 @@ def test_allegro_agrees_with_the_fact_sheet(allegro):
     assert len(limits) == 16
     for name, lower, upper in zip(allegro.joint_names, allegro.lower, allegro.upper, strict=True):
         assert (lower, upper) == pytest.approx(limits[name], abs=1e-9)
+
+
+@pytest.mark.parametrize("case", LEAP_TIPS)
+def test_leap_fingertips_agree_with_the_published_description(leap, case):
+    """Exact kinematics reproduce independently computed fingertip points to 0.1 mm."""
+    q, wanted = LEAP_TIPS[case]
+    for finger, tip in _tips_mm(leap, q).items():
+        in_palm = LEAP_PALM.inverse() @ (tip / 1e3)
+        np.testing.assert_allclose(in_palm * 1e3, wanted[finger], atol=0.1)
+
+
+def test_leap_agrees_with_the_fact_sheet(leap):
+    """Every forward-kinematics check, joint limit and mass of the fact sheet holds."""
+    facts = _facts("leap.yaml")
+    for case in facts["fk_check"].values():
+        for finger, tip in _tips_mm(leap, case["q_joint0_to_15"]).items():
+            in_palm = LEAP_PALM.inverse() @ (tip / 1e3)
+            wanted = case["primitive_tip_center_in_palm_lower_mm"][finger]
+            np.testing.assert_allclose(in_palm * 1e3, wanted, atol=0.1)
+    limits = {
+        f"joint_{joint['name']}": (joint["lower_rad"], joint["upper_rad"])
+        for joint in facts["kinematics_right"]
+        if joint["type"] == "revolute"
+    }
+    assert len(limits) == 16
+    for name, lower, upper in zip(leap.joint_names, leap.lower, leap.upper, strict=True):
+        assert (lower, upper) == pytest.approx(limits[name], abs=1e-9)
+    shapes = facts["proposed_inertials"]["shapes"]
+    masses = [shapes[name]["mass_kg"] for name in ("palm_lower", "thumb_temp_base", "thumb_pip")]
+    masses += [shapes[name]["mass_kg"] for name in ("thumb_dip", "thumb_fingertip")]
+    masses += 3 * [shapes[name]["mass_kg"] for name in ("mcp", "pip", "dip", "fingertip")]
+    assert sum(masses) == pytest.approx(leap.plant.CalcTotalMass(leap.plant.CreateDefaultContext()))
+
+
+def test_leap_links_weigh_where_their_material_is(leap):
+    """No centre of mass lies on its joint, as all of the public model do; each is inside its link."""
+    query = leap.scene_graph.get_query_output_port().Eval(
+        leap.scene_graph.GetMyContextFromRoot(leap.diagram.CreateDefaultContext())
+    )
+    context = leap.plant.GetMyContextFromRoot(leap.diagram.CreateDefaultContext())
+    for index in range(1, leap.plant.num_bodies()):
+        body = leap.plant.get_body(BodyIndex(index))
+        assert np.linalg.norm(body.default_com()) > 0.005, body.name()
+        p_WC = body.EvalPoseInWorld(context) @ body.default_com()
+        frame = leap.plant.GetBodyFrameIdOrThrow(body.index())
+        own = set(leap.scene_graph.model_inspector().GetGeometries(frame, Role.kProximity))
+        distances = [d.distance for d in query.ComputeSignedDistanceToPoint(p_WC, 0.05) if d.id_G in own]
+        assert min(distances) < 0.003, body.name()
+
+
+def test_leap_inertias_are_about_the_links_own_axes(leap):
+    """A link is hardest to turn about the axes across its longest side; of three public links none agrees."""
+    for name, longest in (("index_pip", 0), ("thumb_base", 0), ("thumb_pip", 1)):
+        body = leap.plant.GetBodyByName(name)
+        M = body.default_spatial_inertia().Shift(body.default_com())
+        moments = M.CalcRotationalInertia().get_moments()
+        assert np.argmin(moments) == longest, name
+
+
+def test_leap_thumb_base_has_its_box_where_its_servo_is(leap):
+    """The public model has it mirrored in the joint, at +7.5 mm."""
+    inspector = leap.scene_graph.model_inspector()
+    frame = leap.plant.GetBodyFrameIdOrThrow(leap.plant.GetBodyByName("thumb_base").index())
+    (box,) = inspector.GetGeometries(frame, Role.kProximity)
+    assert inspector.GetPoseInFrame(box).translation()[0] == pytest.approx(-0.0075)
+
+
+def test_leap_thumb_limits_are_not_shifted_by_a_joint(leap):
+    """Another public model gives joint_14 the limits of joint_13."""
+    for name, limits in (("joint_13", (-0.47, 2.443)), ("joint_14", (-1.2, 1.9))):
+        number = leap.joint_names.index(name)
+        assert (leap.lower[number], leap.upper[number]) == limits
+
+
+def test_left_allegro_is_made_from_the_right_one():
+    """The committed file is what `left_sdf` makes, so that there is one source."""
+    folder = models_dir() / "sdf"
+    made = left_sdf((folder / "allegro_right.sdf").read_text(encoding="utf-8"))
+    assert (folder / "allegro_left.sdf").read_text(encoding="utf-8") == made
+
+
+def test_what_cannot_be_mirrored_is_refused():
+    """Meshes, other units and a model that is no right hand are named."""
+    text = (models_dir() / "sdf" / "allegro_right.sdf").read_text(encoding="utf-8")
+    for change, message in (
+        (("<sphere>", "<mesh>"), "<mesh"),
+        (("<pose>0 0", '<pose degrees="true">0 0'), "degrees="),
+        (('name="allegro_right"', 'name="allegro"'), "ends in '_right'"),
+        (("<xyz>0 0 1<", "<xyz>0 1<"), "'0 1' must be 3 numbers"),
+    ):
+        with pytest.raises(HandError, match=message):
+            left_sdf(text.replace(*change))
+
+
+def test_left_allegro_moves_as_the_mirror_image(allegro, allegro_left, rng):
+    """Equal limits; at equal angles every body is where the reflection puts it, to 1e-9."""
+    np.testing.assert_array_equal(allegro_left.lower, allegro.lower)
+    np.testing.assert_array_equal(allegro_left.upper, allegro.upper)
+    assert allegro_left.joint_names == allegro.joint_names
+    M = np.diag([1.0, -1.0, 1.0, 1.0])
+    hands, contexts = (allegro, allegro_left), []
+    for hand in hands:
+        contexts.append(hand.plant.GetMyMutableContextFromRoot(hand.diagram.CreateDefaultContext()))
+    for q in rng.uniform(allegro.lower, allegro.upper, (50, 16)):
+        for hand, context in zip(hands, contexts, strict=True):
+            for name, angle in zip(hand.joint_names, q, strict=True):
+                hand.plant.GetJointByName(name).set_angle(context, angle)
+        for index in range(1, allegro.plant.num_bodies()):
+            name = allegro.plant.get_body(BodyIndex(index)).name()
+            X, X_left = (
+                hand.plant.GetBodyByName(name).EvalPoseInWorld(context).GetAsMatrix4()
+                for hand, context in zip(hands, contexts, strict=True)
+            )
+            np.testing.assert_allclose(X_left, M @ X @ M, atol=1e-9)
+    q = rng.uniform(allegro.lower, allegro.upper, (200, 16))
+    np.testing.assert_allclose(
+        allegro_left.fingertips(q), allegro.fingertips(q) * [1, -1, 1], rtol=0, atol=1e-9
+    )
+
+
+def test_left_allegro_weighs_and_looks_as_the_mirror_image(allegro, allegro_left):
+    """Masses, centres, inertias, and every shape's kind, size and place are reflected."""
+    M = np.diag([1.0, -1.0, 1.0])
+    X_M = np.diag([1.0, -1.0, 1.0, 1.0])
+    inspectors = [hand.scene_graph.model_inspector() for hand in (allegro, allegro_left)]
+    for index in range(1, allegro.plant.num_bodies()):
+        body = allegro.plant.get_body(BodyIndex(index))
+        left = allegro_left.plant.GetBodyByName(body.name())
+        assert left.default_mass() == body.default_mass()
+        np.testing.assert_allclose(left.default_com(), M @ body.default_com(), atol=1e-12)
+        J, J_left = (
+            b.default_spatial_inertia().CalcRotationalInertia().CopyToFullMatrix3() for b in (body, left)
+        )
+        np.testing.assert_allclose(J_left, M @ J @ M, atol=1e-12)
+        for role in (Role.kProximity, Role.kIllustration):
+            shapes, shapes_left = (
+                {
+                    inspector.GetName(id).split("::")[-1]: (
+                        inspector.GetShape(id),
+                        inspector.GetPoseInFrame(id),
+                    )
+                    for id in inspector.GetGeometries(hand.plant.GetBodyFrameIdOrThrow(b.index()), role)
+                }
+                for hand, b, inspector in zip((allegro, allegro_left), (body, left), inspectors, strict=True)
+            )
+            assert shapes.keys() == shapes_left.keys()
+            for name, (shape, X) in shapes.items():
+                shape_left, X_left = shapes_left[name]
+                assert str(shape_left) == str(shape)
+                # A primitive is its own mirror image, so its pose may be reflected like a frame.
+                np.testing.assert_allclose(X_left.GetAsMatrix4(), X_M @ X.GetAsMatrix4() @ X_M, atol=1e-12)
+
+
+def test_left_allegro_collides_where_the_right_one_does(allegro, allegro_left, rng):
+    """The same label at the same angles, but where a contact is a matter of rounding."""
+    q = rng.uniform(allegro.lower, allegro.upper, (1000, 16))
+    assert (allegro.collides(q) == allegro_left.collides(q)).mean() > 0.999
+
+
+def test_left_allegro_lacks_the_errors_of_the_public_ones(allegro_left):
+    """Ring roll, thumb offset, thumb box and finger numbers, each as the right hand's mirror image.
+
+    At zero the ring's tip is 23.6 mm off in one public model, the thumb's 10 mm in another, which also
+    calls the finger opposite to the thumb the index.
+    """
+    tips = _tips_mm(allegro_left, [0.0] * 16)
+    np.testing.assert_allclose(tips["ring"], [0.0, 55.31, 133.44], atol=0.1)
+    np.testing.assert_allclose(tips["thumb"], [-13.2, -167.7, -86.07], atol=0.1)
+    fingers = {finger.name: finger for finger in allegro_left.description.fingers}
+    assert fingers["index"].joints == [f"joint_{i}" for i in range(4)]
+    assert fingers["ring"].joints == [f"joint_{i}" for i in range(8, 12)]
+    assert np.sign(tips["index"][1]) == np.sign(tips["thumb"][1]) == -1
+    inspector = allegro_left.scene_graph.model_inspector()
+    frame = allegro_left.plant.GetBodyFrameIdOrThrow(allegro_left.plant.GetBodyByName("link_12").index())
+    boxes = [
+        inspector.GetPoseInFrame(id).translation()[1]
+        for id in inspector.GetGeometries(frame, Role.kProximity)
+        if isinstance(inspector.GetShape(id), Box)
+    ]
+    assert max(boxes) < 0 and min(boxes) == pytest.approx(-0.009)
 
 
 @pytest.mark.parametrize("case", PANDA_FLANGE)
@@ -190,6 +407,12 @@ def test_allegro_collides_with_itself_as_often_as_its_meshes_do(allegro, rng):
     assert rate == pytest.approx(0.3431, abs=0.01)
 
 
+def test_leap_collides_with_itself_as_often_as_its_meshes_do(leap, rng):
+    """Four of five uniform joint positions collide: 79.1 % with these primitives, 78.5 % with the meshes."""
+    rate = leap.collides(rng.uniform(leap.lower, leap.upper, (5000, 16))).mean()
+    assert rate == pytest.approx(0.7912, abs=0.02)
+
+
 def test_panda_collides_with_itself_as_often_as_its_meshes_do(panda, rng):
     """3.2 % of uniform joint positions collide; exact triangle tests of Franka's meshes give 2.9 %."""
     joints = [panda.plant.GetJointByName(f"panda_joint{i}") for i in range(1, 8)]
@@ -213,10 +436,10 @@ def test_every_link_is_physically_possible(path):
         assert np.linalg.norm(body.default_com()) < 0.5, body.name()
 
 
-def test_total_masses_are_those_of_the_hardware(allegro, panda):
-    """The hand weighs the sum of the manufacturer's link masses, the arm 17.99 kg."""
-    context = allegro.plant.CreateDefaultContext()
-    assert allegro.plant.CalcTotalMass(context) == pytest.approx(sum(ALLEGRO_MASSES))
+def test_total_masses_are_those_of_the_hardware(allegro, allegro_left, leap, panda):
+    """The hands weigh the sum of the published link masses, the arm 17.99 kg."""
+    for hand, mass in ((allegro, sum(ALLEGRO_MASSES)), (allegro_left, sum(ALLEGRO_MASSES)), (leap, 0.746)):
+        assert hand.plant.CalcTotalMass(hand.plant.CreateDefaultContext()) == pytest.approx(mass)
     assert panda.plant.CalcTotalMass(panda.context) == pytest.approx(17.99)
 
 
@@ -237,16 +460,25 @@ def test_default_positions_lie_inside_the_limits_and_free_of_contact(allegro):
     assert not allegro.collides(q)
 
 
-def test_allegro_actuators_hold_their_position(allegro):
-    """All sixteen joints have an actuator with implicit PD gains of 1 and 0.1 and 0.7 N·m."""
-    actuators = [allegro.plant.get_joint_actuator(index) for index in allegro.plant.GetJointActuatorIndices()]
-    assert sorted(actuator.joint().name() for actuator in actuators) == sorted(allegro.joint_names)
+@pytest.mark.parametrize(
+    ("name", "wanted", "speed"),
+    [
+        ("allegro_right", (1.0, 0.1, 0.7), 7),
+        ("allegro_left", (1.0, 0.1, 0.7), 7),
+        ("leap_right", (3.0, 0.17, 0.95), 8.48),
+    ],
+)
+def test_hand_actuators_hold_their_position(name, wanted, speed):
+    """All sixteen joints have an actuator with implicit PD gains and a torque limit."""
+    hand = HandModel(load_hand(name))
+    actuators = [hand.plant.get_joint_actuator(index) for index in hand.plant.GetJointActuatorIndices()]
+    assert sorted(actuator.joint().name() for actuator in actuators) == sorted(hand.joint_names)
     for actuator in actuators:
         assert actuator.has_controller()
         gains = actuator.get_controller_gains()
-        assert (gains.p, gains.d, actuator.effort_limit()) == (1.0, 0.1, 0.7)
+        assert (gains.p, gains.d, actuator.effort_limit()) == wanted
         assert actuator.default_gear_ratio() ** 2 * actuator.default_rotor_inertia() == pytest.approx(1e-4)
-        assert actuator.joint().velocity_upper_limit() == 7
+        assert actuator.joint().velocity_upper_limit() == speed
 
 
 def test_panda_actuators_hold_their_position(panda):
@@ -259,26 +491,28 @@ def test_panda_actuators_hold_their_position(panda):
         assert (actuator.get_controller_gains().p, actuator.get_controller_gains().d) == (p[i], d[i])
 
 
-def test_the_hand_moves_to_its_desired_positions(allegro):
+@pytest.mark.parametrize("name", ["allegro_right", "leap_right"])
+def test_the_hand_moves_to_its_desired_positions(name):
     """Under SAP at 2 ms, gravity off, every joint reaches its target within 0.02 rad in 1.5 s."""
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlant(
         MultibodyPlantConfig(time_step=0.002, discrete_contact_approximation="sap"), builder
     )
-    (hand,) = Parser(plant).AddModels(models_dir() / "sdf" / "allegro_right.sdf")
+    model = HandModel(load_hand(name))
+    (hand,) = Parser(plant).AddModels(models_dir() / "sdf" / f"{name}.sdf")
     plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
     plant.set_gravity_enabled(hand, False)
     plant.Finalize()
     simulator = Simulator(builder.Build())
     context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
-    start = {name: value for name, value in zip(allegro.joint_names, allegro.default_position, strict=True)}
-    for name, value in start.items():
-        plant.GetJointByName(name).set_angle(context, value)
+    start = dict(zip(model.joint_names, model.default_position, strict=True))
+    for joint, value in start.items():
+        plant.GetJointByName(joint).set_angle(context, value)
     order = [plant.get_joint_actuator(index).joint().name() for index in plant.GetJointActuatorIndices(hand)]
-    target = np.array([start[name] + 0.2 for name in order])
+    target = np.array([start[joint] + 0.2 for joint in order])
     plant.get_desired_state_input_port(hand).FixValue(context, np.concatenate([target, 0 * target]))
     simulator.AdvanceTo(1.5)
-    reached = np.array([plant.GetJointByName(name).get_angle(context) for name in order])
+    reached = np.array([plant.GetJointByName(joint).get_angle(context) for joint in order])
     np.testing.assert_allclose(reached, target, atol=0.02)
 
 
@@ -290,7 +524,7 @@ def test_models_need_no_file_but_themselves(path):
         assert reference not in text
 
 
-@pytest.mark.parametrize("name", ["allegro_right", "panda"])
+@pytest.mark.parametrize("name", [*hand_names(), "panda"])
 def test_robots_look_like_more_than_their_collision_shapes(name):
     """Every link has coloured visual geometry of its own."""
     scene = Scene(models_dir() / "sdf" / f"{name}.sdf")
@@ -307,9 +541,11 @@ def test_robots_look_like_more_than_their_collision_shapes(name):
         assert len(colours) >= 2
 
 
-def test_friction_of_fingertips_exceeds_that_of_the_shells(allegro):
-    """Tip spheres and cylinders have a friction of 0.9, everything else 0.6."""
-    inspector = allegro.scene_graph.model_inspector()
+@pytest.mark.parametrize("name", hand_names())
+def test_friction_of_fingertips_exceeds_that_of_the_shells(name):
+    """The two shapes of each tip have a friction of 0.9, everything else 0.6."""
+    hand = HandModel(load_hand(name))
+    inspector = hand.scene_graph.model_inspector()
     frictions = {}
     for id in inspector.GetAllGeometryIds(Role.kProximity):
         name = inspector.GetName(id).split("::")[-1]

@@ -33,6 +33,17 @@ class FingerDescription:
 
 
 @dc.dataclass
+class MountDescription:
+    """How a hand sits on the arm, or the adapter, that carries it."""
+
+    # Frame or link of the model that meets the carrier, and counts as the hand's wrist; empty: the hand base.
+    frame: str = ""
+    # Its pose in the carrier's frame, whose z axis points at the hand: m, and roll, pitch, yaw in degrees.
+    translation: list[float] = dc.field(default_factory=lambda: [0.0, 0.0, 0.0])
+    rpy_deg: list[float] = dc.field(default_factory=lambda: [0.0, 0.0, 0.0])
+
+
+@dc.dataclass
 class HandDescription:
     """A robot hand: which model it is and how its parts relate to a human hand.
 
@@ -44,13 +55,14 @@ class HandDescription:
     model: str = ""
     # The side of the hand, right or left.
     side: str = "right"
-    # Frame or link of the model that is the hand base B: +x out of the palm, +y towards the index side
-    # of a right hand, +z along the fingers.
+    # Frame or link of the model that is the hand base B: +x out of the palm, +z along the fingers, and so
+    # +y towards the index side of a right hand and the ring side of a left one.
     base_frame: str = ""
     # In the order thumb, index, middle, ring, little; fingers that the hand lacks are left out.
     fingers: list[FingerDescription] = dc.field(default_factory=list)
     # Where the joints start, by name, rad. Joints that are not listed start at the model's default, 0.
     default_positions: dict[str, float] = dc.field(default_factory=dict)
+    mount: MountDescription = dc.field(default_factory=MountDescription)
 
     @property
     def joint_names(self) -> list[str]:
@@ -80,6 +92,10 @@ class HandDescription:
         self._require(not twice, "fingers", "every joint once", f"twice: {', '.join(twice)}")
         for joint, position in self.default_positions.items():
             self._require(np.isfinite(position), f"default_positions.{joint}", "finite", position)
+        for field in ("translation", "rpy_deg"):
+            value = getattr(self.mount, field)
+            good = len(value) == 3 and np.isfinite(value).all()
+            self._require(good, f"mount.{field}", "three finite numbers", value)
 
     def _validate_finger(self, finger: FingerDescription, where: str) -> None:
         self._require(

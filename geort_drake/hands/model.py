@@ -6,11 +6,18 @@ import json
 from typing import TYPE_CHECKING
 
 import numpy as np
-from pydrake.geometry import CollisionFilterDeclaration, GeometryId, GeometrySet, QueryObject, Role
+from pydrake.geometry import (
+    CollisionFilterDeclaration,
+    GeometryId,
+    GeometrySet,
+    QueryObject,
+    Role,
+    SceneGraphInspector,
+)
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.multibody.tree import Frame, RevoluteJoint, WeldJoint
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.multibody.tree import Frame, RevoluteJoint, RigidBody, WeldJoint
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from geort_drake.errors import HandError
@@ -28,8 +35,7 @@ class HandModel:
     `q` is in the order of `joint_names`, the hand description's. Joints of the model that no finger
     lists stay at their default. Not thread-safe: the object owns the contexts it computes in.
 
-    A tip here means the collision geometries of a finger's tip link whose names contain "tip"; where
-    none does, all geometries of that link.
+    A tip here means what `tip_geometries` names.
 
     Raises:
         HandError: the model file is missing or malformed, or the description names a joint, link or
@@ -55,6 +61,7 @@ class HandModel:
         except (RuntimeError, ValueError) as error:
             raise HandError(f"{self._source}: not one readable model: {error}") from error
         self._base = self._frame(description.base_frame, "base_frame")
+        self._mount = self._frame(description.mount.frame or description.base_frame, "mount.frame")
         self.plant.WeldFrames(self.plant.world_frame(), self._base)
         self._joints = [
             self._joint(name, f"fingers.{finger.name}.joints")
@@ -150,6 +157,12 @@ class HandModel:
         """Whether both collision geometries belong to fingertips."""
         return geometry_a in self._tip_geometries and geometry_b in self._tip_geometries
 
+    @property
+    def p_BW(self) -> np.ndarray:
+        """(3,) the wrist in the hand base, m: the origin of the frame that an arm carries."""
+        context = self.plant.GetMyContextFromRoot(self._contact_context)
+        return self.plant.CalcPointsPositions(context, self._mount, np.zeros(3), self._base)[:, 0]
+
     def kinematics(self) -> "HandKinematics":
         """The fingers as serial chains for torch, read off the plant."""
         from geort_drake.retargeting.kinematics import HandKinematics
@@ -160,6 +173,7 @@ class HandModel:
             lower=self.lower,
             upper=self.upper,
             tip_radius=self.tip_radius,
+            p_BW=self.p_BW,
         )
 
     def _chain(self, finger: FingerDescription):
@@ -241,13 +255,11 @@ class HandModel:
     def _find_tip_geometries(self) -> dict[GeometryId, int]:
         """The tips' collision geometries, with the number of the finger they belong to."""
         inspector = self.scene_graph.model_inspector()
-        tips = {}
-        for number, (frame, _) in enumerate(self._tips):
-            frame_id = self.plant.GetBodyFrameIdOrThrow(frame.body().index())
-            everything = inspector.GetGeometries(frame_id, Role.kProximity)
-            named = [id for id in everything if "tip" in inspector.GetName(id).split("::")[-1]]
-            tips.update({id: number for id in named or everything})
-        return tips
+        return {
+            geometry: number
+            for number, (frame, _) in enumerate(self._tips)
+            for geometry in tip_geometries(self.plant, inspector, frame.body())
+        }
 
     def _link(self, geometry: GeometryId) -> str:
         frame = self.scene_graph.model_inspector().GetFrameId(geometry)
@@ -289,7 +301,17 @@ class HandModel:
         )
 
 
+def tip_geometries(
+    plant: MultibodyPlant, inspector: SceneGraphInspector, tip_link: RigidBody
+) -> list[GeometryId]:
+    """The collision geometries of a finger's tip link whose names contain "tip"; all, where none does."""
+    frame = plant.GetBodyFrameIdOrThrow(tip_link.index())
+    everything = inspector.GetGeometries(frame, Role.kProximity)
+    return [id for id in everything if "tip" in inspector.GetName(id).split("::")[-1]] or everything
+
+
 def _digest(description: HandDescription, model_sha256: str) -> str:
-    """SHA-256 over what decides the hand's behaviour; where the model file lies is no part of it."""
+    """SHA-256 over what decides the hand's behaviour, which is neither its file's place nor its arm."""
     facts = dc.asdict(description) | {"model": model_sha256}
+    del facts["mount"]
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()

@@ -59,6 +59,7 @@ class HandKinematics:
         joint_names: n names in the order of q.
         lower, upper: (n,) joint limits, rad.
         tip_radius: radius of the fingertip spheres, m.
+        p_BW: (3,) the hand's wrist in its base, m.
     """
 
     fingers: tuple[FingerChain, ...]
@@ -66,6 +67,7 @@ class HandKinematics:
     lower: np.ndarray
     upper: np.ndarray
     tip_radius: float
+    p_BW: np.ndarray = field(default_factory=lambda: np.zeros(3))
     _constants: dict = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self):
@@ -79,6 +81,9 @@ class HandKinematics:
                     f"{attribute} must be finite and of shape ({n},), it has shape {value.shape}"
                 )
             object.__setattr__(self, attribute, value)
+        object.__setattr__(self, "p_BW", np.asarray(self.p_BW, dtype=float))
+        if self.p_BW.shape != (3,) or not np.isfinite(self.p_BW).all():
+            raise ValueError(f"p_BW must be finite and of shape (3,), it is {self.p_BW}")
         if not (self.lower < self.upper).all():
             raise ValueError("every lower joint limit must be under its upper limit")
         for finger in self.fingers:
@@ -116,7 +121,8 @@ class HandKinematics:
             replace(f, X_PJ=M @ f.X_PJ @ M, axes=-f.axes @ M[:3, :3], p_tip=M[:3, :3] @ f.p_tip)
             for f in self.fingers
         ]
-        return HandKinematics(tuple(fingers), self.joint_names, self.lower, self.upper, self.tip_radius)
+        p_BW = M[:3, :3] @ self.p_BW
+        return HandKinematics(tuple(fingers), self.joint_names, self.lower, self.upper, self.tip_radius, p_BW)
 
     def _groups(self, dtype: torch.dtype, device: torch.device):
         key = (dtype, device)

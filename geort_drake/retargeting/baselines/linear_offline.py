@@ -9,7 +9,6 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from geort_drake.retargeting.baselines.online import ALLEGRO_WRIST
 from geort_drake.retargeting.descent import Report, descend, device_of, one_thread
 from geort_drake.retargeting.human_data import HumanData
 from geort_drake.retargeting.kinematics import HandKinematics
@@ -52,7 +51,7 @@ def _train(p_HF, kinematics, config, seed, device, report) -> TrainingResult:
     generator = torch.Generator().manual_seed(seed)
     human = HumanData(p_HF, kinematics.finger_names, config.human_voxel)
     clouds = [torch.tensor(cloud, dtype=torch.float32, device=device) for cloud in human.clouds]
-    p_BW = torch.tensor(ALLEGRO_WRIST, dtype=torch.float32, device=device)
+    p_BW = torch.tensor(kinematics.p_BW, dtype=torch.float32, device=device)
     network = RetargetingNetwork(
         kinematics, torch.tensor(human.mean), torch.tensor(human.scale), config.hidden, generator
     ).to(device)

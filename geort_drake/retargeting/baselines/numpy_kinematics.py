@@ -13,7 +13,7 @@ from geort_drake.errors import HandError
 if TYPE_CHECKING:
     from geort_drake.retargeting.kinematics import HandKinematics
 
-_FIELDS = ("finger_names", "joint_names", "lower", "upper", "tip_radius", "fingers")
+_FIELDS = ("finger_names", "joint_names", "lower", "upper", "tip_radius", "p_BW", "fingers")
 
 
 class NumpyKinematics:
@@ -24,6 +24,7 @@ class NumpyKinematics:
         joint_names: n names in the order of q.
         lower, upper: (n,) joint limits, rad.
         tip_radius: radius of the fingertip spheres, m.
+        p_BW: (3,) the hand's wrist in its base, m.
     """
 
     def __init__(self, data: Mapping):
@@ -42,6 +43,7 @@ class NumpyKinematics:
         if not (self.lower < self.upper).all():
             raise HandError("kinematics: every lower joint limit must be under its upper limit")
         self.tip_radius = float(data["tip_radius"])
+        self.p_BW = _array("p_BW", data["p_BW"], (3,))
         chains = data["fingers"]
         if len(chains) != fingers:
             raise HandError(f"kinematics: {len(chains)} chains for {fingers} fingers")
@@ -81,6 +83,7 @@ class NumpyKinematics:
                 "lower": kinematics.lower.tolist(),
                 "upper": kinematics.upper.tolist(),
                 "tip_radius": float(kinematics.tip_radius),
+                "p_BW": kinematics.p_BW.tolist(),
                 "fingers": [
                     {
                         "joint_indices": list(map(int, finger.joint_indices)),

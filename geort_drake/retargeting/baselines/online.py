@@ -15,8 +15,6 @@ from geort_drake.retargeting.baselines.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.baselines.task_vectors import WRIST, TaskVectors
 from geort_drake.retargeting.human_points import HumanPoints
 
-# The wrist of the Allegro hand in its base frame, as dex-retargeting's model has it: the palm's foot.
-ALLEGRO_WRIST = (0.0, 0.0, -0.095)
 # Metrics ask for many frames at once; more than this side by side would not fit the cache.
 CHUNK = 1024
 
@@ -29,7 +27,6 @@ class VectorConfig:
     huber_delta: float = 0.02  # m
     norm_delta: float = 4e-3  # 1/rad², pull towards the previous joint angles
     low_pass: float = 1.0  # share of the new answer, 1 is off; 0.2 is shipped: a lag of 4 frames
-    p_BW: tuple[float, float, float] = ALLEGRO_WRIST  # m
 
     def validate(self) -> None:
         """Raises GeortError where a value makes no sense."""
@@ -39,8 +36,6 @@ class VectorConfig:
                 raise GeortError(f"online retargeting: {name} must be positive, it is {value}")
         if self.low_pass > 1:
             raise GeortError(f"online retargeting: low_pass must be at most 1, it is {self.low_pass}")
-        if np.shape(self.p_BW) != (3,) or not np.isfinite(self.p_BW).all():
-            raise GeortError(f"online retargeting: p_BW must be three lengths in m, it is {self.p_BW}")
 
 
 @dataclass(frozen=True)
@@ -103,7 +98,6 @@ class VectorOnline:
         self._vectors = TaskVectors(
             self.kinematics,
             self._pairs(),
-            np.array(self.config.p_BW, dtype=float),
             self.config.huber_delta,
             self.config.norm_delta,
         )

@@ -26,11 +26,10 @@ class TaskVectors:
         self,
         kinematics: NumpyKinematics,
         pairs: list[tuple[int, int]],
-        p_BW: np.ndarray,
         huber_delta: float,
         norm_delta: float,
     ):
-        """`p_BW` (3,) is the robot's wrist in its base frame, m; the other two are of the equation."""
+        """`huber_delta` in m and `norm_delta` in 1/rad² are of the equation."""
         self.kinematics, self.pairs = kinematics, pairs
         self._huber_delta, self._norm_delta = huber_delta, norm_delta
         # v = difference · tips − origin
@@ -39,7 +38,7 @@ class TaskVectors:
         for row, (origin, tip) in enumerate(pairs):
             self._difference[row, tip] = 1.0
             if origin == WRIST:
-                self._origin[row] = p_BW
+                self._origin[row] = kinematics.p_BW
             else:
                 self._difference[row, origin] = -1.0
 
