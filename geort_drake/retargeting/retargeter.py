@@ -6,6 +6,7 @@ q = retarget(p_HF)
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,10 +15,25 @@ from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.human_points import HumanPoints
 
 
-class Retargeter:
-    """Independent per-finger networks, 3 → hidden → hidden → joints, evaluated as one batch.
+class Stack(NamedTuple):
+    """G networks of one shape, a → h → h → n, whose outputs are added up; each reads a of the G·a inputs.
 
-    Stateless and safe to share between threads.
+    SiLU between the layers is evaluated as silu(2u) = u + u tanh u, so the weights and biases of layers 0
+    and 1 are half of those trained.
+    """
+
+    weight0: np.ndarray  # (G, a, h)
+    bias0: np.ndarray  # (G, h)
+    weight1: np.ndarray  # (G, h, h)
+    bias1: np.ndarray  # (G, h)
+    weight2: np.ndarray  # (G, h, n), n joints in the order of q
+    bias2: np.ndarray  # (n,)
+
+
+class Retargeter:
+    """Independent per-finger networks, 3 → hidden → hidden → joints, evaluated as one of 3F → H → H → n.
+
+    Stateless and safe to share between threads; what it returns belongs to the caller.
 
     Attributes:
         finger_names: F fingers, in the order of the inputs.
@@ -50,20 +66,18 @@ class Retargeter:
         self.finger_names, self.joint_names = tuple(finger_names), tuple(joint_names)
         self.lower, self.upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
         self._fingertips = HumanPoints(finger_names, human_keypoints)
-        fingers, joints = len(self.finger_names), len(self.joint_names)
-        hidden = _array(arrays, "weight0", (fingers, 3, -1)).shape[2]
-        self._w0, self._b0 = arrays["weight0"], _array(arrays, "bias0", (fingers, 1, hidden))
-        self._w1 = _array(arrays, "weight1", (fingers, hidden, hidden))
-        self._b1 = _array(arrays, "bias1", (fingers, 1, hidden))
-        self._w2 = _array(arrays, "weight2", (fingers, hidden, -1))
-        self._b2 = _array(arrays, "bias2", (fingers, 1, self._w2.shape[2]))
-        self._columns = _array(arrays, "columns", (joints,))
-        outputs = fingers * self._w2.shape[2]
-        if len(set(self._columns.tolist())) != joints or not (
-            0 <= self._columns.min() and self._columns.max() < outputs
-        ):
-            raise CheckpointError(f"weights: columns must be {joints} different numbers below {outputs}")
-        self._in_order = np.array_equal(self._columns, np.arange(outputs))
+        self._stacks = self._read(arrays)
+        # What the stacks have in common, as one layer: a product costs more to call than to compute.
+        self._weight0 = _aligned(np.hstack([_block_diagonal(s.weight0) for s in self._stacks]))
+        self._bias0 = np.concatenate([s.bias0.ravel() for s in self._stacks])
+        self._bias1 = np.concatenate([s.bias1.ravel() for s in self._stacks])
+        self._weight2 = _aligned(np.vstack([np.vstack(list(s.weight2)) for s in self._stacks]))
+        self._bias2 = sum(s.bias2 for s in self._stacks)
+        ends = np.cumsum([0, *(s.bias0.size for s in self._stacks)])
+        self._layer1 = [
+            (slice(start, end), len(s.weight1), s.weight1)
+            for start, end, s in zip(ends[:-1].tolist(), ends[1:].tolist(), self._stacks, strict=True)
+        ]
         self._centre = 0.5 * (self.lower + self.upper)
         # Rounding must not carry a saturated output past its limit.
         self._half_range = 0.5 * (self.upper - self.lower) * (1.0 - 1e-12)
@@ -83,35 +97,100 @@ class Retargeter:
             GeortError: a coordinate is not finite.
         """
         p_HF = self._fingertips(points)
-        if p_HF.ndim == 2:
-            y = np.tanh(self._outputs(p_HF[:, None])[-1]).ravel()
-        else:
-            y = np.tanh(self._outputs(p_HF.transpose(1, 0, 2))[-1]).transpose(1, 0, 2)
-            y = y.reshape(len(p_HF), -1)
-        if not self._in_order:
-            y = y[..., self._columns]
-        return self._centre + self._half_range * y
+        x = p_HF.reshape(-1) if p_HF.ndim == 2 else p_HF.reshape(len(p_HF), -1)
+        u = x.dot(self._weight0)
+        u += self._bias0
+        u = self._between(_silu(u))
+        q = _silu(u).dot(self._weight2)
+        q += self._bias2
+        np.tanh(q, q)
+        q *= self._half_range
+        q += self._centre
+        return q
 
-    def jacobian(self, points: np.ndarray) -> np.ndarray:
-        """∂q/∂p_HF of one hand (F, 3) or (21, 3): (n, F, 3) in rad/m, zero between fingers."""
+    def value_and_jacobian(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Joint angles q and ∂q/∂p_HF of one hand, at the cost of the Jacobian alone.
+
+        Args:
+            points: fingertips p_HF (F, 3) or a whole hand p_HK (21, 3), in the wrist frame H, m.
+
+        Returns:
+            q (n,) in rad, as the call gives it, and J (n, F, 3) in rad/m: J[j, f] is the gradient of joint
+            j with respect to fingertip f. Keypoints that are no fingertips have no influence.
+
+        Raises:
+            ValueError: points have another shape, or are several hands.
+            GeortError: a coordinate is not finite.
+        """
         p_HF = self._fingertips(points)
         if p_HF.ndim != 2:
             raise ValueError(f"jacobian takes one hand, ({len(self.finger_names)}, 3), not {p_HF.shape}")
-        a0, a1, y = self._outputs(p_HF[:, None])
-        chain = self._w0 * _silu_slope(a0)
-        chain = (chain @ self._w1) * _silu_slope(a1)
-        chain = (chain @ self._w2) * (1.0 - np.tanh(y) ** 2)  # (F, 3, k)
-        fingers, _, k = chain.shape
-        full = np.zeros((fingers, k, fingers, 3))
-        full[np.arange(fingers), :, np.arange(fingers)] = chain.transpose(0, 2, 1)
-        rows = full.reshape(fingers * k, fingers, 3)[self._columns]
-        return self._half_range[:, None, None] * rows
+        x = p_HF.reshape(-1)
+        u = x.dot(self._weight0)
+        u += self._bias0
+        h, slope0 = _silu_and_slope(u)
+        h, slope1 = _silu_and_slope(self._between(h))
+        y = h.dot(self._weight2)
+        y += self._bias2
+        np.tanh(y, y)
+        J = np.zeros((x.size, y.size))
+        for (units, count, weight1), stack in zip(self._layer1, self._stacks, strict=True):
+            # Forward through the layers, because a network has fewer inputs than the hand has joints.
+            chain = (stack.weight0 * slope0[units].reshape(count, 1, -1)) @ weight1
+            chain *= slope1[units].reshape(count, 1, -1)
+            J += (chain @ stack.weight2).reshape(J.shape)
+        J *= self._half_range - self._half_range * y * y
+        y *= self._half_range
+        y += self._centre
+        return y, J.T.reshape(y.size, *p_HF.shape)
 
-    def _outputs(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The inputs of the activations, (F, N, ·) each, for fingertips (F, N, 3)."""
-        a0 = x @ self._w0 + self._b0
-        a1 = _silu(a0) @ self._w1 + self._b1
-        return a0, a1, _silu(a1) @ self._w2 + self._b2
+    def jacobian(self, points: np.ndarray) -> np.ndarray:
+        """∂q/∂p_HF (n, F, 3) in rad/m of one hand (F, 3) or (21, 3); see `value_and_jacobian`."""
+        return self.value_and_jacobian(points)[1]
+
+    def _read(self, arrays: Mapping[str, np.ndarray]) -> list[Stack]:
+        """The networks that `arrays` describe, checked."""
+        fingers = len(self.finger_names)
+        hidden = _array(arrays, "weight0", (fingers, 3, -1)).shape[2]
+        _array(arrays, "bias0", (fingers, 1, hidden))
+        _array(arrays, "weight1", (fingers, hidden, hidden))
+        _array(arrays, "bias1", (fingers, 1, hidden))
+        k = _array(arrays, "weight2", (fingers, hidden, -1)).shape[2]
+        _array(arrays, "bias2", (fingers, 1, k))
+        columns = self._columns(arrays, fingers * k)
+        weight2 = _block_diagonal(arrays["weight2"])[:, columns].reshape(fingers, hidden, -1)
+        return [
+            Stack(
+                0.5 * arrays["weight0"], 0.5 * arrays["bias0"][:, 0],
+                _aligned(0.5 * arrays["weight1"]), 0.5 * arrays["bias1"][:, 0],
+                weight2, arrays["bias2"].ravel()[columns],
+            )
+        ]  # fmt: skip
+
+    def _columns(self, arrays: Mapping[str, np.ndarray], outputs: int) -> np.ndarray:
+        """Which of the networks' outputs are the joints of q, (n,)."""
+        joints = len(self.joint_names)
+        columns = _array(arrays, "columns", (joints,))
+        if len(set(columns.tolist())) != joints or not (0 <= columns.min() and columns.max() < outputs):
+            raise CheckpointError(f"weights: columns must be {joints} different numbers below {outputs}")
+        return columns
+
+    def _between(self, h: np.ndarray) -> np.ndarray:
+        """Layer 1, where the networks do not see each other: (H,) → (H,) or (N, H) → (N, H)."""
+        u = np.empty(h.shape)
+        for units, count, weight in self._layer1:
+            if h.ndim == 2:
+                networks = (len(h), count, -1)
+                into = u[:, units].reshape(networks).swapaxes(0, 1)
+                np.matmul(h[:, units].reshape(networks).swapaxes(0, 1), weight, out=into)
+            elif count > 1:
+                networks = (count, 1, -1)
+                np.matmul(h[units].reshape(networks), weight, u[units].reshape(networks))
+            else:
+                # For one vector and one matrix, dot has less overhead than matmul.
+                np.dot(h[units], weight[0], u[units])
+        u += self._bias1
+        return u
 
 
 def load_retargeter(path: str | os.PathLike, hand=None) -> Retargeter:
@@ -157,13 +236,40 @@ METHODS: dict[str, Callable[..., Retargeter]] = {
 }
 
 
-def _silu(a: np.ndarray) -> np.ndarray:
-    return a / (1.0 + np.exp(-np.maximum(a, -500.0)))
+def _silu(u: np.ndarray) -> np.ndarray:
+    """silu(2u), which overflows nowhere."""
+    h = np.tanh(u)
+    h *= u
+    h += u
+    return h
 
 
-def _silu_slope(a: np.ndarray) -> np.ndarray:
-    s = 1.0 / (1.0 + np.exp(-np.maximum(a, -500.0)))
-    return s * (1.0 + a * (1.0 - s))
+def _silu_and_slope(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """silu(2u) and its derivative with respect to u."""
+    s = np.tanh(u)
+    s += 1.0
+    h = s * u
+    slope = 2.0 - s
+    slope *= h
+    slope += s
+    return h, slope
+
+
+def _block_diagonal(blocks: np.ndarray) -> np.ndarray:
+    """(G·a, G·b) of blocks (G, a, b)."""
+    count, rows, columns = blocks.shape
+    full = np.zeros((count, rows, count, columns))
+    full[np.arange(count), :, np.arange(count)] = blocks
+    return full.reshape(count * rows, count * columns)
+
+
+def _aligned(array: np.ndarray) -> np.ndarray:
+    """A copy that starts at a cache line, from where products with vectors take a tenth less time."""
+    memory = np.empty(array.nbytes + 64, dtype=np.uint8)
+    start = -memory.__array_interface__["data"][0] % 64
+    copy = memory[start : start + array.nbytes].view(array.dtype).reshape(array.shape)
+    copy[...] = array
+    return copy
 
 
 def _array(arrays: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...]) -> np.ndarray:
