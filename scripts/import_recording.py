@@ -1,72 +1,143 @@
-"""Reads a glove recording, checks it, reports its health and saves it as our own .npz."""
+"""Reads a recording of a hand in any known format, reports its health, and saves it as our own .npz.
+
+Exit code 0: usable, with or without warnings; 2: refused.
+"""
 
 import argparse
+import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.table import Table
 
 from geort_drake.console import console, run_main
 from geort_drake.errors import RecordingError
 from geort_drake.files import require_writable
-from geort_drake.gloves.keypoints import FINGER_NAMES
-from geort_drake.gloves.readers import read_recording
-from geort_drake.gloves.recording import SIDES, Recording, check_pinches, check_recording
-from geort_drake.gloves.summary import summarize
+from geort_drake.gloves.formats import AUTO, FORMATS
+from geort_drake.gloves.health import examine, noted, refuse
+from geort_drake.gloves.health.anatomy import UNITS_M
+from geort_drake.gloves.health.findings import Finding, Severity
+from geort_drake.gloves.health.report import report
+from geort_drake.gloves.readers import open_recording
+from geort_drake.gloves.recording import SIDES, Recording
+
+_ROBOT_SAMPLES = 4000
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     arguments = _arguments(argv)
-    recording = read_recording(arguments.input, arguments.side)
-    _report(recording, str(arguments.input))
+    name = str(arguments.input)
+    recording, findings = None, []
+    try:
+        recording, findings = open_recording(
+            arguments.input, arguments.side, arguments.format, arguments.unit, arguments.rate
+        )
+        recording, found = examine(recording)
+        findings += found
+        refuse(name, findings)
+    except RecordingError as error:
+        if arguments.json:
+            # What could not even be read has no finding of a check.
+            read = findings or [Finding("file", Severity.ERROR, str(error).removeprefix(f"{name}: "))]
+            print(json.dumps(report(name, recording, read), indent=2))
+        raise
+    result = report(name, recording, findings)
+    _print(result, findings)
+    if arguments.json:
+        print(json.dumps(result, indent=2))
+    if arguments.picture is not None:
+        _draw(recording, arguments.hand, arguments.picture)
+        console.print(f"drawn to {arguments.picture}", markup=False)
     if arguments.output is not None:
-        recording.save(arguments.output)
+        noted(recording, findings).save(arguments.output)
         console.print(f"saved to {arguments.output}", markup=False)
 
 
-def _report(recording: Recording, name: str) -> None:
-    valid = int(recording.valid.sum())
-    rate = "known" if recording.metadata.get("rate_known", True) else "assumed"
-    console.print(f"{name}: {recording.side} hand, {recording.metadata.get('format', 'npz')}", markup=False)
+def _print(result: dict[str, Any], findings: Sequence[Finding]) -> None:
+    kind = FORMATS[result["format"]].title if result["format"] in FORMATS else result["format"]
+    known = "known" if result["rate_known"] else "assumed"
+    console.print(f"{result['file']}: {result['side']} hand, taken for {kind}", markup=False)
     console.print(
-        f"{len(recording)} frames, {valid} valid, {recording.duration_s:.1f} s "
-        f"at {recording.rate_hz:.1f} Hz ({rate}); wrist pose: {'no' if recording.X_WH is None else 'yes'}"
+        f"{result['frames']} frames, {result['valid_frames']} valid, {result['duration_s']:.1f} s at "
+        f"{result['rate_hz']:.1f} Hz ({known}); wrist: {result['wrist']}"
     )
-    summary = summarize(recording)
-    pinches = check_pinches(recording, required=False)
-    length, spread = 1e3 * summary.bone_length.reshape(5, 4), 100 * summary.bone_spread.reshape(5, 4)
     table = Table("finger", "bones from the wrist, mm", "vary by", "speed, m/s", "pinch frames", box=None)
-    for i, finger in enumerate(FINGER_NAMES):
+    for finger, figures in result["fingers"].items():
+        pinches = figures["pinch_frames"]
         table.add_row(
             finger,
-            " ".join(f"{value:5.1f}" for value in length[i]),
-            f"{spread[i].max():.1f} %",
-            f"{summary.speed_median[i]:.2f} (p95 {summary.speed_p95[i]:.2f})",
-            f"{pinches[finger]} ({100 * pinches[finger] / valid:.0f} %)" if finger in pinches else "",
+            " ".join(f"{value:5.1f}" for value in figures["bones_mm"]),
+            f"{figures['bones_vary_percent']:.1f} %",
+            f"{figures['speed_median_m_s']:.2f} (p95 {figures['speed_p95_m_s']:.2f})",
+            "" if pinches is None else f"{pinches} ({100 * pinches / result['valid_frames']:.0f} %)",
         )
     console.print(table)
-    for warning in recording.metadata["warnings"]:
-        console.print(f"warning: {warning}", markup=False)
-    try:
-        check_recording(recording, "it", training=True)
-        console.print("verdict: fit for training")
-    except RecordingError as error:
-        console.print(f"verdict: fit for replay, not for training: {error}", markup=False)
+    for finding in findings:
+        label = "warning" if finding.severity is Severity.UNFIT else finding.severity
+        console.print(f"{label}: {finding}", markup=False, soft_wrap=True)
+    console.print(
+        f"verdict: {result['verdict']}" + ("" if result["fit_for_training"] else "; not fit for training")
+    )
+
+
+def _draw(recording: Recording, hand_name: str, path: Path) -> None:
+    import numpy as np
+
+    from geort_drake.gloves.keypoints import mirrored
+    from geort_drake.gloves.picture import draw_fingertips
+    from geort_drake.hands.description import load_hand
+    from geort_drake.hands.model import HandModel
+
+    description = load_hand(hand_name)
+    hand = HandModel(description)
+    shape = (_ROBOT_SAMPLES, len(hand.joint_names))
+    p_BF = hand.fingertips(np.random.default_rng(0).uniform(hand.lower, hand.upper, shape))
+    # People are canonical right hands, so a left robot hand is drawn in the mirror.
+    p_BF = mirrored(p_BF) if description.side == "left" else p_BF
+    tips = {finger: p_BF[:, i] for i, finger in enumerate(hand.finger_names)}
+    draw_fingertips(recording, tips, description.name, path)
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "input", type=Path, help="GeoRT .npy (T, 21, 3), raw MANUS .npz (T, 25, 7), or our own .npz"
+    formats = "\n".join(
+        f"  {name:16} {entry.title} ({', '.join(entry.suffixes)})" for name, entry in FORMATS.items()
     )
+    parser = argparse.ArgumentParser(
+        description=__doc__,
+        epilog=f"formats:\n{formats}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("input", type=Path, help="recording, in one of the formats below")
     parser.add_argument("output", type=Path, nargs="?", help=".npz to write; without it, only the report")
+    parser.add_argument(
+        "--format", default=AUTO, metavar="NAME", help="one of those below (auto: by the file's contents)"
+    )
     parser.add_argument("--side", choices=SIDES, default="right", help="which hand was recorded (right)")
+    parser.add_argument("--unit", choices=list(UNITS_M), default="m", help="of lengths in the file (m)")
+    parser.add_argument(
+        "--rate", type=_positive, metavar="HZ", help="of a file without timestamps (30 is assumed)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+    parser.add_argument(
+        "--picture", type=Path, metavar="FILE", help=".png of the fingertips against a robot's"
+    )
+    parser.add_argument("--hand", default="allegro_right", help="the picture's robot hand (allegro_right)")
     arguments = parser.parse_args(argv)
-    if arguments.output is not None:
-        if arguments.output.suffix != ".npz":
-            parser.error(f"{arguments.output}: the name must end with .npz")
-        require_writable(arguments.output)
+    for path, suffix in ((arguments.output, ".npz"), (arguments.picture, ".png")):
+        if path is None:
+            continue
+        if path.suffix != suffix:
+            parser.error(f"{path}: the name must end with {suffix}")
+        require_writable(path)
     return arguments
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"must be positive, not {text}")
+    return value
 
 
 if __name__ == "__main__":

@@ -8,11 +8,12 @@ import numpy as np
 
 from geort_drake.console import console, run_main
 from geort_drake.files import atomic_path, require_writable
+from geort_drake.gloves.health import check_recording
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.keypoints import FINGER_NAMES
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.readers import read_recording
-from geort_drake.gloves.recording import SIDES, Recording, check_recording
+from geort_drake.gloves.recording import SIDES, Recording
 from geort_drake.gloves.summary import fingertip_speeds, summarize
 
 # Okabe & Ito's palette, which colour-blind readers can tell apart.

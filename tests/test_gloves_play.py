@@ -5,11 +5,11 @@ import time
 import numpy as np
 import pytest
 
+from geort_drake.gloves.health import check_recording
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.keypoints import FINGER_NAMES
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.readers import read_recording
-from geort_drake.gloves.recording import check_recording
 from geort_drake.gloves.summary import summarize
 
 # Statistics of two real recordings (summary.summarize): "GeoRT" is human_alex.npy of GeoRT's authors

@@ -11,9 +11,15 @@ from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.keypoints import bone_lengths, mirrored
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.readers import ASSUMED_RATE_HZ, read_recording
-from geort_drake.gloves.recording import check_pinches
+from geort_drake.gloves.recording import PINCH_M
+from geort_drake.gloves.summary import pinch_distances
 
 RATE_HZ = 50.0
+
+
+def pinches(recording):
+    """Number of frames in which the thumb pinches each finger."""
+    return {finger: int((d < PINCH_M).sum()) for finger, d in pinch_distances(recording).items()}
 
 
 @pytest.fixture(scope="module")
@@ -64,21 +70,23 @@ def test_geort_npy_in_the_wrist_frame_is_read_as_it_is(play, tmp_path):
     np.testing.assert_allclose(recording.p_HK, play.p_HK, atol=1e-7)
     assert recording.rate_hz == pytest.approx(ASSUMED_RATE_HZ)
     assert recording.metadata["rate_known"] is False
-    assert "no timestamps: 30 Hz assumed" in recording.metadata["warnings"]
+    assert any("no timestamps: 30 Hz assumed" in warning for warning in recording.metadata["warnings"])
     assert not any("wrist frame" in warning for warning in recording.metadata["warnings"])
+    assert recording.metadata["format"] == "geort"
+    assert read_recording(tmp_path / "hand.npy", rate_hz=50.0).metadata["rate_known"] is True
     assert recording.X_WH is None
 
 
-def test_npy_in_another_frame_is_brought_to_the_wrist_with_a_warning(play, tmp_path):
-    """World landmarks of a moving hand give the same keypoints; the distance moved is reported."""
+def test_npy_in_another_frame_is_brought_to_the_wrist(play, tmp_path):
+    """World landmarks of a moving hand give the same keypoints; as GeoRT's file, they are warned of."""
     R_WH, p_WH = wrist_motion(len(play))
     p_WK = np.einsum("tij,tkj->tki", R_WH.as_matrix(), play.p_HK.astype(float)) + p_WH[:, None]
     np.save(tmp_path / "world.npy", p_WK)
     recording = read_recording(tmp_path / "world.npy")
     np.testing.assert_allclose(recording.p_HK, play.p_HK, atol=1e-6)
-    assert any(
-        "not given in the wrist frame: moved by" in warning for warning in recording.metadata["warnings"]
-    )
+    assert recording.metadata["format"] == "mediapipe"
+    warnings = read_recording(tmp_path / "world.npy", format="geort").metadata["warnings"]
+    assert any("not given in the wrist frame: moved by" in warning for warning in warnings)
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
@@ -191,7 +199,7 @@ def bad_file(tmp_path, play, kind):
     elif kind == "empty":
         save(path, **{**arrays, "data": arrays["data"][:0], "timestamps": arrays["timestamps"][:0]})
     elif kind == "suffix":
-        path = tmp_path / "bad.pkl"
+        path = tmp_path / "bad.txt"
         path.write_bytes(b"\x80")
     elif kind == "missing":
         path = tmp_path / "nowhere.npz"
@@ -206,13 +214,16 @@ def bad_file(tmp_path, play, kind):
         ("object npy", "pickled objects, which are never read"),
         ("no numpy", r"bad\.npy: not a readable NumPy file"),
         ("truncated", r"bad\.npz: not a readable NumPy file"),
-        ("other npz", "holds joints; a recording holds t, p_HK, valid, metadata and a raw MANUS file"),
+        (
+            "other npz",
+            r"holds joints\(3,\), which fits no format known; choose one for '.npz' files: geort_drake",
+        ),
         ("26 nodes", r"data must hold numbers of shape \(T, 25, 7\), not float64 \(50, 26, 7\)"),
         ("fewer timestamps", "597 timestamps for 600 frames of data"),
         ("ids", "keypoint_ids must be the numbers 0 to 24 in some order"),
-        ("chirality", "side 'both' is none of: left, right"),
+        ("chirality", "chirality 'both' is none of: left, right"),
         ("empty", "at least 2 frames are needed, 0 given"),
-        ("suffix", r"recordings are read from \.npy and \.npz files, not '\.pkl'"),
+        ("suffix", r"recordings are read from \.csv, .*, \.pkl, not '\.txt'"),
         ("missing", r"nowhere\.npz: no such file"),
     ],
 )
@@ -230,8 +241,10 @@ def test_geort_recording_has_its_known_anatomy(alex_npy):
     np.testing.assert_allclose(lengths.std(axis=0), 0.0, atol=1e-4)
     np.testing.assert_allclose(lengths.mean(axis=0)[1], [88.6, 26.0, 22.0, 20.0], atol=0.06)
     np.testing.assert_allclose(lengths.mean(axis=0)[2], [92.0, 26.0, 26.0, 22.0], atol=0.06)
-    assert check_pinches(recording) == {"index": 632, "middle": 355, "ring": 201, "little": 0}
-    assert "the thumb never comes within 15 mm of: little" in recording.metadata["warnings"]
+    assert pinches(recording) == {"index": 632, "middle": 355, "ring": 201, "little": 0}
+    said = " ".join(recording.metadata["warnings"])
+    assert "the thumb never comes within 15 mm of: little (15 mm)" in said
+    assert "264 of 3498 frames repeat the one before exactly" in said
 
 
 def test_manus_recording_has_its_known_anatomy(manus_npz):
@@ -248,7 +261,7 @@ def test_manus_recording_has_its_known_anatomy(manus_npz):
     )
     assert recording.metadata["warnings"] == []
     assert recording.metadata["wrist_position_tracked"] is False
-    share = np.array(list(check_pinches(recording).values())) / len(recording)
+    share = np.array(list(pinches(recording).values())) / len(recording)
     assert ((share > 0.065) & (share < 0.105)).all()
 
 

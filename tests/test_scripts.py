@@ -167,7 +167,7 @@ UNREADABLE = {
     "nan.npy": ["nan.npy", "360 of 1800 frames", "first is frame 100", "one in ten"],
     "pickled.npy": ["pickled.npy", "never read"],
     "garbage.npz": ["garbage.npz", "not a readable NumPy file"],
-    "table.csv": ["table.csv", ".npy and .npz", "'.csv'"],
+    "table.csv": ["table.csv", "fits no format known", "manus_csv"],
 }
 
 

@@ -1,6 +1,6 @@
-"""Readers of recordings: our own .npz, GeoRT's .npy and raw MANUS .npz.
+"""Reading of recordings in any of the formats known (`formats`), into the wrist frame, and checked.
 
-`docs/data_formats.md` describes the three formats.
+`docs/data_formats.md` describes the formats and the checks.
 """
 
 import os
@@ -10,105 +10,107 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError, UnknownNameError
-from geort_drake.gloves.keypoints import KEYPOINT_COUNT, mirrored, to_wrist_frame, wrist_pose
-from geort_drake.gloves.recording import SIDES, Recording, check_recording, load_arrays
+from geort_drake.gloves.formats import AUTO, FORMATS, choose, suffix_of
+from geort_drake.gloves.formats.files import load
+from geort_drake.gloves.formats.tracks import Tracks
+from geort_drake.gloves.health import check_recording, noted
+from geort_drake.gloves.health.anatomy import UNITS_M
+from geort_drake.gloves.health.findings import Finding, Severity
+from geort_drake.gloves.keypoints import mirrored, to_wrist_frame, wrist_pose
+from geort_drake.gloves.recording import SIDES, Recording
 
-# GeoRT's .npy holds no timestamps. Free hand motion at 30 Hz gives this file fingertip speeds
+# For files without timestamps. Free hand motion at 30 Hz gives GeoRT's recording fingertip speeds
 # (99th percentile 1 m/s) that agree with gloves whose rate is known.
 ASSUMED_RATE_HZ = 30.0
 
-# MANUS nodes: wrist, then four of the thumb, then five per finger whose first, the metacarpal base,
-# has no counterpart among the 21 keypoints.
-_MANUS_NODES = 25
-_METACARPAL_BASES = (5, 10, 15, 20)
+_UNIX_S = 1e8  # times beyond this, in 1973, count from 1970; others from wherever the device started
 
 
-def read_recording(path: str | os.PathLike, side: str = "right", training: bool = False) -> Recording:
-    """Reads and checks a recording in any of the formats known, told apart by their contents.
+def read_recording(
+    path: str | os.PathLike,
+    side: str = "right",
+    training: bool = False,
+    format: str = AUTO,
+    unit: str = "m",
+    rate_hz: float | None = None,
+) -> Recording:
+    """Reads and checks a recording in any of the formats known.
 
     Args:
-        path: .npy (T, 21, 3) in metres, raw MANUS .npz (T, 25, 7) or our own .npz.
+        path: a file, or HO-3D's folder `meta`.
         side: "right" or "left"; a left hand is mirrored (see `keypoints`). Files that say their
             side must agree.
         training: also ask for what training needs (see `check_recording`).
+        format: a name of `FORMATS`; "auto" tells them apart by their contents.
+        unit: of lengths in the file, one of `UNITS_M`.
+        rate_hz: frames per second of a file without timestamps; by default `ASSUMED_RATE_HZ`.
 
     Raises:
         RecordingError: the file is missing, malformed or holds no plausible hand of that side.
+        UnknownNameError: there is no such side, format or unit.
+    """
+    recording, findings = open_recording(path, side, format, unit, rate_hz)
+    return check_recording(noted(recording, findings), str(path), training)
+
+
+def open_recording(
+    path: str | os.PathLike,
+    side: str = "right",
+    format: str = AUTO,
+    unit: str = "m",
+    rate_hz: float | None = None,
+) -> tuple[Recording, list[Finding]]:
+    """Reads a recording without judging its contents; arguments and errors are those of `read_recording`.
+
+    Returns:
+        The recording, with the format that was taken in `metadata["format"]`, and what the reader saw.
     """
     path = Path(path)
-    if side not in SIDES:
-        raise UnknownNameError("side", side, SIDES)
-    if path.is_file() and path.suffix not in (".npy", ".npz"):
-        raise RecordingError(f"{path}: recordings are read from .npy and .npz files, not '{path.suffix}'")
-    arrays = load_arrays(path)
-    if "p_HK" in arrays:
-        recording = Recording.load(path)
-        _agree_on_side(path, recording.side, side)
-    elif "data" in arrays and "timestamps" in arrays:
-        recording = _read_manus(path, arrays, side)
-    elif path.suffix == ".npy":
-        recording = _read_geort(path, arrays["data"], side)
-    else:
-        raise RecordingError(
-            f"{path}: holds {', '.join(arrays) or 'nothing'}; a recording holds t, p_HK, valid, metadata "
-            "and a raw MANUS file holds data, timestamps"
-        )
-    return check_recording(recording, str(path), training)
+    for kind, given, choices in (("side", side, SIDES), ("unit", unit, UNITS_M)):
+        if given not in choices:
+            raise UnknownNameError(kind, given, choices)
+    contents = load(path)
+    chosen = choose(str(path), suffix_of(path), contents, format)
+    read = FORMATS[chosen].read(str(path), contents, side)
+    _agree_on_side(path, read.side, side)
+    if isinstance(read, Recording):
+        if unit != "m":
+            raise RecordingError(f"{path}: geort-drake's own files are in metres, not in {unit}")
+        return read, []
+    return _recording(path, chosen, read, side, UNITS_M[unit], rate_hz)
 
 
-def _read_geort(path: Path, data: np.ndarray, side: str) -> Recording:
-    p_WK = _numbers(path, "array", data, (KEYPOINT_COUNT, 3))
-    p_HK = _canonical(p_WK, side)
-    warnings = []
-    moved = np.nanmax(np.abs(p_HK - p_WK), initial=0.0)
-    if side == "right" and moved > 1e-3:
-        warnings.append(f"not given in the wrist frame: moved by up to {1e3 * moved:.0f} mm to get there")
-    t = np.arange(len(p_HK)) / ASSUMED_RATE_HZ
-    warnings.append(f"no timestamps: {ASSUMED_RATE_HZ:g} Hz assumed")
-    metadata = {
-        "side": side,
-        "source": path.name,
-        "format": "GeoRT npy",
-        "rate_known": False,
-        "warnings": warnings,
-    }
-    return Recording(t, p_HK, np.ones(len(t), bool), None, metadata)
-
-
-def _read_manus(path: Path, arrays: dict[str, np.ndarray], side: str) -> Recording:
-    data = _numbers(path, "data", arrays["data"], (_MANUS_NODES, 7))
-    timestamps = _numbers(path, "timestamps", arrays["timestamps"], ())
-    if len(timestamps) != len(data):
-        raise RecordingError(f"{path}: {len(timestamps)} timestamps for {len(data)} frames of data")
-    if "chirality" in arrays:
-        _agree_on_side(path, str(arrays["chirality"]).strip().lower(), side)
-    nodes = np.asarray(arrays.get("keypoint_ids", np.arange(_MANUS_NODES)))
-    if sorted(nodes.tolist()) != list(range(_MANUS_NODES)):
-        raise RecordingError(f"{path}: keypoint_ids must be the numbers 0 to 24 in some order")
-    kept = [i for i in range(_MANUS_NODES) if i not in _METACARPAL_BASES]
-    p_WK = data[:, np.argsort(nodes), :3][:, kept]
-    p_HK = _canonical(p_WK, side)
-    valid = np.isfinite(p_HK).all(axis=(1, 2))
-    # The wrist node's own quaternion turns with frame H up to a constant and the arching of the palm
-    # (6° at most); the keypoints give frame H itself.
-    R_WH, p_WH = wrist_pose(mirrored(p_WK) if side == "left" else p_WK)
-    R_WH = np.where(valid[:, None, None], R_WH, np.eye(3))
-    X_WH = np.concatenate([_continuous(Rotation.from_matrix(R_WH).as_quat(scalar_first=True)), p_WH], axis=1)
-    travel = np.abs(p_WH[valid] - p_WH[valid][:1]).max(initial=0.0)
-    metadata = {
-        "side": side,
-        "source": path.name,
-        "format": "MANUS npz",
-        "rate_known": True,
-        "start_time_unix_s": float(timestamps[0]) if len(timestamps) else None,
+def _recording(
+    path: Path, chosen: str, tracks: Tracks, side: str, unit_m: float, rate_hz: float | None
+) -> tuple[Recording, list[Finding]]:
+    findings = list(tracks.findings)
+    p_WK, t = unit_m * tracks.p_WK, tracks.t
+    metadata = {"side": side, "source": path.name, "format": chosen, "rate_known": True, **tracks.metadata}
+    if t is None:
+        t, metadata["rate_known"] = np.arange(len(p_WK)) / (rate_hz or ASSUMED_RATE_HZ), rate_hz is not None
+        if rate_hz is None:
+            findings.append(_no_times())
+    p_WK, t = _without_doubles(p_WK, t, findings)
+    if len(t) and t[0] > _UNIX_S:
+        metadata["start_time_unix_s"] = float(t[0])
+    p_VK = mirrored(p_WK) if side == "left" else p_WK
+    p_HK = to_wrist_frame(p_VK)
+    _check_palm_plane(path, p_WK, p_HK)
+    X_WH = None
+    if tracks.world:
+        valid = np.isfinite(p_HK).all(axis=(1, 2))
+        X_WH = _wrist_poses(p_VK, valid)
+        travel = np.abs(X_WH[valid, 4:] - X_WH[valid, 4:][:1]).max(initial=0.0)
         # A glove alone knows how the wrist is turned, not where it is.
-        "wrist_position_tracked": bool(travel > 1e-3),
-    }
-    return Recording(timestamps - timestamps[:1], p_HK, np.ones(len(p_HK), bool), X_WH, metadata)
+        metadata["wrist_position_tracked"] = bool(travel > 1e-3)
+    return Recording(t - t[:1], p_HK, np.ones(len(t), bool), X_WH, metadata), findings
 
 
-def _canonical(p_WK: np.ndarray, side: str) -> np.ndarray:
-    return to_wrist_frame(mirrored(p_WK) if side == "left" else p_WK)
+def _wrist_poses(p_WK: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """X_WH (T, 7) as the keypoints give it; without rotation in frames that are not valid."""
+    R_WH, p_WH = wrist_pose(p_WK)
+    R_WH = np.where(valid[:, None, None], R_WH, np.eye(3))
+    return np.concatenate([_continuous(Rotation.from_matrix(R_WH).as_quat(scalar_first=True)), p_WH], axis=1)
 
 
 def _continuous(quaternions: np.ndarray) -> np.ndarray:
@@ -117,17 +119,49 @@ def _continuous(quaternions: np.ndarray) -> np.ndarray:
     return quaternions * np.where(np.concatenate([[0], np.cumsum(flips)]) % 2, -1.0, 1.0)[:, None]
 
 
-def _agree_on_side(path: Path, given: str, wanted: str) -> None:
-    if given not in SIDES:
-        raise RecordingError(f"{path}: side '{given}' is none of: {', '.join(SIDES)}")
-    if given != wanted:
-        raise RecordingError(f"{path}: the file holds a {given} hand, a {wanted} one was asked for")
+def _no_times() -> Finding:
+    return Finding(
+        "timestamps",
+        Severity.WARNING,
+        f"no timestamps: {ASSUMED_RATE_HZ:g} Hz assumed",
+        advice="import the file with --rate if you know better",
+    )
 
 
-def _numbers(path: Path, field: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    if value.shape[1:] != shape or value.ndim == 0 or value.dtype.kind not in "fiu":
-        wanted = ", ".join(["T", *map(str, shape)])
-        raise RecordingError(
-            f"{path}: {field} must hold numbers of shape ({wanted}), not {value.dtype} {value.shape}"
+def _without_doubles(
+    p_WK: np.ndarray, t: np.ndarray, findings: list[Finding]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Leaves out frames that repeat the one before in time and keypoints, and says so."""
+    same = np.diff(t) == 0
+    same &= ((p_WK[1:] == p_WK[:-1]) | np.isnan(p_WK[1:])).all(axis=(1, 2))
+    if not same.any():
+        return p_WK, t
+    first = int(np.argmax(same)) + 1
+    findings.append(
+        Finding(
+            "duplicated frames",
+            Severity.WARNING,
+            f"{int(same.sum())} of {len(t)} frames are stored twice with the same time, the first is frame "
+            f"{first}",
+            f"t[{first}]",
+            "left out",
         )
-    return value.astype(float)
+    )
+    kept = np.concatenate([[True], ~same])
+    return p_WK[kept], t[kept]
+
+
+def _check_palm_plane(path: Path, p_WK: np.ndarray, p_HK: np.ndarray) -> None:
+    """The wrist frame exists where there are keypoints."""
+    lacking = np.isfinite(p_WK).all(axis=(1, 2)) & ~np.isfinite(p_HK).all(axis=(1, 2))
+    if lacking.any():
+        raise RecordingError(
+            f"{path}: wrist, index, middle and ring knuckles (keypoints 0, 5, 9, 13) must span a plane, but "
+            f"coincide or lie on a line in {lacking.sum()} of {len(p_WK)} frames, first in frame "
+            f"{int(np.argmax(lacking))}; is the signal constant?"
+        )
+
+
+def _agree_on_side(path: Path, given: str | None, wanted: str) -> None:
+    if given is not None and given != wanted:
+        raise RecordingError(f"{path}: the file holds a {given} hand, a {wanted} one was asked for")

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from geort_drake.gloves.keypoints import bone_lengths
+from geort_drake.gloves.keypoints import FINGER_NAMES, bone_lengths
 from geort_drake.gloves.recording import PINCH_M, Recording
 
 
@@ -37,7 +37,7 @@ def summarize(recording: Recording) -> Summary:
     """Computes the statistics of a recording's valid frames (at least two)."""
     p_HF = recording.fingertips()
     lengths = bone_lengths(recording.p_HK[recording.valid])
-    near = np.linalg.norm(p_HF[:, 1:] - p_HF[:, :1], axis=-1) < PINCH_M
+    near = np.stack(list(pinch_distances(recording).values()), axis=1) < PINCH_M
     speed = fingertip_speeds(recording)
     covariance = np.stack([np.cov(p_HF[:, i].T) for i in range(5)])
     return Summary(
@@ -50,6 +50,13 @@ def summarize(recording: Recording) -> Summary:
         bone_length=np.median(lengths, axis=0),
         bone_spread=lengths.std(axis=0) / lengths.mean(axis=0),
     )
+
+
+def pinch_distances(recording: Recording) -> dict[str, np.ndarray]:
+    """Distances (N,), m, of the thumb's tip to that of each other finger, in the N valid frames."""
+    p_HF = recording.fingertips()
+    distance = np.linalg.norm(p_HF[:, 1:] - p_HF[:, :1], axis=-1)
+    return dict(zip(FINGER_NAMES[1:], distance.T, strict=True))
 
 
 def fingertip_speeds(recording: Recording) -> np.ndarray:

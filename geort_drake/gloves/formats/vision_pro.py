@@ -1,0 +1,97 @@
+"""Apple Vision Pro as `avp_stream` gives it: 4 × 4 transforms of joints in the wrist, and of the wrist.
+
+`right_fingers` (T, 25, 4, 4) or (T, 27, 4, 4), or `right_arm` (T, 27, 4, 4), hold the joints in the wrist's
+frame, m: wrist 0, thumb 1–4 (knuckle, intermediate base, intermediate tip, tip), then five each of index,
+middle, ring and little finger (metacarpal, knuckle, intermediate base, intermediate tip, tip); of 27 the last
+two are of the forearm, or in other releases the first two: the wrist's transform, the identity, tells.
+`right_wrist` (T, 1, 4, 4) or (T, 4, 4) is the wrist in the world, m, z up. The same with `left_`.
+
+.npz with these arrays and optionally `timestamps`, s; or a .pkl with a list of dicts, one per frame, as
+`VisionProStreamer(record=True)` collects them, optionally each with a `timestamp`, s.
+
+Source: https://github.com/Improbable-AI/VisionProTeleop, README and avp_stream/utils/grpc_utils.py
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from geort_drake.errors import RecordingError
+from geort_drake.gloves.formats.tracks import KEYPOINTS_OF_25, Tracks, numbers, times, transforms
+
+SUFFIXES = (".npz", ".pkl", ".pickle")
+
+_JOINTS = ("fingers", "arm")
+
+
+def recognizes(contents: Any) -> bool:
+    first = contents[0] if isinstance(contents, list) and contents else contents
+    return isinstance(first, Mapping) and any(
+        f"{side}_{field}" in first for side in ("left", "right") for field in _JOINTS
+    )
+
+
+def read(name: str, contents: Any, side: str) -> Tracks:
+    arrays = _stacked(name, contents) if isinstance(contents, list) else contents
+    field = next((f"{side}_{field}" for field in _JOINTS if f"{side}_{field}" in arrays), None)
+    if field is None:
+        raise RecordingError(
+            f"{name}: a {side} hand must be called {side}_fingers; given: {', '.join(arrays)}"
+        )
+    X_JK, findings = transforms(name, field, numbers(name, field, arrays[field], (25, 4, 4), (27, 4, 4)))
+    X_JK = X_JK[:, _wrist_place(name, field, X_JK) :][:, KEYPOINTS_OF_25]
+    t = times(name, arrays, len(X_JK))
+    p_JK = X_JK[..., :3, 3]
+    if f"{side}_wrist" not in arrays:
+        return Tracks(p_JK, t, side=side, findings=findings)
+    field = f"{side}_wrist"
+    X_WJ = numbers(name, field, arrays[field], (1, 4, 4), (4, 4)).reshape(-1, 4, 4)
+    if len(X_WJ) != len(X_JK):
+        raise RecordingError(f"{name}: {len(X_WJ)} {field} for {len(X_JK)} frames of joints")
+    X_WJ, turned = transforms(name, field, X_WJ)
+    _check_rotations(name, field, X_WJ[:, :3, :3])
+    p_WK = p_JK @ np.swapaxes(X_WJ[:, :3, :3], 1, 2) + X_WJ[:, None, :3, 3]
+    return Tracks(p_WK, t, world=True, side=side, findings=[*findings, *turned])
+
+
+def _stacked(name: str, frames: list) -> dict[str, np.ndarray]:
+    """Arrays (T, ...) of the fields that all frames have."""
+    if not all(isinstance(frame, Mapping) for frame in frames):
+        raise RecordingError(f"{name}: a list of dicts is wanted, one per frame")
+    wanted = {f"{side}_{field}" for side in ("left", "right") for field in (*_JOINTS, "wrist")}
+    fields = [field for field in frames[0] if field in wanted]
+    for i, frame in enumerate(frames):
+        missing = [field for field in fields if field not in frame]
+        if missing:
+            raise RecordingError(f"{name}: frame {i} lacks {missing[0]}, which frame 0 has")
+        for field in fields:
+            given = np.shape(frame[field])
+            if given != np.shape(frames[0][field]):
+                raise RecordingError(f"{name}: frame {i}: {field} has shape {given}, not frame 0's")
+    arrays = {field: np.array([frame[field] for frame in frames]) for field in fields}
+    if "timestamp" in frames[0]:
+        arrays["timestamps"] = np.array([frame.get("timestamp", np.nan) for frame in frames])
+    return arrays
+
+
+def _wrist_place(name: str, field: str, X_JK: np.ndarray) -> int:
+    """Which joint is the wrist, from which the others are measured: the one that never moves."""
+    for place in (0,) if X_JK.shape[1] == 25 else (0, 2):
+        off = np.abs(X_JK[:, place] - np.eye(4)).max(axis=(1, 2))
+        if np.nanmax(off, initial=0.0) < 1e-3:
+            return place
+    raise RecordingError(
+        f"{name}: {field} must hold joints in the wrist's frame, where the wrist's own transform (joint 0) "
+        "is the identity in every frame; these are in another frame, or in another order"
+    )
+
+
+def _check_rotations(name: str, field: str, R: np.ndarray) -> None:
+    known = R[np.isfinite(R).all(axis=(1, 2))]
+    determinant = np.linalg.det(known)
+    skew = np.abs(known @ np.swapaxes(known, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    bad = np.flatnonzero((skew > 1e-2) | (determinant < 0))
+    if len(bad):
+        told = "mirrors" if determinant[bad[0]] < 0 else "scales or shears"
+        raise RecordingError(f"{name}: {field} must hold rotations, but frame {bad[0]}'s {told}")
