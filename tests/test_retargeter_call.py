@@ -1,0 +1,130 @@
+"""One call of the NumPy retargeters: whose arrays it uses, and what comes with its Jacobian."""
+
+import json
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from geort_drake.retargeting.coupled_retargeter import CoupledRetargeter
+from geort_drake.retargeting.retargeter import Retargeter
+
+FINGERS, HIDDEN, OUTPUTS, RESIDUAL = ("thumb", "index", "middle"), 16, 3, 24
+COLUMNS = np.array([7, 0, 3, 1, 4, 6, 8])  # a finger of two joints, one of three, and q in no order
+
+
+def retargeter(kind: type[Retargeter], seed: int = 0) -> Retargeter:
+    """One with random weights, whose outputs are far from saturated."""
+    rng = np.random.default_rng(seed)
+    n, f = len(COLUMNS), len(FINGERS)
+    shapes = {
+        "weight0": (f, 3, HIDDEN), "bias0": (f, 1, HIDDEN),
+        "weight1": (f, HIDDEN, HIDDEN), "bias1": (f, 1, HIDDEN),
+        "weight2": (f, HIDDEN, OUTPUTS), "bias2": (f, 1, OUTPUTS),
+    }  # fmt: skip
+    if kind is CoupledRetargeter:
+        widths = (3 * f, RESIDUAL, RESIDUAL, f * OUTPUTS)
+        for k in range(3):
+            shapes |= {f"residual_weight{k}": widths[k : k + 2], f"residual_bias{k}": widths[k + 1 : k + 2]}
+    arrays = {name: rng.normal(0.0, 0.3, shape) for name, shape in shapes.items()}
+    for name in ("weight0", "residual_weight0"):
+        if name in arrays:
+            arrays[name] *= 100.0  # fingertips move by centimetres
+    joints = [f"joint_{j}" for j in range(n)]
+    return kind(arrays | {"columns": COLUMNS}, FINGERS, joints, [4, 8, 12], -np.ones(n), 2 * np.ones(n))
+
+
+@pytest.fixture(params=[Retargeter, CoupledRetargeter])
+def retarget(request) -> Retargeter:
+    return retargeter(request.param)
+
+
+def test_the_value_and_its_jacobian_come_together(retarget, rng):
+    """For fingertips and for whole hands, the value is the call's and the gradient the function's."""
+    p_HK = rng.normal(0.0, 0.03, (21, 3))
+    p_HF = p_HK[[4, 8, 12]]
+    q, J = retarget.value_and_jacobian(p_HK)
+    np.testing.assert_allclose(q, retarget(p_HF), atol=1e-14)
+    np.testing.assert_array_equal(J, retarget.jacobian(p_HF))
+    d = 1e-6 * rng.normal(size=p_HF.shape)
+    change = (retarget(p_HF + d) - retarget(p_HF - d)) / 2
+    assert np.abs(change).max() > 1e-6
+    np.testing.assert_allclose(np.tensordot(J, d, 2), change, atol=1e-11)
+    with pytest.raises(ValueError, match="takes one hand"):
+        retarget.value_and_jacobian(p_HF[None])
+
+
+def test_what_is_returned_belongs_to_the_caller(retarget, rng):
+    """A later call changes no earlier result, and writing into a result changes no later one."""
+    first, second = rng.normal(0.0, 0.03, (2, 3, 3))
+    given = first.copy()
+    kept = [retarget(first), retarget(first[None]), *retarget.value_and_jacobian(first)]
+    copies = [array.copy() for array in kept]
+    retarget(second), retarget(second[None]), retarget.value_and_jacobian(second)
+    for array, copy in zip(kept, copies, strict=True):
+        np.testing.assert_array_equal(array, copy)
+        array[...] = np.nan
+    again = [retarget(first), retarget(first[None]), *retarget.value_and_jacobian(first)]
+    for array, copy in zip(again, copies, strict=True):
+        np.testing.assert_array_equal(array, copy)
+    np.testing.assert_array_equal(first, given)
+
+
+def test_threads_do_not_disturb_each_other(retarget, rng):
+    """Four threads share one retargeter and each gets the answers to its own hands."""
+    hands = rng.normal(0.0, 0.03, (4, 300, 3, 3))
+    expected = [[retarget(p_HF) for p_HF in mine] for mine in hands]
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            found = list(pool.map(lambda mine: [retarget(p_HF) for p_HF in mine], hands))
+    finally:
+        sys.setswitchinterval(before)
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("points", ["fingertips in integers", "in single precision", "reversed", "a list"])
+def test_points_need_not_be_contiguous_doubles(retarget, rng, points):
+    """Any array-like of the right shape is read as it is meant."""
+    p_HF = np.round(rng.normal(0.0, 2.0, (3, 3)))
+    given = {
+        "fingertips in integers": p_HF.astype(int),
+        "in single precision": p_HF.astype(np.float32),
+        "reversed": p_HF[::-1].copy()[::-1],
+        "a list": p_HF.tolist(),
+    }[points]
+    np.testing.assert_array_equal(retarget(given), retarget(p_HF))
+
+
+def test_weights_may_be_changed_after_the_retargeter_was_made(rng):
+    """The map keeps no reference to the arrays it was made of."""
+    arrays = {
+        "weight0": np.ones((1, 3, 4)), "bias0": np.ones((1, 1, 4)), "weight1": np.ones((1, 4, 4)),
+        "bias1": np.ones((1, 1, 4)), "weight2": np.ones((1, 4, 1)), "bias2": np.ones((1, 1, 1)),
+        "columns": np.zeros(1, dtype=int),
+    }  # fmt: skip
+    retarget = Retargeter(arrays, ["thumb"], ["joint"], [4], np.array([-1.0]), np.array([1.0]))
+    p_HF = rng.normal(-0.3, 0.1, (1, 3))
+    q, J = retarget.value_and_jacobian(p_HF)
+    for array in arrays.values():
+        array[...] = 0
+    np.testing.assert_array_equal(retarget.value_and_jacobian(p_HF)[1], J)
+    np.testing.assert_allclose(retarget(p_HF), q, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("module", "packages"),
+    [("geort_drake", set()), ("geort_drake.retargeting.retargeter", {"numpy", "safetensors"})],
+)
+def test_importing_brings_in_no_more_than_it_needs(module, packages):
+    """The package itself imports nothing, its retargeter NumPy and safetensors."""
+    code = (
+        f"import sys; before = set(sys.modules); import {module}, json; "
+        "new = {name.split('.')[0] for name in set(sys.modules) - before} - set(sys.stdlib_module_names); "
+        "print(json.dumps(sorted(new)))"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert set(json.loads(out.stdout)) == packages | {"geort_drake"}
