@@ -15,17 +15,13 @@ from geort_drake.gloves.recording import Recording
 from geort_drake.operators.config import OperatorConfig
 from geort_drake.operators.grasp_goal import GraspGoal
 from geort_drake.systems.action_correction import ActionCorrection
+from geort_drake.systems.glove_checks import HELD_LOST, HELD_NOT_FINITE, GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.glove_replay import GloveReplay
 from geort_drake.systems.grasp_monitor import GraspMonitor, GraspMonitorConfig, GraspPhase
+from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.poses import pose_to_vector, vector_to_pose
-from geort_drake.systems.retargeting_system import (
-    HELD_LOST,
-    HELD_NOT_FINITE,
-    LIMITED,
-    TRACKING,
-    RetargetingSystem,
-)
+from geort_drake.systems.retargeting_system import LIMITED, TRACKING, RetargetingSystem
 from geort_drake.systems.simulated_operator import SimulatedOperator
 from geort_drake.systems.wrist_to_arm import Clutch
 
@@ -104,10 +100,15 @@ def test_recording_a_replay_gives_the_recording_back():
 # -- RetargetingSystem
 
 
-def make_retargeting(retarget, period=0.01, max_speed=1e9, latency=0.0):
+AT_ONCE = GloveChecks(settle_time=0.0, ease_time=0.0, ease_at_start=False)
+
+
+def make_retargeting(retarget, period=0.01, speed=1e9, acceleration=1e12, latency=0.0, **options):
     start = dict.fromkeys(JOINTS, 0.0)
     plant_order = ("index_a", "thumb_a", "thumb_b")
-    system = RetargetingSystem(retarget, JOINTS, plant_order, start, period, max_speed, latency)
+    limits = JointLimits(np.full(3, -2.0), np.full(3, 2.0), speed, acceleration)
+    options = {"checks": AT_ONCE} | options
+    system = RetargetingSystem(retarget, JOINTS, plant_order, start, period, limits, latency, **options)
     simulator = Simulator(system)
     context = simulator.get_mutable_context()
     system.GetInputPort("valid").FixValue(context, [1.0])
@@ -122,12 +123,12 @@ def test_retargeting_orders_joints_as_the_plant_does():
     """Values are matched by name: the plant's order differs from the retargeter's."""
     system, simulator, context = make_retargeting(first_three)
     keypoints = np.zeros((21, 3))
-    keypoints[4] = [0.1, 0.2, 0.3]
+    keypoints[4] = [0.1, 0.2, 0.25]
     system.GetInputPort("keypoints").FixValue(context, keypoints.ravel())
     simulator.AdvanceTo(0.005)
     desired = system.GetOutputPort("desired_state").Eval(context)
-    np.testing.assert_allclose(desired[:3], [0.3, 0.1, 0.2])
-    np.testing.assert_allclose(desired[3:], np.array([0.3, 0.1, 0.2]) / 0.01)
+    np.testing.assert_allclose(desired[:3], [0.25, 0.1, 0.2])
+    np.testing.assert_allclose(desired[3:], np.array([0.25, 0.1, 0.2]) / 0.01)
     simulator.AdvanceTo(0.025)
     np.testing.assert_allclose(system.GetOutputPort("desired_state").Eval(context)[3:], 0, atol=1e-12)
 
@@ -171,9 +172,9 @@ def test_retargeting_holds_when_the_map_gives_no_number():
 
 
 def test_retargeting_limits_the_joints_speed():
-    """A jump of the keypoints becomes a ramp at the speed limit."""
-    system, simulator, context = make_retargeting(first_three, max_speed=2.0)
-    system.GetInputPort("keypoints").FixValue(context, np.full(63, 1.0))
+    """A target far away becomes a ramp at the speed limit."""
+    system, simulator, context = make_retargeting(first_three, speed=2.0)
+    system.GetInputPort("keypoints").FixValue(context, np.full(63, 0.25))
     simulator.AdvanceTo(0.045)  # updates at 0, 10, 20, 30 and 40 ms
     np.testing.assert_allclose(system.GetOutputPort("desired_state").Eval(context)[:3], 5 * 0.02)
     assert system.GetOutputPort("status").Eval(context).state == LIMITED
@@ -209,6 +210,20 @@ def test_retargeting_refuses_a_plant_with_other_joints():
     """The message names both sets."""
     with pytest.raises(HandError, match=r"thumb_b.*ring_a"):
         RetargetingSystem(first_three, JOINTS, ("index_a", "thumb_a", "ring_a"), {}, 0.01)
+
+
+def test_retargeting_needs_joint_limits_and_a_start_within_them():
+    """They come from `limits` or from the retargeter; the message says what is missing or outside."""
+    start = dict.fromkeys(JOINTS, 0.5)
+    with pytest.raises(HandError, match="joint limits are not known"):
+        RetargetingSystem(first_three, JOINTS, JOINTS, start)
+
+    def limited(keypoints):
+        return first_three(keypoints)
+
+    limited.lower, limited.upper = np.zeros(3), np.full(3, 0.4)
+    with pytest.raises(HandError, match=r"'thumb_a' must be within \[0, 0.4\] rad; given: 0.5"):
+        RetargetingSystem(limited, JOINTS, JOINTS, start)
 
 
 # -- ActionCorrection

@@ -25,9 +25,10 @@ from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.samples import robot_data
 from geort_drake.retargeting.baselines.linear_offline import train_linear_offline
-from geort_drake.retargeting.checkpoint import check_replaceable, save_checkpoint
+from geort_drake.retargeting.checkpoint import TRAINED_POINTS, check_replaceable, save_checkpoint
 from geort_drake.retargeting.coupled_training import CoupledConfig, train_coupled
 from geort_drake.retargeting.retargeter import METHODS as RETARGETERS
+from geort_drake.retargeting.trained_space import trained_points
 from geort_drake.retargeting.training import Trainer, TrainingConfig, train_geort
 from geort_drake.settings import check_names
 
@@ -133,7 +134,7 @@ def train_checkpoint(
         metrics["neural_kinematics"] = result.neural_kinematics
     path = save_checkpoint(
         output,
-        arrays,
+        {**arrays, TRAINED_POINTS: trained_points(p_HF)},
         method=method,
         hand={
             "name": description.name,

@@ -1,6 +1,6 @@
 """A trained retargeter on disk: what it computes, for which hand, and where it came from.
 
-weights.safetensors   the arrays of `Retargeter`
+weights.safetensors   the arrays of `Retargeter`, and where training saw the fingertips
 config.json           format, method, names, keypoints, units, training settings, digests
 hand.json             name, joint limits and model digest of the robot hand
 provenance.json       recording, seed, versions, timings, training figures
@@ -20,6 +20,7 @@ from safetensors.numpy import load_file, save_file
 
 from geort_drake.errors import CheckpointError
 from geort_drake.files import atomic_directory, sha256_of
+from geort_drake.retargeting.trained_space import TrainedSpace
 
 FORMAT = 1
 WEIGHTS, CONFIG, HAND, PROVENANCE, HISTORY, METRICS = (
@@ -32,6 +33,7 @@ WEIGHTS, CONFIG, HAND, PROVENANCE, HISTORY, METRICS = (
 )
 REQUIRED = (CONFIG, WEIGHTS, HAND, PROVENANCE, HISTORY)
 DIGESTED = (WEIGHTS, HAND, HISTORY, PROVENANCE)
+TRAINED_POINTS = "trained_points"
 UNITS = {"human_points": "m, wrist frame H", "joint_angles": "rad"}
 
 _CONFIG_FIELDS = ("format", "method", "finger_names", "joint_names", "human_keypoints", "sha256")
@@ -47,6 +49,17 @@ class Checkpoint:
     hand: dict
     provenance: dict
     arrays: dict[str, np.ndarray]
+
+    @property
+    def trained_space(self) -> TrainedSpace | None:
+        """Where training saw the fingertips; None in a checkpoint of version 0.1, which does not say.
+
+        Raises:
+            CheckpointError: the array is malformed.
+        """
+        if TRAINED_POINTS not in self.arrays:
+            return None
+        return TrainedSpace(self.arrays[TRAINED_POINTS], self.config["human_keypoints"])
 
     def check_hand(self, hand) -> None:
         """Raises CheckpointError unless trained for `hand` (joint_names, finger_names, digest)."""
@@ -79,7 +92,7 @@ def save_checkpoint(
 
     Args:
         path: the directory.
-        arrays: the arrays that `Retargeter` takes.
+        arrays: the arrays that `Retargeter` takes, and under `TRAINED_POINTS` those of a `TrainedSpace`.
         method: name of the retargeting method.
         hand: name, joint_names, finger_names, lower, upper, model_sha256 and anything else.
         human_keypoints: keypoint of each finger, in the order of finger_names.

@@ -32,9 +32,11 @@ from geort_drake.simulation.world import (
     standing_pose,
 )
 from geort_drake.systems.action_correction import ActionCorrection
+from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.glove_replay import GloveReplay
 from geort_drake.systems.grasp_monitor import GraspMonitor
+from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.retargeting_system import RetargetingSystem
 from geort_drake.systems.scene_view import SceneView
 from geort_drake.systems.simulated_operator import SimulatedOperator
@@ -181,8 +183,9 @@ def make_grasp_diagram(
             actuated,
             start,
             scenario.retargeting.period,
-            scenario.retargeting.max_joint_speed,
+            JointLimits.of_plant(plant, hand, scenario.retargeting.max_joint_speed),
             latency,
+            GloveChecks(ease_at_start=False),
         ),
     )
     correction = builder.AddNamedSystem("action_correction", ActionCorrection(len(actuated)))

@@ -1,6 +1,7 @@
 """The retargeter as a system: human keypoints in, joint targets for the hand's PD controllers out."""
 
 import dataclasses as dc
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -8,38 +9,74 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem
 
 from geort_drake.errors import HandError
+from geort_drake.retargeting.trained_space import TrainedSpace
+from geort_drake.systems.glove_checks import (
+    FROZEN,
+    HELD_CLOCK,
+    HELD_JUMPED,
+    HELD_LOST,
+    HELD_NOT_FINITE,
+    HELD_OUT_OF_RANGE,
+    HELD_STALE,
+    GloveChecks,
+    GloveMemory,
+    judge,
+)
+from geort_drake.systems.joint_limits import JointLimits
 
 TRACKING = "tracking"
-HELD_LOST = "held: the glove lost the hand"
-HELD_NOT_FINITE = "held: a keypoint or a joint target is not finite"
-LIMITED = "limited: a joint is at its speed limit"
-_STATES = (TRACKING, HELD_LOST, HELD_NOT_FINITE, LIMITED)
+LIMITED = "limited: a joint is at a limit of its position, speed or acceleration"
+OUTSIDE = "outside: a fingertip is far from where training saw it"
+EASING = "easing: the joints catch up slowly after a hold"
+SETTLING = "held: the input has not been good for long enough"
+STATES = (
+    TRACKING,
+    LIMITED,
+    OUTSIDE,
+    EASING,
+    SETTLING,
+    HELD_LOST,
+    HELD_NOT_FINITE,
+    HELD_OUT_OF_RANGE,
+    HELD_STALE,
+    HELD_CLOCK,
+    HELD_JUMPED,
+    FROZEN,
+)
 
 
 @dc.dataclass(frozen=True)
 class RetargetingStatus:
-    """What the system does with its input, and since which time (s)."""
+    """What the system does with its input, and since which time (s).
 
-    state: str = TRACKING
+    `distance` (m) is how far a fingertip is from all places it had in training, the farthest one's; NaN
+    where that is not known.
+    """
+
+    state: str = SETTLING
     since: float = 0.0
+    distance: float = math.nan
 
 
 class RetargetingSystem(LeafSystem):
-    """Retargets at a fixed period and holds its last target while the input cannot be used.
+    """Retargets at a fixed period; its targets are finite and keep the limits, whatever comes in.
 
-    A retargeter takes its time: what it makes of the keypoints comes out `latency` later. One that takes
-    longer than the period is called again as soon as it is done, with the keypoints of that moment.
+    Input that cannot be followed is answered by braking to a stop and holding; when it is good again, the
+    hand follows with growing speed (docs/safety.md). A retargeter takes its time: what it makes of the
+    keypoints comes out `latency` later. One that takes longer than the period is called again as soon as
+    it is done, with the keypoints of that moment.
 
     Input ports:
         keypoints (63): p_HK, the 21 keypoints one after the other, m, wrist frame H.
         valid (1): 1 tracked, 0 lost.
+        stamp (1), need not be connected: when the keypoints were measured, s, on the glove's clock.
     Output ports:
         desired_state (2n): joint positions (rad), then velocities (rad/s), in the order of
             `actuated_joints`, which is the plant's actuator order of the hand.
         status (abstract RetargetingStatus): what was held or limited, and since when.
 
-    State: the 2n desired values last computed, the status with its start, and with a latency the 2n
-    desired values last given out (discrete, so there is no direct feedthrough).
+    State: the 2n desired values last computed; the status; what is remembered of the input; and with a
+    latency the 2n desired values last given out (discrete, so there is no direct feedthrough).
 
     Args:
         retarget: maps keypoints (21, 3) in H to joint positions (n,) in `joint_names` order.
@@ -48,11 +85,18 @@ class RetargetingSystem(LeafSystem):
             of `joint_names`.
         initial_positions: joint name → rad, the targets before the first update.
         period: time between updates, s; no less than `latency` in effect.
-        max_speed: joint speed limit of the targets, rad/s.
+        limits: of the targets, in the order of `actuated_joints`. None takes the positions of the
+            retargeter's `lower` and `upper`, and the defaults of `JointLimits`.
         latency: time from the keypoints to their joint targets, s.
+        checks: which input is followed.
+        cutoff: of a first-order low-pass on the targets, Hz; 0 is without. `delay` tells what it costs.
+        trained_space: where training saw the fingertips. None takes the retargeter's `trained_space`;
+            where it has none either, nothing is reported about it.
 
     Raises:
-        HandError: the plant's joints and the retargeter's are not the same set.
+        HandError: the plant's joints and the retargeter's are not the same set, there are no joint
+            limits, or an initial position is outside them.
+        ValueError: a value of `checks` or the cutoff cannot work.
     """
 
     def __init__(
@@ -62,8 +106,11 @@ class RetargetingSystem(LeafSystem):
         actuated_joints: Sequence[str],
         initial_positions: dict[str, float],
         period: float = 0.01,
-        max_speed: float = 7.0,
+        limits: JointLimits | None = None,
         latency: float = 0.0,
+        checks: GloveChecks | None = None,
+        cutoff: float = 0.0,
+        trained_space: TrainedSpace | None = None,
     ):
         super().__init__()
         if set(joint_names) != set(actuated_joints):
@@ -71,16 +118,36 @@ class RetargetingSystem(LeafSystem):
                 "the retargeter and the plant move different joints: the retargeter has "
                 f"{', '.join(sorted(joint_names))}; the plant's hand has {', '.join(sorted(actuated_joints))}"
             )
+        self._checks = checks or GloveChecks()
+        self._checks.validate()
+        if not (math.isfinite(cutoff) and cutoff >= 0):
+            raise ValueError(f"cutoff must be finite and not negative, not {cutoff}")
         self._retarget = retarget
         self._to_plant = np.array([list(joint_names).index(name) for name in actuated_joints])
+        self._trained_space = trained_space or getattr(retarget, "trained_space", None)
+        self._limits = limits or self._limits_of(retarget)
         self._period = period = max(period, latency)
-        self._max_step = max_speed * period
+        self._blend = 1.0 - math.exp(-2.0 * math.pi * cutoff * period) if cutoff > 0 else 1.0
+        self.delay = latency + period * (1.0 - self._blend) / self._blend
         self._n = n = len(actuated_joints)
         self._keypoints_port = self.DeclareVectorInputPort("keypoints", 63)
         self._valid_port = self.DeclareVectorInputPort("valid", 1)
+        self._stamp_port = self.DeclareVectorInputPort("stamp", 1)
         q0 = np.array([initial_positions[name] for name in actuated_joints])
+        for name, q, low, high in zip(
+            actuated_joints, q0, self._limits.lower, self._limits.upper, strict=True
+        ):
+            if not low <= q <= high:
+                raise HandError(
+                    f"the initial position of '{name}' must be within [{low:g}, {high:g}] rad; given: {q:g}"
+                )
         desired = self.DeclareDiscreteState(np.concatenate([q0, np.zeros(n)]))
-        self._status = self.DeclareDiscreteState(np.zeros(2))
+        self._status = self.DeclareDiscreteState([STATES.index(SETTLING), 0.0, math.nan])
+        # Good input since, held since.
+        start = (math.nan, -math.inf) if self._checks.ease_at_start else (-math.inf, math.nan)
+        self._memory = self.DeclareDiscreteState(
+            np.concatenate([q0, np.full(63, math.nan), [0.0, math.nan, 0.0, *start, 0.0, 0.0]])
+        )
         # With a latency, what is given out is kept apart from what is computed meanwhile.
         self._given_out = desired
         if latency > 0:
@@ -99,6 +166,12 @@ class RetargetingSystem(LeafSystem):
             self.DeclarePeriodicDiscreteUpdateEvent(period, latency, self._give_out)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
 
+    def _limits_of(self, retarget: Callable) -> JointLimits:
+        lower, upper = getattr(retarget, "lower", None), getattr(retarget, "upper", None)
+        if lower is None or upper is None:
+            raise HandError("the joint limits are not known: give `limits`, as the retargeter has none")
+        return JointLimits(lower[self._to_plant], upper[self._to_plant])
+
     def _give_out(self, context: Context, discrete_state) -> EventStatus:
         discrete_state.get_mutable_vector(self._given_out).SetFromVector(
             context.get_discrete_state(0).value()
@@ -108,30 +181,91 @@ class RetargetingSystem(LeafSystem):
     def _update(self, context: Context, discrete_state) -> EventStatus:
         if self._busy:
             self._give_out(context, discrete_state)
-        before = context.get_discrete_state(0).value()[: self._n].copy()
+        n, period, time = self._n, self._period, context.get_time()
+        desired = context.get_discrete_state(0).value()
+        q, v = desired[:n], desired[n:]
+        memory = context.get_discrete_state(self._memory).value()
+        target = memory[:n]
+        changed, stamp, stamped, good_since, held_since, eased_from, ease = memory[n + 63 :].tolist()
+        glove = GloveMemory(memory[n : n + 63], changed, stamp, stamped)
+
         keypoints = self._keypoints_port.Eval(context)
-        state = TRACKING
-        after = before
-        if self._valid_port.Eval(context)[0] < 0.5:
-            state = HELD_LOST
-        elif not np.isfinite(keypoints).all():
-            state = HELD_NOT_FINITE
-        else:
-            wanted = self._retarget(keypoints.reshape(21, 3))[self._to_plant]
-            if not np.isfinite(wanted).all():
-                state = HELD_NOT_FINITE
+        state = judge(
+            self._checks,
+            glove,
+            time,
+            period,
+            keypoints,
+            self._valid_port.Eval(context)[0] >= 0.5,
+            float(self._stamp_port.Eval(context)[0]) if self._stamp_port.HasValue(context) else None,
+        )
+        code, since, _ = context.get_discrete_state(self._status).value().tolist()
+        following = math.isnan(held_since)
+        frozen = following and state == FROZEN
+        if frozen:
+            state = None
+        elif following and STATES[int(code)] == FROZEN:
+            held_since = since
+        wanted, distance = None, math.nan
+        if state is None:
+            if math.isnan(good_since):
+                good_since = time
+            # Sums of periods round.
+            if time - good_since < self._checks.settle_time - 1e-9:
+                state = SETTLING
             else:
-                after = np.clip(wanted, before - self._max_step, before + self._max_step)
-                if not np.array_equal(after, wanted):
-                    state = LIMITED
+                points = keypoints.reshape(21, 3)
+                wanted = self._retarget(points)[self._to_plant]
+                if self._trained_space is not None:
+                    distance = float(self._trained_space.distances(points).max())
+                if not math.isfinite(wanted.sum()):
+                    state, wanted = HELD_NOT_FINITE, None
+        if wanted is None:
+            if state != SETTLING:
+                good_since = math.nan
+            if math.isnan(held_since):
+                held_since = time
+            q, v = self._limits.step(q, v, q, q, period)
+            target = q
+        else:
+            wanted = np.minimum(np.maximum(wanted, self._limits.lower), self._limits.upper)
+            before = target
+            if not math.isnan(held_since):
+                ease, eased_from = min(self._checks.ease_time, time - held_since), time
+                held_since = math.nan
+                if self._blend == 1.0:
+                    before = wanted
+            target = wanted if self._blend == 1.0 else before + self._blend * (wanted - before)
+            share = min((time - eased_from + period) / ease, 1.0) if ease > 0.0 else 1.0
+            q, v = self._limits.step(q, v, target, before, period, share)
+            reached = q is target or np.array_equal(q, target)
+            if reached or share == 1.0:
+                ease = 0.0
+            if frozen:
+                state = FROZEN
+            elif ease > 0.0:
+                state = EASING
+            elif distance > self._checks.trained_tolerance:
+                state = OUTSIDE
+            else:
+                state = TRACKING if reached else LIMITED
+
         # The velocity target keeps the joint's damping from acting against a wanted motion.
-        velocity = (after - before) / self._period
-        discrete_state.get_mutable_vector(0).SetFromVector(np.concatenate([after, velocity]))
-        code = float(_STATES.index(state))
-        if context.get_discrete_state(self._status).value()[0] != code:
-            discrete_state.get_mutable_vector(self._status).SetFromVector([code, context.get_time()])
+        discrete_state.get_mutable_vector(0).SetFromVector(np.concatenate([q, v]))
+        discrete_state.get_mutable_vector(self._memory).SetFromVector(
+            np.concatenate(
+                [
+                    target,
+                    glove.keypoints,
+                    [glove.changed, glove.stamp, glove.stamped, good_since, held_since, eased_from, ease],
+                ]
+            )
+        )
+        if STATES[int(code)] != state:
+            code, since = STATES.index(state), time
+        discrete_state.get_mutable_vector(self._status).SetFromVector([code, since, distance])
         return EventStatus.Succeeded()
 
     def _calc_status(self, context: Context, output) -> None:
-        code, since = context.get_discrete_state(self._status).value()
-        output.set_value(RetargetingStatus(_STATES[int(code)], float(since)))
+        code, since, distance = context.get_discrete_state(self._status).value()
+        output.set_value(RetargetingStatus(STATES[int(code)], float(since), float(distance)))

@@ -1,0 +1,111 @@
+"""What a joint may be asked for: bounds on position, speed and acceleration, and the step that keeps them."""
+
+import dataclasses as dc
+
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import ModelInstanceIndex
+
+from geort_drake.errors import HandError
+
+# From rest to full speed in one update at 100 Hz: what a controller at that rate may ask anyway.
+DEFAULT_ACCELERATION = 700.0  # rad/s²
+
+
+@dc.dataclass(frozen=True)
+class JointLimits:
+    """Bounds of n joints.
+
+    Attributes:
+        lower, upper: (n,) positions, rad.
+        speed: (n,) or a number, rad/s.
+        acceleration: (n,) or a number, rad/s².
+
+    Raises:
+        HandError: a lower limit is not below its upper one, or speed or acceleration is not positive.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    speed: np.ndarray | float = 7.0
+    acceleration: np.ndarray | float = DEFAULT_ACCELERATION
+
+    def __post_init__(self) -> None:
+        for field in dc.fields(self):
+            object.__setattr__(self, field.name, np.asarray(getattr(self, field.name), dtype=float))
+        if not (self.lower < self.upper).all():
+            raise HandError(
+                f"joint limits: lower ones must be below upper ones; given: {self.lower} and {self.upper}"
+            )
+        for name in ("speed", "acceleration"):
+            if not (getattr(self, name) > 0).all():
+                raise HandError(f"joint limits: {name} must be positive, not {getattr(self, name)}")
+
+    @classmethod
+    def of_plant(
+        cls,
+        plant: MultibodyPlant,
+        model: ModelInstanceIndex,
+        speed: float = np.inf,
+        acceleration: float = DEFAULT_ACCELERATION,
+    ) -> "JointLimits":
+        """Those of a model's actuated joints, in actuator order; `speed` (rad/s) bounds them further."""
+        joints = [plant.get_joint_actuator(index).joint() for index in plant.GetJointActuatorIndices(model)]
+        speeds = np.array([joint.velocity_upper_limit() for joint in joints])
+        return cls(
+            np.array([joint.position_lower_limit() for joint in joints]),
+            np.array([joint.position_upper_limit() for joint in joints]),
+            np.minimum(speeds, speed),
+            acceleration,
+        )
+
+    def step(
+        self,
+        q: np.ndarray,
+        v: np.ndarray,
+        target: np.ndarray,
+        target_before: np.ndarray,
+        period: float,
+        share: float = 1.0,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and velocities one period on, as near to `target` as the limits allow.
+
+        Speed is (q' − q) / period and acceleration (v' − v) / period. A joint that does not lag reaches
+        its target exactly; one that lags catches up as fast as it can still brake in time. If q and v
+        keep the limits and were made by this function, so do the results, whatever the targets are.
+
+        Args:
+            q, v: (n,) positions (rad) and velocities (rad/s) of this moment; v = 0 at the start.
+            target, target_before: (n,) finite targets of the next moment and of this one, rad.
+            period: s.
+            share: of the speed limit that may be used; where v is above it already, the joint slows down.
+        """
+        gain = self.acceleration * period  # of speed in one period
+        wanted = (target - q) / period
+        # Most steps need nothing of what follows. A joint at v stops within v²/2a, so where that is
+        # inside the position limits, no later step will have to leave them.
+        end = target + wanted * np.abs(wanted) * (0.5 / self.acceleration)
+        within = (np.abs(wanted) <= self.speed) & (np.abs(wanted - v) <= gain)
+        within &= (np.abs(target_before - q) <= gain * period) & (self.lower <= end) & (end <= self.upper)
+        if share == 1.0 and within.all():
+            return target, wanted
+        lag = target_before - q
+        speed = np.clip((target - target_before) / period, -self.speed, self.speed)
+        speed = speed + np.copysign(self._braking_speed(np.abs(lag), period), lag)
+        most = np.maximum(share * self.speed, np.abs(v) - gain)
+        high = np.minimum(np.minimum(v + gain, most), self._braking_speed(self.upper - q, period))
+        low = np.maximum(np.maximum(v - gain, -most), -self._braking_speed(q - self.lower, period))
+        v = np.clip(speed, low, high)
+        # Clipped once more, because of rounding.
+        return np.clip(q + v * period, self.lower, self.upper), v
+
+    def _braking_speed(self, distance: np.ndarray, period: float) -> np.ndarray:
+        """The highest speed from which braking ends within `distance` (n,), the coming step included.
+
+        With speeds in units of a·period and distances in units of a·period², a step at x and then at
+        x − 1, x − 2, … covers (m + 1) x − m (m + 1) / 2, where m is x rounded down.
+        """
+        unit = self.acceleration * period * period
+        d = np.maximum(distance, 0.0) / unit
+        m = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * d) - 1.0))
+        return (d / (m + 1.0) + 0.5 * m) * self.acceleration * period
