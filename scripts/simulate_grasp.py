@@ -27,11 +27,12 @@ DEFAULT_OBJECTS = ("cylinder", "sphere", "cube")
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     add = parser.add_argument
+    add("--hand", help="name or file of a hand description (the scenario's)")
     add("--output", type=Path, default=Path("runs/grasp"), help="folder for the results (runs/grasp)")
     add("--objects", nargs="+", help=f"what to grasp ({' '.join(DEFAULT_OBJECTS)})")
     add("--trials", type=int, default=1, help="trials per object, each with its own seed (1)")
     add("--recording", type=Path, help="train on this glove recording instead of synthetic play")
-    add("--side", default="right", choices=["left", "right"], help="side of the recorded hand (right)")
+    add("--side", choices=["left", "right"], help="side of the recorded hand (the robot hand's)")
     add(
         "--retargeter",
         type=Path,
@@ -74,7 +75,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.method not in METHODS:
         raise UnknownNameError("retargeting method", arguments.method, METHODS)
     base = load_scenario(arguments.scenario_file, arguments.scenario_name, arguments.scenario_text)
+    base.hand = arguments.hand or base.hand
     description = load_hand(base.hand)
+    side = arguments.side or description.side
     scenarios = []
     for name in arguments.objects or DEFAULT_OBJECTS:
         for trial in range(arguments.trials):
@@ -85,15 +88,15 @@ def main(argv: Sequence[str] | None = None) -> int:
             scenarios.append(scenario)
     replay = None
     if arguments.replay:
-        replay = read_recording(arguments.replay, arguments.side)
+        replay = read_recording(arguments.replay, side)
         if replay.X_WH is None:
             raise ScenarioError(f"{arguments.replay}: a replay needs wrist poses (X_WH), and it has none")
 
     if arguments.recording:
-        recording = read_recording(arguments.recording, arguments.side, training=True)
+        recording = read_recording(arguments.recording, side, training=True)
         source = str(arguments.recording)
     else:
-        recording = synthesize_play(seed=arguments.seed)
+        recording = synthesize_play(seed=arguments.seed, side=description.side)
         source = f"synthetic play, seed {arguments.seed}"
     hand = HandModel(description)
     checkpoint, retarget = arguments.retargeter, None

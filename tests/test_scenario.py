@@ -241,7 +241,7 @@ def test_an_unknown_scenario_lists_those_there_are():
         (
             "directives: [{add_model: {name: arm, file: 'package://geort_drake/models/sdf/panda.sdf'}}]",
             ScenarioError,
-            "must add a model named 'hand'",
+            "hand_parent: .*no model instance named 'adapter'",
         ),
         (
             "directives: [{add_model: {name: arm, file: 'package://geort_drake/models/none.sdf'}}]",
@@ -249,6 +249,8 @@ def test_an_unknown_scenario_lists_those_there_are():
             "scenario field directives",
         ),
         ("arm_posture: {elbow: 0}", ScenarioError, "no joint 'elbow'; the joints are: panda_joint1"),
+        ("hand_parent: adapter::arm_side", ScenarioError, "hand_parent: .*arm_side"),
+        ("{hand: allegro_left, left_arm_posture: {elbow: 0}}", ScenarioError, "left_arm_posture.*'elbow'"),
         ("arm_posture: {panda_joint4: 0.5}", HandError, "panda_joint4 = 0.5 rad is outside its limits"),
     ],
 )

@@ -177,7 +177,7 @@ def train_checkpoint(
 
 def _recording(source: Recording | str | os.PathLike | None, side: str, seed: int) -> Recording:
     if source is None:
-        return synthesize_play(seed)
+        return synthesize_play(seed, side=side)
     if not isinstance(source, Recording):
         return read_recording(source, side=side, training=True)
     if source.side != side:

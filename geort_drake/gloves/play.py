@@ -12,8 +12,9 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from geort_drake.errors import UnknownNameError
 from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.gloves.recording import Recording
+from geort_drake.gloves.recording import SIDES, Recording
 
 # Angles below are in degrees, joint by joint as in HumanHand: abduction and three flexions.
 _FIST = np.array(
@@ -41,6 +42,7 @@ def synthesize_play(
     rate_hz: float = 120.0,
     hand: HumanHand | None = None,
     jitter: float = 1.0,
+    side: str = "right",
 ) -> Recording:
     """A recording of a hand at play; the same arguments give the same recording.
 
@@ -50,7 +52,10 @@ def synthesize_play(
         rate_hz: frames per second; the default is that of common gloves.
         hand: whose hand; by default an adult's average one. Pinches it cannot reach are left out.
         jitter: scale of jitter, tremor and drift; 0 leaves the movements alone.
+        side: of the hand; a left one, as it is described in its mirror image, moves as the right one does.
     """
+    if side not in SIDES:
+        raise UnknownNameError("side", side, SIDES)
     if duration_s <= 0 or rate_hz <= 0 or jitter < 0:
         raise ValueError("duration_s and rate_hz must be positive and jitter not negative")
     hand = hand or HumanHand.anatomical()
@@ -60,7 +65,7 @@ def synthesize_play(
     theta = _minimum_jerk(t, times, postures)
     theta = np.clip(theta + jitter * _glove_noise(len(t), rate_hz, rng), hand.lower, hand.upper)
     metadata = {
-        "side": "right",
+        "side": side,
         "subject": "synthetic",
         "source": "geort_drake.gloves.play",
         "rate_known": True,

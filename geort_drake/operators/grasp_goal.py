@@ -6,6 +6,9 @@ import math
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
+from geort_drake.gloves.keypoints import mirrored
+from geort_drake.systems.poses import mirrored_pose
+
 
 @dc.dataclass(frozen=True)
 class GraspGoal:
@@ -29,6 +32,17 @@ class GraspGoal:
     n_OF: np.ndarray
     # Turning the object by this angle about its vertical gives the same grasp, rad; 0: by any angle.
     yaw_symmetry: float
+
+    def mirrored(self) -> "GraspGoal":
+        """The same grasp in the mirror, in which a left hand is a right one: everything with y negated."""
+        return dc.replace(
+            self,
+            X_OB=mirrored_pose(self.X_OB),
+            X_OB_before=mirrored_pose(self.X_OB_before),
+            p_BF_open=mirrored(self.p_BF_open),
+            p_OF_touch=mirrored(self.p_OF_touch),
+            n_OF=mirrored(self.n_OF),
+        )
 
     def object_frame(self, X_WO: RigidTransform) -> RigidTransform:
         """The upright frame O of the grasp for an object seen at X_WO.

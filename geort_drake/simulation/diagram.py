@@ -13,7 +13,7 @@ from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex, RigidBody, SpatialInertia
 from pydrake.planning import RobotDiagramBuilder
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, OutputPort
-from pydrake.systems.primitives import DiscreteTimeDelay
+from pydrake.systems.primitives import DiscreteTimeDelay, Gain
 
 from geort_drake.errors import HandError
 from geort_drake.gloves.human_hand import HumanHand
@@ -36,7 +36,9 @@ from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.glove_replay import GloveReplay
 from geort_drake.systems.grasp_monitor import GraspMonitor
+from geort_drake.systems.hand_mirror import HandMirror
 from geort_drake.systems.joint_limits import JointLimits
+from geort_drake.systems.poses import POINT_MIRROR, POSE_MIRROR, mirrored_pose
 from geort_drake.systems.retargeting_system import RetargetingSystem
 from geort_drake.systems.scene_view import SceneView
 from geort_drake.systems.simulated_operator import SimulatedOperator
@@ -150,6 +152,9 @@ def make_grasp_diagram(
     base = robot.plant().GetFrameByName(description.base_frame, robot.plant().GetModelInstanceByName(HAND))
     X_WB_start = base.CalcPoseInWorld(robot.plant().CreateDefaultContext())
 
+    # A left hand's person is a right hand's in the mirror, and so is what that person sees.
+    in_mirror = description.side == "left"
+
     # What can be seen of the scene.
     view = builder.AddNamedSystem("scene_view", SceneView(plant, description, hand, object_body.index()))
     builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
@@ -161,12 +166,28 @@ def make_grasp_diagram(
     if isinstance(human, Recording):
         source = builder.AddNamedSystem("glove_replay", GloveReplay(human))
     else:
+        person, goal = human
         operator = source = builder.AddNamedSystem(
-            "operator", _make_operator(scenario, *human, X_WB_start, seed=int(rng.integers(2**31)))
+            "operator",
+            _make_operator(
+                scenario,
+                person,
+                goal.mirrored() if in_mirror else goal,
+                mirrored_pose(X_WB_start) if in_mirror else X_WB_start,
+                seed=int(rng.integers(2**31)),
+            ),
         )
         for name in ("fingertips", "hand_pose", "object_pose", "contact"):
             seen = _delayed(builder, view.GetOutputPort(name), scenario)
+            if in_mirror and name != "contact":
+                seen = _mirrored(builder, name, seen)
             builder.Connect(seen, operator.GetInputPort(name))
+    # The hand as it is in the world.
+    hand_source: LeafSystem = source
+    if in_mirror:
+        hand_source = builder.AddNamedSystem("hand_mirror", HandMirror())
+        for name in ("keypoints", "wrist_pose"):
+            builder.Connect(source.GetOutputPort(name), hand_source.GetInputPort(name))
 
     # Fingers: keypoints → joint targets → (correction) → the hand's PD controllers.
     actuated = [
@@ -200,7 +221,7 @@ def make_grasp_diagram(
         "wrist_to_arm",
         WristToArm(robot, robot.plant().GetModelInstanceByName(ARM), base, scenario.wrist_to_arm),
     )
-    builder.Connect(source.GetOutputPort("wrist_pose"), wrist_to_arm.GetInputPort("wrist_pose"))
+    builder.Connect(hand_source.GetOutputPort("wrist_pose"), wrist_to_arm.GetInputPort("wrist_pose"))
     builder.Connect(source.GetOutputPort("valid"), wrist_to_arm.GetInputPort("valid"))
     builder.Connect(wrist_to_arm.GetOutputPort("arm_desired_state"), plant.get_desired_state_input_port(arm))
 
@@ -230,6 +251,7 @@ def make_grasp_diagram(
             description,
             monitor,
             source,
+            hand_source,
             correction,
             # The person's hand is drawn beside the robot's, towards the camera.
             RigidTransform(X_WB_start.translation() + [-0.05, -0.42, -0.10]),
@@ -274,6 +296,14 @@ def _delayed(builder: DiagramBuilder, port: OutputPort, scenario: Scenario) -> O
     )
     builder.Connect(port, delay.get_input_port())
     return delay.get_output_port()
+
+
+def _mirrored(builder: DiagramBuilder, name: str, port: OutputPort) -> OutputPort:
+    """A pose of the scene, or its points, in the mirror."""
+    signs = POSE_MIRROR if name.endswith("_pose") else np.tile(POINT_MIRROR, port.size() // 3)
+    mirror = builder.AddNamedSystem(f"{name}_mirrored", Gain(signs))
+    builder.Connect(port, mirror.get_input_port())
+    return mirror.get_output_port()
 
 
 def _require_controllers(plant: MultibodyPlant, model: ModelInstanceIndex, what: str) -> None:

@@ -27,7 +27,7 @@ class Grip:
     """
 
     # Finger → its angle from the grip's axis, which runs from the thumb to the fingers, rad, and its
-    # height over the grip's, m.
+    # height over the grip's, m. Angles are a right hand's; a left one's are the opposite.
     fingers: dict[str, tuple[float, float]]
     # Whether the object shall lie in the palm. The palm's normal then is at 90° from the grip's axis.
     palm: bool = False
@@ -75,27 +75,35 @@ class Contact:
     n_O: np.ndarray
 
 
-def grip_contacts(shape: ObjectShape, yaw: float, height: float = 0.5, grip: str = "tripod") -> list[Contact]:
+def grip_contacts(
+    shape: ObjectShape, yaw: float, height: float = 0.5, grip: str = "tripod", side: str = "right"
+) -> list[Contact]:
     """The contacts of a grip around the vertical at `yaw`, on the object's main part.
 
     Args:
         yaw: direction of the grasp's axis from the thumb to the fingers, rad.
         height: of the grip, as a share of the object's height.
         grip: one of `GRIPS`.
+        side: of the hand.
     """
     bottom, top = vertical_extent(shape)
     z = bottom + height * (top - bottom)
     return [
-        _contact(shape, finger, yaw, angle, z + raised)
+        _contact(shape, finger, yaw, _turned(angle, side), z + raised)
         for finger, (angle, raised) in GRIPS[grip].fingers.items()
     ]
 
 
-def palm_contact(shape: ObjectShape, yaw: float, height: float) -> Contact:
-    """Where the palm shall touch in a power grasp at `yaw` and `height` as in `grip_contacts`."""
+def palm_contact(shape: ObjectShape, yaw: float, height: float, side: str = "right") -> Contact:
+    """Where the palm shall touch in a power grasp, for arguments as in `grip_contacts`."""
     bottom, top = vertical_extent(shape)
     # Across the grip's axis: the side the object shows there is found as for a grip turned that way.
-    return _contact(shape, "palm", yaw - math.pi / 2, 0.0, bottom + height * (top - bottom))
+    return _contact(shape, "palm", yaw + _turned(-math.pi / 2, side), 0.0, bottom + height * (top - bottom))
+
+
+def _turned(angle: float, side: str) -> float:
+    """A right hand's angle around the vertical as the hand of that side has it."""
+    return -angle if side == "left" else angle
 
 
 def _contact(shape: ObjectShape, part: str, yaw: float, angle: float, z: float) -> Contact:

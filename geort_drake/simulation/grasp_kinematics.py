@@ -10,6 +10,7 @@ from pydrake.solvers import SnoptSolver, SolverOptions
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.description import FingerDescription, HandDescription
+from geort_drake.hands.model import tip_geometries
 from geort_drake.simulation.grasp_contacts import Contact
 from geort_drake.simulation.object_shape import ObjectShape, half_extents, object_shape
 from geort_drake.simulation.scenario import Scenario
@@ -178,7 +179,8 @@ class GraspKinematics:
         ik.AddPositionConstraint(
             self._object.body_frame(), palm.p_OC, self._base, front + np.array(low), front + np.array(high)
         )
-        for v_O, v_B in ((palm.n_O, [1.0, 0, 0]), ([0, 0, 1.0], [0, 1.0, 0])):
+        to_index = [0, -1.0 if self._description.side == "left" else 1.0, 0]
+        for v_O, v_B in ((palm.n_O, [1.0, 0, 0]), ([0, 0, 1.0], to_index)):
             ik.AddAngleBetweenVectorsConstraint(
                 self._object.body_frame(), np.asarray(v_O), self._base, np.asarray(v_B), 0.0, _PALM_TILT
             )
@@ -196,13 +198,10 @@ class GraspKinematics:
 
     def _let_tips_touch(self, scene_graph: SceneGraph) -> None:
         """Grasping fingertips touch each other, the object and, nearly, what it stands on."""
-        inspector = scene_graph.model_inspector()
         tips = [
             geometry
             for finger in self._grasping
-            for geometry in self._geometries(scene_graph, self._tip_body(finger))
-            if np.linalg.norm(inspector.GetPoseInFrame(geometry).translation() - finger.tip_point)
-            <= finger.tip_radius
+            for geometry in tip_geometries(self._plant, scene_graph.model_inspector(), self._tip_body(finger))
         ]
         # What is welded to the world: the object and its support.
         still = [

@@ -130,14 +130,14 @@ class GraspPlanner:
         Ranked by inverse kinematics without collisions, which takes a hundredth of the time with them and
         is hardly ever less comfortable.
         """
-        robot = self._kinematics
+        robot, side = self._kinematics, self._description.side
         shape = robot.shape
         lowest = max(finger.tip_radius for finger in self._description.fingers) + _TIP_GAP
         places = []
         for step, height in enumerate(contact_heights(shape, self._grip, lowest)):
             for yaw in yaw_candidates(shape)[0]:
-                contacts = grip_contacts(shape, yaw, height, self._grip)
-                palm = palm_contact(shape, yaw, height) if GRIPS[self._grip].palm else None
+                contacts = grip_contacts(shape, yaw, height, self._grip, side)
+                palm = palm_contact(shape, yaw, height, side) if GRIPS[self._grip].palm else None
                 if not self._room_for_tips(contacts):
                     continue
                 relaxed = robot.touch(contacts, palm, robot.q_default, collisions=False)

@@ -34,6 +34,7 @@ def add_grasp_recorder(
     description: HandDescription,
     monitor: GraspMonitor,
     source: LeafSystem,
+    hand_source: LeafSystem,
     correction: LeafSystem,
     X_WHand: RigidTransform,
     properties: Mapping[str, str | int | float | bool],
@@ -41,7 +42,8 @@ def add_grasp_recorder(
     """Adds a recorder of robot, object, human hand, contact forces, joints and phases.
 
     Args:
-        source: the operator or the replay, whose hand is drawn.
+        source: the operator or the replay.
+        hand_source: where the keypoints and the wrist of the hand are that is drawn.
         correction: the system whose output the hand is asked for.
         X_WHand: where the tracker's frame stands in W, to draw the human hand beside the robot's.
     """
@@ -79,8 +81,8 @@ def add_grasp_recorder(
         signals=signals,
         hands={
             "human": HandSpec(
-                source.GetOutputPort("keypoints"),
-                source.GetOutputPort("wrist_pose"),
+                hand_source.GetOutputPort("keypoints"),
+                hand_source.GetOutputPort("wrist_pose"),
                 source.GetOutputPort("valid"),
                 X_WO=X_WHand,
             )

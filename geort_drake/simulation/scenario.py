@@ -77,15 +77,19 @@ class Scenario:
             time_step=0.002, discrete_contact_approximation="sap", contact_model="point"
         )
     )
-    # Arm, hand and surroundings; the models must be named `arm` and `hand`.
+    # Arm and surroundings; the arm must be named `arm`.
     directives: list[ModelDirective] = dc.field(default_factory=list)
-    # Description of the robot hand: a stem in models/hands, or a path.
+    # Description of the robot hand: a stem in models/hands, or a path. Its model is added as `hand`, where
+    # the directives have not.
     hand: str = "allegro_right"
+    # Frame of the directives' models that carries the hand, which the hand's `mount` is relative to.
+    hand_parent: str = "adapter::hand_side"
     # Factor on the proportional gains of the hand's controllers; the derivative gains go with its root,
     # which leaves the damping ratio as it is.
     hand_stiffness_factor: float = 1.0
-    # Joint positions of the arm at the start, by name, rad.
+    # Joint positions of the arm at the start, by name, rad; and with a left hand, where these differ.
     arm_posture: dict[str, float] = dc.field(default_factory=dict)
+    left_arm_posture: dict[str, float] = dc.field(default_factory=dict)
     object: ObjectConfig = dc.field(default_factory=ObjectConfig)
     operator: OperatorConfig = dc.field(default_factory=OperatorConfig)
     retargeting: RetargetingConfig = dc.field(default_factory=RetargetingConfig)

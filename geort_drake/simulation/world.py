@@ -2,26 +2,35 @@
 
 import math
 
+import numpy as np
 from pydrake.geometry import RoleAssign, SceneGraph
-from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.parsing import ModelDirectives, Parser, ProcessModelDirectives
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.multibody.parsing import (
+    AddModel,
+    GetScopedFrameByName,
+    ModelDirective,
+    ModelDirectives,
+    Parser,
+    ProcessModelDirectives,
+)
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex, PdControllerGains, RigidBody
 
 from geort_drake.errors import HandError, ScenarioError, UnknownNameError
 from geort_drake.hands.description import HandDescription
-from geort_drake.resources import PACKAGE_NAME, models_dir, resource_root
+from geort_drake.resources import PACKAGE_NAME, models_dir, resolve_uri, resource_root
 from geort_drake.simulation.scenario import Scenario, object_names
 
 ARM, HAND = "arm", "hand"
 
 
 def add_robot(plant: MultibodyPlant, scenario: Scenario, description: HandDescription) -> None:
-    """Adds the scenario's models and sets the default joint positions.
+    """Adds the scenario's models and the hand on its mount, and sets the default joint positions.
 
     Raises:
-        ScenarioError: a directive fails, a model named `arm` or `hand` is missing, or `arm_posture`
-            names no joint of the arm.
+        ScenarioError: a directive fails, the model `arm` or the frame `hand_parent` is missing, or an arm
+            posture names no joint of the arm.
+        HandError: the hand's model cannot be loaded, or lacks the frame of the mount.
     """
     parser = Parser(plant)
     parser.package_map().Add(PACKAGE_NAME, str(resource_root()))
@@ -29,11 +38,14 @@ def add_robot(plant: MultibodyPlant, scenario: Scenario, description: HandDescri
         ProcessModelDirectives(ModelDirectives(directives=scenario.directives), parser)
     except RuntimeError as error:
         raise ScenarioError(f"scenario field directives: {error}") from error
-    for name in (ARM, HAND):
-        if not plant.HasModelInstanceNamed(name):
-            raise ScenarioError(f"scenario field directives must add a model named '{name}'")
+    if not plant.HasModelInstanceNamed(ARM):
+        raise ScenarioError(f"scenario field directives must add a model named '{ARM}'")
+    if not plant.HasModelInstanceNamed(HAND):
+        _mount_hand(plant, parser, scenario, description)
     arm, hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
     _set_defaults(plant, arm, scenario.arm_posture, "scenario field arm_posture")
+    if description.side == "left":
+        _set_defaults(plant, arm, scenario.left_arm_posture, "scenario field left_arm_posture")
     _set_defaults(plant, hand, description.default_positions, f"hand '{description.name}'")
 
 
@@ -82,6 +94,27 @@ def scale_stiffness(plant: MultibodyPlant, model: ModelInstanceIndex, factor: fl
             actuator.set_controller_gains(
                 PdControllerGains(p=factor * gains.p, d=math.sqrt(factor) * gains.d)
             )
+
+
+def _mount_hand(
+    plant: MultibodyPlant, parser: Parser, scenario: Scenario, description: HandDescription
+) -> None:
+    """Adds the hand's model and welds the frame of its mount to the scenario's `hand_parent`."""
+    try:
+        parent = GetScopedFrameByName(plant, scenario.hand_parent)
+    except RuntimeError as error:
+        raise ScenarioError(f"scenario field hand_parent: {error}") from error
+    mount = description.mount
+    file = str(resolve_uri(description.model))
+    model = ModelDirective(add_model=AddModel(name=HAND, file=f"file://{file}"))
+    try:
+        ProcessModelDirectives(ModelDirectives(directives=[model]), parser)
+        hand = plant.GetModelInstanceByName(HAND)
+        child = plant.GetFrameByName(mount.frame or description.base_frame, hand)
+    except RuntimeError as error:
+        raise HandError(f"hand '{description.name}' with model {file}: {error}") from error
+    X_PM = RigidTransform(RollPitchYaw(np.deg2rad(mount.rpy_deg)), mount.translation)
+    plant.WeldFrames(parent, child, X_PM)
 
 
 def _set_defaults(

@@ -10,6 +10,17 @@ def pose_to_vector(X: RigidTransform) -> np.ndarray:
     return np.concatenate([X.rotation().ToQuaternion().wxyz(), X.translation()])
 
 
+# What a reflection in the xz-plane makes of a point, and of a pose as a vector: the rotation's axis is an
+# axial vector, which turns round besides.
+POINT_MIRROR = np.array([1.0, -1.0, 1.0])
+POSE_MIRROR = np.array([1.0, -1.0, 1.0, -1.0, *POINT_MIRROR])
+
+
+def mirrored_pose(X: RigidTransform) -> RigidTransform:
+    """The pose that both frames' reflections in their xz-planes have to each other."""
+    return vector_to_pose(POSE_MIRROR * pose_to_vector(X))
+
+
 def vector_to_pose(values: np.ndarray) -> RigidTransform:
     """The pose behind qw qx qy qz x y z, (7,); the quaternion is normalised."""
     quaternion = np.asarray(values[:4], float)

@@ -1,0 +1,40 @@
+"""Between the world and the mirror in which a left hand is described as a right one."""
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, LeafSystem
+
+from geort_drake.gloves.keypoints import mirrored
+from geort_drake.systems.poses import mirrored_pose
+
+
+class HandMirror(LeafSystem):
+    """A left hand as it is, from its description as a right hand in the mirrored world; or back.
+
+    Input ports:
+        keypoints (63): p_HK, keypoint-major, m.
+        wrist_pose (abstract RigidTransform): X_WH.
+    Output ports:
+        keypoints (63): the same with y negated.
+        wrist_pose (abstract RigidTransform): the same reflected in the xz-plane of W.
+    """
+
+    def __init__(self):
+        super().__init__()
+        self._keypoints = self.DeclareVectorInputPort("keypoints", 63)
+        self._wrist_pose = self.DeclareAbstractInputPort("wrist_pose", AbstractValue.Make(RigidTransform()))
+        self.DeclareVectorOutputPort("keypoints", 63, self._calc_keypoints, {self._keypoints.ticket()})
+        self.DeclareAbstractOutputPort(
+            "wrist_pose",
+            lambda: AbstractValue.Make(RigidTransform()),
+            self._calc_wrist_pose,
+            {self._wrist_pose.ticket()},
+        )
+
+    def _calc_keypoints(self, context: Context, output) -> None:
+        p_HK = np.reshape(self._keypoints.Eval(context), (21, 3))
+        output.SetFromVector(mirrored(p_HK).ravel())
+
+    def _calc_wrist_pose(self, context: Context, output) -> None:
+        output.set_value(mirrored_pose(self._wrist_pose.Eval(context)))

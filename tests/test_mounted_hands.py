@@ -1,0 +1,157 @@
+"""Every shipped hand on the arm, and a left hand's simulation as the mirror image of a right one's."""
+
+import copy
+from functools import cache
+
+import numpy as np
+import pytest
+from grasp_setup import allegro, centred_map, person_and_rest
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, DiagramBuilder
+
+from geort_drake.gloves.human_hand import HumanHand
+from geort_drake.gloves.keypoints import mirrored
+from geort_drake.hands.description import hand_names, load_hand
+from geort_drake.operators.grasp_goal import GraspGoal
+from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
+from geort_drake.simulation.grasp_contacts import GRIPS, grip_contacts, palm_contact
+from geort_drake.simulation.object_shape import object_shape
+from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.world import HAND, add_object, add_robot
+from geort_drake.systems.hand_mirror import HandMirror
+from geort_drake.systems.poses import mirrored_pose
+
+M = np.diag([1.0, -1.0, 1.0, 1.0])
+
+
+@cache
+def robot(hand: str):
+    """The shipped scenario's robot with another hand: diagram, plant, its context, and the hand base."""
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.002)
+    description = load_hand(hand)
+    add_robot(plant, load_scenario(text=f"{{hand: {hand}}}"), description)
+    plant.Finalize()
+    diagram = builder.Build()
+    base = plant.GetFrameByName(description.base_frame, plant.GetModelInstanceByName(HAND))
+    return diagram, plant, plant.GetMyContextFromRoot(diagram.CreateDefaultContext()), base
+
+
+@pytest.mark.parametrize("name", hand_names())
+def test_a_hand_sits_on_the_adapter_and_touches_nothing(name):
+    """The frame of the mount lies on the adapter's hand side; at the start arm and hand are free."""
+    _, plant, context, base = robot(name)
+    assert not plant.get_geometry_query_input_port().Eval(context).HasCollisions()
+    mount = load_hand(name).mount
+    M_frame = plant.GetFrameByName(mount.frame, plant.GetModelInstanceByName(HAND))
+    X_AM = M_frame.CalcPose(context, plant.GetFrameByName("hand_side"))
+    wanted = RigidTransform(RollPitchYaw(np.deg2rad(mount.rpy_deg)), mount.translation)
+    np.testing.assert_allclose(X_AM.GetAsMatrix4(), wanted.GetAsMatrix4(), atol=1e-12)
+    # The palm looks at the object, from before it.
+    X_WB = base.CalcPoseInWorld(context)
+    to_object = np.array([0.5, 0.0, 0.2]) - X_WB.translation()
+    assert X_WB.rotation().matrix()[:, 0] @ to_object > 0.05
+
+
+def test_a_left_hand_starts_in_the_mirror_image_of_the_right_one():
+    """Arm posture and mount together reflect the hand base in the xz-plane of W."""
+    poses = []
+    for name in ("allegro_right", "allegro_left"):
+        _, _, context, base = robot(name)
+        poses.append(base.CalcPoseInWorld(context).GetAsMatrix4())
+    np.testing.assert_allclose(poses[1], M @ poses[0] @ M, atol=1e-9)
+
+
+def test_poses_are_reflected_like_frames(rng):
+    """`mirrored_pose` is M X M, and its own inverse."""
+    for _ in range(10):
+        X = RigidTransform(RollPitchYaw(*rng.uniform(-3, 3, 3)), rng.normal(size=3))
+        np.testing.assert_allclose(mirrored_pose(X).GetAsMatrix4(), M @ X.GetAsMatrix4() @ M, atol=1e-12)
+        np.testing.assert_allclose(
+            mirrored_pose(mirrored_pose(X)).GetAsMatrix4(), X.GetAsMatrix4(), atol=1e-12
+        )
+
+
+def test_the_hand_mirror_shows_the_left_hand(rng):
+    """Keypoints and wrist are reflected so that p_WK of the one side is the mirror image of the other's."""
+    system = HandMirror()
+    context = system.CreateDefaultContext()
+    p_HK = rng.normal(size=(21, 3))
+    X_WH = RigidTransform(RollPitchYaw(0.3, -0.5, 1.0), [0.1, 0.2, 0.3])
+    system.GetInputPort("keypoints").FixValue(context, p_HK.ravel())
+    system.GetInputPort("wrist_pose").FixValue(context, X_WH)
+    p_left = system.GetOutputPort("keypoints").Eval(context).reshape(21, 3)
+    X_left = system.GetOutputPort("wrist_pose").Eval(context)
+    in_world = X_left.multiply(p_left.T).T
+    np.testing.assert_allclose(in_world, mirrored(X_WH.multiply(p_HK.T).T), atol=1e-12)
+
+
+@pytest.mark.parametrize("grip", GRIPS)
+@pytest.mark.parametrize("name", ["cylinder", "wide_box"])
+def test_a_left_hands_contacts_are_mirrored(grip, name):
+    """At the opposite yaw a left hand's contacts are a right one's with y negated."""
+    plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), time_step=0.0)
+    shape = object_shape(plant, scene_graph.model_inspector(), add_object(plant, name))
+    yaw = 0.0 if name == "wide_box" else 0.4
+    of_right = [*grip_contacts(shape, yaw, 0.5, grip), palm_contact(shape, yaw, 0.5)]
+    of_left = [*grip_contacts(shape, -yaw, 0.5, grip, "left"), palm_contact(shape, -yaw, 0.5, "left")]
+    for right, left in zip(of_right, of_left, strict=True):
+        assert right.part == left.part
+        np.testing.assert_allclose(left.p_OC, mirrored(right.p_OC), atol=1e-12)
+        np.testing.assert_allclose(left.n_O, mirrored(right.n_O), atol=1e-12)
+
+
+def reach_goal() -> GraspGoal:
+    """A goal near the start with the fingers a little closed, as a right hand has it; never touched."""
+    hand = allegro()
+    tips = hand.fingertips(hand.default_position)
+    X_OB = RigidTransform(RollPitchYaw(-1.92, 1.17, 2.15), [0.003, 0.005, 0.106])
+    return GraspGoal(
+        finger_names=tuple(hand.finger_names),
+        touches=np.array([True, True, True, False]),
+        X_OB=X_OB,
+        X_OB_before=RigidTransform([0.0, -0.03, 0.12]) @ X_OB,
+        p_BF_open=tips,
+        p_OF_touch=X_OB.multiply(tips.T).T,
+        n_OF=np.tile([1.0, 0.0, 0.0], (4, 1)),
+        yaw_symmetry=0.0,
+    )
+
+
+def simulate(hand: str, goal: GraspGoal, person: HumanHand, seconds: float) -> tuple[GraspDiagram, Context]:
+    still = "position_range: 0, yaw_range: 0, mass_range: 0"
+    scenario = load_scenario(text=f"{{hand: {hand}, object: {{{still}}}}}")
+    parts = make_grasp_diagram(scenario, copy.copy(centred_map()), (person, goal))
+    simulator = Simulator(parts.diagram)
+    parts.initialize(simulator.get_mutable_context())
+    simulator.AdvanceTo(seconds)
+    return parts, simulator.get_context()
+
+
+def test_a_left_hands_simulation_is_the_right_ones_in_the_mirror():
+    """The same person, seed and map: the left hand goes where the right one's mirror image goes.
+
+    Not to the last digit, as the arm's inverse kinematics is solved to a tolerance.
+    """
+    person, _ = person_and_rest()
+    goal = reach_goal()
+    poses, angles, gloves = [], [], []
+    for name, aim in (("allegro_right", goal), ("allegro_left", goal.mirrored())):
+        parts, root = simulate(name, aim, person, 1.0)
+        context = parts.plant.GetMyContextFromRoot(root)
+        hand = parts.plant.GetModelInstanceByName(HAND)
+        base = parts.plant.GetFrameByName(parts.description.base_frame, hand)
+        _, _, at_start, base_at_start = robot(name)
+        poses.append((base_at_start.CalcPoseInWorld(at_start), base.CalcPoseInWorld(context)))
+        angles.append([parts.plant.GetJointByName(j, hand).get_angle(context) for j in allegro().joint_names])
+        gloves.append(
+            parts.operator.GetOutputPort("keypoints").Eval(parts.operator.GetMyContextFromRoot(root))
+        )
+    (before, after), (_, after_left) = poses
+    assert np.linalg.norm(after.translation() - before.translation()) > 0.05
+    np.testing.assert_allclose(after_left.GetAsMatrix4(), M @ after.GetAsMatrix4() @ M, atol=0.01)
+    np.testing.assert_allclose(angles[1], angles[0], atol=0.02)
+    # Both persons are described as right hands.
+    np.testing.assert_allclose(gloves[1], gloves[0], atol=2e-3)
