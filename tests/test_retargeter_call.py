@@ -99,6 +99,11 @@ def test_points_need_not_be_contiguous_doubles(retarget, rng, points):
     np.testing.assert_array_equal(retarget(given), retarget(p_HF))
 
 
+def test_no_hands_give_no_angles(retarget):
+    """A batch may be empty."""
+    assert retarget(np.zeros((0, 3, 3))).shape == (0, len(COLUMNS))
+
+
 def test_weights_may_be_changed_after_the_retargeter_was_made(rng):
     """The map keeps no reference to the arrays it was made of."""
     arrays = {

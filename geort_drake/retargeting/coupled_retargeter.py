@@ -1,23 +1,40 @@
 """The trained map of `geort_coupled` in NumPy alone."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from geort_drake.retargeting.retargeter import Retargeter, Stack, _aligned, _array
+from geort_drake.retargeting.retargeter import Retargeter, _aligned, _array
 
 
 class CoupledRetargeter(Retargeter):
     """Per-finger networks plus one residual network of all fingertips, added before the tanh.
 
-    Call, attributes and errors are those of `Retargeter`, and so are the arguments, but `arrays` also has
-    residual_weight0 (3F, r), residual_bias0 (r,), residual_weight1 (r, r), residual_bias1 (r,),
-    residual_weight2 (r, F·k) and residual_bias2 (F·k,). The Jacobian is full, as every joint depends on
-    every fingertip.
+    Call, attributes and errors are those of `Retargeter`; the Jacobian is full, as every joint depends
+    on every fingertip.
     """
 
-    def _read(self, arrays: Mapping[str, np.ndarray]) -> list[Stack]:
-        fingers = super()._read(arrays)
+    def __init__(
+        self,
+        arrays: Mapping[str, np.ndarray],
+        finger_names: Sequence[str],
+        joint_names: Sequence[str],
+        human_keypoints: Sequence[int],
+        lower: np.ndarray,
+        upper: np.ndarray,
+    ):
+        """Builds the map from its weights.
+
+        Args:
+            arrays: those of `Retargeter`, and residual_weight0 (3F, r), residual_bias0 (r,),
+                residual_weight1 (r, r), residual_bias1 (r,), residual_weight2 (r, F·k),
+                residual_bias2 (F·k,).
+            finger_names, joint_names, human_keypoints, lower, upper: as in `Retargeter`.
+
+        Raises:
+            CheckpointError: an array is missing, of a wrong shape or not finite.
+        """
+        super().__init__(arrays, finger_names, joint_names, human_keypoints, lower, upper)
         inputs, outputs = 3 * len(self.finger_names), arrays["bias2"].size
         width = _array(arrays, "residual_weight0", (inputs, -1)).shape[1]
         shapes = ((inputs, width), (width, width), (width, outputs))
@@ -25,6 +42,23 @@ class CoupledRetargeter(Retargeter):
             (_array(arrays, f"residual_weight{k}", shape), _array(arrays, f"residual_bias{k}", shape[1:]))
             for k, shape in enumerate(shapes)
         )
-        columns = self._columns(arrays, outputs)
-        half = (0.5 * w0[None], 0.5 * b0[None], _aligned(0.5 * w1[None]), 0.5 * b1[None])
-        return [*fingers, Stack(*half, w2[None][:, :, columns], b2[columns])]
+        # The residual's hidden units stand behind those of the fingers.
+        self._shared = slice(self._own.stop, self._own.stop + width)
+        self._weight0 = _aligned(np.hstack([self._weight0, 0.5 * w0]))
+        self._bias0 = np.concatenate([self._bias0, 0.5 * b0])
+        self._residual_weight1 = _aligned(0.5 * w1)
+        self._bias1 = np.concatenate([self._bias1, 0.5 * b1])
+        self._weight2 = _aligned(np.vstack([self._weight2, w2[:, self._columns]]))
+        self._bias2 = self._bias2 + b2[self._columns]
+
+    def _between(self, h: np.ndarray, u: np.ndarray) -> None:
+        super()._between(h, u)
+        if h.ndim == 1:
+            np.dot(h[self._shared], self._residual_weight1, u[self._shared])
+        else:
+            np.matmul(h[:, self._shared], self._residual_weight1, out=u[:, self._shared])
+
+    def _gradient(self, slope0: np.ndarray, slope1: np.ndarray) -> np.ndarray:
+        chain = (self._weight0[:, self._shared] * slope0[self._shared]).dot(self._residual_weight1)
+        chain *= slope1[self._shared]
+        return super()._gradient(slope0, slope1) + chain.dot(self._weight2[self._shared])

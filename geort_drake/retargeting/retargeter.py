@@ -6,28 +6,12 @@ q = retarget(p_HF)
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from geort_drake.errors import CheckpointError, UnknownNameError
 from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.human_points import HumanPoints
-
-
-class Stack(NamedTuple):
-    """G networks of one shape, a → h → h → n, whose outputs are added up; each reads a of the G·a inputs.
-
-    SiLU between the layers is evaluated as silu(2u) = u + u tanh u, so the weights and biases of layers 0
-    and 1 are half of those trained.
-    """
-
-    weight0: np.ndarray  # (G, a, h)
-    bias0: np.ndarray  # (G, h)
-    weight1: np.ndarray  # (G, h, h)
-    bias1: np.ndarray  # (G, h)
-    weight2: np.ndarray  # (G, h, n), n joints in the order of q
-    bias2: np.ndarray  # (n,)
 
 
 class Retargeter:
@@ -66,18 +50,26 @@ class Retargeter:
         self.finger_names, self.joint_names = tuple(finger_names), tuple(joint_names)
         self.lower, self.upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
         self._fingertips = HumanPoints(finger_names, human_keypoints)
-        self._stacks = self._read(arrays)
-        # What the stacks have in common, as one layer: a product costs more to call than to compute.
-        self._weight0 = _aligned(np.hstack([_block_diagonal(s.weight0) for s in self._stacks]))
-        self._bias0 = np.concatenate([s.bias0.ravel() for s in self._stacks])
-        self._bias1 = np.concatenate([s.bias1.ravel() for s in self._stacks])
-        self._weight2 = _aligned(np.vstack([np.vstack(list(s.weight2)) for s in self._stacks]))
-        self._bias2 = sum(s.bias2 for s in self._stacks)
-        ends = np.cumsum([0, *(s.bias0.size for s in self._stacks)])
-        self._layer1 = [
-            (slice(start, end), len(s.weight1), s.weight1)
-            for start, end, s in zip(ends[:-1].tolist(), ends[1:].tolist(), self._stacks, strict=True)
-        ]
+        fingers = len(self.finger_names)
+        hidden = _array(arrays, "weight0", (fingers, 3, -1)).shape[2]
+        outputs = fingers * _array(arrays, "weight2", (fingers, hidden, -1)).shape[2]
+        self._columns = _array(arrays, "columns", (len(self.joint_names),))
+        if len(set(self._columns.tolist())) != self._columns.size or not (
+            0 <= self._columns.min() and self._columns.max() < outputs
+        ):
+            raise CheckpointError(
+                f"weights: columns must be {self._columns.size} different numbers below {outputs}"
+            )
+        # The fingers' first and last layers are one layer each, whose zeros cost less than a stack of
+        # products; between them the zeros would be too many. Layers 0 and 1 are halved for `_silu`.
+        self._own, self._apart = slice(0, fingers * hidden), (fingers, 1, hidden)
+        self._finger_weight0 = 0.5 * arrays["weight0"]
+        self._weight0 = _aligned(_block_diagonal(self._finger_weight0))
+        self._bias0 = 0.5 * _array(arrays, "bias0", (fingers, 1, hidden)).ravel()
+        self._weight1 = _aligned(0.5 * _array(arrays, "weight1", (fingers, hidden, hidden)))
+        self._bias1 = 0.5 * _array(arrays, "bias1", (fingers, 1, hidden)).ravel()
+        self._weight2 = _aligned(_block_diagonal(arrays["weight2"])[:, self._columns])
+        self._bias2 = _array(arrays, "bias2", (fingers, 1, outputs // fingers)).ravel()[self._columns]
         self._centre = 0.5 * (self.lower + self.upper)
         # Rounding must not carry a saturated output past its limit.
         self._half_range = 0.5 * (self.upper - self.lower) * (1.0 - 1e-12)
@@ -97,10 +89,12 @@ class Retargeter:
             GeortError: a coordinate is not finite.
         """
         p_HF = self._fingertips(points)
-        x = p_HF.reshape(-1) if p_HF.ndim == 2 else p_HF.reshape(len(p_HF), -1)
+        x = p_HF.reshape(-1) if p_HF.ndim == 2 else p_HF.reshape(-1, len(self._weight0))
         u = x.dot(self._weight0)
         u += self._bias0
-        u = self._between(_silu(u))
+        h = _silu(u)
+        self._between(h, u)
+        u += self._bias1
         q = _silu(u).dot(self._weight2)
         q += self._bias2
         np.tanh(q, q)
@@ -129,16 +123,13 @@ class Retargeter:
         u = x.dot(self._weight0)
         u += self._bias0
         h, slope0 = _silu_and_slope(u)
-        h, slope1 = _silu_and_slope(self._between(h))
+        self._between(h, u)
+        u += self._bias1
+        h, slope1 = _silu_and_slope(u)
         y = h.dot(self._weight2)
         y += self._bias2
         np.tanh(y, y)
-        J = np.zeros((x.size, y.size))
-        for (units, count, weight1), stack in zip(self._layer1, self._stacks, strict=True):
-            # Forward through the layers, because a network has fewer inputs than the hand has joints.
-            chain = (stack.weight0 * slope0[units].reshape(count, 1, -1)) @ weight1
-            chain *= slope1[units].reshape(count, 1, -1)
-            J += (chain @ stack.weight2).reshape(J.shape)
+        J = self._gradient(slope0, slope1)
         J *= self._half_range - self._half_range * y * y
         y *= self._half_range
         y += self._centre
@@ -148,49 +139,22 @@ class Retargeter:
         """∂q/∂p_HF (n, F, 3) in rad/m of one hand (F, 3) or (21, 3); see `value_and_jacobian`."""
         return self.value_and_jacobian(points)[1]
 
-    def _read(self, arrays: Mapping[str, np.ndarray]) -> list[Stack]:
-        """The networks that `arrays` describe, checked."""
-        fingers = len(self.finger_names)
-        hidden = _array(arrays, "weight0", (fingers, 3, -1)).shape[2]
-        _array(arrays, "bias0", (fingers, 1, hidden))
-        _array(arrays, "weight1", (fingers, hidden, hidden))
-        _array(arrays, "bias1", (fingers, 1, hidden))
-        k = _array(arrays, "weight2", (fingers, hidden, -1)).shape[2]
-        _array(arrays, "bias2", (fingers, 1, k))
-        columns = self._columns(arrays, fingers * k)
-        weight2 = _block_diagonal(arrays["weight2"])[:, columns].reshape(fingers, hidden, -1)
-        return [
-            Stack(
-                0.5 * arrays["weight0"], 0.5 * arrays["bias0"][:, 0],
-                _aligned(0.5 * arrays["weight1"]), 0.5 * arrays["bias1"][:, 0],
-                weight2, arrays["bias2"].ravel()[columns],
-            )
-        ]  # fmt: skip
+    def _between(self, h: np.ndarray, u: np.ndarray) -> None:
+        """Layer 1 without its bias, of h (H,) or (N, H) into u of the same shape: fingers do not mix."""
+        if h.ndim == 1:
+            np.matmul(h[self._own].reshape(self._apart), self._weight1, u[self._own].reshape(self._apart))
+        else:
+            apart = (-1, len(self._weight1), self._weight1.shape[1])
+            into = u[:, self._own].reshape(apart).swapaxes(0, 1)
+            np.matmul(h[:, self._own].reshape(apart).swapaxes(0, 1), self._weight1, out=into)
 
-    def _columns(self, arrays: Mapping[str, np.ndarray], outputs: int) -> np.ndarray:
-        """Which of the networks' outputs are the joints of q, (n,)."""
-        joints = len(self.joint_names)
-        columns = _array(arrays, "columns", (joints,))
-        if len(set(columns.tolist())) != joints or not (0 <= columns.min() and columns.max() < outputs):
-            raise CheckpointError(f"weights: columns must be {joints} different numbers below {outputs}")
-        return columns
-
-    def _between(self, h: np.ndarray) -> np.ndarray:
-        """Layer 1, where the networks do not see each other: (H,) → (H,) or (N, H) → (N, H)."""
-        u = np.empty(h.shape)
-        for units, count, weight in self._layer1:
-            if h.ndim == 2:
-                networks = (len(h), count, -1)
-                into = u[:, units].reshape(networks).swapaxes(0, 1)
-                np.matmul(h[:, units].reshape(networks).swapaxes(0, 1), weight, out=into)
-            elif count > 1:
-                networks = (count, 1, -1)
-                np.matmul(h[units].reshape(networks), weight, u[units].reshape(networks))
-            else:
-                # For one vector and one matrix, dot has less overhead than matmul.
-                np.dot(h[units], weight[0], u[units])
-        u += self._bias1
-        return u
+    def _gradient(self, slope0: np.ndarray, slope1: np.ndarray) -> np.ndarray:
+        """Derivative (3F, n) of what goes into the tanh, for the slopes (H,) of the activations."""
+        # Forward through the layers, because a finger has fewer coordinates than joints.
+        chain = (self._finger_weight0 * slope0[self._own].reshape(self._apart)) @ self._weight1
+        chain *= slope1[self._own].reshape(self._apart)
+        weight2 = self._weight2[self._own].reshape(*self._weight1.shape[:2], -1)
+        return (chain @ weight2).reshape(len(self._weight0), -1)
 
 
 def load_retargeter(path: str | os.PathLike, hand=None) -> Retargeter:
@@ -237,7 +201,7 @@ METHODS: dict[str, Callable[..., Retargeter]] = {
 
 
 def _silu(u: np.ndarray) -> np.ndarray:
-    """silu(2u), which overflows nowhere."""
+    """silu(2u) = u + u tanh u, which overflows nowhere."""
     h = np.tanh(u)
     h *= u
     h += u
