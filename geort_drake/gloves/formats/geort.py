@@ -19,14 +19,12 @@ _MOVED_M = 1e-3
 def recognizes(contents: Any) -> bool:
     """Whether the array holds hands in their wrist frame, of either side."""
     data = contents["data"]
-    if data.shape[1:] != (KEYPOINT_COUNT, 3) or data.dtype.kind not in "fiu":
-        return False
-    return min(_moved(data), _moved(mirrored(data))) < _MOVED_M
+    return data.shape[1:] == (KEYPOINT_COUNT, 3) and data.dtype.kind in "fiu" and _moved(data) < _MOVED_M
 
 
 def read(name: str, contents: Any, side: str) -> Tracks:
     p_HK = numbers(name, "array", contents["data"], (KEYPOINT_COUNT, 3))
-    moved = _moved(mirrored(p_HK) if side == "left" else p_HK)
+    moved = _moved(p_HK)
     findings = []
     if moved > _MOVED_M:
         findings.append(
@@ -41,7 +39,10 @@ def read(name: str, contents: Any, side: str) -> Tracks:
 
 
 def _moved(p: np.ndarray) -> float:
-    """How far keypoints are from the wrist frame, relative to a palm of 0.1, in whatever unit."""
-    palm = np.nanmedian(np.linalg.norm(p[:, 9] - p[:, 0], axis=-1)) if len(p) else np.nan
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return float(np.nanmax(np.abs(to_wrist_frame(p) - p), initial=0.0) * 0.1 / palm)
+    """How far keypoints are from the wrist frame of either side, relative to a palm of 0.1, in any unit."""
+    known = p[np.isfinite(p).all(axis=(1, 2))]
+    if not len(known):
+        return np.inf
+    palm = max(float(np.median(np.linalg.norm(known[:, 9] - known[:, 0], axis=-1))), 1e-12)
+    off = min(np.nanmax(np.abs(to_wrist_frame(q) - q), initial=0.0) for q in (known, mirrored(known)))
+    return float(off * 0.1 / palm)

@@ -1,0 +1,140 @@
+"""Every format is read: files written by its documentation come back as the hand they were written from."""
+
+import pickle
+
+import numpy as np
+import pytest
+from glove_files import (
+    FRAMES,
+    NAMES,
+    TIMED,
+    WRITERS,
+    moving,
+    random_hand,
+    write_dex_retargeting,
+    write_manus_csv,
+)
+from scipy.spatial.transform import Rotation
+
+from geort_drake.errors import RecordingError, UnknownNameError
+from geort_drake.gloves.formats import FORMATS
+from geort_drake.gloves.health import examine
+from geort_drake.gloves.health.findings import Severity
+from geort_drake.gloves.readers import ASSUMED_RATE_HZ, open_recording, read_recording
+
+# Files that hold the wrist's pose in the world.
+POSED = set(WRITERS) - {"geort", "mediapipe", "mediapipe_npy", "mano_npy", "dex_retargeting"}
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize("written", WRITERS)
+def test_a_file_gives_back_the_hand_it_was_written_from(tmp_path, written, side):
+    """Keypoints in H to 1e-6 m, times, the wrist's pose, and the format, which is told without a hint."""
+    for seed in range(2):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        hand = random_hand(seed, side)
+        recording, _ = open_recording(WRITERS[written](folder, hand), side)
+        np.testing.assert_allclose(recording.p_HK, hand.p_HK, atol=1e-6)
+        assert recording.valid.all()
+        assert recording.side == side
+        assert recording.metadata.get("format", "geort_drake") == NAMES[written]
+        wanted = hand.t if written in TIMED else np.arange(len(hand.t)) / ASSUMED_RATE_HZ
+        np.testing.assert_allclose(recording.t, wanted, atol=1e-6)
+        assert recording.metadata.get("rate_known", True) == (written in TIMED)
+        assert (recording.X_WH is not None) == (written in POSED)
+        if written in POSED and side == "right":
+            np.testing.assert_allclose(recording.X_WH[:, 4:], hand.p_WH, atol=1e-6)
+            R_WH = Rotation.from_quat(recording.X_WH[:, :4], scalar_first=True).as_matrix()
+            np.testing.assert_allclose(R_WH, hand.R_WH, atol=1e-5)
+
+
+@pytest.mark.parametrize("written", WRITERS)
+def test_a_sound_file_has_nothing_to_complain_of(tmp_path, written):
+    """The moving hand is found sound in every format, but for missing times where the format has none."""
+    recording, findings = open_recording(WRITERS[written](tmp_path, moving()))
+    findings += examine(recording)[1]
+    assert [finding.check for finding in findings] == ([] if written in TIMED else ["timestamps"])
+
+
+def test_the_named_format_reads_the_same_as_the_one_detected(tmp_path):
+    """Naming the format changes nothing; naming another says what it wanted."""
+    path = WRITERS["openxr"](tmp_path, moving())
+    assert read_recording(path, format="openxr").digest == read_recording(path).digest
+    with pytest.raises(RecordingError, match=r"a raw MANUS file holds data, timestamps; not joints, t, hand"):
+        open_recording(path, format="manus")
+    with pytest.raises(RecordingError, match=r"'manus_csv' is read from \.csv, not '\.npz'"):
+        open_recording(path, format="manus_csv")
+    with pytest.raises(UnknownNameError, match="unknown format 'leap'; choose one of: auto, dex_retargeting"):
+        open_recording(path, format="leap")
+
+
+def test_every_format_documents_itself():
+    """Each format's module says its source."""
+    for name in FORMATS:
+        module = "own" if name == "geort_drake" else name
+        text = __import__(f"geort_drake.gloves.formats.{module}", fromlist=[module]).__doc__
+        assert "Source: " in text, name
+
+
+@pytest.mark.parametrize("unit", ["cm", "mm"])
+def test_a_stated_unit_is_converted(tmp_path, unit):
+    """A CSV in another unit is refused with the unit it seems to have, and read with it."""
+    hand, scale = moving(), {"cm": 100.0, "mm": 1000.0}[unit]
+    scaled = type(hand)(scale * hand.p_HK, hand.t, hand.R_WH, scale * hand.p_WH)
+    path = write_manus_csv(tmp_path, scaled, delimiter=";")
+    with pytest.raises(RecordingError, match=f"60 to 110 mm.*import them with --unit {unit}"):
+        read_recording(path)
+    np.testing.assert_allclose(read_recording(path, unit=unit).p_HK, hand.p_HK, atol=1e-6)
+    with pytest.raises(UnknownNameError, match="unknown unit 'feet'"):
+        read_recording(path, unit="feet")
+
+
+def test_frames_without_a_hand_are_lost_and_nothing_else(tmp_path):
+    """None among dex-retargeting's frames marks them invalid."""
+    frames = list(moving().p_HK)
+    frames[7] = frames[8] = None
+    recording = read_recording(write_dex_retargeting(tmp_path, moving(), frames))
+    assert np.flatnonzero(~recording.valid).tolist() == [7, 8]
+    assert len(recording) == FRAMES
+
+
+class Harmful:
+    """What a malicious pickle looks like: unpickling it would write a file."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return open, (str(self.path), "w")
+
+
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+def test_pickles_of_every_protocol_are_read_without_running_anything(tmp_path, protocol):
+    """Plain data is read whichever way it was pickled; what asks for a function is refused by its name."""
+    plain = {"a": [np.arange(6.0).reshape(2, 3), np.float32(2.5), None, "ä", b"\x80"], "b": (1, {2}, True)}
+    path = tmp_path / "x.pkl"
+    path.write_bytes(pickle.dumps(plain, protocol))
+    from geort_drake.gloves.formats.unpickling import load_plain
+
+    if protocol >= 4:  # older ones name the builtin set
+        loaded = load_plain(path)
+        np.testing.assert_array_equal(loaded["a"][0], plain["a"][0])
+        assert loaded["a"][1:] == plain["a"][1:]
+        assert loaded["b"] == plain["b"]
+    path.write_bytes(pickle.dumps([plain["a"][0], Harmful(tmp_path / "harm")], protocol))
+    with pytest.raises(RecordingError, match=r"x\.pkl: the pickle asks for .*open, which could run code"):
+        load_plain(path)
+    assert not (tmp_path / "harm").exists()
+
+
+def test_real_recordings_are_sound(alex_npy, manus_npz):
+    """Of two people's recordings one is sound; the other has what is known of it, and no error."""
+    for path, checks in (
+        (manus_npz, []),
+        (alex_npy, ["timestamps", "duplicated frames", "jumps", "pinches"]),
+    ):
+        recording, findings = open_recording(path)
+        findings += examine(recording)[1]
+        assert [finding.check for finding in findings] == checks
+        assert all(finding.severity is Severity.WARNING for finding in findings)
