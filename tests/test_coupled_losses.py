@@ -13,9 +13,9 @@ def normal(*shape, seed=0):
 
 
 def test_coverage_is_half_at_its_radius_and_bounded():
-    """d² / (d² + c²) is 0 at d = 0, ½ at d = c and never above 1."""
+    """d⁴ / (d⁴ + c⁴) is 0 at d = 0, ½ at d = c and never above 1."""
     targets = torch.zeros(1, 3)
-    for distance, wanted in ((0.0, 0.0), (0.01, 0.5), (0.03, 0.9), (1e3, 1.0)):
+    for distance, wanted in ((0.0, 0.0), (0.01, 0.5), (0.03, 81 / 82), (1e3, 1.0)):
         points = torch.tensor([[distance, 0.0, 0.0]])
         assert float(losses.bounded_coverage_loss(points, targets, 0.01)) == pytest.approx(wanted, abs=1e-6)
 

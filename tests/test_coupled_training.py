@@ -218,3 +218,15 @@ def test_context_coverage_is_optional(hand, human):
     """Its weight at zero leaves it out."""
     assert quick(hand, human, steps=30, context_weight=0.0).history[-1]["context"] == 0.0
     assert quick(hand, human, steps=30).history[-1]["context"] > 0.0
+
+
+def test_one_fingers_angles_are_those_of_the_whole_map(hand, rng):
+    """`of_finger` saves the other fingers' networks, and gives that finger's joints alike."""
+    hand = shuffled(hand)
+    network = network_of(hand)
+    tips = torch.tensor(rng.normal(0.03, 0.05, (20, 3, 3))).float()
+    with torch.no_grad():
+        whole = network(tips)
+        for number, finger in enumerate(hand.fingers):
+            joints = list(finger.joint_indices)
+            torch.testing.assert_close(network.of_finger(number, tips)[:, joints], whole[:, joints])

@@ -154,15 +154,15 @@ def test_the_collision_gradient_is_the_probability_of_colliding():
     torch.testing.assert_close(gradient(criteria.collision_loss, z), torch.sigmoid(z) / 3)
 
 
-def test_bounded_coverage_pulls_hardest_at_its_radius_over_root_three():
-    """There by 3√3 / 8c, and beyond less and less: 2c² / d³ in the limit."""
+def test_bounded_coverage_pulls_hardest_just_within_its_radius():
+    """At 0.88 c by 1.065 / c, and beyond less and less: 4c⁴ / d⁵ in the limit."""
     c = 0.01
     d = torch.linspace(1e-4, 0.2, 20_000, dtype=torch.float64)
     points = torch.stack([d, 0 * d, 0 * d], dim=1)
     slope = len(d) * gradient(lambda p: coupled_losses.bounded_coverage_loss(p, 0 * p, c), points)[:, 0]
-    assert float(d[slope.argmax()]) == pytest.approx(c / math.sqrt(3), abs=1e-5)
-    assert float(slope.max()) == pytest.approx(3 * math.sqrt(3) / (8 * c), rel=1e-6)
-    assert float(slope[-1]) == pytest.approx(2 * c**2 / 0.2**3, rel=0.01)
+    assert float(d[slope.argmax()]) == pytest.approx(0.6**0.25 * c, abs=1e-5)
+    assert float(slope.max()) == pytest.approx(25 / 16 * 0.6**0.75 / c, rel=1e-5)
+    assert float(slope[-1]) == pytest.approx(4 * c**4 / 0.2**5, rel=0.01)
 
 
 def test_the_pinch_distance_loss_pulls_evenly_from_afar():

@@ -104,10 +104,7 @@ class CollisionGaps:
         with torch.no_grad():
             reach = self._reach[a] + self._reach[b] + margin
             row, pair = torch.nonzero((p[:, a] - p[:, b]).square().sum(-1) < reach**2, as_tuple=True)
-        a, b = a[pair], b[pair]
-        R_A, R_B, p_AB = R[row, a], R[row, b], p[row, b] - p[row, a]
-        gap = box_gap(R_A, R_B, p_AB, self._half[a], self._half[b])
-        return row, pair, gap - self._radius[a] - self._radius[b]
+        return row, pair, self._gaps(R, p, row, pair)
 
     def least(self, q: torch.Tensor, margin: float) -> torch.Tensor:
         """(N,) the smallest gap at q (N, n), at most `margin`, m."""
@@ -121,8 +118,21 @@ class CollisionGaps:
 
     def loss(self, q: torch.Tensor, margin: float, scale: float) -> torch.Tensor:
         """Mean over q (N, n) of the sum over pairs of max(0, margin − gap) / scale; lengths in m."""
-        _, _, gap = self.near(q, margin)
-        return torch.relu(margin - gap).sum() / (scale * len(q))
+        # Few of the pairs that may touch do, and only those need to be followed by autograd.
+        with torch.no_grad():
+            row, pair, gap = self.near(q, margin)
+            rows, row = torch.unique(row[gap < margin], return_inverse=True)
+        if len(rows) == 0:
+            return 0.0 * q.sum()
+        gap = self._gaps(*self.poses(q[rows]), row, pair[gap < margin])
+        return (margin - gap).sum() / (scale * len(q))
+
+    def _gaps(self, R: torch.Tensor, p: torch.Tensor, row: torch.Tensor, pair: torch.Tensor) -> torch.Tensor:
+        """(M,) gaps of the pairs numbered `pair` at the poses of `row`, m."""
+        a, b = self.pairs[pair].T
+        R_A, R_B, p_AB = R[row, a], R[row, b], p[row, b] - p[row, a]
+        gap = box_gap(R_A, R_B, p_AB, self._half[a], self._half[b])
+        return gap - self._radius[a] - self._radius[b]
 
 
 def box_gap(

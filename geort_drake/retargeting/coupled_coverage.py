@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
-from torch import nn
 
 from geort_drake.retargeting.clouds import first_in_voxels
+from geort_drake.retargeting.coupled_network import CoupledNetwork
 from geort_drake.retargeting.kinematics import HandKinematics
 
 CONTEXTS = 12  # recorded hands with nearly the same fingertip; their other fingers differ
@@ -49,14 +49,14 @@ class CoverageTargets:
             self._contexts.append(torch.tensor(alike.reshape(len(first), -1)))
         self._means: list[torch.Tensor] = []
 
-    def nearest(self, network: nn.Module, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+    def nearest(self, network: CoupledNetwork, count: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Voxels (F, count, 3) in B, m, and the rows (F, count) of the frames that come nearest to them."""
         with torch.no_grad():
             p_BF = self._kinematics.fingertips(network(self._frames[self._rows]))
         targets, rows = self._search(p_BF.unbind(1), count)
         return targets, self._rows[rows]
 
-    def nearest_in_context(self, network: nn.Module, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+    def nearest_in_context(self, network: CoupledNetwork, count: int) -> tuple[torch.Tensor, torch.Tensor]:
         """The same, nearest on average over what the other fingers may be doing.
 
         Returns:
@@ -66,7 +66,7 @@ class CoverageTargets:
         for i, anchors in enumerate(self._anchors):
             hands = self._in_contexts(i, torch.arange(len(anchors)))
             with torch.no_grad():
-                tips = self._fingers[i].fingertips(network(hands.flatten(0, 1)))
+                tips = self._fingers[i].fingertips(network.of_finger(i, hands.flatten(0, 1)))
             mean = tips.reshape(len(anchors), AVERAGED, 3).mean(1)
             # Few contexts at a time make a noisy mean, so that of earlier searches is remembered.
             if len(self._means) == i:

@@ -9,14 +9,14 @@ import torch
 
 
 def bounded_coverage_loss(points: torch.Tensor, targets: torch.Tensor, radius: float) -> torch.Tensor:
-    """E d² / (d² + c²): 0 where every target is reached, and at most 1 however far away it is.
+    """E d⁴ / (d⁴ + c⁴): little where a target is reached within c, and at most 1 however far away it is.
 
     Args:
         points, targets: (..., 3) a place of the robot's space and the point that is nearest to it.
         radius: c, the distance at which a target counts half.
     """
-    square = (points - targets).square().sum(-1)
-    return (square / (square + radius**2)).mean()
+    fourth = ((points - targets) / radius).square().sum(-1).square()
+    return (fourth / (fourth + 1.0)).mean()
 
 
 def cross_talk_loss(answers: torch.Tensor, floor: float = 1e-4) -> torch.Tensor:

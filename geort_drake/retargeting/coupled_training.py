@@ -8,29 +8,28 @@ import torch
 
 from geort_drake.errors import TrainingError
 from geort_drake.retargeting import coupled_losses as losses
-from geort_drake.retargeting.clouds import first_in_voxels, voxel_centres
+from geort_drake.retargeting.clouds import voxel_centres
 from geort_drake.retargeting.collision_geometry import CollisionGaps, CollisionShapes
 from geort_drake.retargeting.coupled_coverage import AVERAGED, CoverageTargets
+from geort_drake.retargeting.coupled_hands import STEP_RANGE, TrainingHands
 from geort_drake.retargeting.coupled_network import CoupledNetwork
-from geort_drake.retargeting.criteria import direction_loss, pinch_weights
+from geort_drake.retargeting.criteria import direction_loss
 from geort_drake.retargeting.descent import Report, descend, device_of, one_thread
-from geort_drake.retargeting.human_data import HumanData
 from geort_drake.retargeting.kinematics import HandKinematics
 from geort_drake.retargeting.pretraining import RobotSamples, check_robot_samples
 from geort_drake.retargeting.soap import Soap
 from geort_drake.retargeting.training import TrainingConfig, TrainingResult
 
 TIP_MARGIN = 0.002  # m; apart fingertips are kept this far from touching
-ACTIVE_FRAMES = 2000  # how many frames that nearly collide are remembered
-STEP_LAGS = (1, 2, 3, 4)  # frames
-STEP_RANGE = (0.001, 0.03)  # m; shorter real steps are noise, longer ones gaps in the recording
+CROWDED = 1000  # how many hands are looked through for near collisions at a time
+REMEMBERED = 2000  # how many of those that nearly collided are kept
 
 
 @dataclass(frozen=True)
 class CoupledConfig(TrainingConfig):
     """Settings of `train_coupled`. Weights are of ratios; `length_unit` and the classifier's are unused."""
 
-    steps: int = 5000
+    steps: int = 5500
     learning_rate: float = 0.02  # of SOAP, falls to zero along half a cosine
     points: int = 40  # real frames per finger and step at which that finger is moved
     targets: int = 48  # robot voxels per finger and step
@@ -40,27 +39,35 @@ class CoupledConfig(TrainingConfig):
     collisions: int = 48  # frames per step whose collisions are computed
     hidden: int = 64
     residual_hidden: int = 96
-    direction_weight: float = 2.2
-    track_weight: float = 5.6
-    coverage_weight: float = 1.65
-    context_weight: float = 1.65
-    cross_talk_weight: float = 2.25
-    flatness_weight: float = 0.42
-    response_weight: float = 0.45
-    pinch_weight: float = 0.7
+    direction_weight: float = 2.3
+    track_weight: float = 6.0
+    coverage_weight: float = 1.35
+    context_weight: float = 1.5
+    cross_talk_weight: float = 2.8
+    flatness_weight: float = 0.5
+    response_weight: float = 0.6
+    pinch_weight: float = 1.1
     false_pinch_weight: float = 0.3
     collision_weight: float = 0.2
     coverage_radius: float = 0.010  # m
     response_band: float = 0.6  # of log gain around its median
-    pinch_wanted: float = 0.012  # m; between a touch (two tip radii) and fingertips in one place
+    pinch_wanted: float = 0.010  # m; between a touch (two tip radii) and fingertips in one place
     pinch_scale: float = 0.008  # m
     pinch_reach: float = 0.030  # m; fingertips nearer than this are moved together to make up pinches
+    pinch_spread: float = 0.005  # m; of the points at which made-up pinches meet
+    strange_pinch_share: float = 0.7  # share of made-up pinches whose other fingers are from another instant
+    strange_hand_share: float = (
+        0.25  # share of moved hands whose other fingers are from instants of their own
+    )
+    spread: float = 0.006  # m; standard deviation by which the fingertips of some hands are displaced
+    spread_share: float = 0.2  # which part of the moved hands and of the steps that is
     jitter: float = 0.004  # m; of the frames that must not collide
     collision_margin: float = 0.001  # m
     collision_scale: float = 0.005  # m
     robot_voxel: float = 0.005
     assign_every: int = 25  # steps between searches for the frames nearest to the robot's voxels
-    weight_decay: float = 1e-2
+    weight_decay: float = 1e-2  # of the fingers' own networks
+    residual_decay: float = 0.05
     averaging: float = 0.998  # of the weights, in the second half
 
 
@@ -111,65 +118,40 @@ class _Run:
     """The state of one training run."""
 
     def __init__(self, p_HF, kinematics, samples, config: CoupledConfig, seed, device, shapes):
-        self.config, self.kinematics, self.device = config, kinematics, device
-        self.generator = torch.Generator().manual_seed(seed)
-        self._load_human(p_HF)
+        self.config, self.kinematics = config, kinematics
+        generator = torch.Generator().manual_seed(seed)
+        self.hands = TrainingHands(p_HF, kinematics.finger_names, config, generator, device)
         q = torch.tensor(np.asarray(samples.q), dtype=torch.float32, device=device)
         with torch.no_grad():
             p_BF = kinematics.fingertips(q).cpu().numpy()
         voxels = [voxel_centres(p_BF[:, i], config.robot_voxel) for i in range(p_BF.shape[1])]
         self.space = CoverageTargets(
-            self.frames, kinematics, voxels, config.human_voxel, self.generator, np.random.default_rng(seed)
+            self.hands.frames, kinematics, voxels, config.human_voxel, generator, np.random.default_rng(seed)
         )
         self.gaps = None
-        self.active = torch.zeros(0, dtype=torch.long)
+        self.crowded = self.hands.frames[:0]
         if shapes is not None and config.collision_weight > 0:
             self.gaps = CollisionGaps(kinematics, shapes, device)
             self.gaps.keep_pairs_that_meet(q[:4000], config.collision_margin)
+        mean, scale = self.hands.mean, self.hands.scale
         self.network = CoupledNetwork(
-            kinematics, self.mean, self.scale, config.hidden, config.residual_hidden, self.generator
+            kinematics, mean, scale, config.hidden, config.residual_hidden, generator
         ).to(device)
-
-    def _load_human(self, p_HF: np.ndarray) -> None:
-        config = self.config
-        human = HumanData(p_HF, self.kinematics.finger_names, config.human_voxel)
-        if config.pinch_weight > 0:
-            human.check_pinches(config.pinch_threshold)
-        self.human_points, self.pairs = human.points, human.pairs
-        self.mean, self.scale = torch.tensor(human.mean), torch.tensor(human.scale)
-        self.frames = self._tensor(human.frames)
-        # Where a finger is moved: real frames, uniform over the places that its tip visited.
-        self.anchors = [
-            torch.tensor(first_in_voxels(human.frames[:, i], config.human_voxel))
-            for i in range(len(self.mean))
-        ]
-        # Real steps of the recording, as numbers of frames in the order they were recorded.
-        p_HF = np.asarray(p_HF, dtype=float)
-        self.track = self._tensor(p_HF)
-        steps = []
-        for lag in STEP_LAGS:
-            length = np.linalg.norm(p_HF[lag:] - p_HF[:-lag], axis=-1).max(axis=1)
-            start = np.flatnonzero((length > STEP_RANGE[0]) & (length < STEP_RANGE[1]))
-            steps.append(np.stack([start, start + lag], axis=1))
-        self.steps = torch.tensor(np.concatenate(steps))
-        # Pinches.
-        self.pinch_weights = pinch_weights(
-            self.frames, self.pairs, config.pinch_threshold, config.other_pinches
-        )
-        self.pinch_rows = torch.nonzero(self.pinch_weights.sum(1).cpu() > 0)[:, 0]
-        distance = losses.pair_distances(self.frames, self.pairs)
-        self.near_rows, self.near_pair = torch.nonzero(distance.cpu() < config.pinch_reach, as_tuple=True)
 
     def train(self, report: Report | None) -> TrainingResult:
         config = self.config
-        optimiser = Soap(self.network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay)
+        # A recording holds few of the ways in which fingers combine, so what combines them decays faster.
+        groups = [
+            {"params": [*self.network.mlp.parameters()], "weight_decay": config.weight_decay},
+            {"params": [*self.network.residual.parameters()], "weight_decay": config.residual_decay},
+        ]
         descent = descend(
             self.network,
             self._losses,
             config.steps,
             config.learning_rate,
             report,
-            optimiser,
+            Soap(groups, lr=config.learning_rate),
             warm_up=50,
             clip=2.0,
             averaging=config.averaging,
@@ -179,16 +161,15 @@ class _Run:
             history=descent.history,
             timings={"training_s": descent.seconds},
             stopped_at=descent.stopped_at,
-            human_points=self.human_points,
-            pinch_frames=len(self.pinch_rows),
+            human_points=self.hands.points,
+            pinch_frames=self.hands.pinch_frames,
         )
 
     def _assign(self, progress: float) -> bool:
         """Chooses voxels for the coming steps, and who should reach them; False if the map is not finite."""
         config = self.config
-        some = torch.randint(len(self.frames), (2000,), generator=self.generator)
         with torch.no_grad():
-            q = self.network(self.frames[some])
+            q = self.network(hands := self._candidates())
         if not torch.isfinite(q).all():
             return False
         self.targets, self.nearest = self.space.nearest(self.network, config.targets * config.assign_every)
@@ -197,11 +178,18 @@ class _Run:
                 self.network, config.context_targets * config.assign_every
             )
         if self.gaps is not None and progress >= 0.1:
-            # The active set: frames in which something was about to touch lately.
+            # The active set: hands in which something was about to touch lately.
             least = self.gaps.least(q, 3 * config.collision_margin)
-            touching = some[(least < 2 * config.collision_margin).cpu()]
-            self.active = torch.cat([touching, self.active])[:ACTIVE_FRAMES]
+            touching = hands[least < 2 * config.collision_margin]
+            self.crowded = torch.cat([touching, self.crowded])[:REMEMBERED]
         return True
+
+    def _candidates(self) -> torch.Tensor:
+        """Hands in which something may touch: recorded ones, pinches and fingers put together."""
+        pinches, _ = self.hands.made_up_pinches(CROWDED // 8)
+        return torch.cat(
+            [self.hands.recorded(3 * CROWDED // 4), pinches, self.hands.recombined(CROWDED // 8)]
+        )
 
     def _losses(self, step: int) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
         """The weighted sum of the losses on one random batch, and each of them."""
@@ -209,12 +197,9 @@ class _Run:
         progress = step / config.steps
         if step % config.assign_every == 0 and not self._assign(progress):
             return torch.tensor(math.nan), {}
-        fingers, n = self.frames.shape[1], config.points
-        # One finger moves, at real frames drawn uniformly from the places it visited.
-        rows = torch.stack([anchors[self._draw(len(anchors), n)] for anchors in self.anchors])
-        x = self.frames[rows]
-        d = self._normal((fingers, n, 3))
-        d = d / d.norm(dim=-1, keepdim=True) * (0.001 + 0.01 * self._uniform((fingers, n, 1)))
+        frames, pairs = self.hands.frames, self.hands.pairs
+        fingers, n = frames.shape[1], config.points
+        x, d = self.hands.one_moved(n)
         ahead, behind = x.clone(), x.clone()
         each = torch.arange(fingers)
         ahead[each, :, each] += d
@@ -228,12 +213,11 @@ class _Run:
             window = slice(start, start + config.context_targets)
             context_targets, hands = self.context_targets[:, window], self.context_hands[:, window]
         else:
-            context_targets, hands = targets[:, :0], self.frames[:0].reshape(fingers, 0, AVERAGED, fingers, 3)
-        pair = self.steps[self._draw(len(self.steps), config.frames)]
-        before, after = self.track[pair[:, 0]], self.track[pair[:, 1]]
-        pinching, weights = self._pinches()
-        parts = [x.flatten(0, 1), ahead.flatten(0, 1), behind.flatten(0, 1), self.frames[cover].flatten(0, 1)]
-        parts += [before, after, pinching, hands.flatten(0, 2), self._crowded()]
+            context_targets, hands = targets[:, :0], frames[:0].reshape(fingers, 0, AVERAGED, fingers, 3)
+        before, after = self.hands.steps(config.frames)
+        pinching, weights = self.hands.pinches(config.pinches)
+        parts = [x.flatten(0, 1), ahead.flatten(0, 1), behind.flatten(0, 1), frames[cover].flatten(0, 1)]
+        parts += [before, after, pinching, hands.flatten(0, 2), self._crowd()]
         q = self.network(torch.cat(parts)).split([len(part) for part in parts])
         p_BF = self.kinematics.fingertips(torch.cat(q[:-1])).split([len(part) for part in parts[:-1]])
         g_x, g_ahead, g_behind = (p.reshape(fingers, n, fingers, 3) for p in p_BF[:3])
@@ -242,8 +226,8 @@ class _Run:
         averaged = p_BF[7].reshape(fingers, -1, AVERAGED, fingers, 3)[each, :, :, each].mean(2)
         step_d, step_answer = after - before, p_BF[5] - p_BF[4]
         long = step_d.norm(dim=-1) > STEP_RANGE[0]
-        human_apart = losses.pair_distances(torch.cat([after, pinching]), self.pairs)
-        robot_apart = losses.pair_distances(torch.cat([p_BF[5], p_BF[6]]), self.pairs)
+        human_apart = losses.pair_distances(torch.cat([after, pinching]), pairs)
+        robot_apart = losses.pair_distances(torch.cat([p_BF[5], p_BF[6]]), pairs)
         tips = 2 * self.kinematics.tip_radius
         zero = q[0].new_zeros(())
         row = {
@@ -273,40 +257,9 @@ class _Run:
         )
         return total, row
 
-    def _pinches(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Frames (N, F, 3) with pinches, real and made up, and the weights (N, P) of their pairs."""
-        config = self.config
-        real = self.pinch_rows[self._draw(len(self.pinch_rows), config.pinches)]
-        some = self._draw(len(self.near_rows), config.pinches)
-        made_up = self.frames[self.near_rows[some]].clone()
-        pair = self.near_pair[some]
-        weights = made_up.new_zeros((len(some), len(self.pairs)))
-        if len(some):
-            row = torch.arange(len(some))
-            first, second = torch.tensor(self.pairs)[pair].T
-            middle = 0.5 * (made_up[row, first] + made_up[row, second])
-            middle = middle + 0.003 * self._normal(middle.shape)
-            made_up[row, first], made_up[row, second] = middle, middle
-            weights[row, pair] = 1.0
-        return torch.cat([self.frames[real], made_up]), torch.cat([self.pinch_weights[real], weights])
-
-    def _crowded(self) -> torch.Tensor:
-        """Jittered frames, three quarters of them from those in which something nearly touches."""
+    def _crowd(self) -> torch.Tensor:
+        """Jittered hands, three quarters of them from those in which something nearly touches."""
         count = self.config.collisions if self.gaps is not None else 0
-        active = self.active[self._draw(len(self.active), 3 * count // 4)]
-        rows = torch.cat([active, self._draw(len(self.frames), count - len(active))])
-        frames = self.frames[rows]
-        return frames + self.config.jitter * self._normal(frames.shape)
-
-    def _draw(self, length: int, count: int) -> torch.Tensor:
-        """`count` numbers below `length`; none where there is nothing to draw from."""
-        return torch.randint(max(length, 1), (count if length else 0,), generator=self.generator)
-
-    def _normal(self, shape) -> torch.Tensor:
-        return torch.randn(shape, generator=self.generator).to(self.device)
-
-    def _uniform(self, shape) -> torch.Tensor:
-        return torch.rand(shape, generator=self.generator).to(self.device)
-
-    def _tensor(self, array: np.ndarray) -> torch.Tensor:
-        return torch.tensor(array, dtype=torch.float32, device=self.device)
+        active = self.crowded[self.hands.draw(len(self.crowded), 3 * count // 4)]
+        hands = torch.cat([active, self.hands.recorded(count - len(active))])
+        return hands + self.config.jitter * self.hands.normal(hands.shape)

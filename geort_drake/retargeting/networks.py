@@ -33,10 +33,11 @@ class StackedMlp(nn.Module):
                 values = torch.empty(shape).uniform_(-bound, bound, generator=generator)
                 parameters.append(nn.Parameter(values))
 
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
+    def forward(self, x: torch.Tensor, some: slice = slice(None)) -> torch.Tensor:
+        """`some`: which of the perceptrons x is for."""
         last = len(self.weights) - 1
         for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            x = torch.baddbmm(bias, x, weight)
+            x = torch.baddbmm(bias[some], x, weight[some])
             if number < last:
                 x = silu(x)
         return x

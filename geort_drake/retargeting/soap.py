@@ -5,6 +5,7 @@ along a first axis, and each finger's matrix keeps bases of its own.
 """
 
 from collections.abc import Iterable
+from typing import Any
 
 import torch
 
@@ -14,7 +15,7 @@ class Soap(torch.optim.Optimizer):
 
     def __init__(
         self,
-        parameters: Iterable[torch.Tensor],
+        parameters: Iterable[torch.Tensor] | Iterable[dict[str, Any]],
         lr: float,
         betas: tuple[float, float] = (0.9, 0.99),
         basis_beta: float = 0.95,

@@ -73,6 +73,10 @@ class TrainingConfig:
                 if value not in choices:
                     raise UnknownNameError(kind, value, choices)
                 continue
+            if item.name.endswith("_share"):
+                if not 0 <= value <= 1:
+                    raise TrainingError(f"training config: {item.name} must be from 0 to 1, it is {value}")
+                continue
             may_be_zero = item.name.endswith("_weight") or item.name in ("refreshes", "other_pinches")
             if not math.isfinite(value) or value < 0 or (value == 0 and not may_be_zero):
                 wanted = "zero or positive" if may_be_zero else "positive"

@@ -1,0 +1,139 @@
+"""Hands that `geort_coupled` is asked about while it trains: recorded ones, displaced, or put together.
+
+A recording holds a few minutes of what a person does. A map that was asked about recorded hands alone
+follows them closely and strays from the next ones, so a share of the hands is moved off the recording.
+"""
+
+import numpy as np
+import torch
+
+from geort_drake.retargeting.clouds import first_in_voxels
+from geort_drake.retargeting.coupled_losses import pair_distances
+from geort_drake.retargeting.criteria import pinch_weights
+from geort_drake.retargeting.human_data import HumanData
+
+STEP_LAGS = (1, 2, 3, 4)  # frames
+STEP_RANGE = (0.001, 0.03)  # m; shorter real steps are noise, longer ones gaps in the recording
+
+
+class TrainingHands:
+    """Draws batches of human fingertips (N, F, 3) in H, m; all draws come from one generator.
+
+    Attributes:
+        frames: (T, F, 3) real instants.
+        pairs: pairs of finger numbers that pinch.
+        mean, scale: (F, 3) of each fingertip's cloud, m.
+        points: number of places per finger name.
+        pinch_frames: how many frames hold a pinch.
+    """
+
+    def __init__(self, p_HF: np.ndarray, finger_names, config, generator: torch.Generator, device):
+        """Takes the successive fingertips (T, F, 3) of a recording, m, and a `CoupledConfig`.
+
+        Raises:
+            TrainingError: on unusable input, see `HumanData`.
+        """
+        self._config, self._generator, self._device = config, generator, device
+        human = HumanData(p_HF, finger_names, config.human_voxel)
+        if config.pinch_weight > 0:
+            human.check_pinches(config.pinch_threshold)
+        self.points, self.pairs = human.points, human.pairs
+        self.mean, self.scale = torch.tensor(human.mean), torch.tensor(human.scale)
+        self.frames = self._tensor(human.frames)
+        # Where a finger is moved: real frames, uniform over the places that its tip visited.
+        self._anchors = [
+            torch.tensor(first_in_voxels(human.frames[:, i], config.human_voxel))
+            for i in range(len(self.mean))
+        ]
+        # Real steps of the recording, as numbers of frames in the order they were recorded.
+        p_HF = np.asarray(p_HF, dtype=float)
+        self._track = self._tensor(p_HF)
+        steps = []
+        for lag in STEP_LAGS:
+            length = np.linalg.norm(p_HF[lag:] - p_HF[:-lag], axis=-1).max(axis=1)
+            start = np.flatnonzero((length > STEP_RANGE[0]) & (length < STEP_RANGE[1]))
+            steps.append(np.stack([start, start + lag], axis=1))
+        self._steps = torch.tensor(np.concatenate(steps))
+        self._weights = pinch_weights(self.frames, self.pairs, config.pinch_threshold, config.other_pinches)
+        self._pinching = torch.nonzero(self._weights.sum(1).cpu() > 0)[:, 0]
+        self.pinch_frames = len(self._pinching)
+        distance = pair_distances(self.frames, self.pairs)
+        self._near, self._near_pair = torch.nonzero(distance.cpu() < config.pinch_reach, as_tuple=True)
+
+    def recorded(self, count: int) -> torch.Tensor:
+        """(count, F, 3) real instants."""
+        return self.frames[self.draw(len(self.frames), count)]
+
+    def recombined(self, count: int) -> torch.Tensor:
+        """(count, F, 3) hands, each fingertip from an instant of its own."""
+        fingers = self.frames.shape[1]
+        rows = self.draw(len(self.frames), count * fingers).reshape(count, fingers)
+        return self.frames[rows, torch.arange(fingers)]
+
+    def one_moved(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Hands (F, count, F, 3) and displacements d (F, count, 3) of the finger of the first axis, m.
+
+        In a share of the hands the other fingers are from instants of their own.
+        """
+        fingers = self.frames.shape[1]
+        rows = torch.stack([anchors[self.draw(len(anchors), count)] for anchors in self._anchors])
+        hands = self._displaced(self.frames[rows].flatten(0, 1)).reshape(fingers, count, fingers, 3)
+        strange = int(self._config.strange_hand_share * count)
+        others = self.recombined(fingers * strange).reshape(fingers, strange, fingers, 3)
+        own = torch.eye(fingers, dtype=torch.bool, device=self._device)[:, None, :, None]
+        hands[:, :strange] = torch.where(own, hands[:, :strange], others)
+        d = self.normal((fingers, count, 3))
+        length = torch.rand((fingers, count, 1), generator=self._generator).to(self._device)
+        return hands, d / d.norm(dim=-1, keepdim=True) * (0.001 + 0.01 * length)
+
+    def steps(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Hands (count, F, 3) and the same a few frames later; none where nothing moved."""
+        pair = self._steps[self.draw(len(self._steps), count)]
+        before, after = self._track[pair[:, 0]], self._track[pair[:, 1]]
+        displaced = self._displaced(before)
+        return displaced, after + (displaced - before)
+
+    def pinches(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Up to 2 · count hands that pinch, real and made up, and the weights (N, P) of their pairs."""
+        real = self._pinching[self.draw(len(self._pinching), count)]
+        hands, weights = self.made_up_pinches(count)
+        return torch.cat([self.frames[real], hands]), torch.cat([self._weights[real], weights])
+
+    def made_up_pinches(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Hands (N, F, 3) of which a pair of fingertips was moved to one point, and weights (N, P).
+
+        The other fingers are displaced, or from another instant: the pair should meet whatever they do.
+        """
+        config = self._config
+        some = self.draw(len(self._near), count)
+        row, pair = torch.arange(len(some)), self._near_pair[some]
+        near = self.frames[self._near[some]]
+        hands = self._displaced(near)
+        strange = int(config.strange_pinch_share * len(some))
+        hands[:strange] = self.recorded(strange)
+        weights = near.new_zeros((len(some), len(self.pairs)))
+        if len(some):
+            first, second = torch.tensor(self.pairs)[pair].T
+            middle = 0.5 * (near[row, first] + near[row, second])
+            middle = middle + config.pinch_spread * self.normal(middle.shape)
+            hands[row, first], hands[row, second] = middle, middle
+            weights[row, pair] = 1.0
+        return hands, weights
+
+    def normal(self, shape) -> torch.Tensor:
+        """Standard normal numbers."""
+        return torch.randn(shape, generator=self._generator).to(self._device)
+
+    def _displaced(self, hands: torch.Tensor) -> torch.Tensor:
+        """A copy in which every fingertip of a share of the hands (N, F, 3) is displaced."""
+        config = self._config
+        which = torch.rand((len(hands), 1, 1), generator=self._generator).to(self._device)
+        offset = config.spread * self.normal(hands.shape)
+        return hands + torch.where(which < config.spread_share, offset, 0.0)
+
+    def draw(self, length: int, count: int) -> torch.Tensor:
+        """`count` numbers below `length`; none where there is nothing to draw from."""
+        return torch.randint(max(length, 1), (count if length else 0,), generator=self._generator)
+
+    def _tensor(self, array: np.ndarray) -> torch.Tensor:
+        return torch.tensor(array, dtype=torch.float32, device=self._device)
