@@ -64,7 +64,8 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         help="run the trials also with one assumption changed: delay (ms), gain (1/s), and factors on "
         "noise, stiffness and friction; a NAME alone takes its usual values, no NAME takes all",
     )
-    add("--side", default="right", choices=["left", "right"], help="side of the recorded hand (right)")
+    add("--hand", help="robot hand, by name or file of its description (the scenario's)")
+    add("--side", choices=["left", "right"], help="side of the recorded hand (the robot hand's)")
     add("--seed", type=int, default=0, help="seed of training and synthetic play (0)")
     add("--scenario_file", type=Path, help="scenarios in YAML (the package's)")
     add("--scenario_name", default="Grasp", help="which scenario of the file (Grasp)")
@@ -113,6 +114,7 @@ def run(arguments: argparse.Namespace) -> None:
     from geort_drake.evaluation.grasp_methods import names_of
     from geort_drake.evaluation.sensitivity import PARAMETERS, make_conditions, parse_values
     from geort_drake.evaluation.trial_log import TrialLog, key_of
+    from geort_drake.hands.description import load_hand
     from geort_drake.simulation.scenario import load_scenario, object_names
 
     # What is wrong with the request is found before anything is computed or written.
@@ -121,12 +123,15 @@ def run(arguments: argparse.Namespace) -> None:
     for name in objects:
         if name not in object_names():
             raise UnknownNameError("object", name, object_names())
-    scenario = load_scenario(arguments.scenario_file, arguments.scenario_name, arguments.scenario_text)
+    scenario = load_scenario(
+        arguments.scenario_file, arguments.scenario_name, arguments.scenario_text, arguments.hand
+    )
+    side = arguments.side or load_hand(scenario.hand).side
     conditions = {}
     if arguments.sensitivity is not None:
         usual = {name: parameter.values for name, parameter in PARAMETERS.items()}
         conditions = make_conditions(scenario, parse_values(arguments.sensitivity, usual))
-    recording, notes = read_person(arguments.recording, arguments.side, arguments.seed)
+    recording, notes = read_person(arguments.recording, side, arguments.seed)
     with TrialLog(arguments.output / TRIALS) as log:
         if log.torn:
             console.print("The last trial was not written to its end; it is repeated.")
@@ -170,7 +175,7 @@ def read_person(path: Path | None, side: str, seed: int):
     from geort_drake.gloves.readers import read_recording
 
     if path is None:
-        return synthesize_play(seed=seed), {"recording": None}
+        return synthesize_play(seed=seed, side=side), {"recording": None, "side": side}
     return read_recording(path, side, training=True), {"recording": str(path.resolve()), "side": side}
 
 

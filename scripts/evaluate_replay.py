@@ -34,7 +34,8 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     add("--jobs", type=int, default=os.cpu_count() or 1, help="trials at a time (the number of processors)")
     add("--backend", default="loky", choices=["loky", "ray"], help="processes here, or a Ray cluster (loky)")
     add("--output", type=Path, default=Path("runs/replay"), help="folder for the results (runs/replay)")
-    add("--side", default="right", choices=["left", "right"], help="side of the recorded hands (right)")
+    add("--hand", help="robot hand, by name or file of its description (the scenario's)")
+    add("--side", choices=["left", "right"], help="side of the recorded hands (the robot hand's)")
     add("--scenario_file", type=Path, help="scenarios in YAML (the package's)")
     add("--scenario_name", default="Grasp", help="which scenario of the file (Grasp)")
     add("--scenario_text", help="YAML merged into the scenario, for example '{retargeting: {latency: 0.01}}'")
@@ -56,8 +57,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     from geort_drake.simulation.scenario import load_scenario
 
     usual = {name: perturbation.sizes for name, perturbation in PERTURBATIONS.items()}
+    scenario = load_scenario(
+        arguments.scenario_file, arguments.scenario_name, arguments.scenario_text, arguments.hand
+    )
     replay = Replay(
-        load_scenario(arguments.scenario_file, arguments.scenario_name, arguments.scenario_text),
+        scenario,
         arguments.sessions,
         arguments.side,
         arguments.object,

@@ -27,7 +27,7 @@ DEFAULT_OBJECTS = ("cylinder", "sphere", "cube")
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     add = parser.add_argument
-    add("--hand", help="name or file of a hand description (the scenario's)")
+    add("--hand", help="robot hand, by name or file of its description (the scenario's)")
     add("--output", type=Path, default=Path("runs/grasp"), help="folder for the results (runs/grasp)")
     add("--objects", nargs="+", help=f"what to grasp ({' '.join(DEFAULT_OBJECTS)})")
     add("--trials", type=int, default=1, help="trials per object, each with its own seed (1)")
@@ -74,8 +74,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     # What is wrong with the request is found before anything is computed or written.
     if arguments.method not in METHODS:
         raise UnknownNameError("retargeting method", arguments.method, METHODS)
-    base = load_scenario(arguments.scenario_file, arguments.scenario_name, arguments.scenario_text)
-    base.hand = arguments.hand or base.hand
+    base = load_scenario(
+        arguments.scenario_file, arguments.scenario_name, arguments.scenario_text, arguments.hand
+    )
     description = load_hand(base.hand)
     side = arguments.side or description.side
     scenarios = []

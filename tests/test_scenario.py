@@ -99,6 +99,7 @@ def test_text_is_merged_over_the_file():
     assert scenario.object.position == [0.1, 0.2]
     assert scenario.object.name == "cube"
     assert scenario.arm_posture == {"panda_joint1": 0.5, "panda_joint4": -2.0}
+    assert load_scenario(SCENARIOS, "OneOfEverything", text, hand="leap_right").hand == "leap_right"
 
 
 def test_loading_leaves_the_defaults_alone():

@@ -206,6 +206,8 @@ def test_a_recording_unfit_for_training_is_refused_before_training(refused, scri
         ("--method magic", ["unknown retargeting method 'magic'", "geort"]),
         ("--method magic --retargeter @c/good", ["unknown retargeting method 'magic'", "geort"]),
         ("--scenario_text '{hand: claw}'", ["unknown hand 'claw'", "allegro_right"]),
+        ("--hand claw", ["unknown hand 'claw'", "allegro_right", "leap_right"]),
+        ("--hand allegro_left --recording @r/no_wrist.npz", ["no_wrist.npz", "right hand", "left one"]),
         ("--scenario_name Lift", ["unknown scenario", "'Lift'", "Grasp"]),
         ("--scenario_file nowhere.yaml", ["nowhere.yaml does not exist"]),
         ("--scenario_file @s/malformed.yaml", ["malformed.yaml", "no mapping of names"]),

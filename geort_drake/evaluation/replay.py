@@ -61,7 +61,7 @@ class Replay:
     Args:
         scenario: of the sessions; its ranges do not count but for the placement of a simulated session.
         sessions: files with wrist poses.
-        side: of the recorded hands.
+        side: of the recorded hands; None: the robot hand's.
         object_name: what was grasped; None: what each session says.
         retargeter: directory of a checkpoint.
         perturbations: name → sizes, in the units of `PERTURBATIONS`.
@@ -75,13 +75,14 @@ class Replay:
         self,
         scenario: Scenario,
         sessions: Sequence[Path],
-        side: str,
+        side: str | None,
         object_name: str | None,
         retargeter: Path,
         perturbations: Mapping[str, Sequence[float]],
         trials: int,
     ):
-        self.recordings = _read_sessions(sessions, side)
+        description = load_hand(scenario.hand)
+        self.recordings = _read_sessions(sessions, side or description.side)
         self.conditions = {
             condition_name(name, size): (name, size)
             for name, sizes in perturbations.items()
@@ -89,7 +90,7 @@ class Replay:
             if size > 0
         }
         self.trials = trials
-        self.hand = HandModel(load_hand(scenario.hand))
+        self.hand = HandModel(description)
         self.retarget: Retarget = load_retargeter(retargeter, self.hand)
         self.weights = sha256_of(Path(retargeter) / WEIGHTS)
         self._scenarios = {

@@ -17,6 +17,7 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.operators.config import OperatorConfig
 from geort_drake.resources import diagrams_dir, models_dir
+from geort_drake.systems.action_correction import CorrectionConfig
 from geort_drake.systems.grasp_monitor import GraspMonitorConfig
 from geort_drake.systems.wrist_to_arm import WristToArmConfig
 
@@ -50,6 +51,9 @@ class RetargetingConfig:
     # Time between updates, s, and the speed limit of the joint targets, rad/s.
     period: float = 0.01
     max_joint_speed: float = 7.0
+    # Their acceleration limit, rad/s², and the cutoff of a low-pass on them, Hz; 0 is none.
+    max_joint_acceleration: float = 700.0
+    cutoff: float = 0.0
     # How long the retargeter takes, s, rounded up to whole steps of the plant: its joint targets come so
     # much later, and it is not called again before.
     latency: float = 0.0
@@ -93,6 +97,7 @@ class Scenario:
     object: ObjectConfig = dc.field(default_factory=ObjectConfig)
     operator: OperatorConfig = dc.field(default_factory=OperatorConfig)
     retargeting: RetargetingConfig = dc.field(default_factory=RetargetingConfig)
+    correction: CorrectionConfig = dc.field(default_factory=CorrectionConfig)
     wrist_to_arm: WristToArmConfig = dc.field(default_factory=WristToArmConfig)
     monitor: GraspMonitorConfig = dc.field(default_factory=GraspMonitorConfig)
     recording: RecordingConfig = dc.field(default_factory=RecordingConfig)
@@ -109,6 +114,7 @@ class Scenario:
             "plant_config.time_step": self.plant_config.time_step,
             "retargeting.period": self.retargeting.period,
             "retargeting.max_joint_speed": self.retargeting.max_joint_speed,
+            "retargeting.max_joint_acceleration": self.retargeting.max_joint_acceleration,
             "recording.period": self.recording.period,
             "hand_stiffness_factor": self.hand_stiffness_factor,
             "object.mass_factor": self.object.mass_factor,
@@ -118,6 +124,7 @@ class Scenario:
                 raise ScenarioError(f"scenario field {name} must be positive, not {value}")
         try:
             self.operator.validate()
+            self.correction.validate()
             self.wrist_to_arm.validate()
             self.monitor.validate()
         except ValueError as error:
@@ -126,11 +133,12 @@ class Scenario:
             AddMultibodyPlant(self.plant_config, DiagramBuilder())
         except RuntimeError as error:
             raise ScenarioError(f"scenario field plant_config: {error}") from error
-        if not (math.isfinite(self.retargeting.latency) and self.retargeting.latency >= 0):
-            raise ScenarioError(
-                "scenario field retargeting.latency must be finite and not negative, not "
-                f"{self.retargeting.latency}"
-            )
+        for name in ("latency", "cutoff"):
+            value = getattr(self.retargeting, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise ScenarioError(
+                    f"scenario field retargeting.{name} must be finite and not negative, not {value}"
+                )
         if self.random_seed < 0:
             raise ScenarioError(f"scenario field random_seed must be 0 or more, not {self.random_seed}")
         if len(self.object.position) != 2 or not all(map(math.isfinite, self.object.position)):
@@ -179,11 +187,14 @@ def default_scenario_file() -> Path:
 
 
 def load_scenario(
-    file: str | os.PathLike | None = None, name: str = "Grasp", text: str | None = None
+    file: str | os.PathLike | None = None,
+    name: str = "Grasp",
+    text: str | None = None,
+    hand: str | None = None,
 ) -> Scenario:
     """Reads a scenario by name, then merges YAML `text` into it, and checks the result.
 
-    Mappings merge and lists replace, as in Drake's hardware_sim.
+    Mappings merge and lists replace, as in Drake's hardware_sim. `hand` takes the place of the scenario's.
 
     Raises:
         ScenarioError: the file is missing or malformed, or a field is unknown or wrong.
@@ -210,6 +221,7 @@ def load_scenario(
             scenario = yaml_load_typed(schema=Scenario, data=text, defaults=scenario)
     except Exception as error:  # Drake's loader raises many types; all mean the YAML is at fault
         raise ScenarioError(f"{source}: {error}") from error
+    scenario.hand = hand or scenario.hand
     scenario.validate()
     return scenario
 
