@@ -1,17 +1,29 @@
 """The scripts that make and import recordings, run as a user runs them."""
 
+import importlib.util
+import json
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib import pyplot as plt
 
+from geort_drake.errors import RecordingError
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.readers import read_recording
 from geort_drake.gloves.recording import Recording
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
+
+
+def script(name):
+    """The script as a module."""
+    spec = importlib.util.spec_from_file_location(name.removesuffix(".py"), SCRIPTS / name)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def run(script, *arguments):
@@ -50,10 +62,16 @@ def test_importing_converts_and_reports_the_hands_health(npy, tmp_path):
     """The written file equals what the reader gives, and the report names rate, fingers and verdict."""
     result = run("import_recording.py", npy, tmp_path / "hand.npz")
     assert result.returncode == 0, result.stderr
-    assert Recording.load(tmp_path / "hand.npz").digest == read_recording(npy).digest
-    assert "450 frames, 450 valid, 15.0 s at 30.0 Hz (assumed)" in result.stderr
-    assert "warning: no timestamps: 30 Hz assumed" in result.stderr
-    assert "verdict: fit for training" in result.stderr
+    saved = Recording.load(tmp_path / "hand.npz")
+    assert saved.digest == read_recording(npy).digest
+    assert saved.metadata["warnings"] == read_recording(npy).metadata["warnings"]
+    said = " ".join(result.stderr.split())
+    assert "right hand, taken for GeoRT, 21 keypoints in the wrist frame" in said
+    assert "450 frames, 450 valid, 15.0 s at 30.0 Hz (assumed); wrist: none" in said
+    assert "warning: no timestamps: 30 Hz assumed" in said
+    assert "warning: the thumb never comes within 15 mm of:" in said
+    assert result.stderr.endswith(f"verdict: usable with warnings\nsaved to {tmp_path / 'hand.npz'}\n")
+    assert result.stdout == ""
 
 
 def test_a_recording_too_short_for_training_is_imported_with_that_verdict(npy, tmp_path):
@@ -61,7 +79,7 @@ def test_a_recording_too_short_for_training_is_imported_with_that_verdict(npy, t
     np.save(tmp_path / "short.npy", np.load(npy)[:100])
     result = run("import_recording.py", tmp_path / "short.npy")
     assert result.returncode == 0, result.stderr
-    assert "verdict: fit for replay, not for training" in result.stderr
+    assert "verdict: usable with warnings; not fit for training" in result.stderr
     assert "training needs at least 300" in result.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == ["short.npy"]
 
@@ -74,6 +92,52 @@ def test_bad_input_ends_with_exit_code_2_and_one_line(npy, tmp_path):
     assert "bend backwards" in result.stderr
     assert "Traceback" not in result.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_report_is_also_given_as_json(npy, tmp_path, capsys):
+    """One object on stdout: verdict, findings with place and advice, figures; also of what is refused."""
+    main = script("import_recording.py").main
+    main([str(npy), "--json", "--rate", "60"])
+    report = json.loads(capsys.readouterr().out)
+    assert report["verdict"] in ("usable", "usable with warnings")
+    assert report["fit_for_training"] is True
+    assert (report["format"], report["side"], report["frames"], report["wrist"]) == (
+        "geort",
+        "right",
+        450,
+        "none",
+    )
+    assert report["rate_hz"] == pytest.approx(60.0)
+    assert report["rate_known"] is True
+    assert report["sha256"] == read_recording(npy, rate_hz=60.0).digest
+    assert len(report["fingers"]["index"]["bones_mm"]) == 4
+    assert {"check", "severity", "what", "where", "advice", "lost_frames"} == report["findings"][0].keys()
+    np.save(tmp_path / "mm.npy", 1e3 * np.load(npy))
+    for path, check, told in (
+        (tmp_path / "mm.npy", "unit", "millimetres"),
+        (tmp_path, "file", "no .pkl files"),
+    ):
+        with pytest.raises(RecordingError, match=told):
+            main([str(path), "--json"])
+        report = json.loads(capsys.readouterr().out)
+        assert report["verdict"] == "refused"
+        assert report["fit_for_training"] is False
+        assert report["findings"][-1]["check"] == check
+        assert told in report["findings"][-1]["what"]
+
+
+def test_the_picture_shows_both_hands_on_any_background(npy, tmp_path):
+    """A PNG with a transparent background, coloured and grey points."""
+    script("import_recording.py").main([str(npy), "--picture", str(tmp_path / "tips.png")])
+    pixels = plt.imread(tmp_path / "tips.png")
+    assert pixels.shape[2] == 4
+    assert pixels[0, 0, 3] == 0.0
+    opaque = pixels[pixels[..., 3] > 0.9][:, :3]
+    grey = np.ptp(opaque, axis=1) < 0.05
+    assert grey.any()
+    assert (~grey).any()
+    # Nothing that is to be read is nearly black or nearly white.
+    assert 0.1 < np.median(opaque[grey]) < 0.9
 
 
 @pytest.mark.parametrize("script", ["import_recording.py", "synthesize_recording.py"])
