@@ -27,6 +27,10 @@ class ScenarioError(GeortError):
     """A scenario is missing, malformed or asks for something impossible."""
 
 
+class PolicyError(GeortError):
+    """A policy that corrects commands is missing, cannot be run, or has other inputs and outputs."""
+
+
 class TrainingError(GeortError):
     """Training cannot start or had to stop."""
 

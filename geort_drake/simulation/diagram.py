@@ -31,7 +31,7 @@ from geort_drake.simulation.world import (
     scale_stiffness,
     standing_pose,
 )
-from geort_drake.systems.action_correction import ActionCorrection
+from geort_drake.systems.action_correction import make_correction
 from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.glove_replay import GloveReplay
@@ -196,6 +196,9 @@ def make_grasp_diagram(
     start = {name: plant.GetJointByName(name, hand).default_positions()[0] for name in actuated}
     step = scenario.plant_config.time_step
     latency = step * math.ceil(scenario.retargeting.latency / step - 1e-6)
+    limits = JointLimits.of_plant(
+        plant, hand, scenario.retargeting.max_joint_speed, scenario.retargeting.max_joint_acceleration
+    )
     retargeting = builder.AddNamedSystem(
         "retargeting",
         RetargetingSystem(
@@ -204,12 +207,16 @@ def make_grasp_diagram(
             actuated,
             start,
             scenario.retargeting.period,
-            JointLimits.of_plant(plant, hand, scenario.retargeting.max_joint_speed),
+            limits,
             latency,
             GloveChecks(ease_at_start=False),
+            scenario.retargeting.cutoff,
         ),
     )
-    correction = builder.AddNamedSystem("action_correction", ActionCorrection(len(actuated)))
+    correction = builder.AddNamedSystem(
+        "action_correction",
+        make_correction(scenario.correction, description, actuated, start, limits, retargeting.period),
+    )
     builder.Connect(source.GetOutputPort("keypoints"), retargeting.GetInputPort("keypoints"))
     builder.Connect(source.GetOutputPort("valid"), retargeting.GetInputPort("valid"))
     builder.Connect(retargeting.GetOutputPort("desired_state"), correction.GetInputPort("desired_state"))

@@ -1,14 +1,48 @@
 """The seam between retargeting and the hand, where a controller may correct what is asked of it."""
 
+import dataclasses as dc
+import math
+from collections.abc import Sequence
+
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
+
+from geort_drake.hands.description import HandDescription
+from geort_drake.hands.model import HandModel
+from geort_drake.systems.joint_limits import JointLimits
+
+CORRECTIONS = ("none", "guard", "policy")
+
+
+@dc.dataclass
+class CorrectionConfig:
+    """What stands between retargeting and the hand."""
+
+    # none passes commands on; guard keeps the hand clear of itself (SelfCollisionGuard); policy asks the
+    # model in `policy` (PolicyCorrection).
+    kind: str = "none"
+    # Least distance between the hand's parts that the guard allows, m.
+    clearance: float = 0.002
+    # TorchScript (.pt) or ONNX (.onnx) file of the policy.
+    policy: str = ""
+
+    def validate(self) -> None:
+        """Raises ValueError for values that cannot work."""
+        if self.kind not in CORRECTIONS:
+            raise ValueError(f"correction.kind must be one of {', '.join(CORRECTIONS)}, not '{self.kind}'")
+        if not (math.isfinite(self.clearance) and self.clearance >= 0):
+            raise ValueError(f"correction.clearance must be finite and not negative, not {self.clearance}")
+        if (self.kind == "policy") != bool(self.policy):
+            raise ValueError("correction.policy must be given with kind policy, and only then")
 
 
 class ActionCorrection(LeafSystem):
     """Passes the desired state on; a subclass overrides `correct`.
 
     It stands where DexterityGen puts its foundation controller (Yin et al. 2025, section IV): a policy
-    that sees the hand and turns coarse targets into safe, dexterous ones.
+    that sees the hand and turns coarse targets into safe, dexterous ones. `SelfCollisionGuard` and
+    `PolicyCorrection` have the same ports; what has a state of its own overrides `_calc` in place of
+    `correct`, and says in `_depends_on` what its output is made of.
 
     Input ports:
         desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.
@@ -21,11 +55,43 @@ class ActionCorrection(LeafSystem):
         super().__init__()
         self._desired = self.DeclareVectorInputPort("desired_state", 2 * num_joints)
         self._measured = self.DeclareVectorInputPort("hand_state", 2 * num_joints)
-        self.DeclareVectorOutputPort("desired_state", 2 * num_joints, self._calc)
+        self.DeclareVectorOutputPort("desired_state", 2 * num_joints, self._calc, self._depends_on())
 
     def correct(self, desired_state: np.ndarray, hand_state: np.ndarray) -> np.ndarray:
         """Returns the corrected desired state (2n,); the base class changes nothing."""
         return desired_state
 
+    def _depends_on(self) -> set:
+        """The tickets of what the output has to be computed anew for."""
+        return {self.all_sources_ticket()}
+
     def _calc(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self.correct(self._desired.Eval(context), self._measured.Eval(context)))
+
+
+def make_correction(
+    config: CorrectionConfig,
+    description: HandDescription,
+    actuated_joints: Sequence[str],
+    initial_positions: dict[str, float],
+    limits: JointLimits,
+    period: float,
+) -> ActionCorrection:
+    """The correction that `config` asks for; the arguments are those of `SelfCollisionGuard`.
+
+    Raises:
+        HandError: the guard cannot keep this hand clear; see there.
+        PolicyError: the policy cannot be run.
+    """
+    # Only here, because these modules build on this one.
+    if config.kind == "guard":
+        from geort_drake.systems.self_collision_guard import SelfCollisionGuard
+
+        hand = HandModel(description)
+        return SelfCollisionGuard(hand, actuated_joints, initial_positions, limits, period, config.clearance)
+    if config.kind == "policy":
+        from geort_drake.systems.policy_correction import PolicyCorrection, load_policy
+
+        policy = load_policy(config.policy, len(actuated_joints))
+        return PolicyCorrection(policy, actuated_joints, initial_positions, limits, period)
+    return ActionCorrection(len(actuated_joints))

@@ -75,6 +75,11 @@ class RetargetingSystem(LeafSystem):
             `actuated_joints`, which is the plant's actuator order of the hand.
         status (abstract RetargetingStatus): what was held or limited, and since when.
 
+    Attributes:
+        period: time between updates, s.
+        delay: from the keypoints to what is made of them, s: `latency`, and that of the low-pass for slow
+            motion.
+
     State: the 2n desired values last computed; the status; what is remembered of the input; and with a
     latency the 2n desired values last given out (discrete, so there is no direct feedthrough).
 
@@ -126,7 +131,7 @@ class RetargetingSystem(LeafSystem):
         self._to_plant = np.array([list(joint_names).index(name) for name in actuated_joints])
         self._trained_space = trained_space or getattr(retarget, "trained_space", None)
         self._limits = limits or self._limits_of(retarget)
-        self._period = period = max(period, latency)
+        self.period = period = max(period, latency)
         self._blend = 1.0 - math.exp(-2.0 * math.pi * cutoff * period) if cutoff > 0 else 1.0
         self.delay = latency + period * (1.0 - self._blend) / self._blend
         self._n = n = len(actuated_joints)
@@ -181,7 +186,7 @@ class RetargetingSystem(LeafSystem):
     def _update(self, context: Context, discrete_state) -> EventStatus:
         if self._busy:
             self._give_out(context, discrete_state)
-        n, period, time = self._n, self._period, context.get_time()
+        n, period, time = self._n, self.period, context.get_time()
         desired = context.get_discrete_state(0).value()
         q, v = desired[:n], desired[n:]
         memory = context.get_discrete_state(self._memory).value()

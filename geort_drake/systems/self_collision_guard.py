@@ -1,0 +1,148 @@
+"""Keeps commanded configurations of the hand clear of self-collision."""
+
+import dataclasses as dc
+from collections.abc import Sequence
+
+import numpy as np
+from pydrake.systems.framework import BasicVector, Context, EventStatus
+from scipy.optimize import nnls
+
+from geort_drake.errors import HandError
+from geort_drake.hands.clearance import HandClearance, Near
+from geort_drake.hands.model import HandModel
+from geort_drake.systems.action_correction import ActionCorrection
+from geort_drake.systems.joint_limits import JointLimits
+
+_SLACK = 2e-4  # m; a correction aims this much farther than it must
+_HEED = 2e-3  # m; and sees to it that pairs with this much more than they must have do not meet
+_CORRECTIONS = 4
+
+
+class SelfCollisionGuard(ActionCorrection):
+    """Passes on what is clear, and what is not as nearly as it can be made clear.
+
+    What comes out always was found clear: between all parts of the hand that `HandClearance` looks at, the
+    distance at the commanded positions is at least `clearance`; and it is within the joint limits and no
+    farther from the configuration before than the joints' speed allows. Where no correction is found, the
+    fingers in conflict keep their last positions, or all do. Acceleration is not limited: fingers stop at
+    once before they meet. Nothing is said about where the hand really is, nor about what lies between two
+    commanded configurations, which are at most speed · period apart.
+
+    Its ports are those of `ActionCorrection`; `hand_state` is not read.
+
+    State: the positions commanded at the last update, which are clear.
+
+    Args:
+        hand: the model of the hand.
+        actuated_joints: its joints in actuator order.
+        initial_positions: joint name → rad, the command before the first update.
+        limits: of the joints, in the order of `actuated_joints`.
+        period: time between updates, s; that of the commands.
+        clearance: m.
+
+    Raises:
+        HandError: the joints are not the hand's, its collision geometry is of a kind that cannot be dealt
+            with, or the hand is not clear at the initial positions.
+    """
+
+    def __init__(
+        self,
+        hand: HandModel,
+        actuated_joints: Sequence[str],
+        initial_positions: dict[str, float],
+        limits: JointLimits,
+        period: float = 0.01,
+        clearance: float = 0.002,
+    ):
+        if set(hand.joint_names) != set(actuated_joints):
+            raise HandError(
+                f"the hand's joints are {', '.join(sorted(hand.joint_names))}; given are "
+                f"{', '.join(sorted(actuated_joints))}"
+            )
+        super().__init__(len(actuated_joints))
+        self._to_hand = np.array([list(actuated_joints).index(name) for name in hand.joint_names])
+        self._to_plant = np.argsort(self._to_hand)
+        self._hand_clearance, self._clearance = HandClearance(hand), clearance
+        self._limits, self._period = limits, period
+        q0 = np.array([initial_positions[name] for name in actuated_joints])
+        if (near := self._near(q0)) is not None:
+            raise HandError(
+                f"the hand must start with {1e3 * clearance:g} mm between its parts; at the initial "
+                f"positions it has {1e3 * near.gap.min():.1f} mm"
+            )
+        self.DeclareDiscreteState(q0)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
+
+    def guarded(self, wanted: np.ndarray, clear: np.ndarray) -> np.ndarray:
+        """Clear positions near those wanted, (n,) each, in one step from `clear` ones; actuator order."""
+        if not np.isfinite(wanted).all():
+            return clear
+        reach = self._limits.speed * self._period
+        low = np.maximum(self._limits.lower, clear - reach)
+        high = np.minimum(self._limits.upper, clear + reach)
+        target = np.minimum(np.maximum(wanted, low), high)
+        q, near = target, self._near(target)
+        first = near
+        for _ in range(_CORRECTIONS):
+            if near is None:
+                return q
+            change = _least_change(near.gradient, self._clearance + _SLACK - near.gap)
+            if change is None:
+                break
+            q = np.minimum(np.maximum(q + change, low), high)
+            near = self._near(q)
+        if near is None:
+            return q
+        # Fingers in conflict stay, and then those that would run into them.
+        stay, near = np.zeros(len(q), dtype=bool), first
+        while near is not None:
+            meeting = near.joints[near.gap < self._clearance].any(axis=0)
+            if not (meeting & ~stay).any():
+                return clear
+            stay |= meeting
+            q = np.where(stay, clear, target)
+            near = self._near(q)
+        return q
+
+    def _near(self, q: np.ndarray) -> Near | None:
+        near = self._hand_clearance.near(q[self._to_hand], self._clearance, self._clearance + _HEED)
+        if near is None:
+            return None
+        return dc.replace(
+            near, gradient=near.gradient[:, self._to_plant], joints=near.joints[:, self._to_plant]
+        )
+
+    def _depends_on(self) -> set:
+        return {self.input_port_ticket(self._desired.get_index()), self.xd_ticket()}
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        desired = self._desired.Eval(context)
+        n = len(desired) // 2
+        clear = context.get_discrete_state(0).value()
+        q = self.guarded(desired[:n], clear)
+        if np.array_equal(q, desired[:n]):
+            output.SetFromVector(desired)
+        else:
+            output.SetFromVector(np.concatenate([q, (q - clear) / self._period]))
+
+    def _update(self, context: Context, discrete_state) -> EventStatus:
+        output = self.get_output_port().Eval(context)
+        discrete_state.get_mutable_vector(0).SetFromVector(output[: len(output) // 2])
+        return EventStatus.Succeeded()
+
+
+def _least_change(J: np.ndarray, opening: np.ndarray) -> np.ndarray | None:
+    """The shortest x (n,) with J x ≥ opening (K,), or None if there is none.
+
+    Least-distance programming by non-negative least squares: Lawson and Hanson 1974, "Solving Least
+    Squares Problems", chapter 23.
+    """
+    E = np.vstack([J.T, opening])
+    f = np.zeros(len(E))
+    f[-1] = 1.0
+    try:
+        u, _ = nnls(E, f)
+    except RuntimeError:  # it did not converge
+        return None
+    r = E @ u - f
+    return -r[:-1] / r[-1] if abs(r[-1]) > 1e-9 else None

@@ -1,0 +1,372 @@
+"""What stands between retargeting and the hand: the guard against self-collision, and a user's policy."""
+
+import subprocess
+import sys
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource
+
+from geort_drake.errors import HandError, PolicyError
+from geort_drake.hands.clearance import HandClearance
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.systems.action_correction import CorrectionConfig
+from geort_drake.systems.joint_limits import JointLimits
+from geort_drake.systems.policy_correction import PolicyCorrection, load_policy
+from geort_drake.systems.self_collision_guard import SelfCollisionGuard
+
+CLEARANCE = 0.002
+
+
+@cache
+def allegro() -> HandModel:
+    return HandModel(load_hand("allegro_right"))
+
+
+@cache
+def clearance() -> HandClearance:
+    return HandClearance(allegro())
+
+
+def plant_order() -> list[str]:
+    """The joints by number, which is not the order of the description: the thumb comes last."""
+    return sorted(allegro().joint_names, key=lambda name: int(name.split("_")[1]))
+
+
+def limits_of(hand: HandModel, joints: list[str], **limits) -> JointLimits:
+    rows = [hand.joint_names.index(name) for name in joints]
+    return JointLimits(hand.lower[rows], hand.upper[rows], **limits)
+
+
+@cache
+def guard() -> SelfCollisionGuard:
+    hand, joints = allegro(), plant_order()
+    start = dict(zip(hand.joint_names, hand.default_position, strict=True))
+    return SelfCollisionGuard(hand, joints, start, limits_of(hand, joints))
+
+
+def true_distances(q: np.ndarray) -> dict[frozenset, float]:
+    """Drake's distances under 10 mm between the pairs that the guard looks at, by pair of geometries."""
+    hand, ours = allegro(), clearance()
+    context = hand.diagram.CreateDefaultContext()
+    plant_context = hand.plant.GetMyMutableContextFromRoot(context)
+    for name, angle in zip(hand.joint_names, q, strict=True):
+        hand.plant.GetJointByName(name).set_angle(plant_context, angle)
+    query = hand.plant.get_geometry_query_input_port().Eval(plant_context)
+    watched = {frozenset((i, j)) for i, j in ours.pairs}
+    found = {
+        frozenset((pair.id_A, pair.id_B)): pair.distance
+        for pair in query.ComputeSignedDistancePairwiseClosestPoints(0.01)
+    }
+    return {pair: distance for pair, distance in found.items() if pair in watched}
+
+
+# -- clearance
+
+
+def test_gaps_are_lower_bounds_of_drakes_distances(rng):
+    """No pair is missed, no gap is larger than the distance, and few are smaller by over a millimetre."""
+    hand, ours = allegro(), clearance()
+    pairs = [frozenset(pair) for pair in ours.pairs]
+    slack = []
+    for q in rng.uniform(hand.lower, hand.upper, (20, 16)):
+        near = ours.near(q, 0.01, 0.01)
+        gaps = {} if near is None else {pairs[row]: gap for row, gap in zip(near.rows, near.gap, strict=True)}
+        for pair, distance in true_distances(q).items():
+            assert gaps[pair] < distance + 1e-6
+            if distance > 0:
+                slack.append(distance - gaps[pair])
+    assert len(slack) > 50
+    assert np.percentile(slack, 95) < 1e-3
+
+
+def test_the_gradient_opens_the_gap(rng):
+    """A step along a gap's gradient widens it by what the gradient says."""
+    hand, ours = allegro(), clearance()
+    ratios = []
+    for q in rng.uniform(hand.lower, hand.upper, (40, 16)):
+        near = ours.near(q, 0.004, 0.004)
+        if near is None:
+            continue
+        step = 1e-4 * near.gradient[0] / (near.gradient[0] @ near.gradient[0])
+        after = ours.near(q + step, 0.1, 0.1)
+        (again,) = np.flatnonzero(after.rows == near.rows[0])
+        ratios.append((after.gap[again] - near.gap[0]) / 1e-4)
+    assert len(ratios) > 10
+    # Between two edges it is approximate.
+    np.testing.assert_allclose(ratios, 1.0, atol=0.6)
+    assert np.median(np.abs(np.array(ratios) - 1.0)) < 0.02
+
+
+def test_what_is_built_close_along_a_finger_is_left_out():
+    """Palm and proximal link of a finger are 3 mm apart at rest and can never meet; thumb and palm can."""
+    inspector = allegro().scene_graph.model_inspector()
+
+    def link(geometry):
+        return inspector.GetName(inspector.GetFrameId(geometry)).split("::")[-1]
+
+    watched = {frozenset((link(i), link(j))) for i, j in clearance().pairs}
+    assert frozenset(("base_link", "link_1")) not in watched
+    assert frozenset(("base_link", "link_15")) in watched
+    assert frozenset(("link_3", "link_15")) in watched
+
+
+# -- the guard
+
+
+def test_the_guard_passes_on_what_is_clear():
+    """Bit for bit, also where a joint moves at its full speed."""
+    hand = allegro()
+    rows = [hand.joint_names.index(name) for name in plant_order()]
+    clear = hand.default_position[rows]
+    wanted = clear + 0.069
+    np.testing.assert_array_equal(guard().guarded(wanted, clear), wanted)
+
+
+def test_the_guard_keeps_random_walks_clear(rng):
+    """Wherever commands wander, what comes out is 2 mm clear, within the limits and the joints' speed."""
+    hand, system = allegro(), guard()
+    rows = [hand.joint_names.index(name) for name in plant_order()]
+    back = np.argsort(rows)
+    lower, upper = hand.lower[rows], hand.upper[rows]
+    clear = hand.default_position[rows]
+    changed = 0
+    goal = clear
+    for step in range(200):
+        if step % 20 == 0:
+            goal = rng.uniform(lower, upper)
+        wanted = goal if step % 3 else rng.uniform(lower, upper)
+        q = system.guarded(wanted, clear)
+        assert (lower <= q).all() and (q <= upper).all()
+        assert np.abs(q - clear).max() <= 7.0 * 0.01 + 1e-12
+        assert clearance().near(q[back], CLEARANCE, CLEARANCE) is None
+        if step % 20 == 0:
+            assert min(true_distances(q[back]).values(), default=1.0) >= CLEARANCE - 1e-6
+        changed += not np.array_equal(q, np.clip(wanted, clear - 0.07, clear + 0.07))
+        clear = q
+    assert changed > 25
+
+
+def test_the_guard_lets_fingertips_touch():
+    """A pinch of thumb and index is passed on, although the tips press on each other."""
+    hand, system = allegro(), guard()
+    q = pinching_position()
+    depth, *_, tips = hand.penetrations(q)[0]
+    assert tips and depth > 0
+    rows = [hand.joint_names.index(name) for name in plant_order()]
+    np.testing.assert_array_equal(system.guarded(q[rows], q[rows]), q[rows])
+
+
+@cache
+def pinching_position() -> np.ndarray:
+    """Joint positions, drawn until only the tips of thumb and index touch."""
+    hand, rng = allegro(), np.random.default_rng(5)
+    while True:
+        q = hand.default_position
+        q[:8] = rng.uniform(hand.lower[:8], hand.upper[:8])
+        p_BF = hand.fingertips(q)
+        if np.linalg.norm(p_BF[0] - p_BF[1]) < 0.023 and clearance().near(q, CLEARANCE, CLEARANCE) is None:
+            return q
+
+
+def test_the_guard_answers_nonsense_with_its_last_positions():
+    """A command that is no number is held back."""
+    hand = allegro()
+    clear = hand.default_position
+    wanted = np.full(16, 0.2)
+    wanted[3] = np.nan
+    np.testing.assert_array_equal(guard().guarded(wanted, clear), clear)
+
+
+def test_the_guard_refuses_a_start_that_is_not_clear():
+    """The message says how much is missing."""
+    hand = allegro()
+    q = np.clip(np.full(16, 1.4), hand.lower, hand.upper)
+    assert clearance().near(q, CLEARANCE, CLEARANCE) is not None
+    with pytest.raises(HandError, match=r"must start with 2 mm between its parts; .* it has -?\d+\.\d mm"):
+        SelfCollisionGuard(
+            hand, hand.joint_names, dict(zip(hand.joint_names, q, strict=True)),
+            limits_of(hand, hand.joint_names),
+        )  # fmt: skip
+    with pytest.raises(HandError, match=r"the hand's joints are joint_0"):
+        SelfCollisionGuard(hand, ["a"], {"a": 0.0}, JointLimits(np.zeros(1), np.ones(1)))
+
+
+def test_the_guard_in_a_diagram_walks_towards_a_command_and_stays_clear():
+    """From update to update; its velocities are those of its positions."""
+    hand, joints = allegro(), plant_order()
+    wanted = np.clip(np.full(16, 1.4), *(bound[[hand.joint_names.index(n) for n in joints]]
+                                         for bound in (hand.lower, hand.upper)))  # fmt: skip
+    start = dict(zip(hand.joint_names, hand.default_position, strict=True))
+    builder = DiagramBuilder()
+    system = builder.AddSystem(SelfCollisionGuard(hand, joints, start, limits_of(hand, joints)))
+    source = builder.AddSystem(ConstantVectorSource(np.concatenate([wanted, np.zeros(16)])))
+    builder.Connect(source.get_output_port(), system.GetInputPort("desired_state"))
+    simulator = Simulator(builder.Build())
+    context = system.GetMyContextFromRoot(simulator.get_context())
+    back = [joints.index(name) for name in hand.joint_names]
+    before = np.array([start[name] for name in joints])
+    for step in range(60):
+        simulator.AdvanceTo(0.01 * step + 0.005)
+        desired = system.get_output_port().Eval(context).copy()
+        q, v = desired[:16], desired[16:]
+        assert clearance().near(q[back], CLEARANCE, CLEARANCE) is None
+        if step:
+            np.testing.assert_allclose(v, (q - before) / 0.01, atol=1e-9)
+        before = q
+    assert np.abs(q - wanted).max() > 0.05  # the fist is not clear
+    assert np.abs(q - np.array([start[name] for name in joints])).max() > 0.5
+
+
+# -- policies
+
+
+class Halfway(torch.nn.Module):
+    def forward(self, hand_state: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+        return 0.5 * (hand_state[:, : target.shape[1]] + target)
+
+
+class Wild(torch.nn.Module):
+    """Far outside the limits, and no number at all where the target is negative."""
+
+    def forward(self, hand_state: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+        return torch.where(target < 0, torch.nan, 1e30 * torch.ones_like(target))
+
+
+def torchscript(folder, module) -> str:
+    path = folder / "policy.pt"
+    torch.jit.script(module).save(str(path))
+    return str(path)
+
+
+def run_policy(policy, desired, measured=(0.0, 0.0), until=0.105):
+    """Positions and velocities at each update of a policy for two joints in [-1, 1]."""
+    limits = JointLimits(np.full(2, -1.0), np.full(2, 1.0), 5.0, 200.0)
+    system = PolicyCorrection(policy, ["a", "b"], {"a": 0.0, "b": 0.0}, limits)
+    simulator = Simulator(system)
+    context = simulator.get_mutable_context()
+    system.GetInputPort("hand_state").FixValue(context, [*measured, 0.0, 0.0])
+    system.GetInputPort("desired_state").FixValue(context, [*desired, 0.0, 0.0])
+    states = []
+    for step in range(round(until / 0.01)):
+        simulator.AdvanceTo(0.01 * step + 0.005)
+        states.append(system.get_output_port().Eval(context).copy())
+    return np.array(states)
+
+
+def test_a_torchscript_policy_sees_hand_and_target(tmp_path):
+    """What it answers is commanded, once the limits let the joints get there."""
+    policy = load_policy(torchscript(tmp_path, Halfway()), 2)
+    np.testing.assert_allclose(
+        policy(np.array([0.2, 0.0, 9, 9]), np.array([0.4, 1.0])), [0.3, 0.5], atol=1e-7
+    )
+    states = run_policy(policy, (0.4, -0.2), (0.2, 0.0), until=0.3)
+    np.testing.assert_allclose(states[-1], [0.3, -0.1, 0, 0], atol=1e-7)
+
+
+def test_a_policys_answers_are_kept_finite_and_within_the_limits(tmp_path):
+    """Whatever the policy says, position, speed and acceleration stay within bounds."""
+    policy = load_policy(torchscript(tmp_path, Wild()), 2)
+    states = run_policy(policy, (0.4, 0.4), until=0.5)
+    q, v = states[:, :2], states[:, 2:]
+    assert np.abs(v).max() <= 5.0 + 1e-9 and np.abs(np.diff(v, axis=0)).max() <= 200.0 * 0.01 + 1e-9
+    np.testing.assert_allclose(q[-1], 1.0)
+    np.testing.assert_array_equal(run_policy(policy, (0.4, -0.4)), 0.0)
+
+
+def test_an_onnx_policy_runs(tmp_path):
+    """The same through ONNX Runtime, where it is installed."""
+    pytest.importorskip("onnxruntime")
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(IDENTITY_MODEL)
+    policy = load_policy(path, 2)
+    np.testing.assert_allclose(policy(np.array([1.0, 2, 3, 4]), np.array([0.1, 0.2])), [0.1, 0.2])
+    with pytest.raises(PolicyError, match="a call with a hand state"):
+        load_policy(path, 3)
+    path.write_bytes(b"no model")
+    with pytest.raises(PolicyError, match="not an ONNX model"):
+        load_policy(path, 2)
+
+
+def _field(number: int, content: bytes | int | str) -> bytes:
+    """One field of a protocol buffer."""
+    if isinstance(content, int):
+        return bytes([number << 3, content])
+    content = content.encode() if isinstance(content, str) else content
+    return bytes([number << 3 | 2, len(content)]) + content
+
+
+def _tensor(name: str, size: int) -> bytes:
+    shape = b"".join(_field(1, _field(1, d)) for d in (1, size))
+    return _field(1, name) + _field(2, _field(1, _field(1, 1) + _field(2, shape)))
+
+
+# ONNX: a graph with inputs `state` (1, 4) and `target` (1, 2) and one node, Identity, from target to output.
+IDENTITY_MODEL = (
+    _field(1, 8)
+    + _field(7, _field(1, _field(1, "target") + _field(2, "answer") + _field(4, "Identity"))
+             + _field(2, "policy") + _field(11, _tensor("state", 4)) + _field(11, _tensor("target", 2))
+             + _field(12, _tensor("answer", 2)))
+    + _field(8, _field(1, "") + _field(2, 13))
+)  # fmt: skip
+
+
+def test_policies_that_cannot_be_run_are_refused(tmp_path, monkeypatch):
+    """Each with the file's name and what was wanted."""
+    with pytest.raises(PolicyError, match="no such policy file"):
+        load_policy(tmp_path / "nothing.pt", 2)
+    other = tmp_path / "policy.pickle"
+    other.write_bytes(b"x")
+    with pytest.raises(PolicyError, match=r"ends with one of \.pt, \.pts, \.onnx"):
+        load_policy(other, 2)
+    broken = tmp_path / "broken.pt"
+    broken.write_bytes(b"x")
+    with pytest.raises(PolicyError, match="not a TorchScript file"):
+        load_policy(broken, 2)
+    path = torchscript(tmp_path, torch.nn.Linear(4, 2))
+    with pytest.raises(PolicyError, match=r"hand state \(1, 4\) and a target \(1, 2\) fails"):
+        load_policy(path, 2)
+
+    class Wide(torch.nn.Module):
+        def forward(self, hand_state: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+            return hand_state
+
+    with pytest.raises(PolicyError, match=r"must return \(1, 2\), it returns \(1, 4\)"):
+        load_policy(torchscript(tmp_path, Wide()), 2)
+    onnx = tmp_path / "policy.onnx"
+    onnx.write_bytes(IDENTITY_MODEL)
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(PolicyError, match="needs the package onnxruntime"):
+        load_policy(onnx, 2)
+
+
+def test_torch_and_onnxruntime_are_loaded_by_a_policy_alone():
+    """Neither the seam nor the guard needs them."""
+    code = (
+        "import sys, geort_drake.systems.policy_correction, geort_drake.systems.self_collision_guard; "
+        "sys.exit(len({'torch', 'onnxruntime'} & set(sys.modules)))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# -- configuration
+
+
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        (CorrectionConfig(kind="magic"), "correction.kind must be one of none, guard, policy, not 'magic'"),
+        (CorrectionConfig(kind="guard", clearance=-1.0), "correction.clearance"),
+        (CorrectionConfig(kind="policy"), "correction.policy must be given"),
+        (CorrectionConfig(policy="a.pt"), "correction.policy must be given"),
+    ],
+)
+def test_a_wrong_configuration_is_named(config, said):
+    """Each wrong field by its name."""
+    with pytest.raises(ValueError, match=said):
+        config.validate()
