@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from grasp_execution import execute
 from grasp_setup import allegro, centred_map, person_and_rest
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
@@ -14,9 +15,11 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.keypoints import mirrored
 from geort_drake.hands.description import hand_names, load_hand
+from geort_drake.hands.model import HandModel
 from geort_drake.operators.grasp_goal import GraspGoal
 from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
 from geort_drake.simulation.grasp_contacts import GRIPS, grip_contacts, palm_contact
+from geort_drake.simulation.grasp_planner import GraspPlanner
 from geort_drake.simulation.object_shape import object_shape
 from geort_drake.simulation.scenario import load_scenario
 from geort_drake.simulation.world import HAND, add_object, add_robot
@@ -155,3 +158,14 @@ def test_a_left_hands_simulation_is_the_right_ones_in_the_mirror():
     np.testing.assert_allclose(angles[1], angles[0], atol=0.02)
     # Both persons are described as right hands.
     np.testing.assert_allclose(gloves[1], gloves[0], atol=2e-3)
+
+
+@pytest.mark.parametrize("name", ["allegro_left", "leap_right"])
+def test_other_hands_hold_what_is_planned_for_them(name):
+    """Closing on the planned contacts lifts the cylinder 10 cm and keeps it, with the hand's own gains."""
+    scenario, hand = load_scenario(hand=name), HandModel(load_hand(name))
+    goal = GraspPlanner(scenario, hand.description).plan()
+    done = execute(scenario, hand, goal, squeeze=0.02)
+    assert done.height > 0.10
+    assert done.slip < 0.03
+    assert (done.force[:-1] > 0.1)[goal.touches].sum() >= 2
