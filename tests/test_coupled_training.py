@@ -220,13 +220,31 @@ def test_context_coverage_is_optional(hand, human):
     assert quick(hand, human, steps=30).history[-1]["context"] > 0.0
 
 
-def test_one_fingers_angles_are_those_of_the_whole_map(hand, rng):
-    """`of_finger` saves the other fingers' networks, and gives that finger's joints alike."""
-    hand = shuffled(hand)
+def uneven(hand) -> HandKinematics:
+    """The same hand, its index finger without the first joint."""
+    thumb, index, middle = hand.fingers
+    names = [name for name in hand.joint_names if name != index.joint_names[0]]
+    kept = [hand.joint_names.index(name) for name in names]
+    fingers = []
+    for f, first in ((thumb, 0), (index, 1), (middle, 0)):
+        joints = f.joint_names[first:]
+        indices = tuple(names.index(joint) for joint in joints)
+        fingers.append(FingerChain(f.name, joints, indices, f.X_PJ[first:], f.axes[first:], f.p_tip))
+    return HandKinematics(tuple(fingers), tuple(names), hand.lower[kept], hand.upper[kept], hand.tip_radius)
+
+
+@pytest.mark.parametrize("change", [lambda hand: hand, shuffled, uneven])
+def test_own_angles_move_a_finger_as_the_whole_map_does(hand, change, rng):
+    """For joints in any order, and for fingers of different lengths; for all fingers and for one."""
+    hand = change(hand)
     network = network_of(hand)
-    tips = torch.tensor(rng.normal(0.03, 0.05, (20, 3, 3))).float()
+    tips = torch.tensor(rng.normal(0.03, 0.05, (3, 20, 3, 3))).float()
     with torch.no_grad():
-        whole = network(tips)
-        for number, finger in enumerate(hand.fingers):
-            joints = list(finger.joint_indices)
-            torch.testing.assert_close(network.of_finger(number, tips)[:, joints], whole[:, joints])
+        own = hand.fingertips_apart(network.own_angles(tips))
+        assert own.shape == (3, 20, 3)
+        for number in range(3):
+            whole = hand.fingertips(network(tips[number]))[:, number]
+            torch.testing.assert_close(own[number], whole)
+            alone = network.own_angles(tips[number : number + 1], slice(number, number + 1))
+            finger = dataclasses.replace(hand, fingers=(hand.fingers[number],))
+            torch.testing.assert_close(finger.fingertips_apart(alone)[0], whole)

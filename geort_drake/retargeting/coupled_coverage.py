@@ -31,11 +31,11 @@ class CoverageTargets:
         kinematics: HandKinematics,
         voxels: Sequence[np.ndarray],
         human_voxel: float,
-        generator: torch.Generator,
-        rng: np.random.Generator,
+        seed: int,
     ):
         """Takes real frames (T, F, 3), m, and each finger's voxel centres (M, 3) in B, m."""
-        self._frames, self._voxels, self._generator, self._rng = frames, voxels, generator, rng
+        self._frames, self._voxels = frames, voxels
+        self._generator, self._rng = torch.Generator().manual_seed(seed), np.random.default_rng(seed)
         self._kinematics = kinematics
         self._fingers = [replace(kinematics, fingers=(finger,)) for finger in kinematics.fingers]
         tips = frames.cpu().numpy()
@@ -66,7 +66,8 @@ class CoverageTargets:
         for i, anchors in enumerate(self._anchors):
             hands = self._in_contexts(i, torch.arange(len(anchors)))
             with torch.no_grad():
-                tips = self._fingers[i].fingertips(network.of_finger(i, hands.flatten(0, 1)))
+                angles = network.own_angles(hands.flatten(0, 1)[None], slice(i, i + 1))
+                tips = self._fingers[i].fingertips_apart(angles)
             mean = tips.reshape(len(anchors), AVERAGED, 3).mean(1)
             # Few contexts at a time make a noisy mean, so that of earlier searches is remembered.
             if len(self._means) == i:

@@ -14,6 +14,9 @@ class CoupledNetwork(RetargetingNetwork):
     The residual starts at zero, so the map starts as independent fingers.
     """
 
+    stacked_centre: torch.Tensor
+    stacked_half_range: torch.Tensor
+
     def __init__(
         self,
         kinematics: HandKinematics,
@@ -28,28 +31,39 @@ class CoupledNetwork(RetargetingNetwork):
         fingers = len(kinematics.fingers)
         outputs = fingers * self.mlp.weights[-1].shape[2]
         widths = (3 * fingers, residual_hidden, residual_hidden, outputs)
+        for name, values in (("centre", self.centre), ("half_range", self.half_range)):
+            stacked = torch.zeros(outputs)
+            stacked[self.columns] = values
+            self.register_buffer(f"stacked_{name}", stacked.reshape(fingers, 1, -1))
         self.residual = StackedMlp(1, widths, generator)
         for parameters in (self.residual.weights, self.residual.biases):
             nn.init.zeros_(parameters[-1])
 
     def forward(self, p_HF: torch.Tensor) -> torch.Tensor:
         """Joint angles (N, n) in rad for human fingertips (N, F, 3) in m."""
-        x = self._normalised(p_HF)
-        return self._angles(self.mlp(x).transpose(0, 1).reshape(len(p_HF), -1), x)
-
-    def of_finger(self, number: int, p_HF: torch.Tensor) -> torch.Tensor:
-        """The same, but only one finger's joints are right: at half the cost."""
-        x, own = self._normalised(p_HF), slice(number, number + 1)
-        return self._angles(self.mlp(x[own], own)[0].repeat(1, len(x)), x)
-
-    def _normalised(self, p_HF: torch.Tensor) -> torch.Tensor:
-        return (p_HF.transpose(0, 1) - self.mean) / self.scale
-
-    def _angles(self, y: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
-        y = y + self.residual(x.transpose(0, 1).reshape(1, len(y), -1))[0]
+        x = (p_HF.transpose(0, 1) - self.mean) / self.scale
+        together = x.transpose(0, 1).reshape(1, len(p_HF), -1)
+        y = self.mlp(x).transpose(0, 1).reshape(len(p_HF), -1) + self.residual(together)[0]
         if not self._in_order:
             y = y[:, self.columns]
         return self.centre + self.half_range * torch.tanh(y)
+
+    def own_angles(self, p_HF: torch.Tensor, some: slice = slice(None)) -> torch.Tensor:
+        """What only one finger does in each hand, which saves the networks of the others.
+
+        Args:
+            p_HF: (G, N, F, 3) human fingertips in m, N hands for each of G fingers.
+            some: which fingers those are.
+
+        Returns:
+            (G, N, k) joint angles of that finger in rad, as `HandKinematics.fingertips_apart` takes them.
+        """
+        groups, count, fingers, _ = p_HF.shape
+        x = (p_HF - self.mean[:, 0]) / self.scale[:, 0]
+        row, own = torch.arange(groups), torch.arange(fingers)[some]
+        y = self.residual(x.reshape(1, groups * count, -1)).reshape(groups, count, fingers, -1)
+        y = y[row, :, own] + self.mlp(x[row, :, own], some)
+        return self.stacked_centre[some] + self.stacked_half_range[some] * torch.tanh(y)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What `CoupledRetargeter` is made of, in float64: the normalisation is folded into the layers 0."""

@@ -1,6 +1,8 @@
 """Trains `geort_coupled`; docs/derivations.md says where it departs from the paper, and why."""
 
+import copy
 import math
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +23,7 @@ from geort_drake.retargeting.soap import Soap
 from geort_drake.retargeting.training import TrainingConfig, TrainingResult
 
 TIP_MARGIN = 0.002  # m; apart fingertips are kept this far from touching
-CROWDED = 1000  # how many hands are looked through for near collisions at a time
+CROWDED = 600  # how many hands are looked through for near collisions at a time
 REMEMBERED = 2000  # how many of those that nearly collided are kept
 
 
@@ -65,7 +67,7 @@ class CoupledConfig(TrainingConfig):
     collision_margin: float = 0.001  # m
     collision_scale: float = 0.005  # m
     robot_voxel: float = 0.005
-    assign_every: int = 25  # steps between searches for the frames nearest to the robot's voxels
+    assign_every: int = 20  # steps between searches for the frames nearest to the robot's voxels
     weight_decay: float = 1e-2  # of the fingers' own networks
     residual_decay: float = 0.05
     averaging: float = 0.998  # of the weights, in the second half
@@ -125,9 +127,8 @@ class _Run:
         with torch.no_grad():
             p_BF = kinematics.fingertips(q).cpu().numpy()
         voxels = [voxel_centres(p_BF[:, i], config.robot_voxel) for i in range(p_BF.shape[1])]
-        self.space = CoverageTargets(
-            self.hands.frames, kinematics, voxels, config.human_voxel, generator, np.random.default_rng(seed)
-        )
+        self.space = CoverageTargets(self.hands.frames, kinematics, voxels, config.human_voxel, seed)
+        self._next: Future | None = None
         self.gaps = None
         self.crowded = self.hands.frames[:0]
         if shapes is not None and config.collision_weight > 0:
@@ -145,17 +146,18 @@ class _Run:
             {"params": [*self.network.mlp.parameters()], "weight_decay": config.weight_decay},
             {"params": [*self.network.residual.parameters()], "weight_decay": config.residual_decay},
         ]
-        descent = descend(
-            self.network,
-            self._losses,
-            config.steps,
-            config.learning_rate,
-            report,
-            Soap(groups, lr=config.learning_rate),
-            warm_up=50,
-            clip=2.0,
-            averaging=config.averaging,
-        )
+        with ThreadPoolExecutor(1) as self._beside:
+            descent = descend(
+                self.network,
+                self._losses,
+                config.steps,
+                config.learning_rate,
+                report,
+                Soap(groups, lr=config.learning_rate),
+                warm_up=50,
+                clip=2.0,
+                averaging=config.averaging,
+            )
         return TrainingResult(
             network=self.network.cpu(),
             history=descent.history,
@@ -165,24 +167,36 @@ class _Run:
             pinch_frames=self.hands.pinch_frames,
         )
 
-    def _assign(self, progress: float) -> bool:
-        """Chooses voxels for the coming steps, and who should reach them; False if the map is not finite."""
+    def _renew(self, progress: float) -> bool:
+        """Takes up what was found for the coming steps; False if the map was not finite."""
+        # The search runs beside the descent, for a copy of the map, so what it found is some steps old.
+        found = (self._next or self._start_search(progress)).result()
+        self._next = self._start_search(progress)
+        if found is None:
+            return False
+        self.assigned, touching = found
+        self.crowded = torch.cat([touching, self.crowded])[:REMEMBERED]
+        return True
+
+    def _start_search(self, progress: float) -> Future:
+        return self._beside.submit(self._search, copy.deepcopy(self.network), self._candidates(), progress)
+
+    def _search(self, network: CoupledNetwork, hands: torch.Tensor, progress: float):
+        """Which voxels to reach, and who should reach them; and those of the hands that nearly collide."""
         config = self.config
         with torch.no_grad():
-            q = self.network(hands := self._candidates())
+            q = network(hands)
         if not torch.isfinite(q).all():
-            return False
-        self.targets, self.nearest = self.space.nearest(self.network, config.targets * config.assign_every)
+            return None
+        voxels, rows = self.space.nearest(network, config.targets * config.assign_every)
         if config.context_weight > 0:
-            self.context_targets, self.context_hands = self.space.nearest_in_context(
-                self.network, config.context_targets * config.assign_every
-            )
-        if self.gaps is not None and progress >= 0.1:
-            # The active set: hands in which something was about to touch lately.
-            least = self.gaps.least(q, 3 * config.collision_margin)
-            touching = hands[least < 2 * config.collision_margin]
-            self.crowded = torch.cat([touching, self.crowded])[:REMEMBERED]
-        return True
+            in_context = self.space.nearest_in_context(network, config.context_targets * config.assign_every)
+        else:
+            in_context = voxels[:, :0], hands[:0].reshape(len(voxels), 0, AVERAGED, *hands.shape[1:])
+        if self.gaps is None or progress < 0.1:
+            return (voxels, rows, *in_context), hands[:0]
+        least = self.gaps.least(q, 3 * config.collision_margin)
+        return (voxels, rows, *in_context), hands[least < 2 * config.collision_margin]
 
     def _candidates(self) -> torch.Tensor:
         """Hands in which something may touch: recorded ones, pinches and fingers put together."""
@@ -195,7 +209,7 @@ class _Run:
         """The weighted sum of the losses on one random batch, and each of them."""
         config = self.config
         progress = step / config.steps
-        if step % config.assign_every == 0 and not self._assign(progress):
+        if step % config.assign_every == 0 and not self._renew(progress):
             return torch.tensor(math.nan), {}
         frames, pairs = self.hands.frames, self.hands.pairs
         fingers, n = frames.shape[1], config.points
@@ -204,30 +218,29 @@ class _Run:
         each = torch.arange(fingers)
         ahead[each, :, each] += d
         behind[each, :, each] -= d
-        # Robot voxels and the real frames assigned to them.
-        start = (step % config.assign_every) * config.targets
-        window = slice(start, start + config.targets)
-        cover, targets = self.nearest[:, window], self.targets[:, window]
-        if config.context_weight > 0:
-            start = (step % config.assign_every) * config.context_targets
-            window = slice(start, start + config.context_targets)
-            context_targets, hands = self.context_targets[:, window], self.context_hands[:, window]
-        else:
-            context_targets, hands = targets[:, :0], frames[:0].reshape(fingers, 0, AVERAGED, fingers, 3)
+        # This step's share of the robot voxels, and the real frames that should reach them.
+        part = step % config.assign_every
+        window = slice(part * config.targets, (part + 1) * config.targets)
+        targets, cover = (found[:, window] for found in self.assigned[:2])
+        window = slice(part * config.context_targets, (part + 1) * config.context_targets)
+        context_targets, hands = (found[:, window] for found in self.assigned[2:])
         before, after = self.hands.steps(config.frames)
         pinching, weights = self.hands.pinches(config.pinches)
-        parts = [x.flatten(0, 1), ahead.flatten(0, 1), behind.flatten(0, 1), frames[cover].flatten(0, 1)]
-        parts += [before, after, pinching, hands.flatten(0, 2), self._crowd()]
+        # All fingers answer where they must not move, or meet; elsewhere the finger in question is enough.
+        parts = [x.flatten(0, 1), ahead.flatten(0, 1), before, after, pinching, self._crowd()]
         q = self.network(torch.cat(parts)).split([len(part) for part in parts])
         p_BF = self.kinematics.fingertips(torch.cat(q[:-1])).split([len(part) for part in parts[:-1]])
-        g_x, g_ahead, g_behind = (p.reshape(fingers, n, fingers, 3) for p in p_BF[:3])
-        own_x, own_ahead, own_behind = (g[each, :, each] for g in (g_x, g_ahead, g_behind))
-        reached = p_BF[3].reshape(fingers, -1, fingers, 3)[each, :, each]
-        averaged = p_BF[7].reshape(fingers, -1, AVERAGED, fingers, 3)[each, :, :, each].mean(2)
-        step_d, step_answer = after - before, p_BF[5] - p_BF[4]
+        g_x, g_ahead = (p.reshape(fingers, n, fingers, 3) for p in p_BF[:2])
+        g_before, g_after, g_pinching = p_BF[2:]
+        own_x, own_ahead = g_x[each, :, each], g_ahead[each, :, each]
+        parts = [behind, frames[cover], hands.flatten(1, 2)]
+        own = self.kinematics.fingertips_apart(self.network.own_angles(torch.cat(parts, dim=1)))
+        own_behind, reached, alike = own.split([part.shape[1] for part in parts], dim=1)
+        averaged = alike.reshape(fingers, -1, AVERAGED, 3).mean(2)
+        step_d, step_answer = after - before, g_after - g_before
         long = step_d.norm(dim=-1) > STEP_RANGE[0]
         human_apart = losses.pair_distances(torch.cat([after, pinching]), pairs)
-        robot_apart = losses.pair_distances(torch.cat([p_BF[5], p_BF[6]]), pairs)
+        robot_apart = losses.pair_distances(torch.cat([g_after, g_pinching]), pairs)
         tips = 2 * self.kinematics.tip_radius
         zero = q[0].new_zeros(())
         row = {

@@ -110,6 +110,17 @@ class HandKinematics:
         p_FB = tips[0] if len(tips) == 1 else torch.cat(tips)[order]
         return p_FB.transpose(0, 1).reshape(*batch, len(self.fingers), 3)
 
+    def fingertips_apart(self, angles: torch.Tensor) -> torch.Tensor:
+        """Fingertip points p_BF (F, N, 3) in m, each finger at joint angles of its own.
+
+        Args:
+            angles: (F, N, k) rad of each finger's joints, base to tip, k those of the longest; what a
+                shorter finger has too many is not read.
+        """
+        groups, order = self._groups(angles.dtype, angles.device)
+        tips = [group.tips(angles[group.members, :, : group.shape[1]]) for group in groups]
+        return tips[0] if len(tips) == 1 else torch.cat(tips)[order]
+
     def mirrored(self) -> "HandKinematics":
         """The mirror image in the xz-plane: the same q puts its fingertips at (x, −y, z).
 
@@ -131,16 +142,20 @@ class HandKinematics:
             for number, finger in enumerate(self.fingers):
                 by_length.setdefault(len(finger.joint_names), []).append(number)
             members = list(by_length.values())
-            groups = [_EqualChains([self.fingers[i] for i in numbers], dtype, device) for numbers in members]
+            groups = [_EqualChains(self.fingers, numbers, dtype, device) for numbers in members]
             order = torch.tensor(np.argsort(np.concatenate(members)), device=device)
             self._constants[key] = (groups, order)
         return self._constants[key]
 
 
 class _EqualChains:
-    """Constants of G fingers with k joints each, evaluated as one batch."""
+    """Constants of the G fingers numbered `members`, with k joints each, evaluated as one batch."""
 
-    def __init__(self, fingers: Sequence[FingerChain], dtype: torch.dtype, device: torch.device):
+    def __init__(
+        self, hand: Sequence[FingerChain], members: list[int], dtype: torch.dtype, device: torch.device
+    ):
+        fingers = [hand[number] for number in members]
+        self.members = slice(None) if len(members) == len(hand) else members
         X = np.stack([finger.X_PJ for finger in fingers])
         a = np.stack([finger.axes for finger in fingers])
         K = np.zeros((*a.shape, 3))
@@ -164,10 +179,14 @@ class _EqualChains:
     def points(self, q: torch.Tensor) -> torch.Tensor:
         """(G, N, 3) fingertip points in B of q (N, n)."""
         fingers, k = self.shape
-        angles = q.index_select(1, self.indices).reshape(-1, fingers, k).permute(2, 1, 0)
+        return self.tips(q.index_select(1, self.indices).reshape(-1, fingers, k).transpose(0, 1))
+
+    def tips(self, angles: torch.Tensor) -> torch.Tensor:
+        """(G, N, 3) fingertip points in B of the fingers' own joint angles (G, N, k)."""
+        angles = angles.permute(2, 0, 1)
         s, one_minus_c = torch.sin(angles)[..., None], (1.0 - torch.cos(angles))[..., None]
-        p = self.p_tip.expand(-1, q.shape[0], -1)
-        for j in reversed(range(k)):
+        p = self.p_tip.expand(-1, angles.shape[2], -1)
+        for j in reversed(range(self.shape[1])):
             at_zero, by_sine, by_cosine = torch.bmm(p, self.matrices[j]).split(3, dim=-1)
             p = torch.addcmul(at_zero + self.offsets[j], s[j], by_sine)
             p = torch.addcmul(p, one_minus_c[j], by_cosine)
