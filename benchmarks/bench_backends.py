@@ -1,0 +1,154 @@
+"""Times the call of a retargeter in NumPy against the same map compiled by numba and run by ONNX Runtime.
+
+python benchmarks/bench_backends.py --json backends.json
+
+Needs `pip install numba onnx onnxruntime` beside this package. All sides check shape and finiteness, and
+the answers are compared. What is called here is what would replace NumPy if it were twice as fast.
+"""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from side_by_side import measure, parse, parser, report
+from untrained import FORMS, dense_layers, untrained
+
+from geort_drake.console import console, run_main
+from geort_drake.errors import GeortError
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    made = parser(__doc__)
+    made.add_argument("--method", choices=FORMS, default=FORMS[0], help="(default: %(default)s)")
+    arguments = parse(made, argv)
+    retarget = untrained(arguments.method)
+    layers = dense_layers(arguments.method)
+    try:
+        started = time.perf_counter()
+        compiled = with_numba(*layers)
+        compilation = time.perf_counter() - started
+        sides = {
+            "NumPy": retarget,
+            "numba": compiled,
+            "ONNX Runtime, float64": with_onnx(*layers, np.float64),
+            "ONNX Runtime, float32": with_onnx(*layers, np.float32),
+        }
+    except ImportError as error:
+        raise GeortError(f"{error}: this benchmark needs pip install numba onnx onnxruntime") from error
+    p_HF = np.random.default_rng(1).normal(0.0, 0.03, (4, 3))
+    results = measure({name: lambda side=side: side(p_HF) for name, side in sides.items()}, arguments.seconds)
+    apart = {name: float(np.abs(side(p_HF) - retarget(p_HF)).max()) for name, side in sides.items()}
+    title = f"one call of {arguments.method} by several backends"
+    report(title, results, "NumPy", arguments.json, apart_rad=apart, numba_compilation_s=compilation)
+    console.print(f"apart from NumPy by at most (rad): {apart}; numba compiles for {compilation:.0f} s")
+    return 0
+
+
+def with_numba(weights, biases, own: np.ndarray, residual: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Loops over the weights, compiled, with the freedom to reorder sums."""
+    import numba
+
+    first, last = weights[0], np.ascontiguousarray(weights[1].T)
+
+    @numba.njit(fastmath={"reassoc", "contract"})
+    def run(x, first, b0, own, residual, b1, last, b2):
+        h = b0.copy()
+        for i in range(len(x)):
+            if not math.isfinite(x[i]):
+                raise ValueError("not finite")
+            for j in range(len(h)):
+                h[j] += x[i] * first[i, j]
+        for j in range(len(h)):
+            h[j] /= 1.0 + math.exp(-h[j])
+        u = b1.copy()
+        count, width = own.shape[:2]
+        for g in range(count):
+            for i in range(width):
+                for j in range(width):
+                    u[g * width + j] += h[g * width + i] * own[g, i, j]
+        start = count * width
+        for i in range(len(residual)):
+            for j in range(len(residual)):
+                u[start + j] += h[start + i] * residual[i, j]
+        for j in range(len(u)):
+            u[j] /= 1.0 + math.exp(-u[j])
+        q = np.empty(len(b2))
+        for k in range(len(b2)):
+            total = b2[k]
+            for j in range(len(u)):
+                total += u[j] * last[k, j]
+            q[k] = math.tanh(total)
+        return q
+
+    def call(p_HF: np.ndarray) -> np.ndarray:
+        p_HF = np.asarray(p_HF, dtype=float)
+        if p_HF.shape != (4, 3):
+            raise ValueError(p_HF.shape)
+        return run(p_HF.reshape(-1), first, biases[0], own, residual, biases[1], last, biases[2])
+
+    call(np.zeros((4, 3)))
+    return call
+
+
+def with_onnx(
+    weights, biases, own: np.ndarray, residual: np.ndarray, dtype
+) -> Callable[[np.ndarray], np.ndarray]:
+    """One session with one thread."""
+    import onnxruntime
+    from onnx import helper, numpy_helper
+
+    kind = helper.np_dtype_to_tensor_dtype(np.dtype(dtype))
+    count, width = own.shape[:2]
+    constants = {
+        "w0": weights[0], "b0": biases[0], "w1": own, "b1": biases[1], "w2": weights[1], "b2": biases[2],
+        "r1": residual,
+    }  # fmt: skip
+    integers = {
+        "sizes": np.array([count * width, len(residual)]),
+        "apart": np.array([count, 1, width]),
+        "together": np.array([1, count * width]),
+    }
+    node = helper.make_node
+    nodes = [
+        node("Gemm", ["x", "w0", "b0"], ["a"]), node("Sigmoid", ["a"], ["s"]), node("Mul", ["a", "s"], ["h"]),
+        node("Split", ["h", "sizes"], ["h_own", "h_shared"], axis=1),
+        node("Reshape", ["h_own", "apart"], ["h_apart"]), node("MatMul", ["h_apart", "w1"], ["u_apart"]),
+        node("Reshape", ["u_apart", "together"], ["u_own"]), node("MatMul", ["h_shared", "r1"], ["u_shared"]),
+        node("Concat", ["u_own", "u_shared"], ["u0"], axis=1), node("Add", ["u0", "b1"], ["u"]),
+        node("Sigmoid", ["u"], ["t"]), node("Mul", ["u", "t"], ["v"]),
+        node("Gemm", ["v", "w2", "b2"], ["y"]), node("Tanh", ["y"], ["q"]),
+    ]  # fmt: skip
+    if not residual.size:
+        nodes[3:9] = [nodes[4], nodes[5], node("Reshape", ["u_apart", "together"], ["u0"])]
+        nodes[3] = node("Reshape", ["h", "apart"], ["h_apart"])
+        del constants["r1"], integers["sizes"]
+    tensors = [
+        numpy_helper.from_array(np.ascontiguousarray(a.astype(dtype)), n) for n, a in constants.items()
+    ]
+    tensors += [numpy_helper.from_array(a, name) for name, a in integers.items()]
+    x, q = (
+        helper.make_tensor_value_info("x", kind, [1, 12]),
+        helper.make_tensor_value_info("q", kind, [1, 16]),
+    )
+    model = helper.make_model(
+        helper.make_graph(nodes, "retargeter", [x], [q], tensors),
+        opset_imports=[helper.make_opsetid("", 17)],
+        ir_version=8,
+    )
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    providers = ["CPUExecutionProvider"]
+    session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=providers)
+
+    def call(p_HF: np.ndarray) -> np.ndarray:
+        p_HF = np.asarray(p_HF, dtype=dtype)
+        if p_HF.shape != (4, 3) or not math.isfinite(p_HF.sum()):
+            raise ValueError(p_HF)
+        return session.run(None, {"x": p_HF.reshape(1, 12)})[0][0]
+
+    return call
+
+
+if __name__ == "__main__":
+    run_main(main)

@@ -1,0 +1,164 @@
+"""Times one retargeting call against its bare arithmetic and against other retargeters, side by side.
+
+python benchmarks/bench_call.py --json call.json
+
+Every function gets the frames of the same motion in order, in NumPy, and gives joint angles in NumPy. Rows:
+  call                 this package's call on the fingertips, all checks on; the ratios are over it
+  call, whole hand     the same on 21 keypoints
+  bare arithmetic      the products of the call's weights with vectors alone, by BLAS, nothing else
+  published, PyTorch   one network per finger with batch normalisation, as the paper's authors run it
+  the same without gradients   in PyTorch's no_grad, which they do not use
+  dex-retargeting ...  that package's optimisers, where it is installed (pip install dex-retargeting six)
+--scaling times hands of more fingers and batches of more hands instead.
+"""
+
+import argparse
+import itertools
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from compare_dex_retargeting import TYPES, _settings, _urdf
+from side_by_side import measure, parse, parser, report
+from untrained import FINGERS, FORMS, dense_layers, untrained
+
+from geort_drake.console import console, run_main
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.gloves.readers import read_recording
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.retargeting.baselines.registry import ONLINE
+
+HAND = "allegro_right"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    made = parser(__doc__)
+    made.add_argument("--method", choices=FORMS, default=FORMS[0], help="(default: %(default)s)")
+    made.add_argument("--recording", type=Path, help="of a right hand (default: synthetic play at 30 Hz)")
+    made.add_argument("--scaling", action="store_true", help="grow the hand and the batch")
+    arguments = parse(made, argv)
+    torch.set_num_threads(1)
+    recording = (
+        read_recording(arguments.recording, "right")
+        if arguments.recording
+        else synthesize_play(seed=0, duration_s=120.0, rate_hz=30.0)
+    )
+    hands = recording.p_HK[recording.valid].astype(float)
+    if arguments.scaling:
+        grow(arguments, hands)
+        return 0
+    retarget = untrained(arguments.method)
+    description = load_hand(HAND)
+    tips = hands[:, [finger.human_keypoint for finger in description.fingers]]
+    published = Published(tips)
+    functions = {
+        "call": over(retarget, tips),
+        "call, whole hand": over(retarget, hands),
+        "bare arithmetic": over(bare_arithmetic(arguments.method), tips.reshape(-1, 12)),
+        "published, PyTorch": over(published, tips),
+        "the same without gradients": over(torch.no_grad()(published), tips),
+        **dex_retargeting(description, hands),
+    }
+    results = measure(functions, arguments.seconds)
+    report(f"one call of {arguments.method}", results, "call", arguments.json)
+    return 0
+
+
+def over(function: Callable[[np.ndarray], object], frames: np.ndarray) -> Callable[[], object]:
+    """A function of no arguments that takes the next frame each time it is called."""
+    ever = itertools.cycle(list(frames))
+    return lambda: function(next(ever))
+
+
+def bare_arithmetic(method: str) -> Callable[[np.ndarray], np.ndarray]:
+    """The products of a vector (12,) with the weights, in as few calls of BLAS as they allow."""
+    (first, last), _, own, residual = dense_layers(method)
+    h, u, y = np.empty(len(last)), np.empty(len(last)), np.empty(16)
+    count, width = own.shape[:2]
+    start, apart = count * width, (count, 1, width)
+    h_own, u_own = h[:start].reshape(apart), u[:start].reshape(apart)
+    h_shared, u_shared = h[start:], u[start:]
+
+    def products(x: np.ndarray) -> np.ndarray:
+        np.dot(x, first, h)
+        np.matmul(h_own, own, u_own)
+        if residual.size:
+            np.dot(h_shared, residual, u_shared)
+        return np.dot(u, last, y)
+
+    return products
+
+
+class Published:
+    """The retargeter of the paper: NumPy in and out, PyTorch between.
+
+    The paper fixes independent networks of each finger with a tanh at the end. That they are 3 → 128 →
+    128 → n, with batch normalisation after both hidden layers, and are evaluated with PyTorch's recording
+    of gradients left on, is how its authors released it.
+    """
+
+    def __init__(self, tips: np.ndarray):
+        """`tips` (T, 4, 3) in m are frames that set the statistics of the normalisation."""
+        nn = torch.nn
+        torch.manual_seed(0)
+        self.networks = nn.ModuleList(
+            nn.Sequential(
+                nn.Linear(3, 128), nn.LeakyReLU(), nn.BatchNorm1d(128),
+                nn.Linear(128, 128), nn.LeakyReLU(), nn.BatchNorm1d(128),
+                nn.Linear(128, 4), nn.Tanh(),
+            )
+            for _ in range(4)
+        )  # fmt: skip
+        with torch.no_grad():
+            for i, network in enumerate(self.networks):
+                network(torch.tensor(tips[:, i]).float())
+        self.networks.eval()
+        self.lower, self.upper = -np.ones(16), np.ones(16)
+
+    def __call__(self, p_HF: np.ndarray) -> np.ndarray:
+        """Joint angles (16,) in rad for fingertips (4, 3) in m."""
+        x = torch.from_numpy(p_HF[None]).float()
+        y = torch.cat([network(x[:, i]) for i, network in enumerate(self.networks)], dim=-1)
+        return self.lower + 0.5 * (y[0].detach().numpy() + 1.0) * (self.upper - self.lower)
+
+
+def dex_retargeting(description, hands: np.ndarray) -> dict[str, Callable[[], object]]:
+    """The package's optimisers on hands (T, 21, 3), or nothing where it is not installed."""
+    try:
+        from dex_retargeting.retargeting_config import RetargetingConfig
+    except ImportError as error:
+        console.print(f"without dex-retargeting: {error}")
+        return {}
+    kinematics = HandModel(description).kinematics()
+    keypoints = [finger.human_keypoint for finger in description.fingers]
+    functions = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name, kind in TYPES.items():
+            ours = ONLINE[name](kinematics, human_keypoints=keypoints)
+            urdf = Path(folder) / f"{name}.urdf"
+            urdf.write_text(_urdf(kinematics), encoding="utf-8")
+            theirs = RetargetingConfig.from_dict(_settings(kind, urdf, description, ours.config)).build()
+            origin, tip = theirs.optimizer.target_link_human_indices
+            functions[f"dex-retargeting {kind}"] = over(theirs.retarget, hands[:, tip] - hands[:, origin])
+    return functions
+
+
+def grow(arguments: argparse.Namespace, hands: np.ndarray) -> None:
+    """Hands of two to five fingers, and batches; ratios are over the Allegro hand's size, alone."""
+    names = list(FINGERS)
+    functions = {
+        f"{count} fingers": over(untrained(arguments.method, count), hands[:, list(FINGERS.values())[:count]])
+        for count in (4, 2, 3, len(names))
+    }
+    retarget = untrained(arguments.method)
+    for size in (10, 100, 1000, 5000):
+        functions[f"batch of {size:,}"] = lambda batch=hands[:size]: retarget(batch)
+    results = measure(functions, arguments.seconds)
+    report(f"{arguments.method} as the work grows", results, "4 fingers", arguments.json)
+
+
+if __name__ == "__main__":
+    run_main(main)

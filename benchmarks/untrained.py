@@ -1,0 +1,72 @@
+"""Retargeters with random weights and the sizes of trained ones: their calls take as long.
+
+A library of the benchmarks, no program.
+"""
+
+import numpy as np
+
+from geort_drake.retargeting.coupled_training import CoupledConfig
+from geort_drake.retargeting.retargeter import METHODS, Retargeter
+from geort_drake.retargeting.training import TrainingConfig
+
+FINGERS = {"thumb": 4, "index": 8, "middle": 12, "ring": 16, "little": 20}  # name → keypoint
+FORMS = ("geort_coupled", "geort")
+
+
+def untrained_arrays(method: str, fingers: int, joints: int, seed: int = 0) -> dict[str, np.ndarray]:
+    """What a checkpoint of the method holds for a hand of `fingers` fingers with `joints` joints each."""
+    rng = np.random.default_rng(seed)
+    config = CoupledConfig() if method == "geort_coupled" else TrainingConfig()
+    widths = (3, config.hidden, config.hidden, joints)
+    shapes: dict[str, tuple[int, ...]] = {}
+    for k in range(3):
+        shapes |= {
+            f"weight{k}": (fingers, widths[k], widths[k + 1]),
+            f"bias{k}": (fingers, 1, widths[k + 1]),
+        }
+    if method == "geort_coupled":
+        r = config.residual_hidden
+        widths = (3 * fingers, r, r, fingers * joints)
+        for k in range(3):
+            shapes |= {
+                f"residual_weight{k}": (widths[k], widths[k + 1]),
+                f"residual_bias{k}": (widths[k + 1],),
+            }
+    arrays = {name: rng.normal(0.0, 1.0 / np.sqrt(shape[-2:][0]), shape) for name, shape in shapes.items()}
+    for name in ("weight0", "residual_weight0"):
+        if name in arrays:
+            arrays[name] *= 50.0  # fingertips move by centimetres
+    return arrays | {"columns": np.arange(fingers * joints)}
+
+
+def untrained(method: str, fingers: int = 4, joints: int = 4, seed: int = 0) -> Retargeter:
+    """A retargeter of `untrained_arrays`; the default is the Allegro hand's size."""
+    n = fingers * joints
+    names, keypoints = list(FINGERS)[:fingers], list(FINGERS.values())[:fingers]
+    arrays = untrained_arrays(method, fingers, joints, seed)
+    return METHODS[method](
+        arrays, names, [f"joint_{j}" for j in range(n)], keypoints, -np.ones(n), np.ones(n)
+    )
+
+
+def dense_layers(method: str) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray, np.ndarray]:
+    """`untrained_arrays` of the Allegro hand's size with all hidden units side by side.
+
+    Returns:
+        Weights of the layers 0 (12, H) and 2 (H, 16), biases of the layers 0, 1 and 2, and the weights of
+        layer 1 apart: of the fingers (4, h, h), and of the residual (r, r), which is (0, 0) in `geort`.
+    """
+    arrays = untrained_arrays(method, 4, 4)
+    first, last = (np.zeros((4, a, 4, b)) for a, b in (arrays[f"weight{k}"].shape[1:] for k in (0, 2)))
+    for i in range(4):
+        first[i, :, i], last[i, :, i] = arrays["weight0"][i], arrays["weight2"][i]
+    weights = [first.reshape(12, -1), last.reshape(-1, 16)]
+    biases = [arrays[f"bias{k}"].ravel() for k in range(3)]
+    residual = np.zeros((0, 0))
+    if "residual_weight1" in arrays:
+        residual = arrays["residual_weight1"]
+        weights[0] = np.hstack([weights[0], arrays["residual_weight0"]])
+        weights[1] = np.vstack([weights[1], arrays["residual_weight2"]])
+        biases[:2] = [np.concatenate([biases[k], arrays[f"residual_bias{k}"]]) for k in range(2)]
+        biases[2] = biases[2] + arrays["residual_bias2"]
+    return weights, biases, arrays["weight1"], residual
