@@ -6,21 +6,30 @@ import numpy as np
 import pytest
 from glove_files import (
     FRAMES,
+    FROM_WRIST_25,
     NAMES,
     TIMED,
     WRITERS,
     moving,
+    openxr_order,
+    poses,
     random_hand,
+    stacked,
+    transforms,
     write_dex_retargeting,
     write_manus_csv,
+    write_openxr,
+    write_webxr,
 )
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError, UnknownNameError
 from geort_drake.gloves.formats import FORMATS
+from geort_drake.gloves.formats.unpickling import load_plain
 from geort_drake.gloves.health import examine
 from geort_drake.gloves.health.findings import Severity
 from geort_drake.gloves.readers import ASSUMED_RATE_HZ, open_recording, read_recording
+from geort_drake.gloves.recording import Recording
 
 # Files that hold the wrist's pose in the world.
 POSED = set(WRITERS) - {"geort", "mediapipe", "mediapipe_npy", "mano_npy", "dex_retargeting"}
@@ -69,6 +78,26 @@ def test_the_named_format_reads_the_same_as_the_one_detected(tmp_path):
         open_recording(path, format="leap")
 
 
+@pytest.mark.parametrize(("write", "order"), [(write_openxr, openxr_order()), (write_webxr, FROM_WRIST_25)])
+def test_joints_may_be_points_poses_or_transforms(tmp_path, write, order):
+    """All three give the same keypoints; matrices are read with the translation in the last column."""
+    hand = random_hand(5, "right")
+    p = stacked(hand.joints(), order)
+    for joints in (p, poses(p, [0.5, 0.5, -0.5, 0.5]), transforms(p, hand.R_WH[:, None])):
+        recording, findings = open_recording(write(tmp_path, hand, joints=joints))
+        np.testing.assert_allclose(recording.p_HK, hand.p_HK, atol=1e-6)
+        assert findings == []
+
+
+@pytest.mark.parametrize("frames", [2, 3, 4])
+def test_the_shortest_recordings_are_examined(frames):
+    """No check needs more frames than there are; what is missing is said."""
+    hand = moving()
+    recording = Recording(hand.t[:frames], hand.p_HK[:frames], np.ones(frames, bool))
+    _, findings = examine(recording)
+    assert f"{frames} valid frames, training needs at least 300" in " ".join(map(str, findings))
+
+
 def test_every_format_documents_itself():
     """Each format's module says its source."""
     for name in FORMATS:
@@ -115,8 +144,6 @@ def test_pickles_of_every_protocol_are_read_without_running_anything(tmp_path, p
     plain = {"a": [np.arange(6.0).reshape(2, 3), np.float32(2.5), None, "ä", b"\x80"], "b": (1, {2}, True)}
     path = tmp_path / "x.pkl"
     path.write_bytes(pickle.dumps(plain, protocol))
-    from geort_drake.gloves.formats.unpickling import load_plain
-
     if protocol >= 4:  # older ones name the builtin set
         loaded = load_plain(path)
         np.testing.assert_array_equal(loaded["a"][0], plain["a"][0])

@@ -126,7 +126,8 @@ def joint_positions(
         value: (T, J, 3) points; (T, J, 7) `px py pz` and a quaternion; (T, J, 4, 4) transforms; or
             (T, J, 16) and (T, J * 16), the transforms' numbers.
         joints: J.
-        column_major: whether transforms stand column by column, as graphics APIs give them.
+        column_major: whether transforms in one row of numbers stand column by column, as graphics APIs
+            give them.
     """
     shapes = ((joints, 3), (joints, 7), (joints, 4, 4), (joints, 16), (joints * 16,))
     array = numbers(name, field, value, *shapes)
@@ -135,7 +136,10 @@ def joint_positions(
     if array.shape[-1] == 7:
         check_quaternions(name, field, array)
         return array[..., :3], []
-    X, findings = transforms(name, field, array.reshape(len(array), joints, 4, 4), column_major)
+    # Only where numbers were left in a row is their order the graphics API's.
+    X, findings = transforms(
+        name, field, array.reshape(len(array), joints, 4, 4), column_major and array.ndim < 4
+    )
     return X[..., :3, 3], findings
 
 

@@ -13,7 +13,7 @@ _GAP_S = 0.2
 _MISSING_SHARE = 0.05  # a glove at 118 Hz over radio loses 4 %
 _FROZEN_S = 0.5
 _REPEATED_SHARE = 0.02
-_SAME_M = 1e-6  # what rounding leaves of a still hand when the wrist moves; a glove's jitter is 0.05 mm
+_SAME_M = 2e-7  # what rounding leaves of a still hand when the wrist moves; a glove's jitter is 0.05 mm
 # A frame is a spike where a keypoint leaves by more than this and is back in the next frame: ten
 # times the glove's jitter. Two people's free play at 30 and 118 Hz holds no such frame.
 _SPIKE_M = 0.02
@@ -111,7 +111,7 @@ def check_lost(recording: Recording) -> Iterator[Finding]:
 
 def check_repeats(recording: Recording) -> Iterator[Finding]:
     """Frames that repeat the one before: a stalled sensor, or a recorder faster than the glove."""
-    same = (np.abs(np.diff(recording.p_HK, axis=0)) < _SAME_M).all(axis=(1, 2))
+    same: np.ndarray = np.abs(np.diff(recording.p_HK, axis=0)).max(axis=(1, 2)) < _SAME_M
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
     starts, ends = edges[::2], edges[1::2]
     held = recording.t[ends] - recording.t[starts]
