@@ -1,0 +1,92 @@
+"""Training for hands other than the Allegro right: a left one in the mirror, and LEAP."""
+
+import dataclasses
+import functools
+import json
+
+import numpy as np
+import pytest
+
+from geort_drake.errors import RecordingError
+from geort_drake.evaluation import metrics
+from geort_drake.evaluation.pipeline import train_checkpoint
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.gloves.recording import Recording
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.retargeting.retargeter import load_retargeter
+
+
+@pytest.fixture(autouse=True)
+def light(tmp_path, monkeypatch):
+    """A cache of its own and an evaluation with few samples, where the plumbing is what is tested."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(metrics, "ROBOT_SAMPLES", 500)
+    for name in ("motion_preservation", "cross_talk", "flatness_and_gain"):
+        monkeypatch.setattr(metrics, name, functools.partial(getattr(metrics, name), anchors=30))
+    monkeypatch.setattr(metrics, "context_averaged", functools.partial(metrics.context_averaged, contexts=2))
+    monkeypatch.setattr(metrics, "latency", functools.partial(metrics.latency, calls=10))
+
+
+def play(side: str = "right") -> Recording:
+    return synthesize_play(seed=1, duration_s=20.0, rate_hz=60.0, side=side)
+
+
+def train(hand: str, recording: Recording, output):
+    return train_checkpoint(
+        hand, recording, output, show_progress=False, settings={"steps": 5}, robot_samples=1000
+    )
+
+
+def test_synthetic_play_of_a_left_hand_is_the_mirrored_right_one():
+    """As left hands are described in the mirror, only the side differs, and with it the digest."""
+    left = play("left")
+    assert left.side == "left"
+    np.testing.assert_array_equal(left.p_HK, play().p_HK)
+    assert left.digest != play().digest
+
+
+def test_a_left_hand_learns_what_the_right_one_learns(tmp_path):
+    """From the same hand in the mirror: the same joint angles, and the same figures."""
+    right = train("allegro_right", play(), tmp_path / "right")
+    left = train("allegro_left", play("left"), tmp_path / "left")
+    retargets = [load_retargeter(path) for path in (right, left)]
+    frames = play().p_HK[::50].astype(float)
+    q_right, q_left = (retarget(frames) for retarget in retargets)
+    np.testing.assert_allclose(q_left, q_right, atol=1e-3)
+    tips = [
+        HandModel(load_hand(name)).fingertips(q)
+        for name, q in (("allegro_right", q_right), ("allegro_left", q_left))
+    ]
+    np.testing.assert_allclose(tips[1], tips[0] * [1, -1, 1], atol=1e-3)
+    figures = [json.loads((path / "metrics.json").read_text()) for path in (right, left)]
+    for name in ("motion_preservation", "flatness", "self_collision_raw"):
+        assert figures[1][name] == pytest.approx(figures[0][name], abs=0.01), name
+
+
+def test_a_left_hand_refuses_a_right_ones_recording(tmp_path):
+    """The message names both sides."""
+    with pytest.raises(RecordingError, match="of a right hand, the robot's is a left hand"):
+        train("allegro_left", play(), tmp_path / "left")
+
+
+def test_leap_is_trained_and_evaluated(tmp_path):
+    """Its joints are named as in its description, stay within its limits, and every figure is a number."""
+    path = train("leap_right", play(), tmp_path / "leap")
+    hand = HandModel(load_hand("leap_right"))
+    retarget = load_retargeter(path, hand)
+    assert list(retarget.joint_names) == hand.joint_names
+    q = retarget(play().p_HK[::50].astype(float))
+    assert ((hand.lower <= q) & (q <= hand.upper)).all()
+    figures = json.loads((path / "metrics.json").read_text())
+    assert figures["hand"] == "leap_right"
+    for name in ("motion_preservation", "flatness", "gain_p95_p5", "self_collision"):
+        assert np.isfinite(figures[name]), name
+
+
+def test_a_description_of_a_left_hand_may_lie_anywhere(tmp_path):
+    """By path as by name, side and mount included."""
+    shipped = load_hand("allegro_left")
+    text = json.dumps(dataclasses.asdict(shipped))
+    (tmp_path / "mine.yaml").write_text(text, encoding="utf-8")
+    assert load_hand(tmp_path / "mine.yaml") == shipped
