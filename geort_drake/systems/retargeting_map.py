@@ -1,0 +1,86 @@
+"""The bare retargeter as a system that Drake can differentiate."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.systems.framework import BasicVector_, Context, LeafSystem_
+from pydrake.systems.scalar_conversion import TemplateSystem
+
+from geort_drake.errors import HandError, UnknownNameError
+from geort_drake.gloves.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
+from geort_drake.retargeting.retargeter import Retargeter
+
+
+@TemplateSystem.define("RetargetingMap_", T_list=[float, AutoDiffXd])
+def RetargetingMap_(T):
+    """See `RetargetingMap`."""
+
+    class Impl(LeafSystem_[T]):
+        """Keypoints to joint positions without memory, checks or limits, for optimisation and analysis.
+
+        `RetargetingSystem` holds, eases and limits by means of a discrete state, through which no gradient
+        leads; this system has direct feedthrough, and with `ToAutoDiffXd()` also the exact derivative.
+
+        Input port:
+            keypoints (63): p_HK, the 21 keypoints one after the other, m, wrist frame H.
+        Output port:
+            positions (n): joint positions, rad, in the order of `actuated_joints`.
+
+        Args:
+            retarget: a `Retargeter`.
+            actuated_joints: the joints of the output; None takes the retargeter's order.
+            human_keypoints: keypoint (0 to 20) of each of the retargeter's fingers; None goes by the
+                fingers' names.
+
+        Raises:
+            HandError: the actuated joints are not the retargeter's.
+            UnknownNameError: a finger's name has no keypoint.
+        """
+
+        def _construct(
+            self,
+            retarget: Retargeter,
+            actuated_joints: Sequence[str] | None = None,
+            human_keypoints: Sequence[int] | None = None,
+            converter=None,
+        ):
+            LeafSystem_[T].__init__(self, converter=converter)
+            joints = list(retarget.joint_names)
+            wanted = joints if actuated_joints is None else list(actuated_joints)
+            if sorted(joints) != sorted(wanted):
+                raise HandError(
+                    f"the retargeter moves {', '.join(sorted(joints))}; "
+                    f"wanted are {', '.join(sorted(wanted))}"
+                )
+            for name in retarget.finger_names if human_keypoints is None else ():
+                if name not in TIP_KEYPOINT:
+                    raise UnknownNameError("finger", name, TIP_KEYPOINT)
+            self._arguments = (retarget, actuated_joints, human_keypoints)
+            self._retarget = retarget
+            self._order = np.array([joints.index(name) for name in wanted])
+            self._tips = np.array(human_keypoints or [TIP_KEYPOINT[name] for name in retarget.finger_names])
+            self._keypoints = self.DeclareVectorInputPort("keypoints", 3 * KEYPOINT_COUNT)
+            self.DeclareVectorOutputPort(
+                "positions", len(joints), self._calc, {self.all_input_ports_ticket()}
+            )
+
+        def _construct_copy(self, other, converter=None):
+            retarget, actuated_joints, human_keypoints = other._arguments
+            Impl._construct(self, retarget, actuated_joints, human_keypoints, converter)
+
+        def _calc(self, context: Context, output: BasicVector_[T]) -> None:
+            p_HK = self._keypoints.Eval(context)
+            if T is float:
+                output.SetFromVector(self._retarget(p_HK.reshape(KEYPOINT_COUNT, 3)[self._tips])[self._order])
+                return
+            p_HF = p_HK.reshape(KEYPOINT_COUNT, 3)[self._tips].reshape(-1, 1)
+            value, slope = ExtractValue(p_HF).reshape(-1, 3), ExtractGradient(p_HF)
+            q, J = self._retarget(value), self._retarget.jacobian(value)
+            gradient = J[self._order].reshape(len(q), -1) @ slope
+            output.SetFromVector(InitializeAutoDiff(q[self._order], gradient)[:, 0])
+
+    return Impl
+
+
+RetargetingMap = RetargetingMap_[None]  # the default instantiation, with numbers

@@ -1,0 +1,433 @@
+"""What comes out of the retargeting is safe, whatever a glove sends; a good glove goes unchanged."""
+
+import dataclasses as dc
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+from geort_drake.errors import CheckpointError, HandError
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.gloves.recording import Recording
+from geort_drake.retargeting.retargeter import Retargeter
+from geort_drake.retargeting.trained_space import VOXEL, TrainedSpace, trained_points
+from geort_drake.systems.glove_checks import (
+    FROZEN,
+    HELD_CLOCK,
+    HELD_JUMPED,
+    HELD_LOST,
+    HELD_NOT_FINITE,
+    HELD_OUT_OF_RANGE,
+    HELD_STALE,
+    GloveChecks,
+)
+from geort_drake.systems.glove_replay import GloveReplay
+from geort_drake.systems.joint_limits import JointLimits
+from geort_drake.systems.retargeting_map import RetargetingMap
+from geort_drake.systems.retargeting_system import (
+    EASING,
+    LIMITED,
+    OUTSIDE,
+    SETTLING,
+    TRACKING,
+    RetargetingSystem,
+)
+
+TIPS = (4, 8, 12, 16)
+FINGERS = ("thumb", "index", "middle", "ring")
+JOINTS = tuple(f"{finger}_{number}" for finger in FINGERS for number in range(4))
+LOWER, UPPER = np.full(16, -0.4), np.full(16, 1.6)
+
+
+def smooth_retargeter(gain: float = 1.0) -> Retargeter:
+    """Random networks about the mean hand; in play their joints reach 4.2 rad/s times `gain`."""
+    rng = np.random.default_rng(2)
+    centre = PLAY.p_HK[:, list(TIPS)].mean(axis=0)[:, None]
+    weight0 = gain * rng.normal(0, 2.4, (4, 3, 8))
+    arrays = {
+        "weight0": weight0,
+        "bias0": -centre @ weight0,
+        "weight1": rng.normal(0, 0.4, (4, 8, 8)),
+        "bias1": np.zeros((4, 1, 8)),
+        "weight2": rng.normal(0, 0.5, (4, 8, 4)),
+        "bias2": np.zeros((4, 1, 4)),
+        "columns": np.arange(16),
+    }
+    return Retargeter(arrays, FINGERS, JOINTS, TIPS, LOWER, UPPER)
+
+
+PLAY = synthesize_play(4, duration_s=12.0, rate_hz=100.0)
+
+
+class Bench:
+    """A retargeting system by itself, fed by hand."""
+
+    def __init__(self, retarget=None, period=0.01, stamped=False, **options):
+        self.period = period
+        self.limits = options.pop("limits", JointLimits(LOWER, UPPER))
+        self.system = RetargetingSystem(
+            retarget or smooth_retargeter(), JOINTS, JOINTS, dict.fromkeys(JOINTS, 0.3), period,
+            self.limits, **options,
+        )  # fmt: skip
+        self.simulator = Simulator(self.system)
+        self.context = self.simulator.get_mutable_context()
+        self.ticks = 0
+        self.stamped = stamped
+
+    def tick(self, keypoints, valid=1.0, stamp=None):
+        """One update; returns positions, velocities and the status after it."""
+        self.system.GetInputPort("keypoints").FixValue(self.context, np.ravel(keypoints))
+        self.system.GetInputPort("valid").FixValue(self.context, [valid])
+        if self.stamped:
+            self.system.GetInputPort("stamp").FixValue(self.context, [stamp])
+        self.simulator.AdvanceTo((self.ticks + 0.5) * self.period)
+        self.ticks += 1
+        desired = self.system.GetOutputPort("desired_state").Eval(self.context).copy()
+        return desired[:16], desired[16:], self.system.GetOutputPort("status").Eval(self.context)
+
+
+AT_ONCE = GloveChecks(ease_at_start=False)
+
+
+# -- what may come in
+
+
+FAULTS = ("lost", "nan", "inf", "huge", "scale", "swap", "jump", "freeze", "clock")
+
+
+@st.composite
+def sessions(draw):
+    """A stretch of play, and what is done to it frame by frame."""
+    first = draw(st.integers(0, len(PLAY.t) - 80))
+    frames = [frame.copy() for frame in PLAY.p_HK[first : first + 80].astype(float)]
+    valid, stamps = np.ones(80), PLAY.t[first : first + 80].copy()
+    for _ in range(draw(st.integers(0, 6))):
+        start = draw(st.integers(0, 79))
+        end = start + draw(st.sampled_from([1, 2, 5, 30]))
+        fault = draw(
+            st.sampled_from(["lost", "nan", "inf", "huge", "scale", "swap", "jump", "freeze", "clock"])
+        )
+        for number in range(start, min(end, 80)):
+            if fault == "lost":
+                valid[number] = 0.0
+            elif fault == "nan":
+                frames[number][draw(st.integers(0, 20)), 1] = np.nan
+            elif fault == "inf":
+                frames[number][8] = -np.inf
+            elif fault == "huge":
+                frames[number] *= 1e300
+            elif fault == "scale":
+                frames[number] *= draw(st.sampled_from([-1.0, 0.0, 0.1, 1.3, 10.0, 1000.0]))
+            elif fault == "swap":
+                frames[number][[5, 6, 7, 8, 1, 2, 3, 4]] = frames[number][[1, 2, 3, 4, 5, 6, 7, 8]]
+            elif fault == "jump":
+                frames[number] = frames[number] + draw(st.floats(-0.2, 0.2))
+            elif fault == "freeze":
+                frames[number] = frames[max(start - 1, 0)]
+            else:
+                stamps[number] -= draw(st.sampled_from([0.01, 1.0, 1e9, np.nan]))
+    return frames, valid, stamps
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    session=sessions(),
+    period=st.sampled_from([0.01, 0.002, 0.033]),
+    gain=st.sampled_from([1.0, 100.0]),
+    stamped=st.booleans(),
+    cutoff=st.sampled_from([0.0, 5.0]),
+    latency=st.sampled_from([0.0, 0.004]),
+)
+def test_no_session_makes_the_output_unsafe(session, period, gain, stamped, cutoff, latency):
+    """Dropouts, NaN, swaps, scale errors, jumps and clocks running backwards: finite, and all limits kept."""
+    limits = JointLimits(LOWER, UPPER, 5.0, 200.0)
+    bench = Bench(smooth_retargeter(gain), period, stamped, limits=limits, cutoff=cutoff)
+    q, v = np.full(16, 0.3), np.zeros(16)
+    for keypoints, valid, stamp in zip(*session, strict=True):
+        after, speed, status = bench.tick(keypoints, valid, stamp)
+        assert np.isfinite(after).all() and np.isfinite(speed).all()
+        assert (LOWER <= after).all() and (after <= UPPER).all()
+        np.testing.assert_allclose(speed, (after - q) / period, atol=1e-9)
+        assert np.abs(speed).max() <= 5.0 + 1e-9
+        assert np.abs(speed - v).max() <= 200.0 * period + 1e-9
+        assert status.since <= bench.context.get_time()
+        if status.state.startswith("held"):
+            # Braking, and nothing else.
+            assert (np.abs(speed) <= np.maximum(np.abs(v) - 200.0 * period, 0.0) + 1e-9).all()
+        q, v = after, speed
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    period=st.sampled_from([0.001, 0.01, 0.05]),
+    speed=st.sampled_from([0.5, 7.0]),
+    acceleration=st.sampled_from([20.0, 700.0]),
+)
+def test_a_step_keeps_the_limits_for_any_targets(seed, period, speed, acceleration):
+    """Also for targets outside the limits, and while the usable share of the speed shrinks."""
+    rng = np.random.default_rng(seed)
+    limits = JointLimits(np.full(5, -1.0), np.full(5, 0.5), speed, acceleration)
+    q, v, before = np.zeros(5), np.zeros(5), np.zeros(5)
+    share = 1.0
+    for step in range(60):
+        if step % 10 == 0:
+            target, share = rng.uniform(-2, 2, 5), rng.choice([1.0, 0.2])
+        target = target + rng.normal(0, 0.02, 5)
+        q_next, v_next = limits.step(q, v, target, before, period, share)
+        assert (limits.lower <= q_next).all() and (q_next <= limits.upper).all()
+        assert np.abs(v_next).max() <= speed * (1 + 1e-12)
+        assert np.abs(v_next - v).max() <= acceleration * period * (1 + 1e-9)
+        np.testing.assert_allclose(q_next - q, v_next * period, atol=1e-12)
+        q, v, before = q_next, v_next, target
+
+
+def test_a_joint_stops_at_a_far_target_without_overshoot():
+    """It arrives in the time of the fastest motion: full speed for the way, and once from and to rest."""
+    limits = JointLimits(np.zeros(1), np.full(1, 2.0), 5.0, 100.0)
+    q, v, target = np.zeros(1), np.zeros(1), np.full(1, 1.5)
+    before = target
+    times = []
+    for step in range(1000):
+        q, v = limits.step(q, v, target, before, 0.001)
+        assert q[0] <= 1.5 + 1e-12
+        if q[0] > 1.5 - 1e-9:
+            times.append(0.001 * (step + 1))
+    assert times[0] == pytest.approx(1.5 / 5.0 + 5.0 / 100.0, abs=0.003)
+
+
+def test_joint_limits_that_make_no_sense_are_refused():
+    """The message says which."""
+    with pytest.raises(HandError, match="lower ones must be below upper ones"):
+        JointLimits(np.ones(2), np.array([2.0, 1.0]))
+    with pytest.raises(HandError, match="speed must be positive"):
+        JointLimits(np.zeros(2), np.ones(2), speed=0.0)
+    with pytest.raises(HandError, match="acceleration must be positive"):
+        JointLimits(np.zeros(2), np.ones(2), acceleration=np.array([1.0, -1.0]))
+
+
+# -- what a good glove sends
+
+
+def replayed(recording: Recording, retarget, checks=AT_ONCE) -> tuple[np.ndarray, list[str]]:
+    """Joint targets and states at every update while a recording plays."""
+    builder = DiagramBuilder()
+    replay = builder.AddSystem(GloveReplay(recording))
+    system = builder.AddSystem(
+        RetargetingSystem(
+            retarget, JOINTS, JOINTS, dict(zip(JOINTS, retarget(recording.p_HK[0]), strict=True)),
+            checks=checks,
+        )
+    )  # fmt: skip
+    for name in ("keypoints", "valid"):
+        builder.Connect(replay.GetOutputPort(name), system.GetInputPort(name))
+    simulator = Simulator(builder.Build())
+    context = system.GetMyContextFromRoot(simulator.get_context())
+    positions, states = [], []
+    for step in range(len(recording.t)):
+        simulator.AdvanceTo(0.01 * step + 0.005)
+        positions.append(system.GetOutputPort("desired_state").Eval(context)[:16].copy())
+        states.append(system.GetOutputPort("status").Eval(context).state)
+    return np.array(positions), states
+
+
+def test_a_clean_stream_comes_out_as_the_bare_retargeter_gives_it():
+    """Bit for bit, for a map whose joints keep below their top speed in play."""
+    retarget = smooth_retargeter()
+    q, states = replayed(PLAY, retarget)
+    np.testing.assert_array_equal(q, [retarget(keypoints) for keypoints in PLAY.p_HK])
+    assert set(states) == {TRACKING}
+
+
+def test_only_what_the_joints_cannot_follow_is_touched():
+    """With a map too steep for the hand, only updates about those that ask for more than a limit differ."""
+    retarget = smooth_retargeter(10.0)
+    bare = np.array([retarget(keypoints) for keypoints in PLAY.p_HK])
+    q, states = replayed(PLAY, retarget)
+    touched = (q != bare).any(axis=1)
+    too_fast = (np.abs(np.diff(bare, axis=0)).max(axis=1) > 0.07).mean()
+    assert 0.02 < too_fast < 0.5
+    assert too_fast * 0.8 < touched.mean() < 2.5 * too_fast
+    np.testing.assert_array_equal(touched, np.array(states) == LIMITED)
+
+
+# -- faults, one by one
+
+
+def hands(count: int, start: int = 0) -> np.ndarray:
+    return PLAY.p_HK[start : start + count].astype(float)
+
+
+def test_the_hand_does_not_jump_at_the_start():
+    """It waits for steady input, and follows with growing speed until it has caught up."""
+    bench = Bench(checks=GloveChecks())
+    states, speeds = [], []
+    for number, keypoints in enumerate(hands(100)):
+        _, v, status = bench.tick(keypoints)
+        states.append(status.state)
+        speeds.append(np.abs(v).max())
+        if status.state == EASING:
+            assert speeds[-1] <= 7.0 * (number - 2) * 0.01 / 0.5 + 1e-9
+    assert states[:4] == [SETTLING] * 3 + [EASING]
+    assert states[-1] == TRACKING
+    assert not any(speeds[:3])
+
+
+@pytest.mark.parametrize(
+    ("fault", "state"),
+    [
+        ({"valid": 0.0}, HELD_LOST),
+        ({"nan": True}, HELD_NOT_FINITE),
+        ({"scale": 1000.0}, HELD_OUT_OF_RANGE),
+        ({"shift": 0.08}, HELD_JUMPED),
+        ({"stamp": -1.0}, HELD_CLOCK),
+        ({"stamp": np.nan}, HELD_NOT_FINITE),
+    ],
+)
+def test_a_fault_is_held_named_and_eased_out_of(fault, state):
+    """The status says what and since when; afterwards the hand follows again, slowly at first."""
+    bench = Bench(checks=AT_ONCE, stamped=True)
+    for number, keypoints in enumerate(hands(60)):
+        bench.tick(keypoints, stamp=0.01 * number)
+    held = []
+    for number, keypoints in enumerate(hands(40, 60)):
+        frame = keypoints * fault.get("scale", 1.0) + fault.get("shift", 0.0) * (number % 2)
+        frame[0, 0] = np.nan if "nan" in fault else frame[0, 0]
+        stamp = 0.6 + 0.01 * number
+        q, _, status = bench.tick(frame, fault.get("valid", 1.0), stamp + number * fault.get("stamp", 0.0))
+        held.append((q, status))
+    assert held[-1][1].state == state if "shift" not in fault else held[-1][1].state in (state, SETTLING)
+    np.testing.assert_array_equal(held[-1][0], held[5][0])
+    states = []
+    for number, keypoints in enumerate(hands(100, 400)):
+        *_, status = bench.tick(keypoints, stamp=1e3 + number)
+        states.append(status.state)
+    assert states[0] in (SETTLING, HELD_JUMPED)
+    assert EASING in states
+    assert states[-1] == TRACKING
+
+
+def test_the_status_keeps_the_time_of_the_first_fault():
+    """A hand lost at 0.3 s is still lost since then half a second later."""
+    bench = Bench(checks=AT_ONCE)
+    for number, keypoints in enumerate(hands(80)):
+        *_, status = bench.tick(keypoints, valid=float(number < 30))
+    assert (status.state, status.since) == (HELD_LOST, pytest.approx(0.3))
+
+
+def test_old_keypoints_are_not_followed():
+    """Where their time is known, keypoints that are not renewed are stale after 0.2 s."""
+    bench = Bench(checks=AT_ONCE, stamped=True)
+    for number in range(60):
+        *_, status = bench.tick(hands(60)[min(number, 20)], stamp=0.01 * min(number, 20))
+        assert (status.state == HELD_STALE) == (number > 40)
+
+
+def test_a_frozen_glove_is_named_and_what_follows_is_eased():
+    """Its last keypoints are still reached; the jump after it is taken slowly."""
+    bench = Bench(checks=AT_ONCE)
+    retarget = smooth_retargeter()
+    for _ in range(80):
+        q, _, status = bench.tick(hands(1)[0])
+    assert (status.state, status.since) == (FROZEN, pytest.approx(0.51))
+    np.testing.assert_array_equal(q, retarget(hands(1)[0]))
+    moved = hands(1)[0] + 0.01
+    *_, v, status = bench.tick(moved)
+    assert status.state == EASING
+    assert np.abs(v).max() <= 7.0 * 0.01 / 0.28 + 1e-9
+
+
+def test_a_brief_dropout_costs_little():
+    """One lost frame is followed again after 40 ms at the latest, and eased for no longer than that."""
+    bench = Bench(checks=AT_ONCE)
+    states = []
+    for number, keypoints in enumerate(hands(60)):
+        states.append(bench.tick(keypoints, valid=float(number != 30))[2].state)
+    assert states[29:34] == [TRACKING, HELD_LOST, SETTLING, SETTLING, SETTLING]
+    assert states[40:] == [TRACKING] * 20
+
+
+def test_the_low_pass_delays_as_it_says():
+    """A slow ramp comes out `delay` later."""
+
+    def ramp(keypoints):
+        return np.full(16, 10.0 * keypoints[4, 0])
+
+    bench = Bench(ramp, checks=AT_ONCE, cutoff=3.0)
+    assert bench.system.delay == pytest.approx(1 / (2 * np.pi * 3.0), rel=0.1)
+    for number in range(200):
+        keypoints = np.full((21, 3), 5e-4 * number)
+        q, *_ = bench.tick(keypoints)
+    np.testing.assert_allclose(q, 10 * 5e-4 * (199 - bench.system.delay / 0.01), rtol=1e-6)
+
+
+# -- the trained space
+
+
+def test_distances_are_those_to_the_nearest_trained_point(rng):
+    """Against all points by brute force; thinning adds at most the diagonal of a voxel."""
+    p_HF = PLAY.p_HK[:, list(TIPS)].astype(float)
+    points = trained_points(p_HF)
+    space = TrainedSpace(points, TIPS)
+    for hand in PLAY.p_HK[::100] + rng.normal(0, 0.02, (len(PLAY.p_HK[::100]), 1, 1)):
+        distances = space.distances(hand)
+        for finger, keypoint in enumerate(TIPS):
+            kept = np.linalg.norm(points[finger] - hand[keypoint], axis=1).min()
+            every = np.linalg.norm(p_HF[:, finger] - hand[keypoint], axis=1).min()
+            assert distances[finger] == pytest.approx(kept, abs=1e-6)
+            assert -1e-6 <= kept - every <= np.sqrt(3) * VOXEL
+        np.testing.assert_allclose(space.distances(hand[list(TIPS)]), distances)
+    with pytest.raises(CheckpointError, match=r"shape \(4, M, 3\)"):
+        TrainedSpace(points[:2], TIPS)
+
+
+def test_a_foreign_hand_is_reported_and_the_persons_own_is_not():
+    """Synthetic play of another seed is inside; the same hand 30 % larger is outside, and still followed."""
+    space = TrainedSpace(trained_points(PLAY.p_HK[:, list(TIPS)]), TIPS)
+    retarget = smooth_retargeter()
+    bench = Bench(retarget, checks=AT_ONCE, trained_space=space)
+    for keypoints in hands(60):
+        *_, status = bench.tick(keypoints)
+    assert status.state == TRACKING and status.distance < 0.01
+    bench = Bench(retarget, checks=AT_ONCE, trained_space=space)
+    for keypoints in 1.3 * hands(60):
+        q, *_, status = bench.tick(keypoints)
+    assert status.state == OUTSIDE and status.distance > 0.02
+    np.testing.assert_array_equal(q, retarget(1.3 * hands(60)[-1]))
+    *_, status = Bench(retarget, checks=AT_ONCE).tick(hands(1)[0])
+    assert np.isnan(status.distance)
+
+
+# -- the map alone
+
+
+def test_the_map_has_exact_gradients_in_autodiff():
+    """Those of the Jacobian, by joint name and keypoint; all other keypoints have none."""
+    retarget = smooth_retargeter()
+    keypoints = hands(1)[0]
+    order = JOINTS[::-1]
+    system = RetargetingMap(retarget, order)
+    context = system.CreateDefaultContext()
+    system.get_input_port().FixValue(context, keypoints.ravel())
+    np.testing.assert_array_equal(system.get_output_port().Eval(context), retarget(keypoints)[::-1])
+    differentiable = system.ToAutoDiffXd()
+    context = differentiable.CreateDefaultContext()
+    differentiable.get_input_port().FixValue(context, InitializeAutoDiff(keypoints.ravel())[:, 0])
+    q = differentiable.get_output_port().Eval(context)
+    wanted = np.zeros((16, 21, 3))
+    wanted[:, list(TIPS)] = retarget.jacobian(keypoints)[::-1]
+    np.testing.assert_allclose(ExtractGradient(q[:, None]).reshape(16, 21, 3), wanted, atol=1e-12)
+    with pytest.raises(HandError, match="the retargeter moves"):
+        RetargetingMap(retarget, ("a",))
+
+
+def test_checks_that_make_no_sense_are_refused():
+    """The message names the field."""
+    with pytest.raises(ValueError, match=r"checks\.settle_time must be finite and not negative"):
+        Bench(checks=dc.replace(AT_ONCE, settle_time=-1.0))
+    with pytest.raises(ValueError, match="cutoff must be"):
+        Bench(cutoff=np.inf)
