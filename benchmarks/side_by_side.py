@@ -47,7 +47,7 @@ def measure(functions: Mapping[str, Callable[[], object]], seconds: float) -> di
 
     Returns:
         Per name: how many calls, median and percentiles of one call in µs by the wall clock and by the
-        CPU time of the thread (which leaves out other programs' turns, and includes 0.3 µs of its own
+        CPU time of the thread (which leaves out other programs' turns, and includes 0.8 µs of its own
         clock), and `blocks`, the median CPU time of each block.
     """
     wall: dict[str, list[int]] = {name: [] for name in functions}
