@@ -13,7 +13,8 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake.errors import CheckpointError, HandError
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.recording import Recording
-from geort_drake.retargeting.retargeter import Retargeter
+from geort_drake.retargeting.checkpoint import TRAINED_POINTS, load_checkpoint, save_checkpoint
+from geort_drake.retargeting.retargeter import Retargeter, load_retargeter
 from geort_drake.retargeting.trained_space import VOXEL, TrainedSpace, trained_points
 from geort_drake.systems.glove_checks import (
     FROZEN,
@@ -45,10 +46,14 @@ LOWER, UPPER = np.full(16, -0.4), np.full(16, 1.6)
 
 def smooth_retargeter(gain: float = 1.0) -> Retargeter:
     """Random networks about the mean hand; in play their joints reach 4.2 rad/s times `gain`."""
+    return Retargeter(smooth_arrays(gain), FINGERS, JOINTS, TIPS, LOWER, UPPER)
+
+
+def smooth_arrays(gain: float = 1.0) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(2)
     centre = PLAY.p_HK[:, list(TIPS)].mean(axis=0)[:, None]
     weight0 = gain * rng.normal(0, 2.4, (4, 3, 8))
-    arrays = {
+    return {
         "weight0": weight0,
         "bias0": -centre @ weight0,
         "weight1": rng.normal(0, 0.4, (4, 8, 8)),
@@ -57,7 +62,6 @@ def smooth_retargeter(gain: float = 1.0) -> Retargeter:
         "bias2": np.zeros((4, 1, 4)),
         "columns": np.arange(16),
     }
-    return Retargeter(arrays, FINGERS, JOINTS, TIPS, LOWER, UPPER)
 
 
 PLAY = synthesize_play(4, duration_s=12.0, rate_hz=100.0)
@@ -400,6 +404,24 @@ def test_a_foreign_hand_is_reported_and_the_persons_own_is_not():
     np.testing.assert_array_equal(q, retarget(1.3 * hands(60)[-1]))
     *_, status = Bench(retarget, checks=AT_ONCE).tick(hands(1)[0])
     assert np.isnan(status.distance)
+
+
+def test_a_checkpoint_tells_where_it_was_trained_and_an_older_one_still_loads(tmp_path):
+    """Without the places, nothing is known about the distance, and the retargeter is the same."""
+    facts = {"name": "toy", "finger_names": FINGERS, "joint_names": JOINTS, "model_sha256": "abc"}
+    points = trained_points(PLAY.p_HK[:, list(TIPS)])
+    for name, arrays in (("new", {TRAINED_POINTS: points}), ("old", {})):
+        save_checkpoint(
+            tmp_path / name, smooth_arrays() | arrays, method="geort",
+            hand=facts | {"lower": LOWER.tolist(), "upper": UPPER.tolist()}, human_keypoints=TIPS,
+            training={}, provenance={}, history=[],
+        )  # fmt: skip
+    np.testing.assert_array_equal(load_checkpoint(tmp_path / "new").trained_space.points, points)
+    assert load_checkpoint(tmp_path / "old").trained_space is None
+    hand = hands(1)[0]
+    np.testing.assert_array_equal(
+        load_retargeter(tmp_path / "new")(hand), load_retargeter(tmp_path / "old")(hand)
+    )
 
 
 # -- the map alone
