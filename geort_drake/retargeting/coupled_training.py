@@ -31,7 +31,7 @@ REMEMBERED = 2000  # how many of those that nearly collided are kept
 class CoupledConfig(TrainingConfig):
     """Settings of `train_coupled`. Weights are of ratios; `length_unit` and the classifier's are unused."""
 
-    steps: int = 5500
+    steps: int = 6000
     learning_rate: float = 0.02  # of SOAP, falls to zero along half a cosine
     points: int = 40  # real frames per finger and step at which that finger is moved
     targets: int = 48  # robot voxels per finger and step
@@ -41,14 +41,14 @@ class CoupledConfig(TrainingConfig):
     collisions: int = 48  # frames per step whose collisions are computed
     hidden: int = 64
     residual_hidden: int = 96
-    direction_weight: float = 2.3
-    track_weight: float = 6.0
-    coverage_weight: float = 1.35
-    context_weight: float = 1.5
-    cross_talk_weight: float = 2.8
-    flatness_weight: float = 0.5
-    response_weight: float = 0.6
-    pinch_weight: float = 1.1
+    direction_weight: float = 2.7
+    track_weight: float = 5.9
+    coverage_weight: float = 1.42
+    context_weight: float = 1.63
+    cross_talk_weight: float = 3.4
+    flatness_weight: float = 0.62
+    response_weight: float = 0.8
+    pinch_weight: float = 1.2
     false_pinch_weight: float = 0.3
     collision_weight: float = 0.2
     coverage_radius: float = 0.010  # m
@@ -57,17 +57,15 @@ class CoupledConfig(TrainingConfig):
     pinch_scale: float = 0.008  # m
     pinch_reach: float = 0.030  # m; fingertips nearer than this are moved together to make up pinches
     pinch_spread: float = 0.005  # m; of the points at which made-up pinches meet
-    strange_pinch_share: float = 0.7  # share of made-up pinches whose other fingers are from another instant
-    strange_hand_share: float = (
-        0.25  # share of moved hands whose other fingers are from instants of their own
-    )
+    strange_pinch_share: float = 0.8  # of made-up pinches: other fingers are from another instant
+    strange_hand_share: float = 0.4  # of moved hands: other fingers are from instants of their own
     spread: float = 0.006  # m; standard deviation by which the fingertips of some hands are displaced
-    spread_share: float = 0.2  # which part of the moved hands and of the steps that is
+    spread_share: float = 0.15  # which part of the moved hands and of the steps that is
     jitter: float = 0.004  # m; of the frames that must not collide
     collision_margin: float = 0.001  # m
     collision_scale: float = 0.005  # m
     robot_voxel: float = 0.005
-    assign_every: int = 20  # steps between searches for the frames nearest to the robot's voxels
+    assign_every: int = 10  # steps between searches for the frames nearest to the robot's voxels
     weight_decay: float = 1e-2  # of the fingers' own networks
     residual_decay: float = 0.05
     averaging: float = 0.998  # of the weights, in the second half
