@@ -105,7 +105,7 @@ def _mount_hand(
     except RuntimeError as error:
         raise ScenarioError(f"scenario field hand_parent: {error}") from error
     mount = description.mount
-    file = str(resolve_uri(description.model))
+    file = resolve_uri(description.model).resolve()
     model = ModelDirective(add_model=AddModel(name=HAND, file=f"file://{file}"))
     try:
         ProcessModelDirectives(ModelDirectives(directives=[model]), parser)
