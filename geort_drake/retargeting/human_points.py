@@ -47,7 +47,8 @@ class HumanPoints:
             )
         if points.shape[-2] != fingers:
             points = points.take(self._keypoints, axis=-2)
-        # The sum is finite if and only if every term is (lengths in metres do not overflow).
-        if not math.isfinite(points.sum()):
+        # The sum of squares, the quickest of sums, is finite if and only if every term is (lengths in metres
+        # do not overflow).
+        if not math.isfinite(np.vdot(points, points)):
             raise GeortError("human points must be finite; at least one coordinate is NaN or infinite")
         return points
