@@ -87,7 +87,8 @@ class HandClearance:
         x_A, x_B = self._facing(a, R[a], p[a], n), self._facing(b, R[b], p[b], -n)
         x = x_B + side[:, None] * (x_A - x_B)
         turn, origin = (T[:-1, :3, :3] @ self._axes)[:, :, 0], T[:-1, :3, 3]
-        along = (np.cross(turn, x[:, None] - origin) @ n[:, :, None])[:, :, 0]
+        # n · (ω × (x − o)) = ω · (x × n) + n · (o × ω) for each joint's axis ω through o.
+        along = _cross(x, n) @ turn.T + n @ _cross(origin, turn).T
         between = self._between[row]
         return Near(row, gap, between * along[:, self._place], between != 0)
 
@@ -267,6 +268,12 @@ class HandClearance:
         level = np.maximum(np.hypot(u[:, 0], u[:, 1]), 1e-9)
         corner[:, :2] += (self._disc[shape] / level)[:, None] * u[:, :2]
         return p + (R @ corner[:, :, None])[:, :, 0] + self._radius[shape][:, None] * n
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Row by row, (K, 3); `np.cross` takes twice as long for few rows."""
+    up, down = [1, 2, 0], [2, 0, 1]
+    return a[:, up] * b[:, down] - a[:, down] * b[:, up]
 
 
 def _size(shape, name: str) -> tuple[tuple[float, float, float], float, float]:
