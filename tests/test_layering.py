@@ -61,6 +61,7 @@ def test_schema_modules_do_not_postpone_annotations():
     for name in (
         "simulation/scenario.py",
         "operators/config.py",
+        "systems/action_correction.py",
         "systems/grasp_monitor.py",
         "systems/wrist_to_arm.py",
         "hands/description.py",

@@ -13,7 +13,7 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake.errors import CheckpointError, HandError
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.recording import Recording
-from geort_drake.retargeting.checkpoint import TRAINED_POINTS, load_checkpoint, save_checkpoint
+from geort_drake.retargeting.checkpoint import TRAINED_POINTS, save_checkpoint
 from geort_drake.retargeting.retargeter import Retargeter, load_retargeter
 from geort_drake.retargeting.trained_space import VOXEL, TrainedSpace, trained_points
 from geort_drake.systems.glove_checks import (
@@ -416,12 +416,11 @@ def test_a_checkpoint_tells_where_it_was_trained_and_an_older_one_still_loads(tm
             hand=facts | {"lower": LOWER.tolist(), "upper": UPPER.tolist()}, human_keypoints=TIPS,
             training={}, provenance={}, history=[],
         )  # fmt: skip
-    np.testing.assert_array_equal(load_checkpoint(tmp_path / "new").trained_space.points, points)
-    assert load_checkpoint(tmp_path / "old").trained_space is None
+    new, old = (load_retargeter(tmp_path / name) for name in ("new", "old"))
+    np.testing.assert_array_equal(new.trained_space.points, points)
+    assert old.trained_space is None
     hand = hands(1)[0]
-    np.testing.assert_array_equal(
-        load_retargeter(tmp_path / "new")(hand), load_retargeter(tmp_path / "old")(hand)
-    )
+    np.testing.assert_array_equal(new(hand), old(hand))
 
 
 # -- the map alone

@@ -12,6 +12,7 @@ import numpy as np
 from geort_drake.errors import CheckpointError, UnknownNameError
 from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.human_points import HumanPoints
+from geort_drake.retargeting.trained_space import TrainedSpace
 
 
 class Retargeter:
@@ -23,7 +24,10 @@ class Retargeter:
         finger_names: F fingers, in the order of the inputs.
         joint_names: n joints, in the order of the outputs.
         lower, upper: (n,) joint limits, rad; outputs are always inside.
+        trained_space: where training saw the fingertips; None where that is not known.
     """
+
+    trained_space: TrainedSpace | None = None
 
     def __init__(
         self,
@@ -175,7 +179,7 @@ def load_retargeter(path: str | os.PathLike, hand=None) -> Retargeter:
     method = checkpoint.config["method"]
     if method not in METHODS:
         raise UnknownNameError("retargeting method", method, METHODS)
-    return METHODS[method](
+    retargeter = METHODS[method](
         checkpoint.arrays,
         checkpoint.config["finger_names"],
         checkpoint.config["joint_names"],
@@ -183,6 +187,8 @@ def load_retargeter(path: str | os.PathLike, hand=None) -> Retargeter:
         np.array(checkpoint.hand["lower"]),
         np.array(checkpoint.hand["upper"]),
     )
+    retargeter.trained_space = checkpoint.trained_space
+    return retargeter
 
 
 def _coupled(*arguments) -> Retargeter:
