@@ -1,6 +1,7 @@
 """The shape of an object, as the planner and the monitor need it, read from its model."""
 
 import dataclasses as dc
+import functools
 
 import numpy as np
 from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Role, SceneGraphInspector, Shape, Sphere
@@ -26,7 +27,30 @@ class ObjectShape:
 
     def lowest_point(self, X_WO: RigidTransform) -> float:
         """Height in W of the lowest point of the object at X_WO, m."""
-        return min(_lowest(shape, X_WO @ X_OG) for shape, X_OG in self.parts)
+        R_OG, p_OG, box, disk, ellipsoid = self._sums
+        down_O = X_WO.rotation().matrix()[2]  # the world's z axis in O
+        down_G = down_O @ R_OG
+        reach = (np.abs(down_G) * box).sum(axis=1)
+        reach += disk * np.hypot(down_G[:, 0], down_G[:, 1])
+        reach += np.sqrt(((down_G * ellipsoid) ** 2).sum(axis=1))
+        return float(X_WO.translation()[2] + (p_OG @ down_O - reach).min())
+
+    @functools.cached_property
+    def _sums(self) -> tuple[np.ndarray, ...]:
+        """Poses R_OG (N, 3, 3) and p_OG (N, 3) of the parts, and what each one is a Minkowski sum of.
+
+        That is a box of half sides (N, 3), a disk of radius (N,) across z, and an ellipsoid of half axes
+        (N, 3): the support of a sum is the sum of the supports.
+        """
+        poses = [X_OG for _, X_OG in self.parts]
+        box, disk, ellipsoid = zip(*(_summands(shape) for shape, _ in self.parts), strict=True)
+        return (
+            np.array([X.rotation().matrix() for X in poses]),
+            np.array([X.translation() for X in poses]),
+            np.array(box),
+            np.array(disk),
+            np.array(ellipsoid),
+        )
 
 
 def object_shape(plant: MultibodyPlant, inspector: SceneGraphInspector, body: RigidBody) -> ObjectShape:
@@ -63,16 +87,13 @@ def half_extents(shape: Shape) -> np.ndarray:
     return np.full(3, shape.radius())
 
 
-def _lowest(shape: Shape, X_WG: RigidTransform) -> float:
-    """Height of the shape's lowest point: its centre less the support in the direction of −z."""
-    down_G = X_WG.rotation().matrix()[2]  # the world's z axis in G
-    half = half_extents(shape)
+def _summands(shape: Shape) -> tuple[np.ndarray, float, np.ndarray]:
+    """Half sides of a box, radius of a disk across z and half axes of an ellipsoid that add up to a shape."""
+    nothing, half = np.zeros(3), half_extents(shape)
     if isinstance(shape, Box):
-        reach = float(np.abs(down_G) @ half)
-    elif isinstance(shape, Cylinder):
-        reach = abs(down_G[2]) * half[2] + half[0] * float(np.hypot(down_G[0], down_G[1]))
-    elif isinstance(shape, Capsule):
-        reach = abs(down_G[2]) * shape.length() / 2 + shape.radius()
-    else:
-        reach = float(np.linalg.norm(down_G * half))
-    return float(X_WG.translation()[2]) - reach
+        return half, 0.0, nothing
+    if isinstance(shape, Cylinder):
+        return np.array([0.0, 0.0, half[2]]), half[0], nothing
+    if isinstance(shape, Capsule):
+        return np.array([0.0, 0.0, shape.length() / 2]), 0.0, np.full(3, shape.radius())
+    return nothing, 0.0, half

@@ -11,6 +11,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, LeafSystem
 
 from geort_drake.systems.poses import vector_to_pose
+from geort_drake.systems.unchanging import Unchanging
 
 
 class GraspPhase(enum.IntEnum):
@@ -52,7 +53,7 @@ class GraspMonitorConfig:
 
 
 @dc.dataclass(frozen=True)
-class GraspOutcome:
+class GraspOutcome(Unchanging):
     """What has come of the grasp so far; times in s since the start, NaN where it has not happened."""
 
     phase: GraspPhase = GraspPhase.REACH

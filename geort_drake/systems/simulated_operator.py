@@ -1,5 +1,7 @@
 """The simulated person as a system that stands where a glove and a tracker stand."""
 
+import dataclasses as dc
+
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
@@ -10,6 +12,13 @@ from geort_drake.operators.behavior import GraspingPerson, OperatorState, Phase,
 from geort_drake.operators.config import OperatorConfig
 from geort_drake.operators.grasp_goal import GraspGoal
 from geort_drake.systems.poses import vector_to_pose
+from geort_drake.systems.unchanging import Unchanging
+
+
+@dc.dataclass(frozen=True)
+class _Memory(Unchanging):
+    # `GraspingPerson.step` leaves the state that it is given alone.
+    state: OperatorState
 
 
 class SimulatedOperator(LeafSystem):
@@ -30,8 +39,8 @@ class SimulatedOperator(LeafSystem):
         phase (1): `Phase` as a number.
         attempt (1): how many times the hand has gone for the object, from 1.
 
-    State: an abstract `OperatorState`. The noise is drawn from a generator seeded in the constructor, so
-    one system serves one simulation.
+    State: what the person remembers, an `OperatorState`. The noise is drawn from a generator seeded in the
+    constructor, so one system serves one simulation.
     """
 
     def __init__(
@@ -57,7 +66,7 @@ class SimulatedOperator(LeafSystem):
         # The delays' outputs are zero until their first sample has come through.
         self._first_sight = config.visual_delay - 0.5 * config.period
         start = self._person.start(X_WH_start)
-        state = self.DeclareAbstractState(AbstractValue.Make(start))
+        state = self.DeclareAbstractState(AbstractValue.Make(_Memory(start)))
         # The keypoints are kept beside the state because the tremor must be drawn once per decision.
         self._keypoints = self.DeclareDiscreteState(hand.keypoints(start.theta).ravel())
         ticket = {self.abstract_state_ticket(state)}
@@ -91,7 +100,7 @@ class SimulatedOperator(LeafSystem):
         return self._state(context).attempt
 
     def _state(self, context: Context) -> OperatorState:
-        return context.get_abstract_state(0).get_value()
+        return context.get_abstract_state(0).get_value().state
 
     def _decide(self, context: Context, state) -> EventStatus:
         before = self._state(context)
@@ -104,7 +113,7 @@ class SimulatedOperator(LeafSystem):
             contact=self._contact.Eval(context).copy(),
         )
         after = self._person.step(before, context.get_time(), scene)
-        state.get_mutable_abstract_state(0).set_value(after)
+        state.get_mutable_abstract_state(0).set_value(_Memory(after))
         keypoints = self._hand.keypoints(after.theta)
         keypoints[1:] += self._tremor_rng.normal(0, self._tremor, (20, 3))
         state.get_mutable_discrete_state(self._keypoints).set_value(keypoints.ravel())

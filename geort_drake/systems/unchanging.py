@@ -1,0 +1,15 @@
+"""Values that a context may share with its copies."""
+
+
+class Unchanging:
+    """Of a class whose instances nobody changes once made; a copy is the same object.
+
+    Drake copies all abstract states of a diagram twice at every update of any of them, and those that are
+    Python objects with `copy.deepcopy`, which takes longer than what most systems compute.
+    """
+
+    def __copy__(self):
+        return self
+
+    def __deepcopy__(self, memo):
+        return self
