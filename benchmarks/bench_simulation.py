@@ -1,0 +1,204 @@
+"""Times a grasp trial against real time: everything on, what recording costs, and each system's share.
+
+python benchmarks/bench_simulation.py --json simulation.json
+
+The same trial is simulated several times over, all in turns of a quarter of a simulated second, by the CPU
+time of the thread. Rows:
+  everything on   arm, hand, object, contact, operator, retargeting, inverse kinematics, monitor, recording
+  no recording    the same without the Rerun recorder; the ratios are over it
+  1 ms            everything on at half the step, which is another trial as physics goes
+The shares are from a further simulation whose Python systems are timed, each without what it calls for from
+others; what remains is Drake's: dynamics, contact, and the framework.
+"""
+
+import argparse
+import inspect
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Diagram
+from rich.table import Table
+from side_by_side import parse, write_json
+
+from geort_drake.console import console, run_main
+from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
+from geort_drake.gloves.human_hand import HumanHand
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.retargeting.retargeter import load_retargeter
+from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
+from geort_drake.simulation.grasp_planner import GraspPlanner
+from geort_drake.simulation.scenario import Scenario, load_scenario
+
+TURN = 0.25  # simulated s
+RECORDED, PLAIN, FINER, TIMED = "everything on", "no recording", "everything on, 1 ms", "timed"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    made = argparse.ArgumentParser(
+        description=__doc__.splitlines()[0], epilog=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    made.add_argument("--object", default="cylinder", help="what to grasp (default: %(default)s)")
+    made.add_argument("--retargeter", type=Path, help="checkpoint (default: trained on synthetic play)")
+    made.add_argument(
+        "--seconds", type=float, default=25.0, help="simulated at most, s (default: %(default)s)"
+    )
+    made.add_argument("--json", type=Path, help="write the figures to this file")
+    arguments = parse(made, argv)
+    with tempfile.TemporaryDirectory() as folder:
+        trials, spent = _trials(arguments, Path(folder))
+        _advance(trials, arguments.seconds)
+        started = time.thread_time()
+        trials[RECORDED].parts.recorder.close()
+        writing = time.thread_time() - started
+        trials[FINER].parts.recorder.close()
+    _report(trials, spent, writing, arguments.json)
+    return 0
+
+
+class Trial:
+    """A trial that is advanced by turns."""
+
+    def __init__(self, parts: GraspDiagram):
+        self.parts = parts
+        self.simulator = Simulator(parts.diagram)
+        parts.initialize(self.simulator.get_mutable_context())
+        self.cpu: list[float] = []
+        self.phases: list[str] = []
+
+    def advance(self, until: float) -> None:
+        """Simulates one turn, unless the trial is over."""
+        context = self.parts.monitor.GetMyContextFromRoot(self.simulator.get_context())
+        if self.parts.monitor.outcome(context).over:
+            return
+        started = time.thread_time()
+        self.simulator.AdvanceTo(until)
+        self.cpu.append(time.thread_time() - started)
+        self.phases.append(self.parts.monitor.outcome(context).phase.name)
+
+
+def _trials(arguments: argparse.Namespace, folder: Path) -> tuple[dict[str, Trial], dict[str, float]]:
+    """The simulations by name, and the CPU seconds of each system's callbacks, which fill up later."""
+    scenario = _scenario(arguments.object)
+    play = synthesize_play(seed=0)
+    checkpoint = arguments.retargeter or cached_checkpoint(scenario.hand, play)[0]
+    retarget = load_retargeter(checkpoint, HandModel(load_hand(scenario.hand)))
+    human = HumanHand.fit(play), GraspPlanner(scenario, load_hand(scenario.hand)).plan()
+    trials = {
+        RECORDED: Trial(make_grasp_diagram(scenario, retarget, human, folder / "a.rrd")),
+        PLAIN: Trial(make_grasp_diagram(scenario, retarget, human)),
+        FINER: Trial(
+            make_grasp_diagram(_scenario(arguments.object, 0.001), retarget, human, folder / "b.rrd")
+        ),
+    }
+    # Last, because systems declare their callbacks when they are made.
+    spent: dict[str, float] = defaultdict(float)
+    for kind in {type(system) for system in _systems(trials[RECORDED].parts.diagram)}:
+        _time_callbacks(kind, spent)
+    trials[TIMED] = Trial(make_grasp_diagram(scenario, retarget, human, folder / "c.rrd"))
+    return trials, spent
+
+
+def _scenario(name: str, step: float = 0.002) -> Scenario:
+    return load_scenario(text=f"{{object: {{name: {name}}}, plant_config: {{time_step: {step}}}}}")
+
+
+def _systems(diagram: Diagram) -> Iterator:
+    """This package's systems in a diagram and those within it."""
+    for system in diagram.GetSystems():
+        if isinstance(system, Diagram):
+            yield from _systems(system)
+        elif type(system).__module__.startswith("geort_drake."):
+            yield system
+
+
+_inner: list[float] = []
+
+
+def _time_callbacks(kind: type, spent: dict[str, float]) -> None:
+    """Adds up the time of a class's methods that get a context, less that of other such methods in them."""
+
+    def timed(function):
+        def wrapper(*args, **kwargs):
+            _inner.append(0.0)
+            started = time.thread_time()
+            try:
+                return function(*args, **kwargs)
+            finally:
+                whole = time.thread_time() - started
+                spent[kind.__name__] += whole - _inner.pop()
+                if _inner:
+                    _inner[-1] += whole
+
+        return wrapper
+
+    for base in kind.__mro__:
+        if base.__module__.startswith("geort_drake."):
+            for name, function in list(vars(base).items()):
+                if inspect.isfunction(function) and not hasattr(kind, f"_{name}_is_timed"):
+                    if list(inspect.signature(function).parameters)[1:2] == ["context"]:
+                        setattr(kind, name, timed(function))
+                        setattr(kind, f"_{name}_is_timed", True)
+
+
+def _advance(trials: Mapping[str, Trial], seconds: float) -> None:
+    for turn in range(1, round(seconds / TURN) + 1):
+        for trial in trials.values():
+            trial.advance(turn * TURN)
+
+
+def _report(
+    trials: Mapping[str, Trial], spent: Mapping[str, float], writing: float, path: Path | None
+) -> None:
+    table = Table(title="simulated s per s of one core")
+    for heading in ("", "median", "p5 – p95", f"CPU over '{PLAIN}' (p5 – p95)", "turns", "last phase"):
+        table.add_column(heading, justify="right" if heading else "left")
+    results = {}
+    for name, trial in trials.items():
+        cpu, plain = np.array(trial.cpu), np.array(trials[PLAIN].cpu)
+        both = min(len(cpu), len(plain))
+        speed, ratio = TURN / cpu, cpu[:both] / plain[:both]
+        results[name] = {
+            "speed": _spread(speed),
+            "ratio": _spread(ratio),
+            "cpu_s": trial.cpu,
+            "phases": trial.phases,
+        }
+        s, r = results[name]["speed"], results[name]["ratio"]
+        table.add_row(
+            name,
+            f"{s['median']:.2f} ×",
+            f"{s['p5']:.2f} – {s['p95']:.2f}",
+            f"{r['median']:.3f} ({r['p5']:.3f} – {r['p95']:.3f})",
+            str(len(cpu)),
+            trial.phases[-1],
+        )
+    console.print(table)
+    total = sum(trials[TIMED].cpu)
+    shares = {name: seconds / total for name, seconds in sorted(spent.items(), key=lambda item: -item[1])}
+    shares["Drake"] = 1 - sum(shares.values())
+    table = Table(title="share of the CPU time")
+    table.add_column("system")
+    table.add_column("share", justify="right")
+    for name, share in shares.items():
+        table.add_row(name, f"{100 * share:.1f} %")
+    console.print(table)
+    simulated = TURN * len(trials[RECORDED].cpu)
+    console.print(f"writing the recording of {simulated:g} s: {writing:.2f} s of CPU time")
+    if path:
+        write_json(path, title="simulation", results=results, shares=shares, writing_cpu_s=writing)
+
+
+def _spread(values: np.ndarray) -> dict[str, float]:
+    p5, median, p95 = np.percentile(values, [5, 50, 95])
+    return {"median": float(median), "p5": float(p5), "p95": float(p95)}
+
+
+if __name__ == "__main__":
+    run_main(main)
