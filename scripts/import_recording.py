@@ -48,16 +48,16 @@ def main(argv: Sequence[str] | None = None) -> None:
         print(json.dumps(result, indent=2))
     if arguments.picture is not None:
         _draw(recording, arguments.hand, arguments.picture)
-        console.print(f"drawn to {arguments.picture}", markup=False)
+        console.print(f"drawn to {arguments.picture}", markup=False, soft_wrap=True)
     if arguments.output is not None:
         noted(recording, findings).save(arguments.output)
-        console.print(f"saved to {arguments.output}", markup=False)
+        console.print(f"saved to {arguments.output}", markup=False, soft_wrap=True)
 
 
 def _print(result: dict[str, Any], findings: Sequence[Finding]) -> None:
     kind = FORMATS[result["format"]].title if result["format"] in FORMATS else result["format"]
     known = "known" if result["rate_known"] else "assumed"
-    console.print(f"{result['file']}: {result['side']} hand, taken for {kind}", markup=False)
+    console.print(f"{result['file']}: {result['side']} hand, taken for {kind}", markup=False, soft_wrap=True)
     console.print(
         f"{result['frames']} frames, {result['valid_frames']} valid, {result['duration_s']:.1f} s at "
         f"{result['rate_hz']:.1f} Hz ({known}); wrist: {result['wrist']}"

@@ -305,7 +305,7 @@ def test_a_digest_tells_names_and_contents_apart_and_skips_what_python_compiles(
     ("method", "settings", "motion", "coverage", "closed", "collision", "cross_talk"),
     [
         ("geort", {"steps": 400, "refreshes": 5, "classifier_steps": 500}, 0.75, 0.4, 0.8, 0.05, 0.0),
-        ("geort_coupled", {"steps": 400}, 0.95, 0.3, 0.95, 0.005, 0.08),
+        ("geort_coupled", {"steps": 600}, 0.95, 0.3, 0.95, 0.005, 0.08),
     ],
 )
 def test_a_tenth_of_the_training_already_serves_the_real_recording(
