@@ -15,7 +15,7 @@ from geort_drake.errors import HandError, PolicyError
 from geort_drake.hands.clearance import HandClearance
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
-from geort_drake.systems.action_correction import CorrectionConfig
+from geort_drake.systems.action_correction import CorrectionConfig, make_correction
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.policy_correction import PolicyCorrection, load_policy
 from geort_drake.systems.self_collision_guard import SelfCollisionGuard
@@ -355,6 +355,21 @@ def test_torch_and_onnxruntime_are_loaded_by_a_policy_alone():
 
 
 # -- configuration
+
+
+def test_without_a_correction_the_hand_is_not_looked_at():
+    """The output is that of the command alone: it is not computed anew whenever the hand has moved."""
+    joints = plant_order()
+    limits = limits_of(allegro(), joints)
+    system = make_correction(
+        CorrectionConfig(), allegro().description, joints, dict.fromkeys(joints, 0.0), limits, 0.01
+    )
+    desired, measured = (system.GetInputPort(name) for name in ("desired_state", "hand_state"))
+    assert system.HasDirectFeedthrough(desired.get_index(), 0)
+    assert not system.HasDirectFeedthrough(measured.get_index(), 0)
+    context = system.CreateDefaultContext()
+    desired.FixValue(context, np.arange(32.0))
+    np.testing.assert_array_equal(system.get_output_port().Eval(context), np.arange(32.0))
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import HandModel
@@ -40,9 +40,9 @@ class ActionCorrection(LeafSystem):
     """Passes the desired state on; a subclass overrides `correct`.
 
     It stands where DexterityGen puts its foundation controller (Yin et al. 2025, section IV): a policy
-    that sees the hand and turns coarse targets into safe, dexterous ones. `SelfCollisionGuard` and
-    `PolicyCorrection` have the same ports; what has a state of its own overrides `_calc` in place of
-    `correct`, and says in `_depends_on` what its output is made of.
+    that sees the hand and turns coarse targets into safe, dexterous ones. `NoCorrection`,
+    `SelfCollisionGuard` and `PolicyCorrection` have the same ports; they override `_calc` in place of
+    `correct`, and say in `_depends_on` what their output is made of.
 
     Input ports:
         desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.
@@ -67,6 +67,51 @@ class ActionCorrection(LeafSystem):
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self.correct(self._desired.Eval(context), self._measured.Eval(context)))
+
+
+class NoCorrection(ActionCorrection):
+    """Passes commands on without a look at the hand, so not anew at each step of the plant.
+
+    Its ports are those of `ActionCorrection`; `hand_state` is not read.
+    """
+
+    def _depends_on(self) -> set:
+        return {self.input_port_ticket(self._desired.get_index())}
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._desired.Eval(context))
+
+
+class PeriodicCorrection(ActionCorrection):
+    """Sets up what corrects at a fixed period and remembers positions; a subclass adds `_update`.
+
+    State: n positions (rad), the initial ones at first.
+
+    Args:
+        actuated_joints: joints in actuator order.
+        initial_positions: joint name → rad, the command before the first update.
+        limits: of the joints, in the order of `actuated_joints`.
+        period: time between updates, s.
+    """
+
+    def __init__(
+        self,
+        actuated_joints: Sequence[str],
+        initial_positions: dict[str, float],
+        limits: JointLimits,
+        period: float,
+    ):
+        super().__init__(len(actuated_joints))
+        self._limits, self._period = limits, period
+        self._q_start = np.array([initial_positions[name] for name in actuated_joints])
+        self._positions = self.DeclareDiscreteState(self._q_start)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
+
+    def _depends_on(self) -> set:
+        return {self.xd_ticket()}
+
+    def _update(self, context: Context, discrete_state) -> EventStatus:
+        raise NotImplementedError
 
 
 def make_correction(
@@ -94,4 +139,4 @@ def make_correction(
 
         policy = load_policy(config.policy, len(actuated_joints))
         return PolicyCorrection(policy, actuated_joints, initial_positions, limits, period)
-    return ActionCorrection(len(actuated_joints))
+    return NoCorrection(len(actuated_joints))

@@ -9,14 +9,14 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, EventStatus
 
 from geort_drake.errors import PolicyError
-from geort_drake.systems.action_correction import ActionCorrection
+from geort_drake.systems.action_correction import PeriodicCorrection
 from geort_drake.systems.joint_limits import JointLimits
 
 # (hand state (2n,), commanded positions (n,)) → positions (n,), rad and rad/s.
 Policy = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-class PolicyCorrection(ActionCorrection):
+class PolicyCorrection(PeriodicCorrection):
     """Asks a policy at a fixed period; its answers are kept finite and within the joint limits.
 
     Position, speed and acceleration are limited as in `JointLimits.step`. An answer that is not finite is
@@ -25,7 +25,7 @@ class PolicyCorrection(ActionCorrection):
 
     Its ports are those of `ActionCorrection`.
 
-    State: the desired state last given out (2n), and the policy's last answer (n).
+    State: the policy's last answer (n), and the desired state last given out (2n).
 
     Args:
         policy: what `load_policy` returns, or any function like it.
@@ -43,32 +43,25 @@ class PolicyCorrection(ActionCorrection):
         limits: JointLimits,
         period: float = 0.01,
     ):
-        self._n = len(actuated_joints)
-        super().__init__(self._n)
-        self._policy, self._limits, self._period = policy, limits, period
-        q0 = np.array([initial_positions[name] for name in actuated_joints])
-        self.DeclareDiscreteState(np.concatenate([q0, np.zeros(self._n)]))
-        self.DeclareDiscreteState(q0)
-        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
-
-    def _depends_on(self) -> set:
-        return {self.xd_ticket()}
+        super().__init__(actuated_joints, initial_positions, limits, period)
+        self._n, self._policy = len(actuated_joints), policy
+        self._given_out = self.DeclareDiscreteState(np.concatenate([self._q_start, np.zeros(self._n)]))
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(context.get_discrete_state(0).value())
+        output.SetFromVector(context.get_discrete_state(self._given_out).value())
 
     def _update(self, context: Context, discrete_state) -> EventStatus:
         n = self._n
-        state = context.get_discrete_state(0).value()
-        q, v, before = state[:n], state[n:], context.get_discrete_state(1).value()
+        state = context.get_discrete_state(self._given_out).value()
+        q, v, before = state[:n], state[n:], context.get_discrete_state(self._positions).value()
         answer = self._policy(self._measured.Eval(context), self._desired.Eval(context)[:n])
         if np.isfinite(answer).all():
             answer = np.clip(answer, self._limits.lower, self._limits.upper)
         else:
             answer = before = q
         q, v = self._limits.step(q, v, answer, before, self._period)
-        discrete_state.get_mutable_vector(0).SetFromVector(np.concatenate([q, v]))
-        discrete_state.get_mutable_vector(1).SetFromVector(answer)
+        discrete_state.get_mutable_vector(self._given_out).SetFromVector(np.concatenate([q, v]))
+        discrete_state.get_mutable_vector(self._positions).SetFromVector(answer)
         return EventStatus.Succeeded()
 
 

@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 from geort_drake.errors import HandError
 from geort_drake.hands.clearance import HandClearance, Near
 from geort_drake.hands.model import HandModel
-from geort_drake.systems.action_correction import ActionCorrection
+from geort_drake.systems.action_correction import PeriodicCorrection
 from geort_drake.systems.joint_limits import JointLimits
 
 _SLACK = 2e-4  # m; a correction aims this much farther than it must
@@ -18,7 +18,7 @@ _HEED = 2e-3  # m; and sees to it that pairs with this much more than they must 
 _CORRECTIONS = 4
 
 
-class SelfCollisionGuard(ActionCorrection):
+class SelfCollisionGuard(PeriodicCorrection):
     """Passes on what is clear, and what is not as nearly as it can be made clear.
 
     What comes out always was found clear: between all parts of the hand that `HandClearance` looks at, the
@@ -59,19 +59,15 @@ class SelfCollisionGuard(ActionCorrection):
                 f"the hand's joints are {', '.join(sorted(hand.joint_names))}; given are "
                 f"{', '.join(sorted(actuated_joints))}"
             )
-        super().__init__(len(actuated_joints))
+        super().__init__(actuated_joints, initial_positions, limits, period)
         self._to_hand = np.array([list(actuated_joints).index(name) for name in hand.joint_names])
         self._to_plant = np.argsort(self._to_hand)
         self._hand_clearance, self._clearance = HandClearance(hand), clearance
-        self._limits, self._period = limits, period
-        q0 = np.array([initial_positions[name] for name in actuated_joints])
-        if (near := self._near(q0)) is not None:
+        if (near := self._near(self._q_start)) is not None:
             raise HandError(
                 f"the hand must start with {1e3 * clearance:g} mm between its parts; at the initial "
                 f"positions it has {1e3 * near.gap.min():.1f} mm"
             )
-        self.DeclareDiscreteState(q0)
-        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
 
     def guarded(self, wanted: np.ndarray, clear: np.ndarray) -> np.ndarray:
         """Clear positions near those wanted, (n,) each, in one step from `clear` ones; actuator order."""
@@ -113,12 +109,12 @@ class SelfCollisionGuard(ActionCorrection):
         )
 
     def _depends_on(self) -> set:
-        return {self.input_port_ticket(self._desired.get_index()), self.xd_ticket()}
+        return super()._depends_on() | {self.input_port_ticket(self._desired.get_index())}
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         desired = self._desired.Eval(context)
         n = len(desired) // 2
-        clear = context.get_discrete_state(0).value()
+        clear = context.get_discrete_state(self._positions).value()
         q = self.guarded(desired[:n], clear)
         if np.array_equal(q, desired[:n]):
             output.SetFromVector(desired)
@@ -127,7 +123,7 @@ class SelfCollisionGuard(ActionCorrection):
 
     def _update(self, context: Context, discrete_state) -> EventStatus:
         output = self.get_output_port().Eval(context)
-        discrete_state.get_mutable_vector(0).SetFromVector(output[: len(output) // 2])
+        discrete_state.get_mutable_vector(self._positions).SetFromVector(output[: len(output) // 2])
         return EventStatus.Succeeded()
 
 
