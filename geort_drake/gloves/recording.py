@@ -19,6 +19,19 @@ from geort_drake.gloves.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
 CONVENTION = 1
 SIDES = ("left", "right")
 PINCH_M = 0.015  # a thumb–finger distance below this counts as a pinch
+# Of a file, packed and unpacked: the largest format takes 1.5 GB for an hour at 120 Hz.
+MOST_BYTES = 2 << 30
+
+# What programs take out of the metadata.
+_METADATA = {
+    "format": str,
+    "source": str,
+    "object": str,
+    "seed": int,
+    "warnings": list,
+    "rate_known": bool,
+    "wrist_position_tracked": bool,
+}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -41,10 +54,16 @@ class Recording:
 
     def __post_init__(self):
         # float32 is what the file holds, so the digest survives a round trip.
-        for name, dtype in (("t", np.float64), ("p_HK", np.float32), ("valid", np.bool_)):
-            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=dtype))
-        if self.X_WH is not None:
-            object.__setattr__(self, "X_WH", np.asarray(self.X_WH, dtype=np.float64))
+        types = {"t": np.float64, "p_HK": np.float32, "valid": np.bool_, "X_WH": np.float64}
+        for name, dtype in types.items():
+            if getattr(self, name) is None and name == "X_WH":
+                continue
+            array = np.asarray(getattr(self, name))
+            if array.dtype.kind not in "fiub":
+                raise RecordingError(f"recording: {name} must hold numbers, not {array.dtype}")
+            # Numbers beyond what float32 holds become infinite, which counts as lost.
+            with np.errstate(over="ignore"):
+                object.__setattr__(self, name, array.astype(dtype, copy=False))
         frames = len(self.t) if self.t.ndim == 1 else -1
         wanted = {
             "t": (frames,),
@@ -118,7 +137,7 @@ class Recording:
             raise RecordingError(f"{name}: not a recording, it lacks {', '.join(missing)}")
         try:
             metadata = json.loads(str(arrays["metadata"]))
-        except json.JSONDecodeError as error:
+        except (ValueError, RecursionError) as error:
             raise RecordingError(f"{name}: metadata is not JSON ({error})") from None
         if not isinstance(metadata, dict) or metadata.get("side") not in SIDES:
             raise RecordingError(f"{name}: metadata must name a side, one of: {', '.join(SIDES)}")
@@ -126,23 +145,66 @@ class Recording:
             raise RecordingError(
                 f"{name}: convention {metadata.get('convention')} is not the one read here, {CONVENTION}"
             )
+        for field, kind in _METADATA.items():
+            if field in metadata and not isinstance(metadata[field], kind):
+                raise RecordingError(
+                    f"{name}: metadata {field} must be of type {kind.__name__}, not {metadata[field]!r:.40}"
+                )
+        if not all(isinstance(warning, str) for warning in metadata.get("warnings", [])):
+            raise RecordingError(f"{name}: metadata warnings must be texts")
         try:
-            return cls(arrays["t"], arrays["p_HK"], arrays["valid"], arrays.get("X_WH"), metadata)
-        except (RecordingError, ValueError) as error:
+            recording = cls(arrays["t"], arrays["p_HK"], arrays["valid"], arrays.get("X_WH"), metadata)
+        except RecordingError as error:
             raise RecordingError(f"{name}: {str(error).removeprefix('recording: ')}") from None
+        if recording.X_WH is not None:
+            size = np.linalg.norm(recording.X_WH[:, :4], axis=1)
+            if np.nanmax(np.abs(size - 1.0), initial=0.0) > 1e-2:
+                frame = int(np.nanargmax(np.abs(size - 1.0)))
+                raise RecordingError(
+                    f"{name}: X_WH must hold unit quaternions and then positions, but the first four numbers "
+                    f"of frame {frame} have norm {size[frame]:.3g}"
+                )
+        return recording
 
 
 def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
-    """The arrays of an .npz file, or of an .npy file under the name "data"; never unpickles."""
+    """The arrays of an .npz file, or of an .npy file under the name "data"; never unpickles.
+
+    Raises:
+        RecordingError: no such file, not NumPy's, or larger than `MOST_BYTES`, also when unpacked.
+    """
     path = Path(path)
-    if not path.is_file():
-        raise RecordingError(f"{path}: no such file")
+    check_file(path)
     try:
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as archive:
+                check_size(path, sum(member.file_size for member in archive.infolist()))
         loaded = np.load(path, allow_pickle=False)
         if isinstance(loaded, np.ndarray):
             return {"data": loaded}
         with loaded:
-            return {name: loaded[name] for name in loaded.files}
-    except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:
+            arrays = {name: loaded[name] for name in loaded.files}
+    except RecordingError:
+        raise
+    except Exception as error:  # a corrupt archive raises nearly anything
         reason = "it holds pickled objects, which are never read" if "pickle" in str(error) else str(error)
         raise RecordingError(f"{path}: not a readable NumPy file: {reason}") from None
+    for name, array in arrays.items():
+        if not isinstance(array, np.ndarray):
+            raise RecordingError(f"{path}: holds {name}, which is no array")
+    return arrays
+
+
+def check_file(path: Path) -> None:
+    """Raises RecordingError unless `path` is a file of at most `MOST_BYTES`."""
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such file")
+    check_size(path, path.stat().st_size)
+
+
+def check_size(path: Path, size: int) -> None:
+    """Raises RecordingError for more than `MOST_BYTES`, from a corrupt or hostile file."""
+    if size > MOST_BYTES:
+        raise RecordingError(
+            f"{path}: holds {size / 2**30:.1f} GiB; recordings of up to {MOST_BYTES >> 30} GiB are read"
+        )

@@ -94,7 +94,9 @@ def suffix_of(path: Path) -> str:
 def _told(contents: Any) -> str:
     """A file's contents in a few words."""
     if isinstance(contents, dict):
-        parts = [f"{key}{getattr(value, 'shape', '')}" for key, value in contents.items()]
+        names = (key if isinstance(key, str) else f"<{type(key).__name__}>" for key in contents)
+        shapes = (getattr(value, "shape", "") for value in contents.values())
+        parts = [f"{name:.40}{shape}" for name, shape in zip(names, shapes, strict=True)]
         return ", ".join(parts[:8]) + (", ..." if len(parts) > 8 else "") or "nothing"
     if hasattr(contents, "header"):
         return f"columns {', '.join(contents.header[:5])}, ..."

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from geort_drake.errors import RecordingError
-from geort_drake.gloves.formats.tracks import Tracks, numbers
+from geort_drake.gloves.formats.tracks import Tracks, numbers, shape_of
 
 SUFFIXES = (".pkl", ".pickle")
 
@@ -28,7 +28,7 @@ def read(name: str, contents: Any, side: str) -> Tracks:
     if not isinstance(contents, list | np.ndarray):
         raise RecordingError(f"{name}: a list of (21, 3) arrays is wanted, not {type(contents).__name__}")
     for i, frame in enumerate(contents):
-        if frame is not None and np.shape(frame) != (21, 3):
-            raise RecordingError(f"{name}: frame {i} must have shape (21, 3), not {np.shape(frame)}")
+        if frame is not None and shape_of(frame) != (21, 3):
+            raise RecordingError(f"{name}: frame {i} must have shape (21, 3), not {shape_of(frame)}")
     lost = np.full((21, 3), np.nan)
     return Tracks(numbers(name, "the list", [lost if f is None else f for f in contents], (21, 3)))

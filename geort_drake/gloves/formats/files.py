@@ -8,7 +8,7 @@ from typing import Any
 
 from geort_drake.errors import RecordingError
 from geort_drake.gloves.formats.unpickling import load_plain
-from geort_drake.gloves.recording import load_arrays
+from geort_drake.gloves.recording import check_file, load_arrays
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,15 +23,17 @@ def load(path: Path) -> Any:
     """A dict of arrays, a `Table`, or the objects of a JSON or pickle file; of a folder, its pickles.
 
     Raises:
-        RecordingError: no such file, a suffix that is not read, or contents that do not fit it.
+        RecordingError: no such file, one too large, a suffix that is not read, or contents that do not
+            fit it.
     """
     if path.is_dir():
         files = sorted(path.glob("*.pkl"))
         if not files:
             raise RecordingError(f"{path}: the folder holds no .pkl files, one per frame, as of HO-3D's meta")
+        for file in files:
+            check_file(file)
         return [load_plain(file) for file in files]
-    if not path.is_file():
-        raise RecordingError(f"{path}: no such file")
+    check_file(path)
     if path.suffix not in _LOADERS:
         raise RecordingError(f"{path}: recordings are read from {', '.join(_LOADERS)}, not '{path.suffix}'")
     return _LOADERS[path.suffix](path)
@@ -41,7 +43,10 @@ def _load_table(path: Path) -> Table:
     text = _text(path)
     first = text.partition("\n")[0]
     delimiter = max(",;\t", key=first.count)
-    rows = [row for row in csv.reader(text.splitlines(), delimiter=delimiter) if any(row)]
+    try:
+        rows = [row for row in csv.reader(text.splitlines(), delimiter=delimiter) if any(row)]
+    except csv.Error as error:
+        raise RecordingError(f"{path}: not a table: {error}") from None
     if not rows:
         raise RecordingError(f"{path}: the table is empty")
     return Table([name.strip() for name in rows[0]], rows[1:])
@@ -50,7 +55,7 @@ def _load_table(path: Path) -> Table:
 def _load_json(path: Path) -> Any:
     try:
         return json.loads(_text(path))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise RecordingError(f"{path}: not JSON: {error}") from None
 
 
@@ -59,7 +64,7 @@ def _load_json_lines(path: Path) -> list:
     for number, line in enumerate(_text(path).splitlines(), 1):
         try:
             frames += [json.loads(line)] if line.strip() else []
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise RecordingError(f"{path}: line {number} is not JSON: {error}") from None
     return frames
 

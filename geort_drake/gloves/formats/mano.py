@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from geort_drake.errors import RecordingError
-from geort_drake.gloves.formats.tracks import Tracks, numbers, side_of, times
+from geort_drake.gloves.formats.tracks import Tracks, numbers, shape_of, side_of, times
 from geort_drake.gloves.health.order import MANO_ORDER, ORDERS, fitting_order
 
 SUFFIXES = (".npy", ".npz", ".pkl", ".pickle")
@@ -61,9 +61,8 @@ def _frame(name: str, i: int, frame: Any) -> np.ndarray:
     joints = frame[_FIELD]
     if joints is None:
         return np.full((21, 3), np.nan)
-    if np.shape(joints) != (21, 3):
-        wrist = " (the wrist alone: HO-3D's evaluation split)" if np.shape(joints) == (3,) else ""
-        raise RecordingError(
-            f"{name}: frame {i}: {_FIELD} must have shape (21, 3), not {np.shape(joints)}{wrist}"
-        )
-    return np.asarray(joints, dtype=float)
+    shape = shape_of(joints)
+    if shape != (21, 3):
+        wrist = " (the wrist alone: HO-3D's evaluation split)" if shape == (3,) else ""
+        raise RecordingError(f"{name}: frame {i}: {_FIELD} must have shape (21, 3), not {shape}{wrist}")
+    return joints

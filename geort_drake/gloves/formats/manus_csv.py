@@ -42,6 +42,9 @@ def read(name: str, contents: Table, side: str) -> Tracks:
             f"such as {missing[0]}"
             + ("; these are ergonomics, that is joint angles: export joint positions" if angles else "")
         )
+    twice = [column for column in (*_COLUMNS, _ELAPSED) if contents.header.count(column) > 1]
+    if twice:
+        raise RecordingError(f"{name}: the header has the column {twice[0]} more than once")
     p_WK = np.stack([_column(name, contents, column) for column in _COLUMNS], axis=1).reshape(-1, 21, 3)
     t = _column(name, contents, _ELAPSED) * 1e-3 if _ELAPSED in contents.header else None
     findings = []

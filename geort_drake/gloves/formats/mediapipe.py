@@ -13,6 +13,7 @@ Source: https://ai.google.dev/edge/mediapipe/solutions/vision/hand_landmarker an
 https://ai.google.dev/edge/api/mediapipe/js/tasks-vision.handlandmarkerresult
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -72,8 +73,8 @@ def _read_arrays(name: str, contents: Any) -> Tracks:
 
 def _hand(name: str, i: int, frame: dict, side: str) -> list | None:
     """21 points of the hand of that side, or None if the frame shows none."""
-    hands: list = next((frame[field] for field in _WORLD if frame.get(field)), [])
-    labels = [_label(label) for label in next((frame[f] for f in _HANDEDNESS if frame.get(f)), [])]
+    hands = _list(name, i, frame, _WORLD)
+    labels = [_label(label) for label in _list(name, i, frame, _HANDEDNESS)]
     if labels and len(labels) != len(hands):
         raise RecordingError(f"{name}: frame {i} has {len(labels)} handedness for {len(hands)} hands")
     if len(hands) > 1 and not labels:
@@ -87,6 +88,15 @@ def _hand(name: str, i: int, frame: dict, side: str) -> list | None:
             raise RecordingError(f"{name}: frame {i}: {KEYPOINT_COUNT} landmarks are wanted, {given} given")
         return [point(name, f"frame {i}, landmark {k}", value) for k, value in enumerate(points)]
     return None
+
+
+def _list(name: str, i: int, frame: dict, fields: Sequence[str]) -> list:
+    """The first of the fields that holds something."""
+    field = next((field for field in fields if frame.get(field)), None)
+    value = [] if field is None else frame[field]
+    if not isinstance(value, list):
+        raise RecordingError(f"{name}: frame {i}: {field} must be a list, not {value!r:.40}")
+    return value
 
 
 def _label(value: Any) -> str:

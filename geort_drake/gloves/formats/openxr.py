@@ -87,10 +87,13 @@ def _points(name: str, i: int, frame: dict) -> list[list[float]]:
 def _point(name: str, where: str, joint: Any) -> list[float]:
     if not isinstance(joint, dict):
         return point(name, where, joint)
-    if not joint.get("locationFlags", _POSITION_VALID) & _POSITION_VALID:
+    flags = joint.get("locationFlags", _POSITION_VALID)
+    if not isinstance(flags, int):
+        raise RecordingError(f"{name}: {where}: locationFlags must be a whole number, not {flags!r:.40}")
+    if not flags & _POSITION_VALID:
         return [np.nan] * 3
     pose = joint.get("pose", joint)
-    return point(name, where, pose["position"] if "position" in pose else pose)
+    return point(name, where, pose["position"] if isinstance(pose, dict) and "position" in pose else pose)
 
 
 def _check_palm(name: str, p: np.ndarray) -> None:

@@ -57,6 +57,14 @@ def numbers(name: str, field: str, value: Any, *shapes: tuple[int, ...]) -> np.n
     return array.astype(float)
 
 
+def shape_of(value: Any) -> tuple[int, ...] | None:
+    """The shape of what a pickle holds in a frame; None where rows differ in length."""
+    try:
+        return np.shape(value)
+    except ValueError:
+        return None
+
+
 def times(name: str, arrays: Mapping[str, Any], frames: int) -> np.ndarray | None:
     """Times (T,), s, of an archive that may hold them as t, timestamps or time; one for each frame."""
     field = next((field for field in _TIMES if field in arrays), None)
@@ -98,7 +106,7 @@ def point(name: str, where: str, value: Any) -> list[float]:
     if value is None:
         return [np.nan] * 3
     xyz = [value.get(axis) for axis in "xyz"] if isinstance(value, dict) else value
-    if not isinstance(xyz, list) or len(xyz) != 3 or not all(isinstance(x, int | float) for x in xyz):
+    if not isinstance(xyz, list) or len(xyz) != 3 or not all(map(_is_number, xyz)):
         raise RecordingError(f"{name}: {where} must be a point of three numbers x, y, z, not {value!r:.60}")
     return [float(x) for x in xyz]
 
@@ -109,10 +117,17 @@ def json_times(name: str, frames: Sequence[dict], field: str, unit_s: float) -> 
     if all(stamp is None for stamp in stamps):
         return None
     for i, stamp in enumerate(stamps):
-        if isinstance(stamp, bool) or not isinstance(stamp, int | float):
+        if not _is_number(stamp):
             raise RecordingError(f"{name}: frame {i}: {field} must be a number, not {stamp!r:.40}")
     # Nanoseconds since an epoch exceed what a double resolves, so the start is taken off first.
     return np.array([(stamp - stamps[0]) * unit_s for stamp in stamps])
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value of a JSON file is a number that a float holds; JSON's whole numbers have no bound."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return abs(value) < 1 << 1000
+    return isinstance(value, float)
 
 
 def joint_positions(

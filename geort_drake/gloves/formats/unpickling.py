@@ -18,7 +18,6 @@ _ALLOWED = {
     ("numpy.core.numeric", "_frombuffer"),
     ("numpy._core.numeric", "_frombuffer"),
     *((module, name) for module in _MODULES for name in ("_reconstruct", "scalar")),
-    ("_codecs", "encode"),  # bytes, in the older protocols
 }
 
 
@@ -26,8 +25,17 @@ class _Refused(Exception):
     pass
 
 
+def _latin1(text: str, encoding: str) -> bytes:
+    """What the older protocols make bytes with; other codecs would let a small file grow without bound."""
+    if encoding not in ("latin1", "latin-1"):
+        raise _Refused(f"_codecs.encode to {encoding:.20}")
+    return text.encode("latin1")
+
+
 class _PlainUnpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Callable:
+        if (module, name) == ("_codecs", "encode"):
+            return _latin1
         if (module, name) not in _ALLOWED:
             raise _Refused(f"{module}.{name}")
         return super().find_class(module, name)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from geort_drake.errors import RecordingError
-from geort_drake.gloves.formats.tracks import KEYPOINTS_OF_25, Tracks, numbers, times, transforms
+from geort_drake.gloves.formats.tracks import KEYPOINTS_OF_25, Tracks, numbers, shape_of, times, transforms
 
 SUFFIXES = (".npz", ".pkl", ".pickle")
 
@@ -66,8 +66,8 @@ def _stacked(name: str, frames: list) -> dict[str, np.ndarray]:
         if missing:
             raise RecordingError(f"{name}: frame {i} lacks {missing[0]}, which frame 0 has")
         for field in fields:
-            given = np.shape(frame[field])
-            if given != np.shape(frames[0][field]):
+            given = shape_of(frame[field])
+            if given is None or given != shape_of(frames[0][field]):
                 raise RecordingError(f"{name}: frame {i}: {field} has shape {given}, not frame 0's")
     arrays = {field: np.array([frame[field] for frame in frames]) for field in fields}
     if "timestamp" in frames[0]:

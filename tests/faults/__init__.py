@@ -1,0 +1,1 @@
+"""Faults that are put in on purpose, for the tests and for benchmarks/measure_reliability.py."""

@@ -1,0 +1,421 @@
+"""Recordings of hands that no reader may take, beside those in test_gloves_health.py."""
+
+import csv
+import io
+import json
+import os
+import pickle
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from glove_files import (
+    manus_table,
+    mediapipe_frames,
+    moving,
+    openxr_frames,
+    webxr_frames,
+    write_dex_retargeting,
+    write_geort,
+    write_manus,
+    write_manus_csv,
+    write_openxr,
+    write_own,
+)
+
+from faults.refusals import Case
+
+GIB = 1 << 30
+
+
+def deflated_zeros(count: int) -> bytes:
+    """A deflate stream of `count` zeros, a multiple of 64 MiB, without compressing them all."""
+    block = 1 << 26
+    first, last = zlib.compressobj(9, zlib.DEFLATED, -15), zlib.compressobj(9, zlib.DEFLATED, -15)
+    # Fully flushed, a block of a stream stands for itself and may be repeated.
+    repeated = first.compress(bytes(block)) + first.flush(zlib.Z_FULL_FLUSH)
+    return repeated * (count // block) + last.flush()
+
+
+def zip_bomb(path: Path, name: str, head: bytes, zeros: int) -> Path:
+    """A zip archive with one small member that unpacks to `head` and zeros."""
+    start = zlib.compressobj(9, zlib.DEFLATED, -15)
+    data = start.compress(head) + start.flush(zlib.Z_FULL_FLUSH) + deflated_zeros(zeros)
+    sizes = struct.pack("<LQQ", 0, zeros + len(head), len(data))
+    short = struct.pack("<LLL", 0, 0xFFFFFFFF, 0xFFFFFFFF)
+    extra = struct.pack("<HHQQ", 1, 16, *struct.unpack("<LQQ", sizes)[1:])
+    times = struct.pack("<HHHHH", 45, 0, 8, 0, 33)
+    named = name.encode()
+    local = b"PK\3\4" + times + short + struct.pack("<HH", len(named), len(extra)) + named + extra
+    fields = struct.pack("<HHHHHLL", len(named), len(extra), 0, 0, 0, 0, 0)
+    central = b"PK\1\2" + struct.pack("<H", 45) + times + short + fields + named + extra
+    offset = len(local) + len(data)
+    end = b"PK\5\6" + struct.pack("<HHHHLLH", 0, 0, 1, 1, len(central), offset, 0)
+    path.write_bytes(local + data + central + end)
+    return path
+
+
+def npy_header(shape: tuple[int, ...], descr: object = "<f8") -> bytes:
+    """What an .npy file of that shape begins with."""
+    buffer = io.BytesIO()
+    fields = {"descr": descr, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_2_0(buffer, fields)
+    return buffer.getvalue()
+
+
+class Calls:
+    """Pickled, it asks for a call of a function."""
+
+    def __init__(self, function: Callable, *arguments: object):
+        self.call = (function, arguments)
+
+    def __reduce__(self) -> tuple:
+        return self.call
+
+
+def with_bytes(name: str, content: bytes) -> Callable[[Path], tuple]:
+    """Imports a file of that content."""
+
+    def make(folder: Path) -> tuple:
+        (folder / name).write_bytes(content)
+        return imports(folder / name)
+
+    return make
+
+
+def imports(path: Path) -> tuple:
+    return "import_recording.py", path, "out.npz"
+
+
+def npz(**arrays: object) -> Callable[[Path], tuple]:
+    def make(folder: Path) -> tuple:
+        np.savez(folder / "hand.npz", **arrays)
+        return imports(folder / "hand.npz")
+
+    return make
+
+
+def own(**changes: object) -> Callable[[Path], tuple]:
+    """Our own format with other fields."""
+    return lambda folder: imports(write_own(folder, moving(), **changes))
+
+
+def metadata(**changes: object) -> Callable[[Path], tuple]:
+    """Our own format with other metadata."""
+    told = {"side": "right", "convention": 1, **changes}
+    return own(metadata=np.array(json.dumps(told)))
+
+
+def spoiled(folder: Path, at: float) -> tuple:
+    """A sound archive with one byte changed there."""
+    path = write_manus(folder, moving())
+    content = bytearray(path.read_bytes())
+    content[int(at * len(content))] ^= 0x55
+    path.write_bytes(content)
+    return imports(path)
+
+
+def bomb(folder: Path) -> tuple:
+    shape = (10 * GIB // 504 - 1, 21, 3)
+    return imports(zip_bomb(folder / "bomb.npz", "world_landmarks.npy", npy_header(shape), 10 * GIB))
+
+
+def bomb_of_bytes(folder: Path) -> tuple:
+    return imports(zip_bomb(folder / "bomb.npz", "readme.txt", b"", 10 * GIB))
+
+
+def promised(folder: Path) -> tuple:
+    """A small archive whose array says that it has a million million frames."""
+    with zipfile.ZipFile(folder / "hand.npz", "w") as file:
+        file.writestr("world_landmarks.npy", npy_header((10**12, 21, 3)) + bytes(504))
+    return imports(folder / "hand.npz")
+
+
+def climbing(folder: Path) -> tuple:
+    """Members whose names lead out of any folder that they might be unpacked to."""
+    array = npy_header((2, 21, 3)) + bytes(2 * 504)
+    with zipfile.ZipFile(folder / "hand.npz", "w") as file:
+        for name in ("../../climbed.npy", "/tmp/climbed.npy", "..\\climbed.npy"):
+            file.writestr(name, array)
+    return imports(folder / "hand.npz")
+
+
+def climbing_symlink(folder: Path) -> tuple:
+    """A member that is a symbolic link to a file outside."""
+    info = zipfile.ZipInfo("p_HK.npy")
+    info.external_attr = 0o120777 << 16
+    with zipfile.ZipFile(folder / "hand.npz", "w") as file:
+        file.writestr(info, "../../../etc/passwd")
+    return imports(folder / "hand.npz")
+
+
+def torch_archive(folder: Path) -> tuple:
+    """What torch.save writes: a zip archive with a pickle in it."""
+    with zipfile.ZipFile(folder / "hand.npz", "w") as file:
+        file.writestr("archive/data.pkl", pickle.dumps(Calls(os.system, "touch harm")))
+        file.writestr("archive/version", "3\n")
+    return imports(folder / "hand.npz")
+
+
+def locked(folder: Path) -> tuple:
+    """An archive whose member is marked as encrypted."""
+    path = write_openxr(folder, moving())
+    content = bytearray(path.read_bytes())
+    for mark, flags in ((b"PK\3\4", 6), (b"PK\1\2", 8)):
+        at = content.find(mark)
+        while at >= 0:
+            content[at + flags] |= 1
+            at = content.find(mark, at + 4)
+    path.write_bytes(content)
+    return imports(path)
+
+
+def objects(folder: Path) -> tuple:
+    """An .npy of Python objects: a pickle behind NumPy's header."""
+    harm = np.array([Calls(os.system, "touch harm")], dtype=object)
+    np.save(folder / "hand.npy", harm, allow_pickle=True)
+    return imports(folder / "hand.npy")
+
+
+def pipe(folder: Path) -> tuple:
+    """A file that whoever opens it waits for."""
+    os.mkfifo(folder / "hand.npz")
+    return imports(folder / "hand.npz")
+
+
+def loop(folder: Path) -> tuple:
+    (folder / "hand.npz").symlink_to(folder / "hand.npz")
+    return imports(folder / "hand.npz")
+
+
+def sparse(folder: Path) -> tuple:
+    """A file of 40 GiB that takes no place on the disk."""
+    with (folder / "hand.json").open("wb") as file:
+        file.truncate(40 * GIB)
+    return imports(folder / "hand.json")
+
+
+def odd_name(folder: Path) -> tuple:
+    """A name that is no UTF-8, of a file that is no recording."""
+    path = os.fsencode(folder) + b"/hand\xff\xfe.npz"
+    Path(os.fsdecode(path)).write_bytes(b"no archive")
+    return imports(Path(os.fsdecode(path)))
+
+
+def json_file(contents: object) -> Callable[[Path], tuple]:
+    return with_bytes("hand.json", json.dumps(contents).encode())
+
+
+def mediapipe(i: int, **changes: object) -> Callable[[Path], tuple]:
+    frames = mediapipe_frames(moving())
+    frames[i] = {**frames[i], **changes}
+    return json_file(frames)
+
+
+def openxr(**changes: object) -> Callable[[Path], tuple]:
+    contents = openxr_frames(moving())
+    contents["frames"][5] = {**contents["frames"][5], **changes}
+    return json_file(contents)
+
+
+def webxr(**changes: object) -> Callable[[Path], tuple]:
+    contents = webxr_frames(moving())
+    contents["frames"][5] = {**contents["frames"][5], **changes}
+    return json_file(contents)
+
+
+def wide_cell(folder: Path) -> tuple:
+    """A CSV with a cell of a megabyte."""
+    table = manus_table(moving())
+    table[7][2] = "9" * (1 << 20)
+    return imports(write_manus_csv(folder, moving(), table))
+
+
+def twice(folder: Path) -> tuple:
+    """A CSV that has a column twice, with different numbers."""
+    table = [[*row, row[3]] for row in manus_table(moving())]
+    return imports(write_manus_csv(folder, moving(), table))
+
+
+def utf16(folder: Path) -> tuple:
+    buffer = io.StringIO()
+    csv.writer(buffer).writerows(manus_table(moving()))
+    return with_bytes("hand.csv", buffer.getvalue().encode("utf-16"))(folder)
+
+
+def doubling(times: int) -> bytes:
+    """A pickle of 16 bytes that are written in hexadecimal again and again."""
+    encode = b"c_codecs\nencode\n"
+    body = b"C\x10" + bytes(16)
+    for _ in range(times):
+        body = encode + body + b"\x8c\x03hex\x86R"
+    return b"\x80\x04" + body + b"."
+
+
+def nested_key(depth: int) -> bytes:
+    """A pickle of a dict whose key is a tuple in a tuple in a tuple ..."""
+    return b"\x80\x04})" + b"\x85" * depth + b"K\x01s."
+
+
+def laughs(levels: int) -> bytes:
+    """A pickle of lists of ten times the same list, over and over."""
+    body = b"\x80\x04]\x94"
+    for level in range(levels):
+        body += b"](" + b"h" + bytes([level]) + (b"h" + bytes([level])) * 9 + b"e\x94"
+    return body + b"."
+
+
+def picture(folder: Path) -> tuple:
+    path = write_geort(folder, moving())
+    return "import_recording.py", path, "--picture", "tips.png", "--hand", "claw"
+
+
+def lost_pose(quaternion: list[float]) -> Callable[[Path], tuple]:
+    """Our own format with a wrist pose that is none."""
+    pose = np.tile([*quaternion, 0.0, 0.0, 0.0], (len(moving().t), 1))
+    return own(X_WH=pose)
+
+
+READ, PICKLE, NUMPY = "RecordingError", "could run code|not a readable pickle", "not a readable NumPy file"
+
+_MAKERS: dict[str, tuple[Callable[[Path], tuple], str]] = {
+    "empty archive": (with_bytes("hand.npz", b""), NUMPY),
+    "archive with one byte changed": (lambda f: spoiled(f, 0.3), NUMPY),
+    "archive with its directory changed": (lambda f: spoiled(f, 0.9995), f"{NUMPY}|fits no format|lacks"),
+    "archive that is encrypted": (locked, NUMPY),
+    "archive that unpacks to 10 GiB of array": (bomb, "holds 10.0 GiB; recordings of up to 2 GiB"),
+    "archive that unpacks to 10 GiB of bytes": (bomb_of_bytes, "holds 10.0 GiB; recordings of up to 2 GiB"),
+    "archive that promises 10¹² frames": (promised, NUMPY),
+    "archive that names files outside": (climbing, "fits no format known"),
+    "archive with a link to a file outside": (climbing_symlink, "holds p_HK, which is no array"),
+    "archive of torch, a pickle inside": (torch_archive, "holds archive/data.pkl, which is no array"),
+    ".npy that promises 10¹² frames": (
+        with_bytes("hand.npy", npy_header((10**12, 21, 3)) + bytes(504)),
+        NUMPY,
+    ),
+    ".npy of objects": (objects, "holds pickled objects, which are never read"),
+    ".npy with a shape below zero": (
+        with_bytes("hand.npy", npy_header((-4, 21, 3)) + bytes(504)),
+        f"{NUMPY}|must hold numbers",
+    ),
+    ".npy of records": (
+        with_bytes("hand.npy", npy_header((2,), [("a", "<f8"), ("b", "<f8")]) + bytes(32)),
+        "must hold numbers of shape",
+    ),
+    ".npy that is a pickle": (with_bytes("hand.npy", pickle.dumps(Calls(os.system, "touch harm"))), NUMPY),
+    ".npz that is a pickle": (with_bytes("hand.npz", pickle.dumps(Calls(os.system, "touch harm"))), NUMPY),
+    ".json that is a pickle": (
+        with_bytes("hand.json", pickle.dumps(Calls(os.system, "touch harm"))),
+        "not a text file in UTF-8|not JSON",
+    ),
+    ".csv that is a pickle": (
+        with_bytes("hand.csv", pickle.dumps(Calls(os.system, "touch harm"))),
+        "not a text file in UTF-8",
+    ),
+    "pickle that calls the shell": (
+        with_bytes("hand.pkl", pickle.dumps([Calls(os.system, "touch harm")])),
+        r"asks for \w+\.system, which could run code",
+    ),
+    "pickle that evaluates text": (
+        with_bytes("hand.pkl", pickle.dumps([Calls(eval, "open('harm', 'w')")])),
+        r"asks for builtins\.eval, which could run code",
+    ),
+    "pickle that loads another file": (
+        with_bytes("hand.pkl", pickle.dumps([Calls(np.load, "hand.npy", None, True)])),
+        r"asks for numpy\.load, which could run code",
+    ),
+    "pickle that reaches through an attribute": (
+        with_bytes(
+            "hand.pkl",
+            b"\x80\x04\x8c\x16numpy._core.multiarray\x8c\x15_reconstruct.__self__\x93.",
+        ),
+        r"asks for numpy\._core\.multiarray\._reconstruct\.__self__",
+    ),
+    "pickle with a foreign reference": (with_bytes("hand.pkl", b"\x80\x04K\x01Q."), "persistent id 1"),
+    "pickle that doubles itself": (with_bytes("hand.pkl", doubling(40)), PICKLE),
+    "pickle with a key 100,000 deep": (with_bytes("hand.pkl", nested_key(100_000)), "fits no format known"),
+    "pickle of a list of lists of lists": (with_bytes("hand.pkl", laughs(20)), "fits no format known"),
+    "pickle of an array of 10¹³ numbers": (
+        with_bytes("hand.pkl", pickle.dumps([Calls(np.ndarray, (10**13,))])),
+        PICKLE,
+    ),
+    "pickle that ends too soon": (with_bytes("hand.pkl", pickle.dumps([1, 2, 3])[:-4]), PICKLE),
+    "JSON 100,000 deep": (with_bytes("hand.json", b"[" * 100_000), "not JSON: maximum recursion depth"),
+    "JSON lines, one 100,000 deep": (
+        with_bytes("hand.jsonl", b'{"a": 1}\n' + b"[" * 100_000 + b"\n"),
+        "line 2 is not JSON: maximum recursion depth",
+    ),
+    "JSON with a number of 400 digits": (
+        mediapipe(3, worldLandmarks=[[[10**400, 0, 0]] * 21]),
+        "frame 3, landmark 0 must be a point of three numbers",
+    ),
+    "JSON with a number of 10,000 digits": (with_bytes("hand.json", b"[" + b"9" * 10_000 + b"]"), "not JSON"),
+    "JSON with a time of 400 digits": (
+        mediapipe(3, timestampMs=10**400),
+        "frame 3: timestampMs must be a number",
+    ),
+    "JSON with a hand that is a number": (mediapipe(3, worldLandmarks=7), "frame 3"),
+    "JSON with handedness that is a number": (mediapipe(3, handedness=7), "frame 3"),
+    "JSON with a joint that is a text": (openxr(joints=["x"] * 26), "frame 5, joint 0 must be a point"),
+    "JSON with flags that are a text": (
+        openxr(joints=[{"locationFlags": "all", "pose": {"position": [0, 0, 0]}}] * 26),
+        "frame 5, joint 0",
+    ),
+    "JSON with a pose that is a number": (openxr(joints=[{"pose": 3}] * 26), "frame 5, joint 0"),
+    "JSON with a position that is a text": (
+        webxr(
+            joints=dict.fromkeys(
+                json.loads(json.dumps(list(webxr_frames(moving())["frames"][0]["joints"]))), "x"
+            )
+        ),
+        "frame 5, wrist must be a point",
+    ),
+    "JSON with frames of different kinds": (
+        json_file([{"joints": []}, 3, None]),
+        "a list of frames is wanted",
+    ),
+    "JSON of 40 GiB": (sparse, "holds 40.0 GiB; recordings of up to 2 GiB"),
+    "JSON lines of numbers": (with_bytes("hand.jsonl", b"1\n2\n"), "fits no format known"),
+    "table with a cell of a megabyte": (wide_cell, "not a table: field larger"),
+    "table with a column twice": (twice, "has the column Hand_X more than once"),
+    "table in UTF-16": (utf16, "not a text file in UTF-8"),
+    "own, of objects nested in its metadata": (
+        own(metadata=np.array("[" * 50_000)),
+        "metadata is not JSON",
+    ),
+    "own, its metadata a number": (own(metadata=np.array(7)), "metadata must name a side"),
+    "own, its format a list": (metadata(format=["geort"]), "metadata format must be of type str"),
+    "own, its warnings a number": (metadata(warnings=3), "metadata warnings must be of type list"),
+    "own, its keypoints complex": (own(p_HK=np.zeros((400, 21, 3), complex)), "p_HK must hold numbers"),
+    "own, its keypoints texts": (own(p_HK=np.full((400, 21, 3), "a")), "p_HK must hold numbers"),
+    "own, its times records": (own(t=np.zeros(400, "f8,f8")), "t must hold numbers"),
+    "own, its wrist without rotation": (lost_pose([0.0] * 4), "X_WH must hold unit quaternions"),
+    "own, its wrist not finite": (lost_pose([np.nan] * 4), "400 of 400 frames are not finite"),
+    "own, its wrist of texts": (own(X_WH=np.full((400, 7), "a")), "X_WH must hold numbers"),
+    "MANUS, its times texts": (
+        lambda f: imports(write_manus(f, moving(), timestamps=np.full(400, "now"))),
+        "timestamps must hold numbers",
+    ),
+    "dex-retargeting, a frame a dict": (
+        lambda f: imports(write_dex_retargeting(f, moving(), [np.zeros((21, 3)), {"a": 1}])),
+        r"frame 1 must have shape \(21, 3\)",
+    ),
+    "a pipe": (pipe, "no such file"),
+    "a link to itself": (loop, "no such file|Too many levels"),
+    "a name that is no UTF-8": (odd_name, NUMPY),
+    "a name without a suffix": (with_bytes("hand", b"x"), "recordings are read from"),
+    "a program": (with_bytes("hand.exe", b"MZ"), "recordings are read from"),
+}
+
+CASES = [Case("recording", name, make, READ, says) for name, (make, says) in _MAKERS.items()] + [
+    Case(
+        "recording",
+        "a picture against a hand that is none",
+        picture,
+        "UnknownNameError",
+        "unknown hand 'claw'",
+    )
+]

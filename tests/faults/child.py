@@ -1,0 +1,132 @@
+"""Work in a process of its own, with limits on time and memory, and how it ended.
+
+Processes are forked from one that has imported the package already, so that each takes milliseconds.
+"""
+
+import contextlib
+import dataclasses as dc
+import importlib.util
+import multiprocessing
+import os
+import resource
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+MEMORY = 2 << 30  # bytes that a process may ask for beyond what the imports took
+HANGING = 120.0  # s; whoever takes longer counts as hanging, also on a busy machine
+
+_FORK = multiprocessing.get_context("forkserver")
+_FORK.set_forkserver_preload(
+    [
+        "geort_drake.evaluation.pipeline",
+        "geort_drake.evaluation.grasp_benchmark",
+        "geort_drake.evaluation.grasp_report",
+        "geort_drake.simulation.trial",
+        "geort_drake.systems.rerun_recorder",
+    ]
+)
+
+
+@dc.dataclass(frozen=True)
+class Ending:
+    """How a process ended.
+
+    Attributes:
+        code: its exit code; a signal's number negative; None where it had to be stopped as hanging.
+        error: name of the class of the exception that ended it, or empty.
+        said: what it printed.
+        seconds: how long it ran.
+    """
+
+    code: int | None
+    error: str
+    said: str
+    seconds: float
+
+
+class Child:
+    """A process that runs `function(*arguments)` in `folder` as a script's `main`.
+
+    What it prints, and the caches that it fills, go to `beside`, so that `folder` shows what it wrote.
+    """
+
+    def __init__(self, function: Callable, arguments: tuple, folder: Path, beside: Path, **limits: int):
+        beside.mkdir(parents=True, exist_ok=True)
+        self._said, self._error = beside / "said.txt", beside / "error.txt"
+        self._error.unlink(missing_ok=True)
+        self._started = time.perf_counter()
+        self.process = _FORK.Process(target=_run, args=(function, arguments, folder, beside, limits))
+        self.process.start()
+
+    def wait(self, seconds: float = HANGING) -> Ending:
+        """Waits for the end, or makes one."""
+        self.process.join(seconds)
+        code = self.process.exitcode
+        if code is None:
+            self.kill()
+        error = self._error.read_text() if self._error.exists() else ""
+        said = self._said.read_text(errors="replace") if self._said.exists() else ""
+        return Ending(code, error, said, time.perf_counter() - self._started)
+
+    def kill(self) -> None:
+        """kill -9."""
+        self.process.kill()
+        self.process.join()
+
+
+def run(function: Callable, arguments: tuple, folder: Path, beside: Path, **limits: int) -> Ending:
+    """A `Child` from start to end."""
+    return Child(function, arguments, folder, beside, **limits).wait()
+
+
+def script(name: str, argv: list[str]) -> int | None:
+    """`main` of scripts/`name`."""
+    path = ROOT / "scripts" / name
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.main(argv)
+
+
+@contextlib.contextmanager
+def emptied(folder: Path) -> Iterator[Path]:
+    """A new folder that is gone afterwards."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _run(function: Callable, arguments: tuple, folder: Path, beside: Path, limits: dict[str, int]) -> None:
+    from geort_drake.console import run_main
+
+    os.environ["XDG_CACHE_HOME"] = str(beside / "cache")
+    os.chdir(folder)
+    output = os.open(beside / "said.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    for stream in (1, 2):
+        os.dup2(output, stream)
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    limits = {"RLIMIT_AS": pages * resource.getpagesize() + MEMORY, **limits}
+    for name, limit in limits.items():
+        resource.setrlimit(getattr(resource, name), (limit, limit))
+
+    def main(_argv: object) -> int | None:
+        try:
+            return function(*arguments)
+        except BaseException as error:
+            # Opened before any limit on files, which this is none of.
+            os.write(note, type(error).__name__.encode())
+            raise
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+
+    note = os.open(beside / "error.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    run_main(main)
