@@ -1,0 +1,91 @@
+"""One session of teleoperation: engage, run in real time, and leave the robot held."""
+
+import dataclasses as dc
+import select
+import sys
+import threading
+from collections.abc import Callable
+
+from pydrake.systems.analysis import Simulator
+
+from geort_drake.live.real_time import run_in_real_time
+from geort_drake.live.teleoperation import Teleoperation
+
+# After the end the robot is sent a braking hand, and where it stopped, for so long, s.
+HOLD_S = 0.5
+# How often keys, the robot and the state are looked at, s.
+_STEP_S = 0.02
+
+
+@dc.dataclass(frozen=True)
+class SessionReport:
+    """What came of a session.
+
+    Attributes:
+        duration: s.
+        states: how long the fingers were in each, s.
+        late: how often the loop could not keep up, so that its time stood still for a moment.
+    """
+
+    duration: float
+    states: dict[str, float]
+    late: int
+
+
+class EnterKey:
+    """Whether Enter was pressed in the terminal."""
+
+    def pressed(self) -> bool | None:
+        """Whether since the last call; None once there will be no more keys. Does not wait."""
+        if not select.select([sys.stdin], [], [], 0.0)[0]:
+            return False
+        return True if sys.stdin.readline() else None
+
+
+def run_session(
+    loop: Teleoperation,
+    engaged: bool,
+    key: EnterKey | None,
+    duration: float,
+    stop: threading.Event,
+    require_robot: Callable[[], None] = lambda: None,
+    tell: Callable[[float, str], None] = lambda time, state: None,
+) -> SessionReport:
+    """Runs the loop in real time until `stop` is set or the time is up, and then holds.
+
+    Args:
+        engaged: whether from the start.
+        key: toggles it; where no more keys can come, the person is disengaged. None: no keys.
+        duration: s.
+        require_robot: called now and then; raises where the robot is lost.
+        tell: called with the time (s) and the state whenever it changes.
+    """
+    simulator = Simulator(loop.diagram)
+    root = simulator.get_mutable_context()
+    loop.initialize(root)
+    loop.engage(root, engaged)
+    simulator.Initialize()
+    states: dict[str, float] = {}
+    last = ""
+    ended: float | None = None
+
+    def going_on() -> bool:
+        nonlocal engaged, key, last, ended
+        time = root.get_time()
+        require_robot()
+        if key is not None and (pressed := key.pressed()) is not False:
+            engaged = not engaged if pressed else False
+            key = key if pressed else None
+            loop.engage(root, engaged and ended is None)
+        state = loop.state(root)
+        states[state] = states.get(state, 0.0) + _STEP_S
+        if state != last:
+            tell(time, state)
+            last = state
+        if ended is None and (stop.is_set() or time >= duration):
+            ended = time
+            loop.engage(root, False)
+        return ended is None or time < ended + HOLD_S
+
+    late = run_in_real_time(simulator, _STEP_S, going_on)
+    return SessionReport(root.get_time(), {k: round(v, 6) for k, v in states.items()}, late)

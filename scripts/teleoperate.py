@@ -1,0 +1,160 @@
+"""Drives a robot with a glove: live messages or a recording in, a simulation or a robot on LCM out.
+
+SOURCE is a recording's file, or an address: sub+tcp://127.0.0.1:5556 (ZeroMQ, from publish_recording.py or a
+MANUS bridge that publishes), pull+tcp://127.0.0.1:8000 (from a bridge that pushes), lcm, or lcm+URL.
+TARGET is simulation, lcm, or lcm+URL. docs/live.md has the messages. Enter engages and disengages; Ctrl-C
+stops and leaves the robot held. Messages are neither signed nor encrypted: whoever can send them moves the robot.
+"""
+
+import argparse
+import dataclasses
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from geort_drake.console import console, run_main
+from geort_drake.files import require_writable
+
+
+def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    add = parser.add_argument
+    add("--glove", required=True, metavar="SOURCE", help="where the hand's motion comes from")
+    add("--robot", default="simulation", metavar="TARGET", help="what is driven (simulation)")
+    add("--retargeter", type=Path, help="directory of the checkpoint (trained on synthetic play, and kept)")
+    add("--hand", help="robot hand, by name or file of its description (the scenario's)")
+    add("--glove_id", help="serial number of the MANUS glove, where a bridge sends several")
+    add("--engage", default="key", choices=["key", "now"], help="engage with Enter, or at once (key)")
+    add("--relax_after", type=float, default=5.0, help="s that a lost hand is held, before it relaxes (5)")
+    add("--duration", type=float, default=math.inf, help="stop after so many seconds (never)")
+    add("--timeout", type=float, default=10.0, help="s to wait for glove and robot (10)")
+    add("--record", type=Path, metavar="FILE", help="keep what the glove gave (.npz), to train on or replay")
+    add("--meshcat", action="store_true", help="show the simulation in a browser on this machine")
+    add("--json", action="store_true", help="print a report as JSON on stdout")
+    add("--scenario_file", type=Path, help="scenarios in YAML (the package's)")
+    add("--scenario_name", default="Grasp", help="which scenario of the file (Grasp)")
+    add("--scenario_text", help="YAML merged into the scenario, for example '{correction: {kind: guard}}'")
+    arguments = parser.parse_args(argv)
+    for name in ("duration", "relax_after", "timeout"):
+        if not getattr(arguments, name) > 0:
+            parser.error(f"--{name} must be positive, not {getattr(arguments, name)}")
+    if arguments.record:
+        if arguments.record.suffix != ".npz":
+            parser.error(f"--record must name an .npz file, not {arguments.record}")
+        require_writable(arguments.record)
+    return arguments
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    arguments = parse_arguments(argv)
+    # Imported after parsing, so that --help answers at once.
+    from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
+    from geort_drake.gloves.play import synthesize_play
+    from geort_drake.gloves.readers import read_recording
+    from geort_drake.hands.description import load_hand
+    from geort_drake.hands.model import HandModel
+    from geort_drake.live.glove_stream import GloveStream
+    from geort_drake.live.real_time import stopping
+    from geort_drake.live.robot_link import RobotLink
+    from geort_drake.live.session import EnterKey, run_session
+    from geort_drake.live.simulated_robot import SimulatedRobot, show
+    from geort_drake.live.teleoperation import RobotModel, make_teleoperation
+    from geort_drake.live.transports import is_local, open_receiver, split_address
+    from geort_drake.live.watchdog import WatchdogConfig
+    from geort_drake.retargeting.retargeter import load_retargeter
+    from geort_drake.simulation.scenario import load_scenario
+    from geort_drake.systems.glove_replay import GloveReplay
+
+    scenario = load_scenario(
+        arguments.scenario_file, arguments.scenario_name, arguments.scenario_text, arguments.hand
+    )
+    description = load_hand(scenario.hand)
+    side, duration = description.side, arguments.duration
+    receiver = None
+    if Path(arguments.glove).exists():
+        replay = GloveReplay(read_recording(arguments.glove, side))
+        glove, duration = replay, min(duration, replay.duration)
+    else:
+        receiver = open_receiver(arguments.glove)
+        glove = GloveStream(receiver, side, arguments.glove_id)
+    lcm_url = None if arguments.robot == "simulation" else split_address(arguments.robot, ())[1]
+    for address in (arguments.glove if receiver else None, lcm_url):
+        if address and not is_local(address):
+            console.print(f"[yellow]{address} is open to the network; whoever is in it can move the robot[/]")
+
+    checkpoint = arguments.retargeter
+    if checkpoint is None:
+        checkpoint, _ = cached_checkpoint(scenario.hand, synthesize_play(seed=0, side=side))
+    retarget = load_retargeter(checkpoint, HandModel(description))
+    model = RobotModel(scenario, description)
+    try:
+        link = None
+        if lcm_url is None:
+            robot = SimulatedRobot(scenario, description, show() if arguments.meshcat else None)
+            start = robot.hand.start, robot.arm.start
+        else:
+            robot = link = RobotLink(lcm_url, model.hand, model.arm, scenario.retargeting.period)
+            start = link.handshake(arguments.timeout)
+        if receiver:
+            glove.handshake(arguments.timeout)
+        loop = make_teleoperation(
+            scenario,
+            description,
+            model,
+            retarget,
+            glove,
+            robot,
+            start,
+            WatchdogConfig(relax_after=arguments.relax_after),
+            record=bool(arguments.record),
+        )
+        engaged = arguments.engage == "now"
+        console.print("Ctrl-C stops." if engaged else "Enter engages and disengages, Ctrl-C stops.")
+        with stopping() as stop:
+            report = run_session(
+                loop,
+                engaged,
+                None if engaged else EnterKey(),
+                duration,
+                stop,
+                link.require_alive if link else lambda: None,
+                lambda time, state: console.print(f"{time:8.2f} s  {state}"),
+            )
+    finally:
+        if receiver:
+            receiver.close()
+    if arguments.record:
+        loop.glove_recording({"side": side, "source": "teleoperation"}).save(arguments.record)
+    summary = dataclasses.asdict(report)
+    if receiver:
+        summary["glove"] = {"received": glove.received, "refused": glove.refused}
+        summary["latency_s"] = {
+            name: dataclasses.asdict(latency)
+            for name, latency in (("command", loop.meter.to_command()), ("echo", loop.meter.to_echo()))
+        }
+    if link:
+        summary["robot"] = {"refused": link.inbox.refused}
+    tell(summary)
+    if arguments.json:
+        print(json.dumps(summary, indent=2, allow_nan=False))
+    return 0
+
+
+def tell(summary: dict) -> None:
+    """The session in a few lines."""
+    for name, text in (("command", "glove to command"), ("echo", "glove to the robot and back")):
+        latency = summary.get("latency_s", {}).get(name)
+        if latency and latency["count"]:
+            median, p99 = (f"{1e3 * latency[key]:.1f} ms" for key in ("median", "p99"))
+            console.print(f"{text}: median {median}, 99th percentile {p99} ({latency['count']} commands)")
+    if "glove" in summary:
+        counts = summary["glove"]
+        console.print(f"glove: {counts['received']} frames received, {counts['refused']} refused")
+    if summary["late"]:
+        console.print(f"[yellow]the loop was late {summary['late']} times[/]")
+    console.print("stopped; the robot holds its last command")
+
+
+if __name__ == "__main__":
+    run_main(main)
