@@ -90,17 +90,19 @@ class JointLimits:
         if share == 1.0 and within.all():
             return target, wanted
         lag = target_before - q
-        speed = np.clip((target - target_before) / period, -self.speed, self.speed)
-        speed = speed + np.copysign(self._braking_speed(np.abs(lag), period), lag)
+        distance = np.array([np.abs(lag), self.upper - q, q - self.lower])
+        to_target, to_upper, to_lower = self._braking_speed(distance, period)
+        speed = np.minimum(np.maximum((target - target_before) / period, -self.speed), self.speed)
+        speed += np.copysign(to_target, lag)
         most = np.maximum(share * self.speed, np.abs(v) - gain)
-        high = np.minimum(np.minimum(v + gain, most), self._braking_speed(self.upper - q, period))
-        low = np.maximum(np.maximum(v - gain, -most), -self._braking_speed(q - self.lower, period))
-        v = np.clip(speed, low, high)
+        high = np.minimum(np.minimum(v + gain, most), to_upper)
+        low = np.maximum(np.maximum(v - gain, -most), -to_lower)
+        v = np.minimum(np.maximum(speed, low), high)
         # Clipped once more, because of rounding.
-        return np.clip(q + v * period, self.lower, self.upper), v
+        return np.minimum(np.maximum(q + v * period, self.lower), self.upper), v
 
     def _braking_speed(self, distance: np.ndarray, period: float) -> np.ndarray:
-        """The highest speed from which braking ends within `distance` (n,), the coming step included.
+        """The highest speed from which braking ends within `distance` (..., n), the coming step included.
 
         With speeds in units of a·period and distances in units of a·period², a step at x and then at
         x − 1, x − 2, … covers (m + 1) x − m (m + 1) / 2, where m is x rounded down.

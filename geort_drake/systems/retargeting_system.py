@@ -10,6 +10,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem
 
 from geort_drake.errors import HandError
 from geort_drake.retargeting.trained_space import TrainedSpace
+from geort_drake.systems.easing import Easing
 from geort_drake.systems.glove_checks import (
     FROZEN,
     HELD_CLOCK,
@@ -148,10 +149,9 @@ class RetargetingSystem(LeafSystem):
                 )
         desired = self.DeclareDiscreteState(np.concatenate([q0, np.zeros(n)]))
         self._status = self.DeclareDiscreteState([STATES.index(SETTLING), 0.0, math.nan])
-        # Good input since, held since.
-        start = (math.nan, -math.inf) if self._checks.ease_at_start else (-math.inf, math.nan)
+        easing = Easing.at_start(self._checks.ease_at_start)
         self._memory = self.DeclareDiscreteState(
-            np.concatenate([q0, np.full(63, math.nan), [0.0, math.nan, 0.0, *start, 0.0, 0.0]])
+            np.concatenate([q0, np.full(63, math.nan), [0.0, math.nan, 0.0], dc.astuple(easing)])
         )
         # With a latency, what is given out is kept apart from what is computed meanwhile.
         self._given_out = desired
@@ -190,86 +190,74 @@ class RetargetingSystem(LeafSystem):
         desired = context.get_discrete_state(0).value()
         q, v = desired[:n], desired[n:]
         memory = context.get_discrete_state(self._memory).value()
-        target = memory[:n]
-        changed, stamp, stamped, good_since, held_since, eased_from, ease = memory[n + 63 :].tolist()
-        glove = GloveMemory(memory[n : n + 63], changed, stamp, stamped)
-
-        keypoints = self._keypoints_port.Eval(context)
-        state = judge(
-            self._checks,
-            glove,
-            time,
-            period,
-            keypoints,
-            self._valid_port.Eval(context)[0] >= 0.5,
-            float(self._stamp_port.Eval(context)[0]) if self._stamp_port.HasValue(context) else None,
-        )
+        target, numbers = memory[:n], memory[n + 63 :].tolist()
+        glove, easing = GloveMemory(memory[n : n + 63], *numbers[:3]), Easing(*numbers[3:])
         code, since, _ = context.get_discrete_state(self._status).value().tolist()
-        following = math.isnan(held_since)
-        frozen = following and state == FROZEN
-        if frozen:
-            state = None
-        elif following and STATES[int(code)] == FROZEN:
-            held_since = since
-        wanted, distance = None, math.nan
-        if state is None:
-            if math.isnan(good_since):
-                good_since = time
-            # Sums of periods round.
-            if time - good_since < self._checks.settle_time - 1e-9:
-                state = SETTLING
-            else:
-                points = keypoints.reshape(21, 3)
-                wanted = self._retarget(points)[self._to_plant]
-                if self._trained_space is not None:
-                    distance = float(self._trained_space.distances(points).max())
-                if not math.isfinite(wanted.sum()):
-                    state, wanted = HELD_NOT_FINITE, None
+        before = STATES[int(code)]
+
+        state, wanted, distance = self._wanted(context, glove, easing, before, since)
         if wanted is None:
-            if state != SETTLING:
-                good_since = math.nan
-            if math.isnan(held_since):
-                held_since = time
+            easing.hold(time, good=state == SETTLING)
             q, v = self._limits.step(q, v, q, q, period)
             target = q
         else:
-            wanted = np.minimum(np.maximum(wanted, self._limits.lower), self._limits.upper)
-            before = target
-            if not math.isnan(held_since):
-                ease, eased_from = min(self._checks.ease_time, time - held_since), time
-                held_since = math.nan
-                if self._blend == 1.0:
-                    before = wanted
-            target = wanted if self._blend == 1.0 else before + self._blend * (wanted - before)
-            share = min((time - eased_from + period) / ease, 1.0) if ease > 0.0 else 1.0
-            q, v = self._limits.step(q, v, target, before, period, share)
+            # The low-pass goes on from where the hand was held; without one, nothing lags behind.
+            last = target if easing.follows() or self._blend < 1.0 else wanted
+            share = easing.follow(time, period, self._checks.ease_time)
+            target = wanted if self._blend == 1.0 else last + self._blend * (wanted - last)
+            q, v = self._limits.step(q, v, target, last, period, share)
             reached = q is target or np.array_equal(q, target)
             if reached or share == 1.0:
-                ease = 0.0
-            if frozen:
-                state = FROZEN
-            elif ease > 0.0:
-                state = EASING
-            elif distance > self._checks.trained_tolerance:
-                state = OUTSIDE
-            else:
-                state = TRACKING if reached else LIMITED
+                easing.end()
+            if state is None:
+                state = self._following(easing, distance, reached)
 
         # The velocity target keeps the joint's damping from acting against a wanted motion.
-        discrete_state.get_mutable_vector(0).SetFromVector(np.concatenate([q, v]))
-        discrete_state.get_mutable_vector(self._memory).SetFromVector(
-            np.concatenate(
-                [
-                    target,
-                    glove.keypoints,
-                    [glove.changed, glove.stamp, glove.stamped, good_since, held_since, eased_from, ease],
-                ]
-            )
-        )
-        if STATES[int(code)] != state:
+        discrete_state.set_value(0, np.concatenate([q, v]))
+        numbers = [glove.changed, glove.stamp, glove.stamped]
+        numbers += [easing.good_since, easing.held_since, easing.eased_from, easing.duration]
+        discrete_state.set_value(self._memory, np.concatenate([target, glove.keypoints, numbers]))
+        if state != before:
             code, since = STATES.index(state), time
-        discrete_state.get_mutable_vector(self._status).SetFromVector([code, since, distance])
+        discrete_state.set_value(self._status, [code, since, distance])
         return EventStatus.Succeeded()
+
+    def _wanted(
+        self, context: Context, glove: GloveMemory, easing: Easing, before: str, since: float
+    ) -> tuple[str | None, np.ndarray | None, float]:
+        """The state that the input decides, if any; what it asks of the joints (n,) rad, None to hold them;
+        and a fingertip's largest distance from its places in training, m.
+
+        `before` is the state until now, `since` when it began.
+        """
+        time, keypoints = context.get_time(), self._keypoints_port.Eval(context)
+        valid = self._valid_port.Eval(context)[0] >= 0.5
+        stamped = self._stamp_port.HasValue(context)
+        stamp = float(self._stamp_port.Eval(context)[0]) if stamped else None
+        fault = judge(self._checks, glove, time, self.period, keypoints, valid, stamp)
+        frozen = fault == FROZEN and easing.follows()
+        if before == FROZEN and not frozen and easing.follows():
+            easing.hold(since, good=True)  # what comes after frozen input is eased as after a hold
+        if fault is not None and not frozen:
+            return fault, None, math.nan
+        if not easing.settled(time, self._checks.settle_time):
+            return SETTLING, None, math.nan
+        points, distance = keypoints.reshape(21, 3), math.nan
+        wanted = self._retarget(points)[self._to_plant]
+        if self._trained_space is not None:
+            distance = float(self._trained_space.distances(points).max())
+        if not math.isfinite(wanted.sum()):
+            return HELD_NOT_FINITE, None, distance
+        wanted = np.minimum(np.maximum(wanted, self._limits.lower), self._limits.upper)
+        return fault, wanted, distance
+
+    def _following(self, easing: Easing, distance: float, reached: bool) -> str:
+        """The state of a hand that follows good input."""
+        if easing.duration > 0.0:
+            return EASING
+        if distance > self._checks.trained_tolerance:
+            return OUTSIDE
+        return TRACKING if reached else LIMITED
 
     def _calc_status(self, context: Context, output) -> None:
         code, since, distance = context.get_discrete_state(self._status).value()

@@ -1,0 +1,81 @@
+"""Times one update of RetargetingSystem against the bare retargeting call in it, side by side.
+
+python benchmarks/bench_update.py --json update.json
+
+Every function gets the frames of the same motion in order, one per period. Rows:
+  call          the bare retargeter on a whole hand; the ratios are over it
+  update        input ports given their values, the system's update through Drake, its new state kept
+  ports alone   the same for a system that computes nothing, with ports and states of the same sizes
+"""
+
+import itertools
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from pydrake.systems.framework import Context, EventStatus, LeafSystem
+from side_by_side import measure, parse, parser, report
+from untrained import FINGERS, FORMS, untrained
+
+from geort_drake.console import run_main
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.retargeting.trained_space import TrainedSpace, trained_points
+from geort_drake.systems.retargeting_system import RetargetingSystem
+
+PERIOD = 0.01
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    made = parser(__doc__)
+    made.add_argument("--method", choices=FORMS, default=FORMS[0], help="(default: %(default)s)")
+    arguments = parse(made, argv)
+    retarget = untrained(arguments.method)
+    hands = synthesize_play(seed=0, duration_s=60.0, rate_hz=1 / PERIOD).p_HK.astype(float)
+    keypoints = [FINGERS[name] for name in retarget.finger_names]
+    retarget.trained_space = TrainedSpace(trained_points(hands[:, keypoints]), keypoints)
+    start = dict(zip(retarget.joint_names, retarget(hands[0]), strict=True))
+    system = RetargetingSystem(retarget, retarget.joint_names, retarget.joint_names, start, PERIOD)
+    frames = itertools.cycle(list(hands))
+    functions = {
+        "call": lambda: retarget(next(frames)),
+        "update": updates(system, hands),
+        "ports alone": updates(Idle(system), hands),
+    }
+    results = measure(functions, arguments.seconds)
+    report(f"one update with {arguments.method}", results, "call", arguments.json)
+    return 0
+
+
+def updates(system: LeafSystem, hands: np.ndarray) -> Callable[[], object]:
+    """A function of no arguments that takes the next frame through one update each time it is called."""
+    context = system.CreateDefaultContext()
+    keypoints, valid = system.GetInputPort("keypoints"), system.GetInputPort("valid")
+    frames = itertools.cycle(list(hands.reshape(len(hands), -1)))
+    steps = itertools.count()
+
+    def update() -> None:
+        context.SetTime(next(steps) * PERIOD)
+        keypoints.FixValue(context, next(frames))
+        valid.FixValue(context, [1.0])
+        context.SetDiscreteState(system.EvalUniquePeriodicDiscreteUpdate(context))
+
+    return update
+
+
+class Idle(LeafSystem):
+    """A system with the input ports and the state of another that changes nothing."""
+
+    def __init__(self, other: LeafSystem):
+        super().__init__()
+        for name in ("keypoints", "valid"):
+            self.DeclareVectorInputPort(name, other.GetInputPort(name).size())
+        context = other.CreateDefaultContext()
+        for group in range(context.num_discrete_state_groups()):
+            self.DeclareDiscreteState(context.get_discrete_state(group).size())
+        self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._update)
+
+    def _update(self, context: Context, discrete_state) -> EventStatus:
+        return EventStatus.Succeeded()
+
+
+if __name__ == "__main__":
+    run_main(main)
