@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from geort_drake.gloves.keypoints import FINGER_NAMES, bone_lengths
+from geort_drake.gloves.keypoints import FINGER_NAMES, TIP_KEYPOINT, bone_lengths
 from geort_drake.gloves.recording import PINCH_M, Recording
 
 
@@ -54,9 +54,14 @@ def summarize(recording: Recording) -> Summary:
 
 def pinch_distances(recording: Recording) -> dict[str, np.ndarray]:
     """Distances (N,), m, of the thumb's tip to that of each other finger, in the N valid frames."""
-    p_HF = recording.fingertips()
-    distance = np.linalg.norm(p_HF[:, 1:] - p_HF[:, :1], axis=-1)
+    distance = tip_distances(recording.p_HK[recording.valid].astype(float))
     return dict(zip(FINGER_NAMES[1:], distance.T, strict=True))
+
+
+def tip_distances(p_HK: np.ndarray) -> np.ndarray:
+    """Distances (..., 4), m, of the thumb's tip to those of index ... little, of keypoints (..., 21, 3)."""
+    p_HF = p_HK[..., list(TIP_KEYPOINT.values()), :]
+    return np.linalg.norm(p_HF[..., 1:, :] - p_HF[..., :1, :], axis=-1)
 
 
 def fingertip_speeds(recording: Recording) -> np.ndarray:

@@ -1,0 +1,148 @@
+"""One recording as other programs want it: all signals at common times, the glove's and the robot's."""
+
+import dataclasses
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from geort_drake.errors import RecordingError
+from geort_drake.export._rerun_trial import read_trial
+from geort_drake.gloves.recording import Recording
+from geort_drake.simulation.world import HAND
+
+RESULTS, SCENARIO = "results.json", "scenario.yaml"
+
+# A sample counts as there when its time is this close: recorded times are sums of binary fractions.
+_TIME_TOLERANCE = 1e-6
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Episode:
+    """What happened from the beginning to the end of one recording.
+
+    Names of signals, states and poses are paths with dots: "joints.command.thumb.joint_12",
+    "grasp", "hand.base_link".
+
+    Attributes:
+        name: of the recording, such as "cylinder-0".
+        t: (T,) s from 0, increasing.
+        glove: of the human hand, sampled at `t`.
+        signals: (T,) each; joint angles in rad, contact forces in N.
+        states: (T,) each, the state's name.
+        poses: X_WB (T, 7) of every moving body, qw qx qy qz x y z.
+        facts: what is known of the whole episode, JSON types: of a trial its line in results.json.
+        robot: name of the robot hand; None without a robot.
+    """
+
+    name: str
+    t: np.ndarray
+    glove: Recording
+    signals: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    states: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    poses: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    facts: dict = dataclasses.field(default_factory=dict)
+    robot: str | None = None
+
+    @property
+    def command_names(self) -> list[str]:
+        """The signals that the robot was asked for."""
+        return [name for name in self.signals if name.split(".")[1:2] == ["command"]]
+
+    @property
+    def measured_names(self) -> list[str]:
+        """The signals that the robot's joints answered with."""
+        return [name for name in self.signals if name.split(".")[1:2] == ["measured"]]
+
+    def body_pose(self, model: str) -> np.ndarray:
+        """X_WB (T, 7) of the first body of a model.
+
+        Raises:
+            RecordingError: nothing of that model moves.
+        """
+        for name, X_WB in self.poses.items():
+            if name.partition(".")[0] == model:
+                return X_WB
+        raise RecordingError(f"{self.name}: nothing of '{model}' moves; there are {', '.join(self.poses)}")
+
+    @property
+    def hand_pose(self) -> np.ndarray:
+        """X_WB (T, 7) of the robot hand's base."""
+        return self.body_pose(HAND)
+
+    def resampled(self, t: np.ndarray) -> "Episode":
+        """The episode at other times (T,), each with the newest sample until then."""
+        rows = newest(self.t, t)
+        return dataclasses.replace(
+            self,
+            t=np.asarray(t, dtype=float),
+            glove=glove_at(self.glove, t),
+            signals={name: values[rows] for name, values in self.signals.items()},
+            states={name: values[rows] for name, values in self.states.items()},
+            poses={name: values[rows] for name, values in self.poses.items()},
+        )
+
+
+def read_episodes(path: str | os.PathLike) -> Iterator[Episode]:
+    """The trials of a run, a folder that simulate_grasp.py wrote, one after the other.
+
+    Raises:
+        RecordingError: the folder is no such run, or a trial lacks a file.
+    """
+    folder = Path(path)
+    results = folder / RESULTS
+    if not results.is_file():
+        raise RecordingError(
+            f"{folder}: {RESULTS} is missing; a run is a folder that simulate_grasp.py wrote"
+        )
+    try:
+        trials = json.loads(results.read_text(encoding="utf-8"))["trials"]
+        names = [f"{trial['object']}-{trial['seed']}" for trial in trials]
+        robot = yaml.safe_load((folder / SCENARIO).read_text(encoding="utf-8"))["Resolved"]["hand"]
+    except (ValueError, KeyError, TypeError, OSError, yaml.YAMLError) as error:
+        raise RecordingError(f"{folder}: not the results of simulate_grasp.py: {error}") from error
+    if not names:
+        raise RecordingError(f"{results}: the run has no trials")
+    for name in names:
+        for suffix, why in ((".rrd", "commands and states; simulate without --no_rerun"), (".glove.npz", "")):
+            if not (folder / f"{name}{suffix}").is_file():
+                raise RecordingError(
+                    f"{folder}: trial {name} lacks {name}{suffix}" + (f", which holds {why}" if why else "")
+                )
+    for name, facts in zip(names, trials, strict=True):
+        trial = read_trial(folder / f"{name}.rrd")
+        yield Episode(
+            name,
+            trial.t,
+            glove_at(Recording.load(folder / f"{name}.glove.npz"), trial.t),
+            trial.signals,
+            trial.states,
+            trial.poses,
+            facts,
+            Path(robot).stem,
+        )
+
+
+def episode_of(recording: Recording, name: str) -> Episode:
+    """A recording of a hand alone, without a robot."""
+    return Episode(name, recording.t - recording.t[0], recording, facts=recording.metadata)
+
+
+def newest(sampled: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Row of the newest of the samples at times `sampled` (S,) for each of `t` (T,); at first the first."""
+    return np.maximum(np.searchsorted(sampled, np.asarray(t) + _TIME_TOLERANCE, side="right") - 1, 0)
+
+
+def glove_at(recording: Recording, t: np.ndarray) -> Recording:
+    """The recording at times t (T,), s from its first frame, as a glove delivers it."""
+    rows = newest(recording.t - recording.t[0], t)
+    return Recording(
+        t,
+        recording.p_HK[rows],
+        recording.valid[rows],
+        None if recording.X_WH is None else recording.X_WH[rows],
+        recording.metadata,
+    )

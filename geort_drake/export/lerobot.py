@@ -1,0 +1,248 @@
+"""Episodes as a LeRobot dataset, codebase version 3.0.
+
+The layout is that of https://huggingface.co/docs/lerobot/lerobot-dataset-v3: frames of all episodes one
+after the other in data/, where each begins and ends in meta/episodes/, tasks, statistics and features
+in meta/. LeRobot's own library cannot be used here, as it asks for a Rerun and a torch of long ago.
+"""
+
+import json
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from geort_drake.errors import RecordingError
+from geort_drake.export.episode import Episode
+from geort_drake.export.parquet import check_replaceable, rows
+from geort_drake.files import atomic_directory
+
+VERSION = "v3.0"
+INFO, STATS, TASKS = "meta/info.json", "meta/stats.json", "meta/tasks.parquet"
+DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
+_FILES_PER_CHUNK, _FILE_MB = 1000, 100
+_QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+_POSE = ["qw", "qx", "qy", "qz", "x", "y", "z"]
+_KEYPOINTS = [f"{axis}{keypoint}" for keypoint in range(21) for axis in "xyz"]
+_COUNTERS = {
+    "timestamp": "float32",
+    **dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), "int64"),
+}
+
+
+def write_lerobot(
+    episodes: Iterable[Episode], output: str | os.PathLike, fps: int | None = None
+) -> Iterator[str]:
+    """Writes a dataset, whole or not at all, and yields the name of each episode that is done.
+
+    Args:
+        episodes: of one robot.
+        output: the dataset's folder.
+        fps: frames per second; by default the rate of the first episode. Each frame holds the newest
+            sample.
+
+    Raises:
+        RecordingError: an episode has no robot, or other joints than the first.
+        OutputError: `output` exists and is not a dataset.
+    """
+    check_replaceable(output, INFO)
+    with atomic_directory(output) as draft:
+        writer = _Writer(draft, fps)
+        for episode in episodes:
+            writer.add(episode)
+            yield episode.name
+        writer.finish()
+
+
+def features_of(episode: Episode) -> dict[str, tuple[np.ndarray, list[str] | None]]:
+    """LeRobot's name of each feature → values (T, n) and the names of its n numbers.
+
+    Raises:
+        RecordingError: the episode has no commands or no measured joints.
+    """
+    commands, measured = episode.command_names, episode.measured_names
+    if not (commands and measured):
+        raise RecordingError(
+            f"{episode.name}: a LeRobot dataset holds what a robot did and was asked for; this recording has "
+            "no robot: export it as Parquet"
+        )
+    frames = len(episode.t)
+    last = np.arange(frames) == frames - 1
+    # Where the hand was lost it is where it was seen last.
+    seen = np.maximum.accumulate(np.where(episode.glove.valid, np.arange(frames), 0))
+    X_WH = episode.glove.X_WH
+    features: dict[str, tuple[np.ndarray, list[str] | None]] = {
+        "action": (_table(episode, commands), commands),
+        "observation.state": (_table(episode, measured), measured),
+        "observation.hand_pose": (episode.hand_pose, _POSE),
+        "observation.environment_state": (episode.body_pose(str(episode.facts["object"])), _POSE),
+        "observation.glove": (episode.glove.p_HK[seen].reshape(frames, 63), _KEYPOINTS),
+    }
+    if X_WH is not None:
+        features["observation.wrist"] = (X_WH[seen], _POSE)
+    features["next.done"] = (last[:, None], None)
+    features["next.success"] = ((last & bool(episode.facts["success"]))[:, None], None)
+    return {
+        name: (values if values.dtype == bool else values.astype(np.float32), names)
+        for name, (values, names) in features.items()
+    }
+
+
+class _Writer:
+    """The files of a dataset, as far as they are written."""
+
+    def __init__(self, folder: Path, fps: int | None):
+        self._folder, self._fps = folder, fps
+        self._features: dict[str, dict] = {}
+        self._tasks: dict[str, int] = {}
+        self._episodes: list[dict] = []
+        self._waiting: list[pa.Table] = []
+        self._file = 0
+        self._frames = 0
+        self._robot: str | None = None
+        self._moments: dict[str, list[np.ndarray]] = {}
+
+    def add(self, episode: Episode) -> None:
+        if self._fps is None:
+            self._fps = max(1, round(1.0 / float(np.median(np.diff(episode.t)))))
+        frames = int(episode.t[-1] * self._fps + 1e-6) + 1
+        episode = episode.resampled(np.arange(frames) / self._fps)
+        values = features_of(episode)
+        self._agree(episode, values)
+        number = len(self._episodes)
+        task = f"grasp the {str(episode.facts['object']).replace('_', ' ')}"
+        counters: dict[str, np.ndarray] = {
+            "timestamp": (np.arange(frames) / self._fps).astype(np.float32),
+            "frame_index": np.arange(frames),
+            "episode_index": np.full(frames, number),
+            "index": self._frames + np.arange(frames),
+            "task_index": np.full(frames, self._tasks.setdefault(task, len(self._tasks))),
+        }
+        columns = {name: _column(array) for name, (array, _) in values.items()}
+        self._waiting.append(pa.table(columns | {name: pa.array(c) for name, c in counters.items()}))
+        arrays = {name: array for name, (array, _) in values.items()}
+        arrays |= {name: counter[:, None] for name, counter in counters.items()}
+        for name, array in arrays.items():
+            self._moments.setdefault(name, []).append(array)
+        statistics = {name: _statistics(array) for name, array in arrays.items()}
+        chunk, file = divmod(self._file, _FILES_PER_CHUNK)
+        self._episodes.append(
+            {
+                "episode_index": number,
+                "tasks": [task],
+                "length": frames,
+                "data/chunk_index": chunk,
+                "data/file_index": file,
+                "dataset_from_index": self._frames,
+                "dataset_to_index": self._frames + frames,
+                "meta/episodes/chunk_index": 0,
+                "meta/episodes/file_index": 0,
+                "name": episode.name,
+                "outcome": episode.facts["outcome"],
+                **{
+                    f"stats/{name}/{key}": value
+                    for name, figures in statistics.items()
+                    for key, value in figures.items()
+                },
+            }
+        )
+        self._frames += frames
+        if sum(table.nbytes for table in self._waiting) > _FILE_MB * 2**20:
+            self._flush()
+
+    def finish(self) -> None:
+        self._flush()
+        self._write(EPISODES_PATH, pa.Table.from_pylist(self._episodes))
+        self._write(TASKS, _indexed(list(self._tasks)))
+        statistics = {name: _statistics(np.concatenate(arrays)) for name, arrays in self._moments.items()}
+        info = {
+            "codebase_version": VERSION,
+            "robot_type": self._robot,
+            "total_episodes": len(self._episodes),
+            "total_frames": self._frames,
+            "total_tasks": len(self._tasks),
+            "chunks_size": _FILES_PER_CHUNK,
+            "data_files_size_in_mb": _FILE_MB,
+            "video_files_size_in_mb": 200,
+            "fps": self._fps,
+            "splits": {"train": f"0:{len(self._episodes)}"},
+            "data_path": DATA_PATH,
+            "video_path": None,
+            "features": self._features,
+        }
+        for name, content in ((INFO, info), (STATS, statistics)):
+            text = json.dumps(content, indent=2, allow_nan=False)
+            (self._folder / name).write_text(text + "\n", encoding="utf-8")
+
+    def _agree(self, episode: Episode, values: dict[str, tuple[np.ndarray, list[str] | None]]) -> None:
+        features = {
+            name: {"dtype": str(array.dtype), "shape": [array.shape[1]], "names": names}
+            for name, (array, names) in values.items()
+        }
+        features |= {name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in _COUNTERS.items()}
+        if not self._features:
+            self._features, self._robot = features, episode.robot
+        elif self._features != features:
+            unlike = [
+                name
+                for name in {**self._features, **features}
+                if self._features.get(name) != features.get(name)
+            ]
+            raise RecordingError(
+                f"{episode.name}: its {', '.join(unlike)} is not as in the episodes before; all of a dataset "
+                "must be of one robot"
+            )
+
+    def _flush(self) -> None:
+        if self._waiting:
+            chunk, file = divmod(self._file, _FILES_PER_CHUNK)
+            self._write(DATA_PATH.format(chunk_index=chunk, file_index=file), pa.concat_tables(self._waiting))
+            self._waiting, self._file = [], self._file + 1
+
+    def _write(self, name: str, table: pa.Table) -> None:
+        path = self._folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(table, path)
+
+
+def _table(episode: Episode, names: list[str]) -> np.ndarray:
+    return np.stack([episode.signals[name] for name in names], axis=1)
+
+
+def _column(values: np.ndarray) -> pa.Array:
+    """Plain numbers where a feature has one, else lists."""
+    return pa.array(values[:, 0]) if values.shape[1] == 1 else rows(values)
+
+
+def _statistics(values: np.ndarray) -> dict[str, list]:
+    """LeRobot's statistics of values (T, n), a list of n for each; the count is one number."""
+    numbers = values.astype(float)
+    quantiles = np.quantile(numbers, list(_QUANTILES.values()), axis=0)
+    return {
+        "min": values.min(axis=0).tolist(),
+        "max": values.max(axis=0).tolist(),
+        "mean": numbers.mean(axis=0).tolist(),
+        "std": numbers.std(axis=0).tolist(),
+        "count": [len(values)],
+        **{name: row.tolist() for name, row in zip(_QUANTILES, quantiles, strict=True)},
+    }
+
+
+def _indexed(tasks: list[str]) -> pa.Table:
+    """The table of tasks, whose index pandas takes from the column "task"."""
+    kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
+    described = [
+        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
+        for name, (kind, numpy) in kinds.items()
+    ]
+    pandas = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": described,
+        "pandas_version": "2.0.0",
+    }
+    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": pa.array(tasks)})
+    return table.replace_schema_metadata({"pandas": json.dumps(pandas)})

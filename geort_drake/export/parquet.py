@@ -1,0 +1,82 @@
+"""Episodes as Parquet: a table of frames for each, and one table of the episodes.
+
+frames/NAME.parquet   one row per sample
+episodes.parquet      one row per episode
+"""
+
+import json
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from geort_drake.errors import OutputError
+from geort_drake.export.episode import Episode
+from geort_drake.files import atomic_directory
+
+FRAMES, EPISODES = "frames", "episodes.parquet"
+
+
+def write_parquet(episodes: Iterable[Episode], output: str | os.PathLike) -> Iterator[str]:
+    """Writes a folder, whole or not at all, and yields the name of each episode that is done.
+
+    Raises:
+        OutputError: `output` exists and is not such a folder.
+    """
+    check_replaceable(output, EPISODES)
+    with atomic_directory(output) as draft:
+        (draft / FRAMES).mkdir()
+        lines = []
+        for episode in episodes:
+            table = frame_table(episode)
+            pq.write_table(table, draft / FRAMES / f"{episode.name}.parquet")
+            lines.append(
+                {
+                    "episode": episode.name,
+                    "frames": len(episode.t),
+                    "robot": episode.robot,
+                    **{
+                        # A table wants one type in a column; what is nested differs from trial to trial.
+                        key: json.dumps(value) if isinstance(value, dict | list) else value
+                        for key, value in episode.facts.items()
+                    },
+                }
+            )
+            yield episode.name
+        pq.write_table(pa.Table.from_pylist(lines), draft / EPISODES)
+
+
+def frame_table(episode: Episode) -> pa.Table:
+    """The episode's samples; keypoints and poses of frames without a tracked hand are null."""
+    lost = ~episode.glove.valid
+    columns: dict[str, pa.Array] = {
+        "episode": pa.array([episode.name] * len(episode.t)).dictionary_encode(),
+        "t": pa.array(episode.t),
+        "glove.valid": pa.array(episode.glove.valid),
+        "glove.p_HK": rows(episode.glove.p_HK.reshape(-1, 63), lost),
+    }
+    if episode.glove.X_WH is not None:
+        columns["glove.X_WH"] = rows(episode.glove.X_WH, lost)
+    columns |= {name: pa.array(values) for name, values in episode.signals.items()}
+    columns |= {f"state.{name}": pa.array(values) for name, values in episode.states.items()}
+    columns |= {f"pose.{name}": rows(values) for name, values in episode.poses.items()}
+    return pa.table(columns)
+
+
+def rows(values: np.ndarray, missing: np.ndarray | None = None) -> pa.Array:
+    """A list of n numbers per row of values (T, n); null where `missing`."""
+    flat = pa.array(np.ascontiguousarray(values).ravel())
+    mask = None if missing is None else pa.array(missing)
+    return pa.FixedSizeListArray.from_arrays(flat, values.shape[1], mask=mask)
+
+
+def check_replaceable(output: str | os.PathLike, mark: str) -> None:
+    """Raises OutputError where writing would replace something other than an export with the file `mark`."""
+    path = Path(output)
+    if path.exists() and not (path.is_dir() and ((path / mark).is_file() or not any(path.iterdir()))):
+        raise OutputError(
+            f"{path} exists and is no earlier export; it would be replaced: choose another name"
+        )

@@ -1,0 +1,253 @@
+"""Runs and recordings in the formats of other programs, read back by readers that are not ours."""
+
+import json
+
+import numpy as np
+import pyarrow.dataset
+import pyarrow.parquet as pq
+import pytest
+from rerun.experimental import LeRobotReader
+from scipy.spatial.transform import Rotation
+from test_gloves_scripts import script
+
+from geort_drake.errors import OutputError, RecordingError
+from geort_drake.export.episode import episode_of, glove_at, newest, read_episodes
+from geort_drake.export.lerobot import features_of, write_lerobot
+from geort_drake.export.parquet import write_parquet
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.gloves.recording import Recording
+from geort_drake.systems._rerun_file import Recording as RerunFile
+from geort_drake.systems._rerun_scene import Scene
+from geort_drake.systems._rerun_tracks import PoseTrack, SignalTrack, StateTrack
+
+JOINTS = ["thumb/j0", "thumb/j1", "index/j2"]
+FRAMES = {"cube-0": 30, "cube-1": 20}
+PERIOD = 0.02
+
+
+def command(t):
+    return np.array([np.sin(t), 0.1 * t, -0.3])
+
+
+def pose(body, t):
+    """X_WB (3, 4) of a body that turns and rises."""
+    return np.column_stack([Rotation.from_euler("z", body + t).as_matrix(), [0.1 * body, 0.0, t]])
+
+
+def glove(seconds):
+    """Of another rate than the robot's, with a tracker, lost from 0.1 to 0.2 s."""
+    play = synthesize_play(3, seconds, 100.0)
+    X_WH = np.column_stack([np.tile([1.0, 0, 0, 0], (len(play), 1)), play.t, play.t, play.t])
+    valid = (play.t < 0.1) | (play.t > 0.2)
+    return Recording(play.t, play.p_HK, valid, X_WH, {**play.metadata, "source": "test"})
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A run of two trials, written as the simulation writes it; the robot lags its commands by 0.1 rad."""
+    folder = tmp_path / "run"
+    trials = []
+    for number, (name, frames) in enumerate(FRAMES.items()):
+        scene = Scene(paths=["/world/environment", "/world/hand/palm", "/world/cube/cube"], moving=[1, 2])
+        tracks = [
+            PoseTrack(scene),
+            SignalTrack("joints/command", JOINTS, "command", True),
+            SignalTrack("joints/measured", JOINTS, "measured", False),
+            StateTrack("grasp", {0: "reach", 1: "hold"}),
+        ]
+        file = RerunFile(
+            folder / f"{name}.rrd", scene, tracks, application_id="test", recording_id=None, properties={},
+            blueprint=None,
+        )  # fmt: skip
+        for t in PERIOD * np.arange(frames):
+            q = command(t)
+            file.append(t, [np.stack([pose(0, t), pose(1, t)]), q, q - 0.1, float(t > 0.1)])
+        file.close()
+        glove(frames * PERIOD).save(folder / f"{name}.glove.npz")
+        trials.append({"object": "cube", "seed": number, "success": number == 0, "outcome": "success",
+                       "phase_times": {"HOLD": 0.1}})  # fmt: skip
+    (folder / "results.json").write_text(json.dumps({"trials": trials}))
+    (folder / "scenario.yaml").write_text("Resolved:\n  hand: allegro_right\n")
+    return folder
+
+
+def test_a_trial_is_read_as_it_was_recorded(run):
+    """Commands, states and poses at the robot's times; the glove's newest frame at each of them."""
+    first, second = read_episodes(run)
+    t = PERIOD * np.arange(30)
+    np.testing.assert_allclose(first.t, t, atol=1e-9)
+    assert first.command_names == [f"joints.command.{name.replace('/', '.')}" for name in JOINTS]
+    for i, name in enumerate(first.command_names):
+        np.testing.assert_allclose(first.signals[name], [command(time)[i] for time in t], atol=1e-9)
+    for asked, done in zip(first.command_names, first.measured_names, strict=True):
+        np.testing.assert_allclose(first.signals[done], first.signals[asked] - 0.1, atol=1e-9)
+    assert first.states["grasp"].tolist() == ["reach"] * 6 + ["hold"] * 24
+    assert list(first.poses) == ["hand.palm", "cube.cube"]
+    np.testing.assert_allclose(first.hand_pose[:, 4:], np.outer(t, [0, 0, 1]), atol=1e-6)
+    turned = Rotation.from_quat(first.body_pose("cube")[:, :4], scalar_first=True).as_euler("xyz")[:, 2]
+    np.testing.assert_allclose(turned, 1.0 + t, atol=1e-5)
+    recorded = Recording.load(run / "cube-0.glove.npz")
+    np.testing.assert_array_equal(first.glove.p_HK, recorded.p_HK[::2][:30])
+    np.testing.assert_array_equal(first.glove.valid, recorded.valid[::2][:30])
+    assert (len(second.t), second.robot, second.facts["seed"]) == (20, "allegro_right", 1)
+
+
+def test_each_time_has_the_newest_sample():
+    """At a sample's own time that sample, before the first one the first."""
+    sampled = np.array([0.0, 0.1, 0.2])
+    assert newest(sampled, np.array([-1.0, 0.0, 0.05, 0.1, 0.3 - 0.1, 9.0])).tolist() == [0, 0, 0, 1, 2, 2]
+
+
+def test_parquet_holds_the_run(run, tmp_path):
+    """Arrow reads one table of all frames, null where the hand was lost, and one of the trials."""
+    output = tmp_path / "out"
+    assert list(write_parquet(read_episodes(run), output)) == list(FRAMES)
+    frames = pyarrow.dataset.dataset(output / "frames").to_table().to_pylist()
+    assert len(frames) == 50
+    row = next(row for row in frames if row["episode"] == "cube-0" and row["t"] == pytest.approx(0.4))
+    assert row["joints.command.thumb.j1"] == pytest.approx(0.04)
+    assert row["joints.measured.thumb.j1"] == pytest.approx(-0.06)
+    assert row["state.grasp"] == "hold"
+    assert row["pose.cube.cube"][4:] == pytest.approx([0.1, 0.0, 0.4])
+    recorded = Recording.load(run / "cube-0.glove.npz")
+    np.testing.assert_array_equal(row["glove.p_HK"], recorded.p_HK[40].ravel())
+    np.testing.assert_allclose(row["glove.X_WH"], recorded.X_WH[40])
+    lost = [row for row in frames if not row["glove.valid"]]
+    assert lost
+    assert all(row["glove.p_HK"] is None and row["glove.X_WH"] is None for row in lost)
+    trials = pq.read_table(output / "episodes.parquet").to_pylist()
+    assert [(trial["episode"], trial["success"], trial["frames"]) for trial in trials] == [
+        ("cube-0", True, 30), ("cube-1", False, 20)
+    ]  # fmt: skip
+    assert json.loads(trials[0]["phase_times"]) == {"HOLD": 0.1}
+
+
+def lerobot_episode(folder, episode):
+    """The numbers of each feature (T, n) as Rerun reads the dataset."""
+    features = {}
+    for chunk in LeRobotReader(folder).stream(episode):
+        batch = chunk.to_record_batch()
+        if "Scalars:scalars" in batch.schema.names:
+            features[chunk.entity_path.strip("/")] = np.array(batch.column("Scalars:scalars").to_pylist())
+    return features
+
+
+def test_rerun_reads_the_lerobot_dataset(run, tmp_path):
+    """Episodes, actions and observations are what was recorded."""
+    output = tmp_path / "dataset"
+    assert list(write_lerobot(read_episodes(run), output)) == list(FRAMES)
+    reader = LeRobotReader(output)
+    assert (reader.version, reader.episodes()) == ("v3", [0, 1])
+    for number, episode in enumerate(read_episodes(run)):
+        features = lerobot_episode(output, number)
+        asked = np.array([command(t) for t in episode.t])
+        np.testing.assert_allclose(features["action"], asked, atol=1e-6)
+        np.testing.assert_allclose(features["observation.state"], asked - 0.1, atol=1e-6)
+        np.testing.assert_allclose(
+            features["observation.environment_state"], episode.poses["cube.cube"], atol=1e-6
+        )
+        np.testing.assert_allclose(features["observation.hand_pose"], episode.poses["hand.palm"], atol=1e-6)
+        assert features["observation.glove"].shape == (len(episode.t), 63)
+
+
+def test_the_lerobot_layout_is_the_documented_one(run, tmp_path):
+    """info.json, tasks, episodes and statistics have the keys and types of codebase version 3.0."""
+    output = tmp_path / "dataset"
+    list(write_lerobot(read_episodes(run), output, fps=25))
+    info = json.loads((output / "meta" / "info.json").read_text())
+    assert (info["codebase_version"], info["fps"], info["robot_type"]) == ("v3.0", 25, "allegro_right")
+    assert (info["total_episodes"], info["total_frames"], info["total_tasks"]) == (2, 25, 1)
+    assert info["splits"] == {"train": "0:2"}
+    data = pq.read_table(output / info["data_path"].format(chunk_index=0, file_index=0))
+    assert set(info["features"]) == set(data.schema.names)
+    rows = data.to_pylist()
+    assert [row["index"] for row in rows] == list(range(25))
+    assert [row["frame_index"] for row in rows] == [*range(15), *range(10)]
+    assert [row["next.done"] for row in rows].count(True) == 2
+    assert [i for i, row in enumerate(rows) if row["next.success"]] == [14]
+    for name, feature in info["features"].items():
+        width = feature["shape"][0]
+        assert width == 1 or data.schema.field(name).type.list_size == width
+        assert feature["names"] is None or len(feature["names"]) == width
+    episodes = pq.read_table(output / "meta" / "episodes" / "chunk-000" / "file-000.parquet").to_pylist()
+    assert [(e["dataset_from_index"], e["dataset_to_index"], e["length"]) for e in episodes] == [
+        (0, 15, 15), (15, 25, 10)
+    ]  # fmt: skip
+    assert episodes[0]["tasks"] == ["grasp the cube"]
+    statistics = json.loads((output / "meta" / "stats.json").read_text())
+    actions = np.array([row["action"] for row in rows])
+    np.testing.assert_allclose(statistics["action"]["mean"], actions.mean(axis=0), atol=1e-6)
+    np.testing.assert_allclose(statistics["action"]["std"], actions.std(axis=0), atol=1e-6)
+    assert statistics["action"]["count"] == [25]
+    tasks = pq.read_table(output / "meta" / "tasks.parquet")
+    assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
+    assert tasks.to_pylist() == [{"task_index": 0, "task": "grasp the cube"}]
+
+
+def test_a_lost_hand_stays_where_it_was_seen(run):
+    """A dataset for learning holds no numbers that mean nothing."""
+    episode = next(read_episodes(run))
+    seen = features_of(episode)["observation.glove"][0]
+    lost = np.flatnonzero(~episode.glove.valid)
+    assert len(lost) > 2
+    np.testing.assert_array_equal(seen[lost], np.tile(seen[lost[0] - 1], (len(lost), 1)))
+
+
+def cut(path):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda f: (f / "results.json").unlink(), "results.json is missing; a run is a folder"),
+        (lambda f: (f / "results.json").write_text("{}"), "not the results of simulate_grasp.py"),
+        (lambda f: (f / "results.json").write_text('{"trials": []}'), "the run has no trials"),
+        (lambda f: (f / "cube-1.rrd").unlink(), "cube-1 lacks cube-1.rrd, .* without --no_rerun"),
+        (lambda f: (f / "cube-0.glove.npz").unlink(), "cube-0 lacks cube-0.glove.npz"),
+        (lambda f: cut(f / "cube-0.rrd"), "cube-0.rrd: not a readable Rerun recording"),
+        (lambda f: (f / "cube-0.rrd").write_text("{}"), "cube-0.rrd: not a readable Rerun recording"),
+    ],
+)
+def test_what_a_run_lacks_is_named(run, tmp_path, spoil, message):
+    """And nothing is left behind."""
+    spoil(run)
+    with pytest.raises(RecordingError, match=message):
+        list(write_parquet(read_episodes(run), tmp_path / "out"))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run"]
+
+
+def test_what_cannot_be_exported_is_refused(run, tmp_path):
+    """No robot in a LeRobot dataset, other joints in the same dataset, another folder in its place."""
+    play = synthesize_play(0, 2.0, 30.0)
+    with pytest.raises(RecordingError, match="no robot: export it as Parquet"):
+        list(write_lerobot([episode_of(play, "play")], tmp_path / "out"))
+    first, second = read_episodes(run)
+    del second.signals[second.command_names[0]]
+    with pytest.raises(RecordingError, match="cube-1: its action is not as in the episodes before"):
+        list(write_lerobot([first, second], tmp_path / "out"))
+    with pytest.raises(OutputError, match="is no earlier export"):
+        list(write_parquet(read_episodes(run), run))
+
+
+def test_the_script_exports_runs_and_recordings(run, tmp_path):
+    """Parquet of both; a recording of a hand as Rerun's file, which a run has already."""
+    export = script("export_run.py").main
+    export([str(run), str(tmp_path / "lerobot"), "--format", "lerobot", "--fps", "10"])
+    assert LeRobotReader(tmp_path / "lerobot").episodes() == [0, 1]
+    hand = tmp_path / "hand.npz"
+    synthesize_play(0, 12.0, 30.0).save(hand)
+    export([str(hand), str(tmp_path / "hand")])
+    (table,) = (tmp_path / "hand" / "frames").iterdir()
+    assert pq.read_metadata(table).num_rows == 360
+    with pytest.raises(OutputError, match="Rerun recordings already"):
+        export([str(run), str(tmp_path / "x.rrd"), "--format", "rrd"])
+    with pytest.raises(SystemExit):
+        export([str(hand), str(tmp_path / "x"), "--format", "rrd"])
+
+
+def test_a_glove_is_held_between_its_frames():
+    """As `GloveReplay` gives it to a simulation."""
+    play = synthesize_play(0, 2.0, 10.0)
+    held = glove_at(play, np.array([0.0, 0.05, 0.1, 0.19]))
+    np.testing.assert_array_equal(held.p_HK, play.p_HK[[0, 0, 1, 1]])
