@@ -375,9 +375,19 @@ def test_joints_that_form_no_finger_are_refused(copied):
     facts["fingers"][1]["joints"] = joints[::-1]
     with pytest.raises(HandError, match=r"finger 'index': its joints must be listed base to tip"):
         HandModel(load()).kinematics()
-    facts["fingers"][1]["joints"] = joints[1:]
-    with pytest.raises(HandError, match=r"joint 'joint_0' moves it but is not in its list"):
-        HandModel(load()).kinematics()
+
+
+def test_a_joint_that_no_finger_lists_is_held_at_its_default(copied, rng):
+    """The finger then has fewer joints, and moves as the whole one does with that joint at this angle."""
+    facts, load = copied
+    whole = HandModel(load())
+    facts["fingers"][1]["joints"].remove("joint_0")
+    facts["default_positions"]["joint_0"] = 0.2
+    hand = HandModel(load())
+    q = _uniform(hand, rng, 20)
+    np.testing.assert_allclose(hand.kinematics().fingertips(torch.tensor(q)), hand.fingertips(q), atol=1e-9)
+    at = whole.joint_names.index("joint_0")
+    np.testing.assert_allclose(whole.fingertips(np.insert(q, at, 0.2, axis=1)), hand.fingertips(q), atol=1e-9)
 
 
 def test_missing_or_unreadable_files_are_named(tmp_path):

@@ -5,6 +5,9 @@ cylinders, capsules and spheres exactly. Two of them are apart by at least the l
 some axes (the separating-axis theorem: Gottschalk et al. 1996, "OBBTree"): the boxes' face normals, their
 edge products, and the directions from each to the other's centre. So a gap given here is never more than
 the true distance; where a round side faces an edge it may be less.
+
+`retargeting.collision_geometry` shares no table with this: it takes rounded shapes for boxes of their volume,
+where a bound must hold here, and works on float32 batches of few pairs, where one pose must be quick here.
 """
 
 from dataclasses import dataclass
@@ -60,7 +63,7 @@ class HandClearance:
         for joints in np.unique(between[one_chain & (between.sum(axis=1) <= _FEW)], axis=0):
             rows = np.flatnonzero(one_chain & (between == joints).all(axis=1))
             self._set_pairs(pairs[rows])
-            built_close[rows] = self._never_touch(hand, np.flatnonzero(joints))
+            built_close[rows] = self._never_touch(np.flatnonzero(joints))
         self._set_pairs(pairs[~built_close])
 
     @property
@@ -73,7 +76,7 @@ class HandClearance:
 
         None where every gap is at least `clearance`, which `within` is no less than.
         """
-        T = self._joint_frames(q)
+        T = self._joint_frames(q if self._coupling is None else self._coupling @ q)
         S = T[self._frame] @ self._X_JS
         R, p = S[:, :3, :3], S[:, :3, 3]
         row, gap, axis, side = self._gaps(R, p, within)
@@ -90,20 +93,27 @@ class HandClearance:
         # n · (ω × (x − o)) = ω · (x × n) + n · (o × ω) for each joint's axis ω through o.
         along = _cross(x, n) @ turn.T + n @ _cross(origin, turn).T
         between = self._between[row]
-        return Near(row, gap, between * along[:, self._place], between != 0)
+        gradient = between * along[:, self._place]
+        if self._coupling is None:
+            return Near(row, gap, gradient, between != 0)
+        return Near(row, gap, gradient @ self._coupling, (between != 0) @ (self._coupling != 0))
 
     def _read_joints(self, hand: HandModel) -> None:
         """The tree of joints, level by level from the base."""
         plant = hand.plant
-        self._lower, self._upper = hand.lower, hand.upper
-        names = hand.joint_names
+        free, coupling = hand.kinematics().uncoupled()
+        self._lower, self._upper, self._default = free.lower, free.upper, hand.default_position @ coupling.T
+        # What the joints that follow others are turned by; nothing where there are none.
+        self._coupling = coupling if len(coupling) > len(hand.joint_names) else None
+        names = self._names = list(free.joint_names)
         self._inboard = {
             plant.get_joint(i).child_body().index(): plant.get_joint(i) for i in plant.GetJointIndices()
         }
         context = plant.CreateDefaultContext()
         joints = [plant.GetJointByName(name) for name in names]
+        offsets = dict(zip(hand.couplings.names, hand.couplings.offset, strict=True))
         for joint in joints:
-            joint.set_angle(context, 0.0)
+            joint.set_angle(context, offsets.get(joint.name(), 0.0))
         X_BJ = [joint.frame_on_child().CalcPoseInWorld(context).GetAsMatrix4() for joint in joints]
         above = [self._mover(joint.parent_body(), names) for joint in joints]
         self._above = above
@@ -147,10 +157,10 @@ class HandClearance:
         X_JS, mover = [], []
         for geometry in self._ids:
             body = plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
-            mover.append(self._mover(body, hand.joint_names))
+            mover.append(self._mover(body, self._names))
             X_BS = plant.EvalBodyPoseInWorld(context, body) @ inspector.GetPoseInFrame(geometry)
             if mover[-1] >= 0:
-                joint = plant.GetJointByName(hand.joint_names[mover[-1]])
+                joint = plant.GetJointByName(self._names[mover[-1]])
                 X_BS = joint.frame_on_child().CalcPoseInWorld(context).inverse() @ X_BS
             X_JS.append(X_BS.GetAsMatrix4())
         sizes = [_size(inspector.GetShape(id), inspector.GetName(id)) for id in self._ids]
@@ -189,12 +199,12 @@ class HandClearance:
         self._flat = self._a * len(self._ids) + self._b
         self._pair_reach = self._reach[self._a] + self._reach[self._b]
 
-    def _never_touch(self, hand: HandModel, joints: np.ndarray) -> np.ndarray:
+    def _never_touch(self, joints: np.ndarray) -> np.ndarray:
         """(P,) which of the pairs have a positive gap wherever the given joints are."""
         touched = np.zeros(len(self._a), dtype=bool)
         grids = [np.linspace(self._lower[j], self._upper[j], _GRID) for j in joints]
         angles = np.stack(np.meshgrid(*grids), axis=-1).reshape(-1, len(joints))
-        q = np.tile(hand.default_position, (len(angles), 1))
+        q = np.tile(self._default, (len(angles), 1))
         q[:, joints] = angles
         for T in self._joint_frames(q):
             S = T[self._frame] @ self._X_JS

@@ -1,8 +1,9 @@
 """A hand's collision geometry as plain arrays, for training without Drake."""
 
 import numpy as np
-from pydrake.geometry import Box, Capsule, Cylinder, Role, Sphere
+from pydrake.geometry import Box, CalcObb, Capsule, Convex, Cylinder, Mesh, Role, Sphere
 from pydrake.multibody.tree import RevoluteJoint
+from scipy.spatial import ConvexHull
 
 from geort_drake.errors import HandError
 from geort_drake.hands.model import HandModel
@@ -13,14 +14,15 @@ def collision_shapes(hand: HandModel) -> CollisionShapes:
     """The boxes and spheres of a hand, and the pairs of them that must not touch.
 
     Boxes and spheres are taken as they are. A cylinder becomes the box of equal length and
-    cross-section, a capsule such a box with its two end spheres. Pairs that Drake filters
-    and pairs of two fingers' tips are left out.
+    cross-section, a capsule such a box with its two end spheres, a mesh the box around its convex hull,
+    shrunk to the hull's volume. Pairs that Drake filters and pairs of two fingers' tips are left out.
 
     Raises:
         HandError: the hand has collision geometry of another kind.
     """
     plant, inspector = hand.plant, hand.scene_graph.model_inspector()
     context = plant.CreateDefaultContext()
+    moving = list(hand.kinematics().uncoupled()[0].joint_names)
     inboard = {plant.get_joint(i).child_body().index(): plant.get_joint(i) for i in plant.GetJointIndices()}
     joint, X_JS, half, radius, source = [], [], [], [], []
     for geometry in sorted(inspector.GetAllGeometryIds(Role.kProximity), key=lambda id: id.get_value()):
@@ -29,14 +31,14 @@ def collision_shapes(hand: HandModel) -> CollisionShapes:
             inspector.GetPoseInFrame(geometry).GetAsMatrix4()
         )
         mover = inboard.get(body.index())
-        while mover is not None and not _moves(mover, hand):
+        while mover is not None and not (isinstance(mover, RevoluteJoint) and mover.name() in moving):
             mover = inboard.get(mover.parent_body().index())
         if mover is None:
             X_WJ = np.eye(4)  # the hand base is welded to the world
         else:
             X_WJ = mover.frame_on_child().CalcPoseInWorld(context).GetAsMatrix4()
         for X_GS, half_edges, r in _parts(inspector.GetShape(geometry), inspector.GetName(geometry)):
-            joint.append(-1 if mover is None else hand.joint_names.index(mover.name()))
+            joint.append(-1 if mover is None else moving.index(mover.name()))
             X_JS.append(np.linalg.inv(X_WJ) @ X_WS @ X_GS)
             half.append(half_edges)
             radius.append(r)
@@ -49,12 +51,12 @@ def collision_shapes(hand: HandModel) -> CollisionShapes:
                 continue
             pairs.append((j, i) if radius[i] > 0 else (i, j))
     return CollisionShapes(
-        np.array(joint), np.array(X_JS), np.array(half), np.array(radius), np.array(pairs).reshape(-1, 2)
+        np.array(joint, dtype=int),
+        np.array(X_JS).reshape(-1, 4, 4),
+        np.array(half).reshape(-1, 3),
+        np.array(radius),
+        np.array(pairs, dtype=int).reshape(-1, 2),
     )
-
-
-def _moves(joint, hand: HandModel) -> bool:
-    return isinstance(joint, RevoluteJoint) and joint.name() in hand.joint_names
 
 
 def _parts(shape, name: str) -> list[tuple[np.ndarray, tuple[float, float, float], float]]:
@@ -72,7 +74,12 @@ def _parts(shape, name: str) -> list[tuple[np.ndarray, tuple[float, float, float
                 X[2, 3] = z
                 parts.append((X, (0.0, 0.0, 0.0), shape.radius()))
         return parts
+    if isinstance(shape, Convex | Mesh):
+        box, hull = CalcObb(shape), shape.GetConvexHull()
+        volume = ConvexHull([hull.vertex(i) for i in range(hull.num_vertices())]).volume
+        half = box.half_width()
+        return [(box.pose().GetAsMatrix4(), tuple(half * np.cbrt(volume / (8.0 * half.prod()))), 0.0)]
     raise HandError(
         f"collision geometry '{name}' is a {type(shape).__name__}; "
-        "choose one of: box, sphere, cylinder, capsule"
+        "choose one of: box, sphere, cylinder, capsule, mesh"
     )

@@ -44,6 +44,40 @@ class MountDescription:
 
 
 @dc.dataclass
+class BasePoseDescription:
+    """The pose of the hand base B, for a model that has no frame of its own there."""
+
+    # Frame or link of the model that B is fixed to; empty: `base_frame` is a frame of the model.
+    relative_to: str = ""
+    # Its pose in that frame: m, and roll, pitch, yaw in degrees.
+    translation: list[float] = dc.field(default_factory=lambda: [0.0, 0.0, 0.0])
+    rpy_deg: list[float] = dc.field(default_factory=lambda: [0.0, 0.0, 0.0])
+
+
+@dc.dataclass
+class CouplingDescription:
+    """A joint that has no motor of its own: its angle is `ratio` times that of another plus `offset`."""
+
+    # The joint that follows.
+    joint: str = ""
+    # The joint that it follows, which a finger lists or which itself follows one.
+    follows: str = ""
+    ratio: float = 1.0
+    # rad.
+    offset: float = 0.0
+
+
+@dc.dataclass
+class ActuationDescription:
+    """PD gains for every joint that a finger lists; 0: those of the model."""
+
+    # N·m/rad, N·m·s/rad, and N·m; without an effort limit the model's is kept.
+    stiffness: float = 0.0
+    damping: float = 0.0
+    effort_limit: float = 0.0
+
+
+@dc.dataclass
 class HandDescription:
     """A robot hand: which model it is and how its parts relate to a human hand.
 
@@ -51,17 +85,25 @@ class HandDescription:
     """
 
     name: str = ""
-    # SDF or URDF file: package://geort_drake/..., an absolute path, or one relative to the description.
+    # SDF, URDF or MJCF file: package://geort_drake/..., an absolute path, or one relative to the description.
     model: str = ""
     # The side of the hand, right or left.
     side: str = "right"
     # Frame or link of the model that is the hand base B: +x out of the palm, +z along the fingers, and so
     # +y towards the index side of a right hand and the ring side of a left one.
     base_frame: str = ""
+    # Where that frame is, if the model has none of the name.
+    base_pose: BasePoseDescription = dc.field(default_factory=BasePoseDescription)
     # In the order thumb, index, middle, ring, little; fingers that the hand lacks are left out.
     fingers: list[FingerDescription] = dc.field(default_factory=list)
     # Where the joints start, by name, rad. Joints that are not listed start at the model's default, 0.
+    # A joint that no finger lists and that follows none is held there.
     default_positions: dict[str, float] = dc.field(default_factory=dict)
+    # Joints that follow others; they are not listed with the fingers.
+    couplings: list[CouplingDescription] = dc.field(default_factory=list)
+    # Pairs of links whose contact does not count, because it is there in every posture.
+    ignored_collisions: list[list[str]] = dc.field(default_factory=list)
+    actuation: ActuationDescription = dc.field(default_factory=ActuationDescription)
     mount: MountDescription = dc.field(default_factory=MountDescription)
 
     @property
@@ -92,10 +134,36 @@ class HandDescription:
         self._require(not twice, "fingers", "every joint once", f"twice: {', '.join(twice)}")
         for joint, position in self.default_positions.items():
             self._require(np.isfinite(position), f"default_positions.{joint}", "finite", position)
-        for field in ("translation", "rpy_deg"):
-            value = getattr(self.mount, field)
-            good = len(value) == 3 and np.isfinite(value).all()
-            self._require(good, f"mount.{field}", "three finite numbers", value)
+        for place in ("mount", "base_pose"):
+            for field in ("translation", "rpy_deg"):
+                value = getattr(getattr(self, place), field)
+                good = len(value) == 3 and np.isfinite(value).all()
+                self._require(good, f"{place}.{field}", "three finite numbers", value)
+        for field in ("stiffness", "damping", "effort_limit"):
+            value = getattr(self.actuation, field)
+            self._require(np.isfinite(value) and value >= 0, f"actuation.{field}", "at least 0", value)
+        for number, pair in enumerate(self.ignored_collisions):
+            good = len(pair) == 2 and pair[0] != pair[1]
+            self._require(good, f"ignored_collisions[{number}]", "the names of two links", pair)
+        self._validate_couplings()
+
+    def _validate_couplings(self) -> None:
+        leaders = {coupling.joint: coupling.follows for coupling in self.couplings}
+        twice = len(self.couplings) - len(leaders)
+        self._require(not twice, "couplings", "one for each joint that follows", f"{twice} too many")
+        for number, coupling in enumerate(self.couplings):
+            where = f"couplings[{number}]"
+            self._require(coupling.joint and coupling.follows, where, "of two joints", "a name is missing")
+            listed = coupling.joint in self.joint_names
+            self._require(not listed, f"{where}.joint", "listed with no finger", f"'{coupling.joint}'")
+            good = np.isfinite(coupling.ratio) and coupling.ratio != 0
+            self._require(good, f"{where}.ratio", "finite and not 0", coupling.ratio)
+            self._require(np.isfinite(coupling.offset), f"{where}.offset", "finite", coupling.offset)
+            seen, leader = {coupling.joint}, coupling.follows
+            while leader in leaders and leader not in seen:
+                seen.add(leader)
+                leader = leaders[leader]
+            self._require(leader not in seen, where, "free of circles", f"'{coupling.joint}' follows itself")
 
     def _validate_finger(self, finger: FingerDescription, where: str) -> None:
         self._require(

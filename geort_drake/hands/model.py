@@ -14,16 +14,16 @@ from pydrake.geometry import (
     Role,
     SceneGraphInspector,
 )
-from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
-from pydrake.multibody.tree import Frame, RevoluteJoint, RigidBody, WeldJoint
+from pydrake.multibody.tree import Frame, RevoluteJoint, RigidBody
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from geort_drake.errors import HandError
 from geort_drake.files import sha256_of
-from geort_drake.hands.description import FingerDescription, HandDescription
-from geort_drake.resources import PACKAGE_NAME, resolve_uri, resource_root
+from geort_drake.hands.assembly import add_hand_model, joint_names
+from geort_drake.hands.couplings import JointCouplings
+from geort_drake.hands.description import HandDescription
+from geort_drake.resources import resolve_uri
 
 if TYPE_CHECKING:
     from geort_drake.retargeting.kinematics import HandKinematics
@@ -32,10 +32,15 @@ if TYPE_CHECKING:
 class HandModel:
     """A hand with its base B welded to the world, which computes from joint positions q.
 
-    `q` is in the order of `joint_names`, the hand description's. Joints of the model that no finger
-    lists stay at their default. Not thread-safe: the object owns the contexts it computes in.
+    `q` is in the order of `joint_names`, the hand description's. Joints that follow one of these move with
+    it; what else there is stays at its default. Not thread-safe: the object owns the contexts it computes in.
 
     A tip here means what `tip_geometries` names.
+
+    Attributes:
+        plant, scene_graph, diagram: the hand in Drake, finalized and built.
+        couplings: the joints that follow.
+        lower, upper: (n,) joint limits, rad; those of joints that follow are kept, too.
 
     Raises:
         HandError: the model file is missing or malformed, or the description names a joint, link or
@@ -46,29 +51,24 @@ class HandModel:
         description.validate()
         self.description = description
         path = resolve_uri(description.model)
-        if not path.is_file():
-            raise HandError(f"hand '{description.name}': the model file {path} is missing")
         self._source = f"hand '{description.name}' with model {path}"
-        self.digest = _digest(description, sha256_of(path))
-
         builder = DiagramBuilder()
         # Joint actuators with controller gains need a discrete plant; its time step is never taken.
         self.plant, self.scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.001)
-        parser = Parser(self.plant)
-        parser.package_map().Add(PACKAGE_NAME, resource_root())
-        try:
-            (self._instance,) = parser.AddModels(path)
-        except (RuntimeError, ValueError) as error:
-            raise HandError(f"{self._source}: not one readable model: {error}") from error
+        self._instance = add_hand_model(self.plant, description)
+        self.digest = _digest(description, sha256_of(path))
         self._base = self._frame(description.base_frame, "base_frame")
         self._mount = self._frame(description.mount.frame or description.base_frame, "mount.frame")
         self.plant.WeldFrames(self.plant.world_frame(), self._base)
+        self.couplings = JointCouplings.of(description)
+        self._followers = [self._joint(name, "couplings", limited=False) for name in self.couplings.names]
         self._joints = [
             self._joint(name, f"fingers.{finger.name}.joints")
             for finger in description.fingers
             for name in finger.joints
         ]
-        self._set_default_positions()
+        self._check_default_positions()
+        self.lower, self.upper = self._limits()
         self.plant.Finalize()
         self.diagram = builder.Build()
 
@@ -76,7 +76,8 @@ class HandModel:
             (self._frame(finger.tip_link, f"fingers.{finger.name}.tip_link"), np.array(finger.tip_point))
             for finger in description.fingers
         ]
-        self._order = np.array([joint.position_start() for joint in self._joints])
+        moving = [*self._joints, *self._followers]
+        self._order = np.array([joint.position_start() for joint in moving])
         self._tip_geometries = self._find_tip_geometries()
         self._contact_context = self.diagram.CreateDefaultContext()
         # The same hand, blind to contacts between fingertips.
@@ -97,19 +98,9 @@ class HandModel:
         return self.description.finger_names
 
     @property
-    def lower(self) -> np.ndarray:
-        """(n,) lower joint limits, rad."""
-        return np.array([joint.position_lower_limit() for joint in self._joints])
-
-    @property
-    def upper(self) -> np.ndarray:
-        """(n,) upper joint limits, rad."""
-        return np.array([joint.position_upper_limit() for joint in self._joints])
-
-    @property
     def default_position(self) -> np.ndarray:
         """(n,) joint positions the hand starts in, rad."""
-        return self._default[self._order]
+        return self._default[self._order[: len(self._joints)]]
 
     @property
     def tip_radius(self) -> float:
@@ -165,10 +156,14 @@ class HandModel:
 
     def kinematics(self) -> "HandKinematics":
         """The fingers as serial chains for torch, read off the plant."""
+        from geort_drake.hands.chains import finger_chain
         from geort_drake.retargeting.kinematics import HandKinematics
 
         return HandKinematics(
-            fingers=tuple(self._chain(finger) for finger in self.description.fingers),
+            fingers=tuple(
+                finger_chain(self.plant, self._base, finger, self.couplings, self.description, self._source)
+                for finger in self.description.fingers
+            ),
             joint_names=tuple(self.joint_names),
             lower=self.lower,
             upper=self.upper,
@@ -176,64 +171,15 @@ class HandModel:
             p_BW=self.p_BW,
         )
 
-    def _chain(self, finger: FingerDescription):
-        """Walks from the tip link to the base: movable joints must be the finger's, the rest rigid."""
-        from geort_drake.retargeting.kinematics import FingerChain
-
-        inboard = {
-            joint.child_body().index(): joint
-            for joint in map(self.plant.get_joint, self.plant.GetJointIndices())
-        }
-        where = f"{self._source}: finger '{finger.name}'"
-        body = self.plant.GetBodyByName(finger.tip_link, self._instance)
-        p_tip, X = np.array(finger.tip_point), RigidTransform()  # X: the part below, in the current body
-        names: list[str] = []
-        poses: list[RigidTransform] = []
-        axes: list[np.ndarray] = []
-        base_body = self._base.body().index()
-        while body.index() != base_body:
-            joint = inboard.get(body.index())
-            if joint is None:
-                raise HandError(f"{where}: link '{finger.tip_link}' does not hang on '{self._base.name()}'")
-            X_PF = joint.frame_on_parent().GetFixedPoseInBodyFrame()
-            X_MC = joint.frame_on_child().GetFixedPoseInBodyFrame().inverse()
-            if isinstance(joint, WeldJoint):
-                X = X_PF @ joint.X_FM() @ X_MC @ X
-            elif joint.name() in finger.joints:
-                # What lies below the joint is the next joint's frame or, at the end, the tip.
-                if names:
-                    poses.append(X_MC @ X)
-                else:
-                    p_tip = X_MC @ X @ p_tip
-                names.append(joint.name())
-                axes.append(joint.revolute_axis())
-                X = X_PF
-            else:
-                raise HandError(f"{where}: joint '{joint.name()}' moves it but is not in its list of joints")
-            body = joint.parent_body()
-        if names[::-1] != finger.joints:
-            raise HandError(
-                f"{where}: its joints must be listed base to tip; given: {', '.join(finger.joints)}; "
-                f"between '{self._base.name()}' and '{finger.tip_link}' are: {', '.join(names[::-1])}"
-            )
-        poses.append(self._base.GetFixedPoseInBodyFrame().inverse() @ X)
-        return FingerChain(
-            name=finger.name,
-            joint_names=tuple(finger.joints),
-            joint_indices=tuple(self.joint_names.index(name) for name in finger.joints),
-            X_PJ=np.stack([pose.GetAsMatrix4() for pose in poses[::-1]]),
-            axes=np.stack(axes[::-1]),
-            p_tip=p_tip,
-        )
-
     def _rows(self, q: np.ndarray) -> np.ndarray:
+        """(N, n + K) positions of the joints of q (N, n) or (n,), and of those that follow them."""
         rows = np.atleast_2d(np.asarray(q, dtype=float))
         n = len(self._joints)
         if np.ndim(q) not in (1, 2) or rows.shape[1] != n:
             raise ValueError(f"q must be of shape ({n},) or (N, {n}), not {np.shape(q)}")
         if not np.isfinite(rows).all():
             raise ValueError("q holds values that are not finite")
-        return rows
+        return self.couplings.followed_by(rows)
 
     def _set_positions(self, context: Context, row: np.ndarray) -> None:
         positions = self._default.copy()
@@ -271,20 +217,16 @@ class HandModel:
             raise self._unknown(field, "frame or link", name, [frame for frame in frames if frame])
         return self.plant.GetFrameByName(name, self._instance)
 
-    def _joint(self, name: str, field: str) -> RevoluteJoint:
-        joints = [self.plant.get_joint(i) for i in self.plant.GetJointIndices(self._instance)]
-        movable = [joint.name() for joint in joints if isinstance(joint, RevoluteJoint)]
+    def _joint(self, name: str, field: str, limited: bool = True) -> RevoluteJoint:
+        movable = joint_names(self.plant, self._instance, RevoluteJoint)
         if name not in movable:
             raise self._unknown(field, "revolute joint", name, movable)
         joint = self.plant.GetJointByName(name, self._instance)
-        if not np.isfinite([joint.position_lower_limit(), joint.position_upper_limit()]).all():
+        if limited and not np.isfinite([joint.position_lower_limit(), joint.position_upper_limit()]).all():
             raise HandError(f"{self._source}: joint '{name}' needs position limits, it has none")
         return joint
 
-    def _set_default_positions(self) -> None:
-        for name, position in self.description.default_positions.items():
-            joint = self._joint(name, "default_positions")
-            joint.set_default_angle(position)
+    def _check_default_positions(self) -> None:
         for joint in self._joints:
             low, high = joint.position_lower_limit(), joint.position_upper_limit()
             position = joint.get_default_angle()
@@ -293,6 +235,24 @@ class HandModel:
                     f"{self._source}: default_positions.{joint.name()} must be within its limits "
                     f"[{low:g}, {high:g}] rad; given: {position:g}"
                 )
+
+    def _limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """The joints' limits, narrowed to where those that follow them keep theirs."""
+        lower = np.array([joint.position_lower_limit() for joint in self._joints])
+        upper = np.array([joint.position_upper_limit() for joint in self._joints])
+        couplings = self.couplings
+        for row, joint in enumerate(self._followers):
+            leader = couplings.leaders[row]
+            ends = np.array([joint.position_lower_limit(), joint.position_upper_limit()])
+            low, high = np.sort((ends - couplings.offset[row]) / couplings.ratio[row, leader])
+            lower[leader], upper[leader] = max(lower[leader], low), min(upper[leader], high)
+            if not lower[leader] < upper[leader]:
+                raise HandError(
+                    f"{self._source}: joint '{joint.name()}', which follows '{self.joint_names[leader]}', "
+                    f"would leave its limits [{ends[0]:g}, {ends[1]:g}] rad at every angle of that joint; "
+                    "correct its couplings or its limits"
+                )
+        return lower, upper
 
     def _unknown(self, field: str, kind: str, given: str, choices: list[str]) -> HandError:
         return HandError(
@@ -313,5 +273,9 @@ def tip_geometries(
 def _digest(description: HandDescription, model_sha256: str) -> str:
     """SHA-256 over what decides the hand's behaviour, which is neither its file's place nor its arm."""
     facts = dc.asdict(description) | {"model": model_sha256}
-    del facts["mount"]
+    del facts["mount"], facts["actuation"]
+    # What a hand does without is no part of it, so that older checkpoints still fit theirs.
+    for name in ("base_pose", "couplings", "ignored_collisions"):
+        if getattr(description, name) == getattr(HandDescription(), name):
+            del facts[name]
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()

@@ -1,6 +1,7 @@
 """Exact forward kinematics of a hand's fingertips in torch, batched and differentiable.
 
-Fingers are serial chains of revolute joints that start at the hand base B. The chain is evaluated
+Fingers are serial chains of revolute joints that start at the hand base B; some of them may follow others
+of the same finger. The chain is evaluated
 from the tip to the base on a point instead of from the base to the tip on a frame, so a joint costs
 one product of a constant 9×3 matrix with a vector, and no rotation matrix is ever formed.
 """
@@ -18,12 +19,14 @@ class FingerChain:
 
     Attributes:
         name: finger name.
-        joint_names: k names, base to tip.
+        joint_names: k names, base to tip, of the joints that can be moved by themselves.
         joint_indices: k positions of these joints in the hand's q.
-        X_PJ: (k, 4, 4) pose of each joint frame J at zero angle in its parent's joint frame P
-            (the first: in B), m.
-        axes: (k, 3) unit rotation axes in J.
+        X_PJ: (m, 4, 4) pose of each of the m ≥ k joint frames J in its parent's joint frame P (the first:
+            in B), m; at zero angle of the joint, or of the one that it follows.
+        axes: (m, 3) unit rotation axes in J.
         p_tip: (3,) fingertip point in the last joint's moving frame, m.
+        all_joint_names: m names, base to tip; by default `joint_names`.
+        coupling: (m, k) how far each joint turns when one of the k does; by default the identity.
     """
 
     name: str
@@ -32,10 +35,15 @@ class FingerChain:
     X_PJ: np.ndarray
     axes: np.ndarray
     p_tip: np.ndarray
+    all_joint_names: tuple[str, ...] = ()
+    coupling: np.ndarray = None  # type: ignore[assignment]  # never None afterwards
 
     def __post_init__(self):
-        k = len(self.joint_names)
-        shapes = {"X_PJ": (k, 4, 4), "axes": (k, 3), "p_tip": (3,)}
+        object.__setattr__(self, "all_joint_names", tuple(self.all_joint_names or self.joint_names))
+        k, m = len(self.joint_names), len(self.all_joint_names)
+        if self.coupling is None:
+            object.__setattr__(self, "coupling", np.eye(m, k))
+        shapes = {"X_PJ": (m, 4, 4), "axes": (m, 3), "p_tip": (3,), "coupling": (m, k)}
         for attribute, wanted in shapes.items():
             value = np.asarray(getattr(self, attribute), dtype=float)
             if value.shape != wanted or not np.isfinite(value).all():
@@ -48,6 +56,11 @@ class FingerChain:
             raise ValueError(f"finger '{self.name}': {len(self.joint_indices)} joint indices for {k} joints")
         if not np.allclose(np.linalg.norm(self.axes, axis=1), 1.0, atol=1e-9):
             raise ValueError(f"finger '{self.name}': the joint axes must be unit vectors")
+
+    @property
+    def is_coupled(self) -> bool:
+        """Whether joints follow others."""
+        return not np.array_equal(self.coupling, np.eye(len(self.all_joint_names)))
 
 
 @dataclass(frozen=True)
@@ -135,12 +148,42 @@ class HandKinematics:
         p_BW = M[:3, :3] @ self.p_BW
         return HandKinematics(tuple(fingers), self.joint_names, self.lower, self.upper, self.tip_radius, p_BW)
 
+    def uncoupled(self) -> tuple["HandKinematics", np.ndarray]:
+        """The hand in which joints that follow others move by themselves, and what it takes to move it alike.
+
+        Returns:
+            A hand with the N ≥ n joints of this one and then those that follow, and (N, n) by which joint
+            angles of this hand are multiplied to be that hand's.
+        """
+        names = list(self.joint_names)
+        rows = [*np.eye(len(names))]
+        for finger in self.fingers:
+            for name, row in zip(finger.all_joint_names, finger.coupling, strict=True):
+                if name not in names:
+                    names.append(name)
+                    rows.append(np.zeros(len(self.joint_names)))
+                    rows[-1][list(finger.joint_indices)] = row
+        fingers = [
+            replace(
+                finger,
+                joint_names=finger.all_joint_names,
+                joint_indices=tuple(names.index(name) for name in finger.all_joint_names),
+                coupling=np.eye(len(finger.all_joint_names)),
+            )
+            for finger in self.fingers
+        ]
+        matrix = np.array(rows)
+        ends = matrix * self.lower, matrix * self.upper
+        lower, upper = np.minimum(*ends).sum(1), np.maximum(*ends).sum(1)
+        hand = HandKinematics(tuple(fingers), tuple(names), lower, upper, self.tip_radius, self.p_BW)
+        return hand, matrix
+
     def _groups(self, dtype: torch.dtype, device: torch.device):
         key = (dtype, device)
         if key not in self._constants:
-            by_length: dict[int, list[int]] = {}
+            by_length: dict[tuple[int, int], list[int]] = {}
             for number, finger in enumerate(self.fingers):
-                by_length.setdefault(len(finger.joint_names), []).append(number)
+                by_length.setdefault(finger.coupling.shape, []).append(number)
             members = list(by_length.values())
             groups = [_EqualChains(self.fingers, numbers, dtype, device) for numbers in members]
             order = torch.tensor(np.argsort(np.concatenate(members)), device=device)
@@ -149,7 +192,7 @@ class HandKinematics:
 
 
 class _EqualChains:
-    """Constants of the G fingers numbered `members`, with k joints each, evaluated as one batch."""
+    """Constants of the G fingers numbered `members`, with m joints each, k of them free, as one batch."""
 
     def __init__(
         self, hand: Sequence[FingerChain], members: list[int], dtype: torch.dtype, device: torch.device
@@ -168,9 +211,12 @@ class _EqualChains:
         def constant(array):
             return torch.tensor(np.ascontiguousarray(array), dtype=dtype, device=device)
 
-        k = X.shape[1]
-        self.matrices = [constant(np.swapaxes(stacked[:, j], -1, -2)) for j in range(k)]
-        self.offsets = [constant(X[:, j, None, :3, 3]) for j in range(k)]
+        m = X.shape[1]
+        self.matrices = [constant(np.swapaxes(stacked[:, j], -1, -2)) for j in range(m)]
+        self.offsets = [constant(X[:, j, None, :3, 3]) for j in range(m)]
+        self.coupling = None
+        if any(finger.is_coupled for finger in fingers):
+            self.coupling = constant(np.stack([finger.coupling.T for finger in fingers]))
         self.p_tip = constant(np.stack([finger.p_tip for finger in fingers])[:, None])
         indices = np.array([finger.joint_indices for finger in fingers])
         self.indices = torch.tensor(indices.ravel(), device=device)
@@ -183,10 +229,12 @@ class _EqualChains:
 
     def tips(self, angles: torch.Tensor) -> torch.Tensor:
         """(G, N, 3) fingertip points in B of the fingers' own joint angles (G, N, k)."""
+        if self.coupling is not None:
+            angles = torch.bmm(angles, self.coupling)
         angles = angles.permute(2, 0, 1)
         s, one_minus_c = torch.sin(angles)[..., None], (1.0 - torch.cos(angles))[..., None]
         p = self.p_tip.expand(-1, angles.shape[2], -1)
-        for j in reversed(range(self.shape[1])):
+        for j in reversed(range(len(self.matrices))):
             at_zero, by_sine, by_cosine = torch.bmm(p, self.matrices[j]).split(3, dim=-1)
             p = torch.addcmul(at_zero + self.offsets[j], s[j], by_sine)
             p = torch.addcmul(p, one_minus_c[j], by_cosine)

@@ -5,13 +5,12 @@ import itertools
 import numpy as np
 from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, Role
 from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
+from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.description import HandDescription
 from geort_drake.operators.wrist_motion import WristMovement
-from geort_drake.resources import PACKAGE_NAME, resolve_uri, resource_root
 from geort_drake.simulation.world import add_object
 
 # Where the hand may wait before the grasp: this far back along the palm's normal and this far up, m.
@@ -46,9 +45,7 @@ class GraspApproach:
         self._X_OB_start, self._q_start = X_OB_start, q_start
         builder = DiagramBuilder()
         self._plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
-        parser = Parser(self._plant)
-        parser.package_map().Add(PACKAGE_NAME, resource_root())
-        (hand,) = parser.AddModels(resolve_uri(description.model))
+        hand = add_hand_model(self._plant, description)
         thing = add_object(self._plant, object_name)
         self._plant.WeldFrames(self._plant.world_frame(), thing.body_frame())
         self._plant.Finalize()

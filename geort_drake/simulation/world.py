@@ -6,9 +6,7 @@ import numpy as np
 from pydrake.geometry import RoleAssign, SceneGraph
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.parsing import (
-    AddModel,
     GetScopedFrameByName,
-    ModelDirective,
     ModelDirectives,
     Parser,
     ProcessModelDirectives,
@@ -17,8 +15,9 @@ from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex, PdControllerGains, RigidBody
 
 from geort_drake.errors import HandError, ScenarioError, UnknownNameError
+from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.description import HandDescription
-from geort_drake.resources import PACKAGE_NAME, models_dir, resolve_uri, resource_root
+from geort_drake.resources import PACKAGE_NAME, models_dir, resource_root
 from geort_drake.simulation.scenario import Scenario, object_names
 
 ARM, HAND = "arm", "hand"
@@ -40,13 +39,15 @@ def add_robot(plant: MultibodyPlant, scenario: Scenario, description: HandDescri
         raise ScenarioError(f"scenario field directives: {error}") from error
     if not plant.HasModelInstanceNamed(ARM):
         raise ScenarioError(f"scenario field directives must add a model named '{ARM}'")
-    if not plant.HasModelInstanceNamed(HAND):
-        _mount_hand(plant, parser, scenario, description)
-    arm, hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
+    if plant.HasModelInstanceNamed(HAND):
+        hand = plant.GetModelInstanceByName(HAND)
+        _set_defaults(plant, hand, description.default_positions, f"hand '{description.name}'")
+    else:
+        _mount_hand(plant, scenario, description)
+    arm = plant.GetModelInstanceByName(ARM)
     _set_defaults(plant, arm, scenario.arm_posture, "scenario field arm_posture")
     if description.side == "left":
         _set_defaults(plant, arm, scenario.left_arm_posture, "scenario field left_arm_posture")
-    _set_defaults(plant, hand, description.default_positions, f"hand '{description.name}'")
 
 
 def add_object(plant: MultibodyPlant, name: str) -> RigidBody:
@@ -96,23 +97,18 @@ def scale_stiffness(plant: MultibodyPlant, model: ModelInstanceIndex, factor: fl
             )
 
 
-def _mount_hand(
-    plant: MultibodyPlant, parser: Parser, scenario: Scenario, description: HandDescription
-) -> None:
+def _mount_hand(plant: MultibodyPlant, scenario: Scenario, description: HandDescription) -> None:
     """Adds the hand's model and welds the frame of its mount to the scenario's `hand_parent`."""
     try:
         parent = GetScopedFrameByName(plant, scenario.hand_parent)
     except RuntimeError as error:
         raise ScenarioError(f"scenario field hand_parent: {error}") from error
+    hand = add_hand_model(plant, description, HAND)
     mount = description.mount
-    file = resolve_uri(description.model).resolve()
-    model = ModelDirective(add_model=AddModel(name=HAND, file=f"file://{file}"))
     try:
-        ProcessModelDirectives(ModelDirectives(directives=[model]), parser)
-        hand = plant.GetModelInstanceByName(HAND)
         child = plant.GetFrameByName(mount.frame or description.base_frame, hand)
     except RuntimeError as error:
-        raise HandError(f"hand '{description.name}' with model {file}: {error}") from error
+        raise HandError(f"hand '{description.name}': mount.frame: {error}") from error
     X_PM = RigidTransform(RollPitchYaw(np.deg2rad(mount.rpy_deg)), mount.translation)
     plant.WeldFrames(parent, child, X_PM)
 

@@ -44,6 +44,11 @@ class NumpyKinematics:
             raise HandError("kinematics: every lower joint limit must be under its upper limit")
         self.tip_radius = float(data["tip_radius"])
         self.p_BW = _array("p_BW", data["p_BW"], (3,))
+        # Joints that follow others come after q: (N, n); absent where there are none.
+        self._coupling = None
+        if "coupling" in data:
+            self._coupling = _array("coupling", data["coupling"], (len(data["coupling"]), n))
+            n = len(self._coupling)
         chains = data["fingers"]
         if len(chains) != fingers:
             raise HandError(f"kinematics: {len(chains)} chains for {fingers} fingers")
@@ -76,6 +81,7 @@ class NumpyKinematics:
         """The same hand as `kinematics`, from `HandModel.kinematics()` for example."""
         if isinstance(kinematics, NumpyKinematics):
             return kinematics
+        free, coupling = kinematics.uncoupled()
         return cls(
             {
                 "finger_names": list(kinematics.finger_names),
@@ -91,9 +97,10 @@ class NumpyKinematics:
                         "axes": finger.axes.tolist(),
                         "p_tip": finger.p_tip.tolist(),
                     }
-                    for finger in kinematics.fingers
+                    for finger in free.fingers
                 ],
             }
+            | ({} if len(coupling) == len(kinematics.joint_names) else {"coupling": coupling.tolist()})
         )
 
     def to_json(self) -> dict:
@@ -106,6 +113,8 @@ class NumpyKinematics:
 
     def fingertips_and_jacobians(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """p_BF (N, F, 3) in m and ∂p_BF/∂q (N, F, 3, n) in m/rad, for joint angles (N, n) in rad."""
+        if self._coupling is not None:
+            q = q @ self._coupling.T
         count, n = q.shape
         fingers, k = self._indices.shape
         angles = np.concatenate([q, np.zeros((count, 1))], axis=1)[:, self._indices][..., None, None]
@@ -121,7 +130,8 @@ class NumpyKinematics:
             p = M[:, :, j] @ p + self._offset[:, j]
         full = np.zeros((count, fingers, n + 1, 3))
         full[:, np.arange(fingers)[:, None], self._indices] = np.swapaxes(J, -1, -2)
-        return p[..., 0], np.swapaxes(full[:, :, :n], -1, -2)
+        J = np.swapaxes(full[:, :, :n], -1, -2)
+        return p[..., 0], J if self._coupling is None else J @ self._coupling
 
 
 def _array(name: str, value, shape: tuple[int, ...]) -> np.ndarray:

@@ -1,0 +1,253 @@
+"""What a model of a hand consists of: the palm, and the chains of joints that leave it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from pydrake.geometry import SceneGraph
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.multibody.tree import Joint, ModelInstanceIndex, RevoluteJoint, RigidBody, WeldJoint
+from pydrake.systems.framework import Context, DiagramBuilder
+
+from geort_drake.errors import HandError
+from geort_drake.hands.assembly import free_from_world, parse_model
+from geort_drake.hands.couplings import read_couplings, root
+from geort_drake.hands.description import CouplingDescription
+
+MOST_FINGERS = 5
+# How many joints of its own a second branch of a finger must have to be a finger.
+_OWN_JOINTS = 2
+_SAMPLES = 300
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A finger's joints, from the palm to its end.
+
+    Attributes:
+        joints: those that can be moved by themselves.
+        moving: those and the ones that follow them.
+        bodies: the links that move with the last of them, that joint's own link first.
+        names: of all its joints and links.
+        p_base: (3,) origin of the first joint in the root link R, m.
+    """
+
+    joints: tuple[str, ...]
+    moving: tuple[str, ...]
+    bodies: tuple[RigidBody, ...]
+    names: tuple[str, ...]
+    p_base: np.ndarray
+
+
+@dataclass
+class HandStructure:
+    """A model in a plant of its own, its root link R welded to the world.
+
+    Attributes:
+        path: the model's file.
+        plant, scene_graph, hand: where it is loaded.
+        couplings: the joints that follow others.
+        palm: links of the palm, the one that most fingers are fixed to first.
+        chains: the fingers, 2 to 5.
+        held: joints that are not to be moved, and why.
+    """
+
+    path: Path
+    plant: MultibodyPlant
+    scene_graph: SceneGraph
+    hand: ModelInstanceIndex
+    couplings: list[CouplingDescription]
+    palm: list[RigidBody] = field(default_factory=list)
+    chains: list[Chain] = field(default_factory=list)
+    held: dict[str, str] = field(default_factory=dict)
+
+    def postures(self, chain: Chain, rng: np.random.Generator, count: int = _SAMPLES) -> np.ndarray:
+        """(count, k) angles of a chain's own joints, uniform within their limits, rad."""
+        low, high = self.limits(chain)
+        return rng.uniform(low, high, (count, len(chain.joints)))
+
+    def limits(self, chain: Chain) -> tuple[np.ndarray, np.ndarray]:
+        """(k,) lower and upper limits of a chain's own joints, rad."""
+        joints = [self.plant.GetJointByName(name, self.hand) for name in chain.joints]
+        low = [joint.position_lower_limit() for joint in joints]
+        return np.array(low), np.array([joint.position_upper_limit() for joint in joints])
+
+    def set_angles(self, context: Context, chain: Chain, angles: np.ndarray) -> None:
+        """Moves a chain, and what follows it, to angles (k,) of its own joints, rad."""
+        for name, angle in zip(chain.joints, angles, strict=True):
+            self.plant.GetJointByName(name, self.hand).set_angle(context, angle)
+        for coupling in self.couplings:
+            leader, ratio, offset = root(self.couplings, coupling)
+            if leader in chain.joints:
+                angle = ratio * angles[chain.joints.index(leader)] + offset
+                self.plant.GetJointByName(coupling.joint, self.hand).set_angle(context, angle)
+
+    def tips(self, chain: Chain, body: RigidBody, point: np.ndarray, angles: np.ndarray) -> np.ndarray:
+        """(N, 3) where a point of a link is in R at angles (N, k) of the chain's own joints, m."""
+        context = self.plant.CreateDefaultContext()
+        p_RF = np.empty((len(angles), 3))
+        for row, posture in zip(p_RF, angles, strict=True):
+            self.set_angles(context, chain, posture)
+            row[:] = self.plant.EvalBodyPoseInWorld(context, body) @ point
+        return p_RF
+
+
+def read_structure(path: Path) -> HandStructure:
+    """Loads a model and finds palm and fingers.
+
+    Raises:
+        HandError: it cannot be loaded, or has no two fingers.
+    """
+    if not path.is_file():
+        raise HandError(f"the model file {path} is missing")
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.001)
+    hand = parse_model(plant, path, f"model {path}")
+    for constraint in plant.GetConstraintIds():
+        plant.RemoveConstraint(constraint)
+    free_from_world(plant, hand)
+    tree = _Tree(plant, hand)
+    plant.WeldFrames(plant.world_frame(), tree.root.body_frame())
+    plant.Finalize()
+    structure = HandStructure(path, plant, scene_graph, hand, read_couplings(path))
+    known = {joint.name() for joint in tree.joints}
+    for coupling in structure.couplings:
+        for name in (coupling.joint, coupling.follows):
+            if name not in known:
+                raise HandError(f"model {path}: '{coupling.joint}' follows '{name}', which is no joint of it")
+    paths = tree.fingers()
+    if len(paths) < 2:
+        raise HandError(
+            f"model {path}: {len(paths)} chains of revolute joints leave its palm, the link "
+            f"'{tree.palm.name()}'; wanted: a hand of 2 to 5 fingers"
+        )
+    structure.palm = tree.palm_links(paths)
+    _hold(structure, tree, paths)
+    context = plant.CreateDefaultContext()
+    for joints in paths:
+        chain = _chain(structure, tree, joints, context)
+        if chain is not None:
+            structure.chains.append(chain)
+    if len(structure.chains) < 2:
+        reasons = "; ".join(f"'{name}' {why}" for name, why in structure.held.items())
+        raise HandError(f"model {path}: fewer than two fingers can be moved: {reasons}")
+    return structure
+
+
+class _Tree:
+    """Links grouped by welds, and the joints between the groups."""
+
+    def __init__(self, plant: MultibodyPlant, hand: ModelInstanceIndex):
+        self.bodies = [plant.get_body(index) for index in plant.GetBodyIndices(hand)]
+        everything = [plant.get_joint(index) for index in plant.GetJointIndices(hand)]
+        self.group = {body.index(): number for number, body in enumerate(self.bodies)}
+        for joint in everything:
+            if isinstance(joint, WeldJoint):
+                old = self.group[joint.child_body().index()]
+                new = self.group[joint.parent_body().index()]
+                self.group = {body: new if number == old else number for body, number in self.group.items()}
+        self.joints: list[Joint] = [joint for joint in everything if not isinstance(joint, WeldJoint)]
+        self.leaving: dict[int, list[Joint]] = {}
+        for joint in self.joints:
+            self.leaving.setdefault(self.group[joint.parent_body().index()], []).append(joint)
+        children = {joint.child_body().index() for joint in everything}
+        roots = [body for body in self.bodies if body.index() not in children]
+        # What else is in the file, such as a floor, has fewer joints than the hand.
+        self.root = max(roots, key=lambda body: self._size(self.group[body.index()]))
+        self.palm_group = self._find_palm()
+        self.palm = next(body for body in self.bodies if self.group[body.index()] == self.palm_group)
+
+    def end(self, joint: Joint) -> int:
+        """The group that a joint moves."""
+        return self.group[joint.child_body().index()]
+
+    def fingers(self) -> list[list[Joint]]:
+        """The joints of each finger from the palm on, the longest fingers where there are too many."""
+        kept: list[list[Joint]] = []
+        for joint in self.leaving.get(self.palm_group, []):
+            branches = sorted(self._paths([joint]), key=len, reverse=True)
+            mine: list[list[Joint]] = []
+            for path in branches:
+                taken = {id(joint) for other in mine for joint in other}
+                own = [joint for joint in path if id(joint) not in taken]
+                if any(isinstance(joint, RevoluteJoint) for joint in path) and (
+                    not mine or len(own) >= _OWN_JOINTS
+                ):
+                    mine.append(path)
+            kept += mine
+        longest = sorted(kept, key=len, reverse=True)[:MOST_FINGERS]
+        return [path for path in kept if path in longest]
+
+    def palm_links(self, paths: list[list[Joint]]) -> list[RigidBody]:
+        """The palm's links, the one that carries most fingers first."""
+        links = [body for body in self.bodies if self.group[body.index()] == self.palm_group]
+        carried = [path[0].parent_body().index() for path in paths]
+        return sorted(links, key=lambda body: -carried.count(body.index()))
+
+    def _paths(self, path: list[Joint]) -> Iterator[list[Joint]]:
+        further = self.leaving.get(self.end(path[-1]), [])
+        if not further:
+            yield path
+        for joint in further:
+            yield from self._paths([*path, joint])
+
+    def _size(self, group: int) -> int:
+        return sum(1 + self._size(self.end(joint)) for joint in self.leaving.get(group, []))
+
+    def _find_palm(self) -> int:
+        """The group that most joints leave; of several, the one nearest to the root."""
+        best, level = self.group[self.root.index()], [self.group[self.root.index()]]
+        while level:
+            for group in level:
+                if len(self.leaving.get(group, [])) > len(self.leaving.get(best, [])):
+                    best = group
+            level = [self.end(joint) for group in level for joint in self.leaving.get(group, [])]
+        return best
+
+
+def _hold(structure: HandStructure, tree: _Tree, paths: list[list[Joint]]) -> None:
+    """Decides which joints cannot be a finger's."""
+    held = structure.held
+    fingers_of: dict[str, set[int]] = {}
+    for number, path in enumerate(paths):
+        for joint in path:
+            fingers_of.setdefault(joint.name(), set()).add(number)
+    heads = {coupling.joint: root(structure.couplings, coupling)[0] for coupling in structure.couplings}
+    moved = {name: set(numbers) for name, numbers in fingers_of.items()}
+    for follower, leader in heads.items():
+        if follower in fingers_of:
+            moved[leader] = moved.get(leader, set()) | fingers_of[follower]
+    for joint in tree.joints:
+        name = joint.name()
+        if name in heads:
+            continue
+        if name not in fingers_of:
+            held[name] = "belongs to no finger"
+        elif len(moved[name]) > 1:
+            held[name] = f"moves {len(moved[name])} fingers at once"
+        elif not isinstance(joint, RevoluteJoint):
+            held[name] = "is not a revolute joint"
+        elif not np.isfinite([joint.position_lower_limit(), joint.position_upper_limit()]).all():
+            held[name] = "has no position limits; give it some"
+        elif joint.position_lower_limit() >= joint.position_upper_limit():
+            held[name] = "has no range between its limits"
+
+
+def _chain(structure: HandStructure, tree: _Tree, path: list[Joint], context: Context) -> Chain | None:
+    """A finger of joints; None if none of them can be moved."""
+    heads = {coupling.joint: root(structure.couplings, coupling)[0] for coupling in structure.couplings}
+    names = [joint.name() for joint in path]
+    moving = [name for name in names if heads.get(name, name) not in structure.held]
+    own = [name for name in moving if name not in heads]
+    if not own:
+        return None
+    last = path[names.index(moving[-1])]
+    # What hangs on joints that are held moves along.
+    groups = {tree.end(joint) for joint in path[names.index(moving[-1]) :]}
+    bodies = [body for body in tree.bodies if tree.group[body.index()] in groups]
+    bodies.sort(key=lambda body: body.index() != last.child_body().index())
+    links = [body.name() for body in tree.bodies if tree.group[body.index()] in {tree.end(j) for j in path}]
+    first = path[names.index(own[0])]
+    p_base = first.frame_on_parent().CalcPoseInWorld(context).translation()
+    return Chain(tuple(own), tuple(moving), tuple(bodies), (*names, *links), p_base)
