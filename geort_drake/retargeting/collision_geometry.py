@@ -21,7 +21,8 @@ class CollisionShapes:
     """The S collision shapes of a hand as plain arrays.
 
     Attributes:
-        joint: (S,) number of the joint in q that moves the shape, −1 where it is fixed to the base B.
+        joint: (S,) number of the joint that moves the shape, among those of `HandKinematics.uncoupled()`;
+            −1 where it is fixed to the base B.
         X_JS: (S, 4, 4) pose of the shape S in its joint's moving frame J, or in B, m.
         half: (S, 3) half edges of a box, m; zero for a sphere.
         radius: (S,) of a sphere, m; zero for a box.
@@ -47,6 +48,8 @@ class CollisionGaps:
         def constant(array):
             return torch.tensor(np.asarray(array), dtype=torch.float32, device=device)
 
+        kinematics, coupling = kinematics.uncoupled()
+        self._coupling = constant(coupling.T) if coupling.shape[0] > coupling.shape[1] else None
         chains = kinematics.fingers
         k = max(len(chain.joint_names) for chain in chains)
         X = np.tile(np.eye(4), (len(chains), k, 1, 1))
@@ -66,7 +69,8 @@ class CollisionGaps:
         number = {-1: len(chains) * k}
         for row, chain in enumerate(chains):
             number.update({joint: row * k + j for j, joint in enumerate(chain.joint_indices)})
-        self._frame = torch.tensor([number[int(joint)] for joint in shapes.joint], device=device)
+        frames = [number[int(joint)] for joint in shapes.joint]
+        self._frame = torch.tensor(frames, dtype=torch.long, device=device)
         self._R_JS, self._p_JS = constant(shapes.X_JS[:, :3, :3]), constant(shapes.X_JS[:, :3, 3])
         self._half, self._radius = constant(shapes.half), constant(shapes.radius)
         self._reach = torch.linalg.vector_norm(self._half, dim=1) + self._radius
@@ -84,6 +88,8 @@ class CollisionGaps:
     def poses(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """R_BS (N, S, 3, 3) and p_BS (N, S, 3) of the shapes for q (N, n)."""
         N, (fingers, k) = len(q), self._index.shape
+        if self._coupling is not None:
+            q = q @ self._coupling
         theta = q[:, self._index.reshape(-1)].reshape(N, fingers, k, 1, 1)
         eye = torch.eye(3, device=q.device)
         turned = self._turn @ (eye + torch.sin(theta) * self._K + (1 - torch.cos(theta)) * self._K2)
