@@ -1,7 +1,8 @@
-"""What every script shares: one console, progress bars, and errors that end with exit code 2."""
+"""What every script shares: one console, progress bars, warnings, and errors that end with exit code 2."""
 
 import logging
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 
 from rich.console import Console
@@ -35,17 +36,27 @@ def progress_bar() -> Progress:
 
 
 def run_main(main: Callable[[Sequence[str] | None], int | None]) -> None:
-    """Runs a script's `main` and exits: 0 when it worked, 2 when the user can correct something."""
+    """Runs a script's `main` and exits: 0 when it worked, 2 when the user can correct something.
+
+    Warnings and errors are printed on stderr as their text alone.
+    """
     logging.getLogger("drake").addFilter(_first_of_its_kind())
     try:
-        sys.exit(main(None) or 0)
+        with warnings.catch_warnings():
+            # Where in the code a warning was raised says nothing to a user.
+            warnings.showwarning = lambda message, *_, **__: _say("warning", "yellow", message)
+            sys.exit(main(None) or 0)
     except (GeortError, OSError) as error:
-        console.print("[bold red]error:[/]", end=" ")
-        console.print(str(error), markup=False, soft_wrap=True)
+        _say("error", "red", error)
         sys.exit(2)
     except KeyboardInterrupt:
         console.print("interrupted")
         sys.exit(130)
+
+
+def _say(kind: str, colour: str, message: Warning | Exception | str) -> None:
+    console.print(f"[bold {colour}]{kind}:[/]", end=" ")
+    console.print(str(message), markup=False, soft_wrap=True)
 
 
 def _first_of_its_kind() -> Callable[[logging.LogRecord], bool]:

@@ -38,7 +38,7 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         type=Path,
         help="use this checkpoint, do not train; give its --recording too",
     )
-    add("--method", default="geort_coupled", help="retargeting method to train (geort_coupled)")
+    add("--method", help="retargeting method to train (train_retargeter.py's default)")
     add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train (cpu)")
     add("--seed", type=int, default=0, help="seed of training and synthetic play (0)")
     add("--replay", type=Path, help="replay this recording with wrist poses in the operator's place")
@@ -60,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse_arguments(argv)
     # Imported after parsing, so that --help answers at once.
     from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
-    from geort_drake.evaluation.pipeline import METHODS
+    from geort_drake.evaluation.pipeline import DEFAULT_METHOD, METHODS
     from geort_drake.gloves.human_hand import HumanHand
     from geort_drake.gloves.play import synthesize_play
     from geort_drake.gloves.readers import read_recording
@@ -72,8 +72,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     from geort_drake.simulation.trial import run_trial
 
     # What is wrong with the request is found before anything is computed or written.
-    if arguments.method not in METHODS:
-        raise UnknownNameError("retargeting method", arguments.method, METHODS)
+    method = arguments.method or DEFAULT_METHOD
+    if method not in METHODS:
+        raise UnknownNameError("retargeting method", method, METHODS)
     base = load_scenario(
         arguments.scenario_file, arguments.scenario_name, arguments.scenario_text, arguments.hand
     )
@@ -117,9 +118,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 progress.update(task, advance=1, note="")
     reused = True
     if retarget is None:
-        checkpoint, reused = cached_checkpoint(
-            base.hand, recording, arguments.method, arguments.seed, arguments.device
-        )
+        checkpoint, reused = cached_checkpoint(base.hand, recording, method, arguments.seed, arguments.device)
         retarget = load_retargeter(checkpoint, hand)
     console.print(f"Human motion: {source}", soft_wrap=True)
     console.print(f"Retargeter:   {checkpoint} ({'reused' if reused else 'trained now'})", soft_wrap=True)
@@ -137,7 +136,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 retarget,
                 replay or (person, goals[name]),
                 None if arguments.no_rerun else arguments.output / f"{stem}.rrd",
-                {"method": arguments.method, "checkpoint": str(checkpoint), "version": __version__},
+                {"method": method, "checkpoint": str(checkpoint), "version": __version__},
                 lambda t, stem=stem: progress.update(task, note=f"{stem}: {t:.1f} s simulated"),
             )
             glove.save(arguments.output / f"{stem}.glove.npz")
