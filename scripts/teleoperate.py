@@ -3,7 +3,7 @@
 SOURCE is a recording's file, or an address: sub+tcp://127.0.0.1:5556 (ZeroMQ, from publish_recording.py or a
 MANUS bridge that publishes), pull+tcp://127.0.0.1:8000 (from a bridge that pushes), lcm, or lcm+URL.
 TARGET is simulation, lcm, or lcm+URL. docs/live.md has the messages. Enter engages and disengages; Ctrl-C
-stops and leaves the robot held. Messages are neither signed nor encrypted: whoever can send them moves the robot.
+stops and leaves the robot held. Messages are neither signed nor encrypted: who can send them moves the robot.
 """
 
 import argparse
@@ -29,6 +29,12 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     add("--relax_after", type=float, default=5.0, help="s that a lost hand is held, before it relaxes (5)")
     add("--duration", type=float, default=math.inf, help="stop after so many seconds (never)")
     add("--timeout", type=float, default=10.0, help="s to wait for glove and robot (10)")
+    add(
+        "--robot_silence",
+        type=float,
+        default=0.5,
+        help="stop when the robot is silent for so long, s (0.5)",
+    )
     add("--record", type=Path, metavar="FILE", help="keep what the glove gave (.npz), to train on or replay")
     add("--meshcat", action="store_true", help="show the simulation in a browser on this machine")
     add("--json", action="store_true", help="print a report as JSON on stdout")
@@ -36,7 +42,7 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     add("--scenario_name", default="Grasp", help="which scenario of the file (Grasp)")
     add("--scenario_text", help="YAML merged into the scenario, for example '{correction: {kind: guard}}'")
     arguments = parser.parse_args(argv)
-    for name in ("duration", "relax_after", "timeout"):
+    for name in ("duration", "relax_after", "timeout", "robot_silence"):
         if not getattr(arguments, name) > 0:
             parser.error(f"--{name} must be positive, not {getattr(arguments, name)}")
     if arguments.record:
@@ -54,13 +60,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     from geort_drake.gloves.readers import read_recording
     from geort_drake.hands.description import load_hand
     from geort_drake.hands.model import HandModel
+    from geort_drake.live.devices import require_hand_messages
     from geort_drake.live.glove_stream import GloveStream
     from geort_drake.live.real_time import stopping
     from geort_drake.live.robot_link import RobotLink
     from geort_drake.live.session import EnterKey, run_session
     from geort_drake.live.simulated_robot import SimulatedRobot, show
     from geort_drake.live.teleoperation import RobotModel, make_teleoperation
-    from geort_drake.live.transports import is_local, open_receiver, split_address
+    from geort_drake.live.transports import is_address, is_local, open_receiver, split_address
     from geort_drake.live.watchdog import WatchdogConfig
     from geort_drake.retargeting.retargeter import load_retargeter
     from geort_drake.simulation.scenario import load_scenario
@@ -72,13 +79,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     description = load_hand(scenario.hand)
     side, duration = description.side, arguments.duration
     receiver = None
-    if Path(arguments.glove).exists():
-        replay = GloveReplay(read_recording(arguments.glove, side))
-        glove, duration = replay, min(duration, replay.duration)
-    else:
+    if is_address(arguments.glove):
         receiver = open_receiver(arguments.glove)
         glove = GloveStream(receiver, side, arguments.glove_id)
+    else:
+        glove = GloveReplay(read_recording(arguments.glove, side))
+        duration = min(duration, glove.duration)
     lcm_url = None if arguments.robot == "simulation" else split_address(arguments.robot, ())[1]
+    if lcm_url:
+        require_hand_messages(description)
     for address in (arguments.glove if receiver else None, lcm_url):
         if address and not is_local(address):
             console.print(f"[yellow]{address} is open to the network; whoever is in it can move the robot[/]")
@@ -118,8 +127,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 None if engaged else EnterKey(),
                 duration,
                 stop,
-                link.require_alive if link else lambda: None,
-                lambda time, state: console.print(f"{time:8.2f} s  {state}"),
+                lambda: link.require_alive(arguments.robot_silence) if link else None,
+                lambda time, state: console.print(f"{time:8.2f} s  {state}", soft_wrap=True),
             )
     finally:
         if receiver:

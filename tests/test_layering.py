@@ -28,9 +28,20 @@ def test_numeric_rooms_import_neither_drake_nor_rerun(room):
         for name in _imports(path):
             assert name.split(".")[0] not in {"pydrake", "rerun"}, f"{path.name} imports {name}"
             upper = {
-                f"geort_drake.{r}" for r in ("hands", "systems", "operators", "simulation", "evaluation")
+                f"geort_drake.{r}"
+                for r in ("hands", "systems", "operators", "simulation", "evaluation", "live")
             }
             assert not any(name.startswith(u) for u in upper), f"{path.name} imports {name}"
+
+
+def test_live_use_stands_on_the_simulation_and_nothing_stands_on_it():
+    """Who does not drive a robot loads nothing of it; pyzmq, an extra, is imported where it is used."""
+    for path in PACKAGE.rglob("*.py"):
+        names = _imports(path)
+        live = path.is_relative_to(PACKAGE / "live")
+        forbidden = "geort_drake.evaluation" if live else "geort_drake.live"
+        assert not any(name.startswith(forbidden) for name in names), f"{path} imports {forbidden}"
+        assert "zmq" not in names, path
 
 
 def test_only_the_recorder_imports_rerun():

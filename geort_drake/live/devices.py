@@ -14,6 +14,7 @@ from drake import lcmt_allegro_command, lcmt_allegro_status, lcmt_panda_command,
 from pydrake.manipulation import PandaControlMode
 
 from geort_drake.errors import HandError
+from geort_drake.hands.description import HandDescription
 from geort_drake.live.errors import LiveError
 from geort_drake.live.joint_group import JointGroup
 
@@ -185,3 +186,18 @@ class _Panda(Device):
 
 
 ALLEGRO, PANDA = _Allegro(), _Panda()
+
+
+def require_hand_messages(description: HandDescription) -> None:
+    """Looks whether Drake has messages for a hand.
+
+    Joints alone do not tell: the LEAP hand's bear the names of the Allegro's.
+
+    Raises:
+        HandError: it is no Allegro hand by its name.
+    """
+    if not description.name.startswith("allegro"):
+        raise HandError(
+            f"hand '{description.name}' has no LCM messages; those whose name begins with allegro have: "
+            "lcmt_allegro_command and lcmt_allegro_status"
+        )

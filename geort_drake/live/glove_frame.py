@@ -26,7 +26,7 @@ FORMAT, VERSION, UNIT = "geort_drake.glove", 1, "m"
 # Ours take 2 kB; MANUS bridges add sensors and joint angles, up to 10 kB.
 MAX_BYTES = 65_536
 # No hand is farther from its wrist, nor any tracker's wrist from its origin, m.
-_FARTHEST_M = 100.0
+FARTHEST_M = 100.0
 
 
 @dc.dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ def side_of(fields: dict[str, Any]) -> str:
     return side
 
 
-def _numbers(name: str, value: Any, size: int, largest: float = _FARTHEST_M) -> np.ndarray:
+def _numbers(name: str, value: Any, size: int, largest: float = FARTHEST_M) -> np.ndarray:
     """`size` finite numbers, no larger than `largest`."""
     numbers = isinstance(value, list) and len(value) == size
     if not numbers or not all(type(number) in (int, float) for number in value):

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from geort_drake.gloves.formats.tracks import KEYPOINTS_OF_25
 from geort_drake.gloves.keypoints import mirrored, to_wrist_frame, wrist_pose
 from geort_drake.live.errors import LiveError, MismatchError
-from geort_drake.live.glove_frame import GloveFrame, side_of
+from geort_drake.live.glove_frame import FARTHEST_M, GloveFrame, side_of
 
 _NODES = 25
 _GLOVE = 1 + 7 * _NODES  # words of one glove in the text form
@@ -88,9 +88,13 @@ def _frame(p_WN: np.ndarray, side: str) -> GloveFrame:
     """The frame of nodes p_WN (25, 3) in any frame W, m, where W's place does not matter."""
     p_WK = p_WN[list(KEYPOINTS_OF_25)]
     p_VK = mirrored(p_WK) if side == "left" else p_WK
-    p_HK = to_wrist_frame(p_VK)
-    if not (np.isfinite(p_HK).all() and np.abs(p_WK).max() < 100.0):
-        raise LiveError("MANUS message: the keypoints must be finite, and wrist and knuckles span a plane")
+    # NaN is not within either.
+    p_HK = to_wrist_frame(p_VK) if np.abs(p_WK).max() <= FARTHEST_M else np.full((1,), math.nan)
+    if not np.isfinite(p_HK).all():
+        raise LiveError(
+            f"MANUS message: positions must be finite, within {FARTHEST_M:g} m, and wrist and knuckles must "
+            "span a plane"
+        )
     R_WH, p_WH = wrist_pose(p_VK)
     return GloveFrame(
         side, None, p_HK, np.concatenate([Rotation.from_matrix(R_WH).as_quat(scalar_first=True), p_WH])

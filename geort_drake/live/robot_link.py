@@ -17,8 +17,6 @@ from geort_drake.live.watchdog import AFTER
 
 # A joint may be measured so far outside its limits, rad; farther, it is another robot's.
 _TOLERANCE = 0.1
-# A robot that says nothing for so long is lost, s.
-SILENCE_S = 0.5
 
 
 class RobotLink(LeafSystem):
@@ -111,11 +109,11 @@ class RobotLink(LeafSystem):
             positions.append(within)
         return positions[0], positions[1]
 
-    def require_alive(self) -> None:
-        """Raises LiveError where a part of the robot has said nothing for `SILENCE_S`."""
+    def require_alive(self, silence_s: float) -> None:
+        """Raises LiveError where a part of the robot has said nothing for so long, s."""
         for part in self._parts:
             silent = self._clock() - self.inbox.newest[part.device.status_channel].arrived
-            if silent > SILENCE_S:
+            if silent > silence_s:
                 raise LiveError(
                     f"{part.device.name}: no {part.device.status_channel} for {silent:.1f} s; commands "
                     "have stopped, because the robot may be elsewhere when it comes back"

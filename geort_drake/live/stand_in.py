@@ -9,7 +9,7 @@ from pydrake.lcm import DrakeLcm
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
 
 from geort_drake.hands.description import load_hand
-from geort_drake.live.devices import ALLEGRO, PANDA, Device, JointStatus
+from geort_drake.live.devices import ALLEGRO, PANDA, Device, JointStatus, require_hand_messages
 from geort_drake.live.glove_stream import POLL_PERIOD
 from geort_drake.live.joint_group import JointGroup
 from geort_drake.live.lcm_inbox import LcmInbox
@@ -93,8 +93,10 @@ def make_stand_in(scenario: Scenario, url: str, meshcat: Meshcat | None = None) 
         ScenarioError, HandError: scenario and models do not fit, or are no Allegro hand and Panda.
         LiveError: the URL is malformed.
     """
+    description = load_hand(scenario.hand)
+    require_hand_messages(description)
     builder = DiagramBuilder()
-    robot = builder.AddNamedSystem("robot", SimulatedRobot(scenario, load_hand(scenario.hand), meshcat))
+    robot = builder.AddNamedSystem("robot", SimulatedRobot(scenario, description, meshcat))
     for device, group in ((ALLEGRO, robot.hand), (PANDA, robot.arm)):
         server = builder.AddNamedSystem(f"{group.name}_server", JointServer(device, open_lcm(url), group))
         builder.Connect(robot.GetOutputPort(f"{group.name}_state"), server.GetInputPort("state"))

@@ -63,6 +63,11 @@ def open_sender(address: str) -> Sender:
     return LcmSender(endpoint) if pattern == "lcm" else ZmqSender(pattern, endpoint)
 
 
+def is_address(text: str) -> bool:
+    """Whether a glove's source is meant for an address, and not for a file."""
+    return text.partition("+")[0] in ("sub", "pull", "lcm")
+
+
 def split_address(address: str, patterns: tuple[str, ...]) -> tuple[str, str]:
     """The pattern, lcm or one of `patterns`, and the endpoint of an address.
 
@@ -153,7 +158,11 @@ class ZmqReceiver:
         self._context, self._socket = _socket(pattern)
         if pattern == "sub":
             self._socket.subscribe(b"")
-        self._socket.connect(endpoint)
+        try:
+            self._socket.connect(endpoint)
+        except self._zmq.ZMQError as error:
+            self.close()
+            raise LiveError(f"{endpoint}: cannot connect there: {error}") from None
 
     def drain(self) -> list[bytes]:
         messages: list[bytes] = []

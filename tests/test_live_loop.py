@@ -1,0 +1,242 @@
+"""The whole loop over loopback: a glove's process, teleoperation, and a robot's process with physics."""
+
+import contextlib
+import importlib.util
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydrake.lcm import DrakeLcm
+
+from geort_drake.errors import HandError, RecordingError
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.live.devices import ALLEGRO, PANDA, JointStatus
+from geort_drake.live.errors import LiveError
+from geort_drake.live.joint_group import JointGroup
+from geort_drake.live.lcm_inbox import LcmInbox
+from geort_drake.live.robot_link import RobotLink
+from geort_drake.live.transports import wait_for
+from geort_drake.retargeting.checkpoint import save_checkpoint
+
+SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
+# Machines that are busy take long to start three programs; nothing below waits so long if all is well.
+PATIENCE_S = 120.0
+
+
+@pytest.fixture
+def lcm_url():
+    """A bus of this test's own on this machine."""
+    url = f"udpm://239.255.76.67:{random.SystemRandom().randint(20_000, 30_000)}?ttl=0"
+    sender, receiver, heard = DrakeLcm(url), DrakeLcm(url), []
+    receiver.Subscribe("TRY", heard.append)
+    for _ in range(20):
+        sender.Publish("TRY", b"heard")
+        if receiver.HandleSubscriptions(100):
+            return url
+    pytest.skip("multicast does not reach this machine itself, so LCM has no loopback here")
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory):
+    """A recording, and a retargeter for the Allegro hand that was not trained."""
+    folder = tmp_path_factory.mktemp("live")
+    play = synthesize_play(1, duration_s=20.0, rate_hz=60.0)
+    play.save(folder / "hand.npz")
+    hand = HandModel(load_hand("allegro_right"))
+    rng = np.random.default_rng(0)
+    tips = [finger.human_keypoint for finger in hand.description.fingers]
+    weight0 = rng.normal(0, 2.0, (4, 3, 8))
+    save_checkpoint(
+        folder / "checkpoint",
+        {
+            "weight0": weight0,
+            "bias0": -play.p_HK[:, tips].mean(axis=0)[:, None] @ weight0,
+            "weight1": rng.normal(0, 0.4, (4, 8, 8)),
+            "bias1": np.zeros((4, 1, 8)),
+            "weight2": rng.normal(0, 0.5, (4, 8, 4)),
+            "bias2": np.zeros((4, 1, 4)),
+            "columns": np.arange(16),
+        },
+        method="geort",
+        hand={
+            "name": hand.description.name,
+            "side": "right",
+            "finger_names": hand.finger_names,
+            "joint_names": hand.joint_names,
+            "lower": hand.lower.tolist(),
+            "upper": hand.upper.tolist(),
+            "model_sha256": hand.digest,
+        },
+        human_keypoints=tips,
+        training={},
+        provenance={},
+        history=[],
+    )
+    return folder
+
+
+@contextlib.contextmanager
+def program(folder: Path, name: str, *arguments: str):
+    """A script in a process of its own, which is gone afterwards whatever happens."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1", "COLUMNS": "200"}
+    with open(folder / f"{name}.log", "w") as log, open(folder / f"{name}.json", "w") as out:
+        process = subprocess.Popen(
+            [sys.executable, str(SCRIPTS / f"{name}.py"), *arguments],
+            stdin=subprocess.DEVNULL, stdout=out, stderr=log, env=environment,
+        )  # fmt: skip
+        try:
+            yield process
+        finally:
+            process.kill()
+            process.wait()
+
+
+def said(folder: Path, name: str, text: str) -> None:
+    """Waits until a program has said something."""
+
+    def poll():
+        return True if text in (folder / f"{name}.log").read_text() else None
+
+    wait_for(poll, PATIENCE_S, lambda: f"{name}: no '{text}' in: {(folder / f'{name}.log').read_text()}")
+
+
+@pytest.mark.slow
+def test_the_loop_runs_over_loopback(desk, tmp_path, lcm_url):
+    """A robot follows a glove; the glove dies, the hand relaxes; Ctrl-C leaves the robot held."""
+    inbox = LcmInbox(
+        DrakeLcm(lcm_url),
+        {device.status_channel: device.decode_status for device in (ALLEGRO, PANDA)},
+    )
+
+    def statuses(seconds: float) -> list[JointStatus]:
+        """Different ones of the hand."""
+        end, seen = time.monotonic() + seconds, []
+        while time.monotonic() < end:
+            inbox.fetch()
+            status = inbox.newest[ALLEGRO.status_channel].contents
+            if not seen or status is not seen[-1]:
+                seen.append(status)
+            time.sleep(0.001)
+        return seen
+
+    glove = f"ipc://{tmp_path}/glove"
+    with (
+        program(tmp_path, "stand_in_robot", "--lcm", f"lcm+{lcm_url}"),
+        program(
+            tmp_path, "publish_recording", str(desk / "hand.npz"), "--to", f"pub+{glove}", "--loop"
+        ) as publisher,
+        program(
+            tmp_path, "teleoperate", "--glove", f"sub+{glove}", "--robot", f"lcm+{lcm_url}",
+            "--retargeter", str(desk / "checkpoint"), "--engage", "now", "--relax_after", "0.5",
+            "--timeout", str(PATIENCE_S), "--robot_silence", "20", "--json",
+        ) as teleoperation,
+    ):  # fmt: skip
+        said(tmp_path, "teleoperate", "tracking")
+        moving = np.array([status.commanded for status in statuses(1.5)])
+        publisher.kill()
+        said(tmp_path, "teleoperate", "relaxing")
+        teleoperation.send_signal(signal.SIGINT)
+        assert teleoperation.wait(PATIENCE_S) == 0, (tmp_path / "teleoperate.log").read_text()
+        held = statuses(1.0)
+
+    assert np.ptp(moving, axis=0).max() > 0.1
+    # The robot goes on, and holds to the last bit what it was told last.
+    assert len(held) > 3
+    assert len({status.commanded.tobytes() for status in held}) == 1
+    assert np.isfinite([status.position for status in held]).all()
+    said(tmp_path, "teleoperate", "disengaged: held")
+    report = json.loads((tmp_path / "teleoperate.json").read_text())
+    assert report["glove"]["received"] > 20
+    assert report["glove"]["refused"] == report["robot"]["refused"] == 0
+    command, echo = (report["latency_s"][name] for name in ("command", "echo"))
+    assert command["count"] >= echo["count"] > 10
+    assert 0 < command["median"] < echo["median"] <= echo["p99"]
+    print("latency, s:", report["latency_s"])
+
+
+@pytest.mark.slow
+def test_a_replay_drives_the_simulation(desk, tmp_path):
+    """In one process; what the glove gave is kept as a recording."""
+    with program(
+        tmp_path, "teleoperate", "--glove", str(desk / "hand.npz"), "--retargeter", str(desk / "checkpoint"),
+        "--engage", "now", "--duration", "0.6", "--record", str(tmp_path / "kept.npz"), "--json",
+    ) as teleoperation:  # fmt: skip
+        assert teleoperation.wait(PATIENCE_S) == 0, (tmp_path / "teleoperate.log").read_text()
+    report = json.loads((tmp_path / "teleoperate.json").read_text())
+    assert set(report["states"]) & {"tracking", "easing: the joints catch up slowly after a hold"}
+    assert report["states"]["disengaged: held"] > 0.2
+    with np.load(tmp_path / "kept.npz") as kept:
+        assert len(kept["t"]) > 50
+
+
+def groups() -> tuple[JointGroup, JointGroup]:
+    """Of a hand whose joints are in another order than the messages', and of an arm."""
+    return tuple(
+        JointGroup(name, list(joints), np.zeros(n), np.full(n, -1.0), np.full(n, 1.0))
+        for name, joints, n in (("hand", ALLEGRO.joints[::-1], 16), ("arm", PANDA.joints, 7))
+    )
+
+
+def send_statuses(url: str, hand_position: np.ndarray) -> None:
+    """Says once where hand and arm are."""
+    lcm = DrakeLcm(url)
+    for device, q in ((ALLEGRO, hand_position), (PANDA, np.zeros(7))):
+        lcm.Publish(device.status_channel, device.encode_status(0.0, JointStatus(q, 0 * q, q)))
+
+
+def test_the_robot_says_where_it_stands_before_it_is_driven(lcm_url):
+    """In the model's order, within its limits; another robot is refused, and so is none."""
+    q = np.linspace(-0.9, 1.05, 16)
+    link = RobotLink(lcm_url, *groups(), period=0.01)
+    with pytest.raises(LiveError, match="no robot: ALLEGRO_STATUS and PANDA_STATUS did not come"):
+        link.handshake(0.01)
+    send_statuses(lcm_url, q)
+    hand, arm = link.handshake(20.0)
+    np.testing.assert_array_equal(hand, np.minimum(q, 1.0)[::-1])
+    np.testing.assert_array_equal(arm, np.zeros(7))
+    another = RobotLink(lcm_url, *groups(), period=0.01)
+    send_statuses(lcm_url, 2 * q)
+    with pytest.raises(LiveError, match=r"joint_15 is at 2.100 rad, limits are \[-1.000, 1.000\]"):
+        another.handshake(20.0)
+
+
+def test_a_robot_that_falls_silent_is_not_driven_on(lcm_url):
+    """It may be elsewhere when it comes back."""
+    now = [5.0]
+    link = RobotLink(lcm_url, *groups(), period=0.01, clock=lambda: now[0])
+    send_statuses(lcm_url, np.zeros(16))
+    link.handshake(20.0)
+    now[0] += 0.4
+    link.require_alive(0.5)
+    now[0] += 0.2
+    with pytest.raises(LiveError, match=r"no ALLEGRO_STATUS for 0\.6 s"):
+        link.require_alive(0.5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "told"),
+    [
+        (["--glove", "no_such_file.npz"], RecordingError, "no_such_file.npz: no such file"),
+        (["--glove", "sub+http://127.0.0.1:5556"], LiveError, r"give one of sub\+tcp://HOST:PORT"),
+        (["--glove", "lcm", "--robot", "real"], LiveError, "address 'real': give one of"),
+        (["--glove", "lcm", "--robot", "lcm+udpm://10.0.0.1:7667?ttl=0"], LiveError, "GROUP from 224"),
+        (["--glove", "lcm", "--robot", "lcm", "--hand", "leap_right"], HandError, "has no LCM messages"),
+    ],
+)  # fmt: skip
+def test_teleoperation_that_cannot_start_says_why(desk, arguments, error, told, monkeypatch):
+    """Before it listens to anything or trains."""
+    spec = importlib.util.spec_from_file_location("teleoperate", SCRIPTS / "teleoperate.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    monkeypatch.chdir(desk)
+    with pytest.raises(error, match=told):
+        script.main(arguments)

@@ -1,0 +1,354 @@
+"""The systems of live use by themselves: the glove's stream, the engage switch, the watchdog, the latency."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from live_messages import Clock, Inbox, nodes_of, own_fields
+from pydrake.common.value import AbstractValue
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+from geort_drake.errors import RecordingError
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.live.errors import LiveError, MismatchError
+from geort_drake.live.glove_frame import GloveFrame, encode_frame
+from geort_drake.live.glove_stream import GloveStream
+from geort_drake.live.latency import Latency, LatencyMeter
+from geort_drake.live.playback import play
+from geort_drake.live.watchdog import EngageSwitch, Watchdog, WatchdogConfig
+from geort_drake.systems.glove_checks import FROZEN, HELD_LOST, HELD_STALE
+from geort_drake.systems.joint_limits import JointLimits
+from geort_drake.systems.retargeting_system import SETTLING, TRACKING, RetargetingStatus, RetargetingSystem
+
+PLAY = synthesize_play(4, duration_s=6.0, rate_hz=100.0)
+PERIOD = 0.01
+
+
+def message(i: int, **changes) -> bytes:
+    return json.dumps(own_fields(PLAY.p_HK[i].astype(float), time=float(PLAY.t[i]), **changes)).encode()
+
+
+# -- the stream
+
+
+class StreamBench:
+    """A stream by itself, into which messages are put."""
+
+    def __init__(self, *messages, **options):
+        self.inbox, self.clock = Inbox(*messages), Clock()
+        self.stream = GloveStream(self.inbox, "right", clock=self.clock, **options)
+        self.simulator = Simulator(self.stream)
+        self.context = self.simulator.get_mutable_context()
+
+    def after(self, *messages) -> dict:
+        """What the ports give after the next polls."""
+        self.inbox.messages += messages
+        self.simulator.AdvanceTo(self.context.get_time() + 0.004)
+        return {
+            name: self.stream.GetOutputPort(name).Eval(self.context)
+            for name in ("keypoints", "valid", "stamp", "sent", "wrist_pose")
+        }
+
+
+def test_the_stream_gives_the_newest_frame_and_holds_it():
+    """Of several that arrived at once the last; one that is lost, or no hand's, leaves the keypoints."""
+    bench = StreamBench()
+    start = bench.after()
+    assert start["valid"] == 0
+    assert np.isnan(start["sent"])
+    for seen in (bench.after(message(5), message(7)), bench.after()):
+        np.testing.assert_array_equal(seen["keypoints"], PLAY.p_HK[7].astype(float).ravel())
+        assert seen["valid"] == 1
+        assert seen["stamp"] == PLAY.t[7]
+        np.testing.assert_array_equal(seen["wrist_pose"].translation(), [0.1, 0.2, 0.3])
+    lost = bench.after(message(8, p_HK=None))
+    assert lost["valid"] == 0
+    assert lost["stamp"] == PLAY.t[8]
+    np.testing.assert_array_equal(lost["keypoints"], PLAY.p_HK[7].astype(float).ravel())
+    bad = bench.after(message(9), b"{}", message(9, side="left"))
+    assert bad["stamp"] == PLAY.t[9]
+    assert (bench.stream.received, bench.stream.refused) == (3, 2)
+    assert "neither of format" in bench.stream.last_refusal
+
+
+def test_a_stamp_of_this_machines_clock_says_when_it_was_sent():
+    """Of another clock, or of none, only when it arrived is known."""
+    bench = StreamBench()
+    bench.clock.now = 50.0
+    assert bench.after(message(0, time=49.9))["sent"] == 49.9
+    assert bench.after(message(0, time=3.0))["sent"] == 50.0
+    words = ",".join(["id", *(str(float(x)) for p in nodes_of(PLAY.p_HK[3]) for x in (*p, 0, 0, 0, 1))])
+    arrived = bench.after(words.encode())
+    assert (arrived["stamp"], arrived["sent"]) == (50.0, 50.0)
+
+
+def test_the_handshake_takes_a_hand():
+    """And says nothing of what came before it."""
+    bench = StreamBench(b"nonsense")
+    bench.inbox.drain = iter([[b"nonsense"], *([message(i)] for i in range(0, 500, 50))]).__next__
+    bench.stream.handshake(timeout_s=20.0)
+    assert bench.stream.refused == 1
+
+
+@pytest.mark.parametrize(
+    ("changed", "error", "told"),
+    [
+        ({"version": 2}, MismatchError, "version must be 1"),
+        ({"side": "left"}, MismatchError, "a left hand is sent"),
+        ({"unit": "cm"}, MismatchError, "unit must be 'm'"),
+    ],
+)
+def test_the_handshake_refuses_what_speaks_otherwise(changed, error, told):
+    """At once, without waiting for the time to be up."""
+    bench = StreamBench(message(0, **changed))
+    with pytest.raises(error, match=told):
+        bench.stream.handshake(timeout_s=1e6)
+
+
+@pytest.mark.parametrize(
+    ("hand", "told"),
+    [
+        (lambda p: p * [1, -1, 1], "the glove: handedness|the glove: axes"),
+        (lambda p: 1000 * p / 25.4, "the glove: unit"),
+        (lambda p: p[:, [0, *range(5, 21), *range(1, 5)]], "the glove: joint order"),
+        (lambda p: p[..., [2, 0, 1]], "the glove: axes"),
+    ],
+    ids=["mirrored", "inches", "order", "axes"],
+)
+def test_the_handshake_looks_at_the_hand(hand, told):
+    """A mirrored hand, one in another unit, frame or order of joints."""
+    points = hand(PLAY.p_HK.astype(float))[::60]
+    bench = StreamBench()
+    messages = ([encode_frame(GloveFrame("right", float(i), p))] for i, p in enumerate(points))
+    bench.inbox.drain = messages.__next__
+    with pytest.raises(RecordingError, match=told):
+        bench.stream.handshake(timeout_s=20.0)
+
+
+def test_the_handshake_says_what_it_waited_for():
+    """Silence, and messages that are of no use."""
+    with pytest.raises(LiveError, match=r"no hand came from the glove within 0.01 s$"):
+        StreamBench().stream.handshake(timeout_s=0.01)
+    with pytest.raises(LiveError, match=r"1 messages were refused, the last: glove message: neither"):
+        StreamBench(b"{}").stream.handshake(timeout_s=0.01)
+
+
+def test_a_recording_is_played_as_it_was(monkeypatch):
+    """Every frame once, lost ones as lost, at its time on the sender's clock."""
+
+    class Stop:
+        """An event that is never set, whose waiting moves the clock."""
+
+        def wait(self, seconds):
+            clock.now += seconds
+            return False
+
+    clock, sent = Clock(7.0), []
+    assert play(PLAY, sent.append, Stop(), clock) == len(PLAY)
+    frames = [json.loads(text) for text in sent]
+    np.testing.assert_allclose([frame["time"] for frame in frames], 7.0 + PLAY.t - PLAY.t[0])
+    np.testing.assert_array_equal([frame["p_HK"] for frame in frames], PLAY.p_HK.astype(float))
+
+
+# -- the switch
+
+
+def test_engaging_never_makes_the_joints_jump():
+    """The glove moves on while the person is not engaged; then the hand eases to it within its limits."""
+    limits = JointLimits(np.full(4, -1.0), np.full(4, 1.0))
+    retarget = lambda points: np.clip(10 * points[[4, 8, 12, 16], 0], -1, 1)  # noqa: E731
+    names = ["a", "b", "c", "d"]
+    builder = DiagramBuilder()
+    stream = StreamBench()
+    glove = builder.AddSystem(stream.stream)
+    switch = builder.AddSystem(EngageSwitch())
+    retargeting = builder.AddSystem(
+        RetargetingSystem(retarget, names, names, dict.fromkeys(names, 0.3), PERIOD, limits)
+    )
+    builder.Connect(glove.GetOutputPort("valid"), switch.GetInputPort("valid"))
+    builder.Connect(glove.GetOutputPort("keypoints"), retargeting.GetInputPort("keypoints"))
+    builder.Connect(switch.GetOutputPort("valid"), retargeting.GetInputPort("valid"))
+    builder.ExportInput(switch.GetInputPort("engaged"), "engaged")
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    root = simulator.get_mutable_context()
+
+    def tick(i: int, engaged: bool):
+        diagram.GetInputPort("engaged").FixValue(root, [float(engaged)])
+        stream.inbox.messages.append(message(i))
+        simulator.AdvanceTo((i + 1) * PERIOD)
+        context = retargeting.GetMyContextFromRoot(root)
+        status = retargeting.GetOutputPort("status").Eval(context)
+        return retargeting.GetOutputPort("desired_state").Eval(context)[:4].copy(), status.state
+
+    held = [tick(i, False) for i in range(100)]
+    assert all((q == 0.3).all() for q, _ in held)
+    assert held[-1][1] == HELD_LOST
+    followed = [tick(i, True) for i in range(100, 250)]
+    q = np.array([q for q, _ in followed])
+    wanted = retarget(PLAY.p_HK[100].astype(float))
+    # A jump would be all of it in one update; full speed is reached after the half second of easing.
+    assert np.abs(wanted - 0.3).max() > 0.2
+    assert np.abs(np.diff(np.vstack([held[-1][0], q]), axis=0))[:25].max() <= 0.5 * 7.0 * PERIOD
+    assert followed[-1][1] == TRACKING
+    np.testing.assert_allclose(q[-1], retarget(PLAY.p_HK[248].astype(float)), atol=0.1)
+    stopped = [tick(i, False) for i in range(250, 300)]
+    assert (stopped[-1][0] == stopped[-2][0]).all()
+
+
+# -- the watchdog
+
+
+LIMITS = JointLimits(np.full(3, -1.0), np.full(3, 2.0), 4.0, 200.0)
+SAFE = np.array([0.1, 0.5, -0.2])
+
+
+class WatchdogBench:
+    """A watchdog by itself, fed by hand."""
+
+    def __init__(self, **config):
+        self.system = Watchdog(LIMITS, SAFE, PERIOD, WatchdogConfig(**config))
+        self.simulator = Simulator(self.system)
+        self.context = self.simulator.get_mutable_context()
+        self.ticks = 0
+
+    def tick(self, q, v=(0.0, 0.0, 0.0), state=TRACKING, engaged=True):
+        """One period; returns the positions and velocities that pass, and what the other ports say."""
+        fix = {
+            "desired_state": np.concatenate([q, v]),
+            "status": AbstractValue.Make(RetargetingStatus(state)),
+            "engaged": [float(engaged)],
+        }
+        for name, value in fix.items():
+            self.system.GetInputPort(name).FixValue(self.context, value)
+        self.simulator.AdvanceTo((self.ticks + 0.5) * PERIOD)
+        self.ticks += 1
+        out = self.system.GetOutputPort("desired_state").Eval(self.context)
+        following = self.system.GetOutputPort("following").Eval(self.context)[0]
+        return (
+            out[:3].copy(),
+            out[3:].copy(),
+            following,
+            self.system.GetOutputPort("state").Eval(self.context),
+        )
+
+
+def motion(tick: int) -> tuple[np.ndarray, np.ndarray]:
+    """Commands that move within the limits."""
+    phase = tick * PERIOD + np.array([0.0, 1.0, 2.0])
+    return 0.5 + 0.4 * np.sin(3 * phase), 1.2 * np.cos(3 * phase)
+
+
+def test_the_watchdog_passes_commands_on_to_the_last_bit():
+    """Also while the glove is lost for less than it waits."""
+    bench = WatchdogBench(relax_after=1.0)
+    for tick in range(200):
+        q, v = motion(tick)
+        state = HELD_STALE if 50 <= tick < 100 else TRACKING
+        out_q, out_v, following, _ = bench.tick(q, v, state)
+        np.testing.assert_array_equal([out_q, out_v], [q, v])
+        assert following == (state == TRACKING)
+
+
+@pytest.mark.parametrize("state", [HELD_STALE, HELD_LOST, FROZEN, SETTLING])
+def test_a_glove_that_stays_lost_lets_the_hand_relax(state):
+    """After the time, slowly, to the safe pose; and there it stays."""
+    bench = WatchdogBench(relax_after=0.5, relax_speed=0.8)
+    held = np.array([1.5, -0.9, 0.4])
+    bench.tick(held)
+    out = [bench.tick(held, state=state) for _ in range(400)]
+    q = np.array([o[0] for o in out])
+    assert (q[:50] == held).all()
+    assert (q[53] != held).any()
+    np.testing.assert_array_equal(q[-1], SAFE)
+    assert np.abs(np.diff(q, axis=0)).max() <= 0.8 * PERIOD * (1 + 1e-9)
+    assert out[60][3].startswith("relaxing")
+    assert not any(o[2] for o in out)
+
+
+def test_disengaged_the_hand_holds_for_ever():
+    """A hold is what the person wants; also in the middle of relaxing."""
+    bench = WatchdogBench(relax_after=0.1)
+    held = np.full(3, 1.2)
+    for _ in range(300):
+        np.testing.assert_array_equal(bench.tick(held, state=HELD_LOST, engaged=False)[0], held)
+    for _ in range(50):
+        moving = bench.tick(held, state=HELD_LOST)[0]
+    stopped = [bench.tick(held, state=HELD_LOST, engaged=False) for _ in range(50)]
+    assert (stopped[-1][0] == stopped[10][0]).all()
+    assert np.abs(stopped[-1][0] - moving).max() < 0.05
+    assert stopped[-1][3] == "disengaged: held"
+
+
+def test_a_hand_that_relaxed_comes_back_within_its_limits():
+    """Eased, also to commands that move, and then they pass as they are."""
+    bench = WatchdogBench(relax_after=0.2, ease_time=0.4)
+    for tick in range(300):
+        q, v = motion(0) if tick < 250 else motion(tick - 250)
+        out = [bench.tick(q, v * (tick >= 250), TRACKING if tick in (0, *range(250, 300)) else HELD_STALE)]
+    returned = [bench.tick(*motion(tick - 250)) for tick in range(300, 700)]
+    path = np.array([out[0][0], *(o[0] for o in returned)])
+    velocity = np.diff(path, axis=0) / PERIOD
+    assert np.abs(velocity).max() <= 4.0 + 1e-9
+    assert np.abs(np.diff(velocity, axis=0)).max() <= 200.0 * PERIOD + 1e-9
+    np.testing.assert_array_equal(returned[-1][0], motion(699 - 250)[0])
+    assert returned[-1][3] == TRACKING
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.sampled_from([TRACKING, HELD_STALE, FROZEN]), st.booleans(), st.integers(1, 40)),
+        max_size=8,
+    )
+)
+def test_whatever_is_lost_when_the_commands_keep_the_limits(events):
+    """In whichever order the glove is lost and found, and the person engages: speed and positions hold."""
+    bench = WatchdogBench(relax_after=0.1, relax_speed=1.0, ease_time=0.2)
+    q = np.full(3, 0.8)
+    path, tick = [q], 0
+    for state, engaged, ticks in events:
+        for _ in range(ticks):
+            # Retargeting holds what it does not follow.
+            tick += state == TRACKING and engaged
+            path.append(bench.tick(*motion(tick) if tick else (q,), state=state, engaged=engaged)[0])
+    steps = np.abs(np.diff(np.array(path[1:]), axis=0)).max(initial=0.0)
+    assert steps <= 4.0 * PERIOD + 1e-9
+    assert np.isfinite(path).all()
+    assert (np.array(path) >= LIMITS.lower).all() and (np.array(path) <= LIMITS.upper).all()
+
+
+@pytest.mark.parametrize("config", [{"relax_after": 0.0}, {"relax_speed": math.inf}, {"ease_time": math.nan}])
+def test_a_watchdog_that_cannot_work_is_refused(config):
+    """And told which value it is."""
+    with pytest.raises(ValueError, match=next(iter(config))):
+        Watchdog(LIMITS, SAFE, PERIOD, WatchdogConfig(**config))
+
+
+# -- the latency
+
+
+def test_the_meter_tells_how_long_commands_take():
+    """To the command, and to the status that names it; held commands do not count."""
+    clock = Clock(10.0)
+    meter = LatencyMeter(1, PERIOD, clock)
+    simulator = Simulator(meter)
+    context = simulator.get_mutable_context()
+    for tick in range(10):
+        moving = tick < 6
+        meter.GetInputPort("sent").FixValue(context, [10.0 + tick * PERIOD - 0.004 if tick else math.nan])
+        meter.GetInputPort("command").FixValue(context, [min(tick, 5), 0.0])
+        # The robot names the command of two periods ago.
+        meter.GetInputPort("echo").FixValue(context, [min(tick - 2, 5)])
+        clock.now = 10.0 + tick * PERIOD
+        simulator.AdvanceTo((tick + 0.9) * PERIOD)
+        assert moving or meter.to_command().count == 5
+    for latency, expected in ((meter.to_command(), 0.004), (meter.to_echo(), 0.024)):
+        assert latency.count == 5
+        assert latency.median == pytest.approx(expected)
+        assert latency.p99 == pytest.approx(expected)
+    assert Latency.of([]) == Latency(0, None, None)
