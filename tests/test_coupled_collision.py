@@ -65,7 +65,8 @@ def test_gradient_of_the_loss_equals_finite_differences():
     )
     gaps = CollisionGaps(hand, shapes, CPU)
     q = torch.tensor([[0.0, 0.3, 0.5, 0.05, 0.4, 0.5]], requires_grad=True)
-    loss = gaps.loss(q, 0.001, 0.005)
+    near = torch.tensor([0]), torch.tensor([0])
+    loss = gaps.loss(q, *near, 0.001, 0.005)
     tips = hand.fingertips(q.detach().double())[0]
     distance = float((tips[0] - tips[1]).norm())
     assert loss.item() == pytest.approx((0.001 - (distance - 0.04)) / 0.005, rel=1e-3)
@@ -73,8 +74,8 @@ def test_gradient_of_the_loss_equals_finite_differences():
     for j in range(6):
         d = torch.zeros(1, 6)
         d[0, j] = 1e-2
-        slope = (gaps.loss(q.detach() + d, 0.001, 0.005) - gaps.loss(q.detach() - d, 0.001, 0.005)) / 2e-2
-        assert float(q.grad[0, j]) == pytest.approx(float(slope), abs=0.02)
+        more, less = (gaps.loss(q.detach() + sign * d, *near, 0.001, 0.005) for sign in (1, -1))
+        assert float(q.grad[0, j]) == pytest.approx(float(more - less) / 2e-2, abs=0.02)
 
 
 def test_no_pair_near_costs_nothing():
@@ -84,7 +85,8 @@ def test_no_pair_near_costs_nothing():
     shapes = CollisionShapes(np.array([-1]), np.eye(4)[None], np.ones((1, 3)), np.zeros(1), nothing)
     gaps = CollisionGaps(hand, shapes, CPU)
     q = torch.zeros(3, 6)
-    assert float(gaps.loss(q, 0.001, 0.005)) == 0.0
+    row, pair, _ = gaps.near(q, 0.005)
+    assert float(gaps.loss(q, row, pair, 0.001, 0.005)) == 0.0
     assert (gaps.least(q, 0.002) == 0.002).all()
 
 

@@ -234,17 +234,21 @@ def uneven(hand) -> HandKinematics:
 
 
 @pytest.mark.parametrize("change", [lambda hand: hand, shuffled, uneven])
-def test_own_angles_move_a_finger_as_the_whole_map_does(hand, change, rng):
+def test_angles_apart_move_a_finger_as_the_whole_map_does(hand, change, rng):
     """For joints in any order, and for fingers of different lengths; for all fingers and for one."""
     hand = change(hand)
     network = network_of(hand)
-    tips = torch.tensor(rng.normal(0.03, 0.05, (3, 20, 3, 3))).float()
+    whole, own = (torch.tensor(rng.normal(0.03, 0.05, shape)).float() for shape in ((7, 3, 3), (3, 20, 3, 3)))
     with torch.no_grad():
-        own = hand.fingertips_apart(network.own_angles(tips))
-        assert own.shape == (3, 20, 3)
+        angles = network.angles_apart(whole, own)
+        torch.testing.assert_close(network.in_order(angles[:, :7]), network(whole))
+        tips = hand.fingertips_apart(angles)
+        assert tips.shape == (3, 27, 3)
+        torch.testing.assert_close(tips[:, :7], hand.fingertips(network(whole)).transpose(0, 1))
         for number in range(3):
-            whole = hand.fingertips(network(tips[number]))[:, number]
-            torch.testing.assert_close(own[number], whole)
-            alone = network.own_angles(tips[number : number + 1], slice(number, number + 1))
+            wanted = hand.fingertips(network(own[number]))[:, number]
+            torch.testing.assert_close(tips[number, 7:], wanted)
+            some = slice(number, number + 1)
+            alone = network.angles_apart(whole, own[some], some)
             finger = dataclasses.replace(hand, fingers=(hand.fingers[number],))
-            torch.testing.assert_close(finger.fingertips_apart(alone)[0], whole)
+            torch.testing.assert_close(finger.fingertips_apart(alone)[0], tips[number])

@@ -122,16 +122,20 @@ class CollisionGaps:
                 result.append(least.scatter_reduce(0, row, gap, "amin"))
         return torch.cat(result)
 
-    def loss(self, q: torch.Tensor, margin: float, scale: float) -> torch.Tensor:
-        """Mean over q (N, n) of the sum over pairs of max(0, margin − gap) / scale; lengths in m."""
+    def loss(
+        self, q: torch.Tensor, row: torch.Tensor, pair: torch.Tensor, margin: float, scale: float
+    ) -> torch.Tensor:
+        """Mean over q (N, n) of the sum of max(0, margin − gap) / scale over some pairs; lengths in m.
+
+        Args:
+            row, pair: (M,) numbers of q and of the pair of shapes, as `near` gives them.
+        """
         # Few of the pairs that may touch do, and only those need to be followed by autograd.
-        with torch.no_grad():
-            row, pair, gap = self.near(q, margin)
-            rows, row = torch.unique(row[gap < margin], return_inverse=True)
+        rows, row = torch.unique(row, return_inverse=True)
         if len(rows) == 0:
             return 0.0 * q.sum()
-        gap = self._gaps(*self.poses(q[rows]), row, pair[gap < margin])
-        return (margin - gap).sum() / (scale * len(q))
+        gap = self._gaps(*self.poses(q[rows]), row, pair)
+        return torch.relu(margin - gap).sum() / (scale * len(q))
 
     def _gaps(self, R: torch.Tensor, p: torch.Tensor, row: torch.Tensor, pair: torch.Tensor) -> torch.Tensor:
         """(M,) gaps of the pairs numbered `pair` at the poses of `row`, m."""

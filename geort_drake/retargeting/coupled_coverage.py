@@ -50,11 +50,11 @@ class CoverageTargets:
         self._means: list[torch.Tensor] = []
 
     def nearest(self, network: CoupledNetwork, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Voxels (F, count, 3) in B, m, and the rows (F, count) of the frames that come nearest to them."""
+        """Voxels (F, count, 3) in B, m, and the real frames (F, count, F, 3) that come nearest to them."""
         with torch.no_grad():
             p_BF = self._kinematics.fingertips(network(self._frames[self._rows]))
         targets, rows = self._search(p_BF.unbind(1), count)
-        return targets, self._rows[rows]
+        return targets, self._frames[self._rows[rows]]
 
     def nearest_in_context(self, network: CoupledNetwork, count: int) -> tuple[torch.Tensor, torch.Tensor]:
         """The same, nearest on average over what the other fingers may be doing.
@@ -66,7 +66,8 @@ class CoverageTargets:
         for i, anchors in enumerate(self._anchors):
             hands = self._in_contexts(i, torch.arange(len(anchors)))
             with torch.no_grad():
-                angles = network.own_angles(hands.flatten(0, 1)[None], slice(i, i + 1))
+                own = hands.flatten(0, 1)[None]
+                angles = network.angles_apart(own[0, :0], own, slice(i, i + 1))
                 tips = self._fingers[i].fingertips_apart(angles)
             mean = tips.reshape(len(anchors), AVERAGED, 3).mean(1)
             # Few contexts at a time make a noisy mean, so that of earlier searches is remembered.

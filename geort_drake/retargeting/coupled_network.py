@@ -48,22 +48,30 @@ class CoupledNetwork(RetargetingNetwork):
             y = y[:, self.columns]
         return self.centre + self.half_range * torch.tanh(y)
 
-    def own_angles(self, p_HF: torch.Tensor, some: slice = slice(None)) -> torch.Tensor:
-        """What only one finger does in each hand, which saves the networks of the others.
+    def angles_apart(self, whole: torch.Tensor, own: torch.Tensor, some: slice = slice(None)) -> torch.Tensor:
+        """Joint angles by finger, (G, N + M, k) rad, as `HandKinematics.fingertips_apart` takes them.
 
         Args:
-            p_HF: (G, N, F, 3) human fingertips in m, N hands for each of G fingers.
-            some: which fingers those are.
-
-        Returns:
-            (G, N, k) joint angles of that finger in rad, as `HandKinematics.fingertips_apart` takes them.
+            whole: (N, F, 3) human fingertips in m of hands in which every one of the G fingers answers.
+            own: (G, M, F, 3) of hands in which one finger alone is wanted, which saves the others' networks.
+            some: which fingers are meant; all, G = F, by default.
         """
-        groups, count, fingers, _ = p_HF.shape
-        x = (p_HF - self.mean[:, 0]) / self.scale[:, 0]
-        row, own = torch.arange(groups), torch.arange(fingers)[some]
-        y = self.residual(x.reshape(1, groups * count, -1)).reshape(groups, count, fingers, -1)
-        y = y[row, :, own] + self.mlp(x[row, :, own], some)
+        groups, count, fingers, _ = own.shape
+        row, number = torch.arange(groups), torch.arange(fingers)[some]
+        mean, scale = self.mean[:, 0], self.scale[:, 0]
+        x, x_own = (whole - mean) / scale, (own - mean) / scale
+        together = torch.cat([x.flatten(1), x_own.reshape(groups * count, -1)])
+        shared = self.residual(together[None])[0].reshape(len(together), fingers, -1)
+        shared, shared_own = shared.split([len(whole), groups * count])
+        shared_own = shared_own.reshape(groups, count, fingers, -1)[row, :, number]
+        y = self.mlp(torch.cat([x[:, some].transpose(0, 1), x_own[row, :, number]], dim=1), some)
+        y = y + torch.cat([shared[:, some].transpose(0, 1), shared_own], dim=1)
         return self.stacked_centre[some] + self.stacked_half_range[some] * torch.tanh(y)
+
+    def in_order(self, angles: torch.Tensor) -> torch.Tensor:
+        """Joint angles (N, n) in the order of q, for those of all fingers (F, N, k)."""
+        stacked = angles.transpose(0, 1).flatten(1)
+        return stacked if self._in_order else stacked[:, self.columns]
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What `CoupledRetargeter` is made of, in float64: the normalisation is folded into the layers 0."""

@@ -1,8 +1,6 @@
 """Trains `geort_coupled`; docs/derivations.md says where it departs from the paper, and why."""
 
-import copy
 import math
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +10,7 @@ from geort_drake.errors import TrainingError
 from geort_drake.retargeting import coupled_losses as losses
 from geort_drake.retargeting.clouds import voxel_centres
 from geort_drake.retargeting.collision_geometry import CollisionGaps, CollisionShapes
+from geort_drake.retargeting.coupled_batches import COLLIDE_EVERY, Batch, Batches
 from geort_drake.retargeting.coupled_coverage import AVERAGED, CoverageTargets
 from geort_drake.retargeting.coupled_hands import STEP_RANGE, TrainingHands
 from geort_drake.retargeting.coupled_network import CoupledNetwork
@@ -23,8 +22,6 @@ from geort_drake.retargeting.soap import Soap
 from geort_drake.retargeting.training import TrainingConfig, TrainingResult
 
 TIP_MARGIN = 0.002  # m; apart fingertips are kept this far from touching
-CROWDED = 600  # how many hands are looked through for near collisions at a time
-REMEMBERED = 2000  # how many of those that nearly collided are kept
 
 
 @dataclass(frozen=True)
@@ -38,7 +35,7 @@ class CoupledConfig(TrainingConfig):
     context_targets: int = 32  # the same, to be reached whatever the other fingers are doing
     pinches: int = 64  # real frames with a pinch per step, and as many made-up ones
     frames: int = 96  # real steps per step
-    collisions: int = 48  # frames per step whose collisions are computed
+    collisions: int = 48  # hands whose collisions are computed, in every other step
     hidden: int = 64
     residual_hidden: int = 96
     direction_weight: float = 2.7
@@ -125,13 +122,12 @@ class _Run:
         with torch.no_grad():
             p_BF = kinematics.fingertips(q).cpu().numpy()
         voxels = [voxel_centres(p_BF[:, i], config.robot_voxel) for i in range(p_BF.shape[1])]
-        self.space = CoverageTargets(self.hands.frames, kinematics, voxels, config.human_voxel, seed)
-        self._next: Future | None = None
+        space = CoverageTargets(self.hands.frames, kinematics, voxels, config.human_voxel, seed)
         self.gaps = None
-        self.crowded = self.hands.frames[:0]
         if shapes is not None and config.collision_weight > 0:
             self.gaps = CollisionGaps(kinematics, shapes, device)
             self.gaps.keep_pairs_that_meet(q[:4000], config.collision_margin)
+        self.batches = Batches(self.hands, space, self.gaps, config)
         mean, scale = self.hands.mean, self.hands.scale
         self.network = CoupledNetwork(
             kinematics, mean, scale, config.hidden, config.residual_hidden, generator
@@ -144,7 +140,7 @@ class _Run:
             {"params": [*self.network.mlp.parameters()], "weight_decay": config.weight_decay},
             {"params": [*self.network.residual.parameters()], "weight_decay": config.residual_decay},
         ]
-        with ThreadPoolExecutor(1) as self._beside:
+        with self.batches:
             descent = descend(
                 self.network,
                 self._losses,
@@ -165,112 +161,108 @@ class _Run:
             pinch_frames=self.hands.pinch_frames,
         )
 
-    def _renew(self, progress: float) -> bool:
-        """Takes up what was found for the coming steps; False if the map was not finite."""
-        # The search runs beside the descent, for a copy of the map, so what it found is some steps old.
-        found = (self._next or self._start_search(progress)).result()
-        self._next = self._start_search(progress)
-        if found is None:
-            return False
-        self.assigned, touching = found
-        self.crowded = torch.cat([touching, self.crowded])[:REMEMBERED]
-        return True
-
-    def _start_search(self, progress: float) -> Future:
-        return self._beside.submit(self._search, copy.deepcopy(self.network), self._candidates(), progress)
-
-    def _search(self, network: CoupledNetwork, hands: torch.Tensor, progress: float):
-        """Which voxels to reach, and who should reach them; and those of the hands that nearly collide."""
-        config = self.config
-        with torch.no_grad():
-            q = network(hands)
-        if not torch.isfinite(q).all():
-            return None
-        voxels, rows = self.space.nearest(network, config.targets * config.assign_every)
-        if config.context_weight > 0:
-            in_context = self.space.nearest_in_context(network, config.context_targets * config.assign_every)
-        else:
-            in_context = voxels[:, :0], hands[:0].reshape(len(voxels), 0, AVERAGED, *hands.shape[1:])
-        if self.gaps is None or progress < 0.1:
-            return (voxels, rows, *in_context), hands[:0]
-        least = self.gaps.least(q, 3 * config.collision_margin)
-        return (voxels, rows, *in_context), hands[least < 2 * config.collision_margin]
-
-    def _candidates(self) -> torch.Tensor:
-        """Hands in which something may touch: recorded ones, pinches and fingers put together."""
-        pinches, _ = self.hands.made_up_pinches(CROWDED // 8)
-        return torch.cat(
-            [self.hands.recorded(3 * CROWDED // 4), pinches, self.hands.recombined(CROWDED // 8)]
-        )
-
     def _losses(self, step: int) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-        """The weighted sum of the losses on one random batch, and each of them."""
-        config = self.config
-        progress = step / config.steps
-        if step % config.assign_every == 0 and not self._renew(progress):
+        """The weighted sum of the losses on one batch, and each of them."""
+        config, progress = self.config, step / self.config.steps
+        batch = self.batches.next(self.network, progress)
+        if batch is None:
             return torch.tensor(math.nan), {}
-        frames, pairs = self.hands.frames, self.hands.pairs
-        fingers, n = frames.shape[1], config.points
-        x, d = self.hands.one_moved(n)
-        ahead, behind = x.clone(), x.clone()
-        each = torch.arange(fingers)
-        ahead[each, :, each] += d
-        behind[each, :, each] -= d
-        # This step's share of the robot voxels, and the real frames that should reach them.
-        part = step % config.assign_every
-        window = slice(part * config.targets, (part + 1) * config.targets)
-        targets, cover = (found[:, window] for found in self.assigned[:2])
-        window = slice(part * config.context_targets, (part + 1) * config.context_targets)
-        context_targets, hands = (found[:, window] for found in self.assigned[2:])
-        before, after = self.hands.steps(config.frames)
-        pinching, weights = self.hands.pinches(config.pinches)
-        # All fingers answer where they must not move, or meet; elsewhere the finger in question is enough.
-        parts = [x.flatten(0, 1), ahead.flatten(0, 1), before, after, pinching, self._crowd()]
-        q = self.network(torch.cat(parts)).split([len(part) for part in parts])
-        p_BF = self.kinematics.fingertips(torch.cat(q[:-1])).split([len(part) for part in parts[:-1]])
-        g_x, g_ahead = (p.reshape(fingers, n, fingers, 3) for p in p_BF[:2])
-        g_before, g_after, g_pinching = p_BF[2:]
-        own_x, own_ahead = g_x[each, :, each], g_ahead[each, :, each]
-        parts = [behind, frames[cover], hands.flatten(1, 2)]
-        own = self.kinematics.fingertips_apart(self.network.own_angles(torch.cat(parts, dim=1)))
-        own_behind, reached, alike = own.split([part.shape[1] for part in parts], dim=1)
-        averaged = alike.reshape(fingers, -1, AVERAGED, 3).mean(2)
-        step_d, step_answer = after - before, g_after - g_before
-        long = step_d.norm(dim=-1) > STEP_RANGE[0]
-        human_apart = losses.pair_distances(torch.cat([after, pinching]), pairs)
-        robot_apart = losses.pair_distances(torch.cat([g_after, g_pinching]), pairs)
-        tips = 2 * self.kinematics.tip_radius
-        zero = q[0].new_zeros(())
-        row = {
-            "direction": direction_loss(d, own_ahead - own_x),
-            "track": direction_loss(step_d[long], step_answer[long]) if len(before) else zero,
-            "coverage": losses.bounded_coverage_loss(reached, targets, config.coverage_radius),
-            "context": losses.bounded_coverage_loss(averaged, context_targets, config.coverage_radius)
-            if config.context_weight > 0
-            else zero,
-            "cross_talk": losses.cross_talk_loss(g_ahead - g_x),
-            "flatness": losses.curvature_loss(own_ahead, own_x, own_behind),
-            "response": losses.uniform_response_loss(d, own_ahead - own_x, config.response_band),
-            "pinch": losses.pinch_distance_loss(
-                robot_apart[len(after) :], weights, config.pinch_wanted, config.pinch_scale
-            ),
-            "false_pinch": losses.false_pinch_loss(
-                robot_apart, human_apart > 0.9 * config.pinch_reach, tips + TIP_MARGIN, 0.005
-            ),
-            "collision": zero,
-        }
-        if self.gaps is not None and progress > 0.15:
-            row["collision"] = self.gaps.loss(q[-1], config.collision_margin, config.collision_scale)
-        scale = {"collision": min(max((progress - 0.15) / 0.25, 0.0), 1.0)}
+        row = self._row(batch, self._answers(batch))
+        scale = {"collision": COLLIDE_EVERY * min(max((progress - 0.15) / 0.25, 0.0), 1.0)}
         total = sum(
-            (scale.get(name, 1.0) * getattr(config, f"{name}_weight") * value for name, value in row.items()),
-            start=zero,
+            scale.get(name, 1.0) * getattr(config, f"{name}_weight") * value for name, value in row.items()
         )
         return total, row
 
-    def _crowd(self) -> torch.Tensor:
-        """Jittered hands, three quarters of them from those in which something nearly touches."""
-        count = self.config.collisions if self.gaps is not None else 0
-        active = self.crowded[self.hands.draw(len(self.crowded), 3 * count // 4)]
-        hands = torch.cat([active, self.hands.recorded(count - len(active))])
-        return hands + self.config.jitter * self.hands.normal(hands.shape)
+    def _answers(self, batch: Batch) -> "_Answers":
+        fingers, n = batch.d.shape[:2]
+        each = torch.arange(fingers)
+        ahead, behind = batch.moved.clone(), batch.moved.clone()
+        ahead[each, :, each] += batch.d
+        behind[each, :, each] -= batch.d
+        # All fingers answer where they must not move, or meet; elsewhere the finger in question is enough.
+        whole = [batch.moved.flatten(0, 1), ahead.flatten(0, 1), batch.before, batch.after, batch.pinching]
+        whole.append(batch.crowd.hands if batch.crowd is not None else batch.before[:0])
+        own = [behind, batch.covering, batch.contexts.flatten(1, 2)]
+        angles = self.network.angles_apart(torch.cat(whole), torch.cat(own, dim=1))
+        sizes = [len(hands) for hands in whole] + [hands.shape[1] for hands in own]
+        p_BF = self.kinematics.fingertips_apart(angles).split(sizes, dim=1)
+        here, ahead, before, after, pinching, _, behind, reached, alike = p_BF
+        here, ahead = (tips.reshape(fingers, fingers, n, 3) for tips in (here, ahead))
+        return _Answers(
+            here[each, each],
+            ahead[each, each],
+            behind,
+            (ahead - here).permute(1, 2, 0, 3),
+            before.transpose(0, 1),
+            after.transpose(0, 1),
+            pinching.transpose(0, 1),
+            reached,
+            alike.reshape(fingers, -1, AVERAGED, 3).mean(2),
+            self.network.in_order(angles.split(sizes, dim=1)[len(whole) - 1]),
+        )
+
+    def _row(self, batch: Batch, answers: "_Answers") -> dict[str, torch.Tensor]:
+        """Each loss, without its weight."""
+        config, pairs = self.config, self.hands.pairs
+        moved = answers.ahead - answers.here
+        step, answer = batch.after - batch.before, answers.after - answers.before
+        long = step.norm(dim=-1) > STEP_RANGE[0]
+        human_apart = losses.pair_distances(torch.cat([batch.after, batch.pinching]), pairs)
+        robot_apart = losses.pair_distances(torch.cat([answers.after, answers.pinching]), pairs)
+        pinched = robot_apart[len(batch.after) :]
+        zero = moved.new_zeros(())
+        row = {
+            "direction": direction_loss(batch.d, moved),
+            "track": direction_loss(step[long], answer[long]) if len(batch.after) else zero,
+            "coverage": losses.bounded_coverage_loss(answers.reached, batch.targets, config.coverage_radius),
+            "context": losses.bounded_coverage_loss(
+                answers.averaged, batch.context_targets, config.coverage_radius
+            )
+            if config.context_weight > 0
+            else zero,
+            "cross_talk": losses.cross_talk_loss(answers.all_moved),
+            "flatness": losses.curvature_loss(answers.ahead, answers.here, answers.behind),
+            "response": losses.uniform_response_loss(batch.d, moved, config.response_band),
+            "pinch": losses.pinch_distance_loss(
+                pinched, batch.weights, config.pinch_wanted, config.pinch_scale
+            ),
+            "false_pinch": losses.false_pinch_loss(
+                robot_apart,
+                human_apart > 0.9 * config.pinch_reach,
+                2 * self.kinematics.tip_radius + TIP_MARGIN,
+                0.005,
+            ),
+            "collision": zero,
+        }
+        if batch.crowd is not None and self.gaps is not None:
+            near = batch.crowd.row, batch.crowd.pair
+            row["collision"] = self.gaps.loss(
+                answers.crowd, *near, config.collision_margin, config.collision_scale
+            )
+        return row
+
+
+@dataclass(frozen=True)
+class _Answers:
+    """Where the map puts the robot's fingertips for one batch, in B, m.
+
+    Attributes:
+        here, ahead, behind: (F, N, 3) of each finger that is moved, at x, x + d and x − d.
+        all_moved: (F, N, F, 3) how far every fingertip moves from x to x + d.
+        before, after, pinching: (M, F, 3) of whole hands.
+        reached: (F, N, 3) what comes nearest to the targets.
+        averaged: (F, N, 3) the same for the targets in context, averaged over the other fingers' hands.
+        crowd: (M, n) joint angles of the hands that nearly collide, rad.
+    """
+
+    here: torch.Tensor
+    ahead: torch.Tensor
+    behind: torch.Tensor
+    all_moved: torch.Tensor
+    before: torch.Tensor
+    after: torch.Tensor
+    pinching: torch.Tensor
+    reached: torch.Tensor
+    averaged: torch.Tensor
+    crowd: torch.Tensor

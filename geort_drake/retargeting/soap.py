@@ -39,22 +39,27 @@ class Soap(torch.optim.Optimizer):
 
     def _move(self, parameter: torch.Tensor, gradient: torch.Tensor, group: dict) -> None:
         state = self.state[parameter]
-        squares = (gradient @ gradient.mT, gradient.mT @ gradient)
+        # A row, such as a layer's biases, has one basis that is worth as little as its axes: plain Adam.
+        matrix = min(gradient.shape[-2:]) > 1
+        squares = (gradient @ gradient.mT, gradient.mT @ gradient) if matrix else ()
         if not state:
             state["step"] = 0
             state["squares"] = list(squares)
             state["bases"] = [torch.linalg.eigh(square).eigenvectors for square in squares]
             state["mean"], state["variance"] = torch.zeros_like(gradient), torch.zeros_like(gradient)
         state["step"] += 1
-        left, right = state["bases"]
         first, second = group["betas"]
-        state["mean"].lerp_(gradient, 1.0 - first)
-        rotated = left.mT @ gradient @ right
-        state["variance"].mul_(second).addcmul_(rotated, rotated, value=1.0 - second)
-        mean = left.mT @ state["mean"] @ right / (1.0 - first ** state["step"])
+        mean = state["mean"].lerp_(gradient, 1.0 - first)
+        if matrix:
+            left, right = state["bases"]
+            gradient, mean = left.mT @ gradient @ right, left.mT @ mean @ right
+        state["variance"].mul_(second).addcmul_(gradient, gradient, value=1.0 - second)
         deviation = (state["variance"] / (1.0 - second ** state["step"])).sqrt_().add_(group["eps"])
+        move = mean / deviation / (1.0 - first ** state["step"])
+        if matrix:
+            move = left @ move @ right.mT
         parameter.mul_(1.0 - group["lr"] * group["weight_decay"])
-        parameter.sub_(left @ (mean / deviation) @ right.mT, alpha=group["lr"])
+        parameter.sub_(move, alpha=group["lr"])
         for average, square in zip(state["squares"], squares, strict=True):
             average.lerp_(square, 1.0 - group["basis_beta"])
         if state["step"] % group["refresh"] == 0:

@@ -1,0 +1,142 @@
+"""What each step of `geort_coupled`'s descent is asked: drawn and searched for beside the descent.
+
+Nearest frames and near collisions change slowly, so they are looked for once for several steps, with a
+copy of the map and in a thread of its own. What is found is some steps old when it is used.
+"""
+
+import copy
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+import torch
+
+from geort_drake.retargeting.collision_geometry import CollisionGaps
+from geort_drake.retargeting.coupled_coverage import CoverageTargets
+from geort_drake.retargeting.coupled_hands import TrainingHands
+from geort_drake.retargeting.coupled_network import CoupledNetwork
+
+CROWDED_FROM = 0.1  # of the descent; nothing is known of collisions before the map has a shape
+CROWDED = 600  # how many hands are looked through for near collisions at a time
+REMEMBERED = 2000  # how many of those that nearly collided are kept
+COLLIDE_EVERY = 2  # steps; collisions cost a third of a step, and need not be in each
+
+
+@dataclass(frozen=True)
+class Crowd:
+    """Hands (N, F, 3), m, most of which nearly collide: numbers of hand and pair (M,) of what is near."""
+
+    hands: torch.Tensor
+    row: torch.Tensor
+    pair: torch.Tensor
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What one step is asked about; all in m, hands in H and targets in B.
+
+    Attributes:
+        moved, d: hands (F, N, F, 3) and the displacement (F, N, 3) of the first axis' finger.
+        before, after: (M, F, 3) hands of recorded steps.
+        pinching, weights: hands (N, F, 3), and how much each pair (N, P) should meet.
+        targets, covering: voxels (F, N, 3), and the hands (F, N, F, 3) that come nearest to them.
+        context_targets, contexts: the same (F, N, 3), and hands (F, N, AVERAGED, F, 3).
+        crowd: what nearly collides; None in steps that do not look at it.
+    """
+
+    moved: torch.Tensor
+    d: torch.Tensor
+    before: torch.Tensor
+    after: torch.Tensor
+    pinching: torch.Tensor
+    weights: torch.Tensor
+    targets: torch.Tensor
+    covering: torch.Tensor
+    context_targets: torch.Tensor
+    contexts: torch.Tensor
+    crowd: Crowd | None
+
+
+class Batches:
+    """Prepares batches, `assign_every` at a time; used as a context manager."""
+
+    def __init__(self, hands: TrainingHands, space: CoverageTargets, gaps: CollisionGaps | None, config):
+        """`gaps` is None where collisions are not avoided; `config` is a `CoupledConfig`."""
+        self._hands, self._space, self._gaps, self._config = hands, space, gaps, config
+        self._crowded = hands.frames[:0]
+        self._ready: list[Batch] = []
+        self._coming: Future | None = None
+
+    def __enter__(self) -> "Batches":
+        self._beside = ThreadPoolExecutor(1)
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._beside.shutdown(cancel_futures=True)
+
+    def next(self, network: CoupledNetwork, progress: float) -> Batch | None:
+        """The next batch for a map that is `progress` (0 to 1) through; None if it was not finite."""
+        if not self._ready:
+            found = (self._coming or self._start(network, progress)).result()
+            self._coming = self._start(network, progress)
+            if found is None:
+                return None
+            self._ready = found[::-1]
+        return self._ready.pop()
+
+    def _start(self, network: CoupledNetwork, progress: float) -> Future:
+        return self._beside.submit(self._prepare, copy.deepcopy(network), progress)
+
+    @torch.no_grad()
+    def _prepare(self, network: CoupledNetwork, progress: float) -> list[Batch] | None:
+        config, hands, steps = self._config, self._hands, self._config.assign_every
+        if not torch.isfinite(network(hands.recorded(CROWDED))).all():
+            return None
+        moved, d = hands.one_moved(steps * config.points)
+        targets, covering = self._space.nearest(network, steps * config.targets)
+        context_targets, contexts = targets[:, :0], moved[:, :0, None]
+        if config.context_weight > 0:
+            count = steps * config.context_targets
+            context_targets, contexts = self._space.nearest_in_context(network, count)
+        crowds: list[Crowd | None] = [None] * steps
+        if self._gaps is not None and progress >= CROWDED_FROM:
+            crowds = self._crowds(network, self._gaps)
+        before, after = hands.steps(steps * config.frames)
+        pinching, weights = hands.pinches(steps * config.pinches)
+        # Every steps-th, as hands that were treated alike follow each other.
+        return [
+            Batch(
+                moved[:, step::steps],
+                d[:, step::steps],
+                before[step::steps],
+                after[step::steps],
+                pinching[step::steps],
+                weights[step::steps],
+                targets[:, step::steps],
+                covering[:, step::steps],
+                context_targets[:, step::steps],
+                contexts[:, step::steps],
+                crowds[step],
+            )
+            for step in range(steps)
+        ]
+
+    def _crowds(self, network: CoupledNetwork, gaps: CollisionGaps) -> list[Crowd | None]:
+        """For each step jittered hands, three quarters of them such in which something nearly touches."""
+        config, hands, steps = self._config, self._hands, self._config.assign_every
+        margin = config.collision_margin
+        pinches, _ = hands.made_up_pinches(CROWDED // 8)
+        candidates = torch.cat([hands.recorded(3 * CROWDED // 4), pinches, hands.recombined(CROWDED // 8)])
+        touching = candidates[gaps.least(network(candidates), 3 * margin) < 2 * margin]
+        self._crowded = torch.cat([touching, self._crowded])[:REMEMBERED]
+        asked = range(0, steps, COLLIDE_EVERY)
+        active = self._crowded[hands.draw(len(self._crowded), len(asked) * (3 * config.collisions // 4))]
+        others = hands.recorded(len(asked) * config.collisions - len(active))
+        crowded = torch.cat([active, others])
+        crowded = crowded + config.jitter * hands.normal(crowded.shape)
+        crowds: list[Crowd | None] = [None] * steps
+        for number, step in enumerate(asked):
+            some = crowded[number :: len(asked)]
+            row, pair, gap = gaps.near(network(some), 3 * margin)
+            near = gap < 3 * margin
+            crowds[step] = Crowd(some, row[near], pair[near])
+        return crowds
