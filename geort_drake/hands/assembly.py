@@ -92,7 +92,7 @@ def free_from_world(plant: MultibodyPlant, hand: ModelInstanceIndex) -> None:
             plant.RemoveJoint(joint)
 
 
-def joint_names(plant: MultibodyPlant, hand: ModelInstanceIndex, kind: type = Joint) -> list[str]:
+def joint_names(plant: MultibodyPlant, hand: ModelInstanceIndex, kind: type[Joint] = Joint) -> list[str]:
     """Names of a model's joints of a kind."""
     return [joint.name() for joint in _joints(plant, hand) if isinstance(joint, kind)]
 

@@ -1,0 +1,112 @@
+"""Describes a robot hand from its model file, checks the description, and says what to correct.
+
+python scripts/add_hand.py my_hand.urdf
+python scripts/train_retargeter.py --hand models/hands/my_hand.yaml --output runs/my_hand
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+
+from geort_drake.console import console, run_main
+from geort_drake.errors import OutputError
+from geort_drake.files import require_writable
+from geort_drake.hands.checks import examine
+from geort_drake.hands.description import HandDescription, load_hand
+from geort_drake.hands.description_file import write_description
+from geort_drake.hands.model import HandModel
+from geort_drake.hands.proposal import propose
+from geort_drake.resources import models_dir
+
+EPILOG = """\
+The model is a URDF, SDF or MJCF file that Drake reads, of one hand with 2 to 5 fingers of revolute joints.
+What is proposed are the fingers with their joints, names and tips, the hand base B (+x out of the palm, +z
+along the fingers), the side, the joints that follow others, and contacts that do not count. Correct the
+description by hand and check it again by giving it in the model's place.
+
+Exit codes: 0 the description was written, or checked; 2 the model or something asked for is unusable.
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    arguments = _arguments(argv)
+    given: Path = arguments.model
+    notes: list[str] = []
+    if given.suffix in (".yaml", ".yml"):
+        path, description = given, load_hand(given)
+    else:
+        name = arguments.name or "".join(c if c.isalnum() else "_" for c in given.stem)
+        path = arguments.output or models_dir() / "hands" / f"{name}.yaml"
+        if path.exists() and not arguments.overwrite:
+            raise OutputError(f"{path} exists; choose another --output, or give --overwrite")
+        require_writable(path)
+        proposal = propose(given, name)
+        description, notes = proposal.description, proposal.notes
+        write_description(description, path, [f"Made by add_hand.py from {given.name}.", *notes])
+    hand = HandModel(description)
+    _print(description, hand)
+    for note in notes:
+        console.print(f"note: {note}", markup=False, soft_wrap=True)
+    found = examine(hand)
+    for text in found:
+        console.print(f"correct: {text}", markup=False, soft_wrap=True)
+    if not found:
+        console.print("the checks found nothing to correct")
+    if arguments.rrd is not None:
+        # Only here, so that a check does not load Rerun.
+        from geort_drake.hands.hand_view import record_hand
+
+        record_hand(hand, arguments.rrd)
+        console.print(f"look at it: rerun {arguments.rrd}", markup=False, soft_wrap=True)
+    print(path)
+
+
+def _print(description: HandDescription, hand: HandModel) -> None:
+    table = Table(title=f"{description.name}, a {description.side} hand of {len(hand.joint_names)} joints")
+    for column in ("finger", "joints, base to tip", "follow", "tip link", "tip radius", "reach"):
+        table.add_column(column, justify="right" if column in ("tip radius", "reach") else "left")
+    rng = np.random.default_rng(0)
+    p_BF = hand.fingertips(rng.uniform(hand.lower, hand.upper, (200, len(hand.joint_names))))
+    for number, finger in enumerate(description.fingers):
+        chain = hand.kinematics().fingers[number]
+        followers = [joint for joint in chain.all_joint_names if joint not in chain.joint_names]
+        reach = np.linalg.norm(p_BF[:, number] - chain.X_PJ[0, :3, 3], axis=1).max()
+        table.add_row(
+            finger.name,
+            " ".join(finger.joints),
+            " ".join(followers),
+            finger.tip_link,
+            f"{1e3 * finger.tip_radius:.1f} mm",
+            f"{1e3 * reach:.0f} mm",
+        )
+    console.print(table)
+
+
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__.splitlines()[0],
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("model", type=Path, help="URDF, SDF or MJCF file; or a description (.yaml) to check")
+    parser.add_argument("--name", help="of the hand (default: the file's)")
+    parser.add_argument(
+        "--output", type=Path, metavar="FILE", help="description to write (default: models/hands/NAME.yaml)"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace the description if it exists")
+    parser.add_argument("--rrd", type=Path, metavar="FILE", help="Rerun recording of the hand to write")
+    arguments = parser.parse_args(argv)
+    if arguments.output is not None and arguments.output.suffix not in (".yaml", ".yml"):
+        parser.error(f"{arguments.output}: the name must end with .yaml")
+    if arguments.rrd is not None:
+        if arguments.rrd.suffix != ".rrd":
+            parser.error(f"{arguments.rrd}: the name must end with .rrd")
+        require_writable(arguments.rrd)
+    return arguments
+
+
+if __name__ == "__main__":
+    run_main(main)

@@ -1,0 +1,340 @@
+"""From a model file to a hand description: what is found, what is said of it, and what it is good for."""
+
+import dataclasses as dc
+import functools
+import json
+import re
+import sys
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from hand_family import HandSpec, joint_name, write_hand
+from pydrake.geometry import Role
+from pydrake.math import RollPitchYaw
+from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+from geort_drake.errors import HandError, OutputError
+from geort_drake.evaluation import metrics
+from geort_drake.evaluation.pipeline import train_checkpoint
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.hands.assembly import add_hand_model
+from geort_drake.hands.checks import examine
+from geort_drake.hands.clearance import HandClearance
+from geort_drake.hands.collision_shapes import collision_shapes
+from geort_drake.hands.couplings import read_couplings
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.description_file import write_description
+from geort_drake.hands.model import HandModel
+from geort_drake.hands.proposal import propose
+from geort_drake.resources import resource_root
+from geort_drake.retargeting.baselines.numpy_kinematics import NumpyKinematics
+from geort_drake.retargeting.collision_geometry import CollisionGaps
+from geort_drake.retargeting.retargeter import load_retargeter
+
+sys.path.insert(0, str(resource_root() / "scripts"))
+import add_hand
+
+# The family: every number of fingers, format and kind of oddity, each with some of the others.
+FAMILY = [
+    HandSpec(2, "urdf", mimic=False, names="odd", turn=(90, 0, 180)),
+    HandSpec(3, "sdf", mimic=True, names="odd", turn=(35, 20, -50), collision=False),
+    HandSpec(4, "xml", mimic=True, names="odd", turn=(0, -90, 0), side="left"),
+    HandSpec(5, "urdf", mimic=True, names="plain", turn=(-70, 25, 160), side="left"),
+]
+
+
+def _id(spec: HandSpec) -> str:
+    return f"{spec.fingers}-{spec.kind}-{spec.names}-{spec.side}"
+
+
+@pytest.fixture(params=FAMILY, ids=_id)
+def spec(request) -> HandSpec:
+    return request.param
+
+
+def test_fingers_base_and_side_are_found(spec, tmp_path):
+    """The proposal is what the hand was made with, but for a tip without geometry, which is a guess."""
+    description = propose(write_hand(tmp_path, spec)).description
+    assert description.side == spec.side
+    assert description.finger_names == spec.finger_names
+    for number, finger in enumerate(description.fingers):
+        # Thumbs have three joints; of four, the last one follows where there is mimicry.
+        count = 3 if number == 0 or spec.mimic else 4
+        assert finger.joints == [joint_name(spec, number, joint) for joint in range(count)]
+        assert finger.tip_radius == pytest.approx(0.008)
+        length = 0.032 if number == 0 else 0.02
+        wanted = length if spec.collision else 0.8 * (0.045 if number == 0 else 0.028)
+        assert np.linalg.norm(finger.tip_point) == pytest.approx(wanted, abs=1e-4)
+    R_PB = RollPitchYaw(np.deg2rad(description.base_pose.rpy_deg)).ToRotationMatrix().matrix()
+    turned = np.arccos(np.clip(0.5 * (np.trace(spec.R_BP @ R_PB) - 1), -1, 1))
+    assert np.rad2deg(turned) < 4.0
+    followers = [coupling.joint for coupling in description.couplings]
+    assert followers == [joint_name(spec, f, 3) for f in range(1, spec.fingers)] * spec.mimic
+
+
+@pytest.mark.parametrize("kind", ["urdf", "sdf", "xml"])
+def test_what_follows_is_read_the_same_from_every_format(kind, tmp_path):
+    """Ratio and offset, whatever a format measures them from."""
+    found = read_couplings(write_hand(tmp_path, HandSpec(3, kind)))
+    assert [(c.joint, c.follows) for c in found] == [("index_j3", "index_j2"), ("middle_j3", "middle_j2")]
+    for coupling in found:
+        assert (coupling.ratio, coupling.offset) == (pytest.approx(0.8), pytest.approx(0.1))
+
+
+@pytest.fixture(params=["urdf", "sdf", "xml"])
+def coupled(request, tmp_path) -> HandModel:
+    """A hand of four fingers, of which three have joints that follow, from each format."""
+    return HandModel(propose(write_hand(tmp_path, HandSpec(4, request.param))).description)
+
+
+def test_all_kinematics_turn_what_follows(coupled, rng):
+    """Drake, torch and NumPy agree on fingertips; NumPy's Jacobian is torch's."""
+    q = rng.uniform(coupled.lower, coupled.upper, (40, len(coupled.joint_names)))
+    p_BF = coupled.fingertips(q)
+    kinematics = coupled.kinematics()
+    np.testing.assert_allclose(kinematics.fingertips(torch.tensor(q)), p_BF, atol=1e-12)
+    angles = [q[:, list(finger.joint_indices)] for finger in kinematics.fingers]
+    apart = kinematics.fingertips_apart(torch.tensor(np.stack(angles)))
+    np.testing.assert_allclose(apart.transpose(0, 1), p_BF, atol=1e-12)
+    plain = NumpyKinematics(json.loads(json.dumps(NumpyKinematics.of(kinematics).to_json())))
+    found, J = plain.fingertips_and_jacobians(q)
+    np.testing.assert_allclose(found, p_BF, atol=1e-12)
+    by_torch = torch.autograd.functional.jacobian(kinematics.fingertips, torch.tensor(q[0]))
+    np.testing.assert_allclose(J[0], by_torch, atol=1e-12)
+    mirrored = kinematics.mirrored().fingertips(torch.tensor(q))
+    np.testing.assert_allclose(mirrored, p_BF * [1, -1, 1], atol=1e-12)
+
+
+def test_what_follows_keeps_its_limits(coupled):
+    """0.8 q + 0.1 rad is at most 1.5 rad, as it would not be at the leader's own limit of 1.5 + 0.3 rad."""
+    text = coupled.description
+    low = HandModel(dc.replace(text, couplings=[dc.replace(c, ratio=2.0) for c in text.couplings]))
+    leader = low.joint_names.index("index_j2")
+    assert low.upper[leader] == pytest.approx(0.7)
+    with pytest.raises(HandError, match="'index_j3', which follows 'index_j2', would leave its limits"):
+        HandModel(dc.replace(text, couplings=[dc.replace(c, offset=9.0) for c in text.couplings]))
+
+
+def test_collision_shapes_lie_where_drake_has_them(coupled, rng):
+    """Those of links that follow, too; and the gaps' gradient is that of the gaps."""
+    shapes = collision_shapes(coupled)
+    gaps = CollisionGaps(coupled.kinematics(), shapes, torch.device("cpu"))
+    q = rng.uniform(coupled.lower, coupled.upper, (3, len(coupled.joint_names)))
+    _, p_BS = gaps.poses(torch.tensor(q, dtype=torch.float32))
+    plant, inspector = coupled.plant, coupled.scene_graph.model_inspector()
+    context = plant.CreateDefaultContext()
+    names = [*coupled.joint_names, *coupled.couplings.names]
+    ids = sorted(inspector.GetAllGeometryIds(Role.kProximity), key=lambda id: id.get_value())
+    for row, angles in enumerate(coupled.couplings.followed_by(q)):
+        for name, angle in zip(names, angles, strict=True):
+            plant.GetJointByName(name).set_angle(context, angle)
+        for number, geometry in enumerate(ids):
+            body = plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
+            X_BS = plant.EvalBodyPoseInWorld(context, body) @ inspector.GetPoseInFrame(geometry)
+            np.testing.assert_allclose(p_BS[row, number], X_BS.translation(), atol=1e-6)
+    clearance = HandClearance(coupled)
+    near = clearance.near(q[0], 0.05, 0.05)
+    step = 1e-6 * rng.normal(size=q[0].size)
+    moved = clearance.near(q[0] + step, 0.05, 0.05)
+    both, here, there = np.intersect1d(near.rows, moved.rows, return_indices=True)
+    change = moved.gap[there] - near.gap[here]
+    assert len(both) > 5
+    # Between two edges the gradient is approximate, so most of them is what can be asked for.
+    assert np.median(np.abs(change - near.gradient[here] @ step)) < 0.05 * np.linalg.norm(step) * 0.05
+
+
+def test_in_simulation_what_follows_has_no_motor_and_follows(coupled):
+    """Only listed joints have motors; the others keep their angle to 1 mrad while these move."""
+    builder = DiagramBuilder()
+    config = MultibodyPlantConfig(time_step=0.002, discrete_contact_approximation="sap")
+    plant, _ = AddMultibodyPlant(config, builder)
+    hand = add_hand_model(plant, coupled.description, "hand")
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(coupled.description.base_frame, hand))
+    plant.Finalize()
+    actuated = [plant.get_joint_actuator(i).joint().name() for i in plant.GetJointActuatorIndices(hand)]
+    assert sorted(actuated) == sorted(coupled.joint_names)
+    assert all(plant.get_joint_actuator(i).has_controller() for i in plant.GetJointActuatorIndices(hand))
+    simulator = Simulator(builder.Build())
+    context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    target = np.where([name.endswith("j2") for name in actuated], 0.9, 0.0)
+    desired = np.concatenate([target, np.zeros_like(target)])
+    plant.get_desired_state_input_port(hand).FixValue(context, desired)
+    simulator.AdvanceTo(0.5)
+    leader, follower = (plant.GetJointByName(name).get_angle(context) for name in ("index_j2", "index_j3"))
+    assert leader > 0.5
+    assert follower == pytest.approx(0.8 * leader + 0.1, abs=1e-3)
+
+
+@pytest.fixture
+def light(tmp_path, monkeypatch):
+    """A cache of its own and an evaluation with few samples, where the plumbing is what is tested."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(metrics, "ROBOT_SAMPLES", 500)
+    for name in ("motion_preservation", "cross_talk", "flatness_and_gain"):
+        monkeypatch.setattr(metrics, name, functools.partial(getattr(metrics, name), anchors=30))
+    monkeypatch.setattr(metrics, "context_averaged", functools.partial(metrics.context_averaged, contexts=2))
+    monkeypatch.setattr(metrics, "latency", functools.partial(metrics.latency, calls=10))
+
+
+def test_from_a_model_file_to_an_evaluated_retargeter(spec, tmp_path, light):
+    """One command describes the hand, one trains for it; no code knows its joints."""
+    model = write_hand(tmp_path, spec)
+    file = tmp_path / "mine.yaml"
+    add_hand.main([str(model), "--output", str(file)])
+    path = train_checkpoint(
+        file,
+        synthesize_play(seed=1, duration_s=20.0, rate_hz=60.0, side=spec.side),
+        tmp_path / "trained",
+        show_progress=False,
+        settings={"steps": 3},
+        robot_samples=600,
+    )
+    hand = HandModel(load_hand(file))
+    retarget = load_retargeter(path, hand)
+    q = retarget(synthesize_play(seed=2, duration_s=1.0, rate_hz=30.0).p_HK.astype(float))
+    assert ((hand.lower <= q) & (q <= hand.upper)).all()
+    figures = json.loads((path / "metrics.json").read_text())
+    for name in ("motion_preservation", "flatness", "gain_p95_p5", "self_collision"):
+        assert np.isfinite(figures[name]), name
+
+
+def test_a_description_is_written_as_it_is_read(tmp_path):
+    """The file names the model beside it, begins with the notes, and is not replaced unasked."""
+    model = write_hand(tmp_path, HandSpec(3))
+    file = tmp_path / "hand.yaml"
+    add_hand.main([str(model), "--name", "mine", "--output", str(file)])
+    text = file.read_text(encoding="utf-8")
+    assert text.startswith("# Made by add_hand.py from hand.urdf.\n# the model has no position controllers")
+    assert yaml.safe_load(text)["model"] == "hand.urdf"
+    assert load_hand(file) == propose(model, "mine").description
+    with pytest.raises(OutputError, match=r"hand\.yaml exists"):
+        add_hand.main([str(model), "--output", str(file)])
+    add_hand.main([str(model), "--output", str(file), "--overwrite"])
+    assert load_hand(file).name == "hand"
+
+
+def test_the_hand_can_be_looked_at(tmp_path):
+    """The recording holds the fingertip points and the axes of the hand base."""
+    pytest.importorskip("rerun")
+    model = write_hand(tmp_path, HandSpec(2))
+    add_hand.main([str(model), "--output", str(tmp_path / "a.yaml"), "--rrd", str(tmp_path / "a.rrd")])
+    content = (tmp_path / "a.rrd").read_bytes()
+    assert b"tips/index" in content and b"hand_base/x" in content
+
+
+def _findings(tmp_path, spec: HandSpec, change=lambda text: text, correct=lambda description: None) -> str:
+    """What is said of a hand whose model text and then whose description were changed."""
+    model = write_hand(tmp_path, spec)
+    model.write_text(change(model.read_text()), encoding="utf-8")
+    description = propose(model).description
+    correct(description)
+    write_description(description, tmp_path / "hand.yaml")
+    return "\n".join(examine(HandModel(load_hand(tmp_path / "hand.yaml"))))
+
+
+def test_a_sound_hand_has_nothing_to_correct(tmp_path):
+    """No check cries wolf."""
+    assert _findings(tmp_path, HandSpec(4)) == ""
+
+
+def _wide_palm(text: str) -> str:
+    return text.replace('<box size="0.02 0.066 0.08"/>', '<box size="0.02 0.066 0.16"/>')
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda text: text.replace('upper="1.5"', 'upper="0.01"', 1), "moves only from 0 to 1 degrees"),
+        (lambda text: text.replace('upper="1.5"', 'upper="90"', 1), "more than a turn"),
+        (
+            lambda text: text.replace("<collision>", "<!--").replace("</collision>", "-->"),
+            "no collision geometry",
+        ),
+        (lambda text: re.sub("<inertial>.*?</inertial>", "", text), "links without mass"),
+        (_wide_palm, "touch in"),
+    ],
+    ids=["degrees", "turn", "bare", "massless", "palm"],
+)
+def test_faults_of_a_model_are_named(change, said, tmp_path):
+    """Limits in the wrong unit, shapes that are missing or useless, links that weigh nothing."""
+    assert said in _findings(tmp_path, HandSpec(4, mimic=False), change)
+
+
+def test_links_without_shapes_are_named(tmp_path):
+    """All fingers' here, while the palm has its box."""
+    said = _findings(tmp_path, HandSpec(3, collision=False))
+    assert "fingertips without collision geometry touch nothing: thumb_l2, index_l3, middle_l3" in said
+    assert "links of fingers without collision geometry: thumb_l1, index_l1" in said
+
+
+def test_faults_of_a_description_are_named(tmp_path):
+    """A mirrored side, tips where nothing reaches them, fingers in the wrong order."""
+
+    def mirrored(description):
+        description.side = "left"
+
+    assert "the thumb lies on the little finger's side of a left hand" in _findings(
+        tmp_path, HandSpec(4), correct=mirrored
+    )
+
+    def far(description):
+        description.fingers[3].tip_point = [0.0, 0.0, -0.2]
+
+    assert "thumb and ring tips come no nearer than" in _findings(tmp_path, HandSpec(4), correct=far)
+
+    def swapped(description):
+        first, second = description.fingers[1:3]
+        first.joints, second.joints = second.joints, first.joints
+        first.tip_link, second.tip_link = second.tip_link, first.tip_link
+
+    assert "the fingers index, middle, ring do not lie in this order" in _findings(
+        tmp_path, HandSpec(4), correct=swapped
+    )
+
+
+def test_contacts_at_rest_are_left_out(tmp_path):
+    """A link that always sticks in another one is found, and no longer counts as a collision."""
+    model = write_hand(tmp_path, HandSpec(4, mimic=False))
+    text = model.read_text().replace('<box size="0.02 0.066 0.08"/>', '<box size="0.06 0.066 0.125"/>')
+    model.write_text(text, encoding="utf-8")
+    description = propose(model).description
+    assert ["index_l1", "palm"] in description.ignored_collisions
+    hand = HandModel(description)
+    assert not hand.collides(hand.default_position)
+    description.ignored_collisions = []
+    assert HandModel(description).collides(hand.default_position)
+
+
+def test_what_moves_several_fingers_is_held(tmp_path):
+    """A motor that others follow in two fingers is no finger's; it is named, and the rest is described."""
+    model = write_hand(tmp_path, HandSpec(4))
+    text = model.read_text().replace('<mimic joint="middle_j2"', '<mimic joint="index_j2"')
+    model.write_text(text, encoding="utf-8")
+    proposal = propose(model)
+    assert "index_j2" not in proposal.description.joint_names
+    assert "joint 'index_j2' moves 2 fingers at once: it is held" in "\n".join(proposal.notes)
+    HandModel(proposal.description).kinematics()
+
+
+@pytest.mark.parametrize(
+    ("kind", "change", "said"),
+    [
+        ("urdf", lambda text: text.replace('joint="index_j2"', 'joint="wrist"'), "'wrist'"),
+        ("urdf", lambda text: text.replace('multiplier="0.8"', 'multiplier="four"'), "four"),
+        ("xml", lambda text: text.replace("0.8 0 0 0", "0.8 0.3 0 0"), "by a polynomial"),
+        ("urdf", lambda text: text.replace("revolute", "prismatic"), "0 chains of revolute joints"),
+        ("urdf", lambda text: text.replace("</robot>", ""), "not one readable model"),
+    ],
+    ids=["unknown leader", "no number", "polynomial", "prismatic", "no XML"],
+)
+def test_models_that_cannot_be_used_are_refused(kind, change, said, tmp_path):
+    """The message names the file and the fault."""
+    model = write_hand(tmp_path, HandSpec(3, kind))
+    model.write_text(change(model.read_text()), encoding="utf-8")
+    with pytest.raises(HandError, match=said) as error:
+        propose(model)
+    assert str(model) in str(error.value)
