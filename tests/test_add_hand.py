@@ -191,7 +191,7 @@ def test_from_a_model_file_to_an_evaluated_retargeter(spec, tmp_path, light):
         tmp_path / "trained",
         show_progress=False,
         settings={"steps": 3},
-        robot_samples=600,
+        robot_samples=1000,
     )
     hand = HandModel(load_hand(file))
     retarget = load_retargeter(path, hand)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from pydrake.common.eigen_geometry import AngleAxis
-from pydrake.geometry import GeometrySet
+from pydrake.geometry import CollisionFilterDeclaration, GeometrySet
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import MultibodyPlant
@@ -65,10 +65,7 @@ def add_hand_model(
         for follower, (leader, ratio, offset) in followers.items():
             joints = [plant.GetJointByName(joint, hand) for joint in (follower, leader)]
             plant.AddCouplerConstraint(*joints, ratio, offset)
-    for first, second in description.ignored_collisions:
-        links = [_link(plant, hand, link, source) for link in (first, second)]
-        sets = [(link.name(), GeometrySet(plant.CollectRegisteredGeometries([link]))) for link in links]
-        plant.ExcludeCollisionGeometriesWithCollisionFilterGroupPair(*sets)
+    _ignore_collisions(plant, hand, description, source)
     return hand
 
 
@@ -205,11 +202,17 @@ def _axial_joint(plant, hand, name: str, where: str) -> Joint:
     return plant.GetJointByName(name, hand)
 
 
-def _link(plant, hand, name: str, source: str):
+def _ignore_collisions(plant, hand, description: HandDescription, source: str) -> None:
     names = [str(plant.get_body(index).name()) for index in plant.GetBodyIndices(hand)]
-    if name not in names:
-        raise HandError(
-            f"{source}: ignored_collisions names the link '{name}', which the model lacks; choose one of: "
-            f"{', '.join(names)}"
-        )
-    return plant.GetBodyByName(name, hand)
+    filters = CollisionFilterDeclaration()
+    for pair in description.ignored_collisions:
+        for link in pair:
+            if link not in names:
+                raise HandError(
+                    f"{source}: ignored_collisions names the link '{link}', which the model lacks; "
+                    f"choose one of: {', '.join(names)}"
+                )
+        links = [plant.GetBodyByName(link, hand) for link in pair]
+        filters.ExcludeBetween(*(GeometrySet(plant.GetCollisionGeometriesForBody(link)) for link in links))
+    if description.ignored_collisions:
+        Parser(plant).scene_graph().collision_filter_manager().Apply(filters)
