@@ -28,8 +28,8 @@ TIP_MARGIN = 0.002  # m; apart fingertips are kept this far from touching
 class CoupledConfig(TrainingConfig):
     """Settings of `train_coupled`. Weights are of ratios; `length_unit` and the classifier's are unused."""
 
-    steps: int = 6000
-    learning_rate: float = 0.02  # of SOAP, falls to zero along half a cosine
+    steps: int = 7000
+    learning_rate: float = 0.017  # of SOAP, falls to zero along half a cosine
     points: int = 40  # real frames per finger and step at which that finger is moved
     targets: int = 48  # robot voxels per finger and step
     context_targets: int = 32  # the same, to be reached whatever the other fingers are doing
@@ -37,14 +37,14 @@ class CoupledConfig(TrainingConfig):
     frames: int = 96  # real steps per step
     collisions: int = 48  # hands whose collisions are computed, in every other step
     hidden: int = 64
-    residual_hidden: int = 96
-    direction_weight: float = 2.7
+    residual_hidden: int = 112
+    direction_weight: float = 2.75
     track_weight: float = 5.9
-    coverage_weight: float = 1.42
-    context_weight: float = 1.63
-    cross_talk_weight: float = 3.4
+    coverage_weight: float = 1.43
+    context_weight: float = 1.7
+    cross_talk_weight: float = 3.45
     flatness_weight: float = 0.62
-    response_weight: float = 0.8
+    response_weight: float = 0.88
     pinch_weight: float = 1.2
     false_pinch_weight: float = 0.3
     collision_weight: float = 0.2
