@@ -80,8 +80,8 @@ def split_address(address: str, patterns: tuple[str, ...]) -> tuple[str, str]:
         check_lcm_url(endpoint)
         return pattern, endpoint
     if pattern not in patterns or not re.fullmatch(r"tcp://[^\s:/]+:\d{1,5}|ipc://\S+", endpoint):
-        zmq_forms = ", ".join(f"{name}+tcp://HOST:PORT" for name in patterns)
-        raise LiveError(f"address '{address:.80}': give one of {zmq_forms}, lcm, lcm+udpm://GROUP:PORT?ttl=N")
+        forms = [*(f"{name}+tcp://HOST:PORT" for name in patterns), "lcm", "lcm+udpm://GROUP:PORT?ttl=N"]
+        raise LiveError(f"address '{address:.80}': give one of {', '.join(forms)}")
     return pattern, endpoint
 
 
