@@ -16,7 +16,12 @@ def main(argv: Sequence[str] | None = None) -> int | None:
     add = parser.add_argument
     add("recording", type=Path, metavar="FILE.rrd", help="the recording")
     add("picture", type=Path, metavar="OUT.png", help="the picture to write")
-    add("--time", type=float, metavar="S", help="simulated time to show, s (default: the end)")
+    add(
+        "--time",
+        type=float,
+        metavar="T",
+        help="what to show: simulated s, or training steps (default: the end)",
+    )
     add("--width", type=int, default=1440, metavar="PX", help="of the window (default: %(default)s)")
     add("--height", type=int, default=900, metavar="PX", help="of the window (default: %(default)s)")
     arguments = parser.parse_args(argv)
@@ -24,7 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int | None:
     from geort_drake.systems._rerun_screenshot import take_screenshot
 
     size = (arguments.width, arguments.height)
-    take_screenshot(arguments.recording, arguments.picture, time_s=arguments.time, size=size)
+    take_screenshot(arguments.recording, arguments.picture, time=arguments.time, size=size)
     console.print(f"Wrote {arguments.picture}", soft_wrap=True)
     return None
 

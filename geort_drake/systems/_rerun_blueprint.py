@@ -7,7 +7,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from geort_drake.systems._rerun_scene import WORLD
-from geort_drake.systems._rerun_tracks import TIMELINE
+from geort_drake.systems._rerun_writer import TIMELINE
 
 _BACKGROUND = (38, 41, 48)
 
@@ -17,20 +17,76 @@ def grasp_blueprint(
     plots: Mapping[str, Sequence[str]] | None = None,
     states: Sequence[str] = (),
     contact: bool = True,
+    cameras: Sequence[str] = (),
     eye: Sequence[float] | np.ndarray = (1.35, -1.05, 0.85),
     target: Sequence[float] | np.ndarray = (0.45, 0.0, 0.2),
 ) -> rrb.Blueprint:
-    """The scene on the left; states, contact forces and plots on the right; the time line below.
+    """The scene on the left; states, contact forces, cameras and plots on the right; the time line below.
 
     Args:
         plots: title to entity paths of each plot of time series; two stand side by side.
         states: entity paths of the state lanes.
         contact: whether to plot contact forces.
+        cameras: entity paths of the cameras; two stand side by side.
         eye, target: where the camera stands and what it looks at, m, in W.
     """
-    view = rrb.Spatial3DView(
+    view = scene_view(eye, target)
+    right: list[rrb.Container | rrb.View] = []
+    shares: list[float] = []
+    if states:
+        right.append(rrb.StateTimelineView(origin="/", contents=list(states), name="phase"))
+        shares.append(0.4 + 0.2 * len(states))
+    if contact:
+        right.append(time_series("contact force [N]", ["/contact/**"]))
+        shares.append(1.2)
+    if cameras:
+        pictures = [rrb.Spatial2DView(origin=path, name=path.rsplit("/", 1)[-1]) for path in cameras]
+        right.append(rrb.Grid(contents=pictures, grid_columns=min(2, len(pictures)), name="cameras"))
+        shares.append(1.5 * ((len(pictures) + 1) // 2))
+    # A legend would cover most of so small a plot; pointing at a line tells its name.
+    cells = [time_series(title, paths, legend=False) for title, paths in (plots or {}).items()]
+    if cells:
+        rows = (len(cells) + 1) // 2
+        right.append(rrb.Grid(contents=cells, grid_columns=min(2, len(cells)), name="signals"))
+        shares.append(1.2 * rows)
+    layout: rrb.Container | rrb.View = view
+    if right:
+        layout = rrb.Horizontal(view, rrb.Vertical(contents=right, row_shares=shares), column_shares=[3, 2])
+    return blueprint(layout)
+
+
+def blueprint(layout: rrb.Container | rrb.View, timeline: str = TIMELINE, rate: float = 1.0) -> rrb.Blueprint:
+    """A layout that begins to play, over and over, with all room for itself.
+
+    Args:
+        rate: of playing: seconds per second, or steps per second.
+    """
+    steps = timeline != TIMELINE
+    time_panel = rrb.TimePanel(
+        state="collapsed",
+        timeline=timeline,
+        play_state="playing",
+        loop_mode="all",
+        fps=rate if steps else None,
+        playback_speed=None if steps else rate,
+    )
+    return rrb.Blueprint(
+        layout,
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        time_panel,
+        auto_layout=False,
+        auto_views=False,
+    )
+
+
+def scene_view(
+    eye: Sequence[float] | np.ndarray, target: Sequence[float] | np.ndarray, name: str = "scene"
+) -> rrb.Spatial3DView:
+    """The world, with a grid on the ground; `eye` looks at `target`, m, in W."""
+    return rrb.Spatial3DView(
         origin=f"/{WORLD}",
-        name="scene",
+        name=name,
         background=_BACKGROUND,
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital, position=eye, look_target=target, eye_up=(0.0, 0.0, 1.0)
@@ -44,34 +100,10 @@ def grasp_blueprint(
             plane=rr.components.Plane3D.XY.with_distance(-0.005),
         ),
     )
-    right: list[rrb.Container | rrb.View] = []
-    shares: list[float] = []
-    if states:
-        right.append(rrb.StateTimelineView(origin="/", contents=list(states), name="phase"))
-        shares.append(0.4 + 0.2 * len(states))
-    if contact:
-        right.append(_time_series("contact force [N]", ["/contact/**"]))
-        shares.append(1.2)
-    # A legend would cover most of so small a plot; pointing at a line tells its name.
-    cells = [_time_series(title, paths, legend=False) for title, paths in (plots or {}).items()]
-    if cells:
-        rows = (len(cells) + 1) // 2
-        right.append(rrb.Grid(contents=cells, grid_columns=min(2, len(cells)), name="signals"))
-        shares.append(1.2 * rows)
-    layout: rrb.Container | rrb.View = view
-    if right:
-        layout = rrb.Horizontal(view, rrb.Vertical(contents=right, row_shares=shares), column_shares=[3, 2])
-    return rrb.Blueprint(
-        layout,
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="all"),
-        auto_layout=False,
-        auto_views=False,
-    )
 
 
-def _time_series(title: str, paths: Sequence[str], legend: bool = True) -> rrb.TimeSeriesView:
+def time_series(title: str, paths: Sequence[str], legend: bool = True) -> rrb.TimeSeriesView:
+    """A plot whose time axis moves with those of the others."""
     return rrb.TimeSeriesView(
         origin="/",
         contents=list(paths),

@@ -1,122 +1,158 @@
-"""The samples of one recording, and the file they become."""
+"""The samples of one recording, and where they go: to a file at the end, to viewers meanwhile."""
 
 import hashlib
 import os
-import warnings
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
-from geort_drake.files import atomic_path
 from geort_drake.gloves.keypoints import FINGER_NAMES
 from geort_drake.systems._rerun_blueprint import grasp_blueprint
+from geort_drake.systems._rerun_camera import CameraTrack
+from geort_drake.systems._rerun_contact import ContactTrack
+from geort_drake.systems._rerun_hand import HandTrack
 from geort_drake.systems._rerun_scene import WORLD, Scene, entity_path, transform
-from geort_drake.systems._rerun_tracks import (
-    ContactTrack,
-    HandTrack,
-    PoseTrack,
-    SignalTrack,
-    StateTrack,
-    Track,
-    Writer,
-)
+from geort_drake.systems._rerun_tracks import PoseTrack, SignalTrack, StateTrack, Track
+from geort_drake.systems._rerun_writer import LiveSink, LiveWriter, Property, Writer, file_writer
 
 _VIEW_DIRECTION = np.array([0.62, -0.62, 0.48])  # from the scene to the eye: front left, from above
+_BATCH_S = 0.1  # wall time between two batches for those who look on
 
 
 class Recording:
-    """Samples of several tracks at common times; `close` writes them and lets go of them.
+    """Samples of several tracks at common times.
+
+    Viewers get them in batches. The file gets them all at once, at every `flush`, so that it is whole or
+    absent. Without a file, what the viewers have got is forgotten.
 
     Attributes:
         times: sample times, s, increasing.
-        properties: what the recording is about.
-        closed: whether the file was written.
+        closed: whether the recording is over.
     """
 
     def __init__(
         self,
-        path: str | os.PathLike,
+        path: str | os.PathLike | None,
         scene: Scene,
         tracks: Sequence[Track],
         *,
+        sinks: Sequence[LiveSink] = (),
         application_id: str,
         recording_id: str | None,
-        properties: Mapping[str, str | int | float | bool],
+        properties: Mapping[str, Property],
         blueprint: rrb.Blueprint | None,
     ):
-        self.path = Path(path)
+        self.path = None if path is None else Path(path)
         self.scene = scene
         self.tracks = list(tracks)
         self.times: list[float] = []
         self.closed = False
+        self._properties = dict(properties)
+        self._sinks = list(sinks)
         self._application_id = application_id
         self._recording_id = recording_id
-        self.properties = dict(properties)
         self._blueprint = blueprint
+        self._live: LiveWriter | None = None
+        self._sent = 0  # how many samples the viewers have got
+        self._sent_at = 0.0  # wall time, s
+        self._changed = True  # since the file was written
 
-    def append(self, time: float, rows: Sequence) -> None:
-        """Adds one row per track; samples at or after `time` are dropped first."""
+    def append(self, time_s: float, rows: Sequence) -> None:
+        """Adds one row per track; samples at or after `time_s` are dropped first."""
         keep = len(self.times)
-        while keep and self.times[keep - 1] >= time:
+        while keep and self.times[keep - 1] >= time_s:
             keep -= 1
         del self.times[keep:]
-        self.times.append(time)
+        self.times.append(time_s)
         for track, row in zip(self.tracks, rows, strict=True):
             del track.rows[keep:]
             track.rows.append(row)
+        self._changed = True
+        self._sent = min(self._sent, keep)
+        if self._sinks and time.monotonic() >= self._sent_at + _BATCH_S:
+            self._send()
 
-    def close(self) -> None:
-        """Writes the file, once, and lets go of the samples: Drake keeps the system that made them."""
+    def set_properties(self, properties: Mapping[str, Property]) -> None:
+        """Adds to what the recording is about; viewers keep what they were told first."""
+        self._properties.update(properties)
+        self._changed = True
+
+    def flush(self) -> None:
+        """Sends what viewers have not got, and writes the file with all samples so far."""
         if self.closed:
             return
-        # Without the properties Rerun adds by itself, such as the start time, equal samples give
-        # equal recordings.
-        stream = rr.RecordingStream(
-            self._application_id,
+        if self._sinks and self._sent < len(self.times):
+            self._send()
+        if self.path is None or not self._changed:
+            return
+        file = file_writer(
+            self.path,
+            application_id=self._application_id,
             recording_id=self._recording_id or self._digest(),
-            send_properties=False,
+            blueprint=self._blueprint or self.default_blueprint(),
+            properties=self._properties,
         )
-        if rr.is_enabled(stream):
-            with atomic_path(self.path) as draft:
-                try:
-                    self._write(stream, draft)
-                finally:
-                    stream.disconnect()
-        else:
-            warnings.warn(f"{self.path}: not written, as the environment says RERUN=off", stacklevel=3)
+        with file as writer:
+            if writer is not None:
+                self._describe(writer)
+                writer.at(np.array(self.times))
+                for track in self.tracks:
+                    track.write(writer, track.rows)
+        self._changed = False
+
+    def close(self) -> None:
+        """Flushes, and lets go of the samples: Drake keeps the system that made them."""
+        if self.closed:
+            return
+        self.flush()
         self.closed = True
+        if self._live is not None:
+            self._live.disconnect()
         self.tracks.clear()
 
-    def _write(self, stream: rr.RecordingStream, path: Path) -> None:
-        stream.set_log_time_enabled(False)
-        stream.set_log_tick_enabled(False)
-        stream.save(path, default_blueprint=self._blueprint or self.default_blueprint())
-        stream.send_recording_name(self.path.stem)
-        if self.properties:
-            # Typed arrays, because Rerun keeps the first type it sees under a name for good.
-            typed = {name: pa.array([value]) for name, value in self.properties.items()}
-            stream.send_property("run", rr.AnyValues(**typed))
-        writer = Writer(stream, np.array(self.times))
+    def _send(self) -> None:
+        if self._live is None:
+            self._live = LiveWriter(
+                self._sinks,
+                application_id=self._application_id,
+                recording_id=self._recording_id,
+                blueprint=self._blueprint or self.default_blueprint(),
+                name=self.path.stem if self.path else "live",
+                properties=self._properties,
+            )
+            self._describe(self._live)
+        self._live.at(np.array(self.times[self._sent :]))
+        for track in self.tracks:
+            track.write(self._live, track.rows[self._sent :])
+        self._sent, self._sent_at = len(self.times), time.monotonic()
+        if self.path is None:
+            self.times.clear()
+            for track in self.tracks:
+                track.rows.clear()
+            self._sent = 0
+
+    def _describe(self, writer: Writer) -> None:
         writer.static(f"/{WORLD}", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         for index, X_WB in self.scene.anchored.items():
             writer.static(self.scene.paths[index], transform(X_WB))
         for entity, archetype in self.scene.shapes:
             writer.static(entity, archetype)
         for track in self.tracks:
-            track.write(writer)
+            track.describe(writer)
 
     def _digest(self) -> str:
         """An id made of the contents, so that repeating a simulation repeats the recording."""
-        digest = hashlib.sha256(repr(sorted(self.properties.items())).encode())
+        digest = hashlib.sha256(repr(sorted(self._properties.items())).encode())
         digest.update(np.array(self.times).tobytes())
         for track in self.tracks:
             digest.update(repr(track.ports).encode())
             for row in track.rows:
-                digest.update(np.asarray(row).tobytes())
+                for part in row if isinstance(row, tuple) else (row,):
+                    digest.update(part if isinstance(part, bytes) else np.asarray(part, float).tobytes())
         return digest.hexdigest()[:32]
 
     def default_blueprint(self) -> rrb.Blueprint:
@@ -128,17 +164,18 @@ class Recording:
         # Fingers in their usual order, whatever the order of the joints; the rest after them.
         first = [name for name in FINGER_NAMES if name in plots]
         plots = {name: plots[name] for name in [*first, *(n for n in plots if n not in first)]}
-        target, eye = self._camera()
+        target, eye = self._eye()
         return grasp_blueprint(
             plots=plots,
             states=[entity_path(track.key) for track in self._of(StateTrack)],
             contact=bool(self._of(ContactTrack)),
+            cameras=[track.path() for track in self._of(CameraTrack)],
             eye=eye,
             target=target,
         )
 
-    def _camera(self) -> tuple[np.ndarray, np.ndarray]:
-        """Target and eye, m, in W, that take in the moving bodies and the hands.
+    def _eye(self) -> tuple[np.ndarray, np.ndarray]:
+        """What the eye looks at and where it stands, m, in W, to take in the moving bodies and the hands.
 
         The outermost percents are left out: one thrown object must not shrink all the rest.
         """

@@ -1,6 +1,5 @@
 """What a plant looks like, as Rerun entities: every body's path and every geometry's shape."""
 
-import itertools
 import warnings
 from collections import defaultdict
 from collections.abc import Sequence
@@ -12,13 +11,10 @@ import rerun as rr
 from pydrake.geometry import (
     Box,
     Capsule,
-    Convex,
     Cylinder,
     Ellipsoid,
     GeometryId,
     HalfSpace,
-    Mesh,
-    ReadObjToTriangleSurfaceMesh,
     Rgba,
     Role,
     SceneGraph,
@@ -28,6 +24,8 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, RigidBody
+
+from geort_drake.systems._rerun_meshes import draw_mesh
 
 WORLD = "world"
 _DEFAULT_COLOR = Rgba(0.75, 0.75, 0.78, 1.0)  # geometry that brings no colour
@@ -42,7 +40,7 @@ class Scene:
         paths: entity path of every body of the plant, by its index.
         moving: indices of the drawn bodies whose pose changes, in plant order.
         anchored: X_WB of the drawn bodies that are welded to the world, by index.
-        shapes: entity path and archetype of all geometry; logged once.
+        shapes: entity path and archetype of all geometry, which does not change.
         body_of_geometry: body index of every proximity geometry, for contact surfaces.
     """
 
@@ -70,8 +68,10 @@ def describe_scene(plant: MultibodyPlant, scene_graph: SceneGraph, role: Role) -
             continue
         proximity = inspector.GetGeometries(frame, Role.kProximity)
         scene.body_of_geometry.update(dict.fromkeys(proximity, index))
-        geometries = inspector.GetGeometries(frame, role) or proximity
-        scene.shapes += _draw(inspector, geometries, scene.paths[index])
+        visible = inspector.GetGeometries(frame, role)
+        geometries = visible or proximity
+        drawn_role = role if visible else Role.kProximity
+        scene.shapes += _draw(inspector, geometries, drawn_role, scene.paths[index])
         if geometries and plant.IsAnchored(body):
             scene.anchored[index] = plant.EvalBodyPoseInWorld(defaults, body)
         elif geometries:
@@ -96,7 +96,7 @@ def _part(name: str) -> str:
 
 
 def _draw(
-    inspector: SceneGraphInspector, geometries: Sequence[GeometryId], body_path: str
+    inspector: SceneGraphInspector, geometries: Sequence[GeometryId], role: Role, body_path: str
 ) -> list[tuple[str, rr.AsComponents]]:
     """The archetypes that draw a body's geometry, placed in the body's frame.
 
@@ -124,8 +124,8 @@ def _draw(
             # Drake centres a capsule; Rerun's runs from z = 0 to its length.
             X_BC = _shifted(X_BG, -shape.length() / 2)
             batches["capsules"].add(name, color, X_BC, lengths=shape.length(), radii=shape.radius())
-        elif (triangles := _triangles(inspector, geometry)) is not None:
-            drawn.append((f"{body_path}/{_part(name)}", _mesh(triangles, X_BG, color)))
+        elif mesh := draw_mesh(inspector, geometry, role, color):
+            drawn += [(f"{body_path}/{_part(name)}", archetype) for archetype in mesh]
         else:
             kind = type(shape).__name__
             warnings.warn(f"geometry {inspector.GetName(geometry)}: cannot draw a {kind}", stacklevel=4)
@@ -155,48 +155,6 @@ class _Batch:
         }[kind]
         # The names of the geometries are kept for whoever selects one.
         return maker(**columns, fill_mode=rr.components.FillMode.Solid, show_labels=False)
-
-
-def _mesh(triangles: np.ndarray, X_BG: RigidTransform, color: list[int]) -> rr.Mesh3D:
-    """A mesh of triangles (n, 3, 3), m, in frame G."""
-    corners = triangles @ X_BG.rotation().matrix().T + X_BG.translation()
-    # Corners are not shared, so that every triangle has its own normal and edges stay sharp.
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return rr.Mesh3D(
-        vertex_positions=corners.reshape(-1, 3),
-        vertex_normals=np.repeat(normals, 3, axis=0),
-        albedo_factor=color,
-    )
-
-
-def _triangles(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndarray | None:
-    """Corners (n, 3, 3) of a mesh's triangles, m, in the geometry's frame; None without a mesh.
-
-    A Wavefront file is drawn as it is; other formats as their convex hull.
-    """
-    shape = inspector.GetShape(geometry)
-    if isinstance(shape, Mesh) and shape.extension() == ".obj" and shape.source().is_path():
-        surface = ReadObjToTriangleSurfaceMesh(shape.source().path(), scale3=shape.scale3())
-        corners = np.array(surface.vertices())
-        return corners[[[triangle.vertex(i) for i in range(3)] for triangle in surface.triangles()],]
-    if not isinstance(shape, Mesh | Convex):
-        return None
-    hull = inspector.GetConvexHull(geometry)
-    if hull is None:
-        return None
-    if isinstance(shape, Mesh):
-        warnings.warn(
-            f"geometry {inspector.GetName(geometry)}: drawn as its convex hull; "
-            f"only .obj meshes are drawn as they are, not {shape.extension()}",
-            stacklevel=2,
-        )
-    corners = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
-    fans = []
-    for face in map(hull.element, range(hull.num_elements())):
-        ring = [face.vertex(i) for i in range(face.num_vertices())]
-        fans += [[ring[0], a, b] for a, b in itertools.pairwise(ring[1:])]
-    return corners[fans]
 
 
 def _color(inspector: SceneGraphInspector, geometry: GeometryId) -> list[int]:

@@ -6,8 +6,8 @@ import socket
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
+from time import monotonic, sleep
 from typing import IO
 
 import psutil
@@ -16,8 +16,9 @@ from rerun.experimental import ViewerClient
 
 from geort_drake.errors import RecordingError
 from geort_drake.files import atomic_path
-from geort_drake.systems._rerun_tracks import TIMELINE
+from geort_drake.systems._rerun_writer import STEPS, TIMELINE
 
+_GREETING = 6.0  # s; so long a notice of the viewer's covers a corner
 _DRIVER = (
     "The viewer needs a graphics driver; without a graphics card a software one will do "
     "(Debian and Ubuntu: apt-get install mesa-vulkan-drivers)."
@@ -28,7 +29,7 @@ def take_screenshot(
     recording: str | os.PathLike,
     picture: str | os.PathLike,
     *,
-    time_s: float | None = None,
+    time: float | None = None,
     size: tuple[int, int] = (1440, 900),
     timeout_s: float = 60.0,
 ) -> None:
@@ -37,9 +38,9 @@ def take_screenshot(
     Args:
         recording: the .rrd file.
         picture: the .png file.
-        time_s: simulated time to show, s; by default the end.
+        time: what to show, on the recording's timeline: simulated s, or training steps; by default the end.
         size: width and height of the window, px.
-        timeout_s: how long to wait for the viewer to start, and again for the file to load.
+        timeout_s: how long to wait for the viewer to start, the file to load, and the layout to settle.
 
     Raises:
         RecordingError: the recording is missing or empty, or the viewer cannot draw here.
@@ -66,9 +67,9 @@ def take_screenshot(
         try:
             _wait_for(port, viewer, timeout_s)
             client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
-            _show(client, recording, time_s, timeout_s)
+            _show(client, recording, time, timeout_s)
             with atomic_path(picture) as draft:
-                client.save_screenshot(str(draft))
+                _photograph(client, draft, timeout_s)
         except (OSError, RuntimeError) as error:
             raise RecordingError(f"{recording}: no picture: {error}. {_reason(viewer, log)}") from error
         finally:
@@ -97,28 +98,43 @@ def _end(viewer: subprocess.Popen) -> None:
 
 
 def _wait_for(port: int, viewer: subprocess.Popen, timeout_s: float) -> None:
-    deadline = time.monotonic() + timeout_s
-    while time.monotonic() < deadline:
+    deadline = monotonic() + timeout_s
+    while monotonic() < deadline:
         if viewer.poll() is not None:
             raise RuntimeError(f"the viewer ended with code {viewer.returncode}")
         with socket.socket() as probe:
             if probe.connect_ex(("127.0.0.1", port)) == 0:
                 return
-        time.sleep(0.2)
+        sleep(0.2)
     raise RuntimeError(f"the viewer did not answer within {timeout_s:g} s")
 
 
-def _show(client: ViewerClient, recording: Path, time_s: float | None, timeout_s: float) -> None:
+def _show(client: ViewerClient, recording: Path, time: float | None, timeout_s: float) -> None:
     client.open(str(recording))
-    deadline = time.monotonic() + timeout_s
+    deadline = monotonic() + timeout_s
     while (state := client.get_state()).loading or not state.recordings:
-        if time.monotonic() > deadline:
+        if monotonic() > deadline:
             raise RuntimeError(f"the recording did not load within {timeout_s:g} s")
-        time.sleep(0.2)
-    ends = [timeline.end for timeline in state.recordings[0].timelines if timeline.name == TIMELINE]
-    if not ends or ends[0] is None:
-        raise RecordingError(f"{recording}: holds nothing on the timeline '{TIMELINE}'")
-    shown = ends[0] * 1e-9 if time_s is None else time_s
-    client.set_time(TIMELINE, duration=shown, play_state="paused")
-    # Layout and plots settle over several frames, and the viewer greets for a while.
-    time.sleep(6.0)
+        sleep(0.2)
+    ends = {timeline.name: timeline.end for timeline in state.recordings[0].timelines}
+    if ends.get(TIMELINE) is not None:
+        client.set_time(
+            TIMELINE, duration=ends[TIMELINE] * 1e-9 if time is None else time, play_state="paused"
+        )
+    elif ends.get(STEPS) is not None:
+        client.set_time(STEPS, sequence=ends[STEPS] if time is None else round(time), play_state="paused")
+    else:
+        raise RecordingError(f"{recording}: holds nothing on the timeline '{TIMELINE}' or '{STEPS}'")
+
+
+def _photograph(client: ViewerClient, picture: Path, timeout_s: float) -> None:
+    """Saves what the viewer shows when nothing moves any more: layout and plots settle over many frames."""
+    end, before = monotonic() + timeout_s, b""
+    sleep(_GREETING)
+    while True:
+        client.save_screenshot(str(picture))
+        now = picture.read_bytes()
+        if now == before or monotonic() > end:
+            return
+        before = now
+        sleep(1.0)

@@ -1,23 +1,24 @@
-"""Records any Drake diagram as a Rerun file: `add_rerun_recorder`.
+"""Records any Drake diagram for the Rerun viewer: `add_rerun_recorder`.
 
 Samples are kept in memory and written once, as columns: that costs far less time and space than
-logging each body as it moves, and a file is either whole or absent.
+logging each body as it moves, and a file is either whole or absent. Viewers that look on get the same
+columns, in batches.
 """
 
 import atexit
 import os
+import weakref
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rerun.blueprint as rrb
-from pydrake.common.value import Value
+from pydrake.common.value import AbstractValue, Value
 from pydrake.geometry import Role, SceneGraph
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Frame, RigidBody
+from pydrake.multibody.tree import Frame
 from pydrake.systems.framework import (
     Context,
     DiagramBuilder,
@@ -29,20 +30,24 @@ from pydrake.systems.framework import (
 
 from geort_drake.errors import ScenarioError
 from geort_drake.systems._rerun_blueprint import grasp_blueprint
+from geort_drake.systems._rerun_camera import CameraTrack
+from geort_drake.systems._rerun_contact import ContactTrack
 from geort_drake.systems._rerun_file import Recording
+from geort_drake.systems._rerun_hand import HandTrack
 from geort_drake.systems._rerun_scene import Scene, describe_scene
-from geort_drake.systems._rerun_tracks import (
-    Color,
-    ContactTrack,
-    HandTrack,
-    PointTrack,
-    PoseTrack,
-    SignalTrack,
-    StateTrack,
-    Track,
+from geort_drake.systems._rerun_specs import (
+    CameraSpec,
+    ContactSpec,
+    HandSpec,
+    PointsSpec,
+    SignalSpec,
+    StateSpec,
 )
+from geort_drake.systems._rerun_tracks import PointTrack, PoseTrack, SignalTrack, StateTrack, Track
+from geort_drake.systems._rerun_writer import LiveSink, Property, is_live, live_sink
 
 __all__ = [
+    "CameraSpec",
     "ContactSpec",
     "HandSpec",
     "PointsSpec",
@@ -53,92 +58,12 @@ __all__ = [
     "grasp_blueprint",
 ]
 
-
-@dataclass(frozen=True)
-class SignalSpec:
-    """A vector output port as one time series per element.
-
-    Attributes:
-        port: vector output port of any system of the diagram.
-        names: one name per element. A slash opens a level of the tree, and the series that share
-            it share a plot: "index/joint_0".
-        label: what the legend adds to each name, such as "command".
-        faint: drawn thin and pale, for what another signal is compared with.
-    """
-
-    port: OutputPort
-    names: Sequence[str]
-    label: str = ""
-    faint: bool = False
-
-
-@dataclass(frozen=True)
-class HandSpec:
-    """A human hand as a glove and a tracker give it.
-
-    Attributes:
-        keypoints_port: 63 numbers, p_HK, keypoint-major, m.
-        wrist_pose_port: abstract `RigidTransform`, X_OH in the tracker's frame O.
-        valid_port: size 1; the hand is drawn where it is over 0.5. Without it, always.
-        color: red, green, blue, 0–255.
-        X_WO: pose of the tracker's frame in the world, to place the hand beside the robot.
-    """
-
-    keypoints_port: OutputPort
-    wrist_pose_port: OutputPort
-    valid_port: OutputPort | None = None
-    color: Color = (224, 172, 138)
-    X_WO: RigidTransform = field(default_factory=RigidTransform)
-
-
-@dataclass(frozen=True)
-class PointsSpec:
-    """A vector output port of 3k coordinates as k small spheres; points with a NaN are not drawn.
-
-    Attributes:
-        port: vector output port, point-major, m.
-        frame: frame of the plant that the coordinates are measured in; the world by default.
-        radius: m.
-        color: red, green, blue, 0–255.
-    """
-
-    port: OutputPort
-    frame: Frame | None = None
-    radius: float = 0.006
-    color: Color = (255, 80, 200)
-
-
-@dataclass(frozen=True)
-class StateSpec:
-    """A port of size 1 that holds an integer code, as a lane of named states.
-
-    Attributes:
-        port: vector output port of size 1.
-        labels: names of the codes 0, 1, ..., or a mapping from code to name.
-    """
-
-    port: OutputPort
-    labels: Sequence[str] | Mapping[int, str]
-
-
-@dataclass(frozen=True)
-class ContactSpec:
-    """How contact forces are shown.
-
-    Attributes:
-        groups: bodies whose contact forces are summed to one time series each, such as the links
-            of a finger: {"thumb": [link_12, ...]}. By default every moving body that was touched.
-        metres_per_newton: length of the arrows.
-        max_length: longer arrows are cut to this, m.
-    """
-
-    groups: Mapping[str, Sequence[RigidBody]] | None = None
-    metres_per_newton: float = 0.02
-    max_length: float = 0.25
+# A file, a viewer's address, or what Rerun makes of one.
+Target = str | os.PathLike | LiveSink
 
 
 class RerunRecorder(LeafSystem):
-    """Samples a plant and further ports, and writes them to a Rerun file at `close`.
+    """Samples a plant and further ports, for a Rerun file, for viewers, or for both.
 
     Input ports:
         body_poses (abstract list of RigidTransform): X_WB of all bodies, in plant order.
@@ -149,44 +74,56 @@ class RerunRecorder(LeafSystem):
         <hand key>/wrist_pose (abstract RigidTransform): X_OH.
         <hand key>/valid (1): 1 tracked, 0 lost; where the hand has one.
         <points key> (3k): p_FP, point-major, m.
+        <camera key>/color_image (abstract ImageRgba8U).
+        <camera key>/body_pose (abstract RigidTransform): X_WB of the camera's body.
 
-    Made and connected by `add_rerun_recorder`. It is a context manager: leaving it writes the file,
-    also when the simulation raised. What was not closed is written when the process ends: Drake
-    keeps systems written in Python alive until then. Samples are taken in publish events. Going
-    back in time, as a simulator that is initialized anew does, drops the samples from there on.
+    Made and connected by `add_rerun_recorder`. Samples are taken in publish events, periodic and forced.
+    Going back in time, as a simulator that is initialized anew does, drops the samples from there on.
+
+    The file is written by `flush`, by `close`, and on leaving the recorder as a context manager, also when
+    the simulation raised. What is not in it by then is written when the simulator goes away, or else when
+    the process ends.
     """
 
     def __init__(self, recording: Recording, sources: Mapping[str, OutputPort], period: float):
         super().__init__()
         self._recording = recording
-        self._sources = list(sources)
+        self._inputs = {}
         for name, source in sources.items():
             if source.get_data_type() == PortDataType.kVectorValued:
-                self.DeclareVectorInputPort(name, source.size())
+                self._inputs[name] = self.DeclareVectorInputPort(name, source.size())
             else:
-                self.DeclareAbstractInputPort(name, source.Allocate())
+                self._inputs[name] = self.DeclareAbstractInputPort(name, source.Allocate())
         self.DeclarePeriodicPublishEvent(period, 0.0, self._sample)
+        self.DeclareForcedPublishEvent(self._sample)
+        # Drake never lets go of systems written in Python, but it does of the contexts they run in.
+        self._token = self.DeclareAbstractState(AbstractValue.Make(_Token()))
+        self.DeclareInitializationPublishEvent(self._watch)
         # Registered after Rerun's own, and therefore run before Rerun shuts down.
         atexit.register(recording.close)
 
     @property
-    def path(self) -> Path:
-        """Where the file is written."""
+    def path(self) -> Path | None:
+        """Where the file is written; None where only viewers look on."""
         return self._recording.path
 
     @property
     def times(self) -> np.ndarray:
-        """Times (T,) of the samples taken so far, s."""
+        """Times (T,) of the samples that are kept, s; without a file, of those that no viewer has got."""
         return np.array(self._recording.times)
 
-    def set_properties(self, properties: Mapping[str, str | int | float | bool]) -> None:
+    def set_properties(self, properties: Mapping[str, Property]) -> None:
         """Adds to what the recording says of itself, such as an outcome known only at the end."""
-        self._recording.properties.update(properties)
+        self._recording.set_properties(properties)
+
+    def flush(self) -> None:
+        """Writes the file with all samples so far, and sends viewers what they have not got."""
+        self._recording.flush()
 
     def close(self) -> None:
-        """Writes the file; samples after that are not kept, and closing again does nothing."""
-        atexit.unregister(self._recording.close)
+        """Flushes; samples after that are not kept, and closing again does nothing."""
         self._recording.close()
+        atexit.unregister(self._recording.close)
 
     def __enter__(self) -> "RerunRecorder":
         return self
@@ -194,20 +131,41 @@ class RerunRecorder(LeafSystem):
     def __exit__(self, *_exception) -> None:
         self.close()
 
+    def _watch(self, context: Context) -> EventStatus:
+        token = context.get_abstract_state(self._token).get_value()
+        weakref.finalize(token, self._recording.flush).atexit = False
+        return EventStatus.Succeeded()
+
     def _sample(self, context: Context) -> EventStatus:
         if self._recording.closed:
             return EventStatus.DidNothing()
-        values = {name: self.GetInputPort(name).Eval(context) for name in self._sources}
-        rows = [track.read(*(values[name] for name in track.ports)) for track in self._recording.tracks]
-        self._recording.append(context.get_time(), rows)
+        time = context.get_time()
+        values: dict[str, Any] = {}
+        rows: list[Any] = []
+        for track in self._recording.tracks:
+            if not track.due(time):
+                rows.append(None)
+                continue
+            for name in track.ports:
+                if name not in values:
+                    values[name] = self._inputs[name].Eval(context)
+            rows.append(track.read(*(values[name] for name in track.ports)))
+        self._recording.append(time, rows)
         return EventStatus.Succeeded()
+
+
+class _Token:
+    """Lives as long as the context that holds it; a copy of the context holds one of its own."""
+
+    def __deepcopy__(self, _memo) -> "_Token":
+        return _Token()
 
 
 def add_rerun_recorder(
     builder: DiagramBuilder,
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
-    path: str | os.PathLike,
+    path_or_viewer: Target | Sequence[Target],
     *,
     application_id: str = "geort_drake",
     recording_id: str | None = None,
@@ -218,7 +176,8 @@ def add_rerun_recorder(
     hands: Mapping[str, HandSpec] | None = None,
     points: Mapping[str, PointsSpec] | None = None,
     states: Mapping[str, StateSpec] | None = None,
-    properties: Mapping[str, str | int | float | bool] | None = None,
+    cameras: Mapping[str, CameraSpec] | None = None,
+    properties: Mapping[str, Property] | None = None,
     blueprint: rrb.Blueprint | None = None,
 ) -> RerunRecorder:
     """Adds a recorder of the plant, and of any further ports, to a diagram.
@@ -226,10 +185,12 @@ def add_rerun_recorder(
     Args:
         builder: of the diagram that holds `plant`, `scene_graph` and every port given below.
         plant: finalized.
-        path: the .rrd file. Its directory is made when needed.
+        path_or_viewer: the .rrd file, whose directory is made when needed; or a viewer that is open
+            meanwhile, by its address "rerun+http://127.0.0.1:9876/proxy", or as `rerun.GrpcSink` or
+            `rerun.GrpcServerSink`; or several of these, at most one of them a file.
         application_id: recordings that share it share a layout in the viewer.
-        recording_id: recordings with the same id are merged by the viewer; by default made of the
-            contents, so that the same simulation gives the same recording.
+        recording_id: recordings with the same id are merged by the viewer; by default a file's is made of
+            its contents, so that the same simulation gives the same recording.
         period: of the samples, s.
         role: which geometry to draw; a body without any is drawn with its proximity geometry.
         contact: whether, or how, contact forces are recorded (point and hydroelastic contact).
@@ -237,16 +198,22 @@ def add_rerun_recorder(
         hands: entity path to human hand, under /world.
         points: entity path to points, under /world.
         states: entity path to states, under /.
+        cameras: entity path to camera, under /world.
         properties: what the recording is about, such as {"method": "geort", "seed": 3}.
         blueprint: layout; by default `grasp_blueprint` for what is recorded.
 
     Raises:
-        ScenarioError: the plant is not finalized, the period is not positive, or a port does not fit.
+        ScenarioError: the plant is not finalized, the period is not positive, a port does not fit, or
+            there is more than one file.
     """
+    path, sinks = _targets(path_or_viewer)
+    where = path or "live recording"
     if not plant.is_finalized():
-        raise ScenarioError(f"{path}: the plant '{plant.get_name()}' must be finalized before it is recorded")
+        raise ScenarioError(
+            f"{where}: the plant '{plant.get_name()}' must be finalized before it is recorded"
+        )
     if not period > 0:
-        raise ScenarioError(f"{path}: period must be positive, s; given {period}")
+        raise ScenarioError(f"{where}: period must be positive, s; given {period}")
     scene = describe_scene(plant, scene_graph, role)
     sources: dict[str, OutputPort] = {"body_poses": plant.get_body_poses_output_port()}
     tracks: list[Track] = [PoseTrack(scene)]
@@ -270,10 +237,15 @@ def add_rerun_recorder(
     for key, cloud in (points or {}).items():
         sources[key] = _vector(key, cloud.port, 3 * max(1, cloud.port.size() // 3), "points of 3 coordinates")
         tracks.append(PointTrack(key, cloud.radius, cloud.color, _fixed_in_body(cloud.frame)))
+    for key, camera in (cameras or {}).items():
+        sources[f"{key}/color_image"] = camera.sensor.color_image_output_port()
+        sources[f"{key}/body_pose"] = camera.sensor.body_pose_in_world_output_port()
+        tracks.append(CameraTrack(key, camera.sensor, camera.period))
     recording = Recording(
         path,
         scene,
         tracks,
+        sinks=sinks,
         application_id=application_id,
         recording_id=recording_id,
         properties=properties or {},
@@ -285,6 +257,17 @@ def add_rerun_recorder(
     for name, source in sources.items():
         builder.Connect(source, recorder.GetInputPort(name))
     return recorder
+
+
+def _targets(path_or_viewer: Target | Sequence[Target]) -> tuple[Path | None, list[LiveSink]]:
+    """The file, if any, and the viewers."""
+    single = isinstance(path_or_viewer, str | os.PathLike) or is_live(path_or_viewer)
+    targets: Sequence[Any] = [path_or_viewer] if single else list(path_or_viewer)  # type: ignore[arg-type]
+    files = [target for target in targets if not is_live(target)]
+    if not targets or len(files) > 1:
+        given = ", ".join(map(str, targets)) or "nothing"
+        raise ScenarioError(f"a recorder takes one file, viewers, or both; given: {given}")
+    return Path(files[0]) if files else None, [live_sink(target) for target in targets if is_live(target)]
 
 
 def _contact_track(scene: Scene, spec: ContactSpec) -> ContactTrack:

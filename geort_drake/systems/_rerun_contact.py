@@ -1,0 +1,92 @@
+"""Contact in a Rerun recording: forces as arrows, and how strong they are as time series."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import rerun as rr
+from pydrake.multibody.plant import ContactResults
+
+from geort_drake.systems._rerun_scene import WORLD, Scene, entity_path
+from geort_drake.systems._rerun_tracks import PALETTE, Color, Track, scalars
+from geort_drake.systems._rerun_writer import Writer
+
+_COLOR: Color = (255, 200, 40)
+_NOTHING = np.empty((0, 8))
+
+
+class ContactTrack(Track):
+    """Contact forces: rows (contacts, 8), body A, body B, p_WC (m), f_Bc_W (N)."""
+
+    ARROWS = f"/{WORLD}/contact/forces"
+    SERIES = "/contact/force"
+
+    def __init__(
+        self,
+        scene: Scene,
+        groups: Mapping[str, Sequence[int]] | None,
+        metres_per_newton: float,
+        max_length: float,
+    ):
+        super().__init__("contact_results")
+        self._scene = scene
+        self._groups = groups
+        self._scale = metres_per_newton
+        self._max_length = max_length
+
+    def read(self, results: ContactResults) -> np.ndarray:
+        infos = [results.point_pair_contact_info(i) for i in range(results.num_point_pair_contacts())]
+        bodies = [(int(info.bodyA_index()), int(info.bodyB_index())) for info in infos]
+        points = [info.contact_point() for info in infos]
+        forces = [info.contact_force() for info in infos]
+        for i in range(results.num_hydroelastic_contacts()):
+            patch = results.hydroelastic_contact_info(i)
+            surface = patch.contact_surface()
+            of_geometry = self._scene.body_of_geometry
+            bodies.append((of_geometry[surface.id_M()], of_geometry[surface.id_N()]))
+            points.append(surface.centroid())
+            # F_Ac_W acts on the body of M, at the centroid.
+            forces.append(np.negative(patch.F_Ac_W().translational()))
+        if not bodies:
+            return _NOTHING
+        return np.concatenate([np.array(bodies, dtype=float), points, forces], axis=1)
+
+    def describe(self, writer: Writer) -> None:
+        writer.static(self.ARROWS, rr.Arrows3D.from_fields(colors=[_COLOR], radii=[0.0025]))
+
+    def write(self, writer: Writer, rows: Sequence[np.ndarray]) -> None:
+        contacts = np.concatenate([_NOTHING, *rows])
+        counts = np.array([len(row) for row in rows], dtype=int)
+        length = self._scale * np.linalg.norm(contacts[:, 5:], axis=1, keepdims=True)
+        shrink = np.minimum(1.0, self._max_length / np.maximum(length, 1e-12))
+        on_B = self._scale * shrink * contacts[:, 5:]
+        # Both of the pair are drawn: one of the two bodies usually hides the other arrow.
+        columns = rr.Arrows3D.columns(
+            origins=np.repeat(contacts[:, 2:5], 2, axis=0),
+            vectors=np.stack([on_B, -on_B], axis=1).reshape(-1, 3),
+        )
+        writer.columns(self.ARROWS, columns.partition(2 * counts))
+        self._write_series(writer, contacts, np.repeat(np.arange(len(rows)), counts), len(rows))
+
+    def _write_series(self, writer: Writer, contacts: np.ndarray, sample: np.ndarray, samples: int) -> None:
+        """For each group, the sum of the magnitudes of the forces that act on it from outside, N.
+
+        Without groups, every body that moves and that was ever touched is its own.
+        """
+        begun: dict[str, Sequence[int]] = writer.memory.setdefault(self.SERIES, {})
+        groups = dict(begun)
+        if self._groups is None:
+            touched = sorted({int(i) for i in contacts[:, :2].ravel()} & set(self._scene.moving))
+            groups |= {self._scene.paths[i].removeprefix(f"/{WORLD}/"): [i] for i in touched}
+        else:
+            groups |= self._groups
+        magnitude = np.linalg.norm(contacts[:, 5:], axis=1)
+        for name, members in groups.items():
+            path = f"{self.SERIES}/{name}" if self._groups is None else entity_path(self.SERIES, name)
+            if name not in begun:
+                color = PALETTE[len(begun) % len(PALETTE)]
+                begun[name] = members
+                writer.static(path, rr.SeriesLines(names=[name], colors=[color], widths=[1.5]))
+            inside = np.isin(contacts[:, :2], list(members))
+            crossing = inside[:, 0] != inside[:, 1]
+            force = np.bincount(sample[crossing], magnitude[crossing], minlength=samples)
+            writer.columns(path, scalars(force[:, None]))

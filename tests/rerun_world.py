@@ -1,0 +1,124 @@
+"""A small world for tests of the recorder, and a reader of the files that it writes; no tests."""
+
+import subprocess
+import sys
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.math import RigidTransform
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource, TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
+from rerun.chunk import RrdReader
+
+from geort_drake.systems.rerun_recorder import add_rerun_recorder
+
+GRAVITY = 9.81
+MASS = 0.2
+
+GROUND = """
+<model name="ground"><static>true</static><link name="slab">
+  <collision name="top"><pose>0 0 -0.05 0 0 0</pose>
+    <geometry><box><size>1 1 0.1</size></box></geometry>HYDRO</collision>
+</link></model>"""
+
+BALL = f"""
+<model name="ball"><link name="body">
+  <inertial><mass>{MASS}</mass><inertia><ixx>1e-4</ixx><iyy>1e-4</iyy><izz>1e-4</izz></inertia></inertial>
+  <visual name="skin"><geometry><sphere><radius>0.05</radius></sphere></geometry>
+    <material><diffuse>0.2 0.4 0.6 1</diffuse></material></visual>
+  <collision name="solid"><geometry><sphere><radius>0.05</radius></sphere></geometry>HYDRO</collision>
+</link></model>"""
+
+ARM = """
+<model name="arm">
+  <joint name="fixed" type="fixed"><parent>world</parent><child>base</child></joint>
+  <link name="base"><pose>0.3 0 0.2 0 0 0</pose><inertial><mass>1</mass></inertial>
+    <visual name="foot"><geometry><box><size>0.1 0.2 0.3</size></box></geometry></visual></link>
+  <link name="upper"><pose>0.3 0 0.5 0 0 0</pose>
+    <inertial><mass>0.3</mass><inertia><ixx>1e-2</ixx><iyy>1e-2</iyy><izz>1e-2</izz></inertia></inertial>
+    <visual name="tube"><pose>0.01 0.02 0.1 0.3 0.2 0.1</pose>
+      <geometry><capsule><radius>0.02</radius><length>0.2</length></capsule></geometry></visual></link>
+  <joint name="shoulder" type="revolute"><parent>base</parent><child>upper</child>
+    <axis><xyz>0 1 0</xyz></axis></joint>
+</model>"""
+
+HYDROELASTIC = """<drake:proximity_properties><drake:compliant_hydroelastic/>
+  <drake:hydroelastic_modulus>1e6</drake:hydroelastic_modulus>
+  <drake:mesh_resolution_hint>0.02</drake:mesh_resolution_hint></drake:proximity_properties>"""
+
+
+class World:
+    """A ball above the ground and a loose arm; further systems may be added before `record`."""
+
+    def __init__(self, height=0.5, contact_model="point"):
+        self.builder = DiagramBuilder()
+        config = MultibodyPlantConfig(time_step=0.002, contact_model=contact_model)
+        self.plant, self.scene_graph = AddMultibodyPlant(config, self.builder)
+        hydro = HYDROELASTIC if contact_model == "hydroelastic" else ""
+        for model in (GROUND, BALL, ARM):
+            sdf = model.replace("HYDRO", hydro)
+            text = f"<sdf version='1.10' xmlns:drake='http://drake.mit.edu'>{sdf}</sdf>"
+            Parser(self.plant).AddModelsFromString(text, "sdf")
+        self.ball = self.plant.GetBodyByName("body")
+        self.upper = self.plant.GetBodyByName("upper")
+        self.height = height
+
+    def finalize(self):
+        self.plant.Finalize()
+        self.plant.SetDefaultFloatingBaseBodyPose(self.ball, RigidTransform([0, 0, self.height]))
+        return self
+
+    def record(self, path, **options):
+        self.recorder = add_rerun_recorder(self.builder, self.plant, self.scene_graph, path, **options)
+        self.simulator = Simulator(self.builder.Build())
+        root = self.simulator.get_mutable_context()
+        self.context = self.plant.GetMyMutableContextFromRoot(root)
+        return self
+
+    def kick(self, speed):
+        """Sets the ball's upward velocity, m/s."""
+        velocities = self.plant.GetVelocities(self.context).copy()
+        # Angular velocity, then linear; its z comes last of six.
+        velocities[self.ball.floating_velocities_start_in_v() + 5] = speed
+        self.plant.SetVelocities(self.context, velocities)
+
+
+def constant(builder, values):
+    return builder.AddSystem(ConstantVectorSource(np.array(values, float))).get_output_port()
+
+
+def steps(builder, times, values):
+    trajectory = PiecewisePolynomial.ZeroOrderHold(times, np.atleast_2d(np.array(values, float)))
+    return builder.AddSystem(TrajectorySource(trajectory)).get_output_port()
+
+
+def pose_source(builder, X):
+    return builder.AddSystem(ConstantValueSource(AbstractValue.Make(X))).get_output_port()
+
+
+def rerun(*arguments):
+    command = [sys.executable, "-m", "rerun", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def read(path, entity, component):
+    """Times (s; None for static data) and one array per time of a component in a file."""
+    times, values = [], []
+    for chunk in RrdReader(path).stream():
+        batch = chunk.to_record_batch()
+        if chunk.entity_path != entity or component not in batch.schema.names:
+            continue
+        static = "sim_time" not in batch.schema.names
+        stamps = [None] * chunk.num_rows if static else batch.column("sim_time").cast("int64").to_pylist()
+        times += [None if stamp is None else stamp * 1e-9 for stamp in stamps]
+        values += [np.array(row) for row in batch.column(component).to_pylist()]
+    assert values, f"{entity} has no {component}"
+    return times, values
+
+
+def entities(path):
+    return {chunk.entity_path for chunk in RrdReader(path).stream()}

@@ -1,0 +1,274 @@
+"""What the recorder draws: every shape of a scene graph, where and in which colour it is."""
+
+import base64
+import json
+import struct
+
+import numpy as np
+import pytest
+from pydrake.common import MemoryFile
+from pydrake.geometry import (
+    AddContactMaterial,
+    AddRigidHydroelasticProperties,
+    Box,
+    Capsule,
+    Convex,
+    Cylinder,
+    Ellipsoid,
+    InMemoryMesh,
+    Mesh,
+    MeshcatCone,
+    ProximityProperties,
+    Role,
+    Sphere,
+)
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.plant import CoulombFriction
+from pydrake.multibody.tree import SpatialInertia
+from rerun_world import World, entities, read
+from scipy.spatial.transform import Rotation
+
+
+def test_what_is_welded_to_the_world_is_written_once(tmp_path):
+    """Static data belongs to every time."""
+    world = World().finalize().record(tmp_path / "static.rrd")
+    with world.recorder:
+        world.simulator.AdvanceTo(0.1)
+    times, p_WB = read(world.recorder.path, "/world/arm/base", "Transform3D:translation")
+    assert times == [None]
+    np.testing.assert_allclose(p_WB[0], [[0.3, 0, 0.2]], atol=1e-6)
+
+
+def test_shapes_are_placed_and_coloured_as_the_plant_has_them(tmp_path):
+    """A capsule begins half its length below Drake's centre; a sphere is an ellipsoid."""
+    world = World().finalize().record(tmp_path / "shapes.rrd")
+    world.recorder.close()
+    path = world.recorder.path
+
+    def value(entity, component):
+        return np.squeeze(read(path, entity, component)[1][0])
+
+    base, upper, ball = "/world/arm/base/boxes", "/world/arm/upper/capsules", "/world/ball/body/ellipsoids"
+    np.testing.assert_allclose(value(base, "Boxes3D:half_sizes"), [0.05, 0.1, 0.15], atol=1e-6)
+    np.testing.assert_allclose(value(ball, "Ellipsoids3D:half_sizes"), [0.05] * 3, atol=1e-6)
+    red, green, blue, alpha = int(value(ball, "Ellipsoids3D:colors")).to_bytes(4, "big")
+    assert (red, green, blue, alpha) == (51, 102, 153, 255)
+    X_BG = RigidTransform(RollPitchYaw(0.3, 0.2, 0.1), [0.01, 0.02, 0.1])
+    R = Rotation.from_quat(value(upper, "Capsules3D:quaternions"))
+    np.testing.assert_allclose(R.as_matrix(), X_BG.rotation().matrix(), atol=1e-6)
+    length = value(upper, "Capsules3D:lengths")
+    middle = value(upper, "Capsules3D:translations") + R.apply([0, 0, length / 2])
+    np.testing.assert_allclose(middle, X_BG.translation(), atol=1e-6)
+    assert (length, value(upper, "Capsules3D:radii")) == pytest.approx((0.2, 0.02))
+    # The ground has collision geometry only.
+    np.testing.assert_allclose(value("/world/ground/slab/boxes", "Boxes3D:half_sizes"), [0.5, 0.5, 0.05])
+
+
+def test_every_shape_of_drake_is_drawn_or_named(tmp_path):
+    """Meshes keep their vertices; what cannot be drawn is warned about by name."""
+    (tmp_path / "tetrahedron.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
+    file = str(tmp_path / "tetrahedron.obj")
+    world = World()
+    body = world.plant.AddRigidBody(
+        "many", world.ball.model_instance(), SpatialInertia.SolidSphereWithMass(1.0, 0.1)
+    )
+    X_BG = RigidTransform([0, 0, 2.0])
+    for shape in (
+        Box(1, 2, 3),
+        Sphere(1),
+        Ellipsoid(1, 2, 3),
+        Cylinder(1, 2),
+        Capsule(1, 2),
+        Mesh(file, 0.1),
+        Convex(file, 0.2),
+        MeshcatCone(1, 1, 1),
+    ):
+        name = f"a {type(shape).__name__}"
+        world.plant.RegisterVisualGeometry(body, X_BG, shape, name, [0.5, 0.5, 0.5, 1])
+    world.finalize()
+    with pytest.warns(UserWarning, match=r"a MeshcatCone.*cannot draw"):
+        world.record(tmp_path / "shapes.rrd")
+    world.recorder.close()
+    of_body = {entity.rsplit("/", 1)[-1] for entity in entities(world.recorder.path) if "/many/" in entity}
+    assert of_body == {"boxes", "ellipsoids", "cylinders", "capsules", r"a\ Mesh", r"a\ Convex"}
+    model = next(e for e in entities(world.recorder.path) if e.endswith("/many/boxes")).rsplit("/", 1)[0]
+    corners = {(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)}
+    for name, scale in ((r"a\ Mesh", 0.1), (r"a\ Convex", 0.2)):
+        vertices = read(world.recorder.path, f"{model}/{name}", "Mesh3D:vertex_positions")[1][0]
+        assert vertices.shape == (12, 3)  # four triangles
+        found = {tuple(np.round((v - [0, 0, 2.0]) / scale, 5)) for v in vertices}
+        assert found == corners
+
+
+def test_the_role_chooses_the_geometry(tmp_path):
+    """Proximity geometry can be recorded instead of what is there for the eye."""
+    world = World().finalize().record(tmp_path / "role.rrd", role=Role.kProximity)
+    world.recorder.close()
+    found = entities(world.recorder.path)
+    assert "/world/ball/body/ellipsoids" in found
+    assert "/world/arm/upper/capsules" not in found
+
+
+CORNERS = np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0, 0, 0.1]], dtype="<f4")
+FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype="<u2")
+VTK = """# vtk DataFile Version 3.0
+a tetrahedron
+ASCII
+DATASET UNSTRUCTURED_GRID
+POINTS 4 double
+0 0 0  0.3 0 0  0 0.2 0  0 0 0.1
+CELLS 1 5
+4 0 1 2 3
+CELL_TYPES 1
+10
+"""
+OBJ = "v 0 0 0\nv 0.3 0 0\nv 0 0.2 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+def gltf(buffer_uri, **more):
+    """A tetrahedron; its buffer is `CORNERS` and `FACES`."""
+    buffer = {"byteLength": CORNERS.nbytes + FACES.nbytes} | ({"uri": buffer_uri} if buffer_uri else {})
+    accessors = [
+        {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3",
+         "min": CORNERS.min(0).tolist(), "max": CORNERS.max(0).tolist()},
+        {"bufferView": 1, "componentType": 5123, "count": 12, "type": "SCALAR"},
+    ]  # fmt: skip
+    return {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "buffers": [buffer],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": 0, "byteLength": CORNERS.nbytes},
+            {"buffer": 0, "byteOffset": CORNERS.nbytes, "byteLength": FACES.nbytes},
+        ],
+        "accessors": accessors,
+        **more,
+    }
+
+
+def glb(scene, data):
+    """The scene and its buffer as one binary file, in chunks of multiples of four bytes."""
+    text = json.dumps(scene).encode()
+    text += b" " * (-len(text) % 4)
+    length = 12 + 8 + len(text) + 8 + len(data)
+    header = struct.pack("<4sII", b"glTF", 2, length)
+    return (
+        header
+        + struct.pack("<I4s", len(text), b"JSON")
+        + text
+        + struct.pack("<I4s", len(data), b"BIN\0")
+        + data
+    )
+
+
+def drawn(tmp_path, shape, role=Role.kIllustration, properties=None):
+    """The entity of a mesh on the ball, in a recording."""
+    world = World()
+    X_BG = RigidTransform(RollPitchYaw(0, 0, np.pi / 2), [1, 0, 0])
+    if role == Role.kIllustration:
+        world.plant.RegisterVisualGeometry(world.ball, X_BG, shape, "mesh", [0.2, 0.4, 0.6, 1])
+    else:
+        properties = properties or ProximityProperties()
+        AddContactMaterial(1.0, 1e6, CoulombFriction(0.5, 0.5), properties)
+        world.plant.RegisterCollisionGeometry(world.ball, X_BG, shape, "mesh", properties)
+    world.finalize().record(tmp_path / "mesh.rrd", role=role)
+    world.recorder.close()
+    return lambda component: read(tmp_path / "mesh.rrd", "/world/ball/body/mesh", component)[1][0]
+
+
+# Where the corners of a mesh, scaled by 1, 2 and 3 along its axes, are in the body.
+IN_BODY = np.array([[1, 0, 0], [1, 0.3, 0], [0.6, 0, 0], [1, 0, 0.3]])
+
+
+def same_points(found, wanted):
+    assert {tuple(np.round(p, 5) + 0.0) for p in found} == {tuple(np.round(p, 5) + 0.0) for p in wanted}
+
+
+@pytest.mark.parametrize("role", [Role.kIllustration, Role.kProximity])
+@pytest.mark.parametrize(("name", "text"), [("t.obj", OBJ), ("t.vtk", VTK)])
+def test_a_mesh_keeps_its_vertices(tmp_path, role, name, text):
+    """Surfaces and volumes, to be seen or to collide, scaled differently along their axes."""
+    (tmp_path / name).write_text(text)
+    value = drawn(tmp_path, Mesh(str(tmp_path / name), np.array([1.0, 2.0, 3.0])), role)
+    same_points(value("Mesh3D:vertex_positions"), IN_BODY)
+    # Outward, as the corners of each face go round.
+    corners = value("Mesh3D:vertex_positions").reshape(-1, 3, 3)
+    outward = corners.mean(axis=1) - IN_BODY.mean(axis=0)
+    assert ((value("Mesh3D:vertex_normals")[::3] * outward).sum(axis=1) > 0).all()
+
+
+def volume(triangles):
+    """Of a closed surface of triangles (n, 3, 3)."""
+    return np.einsum("ni,ni->", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2])) / 6
+
+
+@pytest.mark.parametrize("role", [Role.kIllustration, Role.kProximity])
+def test_a_volume_that_is_not_convex_keeps_its_shape(tmp_path, role):
+    """Two tetrahedra that lean away from each other; what collides hydroelastically is not a hull."""
+    more = VTK.replace("POINTS 4", "POINTS 5").replace("0 0 0.1\n", "0 0 0.1  0.3 0.2 -0.1\n")
+    more = more.replace("CELLS 1 5\n", "CELLS 2 10\n4 0 2 1 4\n").replace(
+        "CELL_TYPES 1\n", "CELL_TYPES 2\n10\n"
+    )
+    (tmp_path / "t.vtk").write_text(more)
+    properties = ProximityProperties()
+    AddRigidHydroelasticProperties(0.1, properties)
+    value = drawn(tmp_path, Mesh(str(tmp_path / "t.vtk")), role, properties)
+    triangles = value("Mesh3D:vertex_positions").reshape(-1, 3, 3)
+    assert len(triangles) == 6
+    # Each tetrahedron is a sixth of 0.3 by 0.2 by 0.1.
+    assert volume(triangles) == pytest.approx(2 * 0.001, rel=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["beside", "embedded", "binary", "memory"])
+def test_a_gltf_file_is_whole_and_turned_as_drake_turns_it(tmp_path, kind):
+    """The file is taken in with all buffers; its y axis points up, and Drake's z."""
+    data = CORNERS.tobytes() + FACES.tobytes()
+    embedded = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    scale = np.array([1.0, 2.0, 3.0])
+    if kind == "binary":
+        (tmp_path / "t.glb").write_bytes(glb(gltf(None), data))
+        shape = Mesh(str(tmp_path / "t.glb"), scale)
+    elif kind == "memory":
+        beside = {"a b.bin": MemoryFile(data, ".bin", "a b")}
+        file = MemoryFile(json.dumps(gltf("a b.bin")).encode(), ".gltf", "t")
+        shape = Mesh(InMemoryMesh(mesh_file=file, supporting_files=beside), scale)
+    else:
+        (tmp_path / "a b.bin").write_bytes(data)
+        uri = "a%20b.bin" if kind == "beside" else embedded
+        (tmp_path / "t.gltf").write_text(json.dumps(gltf(uri)))
+        shape = Mesh(str(tmp_path / "t.gltf"), scale)
+    value = drawn(tmp_path, shape)
+    contents = np.asarray(value("Asset3D:blob")[0], dtype=np.uint8).tobytes()
+    if kind == "binary":
+        assert contents == (tmp_path / "t.glb").read_bytes()
+    else:
+        assert json.loads(contents)["buffers"][0]["uri"] == embedded
+        assert int(value("Asset3D:albedo_factor")[0]) == 0x336699FF
+    matrix = value("Transform3D:mat3x3").reshape(3, 3).T  # stored by columns
+    found = CORNERS @ matrix.T + value("Transform3D:translation")
+    # y of the file is up: (x, y, z) becomes (x, -z, y), then scaled, then placed.
+    turned = CORNERS[:, [0, 2, 1]] * [1, -1, 1] * scale
+    np.testing.assert_allclose(found, np.stack([1 - turned[:, 1], turned[:, 0], turned[:, 2]], 1), atol=1e-6)
+
+
+def test_a_gltf_file_that_rerun_may_not_draw_is_named(tmp_path):
+    """The warnings say which geometry, and which extension of the format is to blame."""
+    (tmp_path / "t.bin").write_bytes(CORNERS.tobytes() + FACES.tobytes())
+    needed = ["KHR_texture_basisu"]
+    scene = gltf("t.bin", extensionsRequired=needed, extensionsUsed=needed)
+    (tmp_path / "t.gltf").write_text(json.dumps(scene))
+    world = World()
+    world.plant.RegisterVisualGeometry(
+        world.ball, RigidTransform(), Mesh(str(tmp_path / "t.gltf")), "mesh", [1, 1, 1, 1]
+    )
+    with pytest.warns(UserWarning) as said:
+        world.finalize().record(tmp_path / "mesh.rrd")
+    world.recorder.close()
+    text = " ".join(str(warning.message) for warning in said)
+    assert "mesh: drawn as its convex hull; it needs KHR_texture_basisu" in text
+    assert "mesh: cannot draw a Mesh" in text  # Drake makes no hull of it either
