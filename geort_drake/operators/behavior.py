@@ -8,10 +8,10 @@ Nothing here knows the retargeting map.
 
 import dataclasses as dc
 import enum
+import functools
 
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
-from scipy.spatial.transform import Rotation
 
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.keypoints import FINGER_NAMES
@@ -44,6 +44,16 @@ class Seen:
     X_WO: RigidTransform  # object
     contact: np.ndarray  # (F,) force between each robot finger and the object, N
 
+    @functools.cached_property
+    def X_BW(self) -> RigidTransform:
+        """The world in the robot hand base."""
+        return self.X_WB.inverse()
+
+    @functools.cached_property
+    def p_BF(self) -> np.ndarray:
+        """(F, 3) robot fingertip points in the hand base, m."""
+        return self.X_BW.multiply(self.p_WF.T).T
+
 
 @dc.dataclass
 class OperatorState:
@@ -51,7 +61,8 @@ class OperatorState:
 
     theta: np.ndarray  # (20,) joint angles of the own hand, rad
     X_WH: RigidTransform
-    # (5, 3) own fingertips at the last decisions, the oldest at the time of what is now seen.
+    # (5, 3) own fingertips at the last decisions, the oldest at the time of what is now seen, the newest at
+    # the joint angles that `step` is given.
     p_HF_past: tuple[np.ndarray, ...]
     # How far the robot's fingertips were seen to move for the own ones' motion.
     sensed: SensedGain
@@ -104,10 +115,9 @@ class GraspingPerson:
         past = (*state.p_HF_past[1:], self._hand.fingertips(state.theta))
         state = dc.replace(state, p_HF_past=past)
         seen = self._perceive(scene)
-        # The oldest own posture that is remembered was taken up when the picture was made.
-        p_BF = seen.X_WB.inverse().multiply(seen.p_WF.T).T
         free = seen.contact <= self._config.touch_force
-        state.sensed = state.sensed.look(t, past[0][self._own], p_BF, free)
+        # The oldest own posture that is remembered was taken up when the picture was made.
+        state.sensed = state.sensed.look(t, past[0][self._own], seen.p_BF, free)
         self._advance_phase(state, t, seen)
         self._move_fingers(state, t, seen)
         self._move_wrist(state, t, seen)
@@ -141,13 +151,13 @@ class GraspingPerson:
         elif state.phase == Phase.CLOSE:
             if touching.all():
                 self._enter(state, Phase.SQUEEZE, t)
-                state.p_HF_start = self._hand.fingertips(state.theta)
-                R_BO = (seen.X_WB.inverse() @ goal.object_frame(seen.X_WO)).rotation().matrix()
+                state.p_HF_start = state.p_HF_past[-1]
+                R_BO = (seen.X_BW @ goal.object_frame(seen.X_WO)).rotation().matrix()
                 state.n_BF = goal.n_OF @ R_BO.T
         elif state.phase == Phase.SQUEEZE:
             if t - state.phase_start >= config.squeeze_time + config.settle_time:
                 self._enter(state, Phase.LIFT, t)
-                state.p_BO_start = seen.X_WB.inverse() @ seen.X_WO.translation()
+                state.p_BO_start = seen.X_BW @ seen.X_WO.translation()
         elif self._slip(state, seen) > config.lost_distance:
             self._enter(state, Phase.RELEASE, t)
             state.attempt += 1
@@ -184,7 +194,7 @@ class GraspingPerson:
         error = self._fingertip_errors(state, seen)
         if state.phase == Phase.CLOSE:
             # Up to the surface, not below it; a finger that touches has arrived.
-            X_BO = seen.X_WB.inverse() @ self._goal.object_frame(seen.X_WO)
+            X_BO = seen.X_BW @ self._goal.object_frame(seen.X_WO)
             error -= self._config.overshoot * (self._goal.n_OF @ X_BO.rotation().matrix().T)
             error[seen.contact > self._config.touch_force] = 0
         error = error[self._goal.touches]
@@ -195,31 +205,29 @@ class GraspingPerson:
 
     def _slip(self, state: OperatorState, seen: Seen) -> float:
         """How far the object has moved in the hand since the lift began, m."""
-        p_BO = seen.X_WB.inverse() @ seen.X_WO.translation()
+        p_BO = seen.X_BW @ seen.X_WO.translation()
         return float(np.linalg.norm(p_BO - state.p_BO_start))
 
     # -- fingers
 
     def _fingertip_errors(self, state: OperatorState, seen: Seen) -> np.ndarray:
         """Where the robot's fingertips should go from where they are seen, (F, 3) m in B."""
-        X_BW = seen.X_WB.inverse()
-        p_BF = X_BW.multiply(seen.p_WF.T).T
         wanted = self._goal.p_BF_open.copy()
         if state.phase in (Phase.SURROUND, Phase.CLOSE):
-            X_BO = X_BW @ self._goal.object_frame(seen.X_WO)
+            X_BO = seen.X_BW @ self._goal.object_frame(seen.X_WO)
             closing = state.phase == Phase.CLOSE
             depth = self._config.overshoot if closing else -self._config.aperture
             aim = self._goal.p_OF_touch + depth * self._goal.n_OF
             touches = self._goal.touches
             wanted[touches] = X_BO.multiply(aim[touches].T).T
-        return wanted - p_BF
+        return wanted - seen.p_BF
 
     def _move_fingers(self, state: OperatorState, t: float, seen: Seen) -> None:
         config = self._config
-        p_HF = self._hand.fingertips(state.theta)
         if state.phase in (Phase.SQUEEZE, Phase.LIFT, Phase.HOLD):
             self._squeeze(state, t)
             return
+        p_HF = state.p_HF_past[-1]
         # What the own fingers did since the picture was taken is taken to have moved the robot's alike
         # (a forward model, as people have one; Miall and Wolpert 1996).
         done = (p_HF - state.p_HF_past[0])[self._own]
@@ -276,8 +284,8 @@ class GraspingPerson:
         return t >= state.movement.t_end + self._config.visual_delay + self._config.judging_time
 
     def _at(self, seen: Seen, X_WB_wanted: RigidTransform) -> bool:
-        X = seen.X_WB.inverse() @ X_WB_wanted
-        turn = Rotation.from_matrix(X.rotation().matrix()).magnitude()
+        X = seen.X_BW @ X_WB_wanted
+        turn = X.rotation().ToAngleAxis().angle()
         return bool(
             np.linalg.norm(X.translation()) < self._config.reach_tolerance
             and turn < self._config.turn_tolerance
@@ -320,12 +328,11 @@ class GraspingPerson:
     ) -> WristMovement:
         config = self._config
         error = self._rng.normal(0, config.motor_noise / np.sqrt(3), 3) * np.linalg.norm(shift)
-        angle = Rotation.from_matrix(turn.matrix()).magnitude()
         # A minimum-jerk movement peaks at 15/8 of its mean speed.
         duration = max(
             config.min_movement_time,
             1.875 * float(np.linalg.norm(shift)) / config.peak_wrist_speed,
-            1.875 * float(angle) / config.peak_wrist_turn,
+            1.875 * turn.ToAngleAxis().angle() / config.peak_wrist_turn,
         )
         X_end = RigidTransform(turn @ X_WH.rotation(), X_WH.translation() + shift + error)
         return WristMovement(X_WH, X_end, t, duration)

@@ -9,6 +9,8 @@ from geort_drake.gloves.human_hand import HumanHand
 _COUPLING = np.array([1.0, 2 / 3, 2 / 3, 2 / 3, 2 / 3])
 # A finger is never stretched out fully: from there no small motion of its joints shortens it.
 _LEAST_BEND = np.deg2rad(8.0)
+# Steps are damped where a radian moves the tip by less than 2 mm.
+_DAMPING = (2e-3) ** 2 * np.eye(3)
 
 
 class FingerMotion:
@@ -42,7 +44,6 @@ class FingerMotion:
         Damped Gauss–Newton steps; a coordinate that meets its limit stays there and the others go on.
         """
         x = np.clip(np.asarray(theta, float).reshape(5, 4)[:, :3], self._lower, self._upper)
-        damping = (2e-3) ** 2 * np.eye(3)
         for _ in range(iterations):
             theta = self._angles(x)
             error = (p_HF - self._hand.fingertips(theta))[..., None]
@@ -51,11 +52,16 @@ class FingerMotion:
             free = np.ones((5, 3))
             for _ in range(2):
                 Jf = J * free[:, None, :]
-                step = (Jf.swapaxes(1, 2) @ np.linalg.solve(Jf @ Jf.swapaxes(1, 2) + damping, error))[..., 0]
+                step = (Jf.swapaxes(1, 2) @ np.linalg.solve(Jf @ Jf.swapaxes(1, 2) + _DAMPING, error))[..., 0]
                 moved = x + step
-                free *= (moved >= self._lower) & (moved <= self._upper)
+                within = (moved >= self._lower) & (moved <= self._upper)
+                if within.all():
+                    break
+                free *= within
             x = np.clip(moved, self._lower, self._upper)
         return self._angles(x)
 
     def _angles(self, x: np.ndarray) -> np.ndarray:
-        return np.column_stack([x, _COUPLING * x[:, 2]]).ravel()
+        theta = np.empty((5, 4))
+        theta[:, :3], theta[:, 3] = x, _COUPLING * x[:, 2]
+        return theta.ravel()

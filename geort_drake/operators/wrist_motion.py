@@ -1,9 +1,10 @@
 """How a person moves the wrist: minimum-jerk movements from one rest to the next."""
 
 import dataclasses as dc
+import functools
 
+from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RigidTransform, RotationMatrix
-from scipy.spatial.transform import Rotation
 
 
 @dc.dataclass
@@ -18,11 +19,12 @@ class WristMovement:
     def pose(self, t: float) -> RigidTransform:
         s = minimum_jerk((t - self.t_start) / self.duration)
         p = self.X_start.translation() + s * (self.X_end.translation() - self.X_start.translation())
-        R_SE = self.X_start.rotation().inverse() @ self.X_end.rotation()
-        turn = Rotation.from_matrix(R_SE.matrix()).as_rotvec() * s
-        return RigidTransform(
-            self.X_start.rotation() @ RotationMatrix(Rotation.from_rotvec(turn).as_matrix()), p
-        )
+        turn = AngleAxis(s * self._turn.angle(), self._turn.axis())
+        return RigidTransform(self.X_start.rotation() @ RotationMatrix(turn), p)
+
+    @functools.cached_property
+    def _turn(self) -> AngleAxis:
+        return (self.X_start.rotation().inverse() @ self.X_end.rotation()).ToAngleAxis()
 
     @property
     def t_end(self) -> float:

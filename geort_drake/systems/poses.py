@@ -1,5 +1,7 @@
 """Poses as vector ports carry them: qw qx qy qz x y z."""
 
+import math
+
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RotationMatrix
@@ -23,7 +25,7 @@ def mirrored_pose(X: RigidTransform) -> RigidTransform:
 
 def vector_to_pose(values: np.ndarray) -> RigidTransform:
     """The pose behind qw qx qy qz x y z, (7,); the quaternion is normalised."""
-    quaternion = np.asarray(values[:4], float)
-    return RigidTransform(
-        RotationMatrix(Quaternion(quaternion / np.linalg.norm(quaternion))), np.asarray(values[4:], float)
-    )
+    values = np.asarray(values, float)
+    quaternion = values[:4]
+    unit = quaternion / math.sqrt(quaternion.dot(quaternion))
+    return RigidTransform(RotationMatrix(Quaternion(unit)), values[4:])

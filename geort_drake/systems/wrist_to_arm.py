@@ -18,6 +18,8 @@ from pydrake.planning import DofMask, JointLimits, RobotDiagram, SceneGraphColli
 from pydrake.systems.framework import BusValue, Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource, MatrixGain, Multiplexer, ZeroOrderHold
 
+from geort_drake.systems.unchanging import Unchanging
+
 
 @dc.dataclass
 class WristToArmConfig:
@@ -85,7 +87,8 @@ class Clutch(LeafSystem):
             return EventStatus.Succeeded()
         X_WH = self._wrist.Eval(context)
         if engaged.X_WH is None:
-            engaged = _Engagement(X_WH, X_WB)
+            # Copies, because ports and states are written over.
+            engaged = _Engagement(RigidTransform(X_WH), RigidTransform(X_WB))
             state.get_mutable_abstract_state(self._engaged).set_value(engaged)
         p_WB = engaged.X_WB.translation() + X_WH.translation() - engaged.X_WH.translation()
         R_WB = X_WH.rotation() @ engaged.X_WH.rotation().inverse() @ engaged.X_WB.rotation()
@@ -98,7 +101,7 @@ class Clutch(LeafSystem):
 
 
 @dc.dataclass(frozen=True)
-class _Engagement:
+class _Engagement(Unchanging):
     X_WH: RigidTransform | None = None
     X_WB: RigidTransform | None = None
 
