@@ -31,3 +31,41 @@ def alex_npy() -> Path:
 def manus_npz() -> Path:
     """A raw MANUS recording: (5000, 25, 7) px py pz qw qx qy qz with Unix timestamps."""
     return _recording_file("manus_right_subject-000_run-010.npz")
+
+
+# Models that several modules look at, loaded once; imported only where one is asked for.
+
+
+@pytest.fixture(scope="session")
+def allegro():
+    """The right Allegro hand, a `HandModel`."""
+    return _hand("allegro_right")
+
+
+@pytest.fixture(scope="session")
+def allegro_left():
+    """The left Allegro hand, a `HandModel`."""
+    return _hand("allegro_left")
+
+
+@pytest.fixture(scope="session")
+def leap():
+    """The right LEAP hand, a `HandModel`."""
+    return _hand("leap_right")
+
+
+@pytest.fixture(scope="session")
+def panda():
+    """The Panda on the world's origin, a `Scene`."""
+    from model_scene import Scene
+
+    from geort_drake.resources import models_dir
+
+    return Scene(models_dir() / "sdf" / "panda.sdf", welded=("panda_link0",))
+
+
+def _hand(name: str):
+    from geort_drake.hands.description import load_hand
+    from geort_drake.hands.model import HandModel
+
+    return HandModel(load_hand(name))

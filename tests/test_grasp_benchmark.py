@@ -1,4 +1,4 @@
-"""The grasp benchmark: its results file, going on after an interruption, errors, backends and the report."""
+"""The grasp benchmark: going on after an interruption, errors, backends and the report."""
 
 import importlib.util
 import json
@@ -59,71 +59,6 @@ def arguments(folder, *more: str) -> list[str]:
 def judged(record: dict) -> dict:
     """A line without the time that the trial took."""
     return {name: value for name, value in record.items() if name != "wall_time"}
-
-
-def line(method="hold", thing="cylinder", seed=0) -> dict:
-    """A line for the results file."""
-    return {"method": method, "object": thing, "seed": seed, "error": "ValueError: no"}
-
-
-# -- the results file
-
-
-def test_the_log_gives_back_what_was_written(tmp_path):
-    """Lines are in the file at once, and there when it is opened again."""
-    with TrialLog(tmp_path / "trials.jsonl") as log:
-        log.append(line())
-        assert read_records(tmp_path / "trials.jsonl") == [line()]
-        log.append(line(seed=1))
-    with TrialLog(tmp_path / "trials.jsonl") as log:
-        assert log.records == [line(), line(seed=1)] and not log.torn
-
-
-def test_a_torn_last_line_is_dropped_from_the_file(tmp_path):
-    """Also one that lacks nothing but its end: the trial is repeated, and the next line stands alone."""
-    path = tmp_path / "trials.jsonl"
-    for torn in ('{"method": "ho', json.dumps(line(seed=1))):
-        path.write_text(json.dumps(line()) + "\n" + torn)
-        assert read_records(path) == [line()]
-        with TrialLog(path) as log:
-            assert log.torn and log.records == [line()]
-            log.append(line(seed=2))
-        assert path.read_text() == json.dumps(line()) + "\n" + json.dumps(line(seed=2)) + "\n"
-
-
-@pytest.mark.parametrize(
-    ("bad", "message"),
-    [
-        ('{"method": "ho', "line 2: not a trial's result"),
-        ("[1, 2]", "line 2: not a trial's result"),
-        ("", "line 2: not a trial's result"),
-        ("\0\0\0", "line 2: not a trial's result"),
-        ('{"method": "hold", "object": "cylinder"}', "line 2: not a trial's result.*seed"),
-        ('{"method": [], "object": "cylinder", "seed": 1}', "line 2: not a trial's result"),
-        (
-            '{"method": "hold", "object": "cylinder", "seed": 1}',
-            "line 2: attempts, completion_time.* missing",
-        ),
-        (json.dumps(line()), "line 2: a second result of hold, cylinder, seed 0"),
-    ],
-)
-def test_a_corrupt_line_is_refused_by_file_and_number(tmp_path, bad, message):
-    """And the file stays as it is."""
-    path = tmp_path / "trials.jsonl"
-    content = json.dumps(line()) + "\n" + bad + "\n" + json.dumps(line(seed=2)) + "\n"
-    path.write_text(content)
-    for read in (TrialLog, read_records):
-        with pytest.raises(BenchmarkError, match=f"trials.jsonl, {message}"):
-            read(path)
-    assert path.read_text() == content
-
-
-def test_two_processes_do_not_write_to_one_file(tmp_path):
-    """The second one is turned away as long as the first has the file open."""
-    path = tmp_path / "trials.jsonl"
-    with TrialLog(path), pytest.raises(BenchmarkError, match="another process is writing"):
-        TrialLog(path)
-    TrialLog(path).close()
 
 
 # -- running, and going on
@@ -251,7 +186,7 @@ def test_another_configuration_is_refused_by_the_name_of_its_field(benchmark, pl
 
 def test_results_without_their_configuration_are_not_taken_over(tmp_path, play):
     """They might be anything's."""
-    (tmp_path / "trials.jsonl").write_text(json.dumps(line()) + "\n")
+    (tmp_path / "trials.jsonl").write_text('{"method": "hold", "object": "cylinder", "seed": 0}\n')
     with pytest.raises(BenchmarkError, match=r"holds trials without their config\.json"):
         open_benchmark(tmp_path, load_scenario(text=SHORT), play, ["hold"], ["cylinder"], 1)
     (tmp_path / "config.json").write_text('{"settings"')

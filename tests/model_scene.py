@@ -1,0 +1,59 @@
+"""Models in a plant, and what data sheets say of them, for the tests of models/sdf."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
+from pydrake.systems.framework import DiagramBuilder
+
+from geort_drake.hands.model import HandModel
+from geort_drake.resources import models_dir
+
+FACTS_DIR = Path(__file__).resolve().parents[2] / "shared" / "facts"
+SDF_FILES = sorted((models_dir() / "sdf").rglob("*.sdf"))
+OBJECTS = sorted((models_dir() / "sdf" / "objects").glob("*.sdf"))
+
+
+class Scene:
+    """Models in a finalized discrete plant; the first link of each named file is welded to the world."""
+
+    def __init__(self, *paths: Path, welded: tuple[str, ...] = ()):
+        builder = DiagramBuilder()
+        config = MultibodyPlantConfig(time_step=0.002, discrete_contact_approximation="sap")
+        self.plant, self.scene_graph = AddMultibodyPlant(config, builder)
+        parser = Parser(self.plant)
+        # A model that reaches for something outside the package, or that Drake only half understands, fails.
+        parser.SetStrictParsing()
+        for path in paths:
+            parser.AddModels(path)
+        for link in welded:
+            self.plant.WeldFrames(self.plant.world_frame(), self.plant.GetFrameByName(link))
+        self.plant.Finalize()
+        self.diagram = builder.Build()
+        self.root = self.diagram.CreateDefaultContext()
+        self.context = self.plant.GetMyMutableContextFromRoot(self.root)
+
+    def set_joints(self, positions: dict[str, float]) -> None:
+        for name, value in positions.items():
+            self.plant.GetJointByName(name).set_angle(self.context, value)
+
+    def collides(self) -> bool:
+        return self.plant.get_geometry_query_input_port().Eval(self.context).HasCollisions()
+
+
+def facts_of(name: str) -> dict:
+    """A fact sheet; the test skips where it is not at hand."""
+    path = FACTS_DIR / name
+    if not path.is_file():
+        pytest.skip(f"the facts {name} are not at hand")
+    return yaml.safe_load(path.read_text(encoding="utf-8"))
+
+
+def tips_mm(hand: HandModel, by_number: list[float]) -> dict[str, np.ndarray]:
+    """Fingertips (3,) by finger, mm, at the angles of joint_0, joint_1, … in rad."""
+    named = {f"joint_{i}": angle for i, angle in enumerate(by_number)}
+    tips = hand.fingertips(np.array([named[name] for name in hand.joint_names]))
+    return dict(zip(hand.finger_names, tips * 1e3, strict=True))

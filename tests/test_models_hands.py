@@ -1,0 +1,250 @@
+"""The right hands in models/sdf against their makers' descriptions, data sheets and physics."""
+
+import numpy as np
+import pytest
+from model_scene import facts_of, tips_mm
+from pydrake.geometry import Role
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
+from pydrake.multibody.tree import BodyIndex
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+from geort_drake.hands.description import hand_names, load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.resources import models_dir
+
+# Sphere centres in mm, rounded to 0.01 mm, from the manufacturer's description evaluated independently;
+# joint_0 to joint_15.
+ALLEGRO_TIPS = {
+    "zero": (
+        [0.0] * 16,
+        {
+            "index": [0.0, 55.31, 133.44],
+            "middle": [0.0, 0.0, 136.2],
+            "ring": [0.0, -55.31, 133.44],
+            "thumb": [-13.2, 167.7, -86.07],
+        },
+    ),
+    "random": (
+        [0.118, 1.424, 1.287, 0.189, -0.188, 1.382, -0.164, 1.288]
+        + [0.279, 0.649, 0.397, 0.287, 0.552, 0.459, 0.736, 0.879],
+        {
+            "index": [75.31, 49.21, -38.7],
+            "middle": [103.08, -19.61, 19.02],
+            "ring": [88.27, -25.71, 85.29],
+            "thumb": [64.22, 82.19, -9.51],
+        },
+    ),
+}
+# Centres of the pads' round ends in mm in the published palm frame: x along the fingers, y towards the index
+# side, z out of the back; joint_0 to joint_15.
+LEAP_TIPS = {
+    "zero": (
+        [0.0] * 16,
+        {
+            "index": [122.0, 8.1, -20.4],
+            "middle": [121.9, -37.3, -20.4],
+            "ring": [121.9, -82.7, -20.4],
+            "thumb": [-81.4, 128.5, -21.4],
+        },
+    ),
+    "random": (
+        [1.038, 1.703, 0.982, 2.015, -0.596, 0.094, 0.959, -0.26]
+        + [-0.972, 0.996, 0.609, 1.843, 1.188, 1.028, 0.34, -0.543],
+        {
+            "index": [-47.03, 12.14, -49.18],
+            "middle": [79.8, -0.4, -83.79],
+            "ring": [-20.78, -71.52, -82.31],
+            "thumb": [-79.04, 41.27, -140.49],
+        },
+    ),
+}
+# That frame in base_link: origin in m, axes as columns.
+LEAP_PALM = RigidTransform(RotationMatrix.MakeYRotation(-np.pi / 2), [-0.0187, 0.038, 0.007])
+
+
+@pytest.mark.parametrize("case", ALLEGRO_TIPS)
+def test_allegro_fingertips_agree_with_the_manufacturers_description(allegro, case):
+    """Exact kinematics reproduce independently computed fingertip points to 0.1 mm."""
+    q, wanted = ALLEGRO_TIPS[case]
+    for finger, tip in tips_mm(allegro, q).items():
+        np.testing.assert_allclose(tip, wanted[finger], atol=0.1)
+
+
+def test_allegro_agrees_with_the_fact_sheet(allegro):
+    """Every forward-kinematics check, joint limit and mass of the fact sheet holds."""
+    facts = facts_of("allegro.yaml")
+    for case in facts["fk_check"].values():
+        for finger, tip in tips_mm(allegro, case["q"]).items():
+            np.testing.assert_allclose(tip, case["sphere_center_mm"][finger], atol=0.1)
+    limits = {
+        joint["name"].removesuffix(".0"): (joint["lower_rad"], joint["upper_rad"])
+        for joint in facts["kinematics_right"]
+        if joint["type"] == "revolute"
+    }
+    assert len(limits) == 16
+    for name, lower, upper in zip(allegro.joint_names, allegro.lower, allegro.upper, strict=True):
+        assert (lower, upper) == pytest.approx(limits[name], abs=1e-9)
+
+
+@pytest.mark.parametrize("case", LEAP_TIPS)
+def test_leap_fingertips_agree_with_the_published_description(leap, case):
+    """Exact kinematics reproduce independently computed fingertip points to 0.1 mm."""
+    q, wanted = LEAP_TIPS[case]
+    for finger, tip in tips_mm(leap, q).items():
+        in_palm = LEAP_PALM.inverse() @ (tip / 1e3)
+        np.testing.assert_allclose(in_palm * 1e3, wanted[finger], atol=0.1)
+
+
+def test_leap_agrees_with_the_fact_sheet(leap):
+    """Every forward-kinematics check, joint limit and mass of the fact sheet holds."""
+    facts = facts_of("leap.yaml")
+    for case in facts["fk_check"].values():
+        for finger, tip in tips_mm(leap, case["q_joint0_to_15"]).items():
+            in_palm = LEAP_PALM.inverse() @ (tip / 1e3)
+            wanted = case["primitive_tip_center_in_palm_lower_mm"][finger]
+            np.testing.assert_allclose(in_palm * 1e3, wanted, atol=0.1)
+    limits = {
+        f"joint_{joint['name']}": (joint["lower_rad"], joint["upper_rad"])
+        for joint in facts["kinematics_right"]
+        if joint["type"] == "revolute"
+    }
+    assert len(limits) == 16
+    for name, lower, upper in zip(leap.joint_names, leap.lower, leap.upper, strict=True):
+        assert (lower, upper) == pytest.approx(limits[name], abs=1e-9)
+    shapes = facts["proposed_inertials"]["shapes"]
+    masses = [shapes[name]["mass_kg"] for name in ("palm_lower", "thumb_temp_base", "thumb_pip")]
+    masses += [shapes[name]["mass_kg"] for name in ("thumb_dip", "thumb_fingertip")]
+    masses += 3 * [shapes[name]["mass_kg"] for name in ("mcp", "pip", "dip", "fingertip")]
+    assert sum(masses) == pytest.approx(leap.plant.CalcTotalMass(leap.plant.CreateDefaultContext()))
+
+
+def test_leap_links_weigh_where_their_material_is(leap):
+    """No centre of mass lies on its joint, as all of the public model do; each is inside its link."""
+    query = leap.scene_graph.get_query_output_port().Eval(
+        leap.scene_graph.GetMyContextFromRoot(leap.diagram.CreateDefaultContext())
+    )
+    context = leap.plant.GetMyContextFromRoot(leap.diagram.CreateDefaultContext())
+    for index in range(1, leap.plant.num_bodies()):
+        body = leap.plant.get_body(BodyIndex(index))
+        assert np.linalg.norm(body.default_com()) > 0.005, body.name()
+        p_WC = body.EvalPoseInWorld(context) @ body.default_com()
+        frame = leap.plant.GetBodyFrameIdOrThrow(body.index())
+        own = set(leap.scene_graph.model_inspector().GetGeometries(frame, Role.kProximity))
+        distances = [d.distance for d in query.ComputeSignedDistanceToPoint(p_WC, 0.05) if d.id_G in own]
+        assert min(distances) < 0.003, body.name()
+
+
+def test_leap_inertias_are_about_the_links_own_axes(leap):
+    """A link is hardest to turn about the axes across its longest side; of three public links none agrees."""
+    for name, longest in (("index_pip", 0), ("thumb_base", 0), ("thumb_pip", 1)):
+        body = leap.plant.GetBodyByName(name)
+        M = body.default_spatial_inertia().Shift(body.default_com())
+        moments = M.CalcRotationalInertia().get_moments()
+        assert np.argmin(moments) == longest, name
+
+
+def test_leap_thumb_base_has_its_box_where_its_servo_is(leap):
+    """The public model has it mirrored in the joint, at +7.5 mm."""
+    inspector = leap.scene_graph.model_inspector()
+    frame = leap.plant.GetBodyFrameIdOrThrow(leap.plant.GetBodyByName("thumb_base").index())
+    (box,) = inspector.GetGeometries(frame, Role.kProximity)
+    assert inspector.GetPoseInFrame(box).translation()[0] == pytest.approx(-0.0075)
+
+
+def test_leap_thumb_limits_are_not_shifted_by_a_joint(leap):
+    """Another public model gives joint_14 the limits of joint_13."""
+    for name, limits in (("joint_13", (-0.47, 2.443)), ("joint_14", (-1.2, 1.9))):
+        number = leap.joint_names.index(name)
+        assert (leap.lower[number], leap.upper[number]) == limits
+
+
+def test_allegro_collides_with_itself_as_often_as_its_meshes_do(allegro, rng):
+    """A third of uniform joint positions collide: 34.3 %, measured once on the same primitives elsewhere."""
+    rate = allegro.collides(rng.uniform(allegro.lower, allegro.upper, (20_000, 16))).mean()
+    assert rate == pytest.approx(0.3431, abs=0.01)
+
+
+def test_leap_collides_with_itself_as_often_as_its_meshes_do(leap, rng):
+    """Four of five uniform joint positions collide: 79.1 % with these primitives, 78.5 % with the meshes."""
+    rate = leap.collides(rng.uniform(leap.lower, leap.upper, (5000, 16))).mean()
+    assert rate == pytest.approx(0.7912, abs=0.02)
+
+
+def test_every_finger_weighs_on_its_joints(allegro):
+    """The mass of a link with its tip lies beyond its joint, and merging keeps the tip's mass."""
+    link = allegro.plant.GetBodyByName("link_3")
+    assert link.default_mass() == pytest.approx(0.0096 + 0.0168)
+    # Two point masses: the link's own at 9.59 mm, the tip's at 26.7 - 1.21 mm.
+    wanted = (0.0096 * 9.59 + 0.0168 * 25.49) / 0.0264
+    assert link.default_com()[2] * 1e3 == pytest.approx(wanted, abs=0.01)
+
+
+def test_default_positions_lie_inside_the_limits_and_free_of_contact(allegro):
+    """The pose a hand is loaded in respects every limit, joint_12's positive lower limit included."""
+    q = allegro.default_position
+    assert ((allegro.lower <= q) & (q <= allegro.upper)).all()
+    assert allegro.lower[allegro.joint_names.index("joint_12")] > 0
+    assert not allegro.collides(q)
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted", "speed"),
+    [
+        ("allegro_right", (1.0, 0.1, 0.7), 7),
+        ("allegro_left", (1.0, 0.1, 0.7), 7),
+        ("leap_right", (3.0, 0.17, 0.95), 8.48),
+    ],
+)
+def test_hand_actuators_hold_their_position(name, wanted, speed):
+    """All sixteen joints have an actuator with implicit PD gains and a torque limit."""
+    hand = HandModel(load_hand(name))
+    actuators = [hand.plant.get_joint_actuator(index) for index in hand.plant.GetJointActuatorIndices()]
+    assert sorted(actuator.joint().name() for actuator in actuators) == sorted(hand.joint_names)
+    for actuator in actuators:
+        assert actuator.has_controller()
+        gains = actuator.get_controller_gains()
+        assert (gains.p, gains.d, actuator.effort_limit()) == wanted
+        assert actuator.default_gear_ratio() ** 2 * actuator.default_rotor_inertia() == pytest.approx(1e-4)
+        assert actuator.joint().velocity_upper_limit() == speed
+
+
+@pytest.mark.parametrize("name", ["allegro_right", "leap_right"])
+def test_the_hand_moves_to_its_desired_positions(name):
+    """Under SAP at 2 ms, gravity off, every joint reaches its target within 0.02 rad in 1.5 s."""
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlant(
+        MultibodyPlantConfig(time_step=0.002, discrete_contact_approximation="sap"), builder
+    )
+    model = HandModel(load_hand(name))
+    (hand,) = Parser(plant).AddModels(models_dir() / "sdf" / f"{name}.sdf")
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
+    plant.set_gravity_enabled(hand, False)
+    plant.Finalize()
+    simulator = Simulator(builder.Build())
+    context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    start = dict(zip(model.joint_names, model.default_position, strict=True))
+    for joint, value in start.items():
+        plant.GetJointByName(joint).set_angle(context, value)
+    order = [plant.get_joint_actuator(index).joint().name() for index in plant.GetJointActuatorIndices(hand)]
+    target = np.array([start[joint] + 0.2 for joint in order])
+    plant.get_desired_state_input_port(hand).FixValue(context, np.concatenate([target, 0 * target]))
+    simulator.AdvanceTo(1.5)
+    reached = np.array([plant.GetJointByName(joint).get_angle(context) for joint in order])
+    np.testing.assert_allclose(reached, target, atol=0.02)
+
+
+@pytest.mark.parametrize("name", hand_names())
+def test_friction_of_fingertips_exceeds_that_of_the_shells(name):
+    """The two shapes of each tip have a friction of 0.9, everything else 0.6."""
+    hand = HandModel(load_hand(name))
+    inspector = hand.scene_graph.model_inspector()
+    frictions = {}
+    for id in inspector.GetAllGeometryIds(Role.kProximity):
+        name = inspector.GetName(id).split("::")[-1]
+        friction = inspector.GetProximityProperties(id).GetProperty("material", "coulomb_friction")
+        frictions.setdefault("tip" in name, []).append(friction.static_friction())
+    assert frictions[True] == [0.9] * 8
+    assert set(frictions[False]) == {0.6}
