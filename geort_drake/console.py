@@ -49,6 +49,9 @@ def run_main(main: Callable[[Sequence[str] | None], int | None]) -> None:
     except (GeortError, OSError) as error:
         _say("error", "red", error)
         sys.exit(2)
+    except MemoryError as error:
+        _say("error", "red", f"there is not enough memory for what was asked for: {error}")
+        sys.exit(2)
     except KeyboardInterrupt:
         console.print("interrupted")
         sys.exit(130)

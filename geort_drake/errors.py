@@ -39,8 +39,8 @@ class BenchmarkError(GeortError):
     """A benchmark's folder is corrupt, in use, or of another configuration."""
 
 
-class OutputError(GeortError):
-    """A file or folder cannot be written where it was asked for."""
+class OutputError(GeortError, OSError):
+    """A file or folder cannot be written where it was asked for, or not to its end."""
 
 
 class UnknownNameError(GeortError):

@@ -1,6 +1,8 @@
 """Files that are either whole or absent, and digests that say which contents were used."""
 
 import contextlib
+import ctypes
+import errno
 import hashlib
 import os
 import shutil
@@ -10,48 +12,95 @@ from pathlib import Path
 
 from geort_drake.errors import OutputError
 
+# What the system says when a disk is full or a place is not to be written to.
+_UNWRITABLE = {
+    errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ENOSPC, errno.ENOTDIR, errno.EPERM, errno.EROFS,
+}  # fmt: skip
+
+
+@contextlib.contextmanager
+def writing(target: str | os.PathLike) -> Iterator[None]:
+    """Turns the system's errors for a full disk or a read-only place into OutputError with its name."""
+    try:
+        yield
+    except OutputError:
+        raise
+    except OSError as error:
+        if error.errno not in _UNWRITABLE:
+            raise
+        raise OutputError(f"{target}: cannot be written: {error.strerror}") from error
+
 
 @contextlib.contextmanager
 def atomic_path(target: str | os.PathLike) -> Iterator[Path]:
     """Yields a path beside `target`; what was written there becomes `target` on success.
 
-    On an exception nothing is left behind and an earlier `target` stays as it was.
+    On an exception nothing is left behind and an earlier `target` stays as it was. Where the process or the
+    machine ends meanwhile, `target` is the earlier or the later one, whole; a hidden draft may be left beside
+    it, which nothing reads.
+
+    Raises:
+        OutputError: the disk is full, or the place may not be written to.
     """
     target = Path(target)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    # The target's suffix is kept because writers such as np.savez append their own otherwise.
-    handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent)
-    os.close(handle)
-    draft = Path(name)
-    try:
-        yield draft
-        draft.chmod(0o666 & ~_umask())
-        os.replace(draft, target)
-    except BaseException:
-        draft.unlink(missing_ok=True)
-        raise
+    with writing(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        # The target's suffix is kept because writers such as np.savez append their own otherwise.
+        handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent)
+        os.close(handle)
+        draft = Path(name)
+        try:
+            yield draft
+            draft.chmod(0o666 & ~_umask())
+            _to_disk(draft)
+            os.replace(draft, target)
+        except BaseException:
+            draft.unlink(missing_ok=True)
+            raise
 
 
 @contextlib.contextmanager
 def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
-    """Yields a new directory beside `target` that takes its place on success."""
+    """Yields a new directory beside `target` that takes its place on success; else as `atomic_path`."""
     target = Path(target)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+    with writing(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        draft = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+        try:
+            yield draft
+            draft.chmod(0o777 & ~_umask())
+            for path in draft.rglob("*"):
+                if path.is_file():
+                    _to_disk(path)
+            if target.exists() and _exchange(draft, target):
+                shutil.rmtree(draft)
+            elif target.exists():
+                # rename() cannot replace a directory that holds files, so the old one steps aside.
+                old = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent))
+                os.replace(target, old / target.name)
+                os.replace(draft, target)
+                shutil.rmtree(old)
+            else:
+                os.replace(draft, target)
+        except BaseException:
+            shutil.rmtree(draft, ignore_errors=True)
+            raise
+
+
+def _to_disk(path: Path) -> None:
+    """Waits until a file's contents are on the disk, so that it is never found empty after a power cut."""
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Lets two paths change places in one step; False where the system cannot (Linux can on most disks)."""
     try:
-        yield draft
-        draft.chmod(0o777 & ~_umask())
-        if target.exists():
-            # rename() cannot replace a directory that holds files, so the old one steps aside.
-            old = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent))
-            os.replace(target, old / target.name)
-            os.replace(draft, target)
-            shutil.rmtree(old)
-        else:
-            os.replace(draft, target)
-    except BaseException:
-        shutil.rmtree(draft, ignore_errors=True)
-        raise
+        renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
+    except AttributeError:
+        return False
+    here, exchange = -100, 2  # AT_FDCWD, RENAME_EXCHANGE
+    return renameat2(here, os.fsencode(one), here, os.fsencode(other), exchange) == 0
 
 
 def require_writable(target: str | os.PathLike, directory: bool = False) -> None:

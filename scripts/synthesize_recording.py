@@ -16,6 +16,7 @@ from geort_drake.gloves.readers import read_recording
 from geort_drake.gloves.recording import SIDES, Recording
 from geort_drake.gloves.summary import fingertip_speeds, summarize
 
+_MOST_FRAMES = 5_000_000  # half a day at 120 Hz, and two gigabytes while they are made
 # Okabe & Ito's palette, which colour-blind readers can tell apart.
 _COLORS = dict(zip(FINGER_NAMES, ["#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00"], strict=True))
 
@@ -131,6 +132,8 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     arguments = parser.parse_args(argv)
     if arguments.seed < 0:
         parser.error(f"--seed must be 0 or more, not {arguments.seed}")
+    if arguments.duration * arguments.rate > _MOST_FRAMES:
+        parser.error(f"--duration by --rate may be at most {_MOST_FRAMES:,} frames")
     # Also the name of the plot, which comes last, is looked at before anything is written.
     for path, suffix in ((arguments.output, ".npz"), (arguments.plot, ".png")):
         if path is None:

@@ -44,6 +44,7 @@ CONFIG, SCENARIO, TRIALS, METHODS, ERRORS = (
 BACKENDS = ("loky", "ray")
 # What a trial runs through; reports and metrics may change without it.
 _SOURCES = ("gloves", "hands", "operators", "retargeting", "simulation", "systems")
+_CONFIG_TYPES = {"settings": dict, "objects": list, "methods": dict, "trials": int, "notes": dict}
 _VERSIONS = ("geort_drake", "python", "numpy", "scipy", "drake")
 
 
@@ -200,11 +201,16 @@ def read_config(folder: Path) -> dict:
         raise BenchmarkError(f"{path}: there is no such file; a benchmark writes it when it begins")
     try:
         config = json.loads(path.read_text(encoding="utf-8"))
-        missing = {"settings", "objects", "methods", "trials", "notes"} - set(config)
-    except (ValueError, TypeError) as error:
+        missing = _CONFIG_TYPES.keys() - set(config)
+    except (ValueError, TypeError, RecursionError) as error:
         raise BenchmarkError(f"{path}: not a benchmark's configuration: {error}") from error
     if missing:
         raise BenchmarkError(f"{path}: {', '.join(sorted(missing))} missing")
+    for field, kind in _CONFIG_TYPES.items():
+        if not isinstance(config[field], kind):
+            raise BenchmarkError(
+                f"{path}: {field} must be of type {kind.__name__}, not {config[field]!r:.60}"
+            )
     return config
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from geort_drake.errors import BenchmarkError
+from geort_drake.files import writing
 from geort_drake.simulation.trial import TrialResult
 
 _FIELDS = {"method", *(field.name for field in dc.fields(TrialResult))}
@@ -67,8 +68,10 @@ class TrialLog:
 
     def __init__(self, path: str | os.PathLike):
         self.path = Path(path)
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = open(self.path, "a+b")
+        with writing(self.path):
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            # Without a buffer, which would still hold a line that could not be written.
+            self._file = open(self.path, "a+b", buffering=0)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -86,10 +89,16 @@ class TrialLog:
             raise
 
     def append(self, record: dict) -> None:
-        """Writes a trial's line to the disk."""
-        self._file.write(json.dumps(record, allow_nan=False).encode() + b"\n")
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        """Writes a trial's line to the disk.
+
+        Raises:
+            OutputError: the disk is full, say; what was written of the line is dropped at the next opening.
+        """
+        with writing(self.path):
+            line = json.dumps(record, allow_nan=False).encode() + b"\n"
+            while line:
+                line = line[self._file.write(line) :]
+            os.fsync(self._file.fileno())
 
     def close(self) -> None:
         """Gives the file free."""
@@ -110,7 +119,7 @@ def _parse(path: Path, content: bytes) -> list[dict]:
             key = key_of(record)
             repeated = key in records
             missing = [] if "error" in record else sorted(_FIELDS - set(record))
-        except (ValueError, TypeError, KeyError) as error:
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
             raise BenchmarkError(
                 f"{path}, line {number}: not a trial's result ({type(error).__name__}: {error}); mend or "
                 f"delete the line, or choose another folder"

@@ -10,16 +10,18 @@ metrics.json          the evaluation, where one was made
 
 import csv
 import json
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file, save
 
 from geort_drake.errors import CheckpointError
 from geort_drake.files import atomic_directory, sha256_of
+from geort_drake.gloves.keypoints import KEYPOINT_COUNT
 from geort_drake.retargeting.trained_space import TrainedSpace
 
 FORMAT = 1
@@ -34,6 +36,7 @@ WEIGHTS, CONFIG, HAND, PROVENANCE, HISTORY, METRICS = (
 REQUIRED = (CONFIG, WEIGHTS, HAND, PROVENANCE, HISTORY)
 DIGESTED = (WEIGHTS, HAND, HISTORY, PROVENANCE)
 TRAINED_POINTS = "trained_points"
+MOST_BYTES = 1 << 30  # of one file; a trained map's weights are a megabyte
 UNITS = {"human_points": "m, wrist frame H", "joint_angles": "rad"}
 
 _CONFIG_FIELDS = ("format", "method", "finger_names", "joint_names", "human_keypoints", "sha256")
@@ -107,7 +110,10 @@ def save_checkpoint(
     if missing:
         raise CheckpointError(f"{path}: the hand lacks {', '.join(missing)}")
     with atomic_directory(path) as draft:
-        save_file({name: np.ascontiguousarray(array) for name, array in arrays.items()}, draft / WEIGHTS)
+        # Not save_file, whose error for a full disk is none of the system's.
+        (draft / WEIGHTS).write_bytes(
+            save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
+        )
         _write_json(draft / HAND, hand)
         _write_json(draft / PROVENANCE, provenance)
         with open(draft / HISTORY, "w", newline="", encoding="utf-8") as file:
@@ -159,9 +165,15 @@ def load_checkpoint(path: str | os.PathLike) -> Checkpoint:
         raise CheckpointError(
             f"{path}: {', '.join(missing)} missing; a checkpoint holds {', '.join(REQUIRED)}"
         )
+    for name in REQUIRED:
+        if (size := (path / name).stat().st_size) > MOST_BYTES:
+            raise CheckpointError(
+                f"{path / name}: holds {size / 2**30:.1f} GiB; files of up to {MOST_BYTES >> 30} GiB are read"
+            )
     config = _read_json(path / CONFIG, _CONFIG_FIELDS)
     if config["format"] != FORMAT:
         raise CheckpointError(f"{path / CONFIG}: format is {config['format']}, this version reads {FORMAT}")
+    _check_config(path / CONFIG, config)
     for name in DIGESTED:
         wanted, given = config["sha256"].get(name), sha256_of(path / name)
         if wanted != given:
@@ -175,6 +187,7 @@ def load_checkpoint(path: str | os.PathLike) -> Checkpoint:
                 f"{path}: {name} differ: {HAND} has {_listed(hand[name])}, "
                 f"{CONFIG} has {_listed(config[name])}"
             )
+    _check_hand(path / HAND, hand)
     if len(config["human_keypoints"]) != len(config["finger_names"]):
         raise CheckpointError(
             f"{path / CONFIG}: {len(config['finger_names'])} fingers need as many human_keypoints, "
@@ -187,10 +200,50 @@ def load_checkpoint(path: str | os.PathLike) -> Checkpoint:
     return Checkpoint(path, config, hand, _read_json(path / PROVENANCE, ()), arrays)
 
 
+def _check_config(path: Path, config: Mapping) -> None:
+    """Looks at the types of the fields that decide what is computed."""
+    if not isinstance(config["method"], str):
+        raise CheckpointError(f"{path}: method must be a text, not {config['method']!r:.60}")
+    for field in ("finger_names", "joint_names"):
+        names = config[field]
+        if not (isinstance(names, list) and names and all(isinstance(name, str) for name in names)):
+            raise CheckpointError(f"{path}: {field} must be a list of names, not {names!r:.60}")
+    keypoints = config["human_keypoints"]
+    if not (isinstance(keypoints, list) and all(_is_keypoint(number) for number in keypoints)):
+        raise CheckpointError(
+            f"{path}: human_keypoints must be a list of numbers from 0 to {KEYPOINT_COUNT - 1}, not "
+            f"{keypoints!r:.60}"
+        )
+    digests = config["sha256"]
+    if not isinstance(digests, dict):
+        raise CheckpointError(f"{path}: sha256 must be an object, not {digests!r:.60}")
+    if foreign := sorted(set(digests) - set(DIGESTED)):
+        raise CheckpointError(f"{path}: sha256 names {foreign[0]}, which is not one of {', '.join(DIGESTED)}")
+
+
+def _is_keypoint(number: object) -> bool:
+    return isinstance(number, int) and not isinstance(number, bool) and 0 <= number < KEYPOINT_COUNT
+
+
+def _check_hand(path: Path, hand: Mapping) -> None:
+    """Looks whether the hand has its texts, and every joint a lower limit below its upper one."""
+    for field in ("name", "model_sha256"):
+        if not isinstance(hand[field], str):
+            raise CheckpointError(f"{path}: {field} must be a text, not {hand[field]!r:.60}")
+    lower, upper = hand["lower"], hand["upper"]
+    joints = len(hand["joint_names"])
+    good = all(isinstance(limits, list) and len(limits) == joints for limits in (lower, upper))
+    good = good and all(isinstance(limit, int | float) and math.isfinite(limit) for limit in [*lower, *upper])
+    if not (good and all(low < high for low, high in zip(lower, upper, strict=True))):
+        raise CheckpointError(
+            f"{path}: lower and upper must be finite numbers, one of each per joint, lower below upper"
+        )
+
+
 def _read_json(path: Path, fields: Sequence[str]) -> dict:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise CheckpointError(f"{path}: not valid JSON: {error}") from error
     if not isinstance(content, dict):
         raise CheckpointError(f"{path}: must hold an object, it holds {type(content).__name__}")

@@ -58,8 +58,10 @@ class Retargeter:
         hidden = _array(arrays, "weight0", (fingers, 3, -1)).shape[2]
         outputs = fingers * _array(arrays, "weight2", (fingers, hidden, -1)).shape[2]
         self._columns = _array(arrays, "columns", (len(self.joint_names),))
-        if len(set(self._columns.tolist())) != self._columns.size or not (
-            0 <= self._columns.min() and self._columns.max() < outputs
+        if (
+            self._columns.dtype.kind not in "iu"
+            or len(set(self._columns.tolist())) != self._columns.size
+            or not (0 <= self._columns.min() and self._columns.max() < outputs)
         ):
             raise CheckpointError(
                 f"weights: columns must be {self._columns.size} different numbers below {outputs}"
