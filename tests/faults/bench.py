@@ -1,0 +1,58 @@
+"""A retargeting system by itself, fed by hand, and what is wrong with what it gives out."""
+
+import numpy as np
+from pydrake.systems.analysis import Simulator
+
+from faults.sound import JOINTS, LOWER, UPPER, smooth_retargeter
+from geort_drake.systems.joint_limits import JointLimits
+from geort_drake.systems.retargeting_system import RetargetingSystem
+
+START = 0.3  # rad, of every joint
+
+
+class Bench:
+    """Steps a `RetargetingSystem` of 16 joints update by update."""
+
+    def __init__(self, retarget=None, period=0.01, stamped=False, **options):
+        self.period = period
+        self.limits = options.pop("limits", JointLimits(LOWER, UPPER))
+        self.system = RetargetingSystem(
+            retarget or smooth_retargeter(), JOINTS, JOINTS, dict.fromkeys(JOINTS, START), period,
+            self.limits, **options,
+        )  # fmt: skip
+        self.simulator = Simulator(self.system)
+        self.context = self.simulator.get_mutable_context()
+        self.ticks = 0
+        self.stamped = stamped
+
+    def tick(self, keypoints, valid=1.0, stamp=None):
+        """One update; returns positions, velocities and the status after it."""
+        self.system.GetInputPort("keypoints").FixValue(self.context, np.ravel(keypoints))
+        self.system.GetInputPort("valid").FixValue(self.context, [valid])
+        if self.stamped:
+            self.system.GetInputPort("stamp").FixValue(self.context, [stamp])
+        self.simulator.AdvanceTo((self.ticks + 0.5) * self.period)
+        self.ticks += 1
+        desired = self.system.GetOutputPort("desired_state").Eval(self.context).copy()
+        return desired[:16], desired[16:], self.system.GetOutputPort("status").Eval(self.context)
+
+
+class Watch:
+    """Holds every command against the limits, and the one before it."""
+
+    def __init__(self, limits: JointLimits, period: float):
+        self._limits, self._period = limits, period
+        self._q, self._v = np.full(len(limits.lower), START), np.zeros(len(limits.lower))
+
+    def broken(self, q: np.ndarray, v: np.ndarray) -> list[str]:
+        """Which guarantees positions (rad) and velocities (rad/s) of the next update break."""
+        limits, period = self._limits, self._period
+        checks = {
+            "finite": bool(np.isfinite(q).all() and np.isfinite(v).all()),
+            "position": bool(((limits.lower <= q) & (q <= limits.upper)).all()),
+            "speed": bool((np.abs(q - self._q) <= (limits.speed + 1e-9) * period).all()),
+            "consistent velocity": bool((np.abs((q - self._q) / period - v) <= 1e-9).all()),
+            "acceleration": bool((np.abs(v - self._v) <= limits.acceleration * period + 1e-9).all()),
+        }
+        self._q, self._v = q, v
+        return [name for name, kept in checks.items() if not kept]

@@ -1,0 +1,82 @@
+"""Disks that are full or read-only: real ones where this process may mount them."""
+
+import contextlib
+import os
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+from faults.child import run
+from faults.kills import unclear
+from faults.sound import checkpoint, play
+from geort_drake.evaluation.trial_log import TrialLog
+from geort_drake.files import write_text
+
+
+def save_recording() -> None:
+    play().save("play.npz")
+
+
+def save_checkpoint() -> None:
+    checkpoint(Path())
+
+
+def save_text() -> None:
+    write_text("notes.txt", "x" * 200_000)
+
+
+def append_trials() -> None:
+    with TrialLog("trials.jsonl") as log:
+        for seed in range(1000):
+            log.append({"method": "hold", "object": "cube", "seed": seed, "error": "x" * 200})
+
+
+WRITERS = (save_recording, save_checkpoint, save_text, append_trials)
+
+
+def full(folder: Path) -> list[str]:
+    """Fills disks of 64 KiB with each writer. What is wrong with what they say and leave."""
+    wrong = []
+    for writer in WRITERS:
+        with mounted(folder / writer.__name__, "size=64k") as disk:
+            ending = run(writer, (), disk, folder / "beside")
+            wrong += [f"{writer.__name__}: {text}" for text in unclear(ending, "No space left on device")]
+            if writer is append_trials:
+                with TrialLog(disk / "trials.jsonl") as log:
+                    wrong += [] if 0 < len(log.records) < 1000 else ["the log lost its lines"]
+            elif left := list(disk.iterdir()):
+                wrong.append(f"{writer.__name__}: left {left[0].name}")
+    return wrong
+
+
+def read_only(folder: Path) -> list[str]:
+    """Writes to disks that may only be read. What is wrong with what the writers say."""
+    wrong = []
+    for writer in WRITERS:
+        with mounted(folder / writer.__name__, "ro") as disk:
+            ending = run(writer, (), disk, folder / "beside")
+            wrong += [f"{writer.__name__}: {text}" for text in unclear(ending, "Read-only file system")]
+    return wrong
+
+
+def can_mount(folder: Path) -> bool:
+    """Whether this process may mount disks: the superuser outside of most containers."""
+    if os.geteuid() != 0:
+        return False
+    try:
+        with mounted(folder / "try", "size=64k"):
+            return True
+    except (OSError, subprocess.CalledProcessError):
+        return False
+
+
+@contextlib.contextmanager
+def mounted(folder: Path, options: str) -> Iterator[Path]:
+    """A disk in memory at `folder`, gone afterwards."""
+    folder.mkdir(parents=True)
+    command = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
+    subprocess.run(command, check=True, capture_output=True)
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)

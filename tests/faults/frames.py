@@ -1,0 +1,126 @@
+"""A glove that fails in every way, and what the retargeting makes of it."""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from faults.bench import Bench, Watch
+from faults.sound import LOWER, TIPS, UPPER, play, smooth_retargeter
+from geort_drake.errors import GeortError
+from geort_drake.systems.joint_limits import JointLimits
+
+Frame = tuple[np.ndarray, float, float]  # keypoints (21, 3), valid, stamp
+Fault = Callable[[np.ndarray, float, float, np.ndarray, np.random.Generator], Frame]
+
+
+def _spoil(rows, value) -> Fault:
+    def fault(p, valid, stamp, last, rng):
+        p[rng.integers(0, 21) if rows is None else rows] = value
+        return p, valid, stamp
+
+    return fault
+
+
+def _scaled(factors) -> Fault:
+    return lambda p, valid, stamp, last, rng: (p * rng.choice(factors), valid, stamp)
+
+
+def _stamped(shift: Callable[[float, np.random.Generator], float]) -> Fault:
+    return lambda p, valid, stamp, last, rng: (p, valid, shift(stamp, rng))
+
+
+# Each changes a frame in its own way; `last` is the frame before.
+FAULTS: dict[str, Fault] = {
+    "dropout": lambda p, valid, stamp, last, rng: (p, 0.0, stamp),
+    "dropout with rubbish": lambda p, valid, stamp, last, rng: (rng.normal(0, 1e6, (21, 3)), 0.0, stamp),
+    "NaN": _spoil(None, np.nan),
+    "infinite": _spoil(8, -np.inf),
+    "huge": _scaled([1e30, -1e300]),
+    "scale": _scaled([-1.0, 0.0, 0.1, 1.3, 10.0, 1000.0]),
+    "swap": lambda p, valid, stamp, last, rng: (p[[0, *rng.permutation(20) + 1]], valid, stamp),
+    "jump": lambda p, valid, stamp, last, rng: (p + rng.uniform(-0.3, 0.3, 3), valid, stamp),
+    "noise": lambda p, valid, stamp, last, rng: (p + rng.normal(0, 0.02, (21, 3)), valid, stamp),
+    "freeze": lambda p, valid, stamp, last, rng: (last.copy(), valid, stamp),
+    "zero": _spoil(slice(None), 0.0),
+    "time backwards": _stamped(lambda stamp, rng: stamp - rng.choice([0.01, 1.0, 1e9])),
+    "time stands": _stamped(lambda stamp, rng: math.floor(stamp)),
+    "time NaN": _stamped(lambda stamp, rng: math.nan),
+    "valid NaN": lambda p, valid, stamp, last, rng: (p, math.nan, stamp),
+}
+
+
+def faulty_frames(count: int, rng: np.random.Generator) -> Iterator[tuple[Frame, str]]:
+    """`count` frames of play, two thirds of them spoilt in episodes, and the name of each one's fault."""
+    names, recording = list(FAULTS), play()
+    start, left, fault = int(rng.integers(0, len(recording))), 0, ""
+    last = recording.p_HK[start].astype(float)
+    for number in range(count):
+        if left == 0:
+            fault = str(rng.choice(names)) if rng.random() < 2 / 3 else ""
+            left = int(rng.choice([1, 2, 5, 30, 120]))
+        left -= 1
+        frame = recording.p_HK[(start + number) % len(recording)].astype(float), 1.0, 100.0 + 0.01 * number
+        if fault:
+            frame = FAULTS[fault](*frame, last, rng)
+        last = frame[0]
+        yield frame, fault
+
+
+def fuzz_system(count: int, seed: int) -> dict:
+    """Drives systems of several periods, gains, low-passes and latencies through `count` faulty frames.
+
+    Returns:
+        frames, how many were spoilt by which fault, how many were held, and how often which guarantee was
+        broken.
+    """
+    rng = np.random.default_rng(seed)
+    spoilt: Counter[str] = Counter()
+    broken: Counter[str] = Counter()
+    held = left = 0
+    done = 0
+    while done < count:
+        left = min(1000, count - done)
+        period = float(rng.choice([0.002, 0.01, 0.033]))
+        limits = JointLimits(LOWER, UPPER, float(rng.choice([5.0, 7.0])), float(rng.choice([200.0, 700.0])))
+        options = {"cutoff": float(rng.choice([0.0, 5.0])), "latency": float(rng.choice([0.0, 0.004]))}
+        period = max(period, options["latency"])
+        bench = Bench(
+            smooth_retargeter(float(rng.choice([1.0, 100.0]))), period, bool(rng.random() < 0.5),
+            limits=limits, **options,
+        )  # fmt: skip
+        watch = Watch(limits, period)
+        for (keypoints, valid, stamp), fault in faulty_frames(left, rng):
+            q, v, status = bench.tick(keypoints, valid, stamp)
+            broken.update(watch.broken(q, v))
+            spoilt[fault] += 1
+            held += status.state.startswith("held")
+        done += left
+    sound = spoilt.pop("", 0)
+    return {
+        "frames": count,
+        "sound": sound,
+        "faults": dict(sorted(spoilt.items())),
+        "held": held,
+        "violations": sum(broken.values()),
+        "broken": dict(broken),
+    }
+
+
+def fuzz_call(count: int, seed: int) -> dict:
+    """Calls a retargeter with `count` faulty frames: within the limits, or refused as not finite."""
+    rng = np.random.default_rng(seed)
+    retarget = smooth_retargeter()
+    refused = violations = 0
+    for (keypoints, _, _), _ in faulty_frames(count, rng):
+        points = keypoints if rng.random() < 0.5 else keypoints[list(TIPS)]
+        try:
+            q = retarget(points)
+        except GeortError:
+            refused += 1
+            # Refused is what is not finite, or so large that its square is not.
+            violations += bool(np.abs(points).max() < 1e150)
+        else:
+            violations += not ((LOWER <= q) & (q <= UPPER)).all()
+    return {"frames": count, "refused": refused, "violations": violations}

@@ -1,0 +1,75 @@
+"""Sound inputs that faults are put into: a hand in play, a map for it, and its checkpoint."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.gloves.recording import Recording
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.retargeting.checkpoint import TRAINED_POINTS, save_checkpoint
+from geort_drake.retargeting.retargeter import Retargeter
+from geort_drake.retargeting.trained_space import trained_points
+
+TIPS = (4, 8, 12, 16)
+FINGERS = ("thumb", "index", "middle", "ring")
+JOINTS = tuple(f"{finger}_{number}" for finger in FINGERS for number in range(4))
+LOWER, UPPER = np.full(16, -0.4), np.full(16, 1.6)
+
+
+@cache
+def play() -> Recording:
+    """Twelve seconds at 100 Hz; nobody may change them."""
+    return synthesize_play(4, duration_s=12.0, rate_hz=100.0)
+
+
+def smooth_arrays(gain: float = 1.0) -> dict[str, np.ndarray]:
+    """Random networks about the mean hand; in play their joints reach 4.2 rad/s times `gain`."""
+    rng = np.random.default_rng(2)
+    centre = play().p_HK[:, list(TIPS)].mean(axis=0)[:, None]
+    weight0 = gain * rng.normal(0, 2.4, (4, 3, 8))
+    return {
+        "weight0": weight0,
+        "bias0": -centre @ weight0,
+        "weight1": rng.normal(0, 0.4, (4, 8, 8)),
+        "bias1": np.zeros((4, 1, 8)),
+        "weight2": rng.normal(0, 0.5, (4, 8, 4)),
+        "bias2": np.zeros((4, 1, 4)),
+        "columns": np.arange(16),
+    }
+
+
+def smooth_retargeter(gain: float = 1.0) -> Retargeter:
+    """The map of `smooth_arrays`, for a hand of `JOINTS`."""
+    return Retargeter(smooth_arrays(gain), FINGERS, JOINTS, TIPS, LOWER, UPPER)
+
+
+@cache
+def allegro() -> HandModel:
+    """The robot hand of the shipped scenario."""
+    return HandModel(load_hand("allegro_right"))
+
+
+def checkpoint(folder: Path) -> Path:
+    """Writes a checkpoint of that map for the Allegro hand."""
+    hand = allegro()
+    points = trained_points(play().p_HK[:, list(TIPS)].astype(float))
+    return save_checkpoint(
+        folder / "checkpoint",
+        {**smooth_arrays(), TRAINED_POINTS: points},
+        method="geort",
+        hand={
+            "name": hand.description.name,
+            "finger_names": list(hand.finger_names),
+            "joint_names": list(hand.joint_names),
+            "lower": hand.lower.tolist(),
+            "upper": hand.upper.tolist(),
+            "model_sha256": hand.digest,
+        },
+        human_keypoints=TIPS,
+        training={},
+        provenance={"warnings": []},
+        history=[{"step": 0, "total": 1.0}],
+    )
