@@ -17,6 +17,7 @@ from geort_drake.files import require_writable
 from geort_drake.hands.checks import examine
 from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.hands.description_file import write_description
+from geort_drake.hands.meshes import convert_meshes, unreadable_meshes
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.proposal import propose
 from geort_drake.resources import models_dir
@@ -43,8 +44,16 @@ def main(argv: Sequence[str] | None = None) -> None:
         if path.exists() and not arguments.overwrite:
             raise OutputError(f"{path} exists; choose another --output, or give --overwrite")
         require_writable(path)
-        proposal = propose(given, name)
-        description, notes = proposal.description, proposal.notes
+        model = given
+        if unreadable := unreadable_meshes(given):
+            model = convert_meshes(given, path.with_name(f"{path.stem}_model"))
+            notes.append(
+                f"Drake does not read {len(unreadable)} of the meshes, such as {unreadable[0].name}; their "
+                f"convex hulls, and a model with these, are in {model.parent.name}"
+            )
+        proposal = propose(model, name)
+        description = proposal.description
+        notes += proposal.notes
         write_description(description, path, [f"Made by add_hand.py from {given.name}.", *notes])
     hand = HandModel(description)
     _print(description, hand)
@@ -67,7 +76,8 @@ def main(argv: Sequence[str] | None = None) -> None:
 def _print(description: HandDescription, hand: HandModel) -> None:
     table = Table(title=f"{description.name}, a {description.side} hand of {len(hand.joint_names)} joints")
     for column in ("finger", "joints, base to tip", "follow", "tip link", "tip radius", "reach"):
-        table.add_column(column, justify="right" if column in ("tip radius", "reach") else "left")
+        right = column in ("tip radius", "reach")
+        table.add_column(column, justify="right" if right else "left", overflow="fold")
     rng = np.random.default_rng(0)
     p_BF = hand.fingertips(rng.uniform(hand.lower, hand.upper, (200, len(hand.joint_names))))
     for number, finger in enumerate(description.fingers):

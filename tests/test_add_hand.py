@@ -187,7 +187,7 @@ def test_from_a_model_file_to_an_evaluated_retargeter(spec, tmp_path, light):
     add_hand.main([str(model), "--output", str(file)])
     path = train_checkpoint(
         file,
-        synthesize_play(seed=1, duration_s=20.0, rate_hz=60.0, side=spec.side),
+        synthesize_play(seed=1, duration_s=60.0, rate_hz=30.0, side=spec.side),
         tmp_path / "trained",
         show_progress=False,
         settings={"steps": 3},

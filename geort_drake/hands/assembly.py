@@ -77,7 +77,7 @@ def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstance
     _add_packages(packages, path)
     try:
         (hand,) = parser.AddModels(path)
-    except (RuntimeError, ValueError) as error:
+    except (RuntimeError, ValueError, SystemExit) as error:  # a failed assertion of Drake exits
         raise HandError(f"{source}: not one readable model: {error}") from error
     return hand
 

@@ -36,6 +36,7 @@ def finger_chain(
     tip = plant.GetBodyByName(finger.tip_link, base.model_instance())
     X = RigidTransform()  # the part below, in the current body
     p_tip = np.array(finger.tip_point)
+    body = tip
     for joint in _inboard(plant, tip, base, where):
         X_PF = joint.frame_on_parent().GetFixedPoseInBodyFrame()
         X_MC = joint.frame_on_child().GetFixedPoseInBodyFrame().inverse()
@@ -49,7 +50,13 @@ def finger_chain(
                 p_tip = X_MC @ X @ p_tip
             moving.append(joint)
             X = X_PF
-    poses.append(base.GetFixedPoseInBodyFrame().inverse() @ X)
+        body = joint.parent_body()
+    X_BaseB = base.GetFixedPoseInBodyFrame()
+    if body.index() != base.body().index():
+        # The palm may be of several links that are welded together.
+        context = plant.CreateDefaultContext()
+        X = plant.CalcRelativeTransform(context, base.body().body_frame(), body.body_frame()) @ X
+    poses.append(X_BaseB.inverse() @ X)
     names = [joint.name() for joint in moving[::-1]]
     own = [name for name in names if name not in couplings.names]
     if own != finger.joints:
@@ -87,12 +94,13 @@ def finger_chain(
 
 
 def _inboard(plant: MultibodyPlant, tip, base: Frame, where: str) -> list[Joint]:
-    """The joints between a link and the base, from the link on."""
+    """The joints between a link and what is welded to the base, from the link on."""
     joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
     inboard = {joint.child_body().index(): joint for joint in joints}
+    still = {body.index() for body in plant.GetBodiesWeldedTo(base.body())}
     path: list[Joint] = []
     body = tip
-    while body.index() != base.body().index():
+    while body.index() not in still:
         joint = inboard.get(body.index())
         if joint is None:
             raise HandError(f"{where}: link '{tip.name()}' does not hang on '{base.name()}'")

@@ -1,5 +1,7 @@
 """What is wrong with a hand description and its model, in plain words."""
 
+import itertools
+
 import numpy as np
 from pydrake.geometry import Convex, Mesh, Role
 from scipy.optimize import minimize
@@ -10,9 +12,13 @@ from geort_drake.retargeting.baselines.numpy_kinematics import NumpyKinematics
 
 # Ranges of joints outside of these are mistakes more often than not, rad.
 _NARROW, _WIDE = np.deg2rad(5.0), 2.0 * np.pi
+# A joint should be left this part of its range by the limits of what follows it.
+_LEFT = 0.75
 # Links that touch in this part of random postures leave the hand little to do.
 _OFTEN = 0.4
 _SAMPLES, _STARTS = 2000, 4
+# Fingers lie on the wrong side of each other if they do so by this much, m.
+_ASIDE = 0.005
 # Shorter links are joints' bodies, which need no collision geometry, m.
 _LONG = 0.012
 
@@ -31,11 +37,8 @@ def _limits(hand: HandModel) -> list[str]:
         elif high - low > _WIDE:
             said.append(f"joint '{name}' moves {degrees}, more than a turn: give it narrower limits")
         joint = hand.plant.GetJointByName(name)
-        own = (joint.position_lower_limit(), joint.position_upper_limit())
-        if not np.allclose((low, high), own, atol=np.deg2rad(1.0)):
-            said.append(
-                f"joint '{name}' moves only {degrees} of its limits, because what follows it has limits, too"
-            )
+        if high - low < _LEFT * (joint.position_upper_limit() - joint.position_lower_limit()):
+            said.append(f"joint '{name}' moves only {degrees}, because what follows it has limits, too")
     return said
 
 
@@ -79,19 +82,21 @@ def _orientation(hand: HandModel) -> list[str]:
     said = []
     rng = np.random.default_rng(0)
     p_BF = hand.fingertips(rng.uniform(hand.lower, hand.upper, (_SAMPLES // 4, len(hand.joint_names))))
+    sign = 1.0 if hand.description.side == "right" else -1.0
     names = hand.finger_names
     fingers = [number for number, name in enumerate(names) if name != "thumb"]
     if "thumb" in names and fingers:
         thumb = names.index("thumb")
-        y = np.array([1.0 if hand.description.side == "right" else -1.0]) * p_BF[..., 1].mean(axis=0)
-        if y[thumb] < y[fingers].min() - 0.005:
+        y = sign * p_BF[..., 1].mean(axis=0)
+        if y[thumb] < y[fingers].min() - _ASIDE:
             said.append(
                 f"the thumb lies on the little finger's side of a {hand.description.side} hand: side or "
                 "base_pose is wrong, or the fingers' names are"
             )
-        order = [y[number] for number in fingers]
-        if order != sorted(order, reverse=True) and np.ptp(order) > 0.01:
-            said.append(f"the fingers {', '.join(names[f] for f in fingers)} do not lie in this order")
+    knuckles = [sign * chain.X_PJ[0, 1, 3] for chain in hand.kinematics().fingers]
+    order = [knuckles[number] for number in fingers]
+    if any(second > first + _ASIDE for first, second in itertools.pairwise(order)):
+        said.append(f"the fingers {', '.join(names[f] for f in fingers)} do not lie in this order")
     return said
 
 

@@ -64,7 +64,7 @@ def read_couplings(path: Path) -> list[CouplingDescription]:
     Raises:
         HandError: the file is no XML, a number in it is none, or a coupling is not linear.
     """
-    tree = _tree(path)
+    tree = model_tree(path)
     try:
         if tree.tag == "mujoco":
             found = [_of_equality(path, joint) for joint in tree.iterfind(".//equality/joint")]
@@ -79,7 +79,7 @@ def read_couplings(path: Path) -> list[CouplingDescription]:
         raise HandError(f"{path}: a coupling of two joints holds what is no number: {error}") from error
 
 
-def _tree(path: Path) -> ET.Element:
+def model_tree(path: Path) -> ET.Element:
     """The XML of a model, with what an MJCF includes; prefixes that nobody declared do no harm."""
     text = path.read_text(encoding="utf-8", errors="replace")
     if "<drake:" in text and "xmlns:drake" not in text:
@@ -95,7 +95,8 @@ def _tree(path: Path) -> ET.Element:
             for include in parent.findall("include"):
                 file = path.parent / include.get("file", "")
                 if file.is_file():
-                    parent.extend(_tree(file))
+                    parent.remove(include)
+                    parent.extend(model_tree(file))
     return tree
 
 

@@ -27,8 +27,9 @@ from geort_drake.hands.structure import Chain, HandStructure, read_structure
 from geort_drake.hands.tip_points import TipPoint, palm_points, tip_point
 
 BASE = "hand_base"
-# A hand base whose axes are nearly those of the palm's link is meant to be there.
-_SNAP = np.deg2rad(12.0)
+# Frames of palms lie along them; fingers may be bent at rest. So a hand base this near to the axes of the
+# palm's link is put there, and from the second angle on that is said.
+_SNAP, _SAID = np.deg2rad(30.0), np.deg2rad(5.0)
 _GRID = 7
 # Fingers close to a side if their tips are there on average, by this part of how far they are to any side.
 _CLOSING = 0.6
@@ -212,6 +213,11 @@ def _snapped(R: np.ndarray, notes: list[str]) -> np.ndarray:
     if len(set(rows.tolist())) == 3 and np.linalg.det(nearest) > 0:
         angle = np.arccos(np.clip(0.5 * (np.trace(nearest.T @ R) - 1.0), -1.0, 1.0))
         if angle < _SNAP:
+            if angle > _SAID:
+                notes.append(
+                    f"the fingers are bent by {np.rad2deg(angle):.0f} degrees against the palm's link, whose axes "
+                    "the hand base was given"
+                )
             return nearest
     notes.append("no axes of the palm's link lie along the fingers, so the hand base is turned as they are")
     return R

@@ -1,0 +1,119 @@
+"""Models with meshes that Drake does not read are described from copies with their convex hulls."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+from hand_family import HandSpec, write_hand
+from pydrake.geometry import Role
+from scipy.spatial import ConvexHull
+
+from geort_drake.errors import HandError
+from geort_drake.hands.meshes import convert_meshes, unreadable_meshes
+from geort_drake.hands.model import HandModel
+from geort_drake.hands.proposal import propose
+from geort_drake.hands.tip_points import surface_points
+
+# A box off its mesh's origin, longer along z than along y.
+CORNERS = np.array(np.meshgrid([-0.022, -0.002], [-0.033, 0.033], [0.0, 0.08])).reshape(3, -1).T
+
+
+def _triangles() -> np.ndarray:
+    return CORNERS[ConvexHull(CORNERS).simplices]
+
+
+def _binary_stl() -> bytes:
+    rows = b"".join(
+        struct.pack("<12fH", *np.zeros(3), *triangle.ravel(), 0) for triangle in _triangles().astype("<f4")
+    )
+    return b"\0" * 80 + struct.pack("<I", len(_triangles())) + rows
+
+
+def _ascii_stl() -> bytes:
+    text = "solid box\n"
+    for triangle in _triangles():
+        lines = "".join(f"vertex {x:g} {y:g} {z:g}\n" for x, y, z in triangle)
+        text += f"facet normal 0 0 0\nouter loop\n{lines}endloop\nendfacet\n"
+    return (text + "endsolid box\n").encode()
+
+
+def _glb() -> bytes:
+    """With y up, twice as large, and a node that makes up for the size and for half a turn about y."""
+    points = CORNERS @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]).T  # (x, y, z) -> (x, z, -y)
+    points = 2.0 * points * [-1, 1, -1]
+    binary = points.astype("<f4").tobytes()
+    scene = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"children": [1], "scale": [0.5, 0.5, 0.5]}, {"mesh": 0, "rotation": [0, 1, 0, 0]}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": len(points), "type": "VEC3"}],
+        "bufferViews": [{"buffer": 0, "byteLength": len(binary)}],
+        "buffers": [{"byteLength": len(binary)}],
+    }
+    text = json.dumps(scene).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942)
+    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks) + len(binary)) + chunks + binary
+
+
+MESHES = {"palm.stl": _binary_stl, "text.STL": _ascii_stl, "palm.glb": _glb}
+
+
+def _with_mesh(tmp_path, kind: str, name: str):
+    """A hand of the family whose palm is a mesh."""
+    model = write_hand(tmp_path, HandSpec(4, kind, mimic=False))
+    text = model.read_text()
+    if kind == "urdf":
+        text = text.replace('<box size="0.02 0.066 0.08"/>', f'<mesh filename="package://parts/{name}"/>')
+        text = text.replace('<origin xyz="-0.012 0 0.04" rpy="0 0 0"/>', "")
+    else:
+        head = f'<asset><mesh file="{name}"/></asset><compiler meshdir="parts"/>'
+        text = text.replace("<worldbody>", f"{head}<worldbody>")
+        begin = text.index('<geom type="box"')
+        end = text.index("/>", begin) + 2
+        text = f'{text[:begin]}<geom type="mesh" mesh="{name[:4]}"/>{text[end:]}'
+    model.write_text(text, encoding="utf-8")
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / name).write_bytes(MESHES[name]())
+    return model
+
+
+@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize("kind", ["urdf", "xml"])
+def test_a_mesh_becomes_its_hull_in_its_place(kind, name, tmp_path):
+    """From STL of both kinds and from binary glTF, whose y is up, in URDF and in MJCF."""
+    model = _with_mesh(tmp_path, kind, name)
+    assert [mesh.name for mesh in unreadable_meshes(model)] == [name]
+    copy = convert_meshes(model, tmp_path / "copy")
+    assert unreadable_meshes(copy) == []
+    hand = HandModel(propose(copy).description)
+    inspector = hand.scene_graph.model_inspector()
+    palm = hand.plant.GetBodyFrameIdOrThrow(hand.plant.GetBodyByName("palm").index())
+    (geometry,) = inspector.GetGeometries(palm, Role.kProximity)
+    points = inspector.GetPoseInFrame(geometry) @ surface_points(inspector, geometry).T
+    np.testing.assert_allclose(points.min(axis=1), CORNERS.min(axis=0), atol=1e-6)
+    np.testing.assert_allclose(points.max(axis=1), CORNERS.max(axis=0), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"short", "not a readable .stl mesh"),
+        (b"\0" * 80 + struct.pack("<I", 9), "not a readable"),
+        (None, "missing"),
+    ],
+)
+def test_a_mesh_that_cannot_be_read_is_named(content, said, tmp_path):
+    """By its file; nothing is left behind."""
+    model = _with_mesh(tmp_path, "urdf", "palm.stl")
+    mesh = tmp_path / "parts" / "palm.stl"
+    if content is None:
+        mesh.unlink()
+    else:
+        mesh.write_bytes(content)
+    with pytest.raises(HandError, match=said) as error:
+        convert_meshes(model, tmp_path / "copy")
+    assert str(mesh) in str(error.value)
+    assert not (tmp_path / "copy").exists()
