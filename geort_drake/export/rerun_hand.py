@@ -1,0 +1,62 @@
+"""A recording of a hand as a Rerun file, without a robot."""
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from pydrake.math import RigidTransform
+
+from geort_drake.export.episode import newest
+from geort_drake.gloves.keypoints import FINGER_NAMES
+from geort_drake.gloves.recording import Recording
+from geort_drake.gloves.summary import tip_distances
+from geort_drake.systems._rerun_file import Recording as RerunFile
+from geort_drake.systems._rerun_hand import HandTrack
+from geort_drake.systems._rerun_scene import Scene
+from geort_drake.systems._rerun_tracks import SignalTrack, StateTrack, Track
+
+_SKIN = (224, 172, 138)
+
+
+def write_hand(
+    recording: Recording,
+    path: str | os.PathLike,
+    fps: float = 30.0,
+    states: Mapping[str, Sequence[str]] | None = None,
+) -> None:
+    """Writes the hand as it moves in its wrist frame H, and how far the thumb's tip is from the others.
+
+    Args:
+        recording: of the hand.
+        path: .rrd to write.
+        fps: frames per second; each holds the newest sample.
+        states: name of a lane → what is going on in each frame of the recording.
+    """
+    t = recording.t - recording.t[0]
+    times = np.arange(int(t[-1] * fps + 1e-6) + 1) / fps
+    rows = newest(t, times)
+    p_HK = np.where(recording.valid[:, None, None], recording.p_HK.astype(float), np.nan)[rows]
+    # The plots of the default layout stand one for each finger.
+    names = [f"{finger}/thumb to {finger}" for finger in FINGER_NAMES[1:]]
+    tracks: list[Track] = [
+        HandTrack("human", _SKIN, RigidTransform(), has_valid=True),
+        SignalTrack("gap", names, "mm", faint=False),
+    ]
+    samples: list[Iterable] = [p_HK, 1e3 * tip_distances(p_HK)]
+    for key, what in (states or {}).items():
+        labels = list(dict.fromkeys(what))
+        tracks.append(StateTrack(key, dict(enumerate(labels))))
+        samples.append([float(labels.index(what[row])) for row in rows])
+    facts = {key: value for key, value in recording.metadata.items() if isinstance(value, str | int | float)}
+    file = RerunFile(
+        path,
+        Scene(paths=[]),
+        tracks,
+        application_id="geort_drake_hand",
+        recording_id=None,
+        properties=facts,
+        blueprint=None,
+    )
+    for time, *row in zip(times, *samples, strict=True):
+        file.append(float(time), row)
+    file.close()
