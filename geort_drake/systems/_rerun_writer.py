@@ -11,6 +11,7 @@ import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
+from geort_drake.errors import OutputError
 from geort_drake.files import atomic_path
 
 TIMELINE = "sim_time"  # s
@@ -51,6 +52,10 @@ class Writer:
             self._stream.send_columns(path, [index], columns, strict=True)
 
 
+# At the end of every whole file.
+_FOOTER, _FOOTER_BYTES = b"RRF2FOOT", 12
+
+
 @contextlib.contextmanager
 def file_writer(
     path: Path,
@@ -65,6 +70,9 @@ def file_writer(
 
     Without log times, and without the properties that Rerun adds by itself, equal data give equal files.
     Yields None, with a warning, where the environment says RERUN=off.
+
+    Raises:
+        OutputError: the disk is full, or the place may not be written to.
     """
     stream = rr.RecordingStream(application_id, recording_id=recording_id, send_properties=False)
     if not rr.is_enabled(stream):
@@ -80,6 +88,12 @@ def file_writer(
             yield Writer(stream, timeline)
         finally:
             stream.disconnect()
+        # What Rerun could not write it says on stderr alone.
+        with draft.open("rb") as file:
+            file.seek(max(0, draft.stat().st_size - _FOOTER_BYTES))
+            whole = _FOOTER in file.read()
+        if not whole:
+            raise OutputError(f"{path}: cannot be written to its end: is the disk full?")
 
 
 class LiveWriter(Writer):

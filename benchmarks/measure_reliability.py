@@ -1,0 +1,292 @@
+"""Puts faults into everything, and counts what came of them.
+
+python benchmarks/measure_reliability.py --json reliability.json
+python benchmarks/measure_reliability.py --quick --parts frames files
+
+It writes the figures into docs/reliability.md, once every part was measured; --quick takes a small share and
+leaves the page alone. The exit status is 1 when something went wrong. Needs the test extra.
+"""
+
+import argparse
+import json
+import os
+import re
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from side_by_side import machine
+
+from geort_drake.console import console, progress_bar, run_main
+from geort_drake.files import require_writable, write_text
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "reliability.md"
+# What is put in is shared with the tests, which take a share of it.
+sys.path.insert(0, str(ROOT / "tests"))
+
+from faults import disks, kills  # noqa: E402
+from faults.corpus import CASES  # noqa: E402
+from faults.frames import fuzz_call, fuzz_system  # noqa: E402
+from faults.mutations import fuzz  # noqa: E402
+from faults.refusals import faults_of  # noqa: E402
+from faults.soak import soak  # noqa: E402
+
+Report = Callable[[int, int], None]  # called with what is done, and of how much
+
+FULL = {"inputs": None, "kills": 25, "updates": 1_000_000, "frames": 10_000, "files": 10_000, "trials": 3}
+QUICK = {"inputs": 20, "kills": 4, "updates": 5_000, "frames": 1_000, "files": 400, "trials": 1}
+GROWTH_MB, SLOW_DOWN = 10.0, 0.05
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    arguments = parse(argv)
+    counts = counts_of(arguments)
+    figures = (
+        json.loads(arguments.json.read_text("utf-8")) if arguments.json and arguments.json.exists() else {}
+    )
+    with tempfile.TemporaryDirectory() as name, progress_bar() as progress:
+        for part in arguments.parts:
+            task = progress.add_task(part, total=1, note="")
+
+            def report(done: int, total: int, task=task) -> None:
+                progress.update(task, completed=done, total=total)
+
+            started = time.perf_counter()
+            result = PARTS[part](counts, arguments.seed, Path(name) / part, report)
+            took = {"seconds": round(time.perf_counter() - started, 1), "seed": arguments.seed, **machine()}
+            figures[part] = {**result, "measured": took}
+            # After each part, as a long one may be interrupted.
+            if arguments.json:
+                write_text(arguments.json, json.dumps(figures, indent=2) + "\n")
+    console.print(table(figures), markup=False, soft_wrap=True)
+    if not arguments.quick and figures.keys() >= PARTS.keys():
+        write_text(PAGE, with_figures(PAGE.read_text("utf-8"), figures))
+        console.print(f"Written: {PAGE}", soft_wrap=True)
+    failures = [text for part in arguments.parts for text in figures[part]["failures"]]
+    for text in failures:
+        console.print(text, style="red", markup=False, soft_wrap=True)
+    return 1 if failures else 0
+
+
+def parse(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="what to measure (all)")
+    add("--quick", action="store_true", help="a small share of everything; the page stays as it is")
+    for name, count in FULL.items():
+        add(f"--{name}", type=int, metavar="N", help=f"how many ({'all' if count is None else f'{count:,}'})")
+    add("--seed", type=int, default=0, help="of everything random (0)")
+    add("--json", type=Path, help="file of the figures; those of parts that it holds already are kept")
+    arguments = parser.parse_args(argv)
+    if arguments.json:
+        require_writable(arguments.json)
+    return arguments
+
+
+def counts_of(arguments: argparse.Namespace) -> dict:
+    """How many of what, as asked for."""
+    usual = QUICK if arguments.quick else FULL
+    given = {name: getattr(arguments, name) for name in FULL}
+    return {name: usual[name] if value is None else value for name, value in given.items()}
+
+
+# -- the parts
+
+
+def inputs(counts: dict, seed: int, folder: Path, report: Report) -> dict:
+    """Malformed inputs, and how many are refused as they should be."""
+    chosen = list(CASES)
+    if counts["inputs"] is not None:
+        chosen = [chosen[i] for i in np.random.default_rng(seed).permutation(len(chosen))[: counts["inputs"]]]
+    tried: Counter[str] = Counter()
+    refused: Counter[str] = Counter()
+    failures = []
+    for number, case in enumerate(chosen):
+        wrong = faults_of(case, folder / str(number))
+        tried[case.kind] += 1
+        refused[case.kind] += not wrong
+        failures += [f"{case}: {'; '.join(wrong)}"] if wrong else []
+        report(number + 1, len(chosen))
+    return {"tried": dict(tried), "refused": dict(refused), "failures": failures}
+
+
+def files(counts: dict, seed: int, folder: Path, report: Report) -> dict:
+    """Sound files changed at random."""
+    result = fuzz(counts["files"], seed, folder)
+    report(1, 1)
+    return result
+
+
+def killed(counts: dict, seed: int, folder: Path, report: Report) -> dict:
+    """Programs killed at random moments, and started again."""
+    rng, known = np.random.default_rng(seed), {}
+    tried: Counter[str] = Counter()
+    recovered: Counter[str] = Counter()
+    failures = []
+    works = list(kills.WORKS.values())
+    for number in range(counts["kills"]):
+        work = works[number % len(works)]
+        if work.name not in known:
+            known[work.name] = kills.reference(work, folder / work.name)
+        by_clock = number // len(works) % 2 == 0
+        room = folder / f"{work.name}-{number}"
+        wrong = kills.kill(work, known[work.name], room, rng, by_clock)
+        tried[work.name] += 1
+        recovered[work.name] += not wrong
+        failures += [f"{work.name} killed, number {number}: {'; '.join(wrong)}"] if wrong else []
+        report(number + 1, counts["kills"])
+    return {"tried": dict(tried), "recovered": dict(recovered), "failures": failures}
+
+
+def disk(counts: dict, seed: int, folder: Path, report: Report) -> dict:
+    """Files that may not grow, full disks and read-only ones."""
+    failures, tried = [], {}
+    works = [kills.WORKS["data generation"], kills.WORKS["training"]]
+    for work in works:
+        known = kills.reference(work, folder / work.name)
+        wrong = kills.full_disk(work, known, folder / f"{work.name}-limited", 6_000)
+        tried[f"{work.name}, files limited"] = 1
+        failures += [f"{work.name} with limited files: {text}" for text in wrong]
+    if disks.can_mount(folder / "mounts"):
+        failures += [f"full disk: {text}" for text in disks.full(folder / "full")]
+        failures += [f"read-only disk: {text}" for text in disks.read_only(folder / "read_only")]
+        tried |= {"full disk": len(disks.WRITERS), "read-only disk": len(disks.WRITERS)}
+    report(1, 1)
+    return {"tried": tried, "failures": failures}
+
+
+def frames(counts: dict, seed: int, folder: Path, report: Report) -> dict:
+    """Faulty frames through the system, and through the Python call."""
+    system, call = fuzz_system(counts["frames"], seed), fuzz_call(counts["frames"], seed)
+    report(1, 1)
+    failures = [f"the {name} broke a guarantee {result['violations']} times: {result}"
+                for name, result in (("system", system), ("call", call)) if result["violations"]]  # fmt: skip
+    return {"system": system, "call": call, "failures": failures}
+
+
+def updates(counts: dict, seed: int, folder: Path, report: Report) -> dict:
+    """Very many updates."""
+    results, failures = soak(counts["updates"]), []
+    for name, result in results.items():
+        if result["violations"] or result["growth_mb"] > GROWTH_MB:
+            failures.append(f"{name}: {result}")
+        # Fewer take no time that could be told from the machine's moods.
+        elif result["slow_down"] > SLOW_DOWN and counts["updates"] >= 100_000:
+            failures.append(f"{name} slows down: {result}")
+    report(1, 1)
+    return {"of": results, "failures": failures}
+
+
+def trials(counts: dict, seed: int, folder: Path, report: Report) -> dict:
+    """Grasps under the eyes of physics."""
+    from faults.physics import watched
+    from grasp_setup import centred_map, person_and_rest, planned_goal, scenario_with
+
+    from geort_drake.simulation.diagram import make_grasp_diagram
+
+    seen, failures = {}, []
+    for number, name in enumerate(("cylinder", "sphere", "cube")[: counts["trials"]]):
+        human = (person_and_rest()[0], planned_goal(name))
+        result = watched(make_grasp_diagram(scenario_with(name), centred_map(), human), 12.0)
+        seen[name] = result.__dict__
+        failures += [f"{name}: {result}"] if result.violations or not result.contacts else []
+        report(number + 1, counts["trials"])
+    return {"of": seen, "failures": failures}
+
+
+PARTS: dict[str, Callable[[dict, int, Path, Report], dict]] = {
+    "inputs": inputs,
+    "files": files,
+    "kills": killed,
+    "disk": disk,
+    "frames": frames,
+    "updates": updates,
+    "trials": trials,
+}
+
+
+# -- the page
+
+
+def table(figures: dict[str, dict]) -> str:
+    """The figures in Markdown."""
+    rows = [("what", "count", "outcome")]
+    if part := figures.get("inputs"):
+        for kind, count in part["tried"].items():
+            rows.append(
+                (f"malformed inputs: {kind}s", f"{count}", f"{part['refused'][kind]} refused by name")
+            )
+        total, refused = (sum(part[key].values()) for key in ("tried", "refused"))
+        rows.append(("malformed inputs, all", f"{total}", f"{refused} refused by name"))
+    if part := figures.get("files"):
+        rows.append(
+            (
+                "sound files changed at random",
+                f"{part['files']:,}",
+                f"{len(part['failures'])} not read or refused by name",
+            )
+        )
+    if part := figures.get("kills"):
+        for name, count in part["tried"].items():
+            rows.append((f"`kill -9` of {name}", f"{count}", f"{part['recovered'][name]} recovered"))
+    if part := figures.get("disk"):
+        rows.append(
+            (
+                "disks that are full or read-only",
+                f"{sum(part['tried'].values())}",
+                f"{len(part['failures'])} unclear",
+            )
+        )
+    if part := figures.get("frames"):
+        system, call = part["system"], part["call"]
+        spoilt = sum(system["faults"].values())
+        rows += [
+            ("frames through `RetargetingSystem`", f"{system['frames']:,}, {spoilt:,} with a fault",
+             f"{system['violations']} violations"),
+            ("the same to `Retargeter`", f"{call['frames']:,}", f"{call['violations']} violations"),
+        ]  # fmt: skip
+    if part := figures.get("updates"):
+        for name, result in part["of"].items():
+            rows.append((
+                f"updates of `{name}`", f"{result['updates']:,}",
+                f"{result['violations']} violations; memory +{result['growth_mb']:.1f} MB; time per update "
+                f"{100 * result['slow_down']:+.1f} %",
+            ))  # fmt: skip
+    if part := figures.get("trials"):
+        for name, result in part["of"].items():
+            rows.append((
+                f"steps of a grasp, {name}", f"{result['steps']:,}",
+                f"{result['violations']} violations; effort {100 * result['effort']:.0f} % of the limit, "
+                f"penetration {1e3 * result['penetration']:.1f} mm, energy from nothing "
+                f"{1e3 * result['gained']:.0f} mJ",
+            ))  # fmt: skip
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    return "\n".join([lines[0], "|---|---|---|", *lines[1:]])
+
+
+def with_figures(page: str, figures: dict[str, dict]) -> str:
+    """The page with other figures between its marks."""
+    told = [part["measured"] for part in figures.values()]
+    days = sorted({measured["date"][:10] for measured in told})
+    load = max(measured["load_average"][0] for measured in told)
+    text = (
+        f"{' to '.join(days[:: max(1, len(days) - 1)])}, {told[0]['cores']} cores ({told[0]['processor']}), load "
+        f"average up to {load:.0f}, Python {told[0]['python']}:\n\n{table(figures)}"
+    )
+    pattern = r"(<!-- figures -->\n).*?(\n<!-- end of figures -->)"
+    page, found = re.subn(pattern, lambda match: f"{match[1]}{text}{match[2]}", page, flags=re.DOTALL)
+    if not found:
+        raise ValueError(f"{PAGE} has no place for the figures")
+    return page
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    run_main(main)

@@ -1,0 +1,30 @@
+"""Long and hard use: faulty frames without end, and very many updates."""
+
+import pytest
+from faults.frames import FAULTS, fuzz_call, fuzz_system
+from faults.soak import soak
+
+
+def test_no_faulty_frame_breaks_a_guarantee():
+    """Finite, within the limits of position, speed and acceleration; every fault is among the frames."""
+    result = fuzz_system(4_000, 2)
+    assert result["violations"] == 0, result
+    assert set(result["faults"]) == set(FAULTS)
+    assert result["held"] > 400
+    assert result["frames"] == 4_000 == result["sound"] + sum(result["faults"].values())
+
+
+def test_the_python_call_refuses_what_is_not_finite_and_keeps_the_limits():
+    """Nothing else comes out of it."""
+    result = fuzz_call(4_000, 2)
+    assert result["violations"] == 0
+    assert result["refused"] > 100
+
+
+@pytest.mark.parametrize("count", [3_000])
+def test_updates_leave_nothing_behind(count):
+    """Memory grows by less than it would if an update kept 4 kB."""
+    for name, result in soak(count).items():
+        assert result["updates"] == count
+        assert result["violations"] == 0, name
+        assert result["growth_mb"] <= 10.0, name
