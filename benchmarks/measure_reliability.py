@@ -276,9 +276,10 @@ def with_figures(page: str, figures: dict[str, dict]) -> str:
     told = [part["measured"] for part in figures.values()]
     days = sorted({measured["date"][:10] for measured in told})
     load = max(measured["load_average"][0] for measured in told)
+    dates = " to ".join(days[:: max(1, len(days) - 1)])
     text = (
-        f"{' to '.join(days[:: max(1, len(days) - 1)])}, {told[0]['cores']} cores ({told[0]['processor']}), load "
-        f"average up to {load:.0f}, Python {told[0]['python']}:\n\n{table(figures)}"
+        f"{dates}, {told[0]['cores']} cores ({told[0]['processor']}), load average up to {load:.0f}, Python "
+        f"{told[0]['python']}:\n\n{table(figures)}"
     )
     pattern = r"(<!-- figures -->\n).*?(\n<!-- end of figures -->)"
     page, found = re.subn(pattern, lambda match: f"{match[1]}{text}{match[2]}", page, flags=re.DOTALL)
