@@ -4,6 +4,8 @@ python scripts/train_retargeter.py --hand allegro_right --recording alex.npy --o
 """
 
 import argparse
+import contextlib
+import csv
 import json
 import warnings
 from collections.abc import Sequence
@@ -22,9 +24,12 @@ from geort_drake.evaluation.pipeline import (
     training_config,
 )
 from geort_drake.files import require_writable
+from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.readers import read_recording
 from geort_drake.hands.description import hand_names, load_hand
-from geort_drake.retargeting.checkpoint import METRICS, Checkpoint, load_checkpoint
+from geort_drake.hands.model import HandModel
+from geort_drake.retargeting.checkpoint import HISTORY, METRICS, Checkpoint, load_checkpoint
+from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.retargeting.training import FORWARD_KINEMATICS, PRESETS
 from geort_drake.settings import parse_settings, settings_of
 
@@ -49,12 +54,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.robot_samples < 1:
         parser.error(f"--robot_samples must be at least 1, not {arguments.robot_samples}")
     require_writable(arguments.output, directory=True)
+    if arguments.rrd is not None:
+        require_writable(arguments.rrd)
     settings = _settings(arguments)
     recording = None
     if arguments.recording is not None:
         # Read here, where a recording can be held to what training needs.
         recording = read_recording(arguments.recording, load_hand(arguments.hand).side, training=True)
-    with warnings.catch_warnings():
+    recorder, looking_on = None, contextlib.nullcontext()
+    if arguments.rrd is not None:
+        from geort_drake.evaluation._rerun_training import TrainingRecorder
+
+        description = load_hand(arguments.hand)
+        if recording is None:
+            recording = synthesize_play(arguments.seed, side=description.side)
+        recorder = TrainingRecorder(HandModel(description), recording, arguments.seed)
+        looking_on = recorder.looking_on(training_config(arguments.method, settings).steps)
+    with warnings.catch_warnings(), looking_on:
         # They are in the checkpoint, from where they are shown below.
         warnings.simplefilter("ignore", RuntimeWarning)
         path = train_checkpoint(
@@ -70,6 +86,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
     checkpoint = load_checkpoint(path)
     metrics = json.loads((path / METRICS).read_text(encoding="utf-8"))
+    if recorder is not None:
+        with open(path / HISTORY, newline="", encoding="utf-8") as file:
+            losses = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+        properties = {"method": arguments.method, "hand": metrics["hand"], "seed": arguments.seed}
+        recorder.write(arguments.rrd, load_retargeter(path), losses, properties)
+        console.print(f"Wrote {arguments.rrd}; open it with: rerun {arguments.rrd}", soft_wrap=True)
     if not arguments.quiet:
         console.print(_table(checkpoint, metrics))
     for text in checkpoint.provenance["warnings"]:
@@ -133,6 +155,9 @@ def _parser() -> argparse.ArgumentParser:
         metavar="NAME=VALUE",
         help="another setting of the method, repeatable; "
         + "; ".join(f"{method}: {names}" for method, names in _names_by_method().items()),
+    )
+    parser.add_argument(
+        "--rrd", type=Path, metavar="FILE.rrd", help="also record how the map forms, for the Rerun viewer"
     )
     parser.add_argument("--json", action="store_true", help="print the metrics as JSON on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress bars and no table")

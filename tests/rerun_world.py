@@ -105,16 +105,17 @@ def rerun(*arguments):
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def read(path, entity, component):
-    """Times (s; None for static data) and one array per time of a component in a file."""
+def read(path, entity, component, timeline="sim_time"):
+    """Times (s, or steps; None for static data) and one array per time of a component in a file."""
     times, values = [], []
     for chunk in RrdReader(path).stream():
         batch = chunk.to_record_batch()
         if chunk.entity_path != entity or component not in batch.schema.names:
             continue
-        static = "sim_time" not in batch.schema.names
-        stamps = [None] * chunk.num_rows if static else batch.column("sim_time").cast("int64").to_pylist()
-        times += [None if stamp is None else stamp * 1e-9 for stamp in stamps]
+        static = timeline not in batch.schema.names
+        stamps = [None] * chunk.num_rows if static else batch.column(timeline).cast("int64").to_pylist()
+        unit = 1e-9 if timeline == "sim_time" else 1
+        times += [None if stamp is None else stamp * unit for stamp in stamps]
         values += [np.array(row) for row in batch.column(component).to_pylist()]
     assert values, f"{entity} has no {component}"
     return times, values

@@ -1,0 +1,108 @@
+"""Shows what retargeting methods make of a recorded hand, side by side, in the Rerun viewer.
+
+python scripts/explore_retargeting.py --recording alex.npy --methods geort_coupled geort --output e.rrd
+"""
+
+import argparse
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from geort_drake.console import console, run_main
+from geort_drake.evaluation.comparison import check_methods, method_names
+from geort_drake.files import require_writable
+from geort_drake.hands.description import hand_names, load_hand
+
+EPILOG = """\
+The recording shows the recorded hand, and beside it the robot hand as each method moves it, the price of
+each answer, pinches that close or do not, and collisions; docs/rerun.md explains the picture.
+
+A method that is trained is trained on the whole recording, unless that was done before: the checkpoint is
+kept in the user's cache directory. A method may also be the directory of a checkpoint.
+
+  python scripts/explore_retargeting.py --methods geort_coupled --output explorer.rrd
+  rerun explorer.rrd
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__.splitlines()[0],
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("--recording", type=Path, metavar="FILE", help="of a hand (default: synthetic play)")
+    add(
+        "--methods",
+        nargs="+",
+        metavar="NAME",
+        default=["geort_coupled", "vector_online"],
+        help=f"any of {', '.join(method_names())}, or directories of checkpoints (default: %(default)s)",
+    )
+    add("--output", type=Path, required=True, metavar="FILE.rrd", help="the recording to write")
+    add(
+        "--hand",
+        default="allegro_right",
+        help=f"name or file of a hand description; names: {', '.join(hand_names())} (default: %(default)s)",
+    )
+    add("--start", type=float, metavar="S", help="where to begin, s (default: where most pinches are)")
+    add("--duration", type=float, default=20.0, metavar="S", help="how long, s (default: %(default)g)")
+    add("--seed", type=int, default=0, help="of training and of synthetic play (default: %(default)s)")
+    arguments = parser.parse_args(argv)
+    if not 0.1 <= arguments.duration <= 600:
+        parser.error(f"--duration must be from 0.1 to 600, not {arguments.duration:g}")
+    require_writable(arguments.output)
+    check_methods(arguments.methods)
+
+    from geort_drake.evaluation._rerun_explorer import write_exploration
+    from geort_drake.evaluation.exploration import answers, excerpt
+    from geort_drake.gloves.play import synthesize_play
+    from geort_drake.gloves.readers import read_recording
+    from geort_drake.hands.model import HandModel
+
+    description = load_hand(arguments.hand)
+    hand = HandModel(description)
+    check_methods(arguments.methods, hand)
+    if arguments.recording is None:
+        recording = synthesize_play(arguments.seed, side=description.side)
+    else:
+        recording = read_recording(arguments.recording, description.side, training=True)
+    hands = excerpt(recording, duration_s=arguments.duration, start_s=arguments.start)
+    methods = {}
+    for method in arguments.methods:
+        with console.status(f"{method} ..."):
+            retarget = _retargeter(method, arguments, hand, recording)
+            methods[Path(method).name] = answers(retarget, hand, hands)
+    properties = {
+        "hand": description.name,
+        "methods": ", ".join(methods),
+        "recording": arguments.recording.name if arguments.recording else "synthetic play",
+        "recording_sha256": recording.digest,
+        "start_s": hands.start,
+        "seed": arguments.seed,
+    }
+    write_exploration(arguments.output, hand, hands, methods, properties)
+    console.print(f"Wrote {arguments.output}; open it with: rerun {arguments.output}", soft_wrap=True)
+    return 0
+
+
+def _retargeter(method: str, arguments: argparse.Namespace, hand, recording) -> Callable:
+    from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
+    from geort_drake.evaluation.metrics import canonical_kinematics
+    from geort_drake.evaluation.pipeline import METHODS
+    from geort_drake.retargeting.baselines.registry import BASELINES, make_baseline
+    from geort_drake.retargeting.retargeter import load_retargeter
+
+    if method in BASELINES:
+        keypoints = [finger.human_keypoint for finger in hand.description.fingers]
+        frames = recording.fingertips(keypoints)
+        return make_baseline(
+            method, canonical_kinematics(hand), keypoints, frames=frames, seed=arguments.seed
+        )
+    if method in METHODS:
+        return load_retargeter(cached_checkpoint(arguments.hand, recording, method, arguments.seed)[0], hand)
+    return load_retargeter(method, hand)
+
+
+if __name__ == "__main__":
+    run_main(main)

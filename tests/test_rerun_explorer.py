@@ -1,0 +1,131 @@
+"""The retargeting explorer: its figures, and the recording that shows them."""
+
+import numpy as np
+import pytest
+from rerun_world import entities, read, rerun
+
+from geort_drake.errors import RecordingError
+from geort_drake.evaluation._rerun_explorer import write_exploration
+from geort_drake.evaluation.exploration import (
+    answers,
+    excerpt,
+    find_pinches,
+    motion_cosines,
+    proportional_copy,
+    tips_of,
+)
+from geort_drake.gloves.keypoints import mirrored
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.gloves.recording import Recording
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+
+NAMES = ("thumb", "index", "middle")
+
+
+@pytest.fixture(scope="module")
+def hand():
+    return HandModel(load_hand("allegro_right"))
+
+
+@pytest.fixture(scope="module")
+def play():
+    return synthesize_play(0, duration_s=20.0, rate_hz=30.0)
+
+
+def test_a_scaled_and_shifted_hand_is_its_own_copy(rng):
+    """Each finger has a scale and an offset of its own; what is left over is the error."""
+    human = rng.normal(size=(50, 3, 3))
+    robot = human * np.array([1.5, 0.5, 2.0])[:, None] + rng.normal(size=(3, 3))
+    np.testing.assert_allclose(proportional_copy(human, robot), robot, atol=1e-12)
+    off = robot.copy()
+    off[7, 1, 2] += 0.5
+    errors = np.linalg.norm(proportional_copy(human, off) - off, axis=-1)
+    assert np.unravel_index(errors.argmax(), errors.shape) == (7, 1)
+
+
+def test_cosines_are_of_the_motion_around_an_instant(rng):
+    """A robot finger that moves 60° aside keeps a cosine of a half; one that rests counts 0."""
+    t = np.arange(20)[:, None]
+    human = np.zeros((20, 2, 3))
+    human[:, 0] = 0.002 * t * [1, 0, 0]  # the other finger rests
+    robot = np.zeros_like(human)
+    robot[:, 0] = 0.005 * t * [0.5, np.sqrt(0.75), 0]
+    np.testing.assert_allclose(motion_cosines(human, robot, 3), 0.5)
+    np.testing.assert_allclose(motion_cosines(human, np.zeros_like(human), 3), 0.0)
+    assert np.isnan(motion_cosines(np.zeros_like(human), robot, 3)).all()
+
+
+def test_pinches_are_of_the_nearest_finger():
+    """Under 15 mm, as in the metrics."""
+    tips = np.zeros((2, 3, 3))
+    tips[0, 1:] = [[0.02, 0, 0], [0.014, 0, 0]]
+    tips[1, 1:] = [[0.016, 0, 0], [0.03, 0, 0]]
+    pinches = find_pinches(tips, NAMES)
+    assert pinches.pair.tolist() == [[0, 2], [0, 1]]
+    np.testing.assert_allclose(pinches.distance, [0.014, 0.016])
+    assert pinches.asked.tolist() == [True, False]
+
+
+def test_an_excerpt_begins_where_most_pinches_are():
+    """Frames without tracking repeat the last hand before them; times are the excerpt's own."""
+    p_HK = np.zeros((400, 21, 3))
+    p_HK[:, 4::4, 0] = np.arange(5) * 0.1
+    p_HK[250:300, 8] = p_HK[0, 4]
+    valid = np.ones(400, bool)
+    valid[260:270] = False
+    p_HK[~valid] = 9.0
+    recording = Recording(np.arange(400) * 0.1 + 5.0, p_HK, valid)
+    hands = excerpt(recording, rate_hz=10.0, duration_s=5.0)
+    assert hands.start == pytest.approx(25.0)
+    np.testing.assert_allclose(hands.t, np.arange(51) * 0.1, atol=1e-9)
+    assert find_pinches(hands.p_HK[:50, 4::4], ("thumb", "index", "middle", "ring", "little")).asked.all()
+    later = excerpt(recording, rate_hz=10.0, duration_s=5.0, start_s=38.0)
+    assert later.t[-1] == pytest.approx(1.9)  # to the recording's end
+    with pytest.raises(RecordingError, match=r"within the recording's 39.9 s"):
+        excerpt(recording, start_s=40.0)
+
+
+def test_a_left_hand_is_answered_in_its_mirror_image_and_shown_as_it_is(play):
+    """The methods get canonical right hands; robot and asked fingertips are where the left hand's are."""
+    left = HandModel(load_hand("allegro_left"))
+    hands = excerpt(play, duration_s=2.0)
+    given = []
+
+    def half_way(p_HF):
+        given.append(p_HF)
+        return left.lower + (left.upper - left.lower) * (0.5 + 4 * p_HF.reshape(len(p_HF), -1)[:, :1])
+
+    found = answers(half_way, left, hands)
+    np.testing.assert_array_equal(given[0], tips_of(hands.p_HK, left))
+    np.testing.assert_allclose(found.p_BF, left.fingertips(found.q))
+    np.testing.assert_allclose(found.asked, proportional_copy(mirrored(given[0]), found.p_BF))
+
+
+def test_the_recording_shows_what_the_methods_answer(tmp_path, hand, play):
+    """Poses, tips, pinches and collisions of every method, at every instant."""
+    hands = excerpt(play, rate_hz=10.0, duration_s=3.0)
+    fist, rest = hand.upper, np.clip(np.zeros(len(hand.lower)), hand.lower, hand.upper)
+    methods = {
+        "fist": answers(lambda p_HF: np.tile(fist, (len(p_HF), 1)), hand, hands),
+        "rest": answers(lambda p_HF: np.tile(rest, (len(p_HF), 1)), hand, hands),
+    }
+    path = tmp_path / "explorer.rrd"
+    write_exploration(path, hand, hands, methods, {"recording_sha256": play.digest})
+    assert rerun("rrd", "verify", path).returncode == 0
+    pinches = find_pinches(tips_of(hands.p_HK, hand), hand.finger_names)
+    assert pinches.asked.any()
+    for name, q in (("fist", fist), ("rest", rest)):
+        times, tips = read(path, f"/world/{name}/tips", "Ellipsoids3D:centers")
+        np.testing.assert_allclose(times, hands.t, atol=1e-9)
+        np.testing.assert_allclose(tips[3], hand.fingertips(q), atol=1e-6)
+        deep = any(depth > 0.002 and not tip_tip for depth, _, _, tip_tip in hand.penetrations(q))
+        _, balls = read(path, f"/world/{name}/collisions", "Ellipsoids3D:centers")
+        assert [len(row) > 0 for row in balls] == [deep] * len(hands.t)
+        _, lines = read(path, f"/world/{name}/pinch/line", "LineStrips3D:strips")
+        assert [len(row) for row in lines] == pinches.asked.astype(int).tolist()
+        _, states = read(path, f"/{name}", "StateChange:state")
+        assert ("collides" in {state[0] for state in states}) == deep
+    assert any(entity.startswith("/world/fist/allegro_right") for entity in entities(path))
+    _, text = read(path, "/about", "TextDocument:text")
+    assert "| pinches closed | " in text[0][0]

@@ -1,0 +1,110 @@
+"""The recording of a training: what was observed, and that observing changes nothing."""
+
+import numpy as np
+import pytest
+import torch
+from rerun_world import read, rerun
+
+from geort_drake.evaluation import _rerun_training_scene as scene
+from geort_drake.evaluation._rerun_training import TrainingRecorder
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.retargeting.networks import RetargetingNetwork
+
+
+@pytest.fixture(scope="module")
+def hand():
+    return HandModel(load_hand("allegro_right"))
+
+
+@pytest.fixture(scope="module")
+def play():
+    return synthesize_play(0, duration_s=20.0, rate_hz=30.0)
+
+
+@pytest.fixture
+def network(hand):
+    kinematics = hand.kinematics()
+    fingers = len(hand.finger_names)
+    mean, scale = torch.full((fingers, 3), 0.05), torch.full((fingers, 3), 0.05)
+    return RetargetingNetwork(kinematics, mean, scale, 8, torch.Generator().manual_seed(0))
+
+
+def move(network):
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.mul_(1.5)
+
+
+def test_what_is_trained_is_observed_and_not_what_is_asked(hand, play, network):
+    """Calls without gradients are not steps; about as many observations as were asked for are made."""
+    recorder = TrainingRecorder(hand, play)
+    hands = torch.zeros(4, len(hand.finger_names), 3)
+    with recorder.looking_on(steps=100, times=10):
+        for _ in range(100):
+            with torch.no_grad():
+                network(hands)
+            before = network(hands)
+    network(hands)
+    assert [step for step, _ in recorder._weights] == list(range(0, 100, 10))
+    with torch.no_grad():
+        assert torch.equal(network(hands), before)
+
+
+def test_the_recording_holds_each_map_as_it_was(tmp_path, hand, play, network, monkeypatch):
+    """Robot hand, reach, pinches and criteria at each step are those of that step's weights."""
+    monkeypatch.setattr(scene, "_SAMPLES", 2000)
+    monkeypatch.setattr(scene, "_COLLIDING", 10)
+    recorder = TrainingRecorder(hand, play)
+    kept = []
+    for step in (0, 50):
+        recorder.observe(step, network)
+        kept.append({name: value.clone() for name, value in network.state_dict().items()})
+        move(network)
+
+    def trained(p_HF):
+        return np.tile(hand.default_position, (len(p_HF), 1))
+
+    path = tmp_path / "training.rrd"
+    losses = [
+        {"step": 0.0, "total": 2.0, "pinch": 1.0, "seconds": 0.1},
+        {"step": 99.0, "total": 1.0, "pinch": 0.5, "seconds": 9.0},
+    ]
+    properties = {"method": "geort", "hand": "allegro_right", "seed": 0}
+    recorder.write(path, trained, losses, properties)
+    assert rerun("rrd", "verify", path).returncode == 0
+
+    steps, closed = read(path, "/criteria/pinch", "Scalars:scalars", timeline="step")
+    assert steps == [0, 50, 100]
+    steps, pinch = read(path, "/losses/pinch", "Scalars:scalars", timeline="step")
+    assert (steps, np.ravel(pinch).tolist()) == ([0, 99], [1.0, 0.5])
+    tips = hand.fingertips(hand.default_position)
+    thumb = hand.finger_names.index("thumb")
+    _, lines = read(path, "/world/robot/pinches", "LineStrips3D:strips", timeline="step")
+    np.testing.assert_allclose(lines[-1][0][0], tips[thumb], atol=1e-6)
+    gaps = [np.linalg.norm(np.subtract(*line)) for line in lines[-1]]
+    assert closed[-1] == pytest.approx(np.mean(np.array(gaps) <= 2 * hand.tip_radius))
+    # The first map's thumb tips, from its own weights.
+    network.load_state_dict(kept[0])
+    building = scene.TrainingScene(hand, play, 0)
+    with torch.no_grad():
+        q = network(torch.tensor(building._pinching, dtype=torch.float32)).numpy().astype(float)
+    np.testing.assert_allclose([line[0] for line in lines[0]], hand.fingertips(q)[:, thumb], atol=1e-5)
+    _, colors = read(path, "/world/robot/reach/thumb", "Points3D:colors", timeline="step")
+    assert len(set(map(len, colors))) == 1
+    assert not np.array_equal(colors[0], colors[-1])
+
+
+def test_a_lattice_joins_neighbours(rng):
+    """Nodes lie where the fingertip was, edges along the axes, a spacing long."""
+    frames = rng.uniform(0, 0.05, (3000, 2, 3))
+    lattice = scene._Lattice(frames, 1)
+    segments = lattice.segments(lattice.nodes)
+    along = segments[:, 1] - segments[:, 0]
+    np.testing.assert_allclose(
+        np.sort(along, axis=1), np.tile([0, 0, scene._SPACING], (len(along), 1)), atol=1e-12
+    )
+    np.testing.assert_array_equal(lattice.hands[:, 1], lattice.nodes)
+    distances = np.linalg.norm(frames[None, :, 1] - lattice.nodes[:, None], axis=-1).min(axis=1)
+    assert (distances < scene._SPACING / 2).all()
