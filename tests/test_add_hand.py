@@ -34,6 +34,8 @@ from geort_drake.resources import resource_root
 from geort_drake.retargeting.baselines.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.collision_geometry import CollisionGaps
 from geort_drake.retargeting.retargeter import load_retargeter
+from geort_drake.simulation.diagram import make_grasp_diagram
+from geort_drake.simulation.scenario import load_scenario
 
 sys.path.insert(0, str(resource_root() / "scripts"))
 import add_hand
@@ -338,3 +340,35 @@ def test_models_that_cannot_be_used_are_refused(kind, change, said, tmp_path):
     with pytest.raises(HandError, match=said) as error:
         propose(model)
     assert str(model) in str(error.value)
+
+
+def test_on_the_arm_only_listed_joints_are_commanded(tmp_path):
+    """The shipped scenario takes a described hand; a replayed glove moves it, and what follows goes along."""
+    add_hand.main([str(write_hand(tmp_path, HandSpec(4))), "--output", str(tmp_path / "mine.yaml")])
+    hand = HandModel(load_hand(tmp_path / "mine.yaml"))
+    play = synthesize_play(seed=0, duration_s=0.4, rate_hz=30.0)
+    still = dc.replace(play, X_WH=np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(play.t), 1)))
+    retarget = _Halfway(hand)
+    parts = make_grasp_diagram(load_scenario(hand=str(tmp_path / "mine.yaml")), retarget, still)
+    simulator = Simulator(parts.diagram)
+    parts.initialize(simulator.get_mutable_context())
+    simulator.AdvanceTo(0.4)
+    context = parts.plant.GetMyContextFromRoot(simulator.get_context())
+    leader, follower = (
+        parts.plant.GetJointByName(name).get_angle(context) for name in ("index_j2", "index_j3")
+    )
+    assert leader > 0.3
+    assert follower == pytest.approx(0.8 * leader + 0.1, abs=2e-3)
+    command = parts.retargeting.GetOutputPort("desired_state")
+    assert command.size() == 2 * len(hand.joint_names)
+
+
+class _Halfway:
+    """Answers every hand with the middle of the robot's joint ranges."""
+
+    def __init__(self, hand: HandModel):
+        self.joint_names = hand.joint_names
+        self._q = 0.5 * (hand.lower + hand.upper)
+
+    def __call__(self, p_HK: np.ndarray) -> np.ndarray:
+        return self._q

@@ -30,19 +30,21 @@ class JointCouplings:
     def of(cls, description: HandDescription) -> "JointCouplings":
         """Those of the joints that follow, directly or not, one that a finger lists."""
         n, joints = len(description.joint_names), description.joint_names
-        names, leaders, rows, offset = [], [], [], []
-        for coupling in description.couplings:
-            leader, ratio, constant = root(description.couplings, coupling)
-            if leader in joints:
-                names.append(coupling.joint)
-                leaders.append(joints.index(leader))
-                rows.append(ratio * np.eye(n)[leaders[-1]])
-                offset.append(constant)
-        return cls(names, leaders, np.array(rows).reshape(-1, n), np.array(offset, dtype=float))
+        following = followers(description)
+        leaders = [joints.index(leader) for _, leader, _, _ in following]
+        rows = [ratio * np.eye(n)[row] for row, (_, _, ratio, _) in zip(leaders, following, strict=True)]
+        offset = np.array([offset for *_, offset in following], dtype=float)
+        return cls([name for name, *_ in following], leaders, np.array(rows).reshape(-1, n), offset)
 
     def followed_by(self, q: np.ndarray) -> np.ndarray:
         """(N, n + K) angles of the joints of q (N, n), then of those that follow them, rad."""
         return np.hstack([q, q @ self.ratio.T + self.offset]) if self.names else q
+
+
+def followers(description: HandDescription) -> list[tuple[str, str, float, float]]:
+    """Each joint that follows one that a finger lists: its name, the leader's, ratio and offset in rad."""
+    heads = [(c.joint, *root(description.couplings, c)) for c in description.couplings]
+    return [head for head in heads if head[1] in description.joint_names]
 
 
 def root(couplings: list[CouplingDescription], coupling: CouplingDescription) -> tuple[str, float, float]:

@@ -35,6 +35,8 @@ _GRID = 7
 _CLOSING = 0.6
 # A thumb is beside the fingers, not opposite to them, if it is by this part of how far it stands before them.
 _BESIDE = 0.35
+# On the shipped adapter a left hand is the mirror image of a right one when turned so, degrees.
+_LEFT_MOUNT = (0.0, 0.0, 90.0)
 # Gains for joints of a model without motors, those of the Allegro hand: N·m/rad, N·m·s/rad, N·m.
 _GAINS = ActuationDescription(stiffness=1.0, damping=0.1, effort_limit=1.0)
 
@@ -119,6 +121,8 @@ def propose(model: Path, name: str | None = None) -> Proposal:
         couplings=_couplings(structure),
         actuation=_actuation(structure, notes),
     )
+    if side == "left":
+        description.mount.rpy_deg = list(_LEFT_MOUNT)
     description.default_positions = _default_positions(structure)
     description.ignored_collisions = resting_contacts(HandModel(description))
     hand = HandModel(description)
@@ -215,8 +219,8 @@ def _snapped(R: np.ndarray, notes: list[str]) -> np.ndarray:
         if angle < _SNAP:
             if angle > _SAID:
                 notes.append(
-                    f"the fingers are bent by {np.rad2deg(angle):.0f} degrees against the palm's link, whose axes "
-                    "the hand base was given"
+                    f"stretched fingers lean by {np.rad2deg(angle):.0f} degrees against the axes of the "
+                    "palm's link, which the hand base was given"
                 )
             return nearest
     notes.append("no axes of the palm's link lie along the fingers, so the hand base is turned as they are")

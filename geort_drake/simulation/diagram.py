@@ -25,6 +25,7 @@ from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import (
     ARM,
     HAND,
+    actuated_state,
     add_object,
     add_robot,
     scale_friction,
@@ -220,7 +221,7 @@ def make_grasp_diagram(
     builder.Connect(source.GetOutputPort("keypoints"), retargeting.GetInputPort("keypoints"))
     builder.Connect(source.GetOutputPort("valid"), retargeting.GetInputPort("valid"))
     builder.Connect(retargeting.GetOutputPort("desired_state"), correction.GetInputPort("desired_state"))
-    builder.Connect(plant.get_state_output_port(hand), correction.GetInputPort("hand_state"))
+    builder.Connect(actuated_state(builder, plant, hand), correction.GetInputPort("hand_state"))
     builder.Connect(correction.get_output_port(), plant.get_desired_state_input_port(hand))
 
     # Wrist: tracker pose → differential inverse kinematics → the arm's PD controllers.

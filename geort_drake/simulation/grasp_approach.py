@@ -9,6 +9,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.assembly import add_hand_model
+from geort_drake.hands.couplings import followers
 from geort_drake.hands.description import HandDescription
 from geort_drake.operators.wrist_motion import WristMovement
 from geort_drake.simulation.world import add_object
@@ -51,10 +52,11 @@ class GraspApproach:
         self._plant.Finalize()
         self._joints = {
             name: self._plant.GetJointByName(name, hand)
-            for finger in description.fingers
-            for name in finger.joints
+            for name in [*description.joint_names, *(name for name, *_ in followers(description))]
         }
         self._base = self._plant.GetFrameByName(description.base_frame, hand)
+        (root,) = self._plant.GetFloatingBaseBodies()
+        self._root = self._plant.get_body(root)
         inspector = scene_graph.model_inspector()
         parts = [
             geometry
@@ -102,11 +104,12 @@ class GraspApproach:
         movement = WristMovement(X_OB_from, X_OB_to, 0.0, 1.0)
         for name, joint in self._joints.items():
             joint.set_angle(self._plant_context, q[name])
-        X_BaseB = self._base.GetFixedPoseInBodyFrame()
+        # The hand base need not lie on the link that the others hang on.
+        X_RootB = self._plant.CalcRelativeTransform(self._plant_context, self._root.body_frame(), self._base)
         least = 0.05
         for t in np.linspace(0, 1, _PLACES):
             self._plant.SetFloatingBaseBodyPoseInWorldFrame(
-                self._plant_context, self._base.body(), movement.pose(t) @ X_BaseB.inverse()
+                self._plant_context, self._root, movement.pose(t) @ X_RootB.inverse()
             )
             query = self._plant.get_geometry_query_input_port().Eval(self._plant_context)
             for pair in query.ComputeSignedDistancePairwiseClosestPoints(least):

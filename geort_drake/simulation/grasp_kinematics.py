@@ -9,6 +9,7 @@ from pydrake.multibody.tree import RigidBody
 from pydrake.solvers import SnoptSolver, SolverOptions
 from pydrake.systems.framework import DiagramBuilder
 
+from geort_drake.hands.couplings import followers
 from geort_drake.hands.description import FingerDescription, HandDescription
 from geort_drake.hands.model import tip_geometries
 from geort_drake.simulation.grasp_contacts import Contact
@@ -170,6 +171,11 @@ class GraspKinematics:
                 if finger in self._grasping:  # a grasping joint is most useful in its middle range
                     q_nominal[index] = 0.5 * (low[index] + high[index])
         ik.get_mutable_prog().AddQuadraticErrorCost(np.diag(weight), q_nominal, ik.q())
+        for follower, leader, ratio, offset in followers(self._description):
+            q_follower, q_leader = (
+                ik.q()[plant.GetJointByName(name, self._hand).position_start()] for name in (follower, leader)
+            )
+            ik.get_mutable_prog().AddLinearEqualityConstraint(q_follower - ratio * q_leader == offset)
         return ik
 
     def _put_palm(self, ik: InverseKinematics, palm: Contact) -> None:

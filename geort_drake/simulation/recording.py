@@ -12,7 +12,7 @@ from pydrake.systems.primitives import Demultiplexer
 from geort_drake.hands.description import HandDescription
 from geort_drake.operators.behavior import Phase
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.world import HAND
+from geort_drake.simulation.world import HAND, actuated_state
 from geort_drake.systems.grasp_monitor import GraspMonitor, GraspPhase
 from geort_drake.systems.rerun_recorder import (
     ContactSpec,
@@ -56,7 +56,7 @@ def add_grasp_recorder(
     halves = {}
     for key, port in (
         ("command", correction.get_output_port()),
-        ("measured", plant.get_state_output_port(hand)),
+        ("measured", actuated_state(builder, plant, hand)),
     ):
         halves[key] = builder.AddNamedSystem(f"{key}_positions", Demultiplexer([n, n]))
         builder.Connect(port, halves[key].get_input_port())

@@ -12,7 +12,9 @@ from pydrake.multibody.parsing import (
     ProcessModelDirectives,
 )
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex, PdControllerGains, RigidBody
+from pydrake.multibody.tree import JointIndex, ModelInstanceIndex, PdControllerGains, RigidBody
+from pydrake.systems.framework import DiagramBuilder, OutputPort
+from pydrake.systems.primitives import MatrixGain
 
 from geort_drake.errors import HandError, ScenarioError, UnknownNameError
 from geort_drake.hands.assembly import add_hand_model
@@ -95,6 +97,25 @@ def scale_stiffness(plant: MultibodyPlant, model: ModelInstanceIndex, factor: fl
             actuator.set_controller_gains(
                 PdControllerGains(p=factor * gains.p, d=math.sqrt(factor) * gains.d)
             )
+
+
+def actuated_state(builder: DiagramBuilder, plant: MultibodyPlant, model: ModelInstanceIndex) -> OutputPort:
+    """Positions, then velocities of a model's actuated joints; joints that follow others are left out."""
+    joints = [plant.get_joint_actuator(index).joint() for index in plant.GetJointActuatorIndices(model)]
+    everything = plant.get_state_output_port(model)
+    if everything.size() == 2 * len(joints):
+        return everything
+    q_start = min(plant.get_joint(index).position_start() for index in _moving(plant, model))
+    v_start = min(plant.get_joint(index).velocity_start() for index in _moving(plant, model))
+    rows = [joint.position_start() - q_start for joint in joints]
+    rows += [plant.num_positions(model) + joint.velocity_start() - v_start for joint in joints]
+    selector = builder.AddSystem(MatrixGain(np.eye(everything.size())[rows]))
+    builder.Connect(everything, selector.get_input_port())
+    return selector.get_output_port()
+
+
+def _moving(plant: MultibodyPlant, model: ModelInstanceIndex) -> list[JointIndex]:
+    return [index for index in plant.GetJointIndices(model) if plant.get_joint(index).num_positions()]
 
 
 def _mount_hand(plant: MultibodyPlant, scenario: Scenario, description: HandDescription) -> None:
