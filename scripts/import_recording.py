@@ -5,15 +5,18 @@ Exit code 0: usable, with or without warnings; 2: refused.
 
 import argparse
 import json
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from rich.live import Live
 from rich.table import Table
 
 from geort_drake.console import console, run_main
 from geort_drake.errors import RecordingError
 from geort_drake.files import require_writable
+from geort_drake.gloves.coverage import coverage
 from geort_drake.gloves.formats import AUTO, FORMATS
 from geort_drake.gloves.health import examine, noted, refuse
 from geort_drake.gloves.health.anatomy import UNITS_M
@@ -23,11 +26,14 @@ from geort_drake.gloves.readers import open_recording
 from geort_drake.gloves.recording import SIDES, Recording
 
 _ROBOT_SAMPLES = 4000
+_LOOK_EVERY_S = 1.0
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     arguments = _arguments(argv)
     name = str(arguments.input)
+    if arguments.watch:
+        _watch(arguments)
     recording, findings = None, []
     try:
         recording, findings = open_recording(
@@ -76,9 +82,55 @@ def _print(result: dict[str, Any], findings: Sequence[Finding]) -> None:
     for finding in findings:
         label = "warning" if finding.severity is Severity.UNFIT else finding.severity
         console.print(f"{label}: {finding}", markup=False, soft_wrap=True)
+    enough = [motion["enough"] for motion in result["coverage"]]
+    console.print(f"coverage: {sum(enough)} of {len(enough)} motions that training wants")
     console.print(
         f"verdict: {result['verdict']}" + ("" if result["fit_for_training"] else "; not fit for training")
     )
+
+
+def _watch(arguments: argparse.Namespace) -> None:
+    """Shows what a file that is being recorded lacks, until it lacks nothing or Ctrl-C is pressed."""
+    seen = None
+    with Live(console=console, auto_refresh=False) as live:
+        try:
+            while True:
+                stamp = arguments.input.stat().st_mtime_ns if arguments.input.exists() else None
+                if stamp != seen:
+                    seen = stamp
+                    table, complete = _coverage_table(arguments)
+                    live.update(table, refresh=True)
+                    if complete:
+                        return
+                time.sleep(_LOOK_EVERY_S)
+        except KeyboardInterrupt:
+            return
+
+
+def _coverage_table(arguments: argparse.Namespace) -> tuple[Table, bool]:
+    """The motions seen so far and what is still to do, and whether nothing is."""
+    try:
+        recording, _ = open_recording(
+            arguments.input, arguments.side, arguments.format, arguments.unit, arguments.rate
+        )
+        recording, findings = examine(recording)
+        refuse(str(arguments.input), findings)
+    except RecordingError as error:
+        # While it is being written a file may end within a frame, or be empty still.
+        table = Table("waiting", box=None)
+        table.add_row(str(error))
+        return table, False
+    table = Table("motion", "seen", "wanted", "what to do", box=None, title=f"{recording.duration_s:.0f} s")
+    motions = coverage(recording)
+    for motion in motions:
+        color = "green" if motion.enough else "red"
+        seen = f"{motion.seen:.0f} {motion.unit}" + (
+            "" if motion.frames is None else f", {motion.frames} frames"
+        )
+        table.add_row(
+            f"[{color}]{motion.name}[/]", seen, f"{motion.wanted:.0f}", "" if motion.enough else motion.advice
+        )
+    return table, all(motion.enough for motion in motions)
 
 
 def _draw(recording: Recording, hand_name: str, path: Path) -> None:
@@ -123,6 +175,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--picture", type=Path, metavar="FILE", help=".png of the fingertips against a robot's"
     )
     parser.add_argument("--hand", default="allegro_right", help="the picture's robot hand (allegro_right)")
+    parser.add_argument(
+        "--watch", action="store_true", help="first show what is still missing, while the file is recorded"
+    )
     arguments = parser.parse_args(argv)
     for path, suffix in ((arguments.output, ".npz"), (arguments.picture, ".png")):
         if path is None:

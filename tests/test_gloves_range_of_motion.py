@@ -37,6 +37,12 @@ def test_sideways_motion_is_the_turn_of_the_first_joint():
     )
 
 
+@pytest.mark.parametrize("finger", ["index", "middle", "ring", "little"])
+def test_bending_is_no_motion_sideways(finger):
+    """Although the planes in which the fingers bend converge, and no bone stays at one height over x–z."""
+    assert ranges_deg(swept(f"{finger}_mcp_flexion", 60.0), finger)["moves sideways"] < 2.0
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_synthetic_play_is_wide_enough(seed):
     """A minute of it lacks nothing."""

@@ -7,6 +7,7 @@ are chosen so that the fingertips' workspace, speed and pinches lie between thos
 of real gloves; `tests/test_gloves_play.py` holds the figures.
 """
 
+import dataclasses
 from collections.abc import Callable, Iterable
 
 import numpy as np
@@ -20,7 +21,7 @@ from geort_drake.gloves.recording import SIDES, Recording
 _FIST = np.array(
     [[30, 15, 40, 45], [0, 76, 92, 56], [0, 78, 94, 56], [0, 74, 92, 56], [0, 66, 90, 54]], float
 )
-_FLAT = np.array([[10, -15, 0, 0], [4, -10, 2, 1], [0, -8, 2, 1], [-3, -8, 2, 1], [-8, -8, 2, 1]], float)
+FLAT = np.array([[10, -15, 0, 0], [4, -10, 2, 1], [0, -8, 2, 1], [-3, -8, 2, 1], [-8, -8, 2, 1]], float)
 # A pinch starts here and is closed by inverse kinematics: (lower, upper) of thumb and finger.
 _PINCH_THUMB = ((10, -5, 5, 5), (40, 30, 45, 60))
 _PINCH_FINGER = ((-10, 10, 20, 10), (5, 70, 80, 50))
@@ -60,10 +61,7 @@ def synthesize_play(
         raise ValueError("duration_s and rate_hz must be positive and jitter not negative")
     hand = hand or HumanHand.anatomical()
     rng = np.random.default_rng(seed)
-    t = np.arange(max(2, round(duration_s * rate_hz))) / rate_hz
-    times, postures = _postures(hand, duration_s, rng)
-    theta = _minimum_jerk(t, times, postures)
-    theta = np.clip(theta + jitter * _glove_noise(len(t), rate_hz, rng), hand.lower, hand.upper)
+    recording = record(_play(hand, duration_s, rng), hand, duration_s, rate_hz, jitter, rng)
     metadata = {
         "side": side,
         "subject": "synthetic",
@@ -72,10 +70,25 @@ def synthesize_play(
         "seed": seed if isinstance(seed, int) else None,
         "warnings": [],
     }
-    return Recording(t, hand.keypoints(theta), np.ones(len(t), bool), None, metadata)
+    return dataclasses.replace(recording, metadata=metadata)
 
 
-class _Timeline:
+def record(
+    timeline: "Timeline",
+    hand: HumanHand,
+    duration_s: float,
+    rate_hz: float,
+    jitter: float,
+    rng: np.random.Generator,
+) -> Recording:
+    """What a glove would record of a hand on its way through a timeline, faults of the glove included."""
+    t = np.arange(max(2, round(duration_s * rate_hz))) / rate_hz
+    theta = _minimum_jerk(t, np.array(timeline.times), np.stack(timeline.postures))
+    theta = np.clip(theta + jitter * _glove_noise(len(t), rate_hz, rng), hand.lower, hand.upper)
+    return Recording(t, hand.keypoints(theta), np.ones(len(t), bool))
+
+
+class Timeline:
     """Postures in the order they are reached, and when."""
 
     def __init__(self, hand: HumanHand, start: np.ndarray):
@@ -100,24 +113,24 @@ class _Timeline:
         self.postures.append(np.clip(np.reshape(theta, 20), self._hand.lower, self._hand.upper))
 
 
-def _postures(hand: HumanHand, duration_s: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    timeline = _Timeline(hand, np.deg2rad(_resting(rng)))
-    gestures: list[Callable] = [_fists, _spread, _wave]
+def _play(hand: HumanHand, duration_s: float, rng: np.random.Generator) -> Timeline:
+    timeline = Timeline(hand, np.deg2rad(resting(rng)))
+    gestures: list[Callable] = [fists, spread, wave]
     while timeline.times[-1] < duration_s:
-        pinches = {finger: _pinch_postures(hand, finger, rng) for finger in range(1, 5)}
+        pinches = {finger: pinch_postures(hand, finger, rng) for finger in range(1, 5)}
         gesture_order = [gestures[i] for i in rng.permutation(3)]
         for place, finger in enumerate(rng.permutation(5)):
             if finger != _THUMB:
-                _pinch(timeline, finger, pinches[finger], rng)
-            _sweep(timeline, finger, rng)
+                pinch(timeline, finger, pinches[finger], rng)
+            sweep(timeline, finger, rng)
             if place < len(gesture_order):
                 gesture_order[place](timeline, rng)
-    return np.array(timeline.times), np.stack(timeline.postures)
+    return timeline
 
 
-def _sweep(timeline: _Timeline, finger: int, rng: np.random.Generator) -> None:
+def sweep(timeline: Timeline, finger: int, rng: np.random.Generator) -> None:
     """One finger through its range: abducting at several flexions, then anywhere; others follow a little."""
-    rest = _resting(rng)
+    rest = resting(rng)
     targets = [*_abduction_sweeps(finger, rng), *(_anywhere(finger, rng) for _ in range(5))]
     for target in targets:
         theta = _around(rest, 9.0, rng)  # resting fingers never keep quite still
@@ -161,27 +174,27 @@ def _freedom(flexion_deg: float) -> float:
     return 1.0 - 0.8 * np.clip(flexion_deg / 90, 0.0, 1.0)
 
 
-def _fists(timeline: _Timeline, rng: np.random.Generator) -> None:
+def fists(timeline: Timeline, rng: np.random.Generator) -> None:
     for _ in range(2):
         timeline.move(np.deg2rad(_around(_FIST, 4.0, rng)), rng.uniform(0.25, 0.5))
         timeline.hold(rng.uniform(0.1, 0.3))
-        timeline.move(np.deg2rad(_around(_FLAT, 5.0, rng)), rng.uniform(0.25, 0.5))
+        timeline.move(np.deg2rad(_around(FLAT, 5.0, rng)), rng.uniform(0.25, 0.5))
 
 
-def _spread(timeline: _Timeline, rng: np.random.Generator) -> None:
+def spread(timeline: Timeline, rng: np.random.Generator) -> None:
     """All fingers apart and together, at several flexions."""
     for flexion in rng.permutation([-15.0, 10.0, 40.0]):
         for share in (1.0, -0.6):
-            theta = _FLAT + rng.uniform(0.0, 0.25) * (_FIST - _FLAT)
+            theta = FLAT + rng.uniform(0.0, 0.25) * (_FIST - FLAT)
             theta[1:, 1] = flexion + rng.uniform(-6, 6, 4)
             theta[1:, 0] = share * np.array([16, 4, -12, -28]) + rng.uniform(-3, 3, 4)
             theta[0, :2] = (rng.uniform(0, 45), -20 if share > 0 else 15)
             timeline.move(np.deg2rad(theta), rng.uniform(0.25, 0.5))
 
 
-def _wave(timeline: _Timeline, rng: np.random.Generator) -> None:
+def wave(timeline: Timeline, rng: np.random.Generator) -> None:
     """Flexion runs from finger to finger, back and forth."""
-    start = _around(_FLAT, 4.0, rng)
+    start = _around(FLAT, 4.0, rng)
     depth = rng.uniform(0.5, 1.0)
     for step in range(12):
         phase = 2 * np.pi * (step / 6 - np.arange(5) / 6)
@@ -189,7 +202,7 @@ def _wave(timeline: _Timeline, rng: np.random.Generator) -> None:
         timeline.move(np.deg2rad(start + share[:, None] * (_FIST - start)), rng.uniform(0.18, 0.26))
 
 
-def _pinch(timeline: _Timeline, finger: int, postures: np.ndarray, rng: np.random.Generator) -> None:
+def pinch(timeline: Timeline, finger: int, postures: np.ndarray, rng: np.random.Generator) -> None:
     """Approaches, touches, slides along while touching, and lets go."""
     for touch, slide in postures:
         opened = np.zeros((5, 4))
@@ -203,10 +216,10 @@ def _pinch(timeline: _Timeline, finger: int, postures: np.ndarray, rng: np.rando
         timeline.move(slide - opened.ravel(), rng.uniform(0.25, 0.5))
 
 
-def _pinch_postures(hand: HumanHand, finger: int, rng: np.random.Generator, count: int = 2) -> np.ndarray:
+def pinch_postures(hand: HumanHand, finger: int, rng: np.random.Generator, count: int = 2) -> np.ndarray:
     """Up to `count` pairs (n, 2, 20) of postures in which thumb and finger touch, the second slid along."""
     tries = 4 * count
-    theta = np.deg2rad(np.stack([_resting(rng) for _ in range(tries)]))
+    theta = np.deg2rad(np.stack([resting(rng) for _ in range(tries)]))
     for i, (low, high) in ((_THUMB, _PINCH_THUMB), (finger, _PINCH_FINGER)):
         theta[:, i] = np.deg2rad(rng.uniform(low, high, (tries, 4)))
     gap = rng.uniform(*_TIP_GAP_M, tries)
@@ -270,11 +283,11 @@ def _glove_noise(frames: int, rate_hz: float, rng: np.random.Generator) -> np.nd
     return np.deg2rad(_JITTER_DEG * jitter + _TREMOR_DEG * tremor + _DRIFT_DEG * drift)
 
 
-def _resting(rng: np.random.Generator) -> np.ndarray:
+def resting(rng: np.random.Generator) -> np.ndarray:
     """A posture (5, 4), deg, of fingers that nothing is asked of, each somewhat open or closed."""
     knuckles, beyond = rng.uniform(0.0, 0.6, 5), rng.uniform(0.0, 0.8, 5) ** 1.5
     share = np.column_stack([knuckles, knuckles, beyond, beyond])
-    return _around(_FLAT + share * (_FIST - _FLAT), 5.0, rng)
+    return _around(FLAT + share * (_FIST - FLAT), 5.0, rng)
 
 
 def _around(posture: np.ndarray, deviation_deg: float, rng: np.random.Generator) -> np.ndarray:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+from geort_drake.gloves.coverage import coverage
 from geort_drake.gloves.health import verdict
 from geort_drake.gloves.health.findings import Finding, Severity
 from geort_drake.gloves.keypoints import FINGER_NAMES
@@ -66,4 +67,14 @@ def _figures(recording: Recording) -> dict[str, Any]:
             }
             for i, finger in enumerate(FINGER_NAMES)
         },
+        "coverage": [
+            {
+                "motion": motion.name,
+                "seen": motion.seen,
+                "wanted": motion.wanted,
+                "unit": motion.unit,
+                "enough": motion.enough,
+            }
+            for motion in coverage(recording)
+        ],
     }

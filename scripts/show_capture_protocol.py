@@ -1,0 +1,56 @@
+"""Shows what a new user records in five minutes: the steps as a table, and our synthetic hand doing them."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.table import Table
+
+from geort_drake.console import console, run_main
+from geort_drake.files import require_writable
+from geort_drake.gloves.protocol import STEPS, demonstrate
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    arguments = _arguments(argv)
+    table = Table("from", "for", "step", "what to do", box=None)
+    begin = 0.0
+    for step in STEPS:
+        table.add_row(
+            f"{begin // 60:.0f}:{begin % 60:02.0f}", f"{step.seconds:g} s", step.name, step.instruction
+        )
+        begin += step.seconds
+    console.print(table)
+    if arguments.output is None and arguments.recording is None:
+        return
+    recording, names = demonstrate(arguments.seed)
+    if arguments.recording is not None:
+        recording.save(arguments.recording)
+        console.print(f"saved to {arguments.recording}", markup=False, soft_wrap=True)
+    if arguments.output is not None:
+        # Imported here, as it brings Drake and Rerun, and the table needs neither.
+        from geort_drake.export.rerun_hand import write_hand
+
+        write_hand(recording, arguments.output, states={"step": names})
+        console.print(f"watch it: rerun {arguments.output}", markup=False, soft_wrap=True)
+
+
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--output", type=Path, help=".rrd to write: the synthetic hand in Rerun")
+    parser.add_argument("--recording", type=Path, help=".npz to write: the same as a recording")
+    parser.add_argument("--seed", type=int, default=0, help="of the demonstration (0)")
+    arguments = parser.parse_args(argv)
+    if arguments.seed < 0:
+        parser.error(f"--seed must be 0 or more, not {arguments.seed}")
+    for path, suffix in ((arguments.output, ".rrd"), (arguments.recording, ".npz")):
+        if path is None:
+            continue
+        if path.suffix != suffix:
+            parser.error(f"{path}: the name must end with {suffix}")
+        require_writable(path)
+    return arguments
+
+
+if __name__ == "__main__":
+    run_main(main)

@@ -1,0 +1,173 @@
+"""The capture protocol, its demonstration, and what is said of a recording that lacks something."""
+
+import re
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+from test_gloves_scripts import script
+
+from geort_drake.gloves.coverage import PINCHES, coverage, pinches
+from geort_drake.gloves.health import examine, verdict
+from geort_drake.gloves.human_hand import HumanHand
+from geort_drake.gloves.keypoints import FINGER_KEYPOINTS, FINGER_NAMES
+from geort_drake.gloves.protocol import DURATION_S, STEPS, demonstrate
+from geort_drake.gloves.range_of_motion import ranges_deg
+from geort_drake.gloves.recording import Recording
+from geort_drake.gloves.summary import pinch_distances
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+
+
+@pytest.fixture(scope="module")
+def shown():
+    """The demonstration at a low rate, and the step of each frame."""
+    return demonstrate(0, rate_hz=30.0)
+
+
+def during(shown, *names) -> Recording:
+    """The frames of some steps alone."""
+    recording, steps = shown
+    return replace(recording, valid=np.isin(steps, names))
+
+
+def test_the_demonstration_holds_all_that_training_wants(shown):
+    """Nothing is missing, nothing is wrong, and about a quarter of the time is pinches."""
+    recording, steps = shown
+    assert recording.duration_s == pytest.approx(DURATION_S, abs=0.1)
+    assert DURATION_S == 300
+    assert list(dict.fromkeys(steps)) == [step.name for step in STEPS]
+    assert [str(motion) for motion in coverage(recording) if not motion.enough] == []
+    _, findings = examine(recording)
+    assert verdict(findings) == "usable", [str(finding) for finding in findings]
+    distance = np.stack(list(pinch_distances(recording).values()))
+    assert 0.2 < (distance.min(axis=0) < 0.015).mean() < 0.35
+
+
+def test_the_same_seed_shows_the_same(shown):
+    """And another one does not."""
+    assert demonstrate(0, rate_hz=30.0)[0].digest == shown[0].digest
+    assert demonstrate(1, rate_hz=30.0)[0].digest != shown[0].digest
+
+
+@pytest.mark.parametrize("finger", FINGER_NAMES)
+def test_a_step_moves_the_finger_it_names(shown, finger):
+    """Alone, every motion of it is enough."""
+    step = during(shown, f"{finger} alone")
+    lacking = [
+        m.name for m in coverage(step) if m.name.startswith(f"{finger} ") and m.unit == "°" and not m.enough
+    ]
+    assert lacking == []
+
+
+@pytest.mark.parametrize("finger", FINGER_NAMES[1:])
+def test_a_step_makes_the_pinches_it_names(shown, finger):
+    """Without it they are missing, and only they; with it alone they are enough."""
+    name = f"thumb pinches {finger}"
+    alone = {motion.name: motion for motion in coverage(during(shown, f"thumb to {finger}"))}
+    assert alone[name].enough
+    rest = [step.name for step in STEPS if step.name != f"thumb to {finger}"]
+    without = {motion.name: motion for motion in coverage(during(shown, *rest))}
+    assert [motion.name for motion in without.values() if not motion.enough] in ([], [name])
+    assert without[name].frames < 0.3 * alone[name].frames
+
+
+def held(joint: str, degrees: float) -> Recording:
+    """The demonstration by a hand of which one joint is held."""
+    hand = HumanHand.anatomical()
+    i = hand.joint_index(joint)
+    lower, upper = hand.lower.copy(), hand.upper.copy()
+    lower[i] = upper[i] = np.deg2rad(degrees)
+    return demonstrate(0, 30.0, replace(hand, lower=lower, upper=upper), jitter=0.0)[0]
+
+
+@pytest.mark.parametrize("finger", FINGER_NAMES[1:])
+def test_a_finger_that_never_spreads_is_named(finger):
+    """All motions but the abduction of that finger are seen; bending it is not taken for abduction."""
+    (motion,) = [m for m in coverage(held(f"{finger}_mcp_abduction", 0.0)) if not m.enough]
+    assert str(motion) == f"{finger} moves sideways: none seen"
+    assert motion.advice == "spread the fingers and close them"
+
+
+def test_pinches_that_were_not_made_are_named(shown):
+    """Zero frames of the ring finger, where its step was left out and its tip kept away."""
+    recording, _ = shown
+    p_HK = recording.p_HK.copy()
+    away = pinch_distances(recording)["ring"] < 0.03
+    p_HK[np.ix_(away, FINGER_KEYPOINTS["ring"])] += [0.0, -0.06, 0.0]
+    (motion,) = [m for m in coverage(replace(recording, p_HK=p_HK)) if m.name == "thumb pinches ring"]
+    assert str(motion) == f"thumb pinches ring: 0 frames, 0 of {PINCHES} times"
+    assert not motion.enough
+
+
+def test_a_pinch_that_trembles_counts_once():
+    """Tips must part before they can meet again; a recording may begin with a pinch."""
+    apart, near, touch = 0.05, 0.02, 0.01
+    assert pinches(np.array([apart, touch, near, touch, apart, near, apart])) == 1
+    assert pinches(np.array([touch, apart, touch, touch])) == 2
+    assert pinches(np.array([near, near])) == 0
+
+
+def test_coverage_says_what_was_measured(shown):
+    """Its ranges are those of `ranges_deg`."""
+    recording, _ = shown
+    seen = {motion.name: motion.seen for motion in coverage(recording)}
+    for finger in FINGER_NAMES:
+        for name, degrees in ranges_deg(recording.p_HK, finger).items():
+            assert seen[f"{finger} {name}"] == degrees
+
+
+def test_the_watch_ends_when_nothing_is_missing(tmp_path, shown, capsys):
+    """A file that grows while it is watched: first something is missing, then nothing."""
+    recording, _ = shown
+    path = tmp_path / "hand.npz"
+    half = len(recording) // 2
+    Recording(recording.t[:half], recording.p_HK[:half], recording.valid[:half]).save(path)
+    module = script("import_recording.py")
+    module._LOOK_EVERY_S = 0.05
+    ended = threading.Event()
+
+    def finish():
+        time.sleep(1.0)
+        assert not ended.is_set()
+        recording.save(path)
+
+    writer = threading.Thread(target=finish)
+    writer.start()
+    module.main([str(path), "--watch"])
+    ended.set()
+    writer.join()
+    assert "coverage: 15 of 15" in capsys.readouterr().err
+
+
+def test_the_protocol_is_written_down():
+    """The table of capture.md is that of the program."""
+    text = (DOCS / "capture.md").read_text("utf-8")
+    rows = re.findall(r"^\| (\d):(\d\d) \| (\d+) s \| ([^|]+) \| ([^|]+) \|$", text, re.MULTILINE)
+    begin, wanted = 0, []
+    for step in STEPS:
+        wanted.append(
+            (str(begin // 60), f"{begin % 60:02d}", f"{step.seconds:g}", step.name, step.instruction)
+        )
+        begin += int(step.seconds)
+    assert rows == wanted
+
+
+def test_the_demonstration_is_a_rerun_recording(tmp_path):
+    """The hand moves, and a lane names the steps in their order."""
+    output = tmp_path / "protocol.rrd"
+    script("show_capture_protocol.py").main(["--output", str(output)])
+    steps: list[str] = []
+    drawn = 0
+    for chunk in RrdReader(output).stream():
+        batch = chunk.to_record_batch()
+        if chunk.entity_path == "/step" and "StateChange:state" in batch.schema.names:
+            steps += batch.column("StateChange:state").flatten().to_pylist()
+        if chunk.entity_path == "/world/human/keypoints" and "sim_time" in batch.schema.names:
+            drawn += batch.num_rows
+    assert steps == [step.name for step in STEPS]
+    assert drawn == pytest.approx(30 * DURATION_S, abs=2)
