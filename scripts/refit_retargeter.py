@@ -63,7 +63,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     add("recording", type=Path, help="about a minute of the new person's hand, in any format that is read")
     add("output", type=Path, help="directory of the new checkpoint")
     add("--hand", help="robot hand, by name or file of its description (the checkpoint's)")
-    add("--steps", type=int, help="of fine-tuning (500); 0 leaves it out, which takes a second")
+    add("--steps", type=int, help="of fine-tuning (400); 0 leaves it out, which takes a second")
     add("--seed", type=int, default=0, help="(0)")
     arguments = parser.parse_args(argv)
     for name in ("steps", "seed"):
