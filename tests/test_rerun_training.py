@@ -23,12 +23,15 @@ def play():
     return synthesize_play(0, duration_s=20.0, rate_hz=30.0)
 
 
-@pytest.fixture
-def network(hand):
-    kinematics = hand.kinematics()
+def make_network(hand):
     fingers = len(hand.finger_names)
     mean, scale = torch.full((fingers, 3), 0.05), torch.full((fingers, 3), 0.05)
-    return RetargetingNetwork(kinematics, mean, scale, 8, torch.Generator().manual_seed(0))
+    return RetargetingNetwork(hand.kinematics(), mean, scale, 8, torch.Generator().manual_seed(0))
+
+
+@pytest.fixture
+def network(hand):
+    return make_network(hand)
 
 
 def move(network):
@@ -37,19 +40,32 @@ def move(network):
             parameter.mul_(1.5)
 
 
-def test_what_is_trained_is_observed_and_not_what_is_asked(hand, play, network):
-    """Calls without gradients are not steps; about as many observations as were asked for are made."""
-    recorder = TrainingRecorder(hand, play)
-    hands = torch.zeros(4, len(hand.finger_names), 3)
-    with recorder.looking_on(steps=100, times=10):
+def test_the_network_that_is_trained_is_observed_before_it_learns(hand, play):
+    """What else is trained does not count, and observing changes nothing."""
+
+    def train():
+        other, network = torch.nn.Linear(3, 3), make_network(hand)
+        optimisers = [torch.optim.Adam(module.parameters(), lr=0.01) for module in (other, network)]
+        hands = torch.full((4, len(hand.finger_names), 3), 0.1)
+        outputs = []
         for _ in range(100):
-            with torch.no_grad():
-                network(hands)
-            before = network(hands)
-    network(hands)
+            for optimiser, loss in zip(
+                optimisers, (other(hands).sum(), network(hands).square().sum()), strict=True
+            ):
+                optimiser.zero_grad()
+                loss.backward()
+                optimiser.step()
+            outputs.append(network(hands).detach())
+        return torch.stack(outputs)
+
+    recorder = TrainingRecorder(hand, play)
+    with recorder.looking_on(steps=100, times=10):
+        observed = train()
+    assert torch.equal(observed, train())
     assert [step for step, _ in recorder._weights] == list(range(0, 100, 10))
-    with torch.no_grad():
-        assert torch.equal(network(hands), before)
+    hands = np.full((4, len(hand.finger_names), 3), 0.1)
+    for step, weights in recorder._weights[1:]:
+        np.testing.assert_allclose(recorder._map(weights)(hands), observed[step - 1], atol=1e-6)
 
 
 def test_the_recording_holds_each_map_as_it_was(tmp_path, hand, play, network, monkeypatch):

@@ -10,7 +10,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 import torch
-from torch.nn.modules.module import register_module_forward_hook
+from torch.nn.modules.module import register_module_module_registration_hook
+from torch.optim.optimizer import register_optimizer_step_pre_hook
 
 from geort_drake.evaluation._rerun_training_scene import CRITERIA, Map, TrainingScene
 from geort_drake.gloves.recording import Recording
@@ -64,22 +65,34 @@ class TrainingRecorder:
 
     @contextlib.contextmanager
     def looking_on(self, steps: int, times: int = 60) -> Iterator[None]:
-        """Observes whichever retargeting network is trained inside the block, `times` times in `steps`."""
-        interval, step = max(steps // times, 1), 0
+        """Observes the first retargeting network that is made inside the block, `times` times in `steps`.
 
-        def hook(module: torch.nn.Module, _inputs, _outputs) -> None:
+        It needs no help from the trainer: torch says when a network is made, and when it is about to learn.
+        """
+        interval, step = max(steps // times, 1), 0
+        network: RetargetingNetwork | None = None
+
+        def made(module: torch.nn.Module, _name: str, _part: torch.nn.Module | None) -> None:
+            nonlocal network
+            if network is None and isinstance(module, RetargetingNetwork):
+                network = module
+
+        def learns(optimiser: torch.optim.Optimizer, _args, _kwargs) -> None:
             nonlocal step
-            # What is called without gradients is asked, not trained.
-            if isinstance(module, RetargetingNetwork) and torch.is_grad_enabled():
+            if network is None:
+                return
+            first = next(network.parameters())
+            if any(first is parameter for group in optimiser.param_groups for parameter in group["params"]):
                 if step % interval == 0:
-                    self.observe(step, module)
+                    self.observe(step, network)
                 step += 1
 
-        handle = register_module_forward_hook(hook)
+        hooks = [register_module_module_registration_hook(made), register_optimizer_step_pre_hook(learns)]
         try:
             yield
         finally:
-            handle.remove()
+            for hook in hooks:
+                hook.remove()
 
     def write(
         self,
