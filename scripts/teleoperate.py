@@ -45,6 +45,8 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     for name in ("duration", "relax_after", "timeout", "robot_silence"):
         if not getattr(arguments, name) > 0:
             parser.error(f"--{name} must be positive, not {getattr(arguments, name)}")
+    if arguments.meshcat and arguments.robot != "simulation":
+        parser.error("--meshcat shows the simulation; give it to stand_in_robot.py")
     if arguments.record:
         if arguments.record.suffix != ".npz":
             parser.error(f"--record must name an .npz file, not {arguments.record}")
@@ -98,6 +100,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     retarget = load_retargeter(checkpoint, HandModel(description))
     model = RobotModel(scenario, description)
     try:
+        if receiver:
+            glove.handshake(arguments.timeout)
         link = None
         if lcm_url is None:
             robot = SimulatedRobot(scenario, description, show() if arguments.meshcat else None)
@@ -105,8 +109,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         else:
             robot = link = RobotLink(lcm_url, model.hand, model.arm, scenario.retargeting.period)
             start = link.handshake(arguments.timeout)
-        if receiver:
-            glove.handshake(arguments.timeout)
         loop = make_teleoperation(
             scenario,
             description,
@@ -120,21 +122,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
         engaged = arguments.engage == "now"
         console.print("Ctrl-C stops." if engaged else "Enter engages and disengages, Ctrl-C stops.")
-        with stopping() as stop:
-            report = run_session(
-                loop,
-                engaged,
-                None if engaged else EnterKey(),
-                duration,
-                stop,
-                lambda: link.require_alive(arguments.robot_silence) if link else None,
-                lambda time, state: console.print(f"{time:8.2f} s  {state}", soft_wrap=True),
-            )
+        try:
+            with stopping() as stop:
+                report = run_session(
+                    loop,
+                    engaged,
+                    None if engaged else EnterKey(),
+                    duration,
+                    stop,
+                    lambda: link.require_alive(arguments.robot_silence) if link else None,
+                    lambda time, state: console.print(f"{time:8.2f} s  {state}", soft_wrap=True),
+                )
+        finally:
+            # Also of a session that ended with an error.
+            if arguments.record:
+                loop.glove_recording({"side": side, "source": "teleoperation"}).save(arguments.record)
     finally:
         if receiver:
             receiver.close()
-    if arguments.record:
-        loop.glove_recording({"side": side, "source": "teleoperation"}).save(arguments.record)
     summary = dataclasses.asdict(report)
     if receiver:
         summary["glove"] = {"received": glove.received, "refused": glove.refused}

@@ -207,6 +207,22 @@ def test_bad_messages_of_robots_are_refused(device):
                 decode_it(bad)
 
 
+@settings(max_examples=200, deadline=None)
+@given(st.data())
+def test_a_broken_message_of_a_robot_never_does_more_than_be_refused(data):
+    """Bytes changed at random places, the length kept; what is taken is finite."""
+    device = data.draw(st.sampled_from([ALLEGRO, PANDA]))
+    message = bytearray(device.encode_status(1.0, status_of(device)))
+    for _ in range(data.draw(st.integers(1, 8))):
+        message[data.draw(st.integers(0, len(message) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        status = device.decode_status(bytes(message))
+    except LiveError:
+        return
+    for values in (status.position, status.velocity, status.commanded):
+        assert np.isfinite(values).all()
+
+
 def test_a_hand_of_other_joints_is_refused():
     """By the number in its status, and by the names in the model."""
     status = lcmt_allegro_status()

@@ -1,5 +1,6 @@
 """The systems of live use by themselves: the glove's stream, the engage switch, the watchdog, the latency."""
 
+import itertools
 import json
 import math
 
@@ -20,6 +21,7 @@ from geort_drake.live.glove_frame import GloveFrame, encode_frame
 from geort_drake.live.glove_stream import GloveStream
 from geort_drake.live.latency import Latency, LatencyMeter
 from geort_drake.live.playback import play
+from geort_drake.live.real_time import run_in_real_time
 from geort_drake.live.watchdog import EngageSwitch, Watchdog, WatchdogConfig
 from geort_drake.systems.glove_checks import FROZEN, HELD_LOST, HELD_STALE
 from geort_drake.systems.joint_limits import JointLimits
@@ -346,6 +348,18 @@ def test_a_watchdog_that_cannot_work_is_refused(config):
     """And told which value it is."""
     with pytest.raises(ValueError, match=next(iter(config))):
         Watchdog(LIMITS, SAFE, PERIOD, WatchdogConfig(**config))
+
+
+# -- real time
+
+
+def test_a_loop_that_is_late_does_not_hurry():
+    """Its time goes on from where it is, and it says how often that was."""
+    simulator = Simulator(EngageSwitch())
+    clock = itertools.count(0.0, 1.0)  # a second passes between any two looks
+    steps = iter([True, True, True, False])
+    assert run_in_real_time(simulator, 0.001, lambda: next(steps), lambda: next(clock)) == 3
+    assert simulator.get_context().get_time() == pytest.approx(0.003)
 
 
 # -- the latency

@@ -30,7 +30,7 @@ _CHECKS = (
     anatomy.check_frame,
     anatomy.check_bones,
 )
-# In two people's recordings the thumb's MCP is never farther behind the palm, m; mirrored, it nearly always is.
+# A thumb's MCP farther behind the palm is another side's, m: two people's never is, mirrored it mostly is.
 _BEHIND_M = 0.005
 _IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 

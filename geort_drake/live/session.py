@@ -57,7 +57,7 @@ def run_session(
         engaged: whether from the start.
         key: toggles it; where no more keys can come, the person is disengaged. None: no keys.
         duration: s.
-        require_robot: called now and then; raises where the robot is lost.
+        require_robot: called after every step; raises where the robot is lost.
         tell: called with the time (s) and the state whenever it changes.
     """
     simulator = Simulator(loop.diagram)
@@ -72,7 +72,8 @@ def run_session(
     def going_on() -> bool:
         nonlocal engaged, key, last, ended
         time = root.get_time()
-        require_robot()
+        if time > 0.0:
+            require_robot()
         if key is not None and (pressed := key.pressed()) is not False:
             engaged = not engaged if pressed else False
             key = key if pressed else None

@@ -58,7 +58,6 @@ class Teleoperation:
 
     diagram: Diagram
     watchdog: Watchdog
-    retargeting: RetargetingSystem
     meter: LatencyMeter | None
     recorder: GloveRecorder | None
     wrist_to_arm: WristToArm
@@ -182,4 +181,4 @@ def make_teleoperation(
 
     built = builder.Build()
     built.set_name("teleoperation")
-    return Teleoperation(built, watchdog, retargeting, meter, recorder, wrist_to_arm)
+    return Teleoperation(built, watchdog, meter, recorder, wrist_to_arm)
