@@ -38,11 +38,11 @@ class CoupledConfig(TrainingConfig):
     collisions: int = 48  # hands whose collisions are computed, in every other step
     hidden: int = 64
     residual_hidden: int = 112
-    direction_weight: float = 2.75
+    direction_weight: float = 2.82
     track_weight: float = 5.9
-    coverage_weight: float = 1.43
-    context_weight: float = 1.7
-    cross_talk_weight: float = 3.45
+    coverage_weight: float = 1.4
+    context_weight: float = 1.74
+    cross_talk_weight: float = 3.68
     flatness_weight: float = 0.62
     response_weight: float = 0.88
     pinch_weight: float = 1.2
