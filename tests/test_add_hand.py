@@ -87,6 +87,17 @@ def test_what_follows_is_read_the_same_from_every_format(kind, tmp_path):
         assert (coupling.ratio, coupling.offset) == (pytest.approx(0.8), pytest.approx(0.1))
 
 
+def test_drakes_own_element_in_sdf_is_read_too(tmp_path):
+    """Which stands in the joint, not in its axis."""
+    model = write_hand(tmp_path, HandSpec(2, "sdf"))
+    text = re.sub(
+        "<mimic.*?</mimic></axis>", "</axis><drake:mimic joint='index_j2' multiplier='2'/>", model.read_text()
+    )
+    model.write_text(text.replace("<sdf ", "<sdf xmlns:drake='http://drake.mit.edu' "), encoding="utf-8")
+    (found,) = read_couplings(model)
+    assert dc.astuple(found) == ("index_j3", "index_j2", 2.0, 0.0)
+
+
 @pytest.fixture(params=["urdf", "sdf", "xml"])
 def coupled(request, tmp_path) -> HandModel:
     """A hand of four fingers, of which three have joints that follow, from each format."""

@@ -86,7 +86,7 @@ def free_from_world(plant: MultibodyPlant, hand: ModelInstanceIndex) -> None:
     """Removes what ties a model to the world: some formats weld it there, or let it float."""
     for joint in _joints(plant, hand):
         if joint.parent_body().index() == plant.world_body().index():
-            plant.RemoveJoint(joint)
+            _remove_joint(plant, joint)
 
 
 def joint_names(plant: MultibodyPlant, hand: ModelInstanceIndex, kind: type[Joint] = Joint) -> list[str]:
@@ -155,8 +155,19 @@ def _hold(plant: MultibodyPlant, joint: Joint) -> None:
     elif isinstance(joint, PrismaticJoint):
         X_FM = RigidTransform(position[0] * joint.translation_axis())
     name, parent, child = joint.name(), joint.frame_on_parent(), joint.frame_on_child()
-    plant.RemoveJoint(joint)
+    _remove_joint(plant, joint)
     plant.AddJoint(WeldJoint(name, parent, child, X_FM))
+
+
+def _remove_joint(plant: MultibodyPlant, joint: Joint) -> None:
+    name = joint.name()
+    try:
+        plant.RemoveJoint(joint)
+    except RuntimeError as error:
+        raise HandError(
+            f"joint '{name}' cannot be held, as Drake takes no joint out of a plant with springs; take the "
+            f"stiffness of joints out of the models: {error}"
+        ) from error
 
 
 def _actuate(plant, hand, description: HandDescription, followers: Iterable[str]) -> None:

@@ -93,10 +93,10 @@ class HandClearance:
         # n · (ω × (x − o)) = ω · (x × n) + n · (o × ω) for each joint's axis ω through o.
         along = _cross(x, n) @ turn.T + n @ _cross(origin, turn).T
         between = self._between[row]
-        gradient = between * along[:, self._place]
-        if self._coupling is None:
-            return Near(row, gap, gradient, between != 0)
-        return Near(row, gap, gradient @ self._coupling, (between != 0) @ (self._coupling != 0))
+        gradient, joints = between * along[:, self._place], between != 0
+        if self._coupling is not None:
+            gradient, joints = gradient @ self._coupling, joints @ (self._coupling != 0)
+        return Near(row, gap, gradient, joints)
 
     def _read_joints(self, hand: HandModel) -> None:
         """The tree of joints, level by level from the base."""
@@ -106,17 +106,15 @@ class HandClearance:
         # What the joints that follow others are turned by; nothing where there are none.
         self._coupling = coupling if len(coupling) > len(hand.joint_names) else None
         names = self._names = list(free.joint_names)
-        self._inboard = {
-            plant.get_joint(i).child_body().index(): plant.get_joint(i) for i in plant.GetJointIndices()
-        }
+        every = map(plant.get_joint, plant.GetJointIndices())
+        self._inboard = {joint.child_body().index(): joint for joint in every}
         context = plant.CreateDefaultContext()
         joints = [plant.GetJointByName(name) for name in names]
         offsets = dict(zip(hand.couplings.names, hand.couplings.offset, strict=True))
         for joint in joints:
             joint.set_angle(context, offsets.get(joint.name(), 0.0))
         X_BJ = [joint.frame_on_child().CalcPoseInWorld(context).GetAsMatrix4() for joint in joints]
-        above = [self._mover(joint.parent_body(), names) for joint in joints]
-        self._above = above
+        self._above = above = [self._mover(joint.parent_body(), names) for joint in joints]
         depth = [0] * len(names)
         for j in range(len(names)):
             k = above[j]
@@ -124,8 +122,7 @@ class HandClearance:
                 depth[j], k = depth[j] + 1, above[k]
         order = np.argsort(depth, kind="stable")
         self._order = order
-        place = np.argsort(order)  # of joint j among the frames; the base is the last frame
-        self._place = place
+        self._place = place = np.argsort(order)  # of joint j among the frames; the base is the last frame
         self._levels = []
         for level in range(max(depth) + 1):
             members = np.flatnonzero(np.array(depth)[order] == level)

@@ -1,6 +1,7 @@
 """Joints without a motor of their own, whose angles follow those of others."""
 
 import dataclasses as dc
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -75,7 +76,7 @@ def read_couplings(path: Path) -> list[CouplingDescription]:
             _of_mimic(mimic, joint.get("name", ""))
             for joint in tree.iter("joint")
             for mimic in joint.iter()
-            if mimic.tag in ("mimic", "drake:mimic", "{drake}mimic")
+            if re.fullmatch(r"(\{.*\})?mimic", mimic.tag)
         ]
     except ValueError as error:
         raise HandError(f"{path}: a coupling of two joints holds what is no number: {error}") from error
