@@ -12,6 +12,7 @@ import functools
 
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
+from scipy.spatial.transform import Rotation
 
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.keypoints import FINGER_NAMES
@@ -328,11 +329,12 @@ class GraspingPerson:
     ) -> WristMovement:
         config = self._config
         error = self._rng.normal(0, config.motor_noise / np.sqrt(3), 3) * np.linalg.norm(shift)
+        angle = Rotation.from_matrix(turn.matrix()).magnitude()
         # A minimum-jerk movement peaks at 15/8 of its mean speed.
         duration = max(
             config.min_movement_time,
             1.875 * float(np.linalg.norm(shift)) / config.peak_wrist_speed,
-            1.875 * turn.ToAngleAxis().angle() / config.peak_wrist_turn,
+            1.875 * float(angle) / config.peak_wrist_turn,
         )
         X_end = RigidTransform(turn @ X_WH.rotation(), X_WH.translation() + shift + error)
         return WristMovement(X_WH, X_end, t, duration)

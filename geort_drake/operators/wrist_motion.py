@@ -3,8 +3,9 @@
 import dataclasses as dc
 import functools
 
-from pydrake.common.eigen_geometry import AngleAxis
+import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
+from scipy.spatial.transform import Rotation
 
 
 @dc.dataclass
@@ -19,12 +20,13 @@ class WristMovement:
     def pose(self, t: float) -> RigidTransform:
         s = minimum_jerk((t - self.t_start) / self.duration)
         p = self.X_start.translation() + s * (self.X_end.translation() - self.X_start.translation())
-        turn = AngleAxis(s * self._turn.angle(), self._turn.axis())
+        turn = Rotation.from_rotvec(self._turn * s).as_matrix()
         return RigidTransform(self.X_start.rotation() @ RotationMatrix(turn), p)
 
     @functools.cached_property
-    def _turn(self) -> AngleAxis:
-        return (self.X_start.rotation().inverse() @ self.X_end.rotation()).ToAngleAxis()
+    def _turn(self) -> np.ndarray:
+        R_SE = self.X_start.rotation().inverse() @ self.X_end.rotation()
+        return Rotation.from_matrix(R_SE.matrix()).as_rotvec()
 
     @property
     def t_end(self) -> float:
