@@ -9,8 +9,9 @@ import torch
 from retargeting_toy import toy_human, toy_kinematics, toy_samples
 from test_gloves_scripts import script
 
-from geort_drake.errors import CheckpointError, TrainingError
+from geort_drake.errors import CheckpointError, RecordingError, TrainingError
 from geort_drake.evaluation.pipeline import train_checkpoint
+from geort_drake.evaluation.refitting import refit_checkpoint
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.retargeting.checkpoint import load_checkpoint, save_checkpoint
 from geort_drake.retargeting.coupled_network import CoupledNetwork
@@ -167,9 +168,8 @@ def trained(tmp_path_factory):
         yield folder
 
 
-def test_the_script_writes_an_ordinary_checkpoint(trained, monkeypatch):
+def test_the_script_writes_an_ordinary_checkpoint(trained):
     """It loads, answers, knows where the new person's fingertips were, and says where it came from."""
-    monkeypatch.setattr("geort_drake.hands.samples.robot_data.__defaults__", (2000, 0, None, None))
     hand = synthesize_play(5, 40.0, 30.0)
     hand = dataclasses.replace(hand, p_HK=1.1 * hand.p_HK)
     hand.save(trained / "hand.npz")
@@ -200,3 +200,10 @@ def test_a_checkpoint_that_does_not_know_its_places_is_refused(trained):
         script("refit_retargeter.py").main(
             [str(trained / "blind"), str(trained / "short.npz"), str(trained / "x")]
         )
+
+
+def test_the_other_side_is_refused(trained):
+    """A right robot hand does not learn from a left hand's recording."""
+    left = synthesize_play(5, 12.0, 30.0, side="left")
+    with pytest.raises(RecordingError, match="of a left hand, the robot's is a right hand"):
+        refit_checkpoint(trained / "old", left, trained / "x")

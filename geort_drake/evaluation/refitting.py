@@ -3,9 +3,10 @@
 import dataclasses
 import os
 import time
+from functools import partial
 from pathlib import Path
 
-from geort_drake.errors import CheckpointError, UnknownNameError
+from geort_drake.errors import CheckpointError, RecordingError, UnknownNameError
 from geort_drake.evaluation.metrics import evaluate
 from geort_drake.evaluation.versions import versions
 from geort_drake.files import sha256_of
@@ -23,7 +24,7 @@ from geort_drake.retargeting.checkpoint import (
     save_checkpoint,
 )
 from geort_drake.retargeting.descent import Report
-from geort_drake.retargeting.refit import FINE_TUNING, fine_tune, refit
+from geort_drake.retargeting.refit import FINE_TUNING, Tune, fine_tune, refit
 from geort_drake.retargeting.retargeter import METHODS as RETARGETERS
 from geort_drake.retargeting.trained_space import trained_points
 
@@ -73,18 +74,31 @@ def refit_checkpoint(
     side = hand.description.side
     if not isinstance(recording, Recording):
         recording = read_recording(recording, side=side, training=True)
+    if recording.side != side:
+        raise RecordingError(f"the recording is of a {recording.side} hand, the robot's is a {side} hand")
     p_HF = recording.fingertips(old.config["human_keypoints"])
     started = time.perf_counter()
-    method, tune = old.config["method"], None
-    if steps and method == FINE_TUNED_METHOD:
+    method = old.config["method"]
+    tuned = steps > 0 and method == FINE_TUNED_METHOD
+    tune: Tune | None = None
+    if tuned:
         config = dataclasses.replace(FINE_TUNING, steps=steps)
-        samples, shapes, kinematics = robot_data(hand), collision_shapes(hand), hand.kinematics()
+        # Those of the training, as they are kept.
+        sampled = old.provenance.get("robot_data", {})
+        samples = robot_data(hand, **{key: sampled[key] for key in ("count", "seed") if key in sampled})
+        shapes, kinematics = collision_shapes(hand), hand.kinematics()
         if side == "left":
             shapes, kinematics = shapes.mirrored(), kinematics.mirrored()
-
-        def tune(arrays):
-            return fine_tune(arrays, p_HF, kinematics, samples, shapes, config, seed, report=report)
-
+        tune = partial(
+            fine_tune,
+            p_HF=p_HF,
+            kinematics=kinematics,
+            samples=samples,
+            shapes=shapes,
+            config=config,
+            seed=seed,
+            report=report,
+        )
     weights = {name: array for name, array in old.arrays.items() if name != TRAINED_POINTS}
     result = refit(weights, space, p_HF, old.config["finger_names"], tune)
     timings = {**result.timings, "fit_s": time.perf_counter() - started}
@@ -97,7 +111,7 @@ def refit_checkpoint(
         "refit": {
             "from_weights_sha256": sha256_of(old.path / WEIGHTS),
             "from_recording": old.provenance.get("recording"),
-            "steps": steps if tune else 0,
+            "steps": steps if tuned else 0,
             "affine": {
                 finger: {"A": A.tolist(), "b": b.tolist(), "miss_mm": round(1e3 * float(miss), 3)}
                 for finger, A, b, miss in zip(

@@ -7,7 +7,7 @@ pinches: one affine map per finger cannot bring two of them together everywhere.
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -27,6 +27,8 @@ from geort_drake.retargeting.pretraining import RobotSamples
 from geort_drake.retargeting.trained_space import VOXEL, TrainedSpace
 
 Arrays = Mapping[str, np.ndarray]
+# From weights to better ones, and the losses on the way.
+Tune = Callable[[dict[str, np.ndarray]], tuple[dict[str, np.ndarray], list[dict[str, float]]]]
 
 ROUNDS = 20  # of closest points and least squares; more change the maps by less than a millimetre
 PINCH_SHARE = 10.0  # weight of a pinch's width against a fingertip's distance from where it should be
@@ -173,18 +175,18 @@ def refit(
     space: TrainedSpace,
     p_HF: np.ndarray,
     finger_names: Sequence[str],
-    tune=None,
+    tune: Tune | None = None,
 ) -> Refit:
     """Both steps; `tune` takes the weights after the first and returns what `fine_tune` does."""
     started = time.perf_counter()
     maps = fit_affine(space, p_HF, finger_names)
-    arrays = folded(arrays, maps)
+    weights = folded(arrays, maps)
     timings = {"affine_s": time.perf_counter() - started}
     if tune is None:
-        return Refit(arrays, maps, timings=timings)
+        return Refit(weights, maps, timings=timings)
     started = time.perf_counter()
-    arrays, history = tune(arrays)
-    return Refit(arrays, maps, history, {**timings, "fine_tuning_s": time.perf_counter() - started})
+    weights, history = tune(weights)
+    return Refit(weights, maps, history, {**timings, "fine_tuning_s": time.perf_counter() - started})
 
 
 def _start_from(network: CoupledNetwork, arrays: Arrays) -> None:
