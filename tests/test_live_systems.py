@@ -366,7 +366,7 @@ def test_a_loop_that_is_late_does_not_hurry():
 
 
 def test_the_meter_tells_how_long_commands_take():
-    """To the command, and to the status that names it; held commands do not count."""
+    """To the command, and to the status that names it; held commands and old keypoints do not count."""
     clock = Clock(10.0)
     meter = LatencyMeter(1, PERIOD, clock)
     simulator = Simulator(meter)
@@ -380,6 +380,9 @@ def test_the_meter_tells_how_long_commands_take():
         clock.now = 10.0 + tick * PERIOD
         simulator.AdvanceTo((tick + 0.9) * PERIOD)
         assert moving or meter.to_command().count == 5
+    # A joint that lags gives new commands of old keypoints.
+    meter.GetInputPort("command").FixValue(context, [6.0, 0.0])
+    simulator.AdvanceTo(11 * PERIOD)
     for latency, expected in ((meter.to_command(), 0.004), (meter.to_echo(), 0.024)):
         assert latency.count == 5
         assert latency.median == pytest.approx(expected)

@@ -1,6 +1,7 @@
 """How long a hand's motion takes to the robot's command, and to the robot's word that it follows it."""
 
 import dataclasses as dc
+import math
 import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
@@ -35,8 +36,8 @@ class Latency:
 class LatencyMeter(LeafSystem):
     """Measures with this machine's clock how long commands and their echoes take.
 
-    A sample is taken of every command that differs from the one before: from when its keypoints were
-    measured to when it goes out, and to when the robot's status names it, to the last bit.
+    A sample is taken of the first command after new keypoints, if it differs from the one before: from when
+    they were measured to when it goes out, and to when the robot's status names it, to the last bit.
 
     Input ports:
         sent (1): when the newest keypoints were measured, s, on the clock; NaN before the first.
@@ -54,7 +55,7 @@ class LatencyMeter(LeafSystem):
         self._n, self._clock = num_joints, clock
         self._to_command: deque[float] = deque(maxlen=_MOST_KEPT)
         self._to_echo: deque[float] = deque(maxlen=_MOST_KEPT)
-        self._last = b""
+        self._last_sent, self._last_command = math.nan, b""
         self._underway: OrderedDict[bytes, float] = OrderedDict()
         self._sent = self.DeclareVectorInputPort("sent", 1)
         self._command = self.DeclareVectorInputPort("command", 2 * num_joints)
@@ -73,12 +74,12 @@ class LatencyMeter(LeafSystem):
     def _goes_out(self, context: Context) -> EventStatus:
         sent = float(self._sent.Eval(context)[0])
         key = self._command.Eval(context)[: self._n].tobytes()
-        if np.isfinite(sent) and key != self._last:
+        if math.isfinite(sent) and sent != self._last_sent and key != self._last_command:
             self._to_command.append(self._clock() - sent)
             self._underway[key] = sent
             while len(self._underway) > _MOST_UNDERWAY:
                 self._underway.popitem(last=False)
-        self._last = key
+        self._last_sent, self._last_command = sent, key
         return EventStatus.Succeeded()
 
     def _comes_back(self, context: Context) -> EventStatus:

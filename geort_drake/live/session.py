@@ -10,6 +10,7 @@ from pydrake.systems.analysis import Simulator
 
 from geort_drake.live.real_time import run_in_real_time
 from geort_drake.live.teleoperation import Teleoperation
+from geort_drake.systems.retargeting_system import LIMITED, TRACKING
 
 # After the end the robot is sent a braking hand, and where it stopped, for so long, s.
 HOLD_S = 0.5
@@ -58,7 +59,7 @@ def run_session(
         key: toggles it; where no more keys can come, the person is disengaged. None: no keys.
         duration: s.
         require_robot: called after every step; raises where the robot is lost.
-        tell: called with the time (s) and the state whenever it changes.
+        tell: called with the time (s) and the state whenever it changes; a limit counts as tracking.
     """
     simulator = Simulator(loop.diagram)
     root = simulator.get_mutable_context()
@@ -80,13 +81,15 @@ def run_session(
             loop.engage(root, engaged and ended is None)
         state = loop.state(root)
         states[state] = states.get(state, 0.0) + _STEP_S
-        if state != last:
-            tell(time, state)
-            last = state
+        # A quick hand is at its limits many times a second, which is no news.
+        news = TRACKING if state == LIMITED else state
+        if news != last:
+            tell(time, news)
+            last = news
         if ended is None and (stop.is_set() or time >= duration):
             ended = time
             loop.engage(root, False)
         return ended is None or time < ended + HOLD_S
 
     late = run_in_real_time(simulator, _STEP_S, going_on)
-    return SessionReport(root.get_time(), {k: round(v, 6) for k, v in states.items()}, late)
+    return SessionReport(round(root.get_time(), 6), {k: round(v, 6) for k, v in states.items()}, late)
