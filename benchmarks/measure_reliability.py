@@ -1,10 +1,10 @@
 """Puts faults into everything, and counts what came of them.
 
-python benchmarks/measure_reliability.py --json reliability.json
-python benchmarks/measure_reliability.py --quick --parts frames files
+python benchmarks/measure_reliability.py
+python benchmarks/measure_reliability.py --parts frames files
 
-It writes the figures into docs/reliability.md, once every part was measured; --quick takes a small share and
-leaves the page alone. The exit status is 1 when something went wrong. Needs the test extra.
+It keeps the figures in docs/reliability.json and writes them into docs/reliability.md; with --json or --quick
+it leaves both alone. The exit status is 1 when something went wrong. Needs the test extra.
 """
 
 import argparse
@@ -25,7 +25,8 @@ from geort_drake.console import console, progress_bar, run_main
 from geort_drake.files import require_writable, write_text
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "reliability.md"
+PAGE, FIGURES = ROOT / "docs" / "reliability.md", ROOT / "docs" / "reliability.json"
+_MACHINE = ("date", "processor", "cores", "load_average", "python")
 # What is put in is shared with the tests, which take a share of it.
 sys.path.insert(0, str(ROOT / "tests"))
 
@@ -46,9 +47,8 @@ GROWTH_MB, SLOW_DOWN = 10.0, 0.05
 def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse(argv)
     counts = counts_of(arguments)
-    figures = (
-        json.loads(arguments.json.read_text("utf-8")) if arguments.json and arguments.json.exists() else {}
-    )
+    store = arguments.json or (None if arguments.quick else FIGURES)
+    figures = json.loads(store.read_text("utf-8")) if store and store.exists() else {}
     with tempfile.TemporaryDirectory() as name, progress_bar() as progress:
         for part in arguments.parts:
             task = progress.add_task(part, total=1, note="")
@@ -58,13 +58,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
             started = time.perf_counter()
             result = PARTS[part](counts, arguments.seed, Path(name) / part, report)
-            took = {"seconds": round(time.perf_counter() - started, 1), "seed": arguments.seed, **machine()}
-            figures[part] = {**result, "measured": took}
+            took = {"seconds": round(time.perf_counter() - started, 1), "seed": arguments.seed}
+            on = {name: value for name, value in machine().items() if name in _MACHINE}
+            figures[part] = {**result, "measured": took | on}
             # After each part, as a long one may be interrupted.
-            if arguments.json:
-                write_text(arguments.json, json.dumps(figures, indent=2) + "\n")
+            if store:
+                write_text(store, json.dumps(figures, indent=2) + "\n")
     console.print(table(figures), markup=False, soft_wrap=True)
-    if not arguments.quick and figures.keys() >= PARTS.keys():
+    if store == FIGURES:
         write_text(PAGE, with_figures(PAGE.read_text("utf-8"), figures))
         console.print(f"Written: {PAGE}", soft_wrap=True)
     failures = [text for part in arguments.parts for text in figures[part]["failures"]]
@@ -83,7 +84,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     for name, count in FULL.items():
         add(f"--{name}", type=int, metavar="N", help=f"how many ({'all' if count is None else f'{count:,}'})")
     add("--seed", type=int, default=0, help="of everything random (0)")
-    add("--json", type=Path, help="file of the figures; those of parts that it holds already are kept")
+    add("--json", type=Path, help="another file for the figures; those of parts that it holds are kept")
     arguments = parser.parse_args(argv)
     if arguments.json:
         require_writable(arguments.json)
@@ -281,6 +282,8 @@ def with_figures(page: str, figures: dict[str, dict]) -> str:
         f"{dates}, {told[0]['cores']} cores ({told[0]['processor']}), load average up to {load:.0f}, Python "
         f"{told[0]['python']}:\n\n{table(figures)}"
     )
+    if missing := [part for part in PARTS if part not in figures]:
+        text += f"\n\nNot measured yet: {', '.join(missing)}."
     pattern = r"(<!-- figures -->\n).*?(\n<!-- end of figures -->)"
     page, found = re.subn(pattern, lambda match: f"{match[1]}{text}{match[2]}", page, flags=re.DOTALL)
     if not found:

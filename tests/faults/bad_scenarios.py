@@ -43,8 +43,8 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str, str]] = {
     "a tag that makes an object": (file("Grasp: {hand: !!python/name:os.system ''}"), SCENARIO, "Grasp"),
     "aliases of aliases, 10⁹ in all": (file(laughs(9)), SCENARIO, "arm_posture|Grasp|alias"),
     "an alias of itself": (file("Grasp: &a {arm_posture: *a}"), SCENARIO, "Grasp|alias"),
-    "lists 5,000 deep, in the text": (
-        text("{directives: " + "[" * 5_000 + "]" * 5_000 + "}"),
+    "lists 2,000 deep, in the text": (
+        text("{directives: " + "[" * 2_000 + "]" * 2_000 + "}"),
         SCENARIO,
         "text",
     ),
@@ -53,13 +53,7 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str, str]] = {
     "a null byte": (file(b"Grasp: {hand: a\0b}"), SCENARIO, "bad.scenarios.yaml"),
     "a time that is infinite": (text("{timeout: .inf}"), SCENARIO, "timeout must be positive, not inf"),
     "a seed that is a fraction": (text("{random_seed: 1.5}"), SCENARIO, "text merged"),
-    "a seed that no computer counts": (
-        text("{random_seed: " + "9" * 400 + "}"),
-        SCENARIO,
-        "random_seed|text",
-    ),
     "a step of an hour": (text("{plant_config: {time_step: 3600}}"), SCENARIO, "multiple of plant_config"),
-    "a step of a nanosecond": (text("{plant_config: {time_step: 1.0e-12}}"), SCENARIO, "time_step"),
     "a hand elsewhere": (text("{hand: ../../../../etc/passwd}"), "HandError", "passwd"),
     "a hand in a folder that climbs": (
         text("{hand: ../../models/hands/nobody.yaml}"),

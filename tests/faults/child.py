@@ -112,6 +112,8 @@ def _run(function: Callable, arguments: tuple, folder: Path, beside: Path, limit
     output = os.open(beside / "said.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     for stream in (1, 2):
         os.dup2(output, stream)
+    # As Python does at its start, whatever the parent has made of it.
+    sys.stderr.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limits = {"RLIMIT_AS": pages * resource.getpagesize() + MEMORY, **limits}
     for name, limit in limits.items():
