@@ -322,6 +322,18 @@ def test_contacts_at_rest_are_left_out(tmp_path):
     assert HandModel(description).collides(hand.default_position)
 
 
+def test_a_floor_in_the_file_is_not_part_of_the_hand(tmp_path):
+    """Many MJCF files come with one, here at the height of the knuckles."""
+    model = write_hand(tmp_path, HandSpec(3, "xml"))
+    plain = HandModel(propose(model).description)
+    floor = '<worldbody><geom type="plane" size="1 1 1" pos="0 0 0.09"/>'
+    model.write_text(model.read_text().replace("<worldbody>", floor), encoding="utf-8")
+    hand = HandModel(propose(model).description)
+    assert not hand.collides(hand.default_position)
+    assert len(collision_shapes(hand).joint) == len(collision_shapes(plain).joint)
+    assert len(HandClearance(hand).pairs) == len(HandClearance(plain).pairs)
+
+
 def test_what_moves_several_fingers_is_held(tmp_path):
     """A motor that others follow in two fingers is no finger's; it is named, and the rest is described."""
     model = write_hand(tmp_path, HandSpec(4))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from pydrake.common.eigen_geometry import AngleAxis
-from pydrake.geometry import CollisionFilterDeclaration, GeometrySet
+from pydrake.geometry import CollisionFilterDeclaration, GeometryId, GeometrySet
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import MultibodyPlant
@@ -46,7 +46,7 @@ def add_hand_model(
     source = f"hand '{description.name}' with model {path}"
     if not path.is_file():
         raise HandError(f"hand '{description.name}': the model file {path} is missing")
-    constraints = set(plant.GetConstraintIds())
+    constraints, scenery = set(plant.GetConstraintIds()), set(_scenery(plant))
     hand = parse_model(plant, path, source)
     if name is not None:
         plant.RenameModelInstance(hand, name)
@@ -66,7 +66,17 @@ def add_hand_model(
             joints = [plant.GetJointByName(joint, hand) for joint in (follower, leader)]
             plant.AddCouplerConstraint(*joints, ratio, offset)
     _ignore_collisions(plant, hand, description, source)
+    # A floor that comes with the hand is not where the hand will be.
+    if added := set(_scenery(plant)) - scenery:
+        bodies = [plant.get_body(index) for index in plant.GetBodyIndices(hand)]
+        own = [id for body in bodies for id in plant.GetCollisionGeometriesForBody(body)]
+        filters = CollisionFilterDeclaration().ExcludeBetween(GeometrySet(list(added)), GeometrySet(own))
+        Parser(plant).scene_graph().collision_filter_manager().Apply(filters)
     return hand
+
+
+def _scenery(plant: MultibodyPlant) -> list[GeometryId]:
+    return list(plant.GetCollisionGeometriesForBody(plant.world_body()))
 
 
 def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstanceIndex:

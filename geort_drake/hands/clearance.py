@@ -108,8 +108,7 @@ class HandClearance:
         names = self._names = list(free.joint_names)
         every = map(plant.get_joint, plant.GetJointIndices())
         self._inboard = {joint.child_body().index(): joint for joint in every}
-        context = plant.CreateDefaultContext()
-        joints = [plant.GetJointByName(name) for name in names]
+        context, joints = plant.CreateDefaultContext(), [plant.GetJointByName(name) for name in names]
         offsets = dict(zip(hand.couplings.names, hand.couplings.offset, strict=True))
         for joint in joints:
             joint.set_angle(context, offsets.get(joint.name(), 0.0))
@@ -149,7 +148,8 @@ class HandClearance:
         plant, inspector = hand.plant, hand.scene_graph.model_inspector()
         context = plant.CreateDefaultContext()
         n = len(self._lower)
-        ids = inspector.GetAllGeometryIds(Role.kProximity)
+        scenery = set(plant.GetCollisionGeometriesForBody(plant.world_body()))
+        ids = set(inspector.GetAllGeometryIds(Role.kProximity)) - scenery
         self._ids: list[GeometryId] = sorted(ids, key=lambda geometry: geometry.get_value())
         X_JS, mover = [], []
         for geometry in self._ids:

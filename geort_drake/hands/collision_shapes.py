@@ -27,6 +27,8 @@ def collision_shapes(hand: HandModel) -> CollisionShapes:
     joint, X_JS, half, radius, source = [], [], [], [], []
     for geometry in sorted(inspector.GetAllGeometryIds(Role.kProximity), key=lambda id: id.get_value()):
         body = plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
+        if body.index() == plant.world_body().index():
+            continue
         X_WS = plant.EvalBodyPoseInWorld(context, body).GetAsMatrix4() @ (
             inspector.GetPoseInFrame(geometry).GetAsMatrix4()
         )
