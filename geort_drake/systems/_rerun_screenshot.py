@@ -19,6 +19,7 @@ from geort_drake.files import atomic_path
 from geort_drake.systems._rerun_writer import STEPS, TIMELINE
 
 _GREETING = 6.0  # s; so long a notice of the viewer's covers a corner
+_ATTEMPTS = 4
 _DRIVER = (
     "The viewer needs a graphics driver; without a graphics card a software one will do "
     "(Debian and Ubuntu: apt-get install mesa-vulkan-drivers)."
@@ -116,26 +117,28 @@ def _show(client: ViewerClient, recording: Path, time: float | None, timeout_s: 
         if monotonic() > deadline:
             raise RuntimeError(f"the recording did not load within {timeout_s:g} s")
         sleep(0.2)
-    ends = {timeline.name: timeline.end for timeline in state.recordings[0].timelines}
-    if ends.get(TIMELINE) is not None:
-        client.set_time(
-            TIMELINE, duration=ends[TIMELINE] * 1e-9 if time is None else time, play_state="paused"
-        )
-    elif ends.get(STEPS) is not None:
-        client.set_time(STEPS, sequence=ends[STEPS] if time is None else round(time), play_state="paused")
+    timelines = state.recordings[0].timelines
+    ends = {timeline.name: timeline.end for timeline in timelines if timeline.end is not None}
+    if TIMELINE in ends:
+        shown = ends[TIMELINE] * 1e-9 if time is None else time
+        client.set_time(TIMELINE, duration=shown, play_state="paused")
+    elif STEPS in ends:
+        step = ends[STEPS] if time is None else round(time)
+        client.set_time(STEPS, sequence=step, play_state="paused")
     else:
         raise RecordingError(f"{recording}: holds nothing on the timeline '{TIMELINE}' or '{STEPS}'")
 
 
 def _photograph(client: ViewerClient, picture: Path, timeout_s: float) -> None:
     """Saves what the viewer shows when nothing moves any more: layout and plots settle over many frames."""
-    end, before = monotonic() + timeout_s, b""
+    end, before, failures = monotonic() + timeout_s, b"", 0
     sleep(_GREETING)
     while True:
         try:
             client.save_screenshot(str(picture))
         except RuntimeError:  # a busy machine may not draw within the client's own limit
-            if monotonic() > end:
+            failures += 1
+            if failures == _ATTEMPTS:
                 raise
             continue
         now = picture.read_bytes()
