@@ -28,7 +28,7 @@ from geort_drake.retargeting.checkpoint import save_checkpoint
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 # Machines that are busy take long to start three programs; nothing below waits so long if all is well.
-PATIENCE_S = 120.0
+PATIENCE_S = 300.0
 
 
 @pytest.fixture
