@@ -35,10 +35,10 @@ WRITERS = (save_recording, save_checkpoint, save_text, append_trials)
 
 
 def full(folder: Path) -> list[str]:
-    """Fills disks of 64 KiB with each writer. What is wrong with what they say and leave."""
+    """Fills disks of 16 KiB with each writer. What is wrong with what they say and leave."""
     wrong = []
     for writer in WRITERS:
-        with mounted(folder / writer.__name__, "size=64k") as disk:
+        with mounted(folder / writer.__name__, "size=16k") as disk:
             ending = run(writer, (), disk, folder / "beside")
             wrong += [f"{writer.__name__}: {text}" for text in unclear(ending, "No space left on device")]
             if writer is append_trials:
