@@ -107,12 +107,12 @@ def train_coupled(
         raise TrainingError("geort_coupled takes hands as they were recorded, not with resampled fingers")
     check_robot_samples(robot_samples, kinematics)
     with one_thread():
-        run = _Run(p_HF, kinematics, robot_samples, config, seed, device_of(device), shapes)
+        run = CoupledTraining(p_HF, kinematics, robot_samples, config, seed, device_of(device), shapes)
         return run.train(report)
 
 
-class _Run:
-    """The state of one training run."""
+class CoupledTraining:
+    """The state of one training run; its network may be given weights before `train` moves them."""
 
     def __init__(self, p_HF, kinematics, samples, config: CoupledConfig, seed, device, shapes):
         self.config, self.kinematics = config, kinematics

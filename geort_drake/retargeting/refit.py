@@ -19,7 +19,7 @@ from geort_drake.gloves.recording import PINCH_M
 from geort_drake.retargeting.clouds import voxel_thinned
 from geort_drake.retargeting.collision_geometry import CollisionShapes
 from geort_drake.retargeting.coupled_network import CoupledNetwork
-from geort_drake.retargeting.coupled_training import CoupledConfig, _Run
+from geort_drake.retargeting.coupled_training import CoupledConfig, CoupledTraining
 from geort_drake.retargeting.descent import Report, device_of, one_thread
 from geort_drake.retargeting.human_data import HumanData
 from geort_drake.retargeting.kinematics import HandKinematics
@@ -164,7 +164,7 @@ def fine_tune(
     config = replace(config, hidden=widths[0], residual_hidden=widths[1])
     config.validate()
     with one_thread():
-        run = _Run(p_HF, kinematics, samples, config, seed, device_of(device), shapes)
+        run = CoupledTraining(p_HF, kinematics, samples, config, seed, device_of(device), shapes)
         _start_from(run.network, arrays)
         result = run.train(report)
     return result.network.arrays(), result.history
