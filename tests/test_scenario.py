@@ -227,6 +227,24 @@ def test_a_missing_file_and_a_binary_one_are_refused_by_name(tmp_path):
         load_scenario(binary)
 
 
+def test_what_a_loader_would_take_without_a_word_is_refused(tmp_path):
+    """A field that is given twice, in the file or in the text; lists nested too deep; steps without end."""
+    twice = tmp_path / "twice.yaml"
+    twice.write_text("Grasp:\n  timeout: 5\n  object: {yaw: 0.1, yaw: 0.2}\n")
+    with pytest.raises(
+        ScenarioError, match=r"twice\.yaml: 'yaw' is given twice in the mapping from line 3 on"
+    ):
+        load_scenario(twice)
+    with pytest.raises(ScenarioError, match=r"text merged into .* 'timeout' is given twice"):
+        load_scenario(text="{timeout: 5, timeout: 6}")
+    deep = tmp_path / "deep.yaml"
+    deep.write_text("Grasp: " + "[" * 5000 + "]" * 5000)
+    with pytest.raises(ScenarioError, match=r"deep\.yaml"):
+        load_scenario(deep)
+    with pytest.raises(ScenarioError, match=r"time_step must be at least 1e-05 s.*1e-12"):
+        load_scenario(text="plant_config: {time_step: 1e-12}")
+
+
 def test_an_unknown_scenario_lists_those_there_are():
     """The choices are in the message."""
     with pytest.raises(UnknownNameError, match=r"'Gras'.*Defaults, OneOfEverything"):

@@ -21,6 +21,8 @@ from geort_drake.systems.action_correction import CorrectionConfig
 from geort_drake.systems.grasp_monitor import GraspMonitorConfig
 from geort_drake.systems.wrist_to_arm import WristToArmConfig
 
+MIN_TIME_STEP = 1e-5  # s
+
 
 @dc.dataclass
 class ObjectConfig:
@@ -122,6 +124,11 @@ class Scenario:
         }.items():
             if not (math.isfinite(value) and value > 0):
                 raise ScenarioError(f"scenario field {name} must be positive, not {value}")
+        if self.plant_config.time_step < MIN_TIME_STEP:
+            raise ScenarioError(
+                f"scenario field plant_config.time_step must be at least {MIN_TIME_STEP} s, or a trial "
+                f"would hardly end; it is {self.plant_config.time_step}"
+            )
         try:
             self.operator.validate()
             self.correction.validate()
@@ -206,10 +213,11 @@ def load_scenario(
     try:
         with path.open(encoding="utf-8") as stream:
             node = yaml.compose(stream, Loader=yaml.SafeLoader)
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         raise ScenarioError(f"scenario file {path} is no mapping of names to scenarios: {error}") from error
     if not isinstance(node, yaml.MappingNode):
         raise ScenarioError(f"scenario file {path} is no mapping of names to scenarios")
+    _check_unique(node, str(path))
     choices = [key.value for key, _ in node.value]
     if name not in choices:
         raise UnknownNameError(f"scenario in {path}", name, choices)
@@ -218,12 +226,30 @@ def load_scenario(
         scenario = yaml_load_typed(schema=Scenario, filename=str(path), child_name=name, defaults=Scenario())
         if text:
             source = f"text merged into {source}"
+            _check_unique(yaml.compose(text, Loader=yaml.SafeLoader), source)
             scenario = yaml_load_typed(schema=Scenario, data=text, defaults=scenario)
+    except ScenarioError:
+        raise
     except Exception as error:  # Drake's loader raises many types; all mean the YAML is at fault
         raise ScenarioError(f"{source}: {error}") from error
     scenario.hand = hand or scenario.hand
     scenario.validate()
     return scenario
+
+
+def _check_unique(node: yaml.Node | None, source: str) -> None:
+    """Raises ScenarioError if a field is given twice, of which YAML would take the last without a word."""
+    if isinstance(node, yaml.MappingNode):
+        names = [str(key.value) for key, _ in node.value]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            line = node.start_mark.line + 1
+            raise ScenarioError(f"{source}: '{twice[0]}' is given twice in the mapping from line {line} on")
+        for _, value in node.value:
+            _check_unique(value, source)
+    elif isinstance(node, yaml.SequenceNode):
+        for value in node.value:
+            _check_unique(value, source)
 
 
 def parse_scenario(text: str) -> Scenario:
