@@ -63,6 +63,8 @@ def atomic_path(target: str | os.PathLike) -> Iterator[Path]:
 def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
     """Yields a new directory beside `target` that takes its place on success; else as `atomic_path`."""
     target = Path(target)
+    if target.exists() and not target.is_dir():
+        raise OutputError(f"{target}: is a file; a directory was wanted")
     with writing(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         draft = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
@@ -77,8 +79,15 @@ def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
             elif target.exists():
                 # rename() cannot replace a directory that holds files, so the old one steps aside.
                 old = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent))
-                os.replace(target, old / target.name)
-                os.replace(draft, target)
+                aside = old / target.name
+                try:
+                    os.replace(target, aside)
+                    os.replace(draft, target)
+                except BaseException:
+                    if aside.exists():
+                        os.replace(aside, target)
+                    old.rmdir()
+                    raise
                 shutil.rmtree(old)
             else:
                 os.replace(draft, target)

@@ -198,7 +198,7 @@ def test_what_the_recording_lacks_is_in_the_report(script, play, tmp_path, capsy
     """A finger that never pinches and one that hardly bends are named in checkpoint and report."""
     p_HK = play.p_HK.astype(float)
     index = slice(5, 9)
-    p_HK[:, index] = p_HK[:, index].mean(0) + 0.2 * (p_HK[:, index] - p_HK[:, index].mean(0))
+    p_HK[:, index] = p_HK[:, index].mean(0) + 0.1 * (p_HK[:, index] - p_HK[:, index].mean(0))
     distance = np.linalg.norm(p_HK[:, [8, 12, 16]] - p_HK[:, [4]], axis=-1)
     keep = distance[:, 0] > 0.02
     narrow = Recording(play.t[keep], p_HK[keep], play.valid[keep], None, {**play.metadata})

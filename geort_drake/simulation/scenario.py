@@ -237,19 +237,25 @@ def load_scenario(
     return scenario
 
 
-def _check_unique(node: yaml.Node | None, source: str) -> None:
+def _check_unique(root: yaml.Node | None, source: str) -> None:
     """Raises ScenarioError if a field is given twice, of which YAML would take the last without a word."""
-    if isinstance(node, yaml.MappingNode):
-        names = [str(key.value) for key, _ in node.value]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            line = node.start_mark.line + 1
-            raise ScenarioError(f"{source}: '{twice[0]}' is given twice in the mapping from line {line} on")
-        for _, value in node.value:
-            _check_unique(value, source)
-    elif isinstance(node, yaml.SequenceNode):
-        for value in node.value:
-            _check_unique(value, source)
+    waiting, seen = [root], set()
+    while waiting:
+        node = waiting.pop()
+        if id(node) in seen:  # an alias may stand for what holds it
+            continue
+        seen.add(id(node))
+        if isinstance(node, yaml.MappingNode):
+            names = [str(key.value) for key, _ in node.value]
+            twice = sorted({name for name in names if names.count(name) > 1})
+            if twice:
+                line = node.start_mark.line + 1
+                raise ScenarioError(
+                    f"{source}: '{twice[0]}' is given twice in the mapping from line {line} on"
+                )
+            waiting.extend(value for _, value in node.value)
+        elif isinstance(node, yaml.SequenceNode):
+            waiting.extend(node.value)
 
 
 def parse_scenario(text: str) -> Scenario:

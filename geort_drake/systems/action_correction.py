@@ -72,7 +72,11 @@ class ActionCorrection(LeafSystem):
 class NoCorrection(ActionCorrection):
     """Passes commands on without a look at the hand, so not anew at each step of the plant.
 
-    Its ports are those of `ActionCorrection`; `hand_state` is not read.
+    Input ports:
+        desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.
+        hand_state (2n): not read; every correction has it.
+    Output port:
+        desired_state (2n): the same as comes in.
     """
 
     def _depends_on(self) -> set:

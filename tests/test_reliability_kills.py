@@ -1,0 +1,120 @@
+"""Programs that are killed or cannot write: results are whole, none is lost, and the next run goes on."""
+
+import errno
+from pathlib import Path
+
+import numpy as np
+import pytest
+from faults import disks, kills
+from faults.child import run
+
+from geort_drake import files
+from geort_drake.errors import OutputError
+from geort_drake.evaluation.trial_log import TrialLog, read_records
+from geort_drake.files import atomic_directory, atomic_path, write_text
+
+
+@pytest.fixture(scope="module")
+def known(tmp_path_factory):
+    """What each work gives when nothing happens to it, made at its first use."""
+    made = {}
+
+    def reference(name: str) -> kills.Reference:
+        if name not in made:
+            made[name] = kills.reference(kills.WORKS[name], tmp_path_factory.mktemp("work"))
+        return made[name]
+
+    return reference
+
+
+@pytest.mark.parametrize("by_clock", [True, False], ids=["at a time", "at a file"])
+@pytest.mark.parametrize("name", kills.WORKS)
+def test_a_killed_program_goes_on(known, name, by_clock, tmp_path):
+    """kill -9 at a random moment; docs/reliability.md has the count of many more."""
+    rng = np.random.default_rng(len(name))
+    assert kills.kill(kills.WORKS[name], known(name), tmp_path / "kill", rng, by_clock) == []
+
+
+@pytest.mark.parametrize("name", ["data generation", "training"])
+def test_a_program_whose_files_may_not_grow_says_so(known, name, tmp_path):
+    """The file's name and the reason; earlier results stay, and no draft is left."""
+    assert kills.full_disk(kills.WORKS[name], known(name), tmp_path / "limited", 6_000) == []
+
+
+@pytest.mark.parametrize("writer", disks.WRITERS, ids=lambda writer: writer.__name__)
+def test_every_writer_names_the_file_that_it_cannot_write(writer, tmp_path):
+    """Whatever a file may hold: 2 kB here."""
+    room = tmp_path / "room"
+    room.mkdir()
+    ending = run(writer, (), room, tmp_path / "beside", RLIMIT_FSIZE=2_000)
+    assert kills.unclear(ending, "File too large") == []
+
+
+def test_real_disks_that_are_full_or_read_only_are_told_apart(tmp_path):
+    """Where this process may mount disks."""
+    if not disks.can_mount(tmp_path):
+        pytest.skip("mounting a disk needs the superuser")
+    assert disks.full(tmp_path / "full") == []
+    assert disks.read_only(tmp_path / "read_only") == []
+
+
+def test_a_line_that_did_not_fit_is_dropped_and_the_log_goes_on(tmp_path):
+    """Every line before it is there, and the next one stands alone."""
+    room = tmp_path / "room"
+    room.mkdir()
+    run(disks.append_trials, (), room, tmp_path / "beside", RLIMIT_FSIZE=2_000)
+    path = room / "trials.jsonl"
+    assert path.stat().st_size == 2_000
+    whole = read_records(path)
+    with TrialLog(path) as log:
+        assert log.torn and log.records == whole and len(whole) == 7
+        log.append({"method": "hold", "object": "cube", "seed": -1, "error": "x"})
+    assert len(read_records(path)) == 8
+
+
+def test_a_directory_is_replaced_in_one_step(tmp_path, monkeypatch):
+    """At no moment is there none: old and new change places; without that, the old one steps aside."""
+    target = tmp_path / "run"
+    for exchange in (files._exchange, lambda *_: False):
+        monkeypatch.setattr(files, "_exchange", exchange)
+        for number in range(2):
+            with atomic_directory(target) as draft:
+                (draft / "number.txt").write_text(str(number))
+        assert (target / "number.txt").read_text() == "1"
+        assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS, errno.EACCES])
+def test_what_cannot_be_written_leaves_nothing(code, tmp_path, monkeypatch):
+    """Neither a draft nor half a file, and what was there stays; the error is also the system's."""
+    file, folder = tmp_path / "notes.txt", tmp_path / "run"
+    write_text(file, "before")
+    with atomic_directory(folder) as draft:
+        write_text(draft / "notes.txt", "before")
+
+    replace = files.os.replace
+
+    def refuse(source, target):
+        if Path(target) in (file, folder) and ".run-old-" not in str(source):
+            raise OSError(code, "no")
+        replace(source, target)
+
+    monkeypatch.setattr(files, "_exchange", lambda *_: False)
+    monkeypatch.setattr(files.os, "replace", refuse)
+    for write, target in ((atomic_path, file), (atomic_directory, folder)):
+        message = rf"{target.name}: cannot be written: no"
+        with pytest.raises(OutputError, match=message) as raised, write(target):
+            pass
+        assert isinstance(raised.value, OSError)
+    assert file.read_text() == (folder / "notes.txt").read_text() == "before"
+    assert set(tmp_path.iterdir()) == {file, folder}
+
+
+def test_a_directory_does_not_take_a_files_place(tmp_path):
+    """The file stays."""
+    file = tmp_path / "notes.txt"
+    write_text(file, "before")
+    with pytest.raises(OutputError, match="is a file; a directory was wanted"), atomic_directory(file):
+        pytest.fail("there is nowhere to write to")
+    assert file.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [file]

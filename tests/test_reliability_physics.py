@@ -1,0 +1,44 @@
+"""Physics holds in a simulated trial, and its watch would see if it did not."""
+
+import dataclasses as dc
+from types import SimpleNamespace
+
+import numpy as np
+from faults.physics import ENERGY, watched
+from grasp_setup import centred_map, person_and_rest, planned_goal, scenario_with
+
+from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
+
+
+def grasp() -> GraspDiagram:
+    human = (person_and_rest()[0], planned_goal("cylinder"))
+    return make_grasp_diagram(scenario_with("cylinder"), centred_map(), human)
+
+
+class Idle:
+    """A plant whose motors seem to do nothing."""
+
+    def __init__(self, plant):
+        self._plant = plant
+
+    def __getattr__(self, name: str):
+        return getattr(self._plant, name)
+
+    def get_net_actuation_output_port(self):
+        return SimpleNamespace(Eval=lambda _context: np.zeros(self._plant.num_actuators()))
+
+
+def test_a_grasp_keeps_to_physics():
+    """No energy from nothing, nothing deeper in the object than 3 mm, no motor beyond its effort."""
+    seen = watched(grasp(), 12.0)
+    assert seen.violations == 0, seen
+    assert seen.contacts > 100 and 0.05 < seen.effort <= 1.0 + 1e-6
+    assert 0 < seen.penetration <= 3e-3
+
+
+def test_energy_from_nothing_is_seen():
+    """The arm's motion has no source where the motors' work is left out."""
+    parts = grasp()
+    seen = watched(dc.replace(parts, plant=Idle(parts.plant)), 2.0)
+    assert seen.gained > ENERGY
+    assert seen.violations > 0 == seen.effort
