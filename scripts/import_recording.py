@@ -13,9 +13,8 @@ from typing import Any
 from rich.live import Live
 from rich.table import Table
 
-from geort_drake.console import console, run_main
+from geort_drake.console import check_outputs, console, run_main
 from geort_drake.errors import RecordingError
-from geort_drake.files import require_writable
 from geort_drake.gloves.coverage import coverage
 from geort_drake.gloves.formats import AUTO, FORMATS
 from geort_drake.gloves.health import examine, noted, refuse
@@ -179,12 +178,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--watch", action="store_true", help="first show what is still missing, while the file is recorded"
     )
     arguments = parser.parse_args(argv)
-    for path, suffix in ((arguments.output, ".npz"), (arguments.picture, ".png")):
-        if path is None:
-            continue
-        if path.suffix != suffix:
-            parser.error(f"{path}: the name must end with {suffix}")
-        require_writable(path)
+    check_outputs(parser, (arguments.output, ".npz"), (arguments.picture, ".png"))
     return arguments
 
 

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from geort_drake.console import console, run_main
-from geort_drake.files import require_writable
+from geort_drake.console import check_outputs, console, run_main
 from geort_drake.gloves.protocol import STEPS, demonstrate
 
 
@@ -43,12 +42,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     arguments = parser.parse_args(argv)
     if arguments.seed < 0:
         parser.error(f"--seed must be 0 or more, not {arguments.seed}")
-    for path, suffix in ((arguments.output, ".rrd"), (arguments.recording, ".npz")):
-        if path is None:
-            continue
-        if path.suffix != suffix:
-            parser.error(f"{path}: the name must end with {suffix}")
-        require_writable(path)
+    check_outputs(parser, (arguments.output, ".rrd"), (arguments.recording, ".npz"))
     return arguments
 
 

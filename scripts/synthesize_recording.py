@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from geort_drake.console import console, run_main
-from geort_drake.files import atomic_path, require_writable
+from geort_drake.console import check_outputs, console, run_main
+from geort_drake.files import atomic_path
 from geort_drake.gloves.health import check_recording
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.keypoints import FINGER_NAMES
@@ -135,12 +135,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     if arguments.duration * arguments.rate > _MOST_FRAMES:
         parser.error(f"--duration by --rate may be at most {_MOST_FRAMES:,} frames")
     # Also the name of the plot, which comes last, is looked at before anything is written.
-    for path, suffix in ((arguments.output, ".npz"), (arguments.plot, ".png")):
-        if path is None:
-            continue
-        if path.suffix != suffix:
-            parser.error(f"{path}: the name must end with {suffix}")
-        require_writable(path)
+    check_outputs(parser, (arguments.output, ".npz"), (arguments.plot, ".png"))
     return arguments
 
 

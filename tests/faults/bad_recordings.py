@@ -90,7 +90,7 @@ def climbing(folder: Path) -> tuple:
     """Members whose names lead out of any folder that they might be unpacked to."""
     array = npy_header((2, 21, 3)) + bytes(2 * 504)
     with zipfile.ZipFile(folder / "hand.npz", "w") as file:
-        for name in ("../../climbed.npy", "/tmp/climbed.npy", "..\\climbed.npy"):
+        for name in ("../../climbed.npy", str(folder.absolute() / "climbed.npy"), "..\\climbed.npy"):
             file.writestr(name, array)
     return imports(folder / "hand.npz")
 
