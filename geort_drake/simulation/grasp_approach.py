@@ -11,6 +11,7 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.couplings import followers
 from geort_drake.hands.description import HandDescription
+from geort_drake.hands.links import palm_links
 from geort_drake.operators.wrist_motion import WristMovement
 from geort_drake.simulation.world import add_object
 
@@ -63,8 +64,13 @@ class GraspApproach:
             for index in self._plant.GetBodyIndices(hand)
             for geometry in inspector.GetGeometries(self._plant.GetBodyFrameIdOrThrow(index), Role.kProximity)
         ]
-        palm = self._plant.GetBodyFrameIdOrThrow(self._base.body().index())
-        self._palm = set(inspector.GetGeometries(palm, Role.kProximity))
+        self._palm = {
+            geometry
+            for body in palm_links(self._plant, description, hand)
+            for geometry in inspector.GetGeometries(
+                self._plant.GetBodyFrameIdOrThrow(body.index()), Role.kProximity
+            )
+        }
         scene_graph.collision_filter_manager().Apply(
             CollisionFilterDeclaration().ExcludeWithin(GeometrySet(parts))
         )

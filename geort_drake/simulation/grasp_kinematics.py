@@ -1,7 +1,15 @@
 """Inverse kinematics of a grasp: arm and hand in a plant in which the object stands still."""
 
 import numpy as np
-from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, Role, SceneGraph
+from pydrake.geometry import (
+    CollisionFilterDeclaration,
+    Convex,
+    GeometrySet,
+    Mesh,
+    Role,
+    SceneGraph,
+    Shape,
+)
 from pydrake.math import RigidTransform
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
@@ -11,6 +19,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.couplings import followers
 from geort_drake.hands.description import FingerDescription, HandDescription
+from geort_drake.hands.links import palm_links
 from geort_drake.hands.model import tip_geometries
 from geort_drake.simulation.grasp_contacts import Contact
 from geort_drake.simulation.object_shape import ObjectShape, half_extents, object_shape
@@ -170,12 +179,15 @@ class GraspKinematics:
                 weight[index] = 1.0 if finger in self._grasping else _IDLE_WEIGHT
                 if finger in self._grasping:  # a grasping joint is most useful in its middle range
                     q_nominal[index] = 0.5 * (low[index] + high[index])
-        ik.get_mutable_prog().AddQuadraticErrorCost(np.diag(weight), q_nominal, ik.q())
         for follower, leader, ratio, offset in followers(self._description):
-            q_follower, q_leader = (
-                ik.q()[plant.GetJointByName(name, self._hand).position_start()] for name in (follower, leader)
+            place, leading = (
+                plant.GetJointByName(name, self._hand).position_start() for name in (follower, leader)
             )
-            ik.get_mutable_prog().AddLinearEqualityConstraint(q_follower - ratio * q_leader == offset)
+            weight[place] = 0.0  # its leader's angle counts
+            ik.get_mutable_prog().AddLinearEqualityConstraint(
+                ik.q()[place] - ratio * ik.q()[leading] == offset
+            )
+        ik.get_mutable_prog().AddQuadraticErrorCost(np.diag(weight), q_nominal, ik.q())
         return ik
 
     def _put_palm(self, ik: InverseKinematics, palm: Contact) -> None:
@@ -192,14 +204,14 @@ class GraspKinematics:
             )
 
     def _find_palm_front(self, scene_graph: SceneGraph) -> float:
-        """The largest x in B of the collision geometry that the hand base carries, m."""
-        inspector = scene_graph.model_inspector()
-        X_BaseB = self._base.GetFixedPoseInBodyFrame()
+        """The largest x in B of the palm's collision geometry, m."""
+        inspector, context = scene_graph.model_inspector(), self._plant.CreateDefaultContext()
         fronts = []
-        for geometry in self._geometries(scene_graph, self._base.body()):
-            X_BG = X_BaseB.inverse() @ inspector.GetPoseInFrame(geometry)
-            reach = np.abs(X_BG.rotation().matrix()[0]) @ half_extents(inspector.GetShape(geometry))
-            fronts.append(X_BG.translation()[0] + reach)
+        for body in palm_links(self._plant, self._description, self._hand):
+            X_BL = self._plant.CalcRelativeTransform(context, self._base, body.body_frame())
+            for geometry in self._geometries(scene_graph, body):
+                X_BG = X_BL @ inspector.GetPoseInFrame(geometry)
+                fronts.append(_largest_x(inspector.GetShape(geometry), X_BG))
         return max(fronts, default=0.0)
 
     def _let_tips_touch(self, scene_graph: SceneGraph) -> None:
@@ -226,6 +238,15 @@ class GraspKinematics:
 
     def _tip_body(self, finger: FingerDescription) -> RigidBody:
         return self._plant.GetBodyByName(finger.tip_link, self._hand)
+
+
+def _largest_x(shape: Shape, X_BG: RigidTransform) -> float:
+    """Of a geometry G in B, m: of the box around a primitive, and of a mesh's convex hull."""
+    if isinstance(shape, Convex | Mesh):
+        hull = shape.GetConvexHull()
+        vertices = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
+        return float(X_BG.multiply(vertices.T)[0].max())
+    return float(X_BG.translation()[0] + np.abs(X_BG.rotation().matrix()[0]) @ half_extents(shape))
 
 
 def _options() -> SolverOptions:

@@ -57,6 +57,8 @@ class GraspPlanner:
                 )
         self._description = description
         self._scenario = scenario
+        grasping = [finger for finger in description.fingers if finger.name in GRIPS[self._grip].fingers]
+        self._fewest_joints = min(len(finger.joints) for finger in grasping)
         self._kinematics = GraspKinematics(scenario, description, list(GRIPS[self._grip].fingers))
         robot = self._kinematics
         self._approach = GraspApproach(
@@ -114,9 +116,10 @@ class GraspPlanner:
         if solution is None:
             return None
         discomfort, q_touch = solution
-        # To take an object into the palm, the whole hand opens.
-        palm = place.palm is not None
-        q_open = robot.open_wide(q_touch) if palm else robot.open(place.contacts, _OPENING, q_touch)
+        # To take an object into the palm, the whole hand opens; and so do fingers that cannot leave a surface
+        # straight, as three joints are needed to put a tip anywhere.
+        wide = place.palm is not None or self._fewest_joints < 3
+        q_open = robot.open_wide(q_touch) if wide else robot.open(place.contacts, _OPENING, q_touch)
         if q_open is None:
             return None
         X_OB_before = self._approach.waiting_pose(robot.hand_pose(q_touch), robot.joint_positions(q_open))

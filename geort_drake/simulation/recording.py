@@ -10,6 +10,7 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Demultiplexer
 
 from geort_drake.hands.description import HandDescription
+from geort_drake.hands.links import finger_links
 from geort_drake.operators.behavior import Phase
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import HAND, actuated_state
@@ -67,10 +68,7 @@ def add_grasp_recorder(
     states = {"grasp": StateSpec(monitor.GetOutputPort("phase"), [p.name.lower() for p in GraspPhase])}
     if isinstance(source, SimulatedOperator):
         states["operator"] = StateSpec(source.GetOutputPort("phase"), [p.name.lower() for p in Phase])
-    links = {
-        finger.name: [plant.GetJointByName(joint, hand).child_body() for joint in finger.joints]
-        for finger in description.fingers
-    }
+    links = dict(zip(description.finger_names, finger_links(plant, description, hand), strict=True))
     return add_rerun_recorder(
         builder,
         plant,

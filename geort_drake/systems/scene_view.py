@@ -8,6 +8,7 @@ from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 from pydrake.systems.framework import Context, LeafSystem
 
 from geort_drake.hands.description import HandDescription
+from geort_drake.hands.links import finger_links
 from geort_drake.systems.poses import pose_to_vector
 
 
@@ -42,12 +43,10 @@ class SceneView(LeafSystem):
             for finger in description.fingers
         ]
         self._finger_of_body = {
-            plant.GetJointByName(joint, hand).child_body().index(): number
-            for number, finger in enumerate(description.fingers)
-            for joint in finger.joints
+            body.index(): number
+            for number, links in enumerate(finger_links(plant, description, hand))
+            for body in links
         }
-        # A tip link may be welded to the last joint's link.
-        self._finger_of_body |= {body: number for number, (body, _) in enumerate(self._tips)}
         self._poses = self.DeclareAbstractInputPort("body_poses", AbstractValue.Make([RigidTransform()]))
         self._contacts = self.DeclareAbstractInputPort(
             "contact_results", AbstractValue.Make(ContactResults())

@@ -1,0 +1,92 @@
+"""Which links are whose in a hand with joints that follow, and that contacts and palm go by it."""
+
+import numpy as np
+import pytest
+from hand_family import HandSpec, write_hand
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
+from pydrake.systems.framework import DiagramBuilder
+
+from geort_drake.hands.assembly import add_hand_model
+from geort_drake.hands.description import CouplingDescription, HandDescription
+from geort_drake.hands.description_file import write_description
+from geort_drake.hands.links import finger_links, palm_links
+from geort_drake.hands.proposal import propose
+from geort_drake.simulation.grasp_planner import GraspPlanner
+from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.world import add_object
+from geort_drake.systems.scene_view import SceneView
+
+
+@pytest.fixture
+def description(tmp_path) -> HandDescription:
+    """Three fingers; of the index, one motor moves three links, of which two only follow."""
+    hand = propose(write_hand(tmp_path, HandSpec(3))).description
+    index = hand.fingers[1]
+    index.joints.remove("index_j2")
+    hand.couplings.append(CouplingDescription("index_j2", "index_j1", 0.5))
+    return hand
+
+
+def _plant(description: HandDescription, object_name: str = "sphere"):
+    """The hand with its base at the world's origin, and an object beside it."""
+    builder = DiagramBuilder()
+    # Ports that are not sampled show contacts before the first step.
+    config = MultibodyPlantConfig(
+        time_step=0.002, discrete_contact_approximation="sap", use_sampled_output_ports=False
+    )
+    plant, _ = AddMultibodyPlant(config, builder)
+    hand = add_hand_model(plant, description, "hand")
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(description.base_frame, hand))
+    thing = add_object(plant, object_name)
+    plant.Finalize()
+    return builder, plant, hand, thing
+
+
+def test_a_fingers_links_are_all_that_its_motors_move(description):
+    """Those that only follow too; what is held belongs to the palm."""
+    description.fingers[2].joints.remove("middle_j0")
+    _, plant, hand, _ = _plant(description)
+    names = [[body.name() for body in links] for links in finger_links(plant, description, hand)]
+    assert names[0] == [f"thumb_l{i}" for i in range(3)]
+    assert names[1] == [f"index_l{i}" for i in range(4)]
+    assert names[2] == [f"middle_l{i}" for i in range(1, 4)]
+    assert [body.name() for body in palm_links(plant, description, hand)] == ["palm", "middle_l0"]
+
+
+@pytest.mark.parametrize("link", ["index_l1", "index_l2", "index_l3"])
+def test_contact_on_a_link_that_follows_is_the_fingers(description, link):
+    """Drake's contact results of an object that sticks into one link of the index show on the index alone."""
+    builder, plant, hand, thing = _plant(description)
+    view = builder.AddSystem(SceneView(plant, description, hand, thing.index()))
+    builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
+    builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
+    diagram = builder.Build()
+    root = diagram.CreateDefaultContext()
+    context = plant.GetMyMutableContextFromRoot(root)
+    # Beside the middle of the link, on the thumb's side, where no other finger is.
+    middle = plant.GetBodyByName(link, hand).EvalPoseInWorld(context).translation() + [0, 0, 0.01]
+    plant.SetFloatingBaseBodyPoseInWorldFrame(
+        context, thing, RigidTransform(middle + np.array([0.0, 0.033, 0.0]))
+    )
+    contact = view.GetOutputPort("contact").Eval(view.GetMyContextFromRoot(root))
+    assert contact[1] > 0.1
+    assert contact[0] == contact[2] == 0.0
+
+
+def test_a_grasp_is_planned_for_fingers_of_few_joints(description, tmp_path):
+    """One motor each: a finger that cannot leave a surface straight opens whole."""
+    for finger in description.fingers[1:]:
+        description.couplings = [c for c in description.couplings if not c.joint.startswith(finger.name)]
+        finger.joints = [f"{finger.name}_j1"]
+        description.couplings += [
+            CouplingDescription(f"{finger.name}_j2", f"{finger.name}_j1", 0.8),
+            CouplingDescription(f"{finger.name}_j3", f"{finger.name}_j2", 0.8),
+        ]
+    write_description(description, tmp_path / "hand.yaml")
+    scenario = load_scenario(text="{object: {name: ball_small}}", hand=str(tmp_path / "hand.yaml"))
+    planner = GraspPlanner(scenario, description)
+    goal = planner.plan()
+    assert goal.touches.tolist() == [True, True, False]
+    opened = np.linalg.norm(goal.X_OB.multiply(goal.p_BF_open.T).T - goal.p_OF_touch, axis=1)
+    assert (opened[goal.touches] > 0.02).all()
