@@ -87,17 +87,23 @@ def _rename(tree: ET.Element, element: ET.Element, name: str, target: str) -> No
 
 
 def _mesh_file(model: Path, tree: ET.Element, name: str) -> Path:
+    if tree.tag != "mujoco":
+        return resolved(model, name)
     folder = model.resolve().parent
-    if tree.tag == "mujoco":
-        for compiler in tree.iter("compiler"):
-            folder = folder / (compiler.get("meshdir") or compiler.get("assetdir") or "")
-        return (folder / name).resolve()
-    package = re.match(r"(?:package|model)://([^/]+)/(.*)", name)
+    for compiler in tree.iter("compiler"):
+        folder = folder / (compiler.get("meshdir") or compiler.get("assetdir") or "")
+    return (folder / name).resolve()
+
+
+def resolved(model: Path, name: str) -> Path:
+    """The file that a model names: beside it, or of a package in the folders above it."""
+    folder = model.resolve().parent
+    package = re.match(r"(?:package|model)://([^/]+)(?:/(.*))?$", name)
     if package:
         for parent in (folder, *folder.parents):
             place = parent if parent.name == package[1] else parent / package[1]
             if place.is_dir():
-                return (place / package[2]).resolve()
+                return (place / (package[2] or "")).resolve()
     return (folder / name.removeprefix("file://")).resolve()
 
 

@@ -19,10 +19,10 @@ from pydrake.multibody.tree import Frame, RevoluteJoint, RigidBody
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from geort_drake.errors import HandError
-from geort_drake.files import sha256_of
 from geort_drake.hands.assembly import add_hand_model, joint_names
 from geort_drake.hands.couplings import JointCouplings
 from geort_drake.hands.description import HandDescription
+from geort_drake.hands.model_files import digest_of_contents, model_files
 from geort_drake.resources import resolve_uri
 
 if TYPE_CHECKING:
@@ -40,6 +40,8 @@ class HandModel:
     Attributes:
         plant, scene_graph, diagram: the hand in Drake, finalized and built.
         couplings: the joints that follow.
+        digest: SHA-256 over the description, the model, what it includes and its collision meshes; equal
+            hands in other places, or on other arms, have the same.
         lower, upper: (n,) joint limits, rad; those of joints that follow are kept, too.
 
     Raises:
@@ -56,7 +58,8 @@ class HandModel:
         # Joint actuators with controller gains need a discrete plant; its time step is never taken.
         self.plant, self.scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.001)
         self._instance = add_hand_model(self.plant, description)
-        self.digest = _digest(description, sha256_of(path))
+        files = model_files(self.plant, self.scene_graph.model_inspector(), self._instance, path)
+        self.digest = _digest(description, digest_of_contents(files))
         self._base = self._frame(description.base_frame, "base_frame")
         self._mount = self._frame(description.mount.frame or description.base_frame, "mount.frame")
         self.plant.WeldFrames(self.plant.world_frame(), self._base)
