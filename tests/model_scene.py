@@ -14,6 +14,8 @@ from geort_drake.resources import models_dir
 
 FACTS_DIR = Path(__file__).resolve().parents[2] / "shared" / "facts"
 SDF_FILES = sorted((models_dir() / "sdf").rglob("*.sdf"))
+# By name, as whoever adds a hand of their own has it in models/hands too.
+SHIPPED_HANDS = ("allegro_left", "allegro_right", "leap_right")
 OBJECTS = sorted((models_dir() / "sdf" / "objects").glob("*.sdf"))
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from model_scene import SHIPPED_HANDS
 from scipy.optimize import minimize
 
 from geort_drake.errors import HandError, UnknownNameError
@@ -49,16 +50,27 @@ def test_fingers_come_thumb_first_and_joints_finger_by_finger():
     assert [finger.human_keypoint for finger in hand.fingers] == [4, 8, 12, 16]
 
 
-@pytest.mark.parametrize("name", hand_names())
+def test_hands_are_known_by_the_names_of_their_files(monkeypatch, tmp_path):
+    """Those that come along, and one that a user puts beside them."""
+    assert set(SHIPPED_HANDS) <= set(hand_names())
+    (tmp_path / "hands").mkdir()
+    text = (models_dir() / "hands" / "leap_right.yaml").read_text(encoding="utf-8")
+    (tmp_path / "hands" / "mine.yaml").write_text(text.replace("name: leap_right", "name: mine"))
+    monkeypatch.setattr("geort_drake.hands.description.models_dir", lambda: tmp_path)
+    assert hand_names() == ["mine"]
+    assert load_hand("mine").name == "mine"
+
+
+@pytest.mark.parametrize("name", SHIPPED_HANDS)
 def test_every_shipped_hand_builds(name):
-    """Each description in models/hands agrees with its model and starts free of collision."""
+    """Each description that comes along agrees with its model and starts free of collision."""
     hand = HandModel(load_hand(name))
     assert hand.description.name == name
     assert not hand.collides(hand.default_position)
     assert len(hand.kinematics().fingers) == len(hand.finger_names)
 
 
-@pytest.mark.parametrize("name", hand_names())
+@pytest.mark.parametrize("name", SHIPPED_HANDS)
 def test_every_thumb_can_pinch_with_every_finger(name):
     """Some posture brings each pair of tips to where their spheres meet, and nothing else into contact."""
     hand = HandModel(load_hand(name))

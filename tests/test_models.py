@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from model_scene import OBJECTS, SDF_FILES, Scene
+from model_scene import OBJECTS, SDF_FILES, SHIPPED_HANDS, Scene
 from pydrake.geometry import Role
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import Simulator
 
-from geort_drake.hands.description import hand_names
 from geort_drake.resources import models_dir
 from geort_drake.simulation.object_shape import half_extents
 
@@ -43,7 +42,7 @@ def test_models_need_no_file_but_themselves(path):
         assert reference not in text
 
 
-@pytest.mark.parametrize("name", [*hand_names(), "panda"])
+@pytest.mark.parametrize("name", [*SHIPPED_HANDS, "panda"])
 def test_robots_look_like_more_than_their_collision_shapes(name):
     """Every link has coloured visual geometry of its own."""
     scene = Scene(models_dir() / "sdf" / f"{name}.sdf")

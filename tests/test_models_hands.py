@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from model_scene import facts_of, tips_mm
+from model_scene import SHIPPED_HANDS, facts_of, tips_mm
 from pydrake.geometry import Role
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.parsing import Parser
@@ -11,7 +11,7 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake.hands.description import hand_names, load_hand
+from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.resources import models_dir
 
@@ -236,7 +236,7 @@ def test_the_hand_moves_to_its_desired_positions(name):
     np.testing.assert_allclose(reached, target, atol=0.02)
 
 
-@pytest.mark.parametrize("name", hand_names())
+@pytest.mark.parametrize("name", SHIPPED_HANDS)
 def test_friction_of_fingertips_exceeds_that_of_the_shells(name):
     """The two shapes of each tip have a friction of 0.9, everything else 0.6."""
     hand = HandModel(load_hand(name))

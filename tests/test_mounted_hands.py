@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from grasp_execution import execute
 from grasp_setup import allegro, centred_map, person_and_rest
+from model_scene import SHIPPED_HANDS
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.analysis import Simulator
@@ -14,7 +15,7 @@ from pydrake.systems.framework import Context, DiagramBuilder
 
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.keypoints import mirrored
-from geort_drake.hands.description import hand_names, load_hand
+from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.operators.grasp_goal import GraspGoal
 from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
@@ -42,7 +43,7 @@ def robot(hand: str):
     return diagram, plant, plant.GetMyContextFromRoot(diagram.CreateDefaultContext()), base
 
 
-@pytest.mark.parametrize("name", hand_names())
+@pytest.mark.parametrize("name", SHIPPED_HANDS)
 def test_a_hand_sits_on_the_adapter_and_touches_nothing(name):
     """The frame of the mount lies on the adapter's hand side; at the start arm and hand are free."""
     _, plant, context, base = robot(name)

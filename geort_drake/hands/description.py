@@ -196,7 +196,7 @@ class HandDescription:
 
 
 def hand_names() -> list[str]:
-    """Names of the hands that come with the package."""
+    """Names of the hands in models/hands: those that come with the package, and those added to them."""
     return sorted(path.stem for path in (models_dir() / "hands").glob("*.yaml"))
 
 
