@@ -4,8 +4,6 @@ python scripts/train_retargeter.py --hand allegro_right --recording alex.npy --o
 """
 
 import argparse
-import contextlib
-import csv
 import json
 import warnings
 from collections.abc import Sequence
@@ -28,7 +26,7 @@ from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.readers import read_recording
 from geort_drake.hands.description import hand_names, load_hand
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.checkpoint import HISTORY, METRICS, Checkpoint, load_checkpoint
+from geort_drake.retargeting.checkpoint import METRICS, Checkpoint, load_checkpoint
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.retargeting.training import FORWARD_KINEMATICS, PRESETS
 from geort_drake.settings import parse_settings, settings_of
@@ -61,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.recording is not None:
         # Read here, where a recording can be held to what training needs.
         recording = read_recording(arguments.recording, load_hand(arguments.hand).side, training=True)
-    recorder, looking_on = None, contextlib.nullcontext()
+    recorder = None
     if arguments.rrd is not None:
         from geort_drake.evaluation._rerun_training import TrainingRecorder
 
@@ -69,8 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if recording is None:
             recording = synthesize_play(arguments.seed, side=description.side)
         recorder = TrainingRecorder(HandModel(description), recording, arguments.seed)
-        looking_on = recorder.looking_on(training_config(arguments.method, settings).steps)
-    with warnings.catch_warnings(), looking_on:
+    with warnings.catch_warnings():
         # They are in the checkpoint, from where they are shown below.
         warnings.simplefilter("ignore", RuntimeWarning)
         path = train_checkpoint(
@@ -83,14 +80,13 @@ def main(argv: Sequence[str] | None = None) -> int:
             show_progress=not arguments.quiet,
             settings=settings,
             robot_samples=arguments.robot_samples,
+            report=recorder and recorder.observe,
         )
     checkpoint = load_checkpoint(path)
     metrics = json.loads((path / METRICS).read_text(encoding="utf-8"))
     if recorder is not None:
-        with open(path / HISTORY, newline="", encoding="utf-8") as file:
-            losses = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
         properties = {"method": arguments.method, "hand": metrics["hand"], "seed": arguments.seed}
-        recorder.write(arguments.rrd, load_retargeter(path), losses, properties)
+        recorder.write(arguments.rrd, load_retargeter(path), properties)
         console.print(f"Wrote {arguments.rrd}; open it with: rerun {arguments.rrd}", soft_wrap=True)
     if not arguments.quiet:
         console.print(_table(checkpoint, metrics))

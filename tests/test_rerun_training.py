@@ -10,6 +10,7 @@ from geort_drake.evaluation._rerun_training import TrainingRecorder
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
+from geort_drake.retargeting.descent import descend
 from geort_drake.retargeting.networks import RetargetingNetwork
 
 
@@ -40,32 +41,28 @@ def move(network):
             parameter.mul_(1.5)
 
 
-def test_the_network_that_is_trained_is_observed_before_it_learns(hand, play):
-    """What else is trained does not count, and observing changes nothing."""
+def test_training_is_the_same_when_it_is_observed(hand, play):
+    """The weights are kept as they were at each step, and observing changes none of them."""
+    hands = torch.full((4, len(hand.finger_names), 3), 0.1)
 
-    def train():
-        other, network = torch.nn.Linear(3, 3), make_network(hand)
-        optimisers = [torch.optim.Adam(module.parameters(), lr=0.01) for module in (other, network)]
-        hands = torch.full((4, len(hand.finger_names), 3), 0.1)
-        outputs = []
-        for _ in range(100):
-            for optimiser, loss in zip(
-                optimisers, (other(hands).sum(), network(hands).square().sum()), strict=True
-            ):
-                optimiser.zero_grad()
-                loss.backward()
-                optimiser.step()
-            outputs.append(network(hands).detach())
+    def train(report=None):
+        network, outputs = make_network(hand), []
+
+        def losses(_step):
+            answer = network(hands)
+            outputs.append(answer.detach())
+            loss = answer.square().sum()
+            return loss, {"size": loss}
+
+        descend(network, losses, 300, 0.01, report)
         return torch.stack(outputs)
 
     recorder = TrainingRecorder(hand, play)
-    with recorder.looking_on(steps=100, times=10):
-        observed = train()
+    observed = train(recorder.observe)
     assert torch.equal(observed, train())
-    assert [step for step, _ in recorder._weights] == list(range(0, 100, 10))
-    hands = np.full((4, len(hand.finger_names), 3), 0.1)
-    for step, weights in recorder._weights[1:]:
-        np.testing.assert_allclose(recorder._map(weights)(hands), observed[step - 1], atol=1e-6)
+    assert list(recorder._weights) == list(range(1, 300, 3))
+    for step, weights in recorder._weights.items():
+        np.testing.assert_allclose(recorder._map(weights)(hands.numpy()), observed[step], atol=1e-6)
 
 
 def test_the_recording_holds_each_map_as_it_was(tmp_path, hand, play, network, monkeypatch):
@@ -74,8 +71,9 @@ def test_the_recording_holds_each_map_as_it_was(tmp_path, hand, play, network, m
     monkeypatch.setattr(scene, "_COLLIDING", 10)
     recorder = TrainingRecorder(hand, play)
     kept = []
-    for step in (0, 50):
-        recorder.observe(step, network)
+    for step in (1, 50, 100):
+        losses = {"step": step - 1, "total": 2.0, "pinch": 1.0 / step, "seconds": 0.1}
+        recorder.observe(step, 100, losses, network)
         kept.append({name: value.clone() for name, value in network.state_dict().items()})
         move(network)
 
@@ -83,18 +81,14 @@ def test_the_recording_holds_each_map_as_it_was(tmp_path, hand, play, network, m
         return np.tile(hand.default_position, (len(p_HF), 1))
 
     path = tmp_path / "training.rrd"
-    losses = [
-        {"step": 0.0, "total": 2.0, "pinch": 1.0, "seconds": 0.1},
-        {"step": 99.0, "total": 1.0, "pinch": 0.5, "seconds": 9.0},
-    ]
     properties = {"method": "geort", "hand": "allegro_right", "seed": 0}
-    recorder.write(path, trained, losses, properties)
+    recorder.write(path, trained, properties)
     assert rerun("rrd", "verify", path).returncode == 0
 
     steps, closed = read(path, "/criteria/pinch", "Scalars:scalars", timeline="step")
-    assert steps == [0, 50, 100]
+    assert steps == [1, 50, 100]
     steps, pinch = read(path, "/losses/pinch", "Scalars:scalars", timeline="step")
-    assert (steps, np.ravel(pinch).tolist()) == ([0, 99], [1.0, 0.5])
+    assert (steps, np.ravel(pinch).tolist()) == ([0, 49, 99], [1.0, 0.02, 0.01])
     tips = hand.fingertips(hand.default_position)
     thumb = hand.finger_names.index("thumb")
     _, lines = read(path, "/world/robot/pinches", "LineStrips3D:strips", timeline="step")
@@ -113,7 +107,7 @@ def test_the_recording_holds_each_map_as_it_was(tmp_path, hand, play, network, m
 
 
 def test_a_lattice_joins_neighbours(rng):
-    """Nodes lie where the fingertip was, edges along the axes, a spacing long."""
+    """Nodes lie in a plane where the fingertip was, edges along the axes, a spacing long."""
     frames = rng.uniform(0, 0.05, (3000, 2, 3))
     lattice = scene._Lattice(frames, 1)
     segments = lattice.segments(lattice.nodes)
@@ -122,5 +116,6 @@ def test_a_lattice_joins_neighbours(rng):
         np.sort(along, axis=1), np.tile([0, 0, scene._SPACING], (len(along), 1)), atol=1e-12
     )
     np.testing.assert_array_equal(lattice.hands[:, 1], lattice.nodes)
+    assert np.ptp(lattice.nodes, axis=0).min() < 1e-12
     distances = np.linalg.norm(frames[None, :, 1] - lattice.nodes[:, None], axis=-1).min(axis=1)
     assert (distances < scene._SPACING / 2).all()

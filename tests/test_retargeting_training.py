@@ -272,7 +272,7 @@ def test_progress_is_reported(hand, samples, human):
     seen = []
     train_geort(
         human, hand, samples, dataclasses.replace(QUICK, steps=50),
-        report=lambda step, steps, row: seen.append((step, steps, set(row))),
+        report=lambda step, steps, row, _network: seen.append((step, steps, set(row))),
     )  # fmt: skip
     assert seen[-1][:2] == (50, 50)
     assert [step for step, _, _ in seen] == sorted({step for step, _, _ in seen})

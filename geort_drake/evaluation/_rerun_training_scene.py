@@ -15,7 +15,6 @@ from geort_drake.evaluation._rerun_posed_hand import (
     WRONG,
     PosedHand,
     write_balls,
-    write_label,
     write_lines,
 )
 from geort_drake.evaluation.exploration import find_pinches, tips_of
@@ -33,18 +32,19 @@ Map = Callable[[np.ndarray], np.ndarray]
 # What is measured at every step, and the title of its plot.
 CRITERIA = {
     "motion": "I  direction kept (cosine)",
-    "coverage": "II  share of the reach within 10 mm",
+    "coverage": "II  share of the reach",
     "flatness": "III  flatness (0: even)",
-    "pinch": "IV  share of pinches closed",
-    "collision": "V  share of hands in self-collision",
+    "pinch": "IV  pinches closed",
+    "collision": "V  hands that collide",
 }
 _SKIN: Color = (224, 172, 138)
-_UNREACHED = (70, 74, 84)
-_X_WB = RigidTransform([0.0, 0.32, 0.0])  # the robot hand stands beside the human one
+_UNREACHED = (112, 118, 132)
+_APART = 0.32  # m; the robot hand stands beside the human one
 _FRAMES, _COLLIDING, _PINCHING, _ANCHORS, _SAMPLES = 1000, 150, 40, 300, 20_000
-_VOXEL = 0.006  # m, of both clouds
+_VOXEL = 0.008  # m, of both clouds
+_DOT = 0.001  # m, radius
 _REACH = 0.010  # m, as in the coverage that is reported first
-_SPACING = 0.014  # m, of the lattice
+_SPACING = 0.012  # m, of the lattices
 
 
 class TrainingScene:
@@ -73,16 +73,15 @@ class TrainingScene:
         self._instant = p_HK[np.argmin(pinches.distance)]
         q = np.random.default_rng(seed).uniform(hand.lower, hand.upper, (_SAMPLES, len(hand.joint_names)))
         p_BF = self._fingertips(q)
-        self._reachable = [voxel_centres(p_BF[:, i], _VOXEL) for i in self._fingers]
+        self._reachable = [voxel_thinned(p_BF[:, i], _VOXEL) for i in self._fingers]
         self._lattices = [_Lattice(frames, i) for i in self._fingers]
-        self._posed = PosedHand(hand, "robot", _X_WB)
+        self._posed = PosedHand(hand, "robot", RigidTransform([0.0, _APART, -hand.p_BW[2]]))
 
     def write(self, writer: Writer, maps: Sequence[Map]) -> None:
         """Sends everything; one map for each of the writer's times."""
         writer.static(f"/{WORLD}", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         self._write_human(writer, len(maps))
         self._posed.describe(writer)
-        write_label(writer, self._posed.path, "robot hand")
         instant = tips_of(self._instant[None], self._hand)
         self._posed.write(writer, np.concatenate([answer(instant) for answer in maps]))
         self._write_lattices(writer, maps)
@@ -117,10 +116,9 @@ class TrainingScene:
         for i in self._fingers:
             name, color = self._hand.finger_names[i], [self._colors[i]]
             cloud = self._seen(voxel_thinned(self._frames[:, i], _VOXEL))
-            writer.static(f"{path}/cloud/{name}", rr.Points3D(cloud, colors=color, radii=[0.0014]))
+            writer.static(f"{path}/cloud/{name}", rr.Points3D(cloud, colors=color, radii=[_DOT]))
             lines = self._seen(self._lattices[i].segments(self._lattices[i].nodes))
             writer.static(f"{path}/lattice/{name}", rr.LineStrips3D(lines, colors=color, radii=[0.0006]))
-        write_label(writer, path, "human hand")
 
     def _write_lattices(self, writer: Writer, maps: Sequence[Map]) -> None:
         for i in self._fingers:
@@ -141,7 +139,7 @@ class TrainingScene:
             ]
             shares[:, i] = np.mean(near, axis=1)
             path = f"{self._posed.path}/reach/{self._hand.finger_names[i]}"
-            writer.static(path, rr.Points3D.from_fields(positions=self._seen(places), radii=[0.0014]))
+            writer.static(path, rr.Points3D.from_fields(positions=self._seen(places), radii=[_DOT]))
             shades = np.where(np.array(near)[..., None], self._colors[i], _UNREACHED).astype(np.uint8)
             columns = rr.Points3D.columns(colors=shades.reshape(-1, 3))
             writer.columns(path, columns.partition([len(places)] * len(maps)))
@@ -168,7 +166,7 @@ class TrainingScene:
 
 
 class _Lattice:
-    """Straight lines through the places of one human fingertip, crossing at right angles.
+    """A flat square lattice through the places of one human fingertip, where most of them lie in a plane.
 
     Attributes:
         nodes: (k, 3) where they cross, m.
@@ -179,11 +177,13 @@ class _Lattice:
         tree = cKDTree(frames[:, finger])
         centres = voxel_centres(frames[:, finger], _SPACING)
         distance, rows = tree.query(centres)
-        inside = distance < _SPACING / 2
-        self.nodes = centres[inside]
-        self.hands = frames[rows[inside]].copy()
+        chosen = distance < _SPACING / 2
+        cells = np.round(centres / _SPACING - 0.5).astype(int)
+        chosen &= _fullest_plane(cells, chosen)
+        self.nodes = centres[chosen]
+        self.hands = frames[rows[chosen]].copy()
         self.hands[:, finger] = self.nodes
-        numbers = {tuple(node): k for k, node in enumerate(np.round(self.nodes / _SPACING - 0.5).astype(int))}
+        numbers = {tuple(cell): k for k, cell in enumerate(cells[chosen])}
         self._edges = np.array(
             [
                 (k, numbers[neighbour])
@@ -197,6 +197,12 @@ class _Lattice:
     def segments(self, nodes: np.ndarray) -> np.ndarray:
         """(e, 2, 3) between neighbours, where the nodes (k, 3) went."""
         return nodes[self._edges]
+
+
+def _fullest_plane(cells: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Which cells (k, 3) lie in that plane across an axis which holds the most of the chosen ones."""
+    planes = [cells[:, axis] == number for axis in range(3) for number in np.unique(cells[:, axis])]
+    return max(planes, key=lambda plane: np.count_nonzero(plane & chosen))
 
 
 def _next(node: tuple[int, ...]) -> list[tuple[int, ...]]:

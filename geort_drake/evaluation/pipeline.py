@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
+from torch import nn
 
 import geort_drake
 from geort_drake.console import progress_bar
@@ -27,6 +28,7 @@ from geort_drake.hands.samples import robot_data
 from geort_drake.retargeting.baselines.linear_offline import train_linear_offline
 from geort_drake.retargeting.checkpoint import TRAINED_POINTS, check_replaceable, save_checkpoint
 from geort_drake.retargeting.coupled_training import CoupledConfig, train_coupled
+from geort_drake.retargeting.descent import Report
 from geort_drake.retargeting.retargeter import METHODS as RETARGETERS
 from geort_drake.retargeting.trained_space import trained_points
 from geort_drake.retargeting.training import Trainer, TrainingConfig, train_geort
@@ -71,6 +73,7 @@ def train_checkpoint(
     show_progress: bool = True,
     settings: Mapping | None = None,
     robot_samples: int = 100_000,
+    report: Report | None = None,
 ) -> Path:
     """Trains a retargeter, evaluates it on the same recording and writes its checkpoint.
 
@@ -84,6 +87,7 @@ def train_checkpoint(
         show_progress: draw progress bars on stderr.
         settings: fields of the method's config that differ from its defaults; see `CONFIGS`.
         robot_samples: how many joint positions of the robot are sampled.
+        report: see `Report`.
 
     Returns:
         The checkpoint directory. What the recording lacks and what went wrong in training is in its
@@ -120,7 +124,7 @@ def train_checkpoint(
                 config,
                 seed,
                 device,
-                report=bars.losses("training"),
+                report=bars.losses("training", report),
                 collides_beyond_tips=hand.collides_beyond_tips,
                 **extra,
             )
@@ -240,10 +244,17 @@ class _Bars:
         """A callback (done, total)."""
         return self._updater(name, lambda _values: "")
 
-    def losses(self, name: str) -> Callable[[int, int, dict], None]:
-        """A callback (done, total, losses)."""
+    def losses(self, name: str, also: Report | None) -> Report:
+        """A callback that shows losses, and tells `also`."""
         shown = ("direction", "matching", "coverage", "pinch", "collision")
-        return self._updater(name, lambda v: "  ".join(f"{key} {v[key]:.3f}" for key in shown if key in v))
+        update = self._updater(name, lambda v: "  ".join(f"{key} {v[key]:.3f}" for key in shown if key in v))
+
+        def report(step: int, steps: int, losses: dict[str, float], network: nn.Module) -> None:
+            update(step, steps, losses)
+            if also is not None:
+                also(step, steps, losses, network)
+
+        return report
 
     @contextlib.contextmanager
     def spinner(self, name: str):

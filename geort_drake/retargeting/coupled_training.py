@@ -88,7 +88,7 @@ def train_coupled(
         config: a `CoupledConfig`; the defaults are meant for all recordings.
         seed: fixes the initial weights and every draw.
         device: "cpu" or "cuda".
-        report: called as report(step, steps, row of losses) about a hundred times.
+        report: see `Report`.
         collides_beyond_tips: not used, as collisions come from `shapes`.
         shapes: the hand's collision geometry; without it collisions are not avoided.
 

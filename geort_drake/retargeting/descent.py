@@ -14,8 +14,8 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from geort_drake.errors import TrainingError, UnknownNameError
 
-# Called as report(step, steps, row of losses) about a hundred times.
-Report = Callable[[int, int, dict[str, float]], None]
+# Called as report(steps done, steps, row of losses, network as it is now) about a hundred times.
+Report = Callable[[int, int, dict[str, float], nn.Module], None]
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def descend(
             values["seconds"] = round(time.perf_counter() - started, 3)
             history.append(values)
             if report is not None:
-                report(step + 1, steps, values)
+                report(step + 1, steps, values, network)
     # The last step's weights were in no loss yet.
     if stopped_at is None and not all(torch.isfinite(p).all() for p in network.parameters()):
         stopped_at = steps

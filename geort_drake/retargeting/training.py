@@ -152,7 +152,7 @@ def train_geort(
         config: settings; the defaults are meant for all recordings.
         seed: fixes the initial weights and every draw.
         device: "cpu" or "cuda".
-        report: called as report(step, steps, row of losses) about a hundred times.
+        report: see `Report`.
         collides_beyond_tips: labels joint angles (N, n) as colliding (N,). With it the classifier
             also learns from the retargeter's own outputs, from time to time; it is frozen otherwise.
 

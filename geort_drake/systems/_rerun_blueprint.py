@@ -81,11 +81,15 @@ def blueprint(layout: rrb.Container | rrb.View, timeline: str = TIMELINE, rate: 
 
 
 def scene_view(
-    eye: Sequence[float] | np.ndarray, target: Sequence[float] | np.ndarray, name: str = "scene"
+    eye: Sequence[float] | np.ndarray,
+    target: Sequence[float] | np.ndarray,
+    name: str = "scene",
+    contents: Sequence[str] = ("$origin/**",),
 ) -> rrb.Spatial3DView:
-    """The world, with a grid on the ground; `eye` looks at `target`, m, in W."""
+    """The world, or `contents` of it, with a grid on the ground; `eye` looks at `target`, m, in W."""
     return rrb.Spatial3DView(
         origin=f"/{WORLD}",
+        contents=list(contents),
         name=name,
         background=_BACKGROUND,
         eye_controls=rrb.EyeControls3D(
