@@ -21,12 +21,14 @@ from geort_drake.systems._rerun_scene import Scene
 from geort_drake.systems._rerun_tracks import PoseTrack, SignalTrack, StateTrack
 
 JOINTS = ["thumb/j0", "thumb/j1", "index/j2"]
+ARM = ["shoulder", "elbow"]
 FRAMES = {"cube-0": 30, "cube-1": 20}
 PERIOD = 0.02
 
 
 def command(t):
-    return np.array([np.sin(t), 0.1 * t, -0.3])
+    """Of the hand's joints, then of the arm's."""
+    return np.array([np.sin(t), 0.1 * t, -0.3, np.cos(t), 0.5])
 
 
 def pose(body, t):
@@ -53,6 +55,8 @@ def run(tmp_path):
             PoseTrack(scene),
             SignalTrack("joints/command", JOINTS, "command", True),
             SignalTrack("joints/measured", JOINTS, "measured", False),
+            SignalTrack("arm/command", ARM, "command", True),
+            SignalTrack("arm/measured", ARM, "measured", False),
             StateTrack("grasp", {0: "reach", 1: "hold"}),
         ]
         file = RerunFile(
@@ -61,7 +65,8 @@ def run(tmp_path):
         )  # fmt: skip
         for t in PERIOD * np.arange(frames):
             q = command(t)
-            file.append(t, [np.stack([pose(0, t), pose(1, t)]), q, q - 0.1, float(t > 0.1)])
+            parts = [part for asked in (q[:3], q[3:]) for part in (asked, asked - 0.1)]
+            file.append(t, [np.stack([pose(0, t), pose(1, t)]), *parts, float(t > 0.1)])
         file.close()
         glove(frames * PERIOD).save(folder / f"{name}.glove.npz")
         trials.append({"object": "cube", "seed": number, "success": number == 0, "outcome": "success",
@@ -76,7 +81,8 @@ def test_a_trial_is_read_as_it_was_recorded(run):
     first, second = read_episodes(run)
     t = PERIOD * np.arange(30)
     np.testing.assert_allclose(first.t, t, atol=1e-9)
-    assert first.command_names == [f"joints.command.{name.replace('/', '.')}" for name in JOINTS]
+    joints = [f"joints.command.{name.replace('/', '.')}" for name in JOINTS]
+    assert first.command_names == [*joints, *(f"arm.command.{name}" for name in ARM)]
     for i, name in enumerate(first.command_names):
         np.testing.assert_allclose(first.signals[name], [command(time)[i] for time in t], atol=1e-9)
     for asked, done in zip(first.command_names, first.measured_names, strict=True):
@@ -107,6 +113,7 @@ def test_parquet_holds_the_run(run, tmp_path):
     row = next(row for row in frames if row["episode"] == "cube-0" and row["t"] == pytest.approx(0.4))
     assert row["joints.command.thumb.j1"] == pytest.approx(0.04)
     assert row["joints.measured.thumb.j1"] == pytest.approx(-0.06)
+    assert (row["arm.command.elbow"], row["arm.measured.elbow"]) == (pytest.approx(0.5), pytest.approx(0.4))
     assert row["state.grasp"] == "hold"
     assert row["pose.cube.cube"][4:] == pytest.approx([0.1, 0.0, 0.4])
     recorded = Recording.load(run / "cube-0.glove.npz")

@@ -17,6 +17,7 @@ from geort_drake.simulation.diagram import make_grasp_diagram
 from geort_drake.simulation.trial import TrialResult, _result, run_trial
 from geort_drake.systems.grasp_monitor import GraspOutcome, GraspPhase
 
+KINDS = ("command", "measured")
 # A shorter hold than a benchmark's, to save time.
 TEXT = "{monitor: {hold_time: 0.5}, timeout: 15.0}"
 
@@ -184,6 +185,30 @@ def test_a_rerun_file_is_written_and_whole_when_asked_for(tmp_path):
     without, glove_without = run_trial(scenario, HoldPose(), still_hand())
     assert dc.replace(without, wall_time=result.wall_time) == result
     assert glove_without.digest == glove.digest
+
+
+def test_the_recording_says_what_hand_and_arm_were_asked_for_and_did(tmp_path):
+    """All joints of both; the arm is asked to go where the wrist goes, and follows a little later."""
+    # Only here, as a test below runs without Rerun.
+    from geort_drake.export._rerun_trial import read_trial
+
+    hand = still_hand()
+    X_WH = hand.X_WH + np.outer(hand.t, [0, 0, 0, 0, 0.2, 0, 0])
+    scenario = scenario_with("cylinder", "{timeout: 0.6}")
+    run_trial(scenario, HoldPose(), dc.replace(hand, X_WH=X_WH), tmp_path / "trial.rrd")
+    trial = read_trial(tmp_path / "trial.rrd")
+    posture = scenario.arm_posture
+    arm = [np.stack([trial.signals[f"arm.{kind}.{joint}"] for joint in posture]) for kind in KINDS]
+    for angles in arm:
+        np.testing.assert_allclose(angles[:, 0], list(posture.values()), atol=1e-3)
+    asked, done = arm
+    assert np.abs(asked[:, -1] - asked[:, 0]).max() > 0.05
+    # Where it is, it was asked to be not long ago.
+    assert np.abs(done[:, -1] - asked[:, -1]).max() < 0.05
+    assert np.abs(done[:, -1] - done[:, 0]).max() > 0.03
+    for kind in KINDS:
+        names = {name.rpartition(".")[2] for name in trial.signals if name.startswith(f"joints.{kind}.")}
+        assert names == set(allegro().joint_names)
 
 
 def test_nothing_is_written_and_rerun_not_loaded_unless_asked_for(tmp_path):

@@ -261,6 +261,7 @@ def make_grasp_diagram(
             source,
             hand_source,
             correction,
+            wrist_to_arm,
             # The person's hand is drawn beside the robot's, towards the camera.
             RigidTransform(X_WB_start.translation() + [-0.05, -0.42, -0.10]),
             dict(properties or {}),

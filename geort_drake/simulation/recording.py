@@ -6,14 +6,15 @@ from collections.abc import Mapping
 from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.multibody.tree import ModelInstanceIndex
+from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Demultiplexer
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.links import finger_links
 from geort_drake.operators.behavior import Phase
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.world import HAND, actuated_state
+from geort_drake.simulation.world import ARM, HAND, actuated_state
 from geort_drake.systems.grasp_monitor import GraspMonitor, GraspPhase
 from geort_drake.systems.rerun_recorder import (
     ContactSpec,
@@ -37,6 +38,7 @@ def add_grasp_recorder(
     source: LeafSystem,
     hand_source: LeafSystem,
     correction: LeafSystem,
+    wrist_to_arm: Diagram,
     X_WHand: RigidTransform,
     properties: Mapping[str, str | int | float | bool],
 ) -> RerunRecorder:
@@ -46,25 +48,22 @@ def add_grasp_recorder(
         source: the operator or the replay.
         hand_source: where the keypoints and the wrist of the hand are that is drawn.
         correction: the system whose output the hand is asked for.
+        wrist_to_arm: the system whose output the arm is asked for.
         X_WHand: where the tracker's frame stands in W, to draw the human hand beside the robot's.
     """
-    hand = plant.GetModelInstanceByName(HAND)
-    actuated = [plant.get_joint_actuator(i).joint().name() for i in plant.GetJointActuatorIndices(hand)]
+    arm, hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
     finger_of = {joint: finger.name for finger in description.fingers for joint in finger.joints}
-    names = [f"{finger_of[joint]}/{joint}" for joint in actuated]
-    # Positions and velocities share a port; only the positions are plotted.
-    n = len(actuated)
-    halves = {}
-    for key, port in (
-        ("command", correction.get_output_port()),
-        ("measured", actuated_state(builder, plant, hand)),
-    ):
-        halves[key] = builder.AddNamedSystem(f"{key}_positions", Demultiplexer([n, n]))
-        builder.Connect(port, halves[key].get_input_port())
-    signals = {
-        "joints/command": SignalSpec(halves["command"].get_output_port(0), names, "command", faint=True),
-        "joints/measured": SignalSpec(halves["measured"].get_output_port(0), names, "measured"),
-    }
+    of_arm = _actuated(plant, arm)
+    of_hand = [f"{finger_of[joint]}/{joint}" for joint in _actuated(plant, hand)]
+    asked_hand, asked_arm = correction.get_output_port(), wrist_to_arm.GetOutputPort("arm_desired_state")
+    signals = {}
+    for key, names, asked, model in (("joints", of_hand, asked_hand, hand), ("arm", of_arm, asked_arm, arm)):
+        for label, state in (("command", asked), ("measured", actuated_state(builder, plant, model))):
+            # Positions and velocities share a port; only the positions are recorded.
+            halves = builder.AddNamedSystem(f"{key}_{label}", Demultiplexer([len(names)] * 2))
+            builder.Connect(state, halves.get_input_port())
+            port = halves.get_output_port(0)
+            signals[f"{key}/{label}"] = SignalSpec(port, names, label, faint=label == "command")
     states = {"grasp": StateSpec(monitor.GetOutputPort("phase"), [p.name.lower() for p in GraspPhase])}
     if isinstance(source, SimulatedOperator):
         states["operator"] = StateSpec(source.GetOutputPort("phase"), [p.name.lower() for p in Phase])
@@ -88,3 +87,7 @@ def add_grasp_recorder(
         states=states,
         properties=properties,
     )
+
+
+def _actuated(plant: MultibodyPlant, model: ModelInstanceIndex) -> list[str]:
+    return [plant.get_joint_actuator(index).joint().name() for index in plant.GetJointActuatorIndices(model)]

@@ -160,7 +160,8 @@ class Recording:
         plots: dict[str, list[str]] = {}
         for track in self._of(SignalTrack):
             for group in track.groups:
-                plots.setdefault(group or track.key.rsplit("/", 1)[-1], []).append(track.path(group))
+                # What was asked for and what was measured share a plot.
+                plots.setdefault(group or track.key.partition("/")[0], []).append(track.path(group))
         # Fingers in their usual order, whatever the order of the joints; the rest after them.
         first = [name for name in FINGER_NAMES if name in plots]
         plots = {name: plots[name] for name in [*first, *(n for n in plots if n not in first)]}
