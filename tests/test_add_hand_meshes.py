@@ -10,6 +10,7 @@ from pydrake.geometry import Role
 from scipy.spatial import ConvexHull
 
 from geort_drake.errors import HandError
+from geort_drake.hands.clearance import HandClearance
 from geort_drake.hands.meshes import convert_meshes, unreadable_meshes
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.proposal import propose
@@ -95,6 +96,21 @@ def test_a_mesh_becomes_its_hull_in_its_place(kind, name, tmp_path):
     points = inspector.GetPoseInFrame(geometry) @ surface_points(inspector, geometry).T
     np.testing.assert_allclose(points.min(axis=1), CORNERS.min(axis=0), atol=1e-6)
     np.testing.assert_allclose(points.max(axis=1), CORNERS.max(axis=0), atol=1e-6)
+
+
+def test_the_guard_takes_a_mesh_for_the_box_around_it(tmp_path, rng):
+    """This mesh is a box, so all gaps are those of the same hand with a box, but for rounding."""
+    plain = HandModel(propose(write_hand(tmp_path, HandSpec(4, "urdf", mimic=False))).description)
+    model = convert_meshes(_with_mesh(tmp_path, "urdf", "palm.stl"), tmp_path / "copy")
+    meshed = HandModel(propose(model).description)
+    ours, wanted = HandClearance(meshed), HandClearance(plain)
+    palm = [set(ours.links(row)) for row in range(len(ours.pairs))]
+    assert palm == [set(wanted.links(row)) for row in range(len(wanted.pairs))]
+    for q in rng.uniform(plain.lower, plain.upper, (5, len(plain.lower))):
+        near, box = ours.near(q, 0.2, 0.2), wanted.near(q, 0.2, 0.2)
+        assert any("palm" in palm[row] for row in near.rows)
+        np.testing.assert_array_equal(near.rows, box.rows)
+        np.testing.assert_allclose(near.gap, box.gap, atol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -184,11 +184,13 @@ def test_the_guard_answers_nonsense_with_its_last_positions():
 
 
 def test_the_guard_refuses_a_start_that_is_not_clear():
-    """The message says how much is missing."""
+    """The message says how much is missing, and where."""
     hand = allegro()
     q = np.clip(np.full(16, 1.4), hand.lower, hand.upper)
     assert clearance().near(q, CLEARANCE, CLEARANCE) is not None
-    with pytest.raises(HandError, match=r"must start with 2 mm between its parts; .* it has -?\d+\.\d mm"):
+    with pytest.raises(
+        HandError, match=r"must start with 2 mm between its parts; .* it has -?\d+\.\d mm between 'link_"
+    ):
         SelfCollisionGuard(
             hand, hand.joint_names, dict(zip(hand.joint_names, q, strict=True)),
             limits_of(hand, hand.joint_names),

@@ -1,10 +1,10 @@
 """How far apart the parts of a hand are, one configuration at a time, fast enough for a control loop.
 
 Every collision geometry is a box, a disc and a sphere added up (Minkowski), which describes boxes,
-cylinders, capsules and spheres exactly. Two of them are apart by at least the largest separation found over
-some axes (the separating-axis theorem: Gottschalk et al. 1996, "OBBTree"): the boxes' face normals, their
-edge products, and the directions from each to the other's centre. So a gap given here is never more than
-the true distance; where a round side faces an edge it may be less.
+cylinders, capsules and spheres exactly; a mesh is the box around its convex hull. Two of them are apart by
+at least the largest separation found over some axes (the separating-axis theorem: Gottschalk et al. 1996,
+"OBBTree"): the boxes' face normals, their edge products, and the directions from each to the other's centre.
+So a gap given here is never more than the true distance; where a round side faces an edge it may be less.
 
 `retargeting.collision_geometry` shares no table with this: it takes rounded shapes for boxes of their volume,
 where a bound must hold here, and works on float32 batches of few pairs, where one pose must be quick here.
@@ -13,7 +13,8 @@ where a bound must hold here, and works on float32 batches of few pairs, where o
 from dataclasses import dataclass
 
 import numpy as np
-from pydrake.geometry import Box, Capsule, Cylinder, GeometryId, Role, Sphere
+from pydrake.geometry import Box, CalcObb, Capsule, Convex, Cylinder, GeometryId, Mesh, Role, Sphere
+from pydrake.math import RigidTransform
 from pydrake.multibody.tree import RevoluteJoint
 
 from geort_drake.errors import HandError
@@ -48,7 +49,7 @@ class HandClearance:
     ranges: what lies so close along a finger was built so, and is kept apart by the joint limits.
 
     Raises:
-        HandError: the hand has collision geometry of another kind than box, sphere, cylinder or capsule.
+        HandError: the hand has collision geometry other than boxes, spheres, cylinders, capsules and meshes.
     """
 
     def __init__(self, hand: HandModel):
@@ -70,6 +71,10 @@ class HandClearance:
     def pairs(self) -> list[tuple[GeometryId, GeometryId]]:
         """The pairs of collision geometries that are looked at."""
         return [(self._ids[i], self._ids[j]) for i, j in zip(self._a, self._b, strict=True)]
+
+    def links(self, row: int) -> tuple[str, str]:
+        """Names of the links that the geometries of a pair belong to."""
+        return self._links[self._a[row]], self._links[self._b[row]]
 
     def near(self, q: np.ndarray, clearance: float, within: float) -> Near | None:
         """The pairs with a gap below `within` at joint positions q (n,), rad; lengths in m.
@@ -151,16 +156,19 @@ class HandClearance:
         scenery = set(plant.GetCollisionGeometriesForBody(plant.world_body()))
         ids = set(inspector.GetAllGeometryIds(Role.kProximity)) - scenery
         self._ids: list[GeometryId] = sorted(ids, key=lambda geometry: geometry.get_value())
-        X_JS, mover = [], []
+        X_JS, mover, sizes = [], [], []
+        self._links: list[str] = []
         for geometry in self._ids:
             body = plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
+            self._links.append(body.name())
             mover.append(self._mover(body, self._names))
-            X_BS = plant.EvalBodyPoseInWorld(context, body) @ inspector.GetPoseInFrame(geometry)
+            X_GS, *size = _summands(inspector.GetShape(geometry), inspector.GetName(geometry))
+            sizes.append(size)
+            X_BS = plant.EvalBodyPoseInWorld(context, body) @ inspector.GetPoseInFrame(geometry) @ X_GS
             if mover[-1] >= 0:
                 joint = plant.GetJointByName(self._names[mover[-1]])
                 X_BS = joint.frame_on_child().CalcPoseInWorld(context).inverse() @ X_BS
             X_JS.append(X_BS.GetAsMatrix4())
-        sizes = [_size(inspector.GetShape(id), inspector.GetName(id)) for id in self._ids]
         self._X_JS, self._half = np.array(X_JS), np.array([half for half, _, _ in sizes])
         self._disc, self._radius = np.array([s[1] for s in sizes]), np.array([s[2] for s in sizes])
         self._frame = np.array([self._place[j] if j >= 0 else n for j in mover])
@@ -283,18 +291,22 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[:, up] * b[:, down] - a[:, down] * b[:, up]
 
 
-def _size(shape, name: str) -> tuple[tuple[float, float, float], float, float]:
-    """Half edges of the box, radius of the disc about z and radius of the sphere that add up to a shape."""
+def _summands(shape, name: str) -> tuple[RigidTransform, tuple[float, float, float], float, float]:
+    """Pose in the geometry's frame, half edges of the box, radii of the disc about z and of the sphere."""
+    X_GS = RigidTransform()
     if isinstance(shape, Box):
         x, y, z = 0.5 * shape.size()
-        return (x, y, z), 0.0, 0.0
+        return X_GS, (x, y, z), 0.0, 0.0
     if isinstance(shape, Sphere):
-        return (0.0, 0.0, 0.0), 0.0, shape.radius()
+        return X_GS, (0.0, 0.0, 0.0), 0.0, shape.radius()
     if isinstance(shape, Cylinder):
-        return (0.0, 0.0, 0.5 * shape.length()), shape.radius(), 0.0
+        return X_GS, (0.0, 0.0, 0.5 * shape.length()), shape.radius(), 0.0
     if isinstance(shape, Capsule):
-        return (0.0, 0.0, 0.5 * shape.length()), 0.0, shape.radius()
+        return X_GS, (0.0, 0.0, 0.5 * shape.length()), 0.0, shape.radius()
+    if isinstance(shape, Convex | Mesh):
+        box = CalcObb(shape)
+        return box.pose(), tuple(box.half_width()), 0.0, 0.0
     raise HandError(
         f"collision geometry '{name}' is a {type(shape).__name__}; "
-        "choose one of: box, sphere, cylinder, capsule"
+        "choose one of: box, sphere, cylinder, capsule, mesh"
     )

@@ -64,9 +64,13 @@ class SelfCollisionGuard(PeriodicCorrection):
         self._to_plant = np.argsort(self._to_hand)
         self._hand_clearance, self._clearance = HandClearance(hand), clearance
         if (near := self._near(self._q_start)) is not None:
+            closest = int(near.gap.argmin())
+            first, second = self._hand_clearance.links(near.rows[closest])
             raise HandError(
                 f"the hand must start with {1e3 * clearance:g} mm between its parts; at the initial "
-                f"positions it has {1e3 * near.gap.min():.1f} mm"
+                f"positions it has {1e3 * near.gap[closest]:.1f} mm between '{first}' and '{second}' (a mesh "
+                "counts as the box around its hull); in the hand's description, change default_positions or "
+                "list the two under ignored_collisions"
             )
 
     def guarded(self, wanted: np.ndarray, clear: np.ndarray) -> np.ndarray:
