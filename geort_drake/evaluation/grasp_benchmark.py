@@ -7,24 +7,22 @@ FOLDER/trials.jsonl    one line per finished trial
 FOLDER/errors/         the traceback of each trial that raised
 """
 
-import contextlib
 import dataclasses as dc
-import functools
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
-from joblib import Parallel, delayed, parallel_config, register_parallel_backend
+from joblib import delayed
 
 import geort_drake
-from geort_drake.errors import BenchmarkError, GeortError
+from geort_drake.errors import BenchmarkError
 from geort_drake.evaluation.grasp_methods import Method, make_retargeter, measure_latency, names_of
 from geort_drake.evaluation.grasp_trial import plan, simulate
 from geort_drake.evaluation.trial_log import TrialKey, key_of
 from geort_drake.evaluation.versions import versions
+from geort_drake.evaluation.workers import workers
 from geort_drake.files import digest_of, write_text
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.recording import Recording
@@ -41,7 +39,6 @@ CONFIG, SCENARIO, TRIALS, METHODS, ERRORS = (
     "methods",
     "errors",
 )
-BACKENDS = ("loky", "ray")
 # What a trial runs through; reports and metrics may change without it.
 _SOURCES = ("gloves", "hands", "operators", "retargeting", "simulation", "systems")
 _CONFIG_TYPES = {"settings": dict, "objects": list, "methods": dict, "trials": int, "notes": dict}
@@ -243,34 +240,3 @@ def _changes(nominal: dict, changed: dict) -> dict:
         for name, value in changed.items()
         if value != nominal.get(name)
     }
-
-
-@contextlib.contextmanager
-def workers(jobs: int, backend: str) -> Iterator[Callable[..., Parallel]]:
-    """Yields what makes a `Parallel` of so many workers, called with joblib's `return_as`."""
-    options: dict = {"inner_max_num_threads": 1}
-    if backend == "ray":
-        options = {}
-        _register_ray()
-    try:
-        with parallel_config(backend=backend, n_jobs=jobs, **options):
-            # Trials are long and their arguments small: one at a time, and none mapped into files.
-            yield functools.partial(Parallel, batch_size=1, max_nbytes=None)
-    except BrokenExecutor as error:
-        raise BenchmarkError(
-            "a worker process ended, perhaps for want of memory; finished trials are kept: "
-            "run the same command again, with fewer --jobs perhaps"
-        ) from error
-
-
-def _register_ray() -> None:
-    try:
-        from ray.util.joblib.ray_backend import RayBackend
-    except ImportError as error:
-        raise GeortError("the backend 'ray' needs Ray: pip install 'geort-drake[ray]'") from error
-
-    class Backend(RayBackend):
-        # Inherited is what holds for pools of processes; Ray's pool gives results as they come.
-        supports_return_generator = True
-
-    register_parallel_backend("ray", Backend)

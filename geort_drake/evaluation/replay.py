@@ -19,12 +19,13 @@ import yaml
 from joblib import delayed
 
 from geort_drake.errors import BenchmarkError, ScenarioError, UnknownNameError
-from geort_drake.evaluation.grasp_benchmark import CONFIG, TRIALS, require_same, simulation_settings, workers
+from geort_drake.evaluation.grasp_benchmark import CONFIG, TRIALS, require_same, simulation_settings
 from geort_drake.evaluation.grasp_plots import success_panels
 from geort_drake.evaluation.grasp_statistics import Record, proportion
 from geort_drake.evaluation.grasp_trial import simulate
 from geort_drake.evaluation.sensitivity import condition_name
 from geort_drake.evaluation.trial_log import TrialKey, read_records
+from geort_drake.evaluation.workers import workers
 from geort_drake.files import sha256_of, write_text
 from geort_drake.gloves.readers import read_recording
 from geort_drake.gloves.recording import Recording
@@ -153,9 +154,9 @@ class Replay:
         if path.is_file():
             try:
                 stored = json.loads(path.read_text(encoding="utf-8"))
-                sessions = stored["sessions"]
+                sessions = dict(stored["sessions"])
                 require_same(path, stored["settings"], wanted["settings"])
-            except (ValueError, KeyError, TypeError) as error:
+            except (ValueError, KeyError, TypeError, RecursionError) as error:
                 raise BenchmarkError(f"{path}: not a replay's configuration: {error}") from error
             for name in sessions.keys() & wanted["sessions"].keys():
                 require_same(path, sessions[name], wanted["sessions"][name], f"{name}.")

@@ -13,11 +13,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from joblib import Parallel, delayed, parallel_config
+from joblib import delayed
 
 from geort_drake.errors import CheckpointError, GeortError, OutputError
 from geort_drake.evaluation.checkpoint_cache import TRAINING_CODE
 from geort_drake.evaluation.pipeline import train_checkpoint, training_config
+from geort_drake.evaluation.workers import workers
 from geort_drake.files import digest_of, require_writable, write_text
 from geort_drake.gloves.readers import read_recording
 from geort_drake.hands.description import load_hand
@@ -162,10 +163,9 @@ class Sweep:
         `sweep.json` is written at the beginning and whenever a run ends.
         """
         self._write()
-        with parallel_config("loky", inner_max_num_threads=1):
-            for record in Parallel(n_jobs=jobs, return_as="generator_unordered")(
-                delayed(_trained)(run, self.ground, self.folder) for run in self.missing
-            ):
+        tasks = (delayed(_trained)(run, self.ground, self.folder) for run in self.missing)
+        with workers(jobs) as parallel:
+            for record in parallel(return_as="generator_unordered")(tasks):
                 self.records[record["name"]] = record
                 self._write()
                 yield record
@@ -186,7 +186,7 @@ def read_sweep(folder: Path) -> dict:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         content["runs"], content["ground"]["recording_sha256"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise OutputError(f"{path}: is not the table of a sweep: {error}") from error
     return content
 

@@ -102,7 +102,7 @@ def read_episodes(path: str | os.PathLike) -> Iterator[Episode]:
         trials = json.loads(results.read_text(encoding="utf-8"))["trials"]
         names = [f"{trial['object']}-{trial['seed']}" for trial in trials]
         robot = yaml.safe_load((folder / SCENARIO).read_text(encoding="utf-8"))["Resolved"]["hand"]
-    except (ValueError, KeyError, TypeError, OSError, yaml.YAMLError) as error:
+    except (ValueError, KeyError, TypeError, OSError, RecursionError, yaml.YAMLError) as error:
         raise RecordingError(f"{folder}: not the results of simulate_grasp.py: {error}") from error
     if not names:
         raise RecordingError(f"{results}: the run has no trials")

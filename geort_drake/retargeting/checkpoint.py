@@ -259,4 +259,4 @@ def _write_json(path: Path, content: Mapping) -> None:
 
 
 def _listed(value) -> str:
-    return value if isinstance(value, str) else ", ".join(value)
+    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)

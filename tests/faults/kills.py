@@ -17,6 +17,8 @@ import numpy as np
 from faults.child import Child, Ending, run
 from faults.works import WORKS, Work
 
+NOTICED = 30.0  # s after which a killed program's worker must have ended, also on a busy machine
+
 
 @dc.dataclass(frozen=True)
 class Reference:
@@ -55,7 +57,7 @@ def kill(work: Work, known: Reference, folder: Path, rng: np.random.Generator, b
         by_clock: at a time; otherwise at a moment between two things that it does to files.
 
     Returns:
-        What is wrong; nothing, where no result was lost, half, or made twice.
+        What is wrong; nothing, where no result was lost, half, or made twice, and no process left over.
     """
     room = folder / "room"
     shutil.copytree(known.folder, room)
@@ -69,6 +71,7 @@ def kill(work: Work, known: Reference, folder: Path, rng: np.random.Generator, b
         if ending.code != -signal.SIGKILL:
             return [f"was not killed at event {at}: {ending}"]
     wrong, left = _looked_at(work, known, room)
+    wrong += [f"process {process} was left over" for process in _left_over(room)]
     ending = run(_work, (work.name, 0, None), room, folder / "beside")
     if ending.code != 0:
         return [*wrong, f"did not go on: {ending}"]
@@ -116,6 +119,23 @@ def _looked_at(work: Work, known: Reference, room: Path) -> tuple[list[str], dic
             wrong.append(f"{name} is neither the earlier nor the later one")
     wrong += [f"{name} was lost" for name in known.earlier if name not in left]
     return wrong, left
+
+
+def _left_over(room: Path) -> list[str]:
+    """Processes that are still in a folder after a time in which they should have noticed."""
+    deadline = time.monotonic() + NOTICED
+    while processes := [path.name for path in Path("/proc").glob("[0-9]*") if _is_in(path, room)]:
+        if time.monotonic() > deadline:
+            return processes
+        time.sleep(0.1)
+    return []
+
+
+def _is_in(process: Path, room: Path) -> bool:
+    try:
+        return Path(os.readlink(process / "cwd")) == room.resolve()
+    except OSError:  # it has ended, or is another user's
+        return False
 
 
 def _work(name: str, seed: int, die_at: int | None) -> object:

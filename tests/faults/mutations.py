@@ -1,21 +1,22 @@
-"""Sound files that are changed at random: a reader takes them or refuses them by name, and nothing else."""
+"""Sound inputs that are changed at random: a reader takes them or refuses them by name, and nothing else."""
 
 import copy
 import json
+import os
 import pickle
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from glove_files import WRITERS, moving
+import yaml
 
 from faults.child import run
-from faults.sound import checkpoint
+from faults.readers import Reader, sound_inputs
 from geort_drake.errors import GeortError
-from geort_drake.gloves.health import examine
-from geort_drake.gloves.readers import open_recording
-from geort_drake.retargeting.retargeter import load_retargeter
+
+BATCH = 250  # inputs that a process reads before the next one takes over
 
 VALUES: tuple[Any, ...] = (
     None, True, -1, 0, 3, 10**400, 1e308, float("nan"), float("inf"), "", "right", "\0", [], {}, [[]], [None],
@@ -31,7 +32,10 @@ ARRAYS: tuple[Any, ...] = (
 
 def mutate(path: Path, rng: np.random.Generator) -> None:
     """Changes a file: its bytes, or, half of the times where that can be, what is in it."""
-    within = {".json": _mutate_json, ".npz": _mutate_arrays, ".npy": _mutate_array, ".pkl": _mutate_pickle}
+    within = {
+        ".json": _mutate_json, ".jsonl": _mutate_lines, ".yaml": _mutate_yaml, ".npz": _mutate_arrays,
+        ".npy": _mutate_array, ".pkl": _mutate_pickle,
+    }  # fmt: skip
     if path.suffix in within and rng.random() < 0.5:
         within[path.suffix](path, rng)
     else:
@@ -80,75 +84,78 @@ def changed(value: Any, rng: np.random.Generator) -> Any:
     return value
 
 
-def read(path: Path) -> None:
-    """Reads a recording and examines it; what is taken must be one."""
-    try:
-        recording, _ = examine(open_recording(path)[0])
-    except GeortError:
-        return
-    count = len(recording.t)
-    if recording.p_HK.shape != (count, 21, 3) or recording.valid.shape != (count,):
-        raise AssertionError(f"{path}: was read into arrays of wrong shapes")
+def fuzz(count: int, seed: int, folder: Path, report: Callable[[int, int], None] | None = None) -> dict:
+    """Changes sound inputs of every kind, `count` times in all, and reads them.
 
-
-def fuzz(count: int, seed: int, folder: Path) -> dict:
-    """Changes sound files of every format, and checkpoints, `count` times in all, and reads them.
+    Args:
+        report: called with how many were read, and of how many.
 
     Returns:
-        files tried, and what failed: anything but a recording, a retargeter or an error of ours.
+        inputs tried of each kind, and what failed: whatever is not read, nor refused by an error of ours, or
+        writes something, or hangs, or ends the process.
     """
-    folder.mkdir(parents=True)
-    ending = run(_fuzz, (count, seed, folder / "files"), folder, folder / "beside")
-    if ending.code != 0:
-        return {"files": count, "failures": [f"the process ended with {ending.code}: {ending.said[-1000:]}"]}
-    return json.loads((folder / "files" / "result.json").read_text())
-
-
-def _fuzz(count: int, seed: int, folder: Path) -> None:
-    rng = np.random.default_rng(seed)
-    hand, sound = moving(), {}
-    for name, write in WRITERS.items():
-        (folder / name).mkdir(parents=True)
-        path = write(folder / name, hand)
-        # Of HO-3D's folder of pickles, one.
-        sound[name] = path if path.is_file() else sorted(path.iterdir())[3]
-    (folder / "checkpoint").mkdir()
-    stored = checkpoint(folder / "checkpoint")
-    parts = [stored / name for name in ("weights.safetensors", "config.json", "hand.json")]
-    names = [*sound, *(path.name for path in parts)]
-    paths = [*sound.values(), *parts]
-    contents = [path.read_bytes() for path in paths]
+    inputs, beside = folder / "inputs", folder / "beside"
+    inputs.mkdir(parents=True)
+    readers = sound_inputs(inputs)
     tried: Counter[str] = Counter()
-    failures = []
-    for number in range(count):
-        which = number % len(paths)
-        path = paths[which]
-        mutate(path, rng)
-        try:
-            if path in parts:
-                _load(stored)
-            else:
-                read(path.parent if path.parent.name == "meta" else path)
-        except Exception as error:
-            failures.append(f"{names[which]}, file {number}: {type(error).__name__}: {error}")
-        finally:
-            path.write_bytes(contents[which])
-        tried[names[which]] += 1
-    result = {"files": count, "tried": dict(tried), "failures": failures}
-    (folder / "result.json").write_text(json.dumps(result))
+    failures: list[str] = []
+    for start in range(0, count, BATCH):
+        numbers = range(start, min(start + BATCH, count))
+        sound = [reader.path.read_bytes() for reader in readers]
+        ending = run(_fuzz, (readers, numbers, seed, folder), inputs, beside)
+        number = int((folder / "number.txt").read_text())
+        if ending.code != 0:
+            failures.append(f"the process ended with {ending.code} at input {number}: {ending.said[-1000:]}")
+            for reader, content in zip(readers, sound, strict=True):
+                reader.path.write_bytes(content)
+        failures += (folder / "failures.txt").read_text().splitlines()
+        tried += Counter(readers[n % len(readers)].name for n in range(start, number + 1))
+        if report:
+            report(numbers.stop, count)
+    return {"inputs": tried.total(), "tried": dict(tried), "failures": failures}
 
 
-def _load(path: Path) -> None:
+def _fuzz(readers: list[Reader], numbers: range, seed: int, folder: Path) -> None:
+    there = set(Path().rglob("*"))
+    with open(folder / "number.txt", "w") as at, open(folder / "failures.txt", "w", buffering=1) as failures:
+        for number in numbers:
+            reader = readers[number % len(readers)]
+            content = reader.path.read_bytes()
+            # Each number's change can be made again without those before it.
+            mutate(reader.path, np.random.default_rng([seed, number]))
+            os.pwrite(at.fileno(), str(number).encode(), 0)
+            try:
+                if wrong := wrong_with(reader):
+                    print(f"{reader.name}, input {number}: {wrong}", file=failures)
+            finally:
+                reader.path.write_bytes(content)
+            if written := set(Path().rglob("*")) - there:
+                print(f"{reader.name}, input {number}: wrote {sorted(map(str, written))}", file=failures)
+                there |= written
+
+
+def wrong_with(reader: Reader) -> str:
+    """What a reader does to its input beyond reading it or refusing it by name; empty, where nothing."""
     try:
-        q = load_retargeter(path)(np.zeros((21, 3)))
+        reader.read(reader.path)
     except GeortError:
-        return
-    if not np.isfinite(q).all():
-        raise AssertionError("a retargeter was loaded that gives what is not finite")
+        pass
+    except Exception as error:
+        return f"{type(error).__name__}: {error!r:.300}"
+    return ""
 
 
 def _mutate_json(path: Path, rng: np.random.Generator) -> None:
     path.write_text(json.dumps(changed(json.loads(path.read_text()), rng)))
+
+
+def _mutate_lines(path: Path, rng: np.random.Generator) -> None:
+    lines = changed([json.loads(line) for line in path.read_text().splitlines()], rng)
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+
+
+def _mutate_yaml(path: Path, rng: np.random.Generator) -> None:
+    path.write_text(yaml.safe_dump(changed(yaml.safe_load(path.read_text()), rng)))
 
 
 def _mutate_arrays(path: Path, rng: np.random.Generator) -> None:

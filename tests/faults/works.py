@@ -1,6 +1,7 @@
 """Programs that write results: what they run, and what is to be found of it."""
 
 import dataclasses as dc
+import functools
 import hashlib
 import json
 from collections import Counter
@@ -9,6 +10,7 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
+from joblib.externals.loky import get_reusable_executor
 from pydrake.math import RigidTransform
 
 from faults.child import script
@@ -81,13 +83,14 @@ def trained(folder: Path) -> dict[str, str]:
     return found
 
 
-def benchmark(seed: int) -> None:
+def benchmark(seed: int, jobs: int = 1) -> None:
     """Trials of two methods over three seeds, of which `seed` decides nothing: a benchmark goes on."""
     from geort_drake.evaluation import grasp_benchmark
 
     goal = _goal()
     argv = [
-        "--output", ".", "--methods", "hold", "nearest_neighbour", "--objects", "cylinder", "--jobs", "1",
+        "--output", ".", "--methods", "hold", "nearest_neighbour", "--objects", "cylinder",
+        "--jobs", str(jobs),
         "--scenario_text", SHORT, "--trials", "2" if seed == 1 else "3", "--zero_latency",
     ]  # fmt: skip
     with (
@@ -95,6 +98,9 @@ def benchmark(seed: int) -> None:
         mock.patch("geort_drake.gloves.play.synthesize_play", lambda seed, side: play()),
     ):
         script("benchmark_grasping.py", argv)
+    if jobs > 1:
+        # A script's interpreter does it at its end; that of a forked process does not.
+        get_reusable_executor().shutdown()
 
 
 def benchmarked(folder: Path) -> dict[str, str]:
@@ -171,6 +177,7 @@ WORKS = {
         Work("data generation", generate, generated),
         Work("training", train, trained),
         Work("benchmark", benchmark, benchmarked, replaces=False),
+        Work("benchmark of two workers", functools.partial(benchmark, jobs=2), benchmarked, replaces=False),
         Work("recording", record, recorded),
     )
 }

@@ -1,0 +1,195 @@
+"""Every reader of what people, gloves and robots hand in: a sound input of each, and what reads it."""
+
+import dataclasses as dc
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from glove_files import WRITERS, moving
+from hand_family import HandSpec, write_hand
+from live_messages import manus_glove, manus_words, nodes_of, own_fields
+
+from faults.sound import checkpoint
+from geort_drake.evaluation.grasp_benchmark import CONFIG, TRIALS, read_config
+from geort_drake.evaluation.trial_log import read_records
+from geort_drake.files import sha256_of
+from geort_drake.gloves.health import examine
+from geort_drake.gloves.readers import open_recording
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.description_file import write_description
+from geort_drake.hands.model import HandModel
+from geort_drake.hands.proposal import propose
+from geort_drake.hands.samples import robot_data
+from geort_drake.live.decoding import decode
+from geort_drake.live.devices import ALLEGRO, PANDA, JointStatus
+from geort_drake.retargeting.checkpoint import CONFIG as CHECKPOINT_CONFIG
+from geort_drake.retargeting.checkpoint import DIGESTED
+from geort_drake.retargeting.retargeter import load_retargeter
+from geort_drake.simulation.scenario import default_scenario_file, load_scenario
+
+FRAMES = 60  # of a recording: enough to be one, and read quickly
+
+
+@dc.dataclass(frozen=True)
+class Reader:
+    """What reads a kind of input.
+
+    Attributes:
+        name: of the kind.
+        path: a sound input, which may be changed.
+        read: reads an input at a path. Raises GeortError where it refuses it, and AssertionError where it
+            takes it for what it is not.
+    """
+
+    name: str
+    path: Path
+    read: Callable[[Path], None]
+
+
+def sound_inputs(folder: Path) -> list[Reader]:
+    """Writes a sound input of every kind into a folder; each reader takes its own."""
+    readers = [*_recordings(folder), *_checkpoints(folder), *_descriptions(folder), *_messages(folder)]
+    readers += _results(folder)
+    for reader in readers:
+        reader.read(reader.path)
+    return readers
+
+
+def _recordings(folder: Path) -> list[Reader]:
+    hand, readers = moving(), []
+    hand = dc.replace(hand, **{name: getattr(hand, name)[:FRAMES] for name in ("p_HK", "t", "R_WH", "p_WH")})
+    for name, write in WRITERS.items():
+        room = _room(folder, name)
+        path = write(room, hand)
+        if path.is_dir():  # HO-3D's pickles, of which one is changed
+            readers.append(Reader(name, sorted(path.iterdir())[3], recording_folder))
+        else:
+            readers.append(Reader(name, path, recording))
+    return readers
+
+
+def _checkpoints(folder: Path) -> list[Reader]:
+    stored = checkpoint(_room(folder, "checkpoint"))
+    readers = [Reader(f"checkpoint {name}", stored / name, forged_retargeter) for name in DIGESTED]
+    return [Reader("checkpoint config.json", stored / CHECKPOINT_CONFIG, retargeter), *readers]
+
+
+def _descriptions(folder: Path) -> list[Reader]:
+    room = _room(folder, "descriptions")
+    file, scenarios = room / "hand.yaml", room / "grasp.scenarios.yaml"
+    write_description(propose(write_hand(room, HandSpec(fingers=2)), "small").description, file)
+    shutil.copyfile(default_scenario_file(), scenarios)
+    robot_data(HandModel(load_hand(file)), 5, cache=room)
+    (samples,) = room.glob("robot-data-*.npz")
+    return [
+        Reader("hand description", file, hand),
+        Reader("scenarios", scenarios, scenario),
+        Reader("robot samples", samples, cached_samples),
+    ]
+
+
+def _messages(folder: Path) -> list[Reader]:
+    room, p_HK = _room(folder, "messages"), moving().p_HK[5]
+    status = [JointStatus(*np.full((3, len(device.joints)), 0.25)) for device in (ALLEGRO, PANDA)]
+    contents: dict[str, tuple[bytes, Callable[[Path], None]]] = {
+        "glove.json": (json.dumps(own_fields(p_HK)).encode(), glove_message),
+        "manus.json": (json.dumps(manus_glove(nodes_of(p_HK))).encode(), glove_message),
+        "manus.txt": (",".join(manus_words("aa", nodes_of(p_HK))).encode(), glove_message),
+        "allegro.lcm": (ALLEGRO.encode_status(1.0, status[0]), allegro_status),
+        "panda.lcm": (PANDA.encode_status(1.0, status[1]), panda_status),
+    }
+    for name, (message, _) in contents.items():
+        (room / name).write_bytes(message)
+    return [Reader(f"message {name}", room / name, read) for name, (_, read) in contents.items()]
+
+
+def _results(folder: Path) -> list[Reader]:
+    room = _room(folder, "results")
+    trial = {"method": "hold", "object": "cube", "error": "no"}
+    lines = [json.dumps({**trial, "seed": seed}) + "\n" for seed in range(3)]
+    (room / TRIALS).write_text("".join(lines))
+    config = {
+        "settings": {"latency": "zero"},
+        "objects": ["cube"],
+        "methods": {"hold": {}},
+        "trials": 3,
+        "notes": {},
+    }
+    (room / CONFIG).write_text(json.dumps({**config, "trials": 3}))
+    return [Reader("trials", room / TRIALS, trials), Reader("benchmark", room / CONFIG, configuration)]
+
+
+def _room(folder: Path, name: str) -> Path:
+    (folder / name).mkdir(parents=True)
+    return folder / name
+
+
+# -- what reads them
+
+
+def recording(path: Path) -> None:
+    read, _ = examine(open_recording(path)[0])
+    count = len(read.t)
+    assert read.p_HK.shape == (count, 21, 3) and read.valid.shape == (count,), "arrays of wrong shapes"
+
+
+def recording_folder(path: Path) -> None:
+    recording(path.parent)
+
+
+def retargeter(path: Path) -> None:
+    q = load_retargeter(path.parent)(np.zeros((21, 3)))
+    assert np.isfinite(q).all(), "a retargeter that gives what is not finite"
+
+
+def forged_retargeter(path: Path) -> None:
+    """With a digest that agrees, of whatever is in the file."""
+    config = path.with_name(CHECKPOINT_CONFIG)
+    kept = config.read_bytes()
+    stored = json.loads(kept)
+    stored["sha256"][path.name] = sha256_of(path)
+    config.write_text(json.dumps(stored))
+    try:
+        retargeter(path)
+    finally:
+        config.write_bytes(kept)
+
+
+def hand(path: Path) -> None:
+    model = HandModel(load_hand(path))
+    assert (model.lower < model.upper).all() and np.isfinite(model.default_position).all(), "no limits"
+
+
+def scenario(path: Path) -> None:
+    read = load_scenario(path)
+    assert np.isfinite(read.plant_config.time_step), "no time step"
+
+
+def cached_samples(path: Path) -> None:
+    """Those that are damaged are made anew."""
+    data = robot_data(HandModel(load_hand(path.with_name("hand.yaml"))), 5, cache=path.parent)
+    assert np.isfinite(data.p_BF).all() and len(data.q) == 5, "samples that are none"
+
+
+def glove_message(path: Path) -> None:
+    frame = decode(path.read_bytes(), "right")
+    if frame is not None and frame.p_HK is not None:
+        assert frame.p_HK.shape == (21, 3) and np.isfinite(frame.p_HK).all(), "keypoints that are none"
+
+
+def allegro_status(path: Path) -> None:
+    assert np.isfinite(ALLEGRO.decode_status(path.read_bytes()).position).all(), "positions that are none"
+
+
+def panda_status(path: Path) -> None:
+    assert np.isfinite(PANDA.decode_status(path.read_bytes()).position).all(), "positions that are none"
+
+
+def trials(path: Path) -> None:
+    read_records(path)
+
+
+def configuration(path: Path) -> None:
+    read_config(path.parent)
