@@ -165,7 +165,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--format", default=AUTO, metavar="NAME", help="one of those below (auto: by the file's contents)"
     )
     parser.add_argument("--side", choices=SIDES, default="right", help="which hand was recorded (right)")
-    parser.add_argument("--unit", choices=list(UNITS_M), default="m", help="of lengths in the file (m)")
+    parser.add_argument("--unit", choices=list(UNITS_M), help="of lengths in the file (the format's)")
     parser.add_argument(
         "--rate", type=_positive, metavar="HZ", help="of a file without timestamps (30 is assumed)"
     )

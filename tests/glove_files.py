@@ -149,26 +149,51 @@ def write_manus(folder: Path, hand: Hand, **changes) -> Path:
     return _npz(folder / "manus.npz", fields, changes)
 
 
-def manus_table(hand: Hand) -> list[list]:
-    """The rows of MANUS Core's export, header first."""
+def _manus_joints() -> dict[str, str]:
+    """MANUS Core's names of joints, and ours."""
     thumb = dict(zip(("CMC", "MCP", "DIP", "TIP"), THUMB, strict=True))
     names = {"Hand": "wrist"} | {f"Thumb_{joint}": name for joint, name in thumb.items()}
     for finger, called in zip(FINGERS, ("Index", "Middle", "Ring", "Pinky"), strict=True):
         joints = zip(("CMC", "MCP", "PIP", "DIP", "TIP"), with_bases(finger), strict=True)
         names |= {f"{called}_{joint}": name for joint, name in joints}
+    return names
+
+
+def manus_table(hand: Hand, infix: str = "", p: np.ndarray | None = None) -> list[list]:
+    """The rows of MANUS Core's export, header first; in metres in the world, or of points (T, 25, 3)."""
+    names = _manus_joints()
     header = ["Frame", "Elapsed_Time_In_Milliseconds", "Time"]
-    header += [f"{joint}_{axis}" for joint in names for axis in "XYZ"]
-    p = stacked(hand.joints(), names.values()).reshape(len(hand.t), -1)
+    header += [f"{joint}{infix}_{axis}" for joint in names for axis in "XYZ"]
+    p = (stacked(hand.joints(), names.values()) if p is None else p).reshape(len(hand.t), -1)
     rows = [
         [i, 1e3 * t, "03:08:42:2042", *row] for i, (t, row) in enumerate(zip(hand.t, p.tolist(), strict=True))
     ]
     return [header, *rows]
 
 
-def write_manus_csv(folder: Path, hand: Hand, table: list[list] | None = None, delimiter: str = ",") -> Path:
-    with (folder / "manus.csv").open("w", newline="") as file:
+def published_manus_table(hand: Hand) -> list[list]:
+    """As in exports that people publish: centimetres from the hand, y out of its back, z along the fingers.
+
+    x then is on the right of a hand whose palm looks down, so these axes are left-handed.
+    """
+    p = stacked(hand.joints(world=False), _manus_joints().values())
+    given = np.stack([-p[..., 1], -p[..., 0], p[..., 2]], axis=-1)
+    table = manus_table(hand, "_Position", np.round(100.0 * given, 6))
+    table[0] += [f"{joint}_Rotation_{axis}" for joint in _manus_joints() for axis in "XYZ"]
+    return [table[0], *(row + [0.0] * 75 for row in table[1:])]
+
+
+def write_manus_csv(
+    folder: Path,
+    hand: Hand,
+    table: list[list] | None = None,
+    delimiter: str = ",",
+    name: str = "manus",
+) -> Path:
+    path = folder / f"{name}.csv"
+    with path.open("w", newline="") as file:
         csv.writer(file, delimiter=delimiter).writerows(manus_table(hand) if table is None else table)
-    return folder / "manus.csv"
+    return path
 
 
 def mediapipe_frames(hand: Hand) -> list[dict]:

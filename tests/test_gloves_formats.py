@@ -1,5 +1,6 @@
 """Every format is read: files written by its documentation come back as the hand they were written from."""
 
+import dataclasses as dc
 import pickle
 
 import numpy as np
@@ -13,6 +14,7 @@ from glove_files import (
     moving,
     openxr_order,
     poses,
+    published_manus_table,
     random_hand,
     stacked,
     transforms,
@@ -117,6 +119,30 @@ def test_a_stated_unit_is_converted(tmp_path, unit):
     np.testing.assert_allclose(read_recording(path, unit=unit).p_HK, hand.p_HK, atol=1e-6)
     with pytest.raises(UnknownNameError, match="unknown unit 'feet'"):
         read_recording(path, unit="feet")
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_a_published_manus_export_is_read(tmp_path, side):
+    """Other names, centimetres, left-handed axes, a frame that goes with the hand; the name has the side."""
+    hand = dc.replace(moving(), side=side)
+    table = published_manus_table(hand)
+    path = write_manus_csv(tmp_path, hand, table, name=f"take 1_{side[0].upper()}")
+    recording = read_recording(path, side)
+    np.testing.assert_allclose(recording.p_HK, hand.p_HK, atol=1e-6)
+    assert recording.X_WH is None
+    (told,) = recording.metadata["warnings"]
+    assert f"the axes are left-handed: in them the fingers of this {side} hand" in told
+    other = "left" if side == "right" else "right"
+    with pytest.raises(RecordingError, match=f"holds a {side} hand, a {other} one was asked for"):
+        read_recording(path, other)
+    with pytest.raises(RecordingError, match="in mirrored axes"):
+        read_recording(write_manus_csv(tmp_path, hand, table), side)
+    # In right-handed axes nothing is turned round.
+    sign = [-1 if column.endswith("_X") else 1 for column in table[0]]
+    turned = [[*row[:3], *np.multiply(row[3:], sign[3:])] for row in table[1:]]
+    recording = read_recording(write_manus_csv(tmp_path, hand, [table[0], *turned], name=path.stem), side)
+    np.testing.assert_allclose(recording.p_HK, hand.p_HK, atol=1e-6)
+    assert recording.metadata["warnings"] == []
 
 
 def test_frames_without_a_hand_are_lost_and_nothing_else(tmp_path):

@@ -31,7 +31,7 @@ def read_recording(
     side: str = "right",
     training: bool = False,
     format: str = AUTO,
-    unit: str = "m",
+    unit: str | None = None,
     rate_hz: float | None = None,
 ) -> Recording:
     """Reads and checks a recording in any of the formats known.
@@ -42,7 +42,7 @@ def read_recording(
             side must agree.
         training: also ask for what training needs (see `check_recording`).
         format: a name of `FORMATS`; "auto" tells them apart by their contents.
-        unit: of lengths in the file, one of `UNITS_M`.
+        unit: of lengths in the file, one of `UNITS_M`; by default the format's.
         rate_hz: frames per second of a file without timestamps; by default `ASSUMED_RATE_HZ`.
 
     Raises:
@@ -57,7 +57,7 @@ def open_recording(
     path: str | os.PathLike,
     side: str = "right",
     format: str = AUTO,
-    unit: str = "m",
+    unit: str | None = None,
     rate_hz: float | None = None,
 ) -> tuple[Recording, list[Finding]]:
     """Reads a recording without judging its contents; arguments and errors are those of `read_recording`.
@@ -67,17 +67,17 @@ def open_recording(
     """
     path = Path(path)
     for kind, given, choices in (("side", side, SIDES), ("unit", unit, UNITS_M)):
-        if given not in choices:
+        if given is not None and given not in choices:
             raise UnknownNameError(kind, given, choices)
     contents = load(path)
     chosen = choose(str(path), suffix_of(path), contents, format)
     read = FORMATS[chosen].read(str(path), contents, side)
     _agree_on_side(path, read.side, side)
     if isinstance(read, Recording):
-        if unit != "m":
+        if unit not in (None, "m"):
             raise RecordingError(f"{path}: geort-drake's own files are in metres, not in {unit}")
         return read, []
-    return _recording(path, chosen, read, side, UNITS_M[unit], rate_hz)
+    return _recording(path, chosen, read, side, UNITS_M[unit or read.unit], rate_hz)
 
 
 def _recording(

@@ -1,13 +1,23 @@
 """CSV export of MANUS Core: a header, then one row per frame, found by the columns' names.
 
-Columns: `Frame`, `Elapsed_Time_In_Milliseconds`, `Time`, then `_X`, `_Y` and `_Z` of `Hand`, of `Thumb_` CMC,
-MCP, DIP, TIP, and of `Index_`, `Middle_`, `Ring_` and `Pinky_` CMC, MCP, PIP, DIP, TIP, where a finger's
-CMC is the base of its metacarpal. Rotations, velocities and other columns are left alone. The export
-names no side, and MANUS documents no unit: metres are taken, and a hand of another size is refused.
+Columns: `Frame`, `Elapsed_Time_In_Milliseconds`, `Time`, then the coordinates of `Hand`, of `Thumb_` CMC,
+MCP, DIP, TIP, and of `Index_`, `Middle_`, `Ring_` and `Pinky_` CMC, MCP, PIP, DIP, TIP, where a finger's CMC
+is the base of its metacarpal. Rotations, velocities and others are left alone. Coordinates have two names:
 
-Source: https://docs.manus-meta.com/2.4.0/Software/Rec/Exporting%20csv
+`Hand_X`: MANUS documents these for Core 2.4, and no unit; metres are taken.
+`Hand_Position_X`: those of exports that people publish, which are in centimetres.
+
+MANUS documents neither axes nor side. Of published exports there is one for each hand, its name ends with
+`_L` or `_R`, and axes were chosen at the export. Left-handed ones are found by the way the fingers of a
+hand of known side bend; the x axis then is turned round. Without a tracker, as it seems, all is
+given from the hand itself, and the bases of its metacarpals never move.
+
+Source: https://docs.manus-meta.com/2.4.0/Software/Rec/Exporting%20csv for the first names,
+https://github.com/jeannebelorgey/Metaglove-Ergo-Analysis/tree/main/data for the second and all else
 """
 
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +25,9 @@ import numpy as np
 from geort_drake.errors import RecordingError
 from geort_drake.gloves.formats.files import Table
 from geort_drake.gloves.formats.tracks import Tracks
+from geort_drake.gloves.health.anatomy import BENT, mean_bending
 from geort_drake.gloves.health.findings import Finding, Severity
+from geort_drake.gloves.keypoints import mirrored, to_wrist_frame
 
 SUFFIXES = (".csv",)
 
@@ -26,7 +38,11 @@ _JOINTS = ("Hand", *(f"Thumb_{joint}" for joint in ("CMC", "MCP", "DIP", "TIP"))
     for finger in ("Index", "Middle", "Ring", "Pinky")
     for joint in ("MCP", "PIP", "DIP", "TIP")
 )
-_COLUMNS = tuple(f"{joint}_{axis}" for joint in _JOINTS for axis in "XYZ")
+# The palm's ends, which do not move where all is given from the hand.
+_PALM = ("Hand", "Index_CMC", "Pinky_CMC")
+# What stands between joint and axis, and the unit.
+_NAMINGS = {"": "m", "_Position": "cm"}
+_SIDES = {"L": "left", "R": "right"}
 
 
 def recognizes(contents: Any) -> bool:
@@ -34,35 +50,77 @@ def recognizes(contents: Any) -> bool:
 
 
 def read(name: str, contents: Table, side: str) -> Tracks:
-    missing = [column for column in _COLUMNS if column not in contents.header]
+    naming = "_Position" if any("_CMC_Position_" in column for column in contents.header) else ""
+    columns = _columns(_JOINTS, naming)
+    missing = [column for column in columns if column not in contents.header]
     if missing:
         angles = any(column.endswith(("_Flex", "_Spread")) for column in contents.header)
         raise RecordingError(
-            f"{name}: the header lacks {len(missing)} of the joint positions' {len(_COLUMNS)} columns, "
+            f"{name}: the header lacks {len(missing)} of the joint positions' {len(columns)} columns, "
             f"such as {missing[0]}"
             + ("; these are ergonomics, that is joint angles: export joint positions" if angles else "")
         )
-    twice = [column for column in (*_COLUMNS, _ELAPSED) if contents.header.count(column) > 1]
+    twice = [column for column in (*columns, _ELAPSED) if contents.header.count(column) > 1]
     if twice:
         raise RecordingError(f"{name}: the header has the column {twice[0]} more than once")
-    p_WK = np.stack([_column(name, contents, column) for column in _COLUMNS], axis=1).reshape(-1, 21, 3)
+    p_WK = np.stack([_column(name, contents, column) for column in columns], axis=1).reshape(-1, 21, 3)
     t = _column(name, contents, _ELAPSED) * 1e-3 if _ELAPSED in contents.header else None
-    findings = []
-    if "Frame" in contents.header and len(contents.rows):
-        number = _column(name, contents, "Frame")
-        skipped = (np.diff(number) - 1).clip(0)
-        if skipped.any():
-            after = int(np.argmax(skipped > 0))
-            findings.append(
-                Finding(
-                    "dropped frames",
-                    Severity.WARNING,
-                    f"{int(skipped.sum())} frames are missing, the first after frame {int(number[after])}",
-                    f"Frame, line {after + 3}",
-                    "look at the radio link or the recorder's load",
-                )
+    findings = _skipped_frames(name, contents)
+    named = re.search(r"_([LR])$", Path(name).stem)
+    if named and _SIDES[named[1]] == side and _is_mirrored(p_WK, side):
+        p_WK = p_WK * [-1, 1, 1]
+        findings.append(
+            Finding(
+                "axes",
+                Severity.WARNING,
+                f"the axes are left-handed: in them the fingers of this {side} hand, as the file's name "
+                "has it, bend backwards",
+                "*_X",
+                "read with the x axis turned round",
             )
-    return Tracks(p_WK, t, world=True, findings=findings)
+        )
+    return Tracks(
+        p_WK,
+        t,
+        world=not _is_from_hand(name, contents, naming),
+        side=_SIDES[named[1]] if named else None,
+        unit=_NAMINGS[naming],
+        findings=findings,
+    )
+
+
+def _columns(joints: tuple[str, ...], naming: str) -> tuple[str, ...]:
+    return tuple(f"{joint}{naming}_{axis}" for joint in joints for axis in "XYZ")
+
+
+def _is_mirrored(p_WK: np.ndarray, side: str) -> bool:
+    p_VK = p_WK[np.isfinite(p_WK).all(axis=(1, 2))]
+    p_HK = to_wrist_frame(mirrored(p_VK) if side == "left" else p_VK)
+    return mean_bending(p_HK) < -BENT if len(p_HK) else False
+
+
+def _is_from_hand(name: str, table: Table, naming: str) -> bool:
+    columns = [column for column in _columns(_PALM, naming) if column in table.header]
+    values = np.stack([_column(name, table, column) for column in columns], axis=1)
+    return len(columns) == 3 * len(_PALM) and bool((values == values[:1]).all())
+
+
+def _skipped_frames(name: str, table: Table) -> list[Finding]:
+    if "Frame" not in table.header or not len(table.rows):
+        return []
+    number = _column(name, table, "Frame")
+    skipped = (np.diff(number) - 1).clip(0)
+    if not skipped.any():
+        return []
+    after = int(np.argmax(skipped > 0))
+    finding = Finding(
+        "dropped frames",
+        Severity.WARNING,
+        f"{int(skipped.sum())} frames are missing, the first after frame {int(number[after])}",
+        f"Frame, line {after + 3}",
+        "look at the radio link or the recorder's load",
+    )
+    return [finding]
 
 
 def _column(name: str, table: Table, column: str) -> np.ndarray:

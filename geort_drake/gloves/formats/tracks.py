@@ -27,6 +27,7 @@ class Tracks:
         t: (T,) times, s, or None where the file has none.
         world: whether W stays in place, so that the wrist's pose in it is worth keeping.
         side: which hand the file says it is, or None.
+        unit: of p_WK, where nobody says another.
         findings: what the reader saw or repaired.
         metadata: what else the file says; JSON types only.
     """
@@ -35,6 +36,7 @@ class Tracks:
     t: np.ndarray | None = None
     world: bool = False
     side: str | None = None
+    unit: str = "m"
     findings: Sequence[Finding] = ()
     metadata: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 

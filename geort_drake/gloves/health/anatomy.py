@@ -20,6 +20,7 @@ UNITS_M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}
 
 _UNIT_NAMES = {"cm": "centimetres", "mm": "millimetres", "inch": "inches"}
 _PALM_M = (0.060, 0.110)  # wrist to middle knuckle of people from a child of ten to a large adult
+BENT = 0.02  # a mean sine of the fingers' bending beyond this tells the side
 _FRAME_M = 0.005  # a keypoint may be so far from where the definition of H puts it
 
 
@@ -75,18 +76,24 @@ def check_unit(recording: Recording) -> Iterator[Finding]:
     )
 
 
-def check_side(recording: Recording) -> Iterator[Finding]:
-    """The hand is of the side that was asked for, and not in mirrored coordinates."""
-    p_HK, side = _valid(recording), recording.side
-    # Fingers bend towards +x whichever pose the hand is in, so the turn from the first to the last
-    # bone is about +y. In a mirror image y and z stay as they are and x = y × z changes sign.
+def mean_bending(p_HK: np.ndarray) -> float:
+    """Mean sine of the angle between the fingers' first and last bones in keypoints (T, 21, 3).
+
+    Fingers bend towards +x whichever pose the hand is in, so the turn from the first to the last bone is
+    about +y. In a mirror image y and z stay as they are and x = y × z changes sign.
+    """
     first, last = (
         np.stack([p_HK[:, k[i + 1]] - p_HK[:, k[i]] for k in list(FINGER_KEYPOINTS.values())[1:]], axis=1)
         for i in (0, 2)
     )
     size = np.linalg.norm(first, axis=-1) * np.linalg.norm(last, axis=-1)
-    bending = float((np.cross(first, last)[..., 1] / np.maximum(size, 1e-12)).mean())
-    if bending < -0.02:
+    return float((np.cross(first, last)[..., 1] / np.maximum(size, 1e-12)).mean())
+
+
+def check_side(recording: Recording) -> Iterator[Finding]:
+    """The hand is of the side that was asked for, and not in mirrored coordinates."""
+    side, bending = recording.side, mean_bending(_valid(recording))
+    if bending < -BENT:
         other = SIDES[1 - SIDES.index(side)]
         yield Finding(
             "handedness",
@@ -96,7 +103,7 @@ def check_side(recording: Recording) -> Iterator[Finding]:
             "p_HK",
             f"read it with side '{other}', or negate one coordinate if the axes are mirrored",
         )
-    elif bending < 0.02:
+    elif bending < BENT:
         yield Finding(
             "handedness",
             Severity.WARNING,
