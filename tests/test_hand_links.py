@@ -11,10 +11,11 @@ from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.description import CouplingDescription, HandDescription
 from geort_drake.hands.description_file import write_description
 from geort_drake.hands.links import finger_links, palm_links
+from geort_drake.hands.model import HandModel
 from geort_drake.hands.proposal import propose
 from geort_drake.simulation.grasp_planner import GraspPlanner
 from geort_drake.simulation.scenario import load_scenario
-from geort_drake.simulation.world import add_object
+from geort_drake.simulation.world import add_object, add_robot
 from geort_drake.systems.scene_view import SceneView
 
 
@@ -52,6 +53,18 @@ def test_a_fingers_links_are_all_that_its_motors_move(description):
     assert names[1] == [f"index_l{i}" for i in range(4)]
     assert names[2] == [f"middle_l{i}" for i in range(1, 4)]
     assert [body.name() for body in palm_links(plant, description, hand)] == ["palm", "middle_l0"]
+
+
+def test_motors_on_the_arm_are_not_asked_for_what_followers_cannot_do(description):
+    """The limits that planner and commands keep to are the hand model's: at 1.5 rad, the last joint's end."""
+    description.couplings = [c for c in description.couplings if c.joint != "index_j2"]
+    description.couplings.append(CouplingDescription("index_j2", "index_j1", 2.0))
+    plant, _ = AddMultibodyPlant(MultibodyPlantConfig(time_step=0.002), DiagramBuilder())
+    add_robot(plant, load_scenario(), description)
+    hand = HandModel(description)
+    joints = [plant.GetJointByName(name) for name in hand.joint_names]
+    np.testing.assert_array_equal([joint.position_upper_limit() for joint in joints], hand.upper)
+    assert hand.upper[hand.joint_names.index("index_j1")] == pytest.approx(0.75)
 
 
 @pytest.mark.parametrize("link", ["index_l1", "index_l2", "index_l3"])

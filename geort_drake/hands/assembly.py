@@ -22,7 +22,7 @@ from pydrake.multibody.tree import (
 )
 
 from geort_drake.errors import HandError
-from geort_drake.hands.couplings import root
+from geort_drake.hands.couplings import JointCouplings, root
 from geort_drake.hands.description import HandDescription
 from geort_drake.resources import PACKAGE_NAME, resolve_uri, resource_root
 
@@ -73,6 +73,36 @@ def add_hand_model(
         filters = CollisionFilterDeclaration().ExcludeBetween(GeometrySet(list(added)), GeometrySet(own))
         Parser(plant).scene_graph().collision_filter_manager().Apply(filters)
     return hand
+
+
+def position_limits(
+    plant: MultibodyPlant, description: HandDescription, hand: ModelInstanceIndex, source: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) lower and upper limits of the joints that fingers list, rad, within which followers keep theirs.
+
+    Args:
+        hand: the model instance of the hand in `plant`, as `add_hand_model` adds it.
+        source: what errors begin with.
+
+    Raises:
+        HandError: a joint that follows would leave its limits at every angle of its leader.
+    """
+    joints = [plant.GetJointByName(name, hand) for name in description.joint_names]
+    lower = np.array([joint.position_lower_limits()[0] for joint in joints])
+    upper = np.array([joint.position_upper_limits()[0] for joint in joints])
+    couplings = JointCouplings.of(description)
+    for row, name in enumerate(couplings.names):
+        leader, follower = couplings.leaders[row], plant.GetJointByName(name, hand)
+        ends = np.array([follower.position_lower_limits()[0], follower.position_upper_limits()[0]])
+        low, high = np.sort((ends - couplings.offset[row]) / couplings.ratio[row, leader])
+        lower[leader], upper[leader] = max(lower[leader], low), min(upper[leader], high)
+        if not lower[leader] < upper[leader]:
+            raise HandError(
+                f"{source}: joint '{name}', which follows '{description.joint_names[leader]}', "
+                f"would leave its limits [{ends[0]:g}, {ends[1]:g}] rad at every angle of that joint; "
+                "correct its couplings or its limits"
+            )
+    return lower, upper
 
 
 def _scenery(plant: MultibodyPlant) -> list[GeometryId]:

@@ -19,7 +19,7 @@ from pydrake.multibody.tree import Frame, RevoluteJoint, RigidBody
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from geort_drake.errors import HandError
-from geort_drake.hands.assembly import add_hand_model, joint_names
+from geort_drake.hands.assembly import add_hand_model, joint_names, position_limits
 from geort_drake.hands.couplings import JointCouplings
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model_files import digest_of_contents, model_files
@@ -71,7 +71,7 @@ class HandModel:
             for name in finger.joints
         ]
         self._check_default_positions()
-        self.lower, self.upper = self._limits()
+        self.lower, self.upper = position_limits(self.plant, description, self._instance, self._source)
         self.plant.Finalize()
         self.diagram = builder.Build()
 
@@ -238,24 +238,6 @@ class HandModel:
                     f"{self._source}: default_positions.{joint.name()} must be within its limits "
                     f"[{low:g}, {high:g}] rad; given: {position:g}"
                 )
-
-    def _limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """The joints' limits, narrowed to where those that follow them keep theirs."""
-        lower = np.array([joint.position_lower_limit() for joint in self._joints])
-        upper = np.array([joint.position_upper_limit() for joint in self._joints])
-        couplings = self.couplings
-        for row, joint in enumerate(self._followers):
-            leader = couplings.leaders[row]
-            ends = np.array([joint.position_lower_limit(), joint.position_upper_limit()])
-            low, high = np.sort((ends - couplings.offset[row]) / couplings.ratio[row, leader])
-            lower[leader], upper[leader] = max(lower[leader], low), min(upper[leader], high)
-            if not lower[leader] < upper[leader]:
-                raise HandError(
-                    f"{self._source}: joint '{joint.name()}', which follows '{self.joint_names[leader]}', "
-                    f"would leave its limits [{ends[0]:g}, {ends[1]:g}] rad at every angle of that joint; "
-                    "correct its couplings or its limits"
-                )
-        return lower, upper
 
     def _unknown(self, field: str, kind: str, given: str, choices: list[str]) -> HandError:
         return HandError(

@@ -17,7 +17,7 @@ from pydrake.systems.framework import DiagramBuilder, OutputPort
 from pydrake.systems.primitives import MatrixGain
 
 from geort_drake.errors import HandError, ScenarioError, UnknownNameError
-from geort_drake.hands.assembly import add_hand_model
+from geort_drake.hands.assembly import add_hand_model, position_limits
 from geort_drake.hands.description import HandDescription
 from geort_drake.resources import PACKAGE_NAME, models_dir, resource_root
 from geort_drake.simulation.scenario import Scenario, object_names
@@ -125,6 +125,9 @@ def _mount_hand(plant: MultibodyPlant, scenario: Scenario, description: HandDesc
     except RuntimeError as error:
         raise ScenarioError(f"scenario field hand_parent: {error}") from error
     hand = add_hand_model(plant, description, HAND)
+    limits = position_limits(plant, description, hand, f"hand '{description.name}'")
+    for name, lower, upper in zip(description.joint_names, *limits, strict=True):
+        plant.GetJointByName(name, hand).set_position_limits([lower], [upper])
     mount = description.mount
     try:
         child = plant.GetFrameByName(mount.frame or description.base_frame, hand)
