@@ -4,7 +4,8 @@ python benchmarks/measure_reliability.py
 python benchmarks/measure_reliability.py --parts frames files
 
 It keeps the figures in docs/reliability.json and writes them into docs/reliability.md; with --json or --quick
-it leaves both alone. The exit status is 1 when something went wrong. Needs the test extra.
+it leaves both alone. The exit status is 1 when something went wrong. Needs the test extra, and the part
+"guided" needs atheris: pip install atheris
 """
 
 import argparse
@@ -33,14 +34,20 @@ sys.path.insert(0, str(ROOT / "tests"))
 from faults import disks, kills  # noqa: E402
 from faults.corpus import CASES  # noqa: E402
 from faults.frames import fuzz_call, fuzz_system  # noqa: E402
+from faults.guided import fuzz_guided, require_atheris  # noqa: E402
 from faults.mutations import fuzz  # noqa: E402
 from faults.refusals import faults_of  # noqa: E402
 from faults.soak import soak  # noqa: E402
 
 Report = Callable[[int, int], None]  # called with what is done, and of how much
 
-FULL = {"inputs": None, "kills": 25, "updates": 1_000_000, "frames": 10_000, "files": 10_000, "trials": 3}
-QUICK = {"inputs": 20, "kills": 4, "updates": 5_000, "frames": 1_000, "files": 400, "trials": 1}
+FULL = {
+    "inputs": None, "files": 10_000, "guided": 20_000, "kills": 25, "frames": 10_000, "updates": 1_000_000,
+    "trials": 3,
+}  # fmt: skip
+QUICK = {
+    "inputs": 20, "files": 400, "guided": 400, "kills": 5, "frames": 1_000, "updates": 5_000, "trials": 1,
+}  # fmt: skip
 GROWTH_MB, SLOW_DOWN = 10.0, 0.05
 
 
@@ -88,6 +95,8 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     arguments = parser.parse_args(argv)
     if arguments.json:
         require_writable(arguments.json)
+    if "guided" in arguments.parts:
+        require_atheris()
     return arguments
 
 
@@ -119,8 +128,13 @@ def inputs(counts: dict, seed: int, folder: Path, report: Report) -> dict:
 
 
 def files(counts: dict, seed: int, folder: Path, report: Report) -> dict:
-    """Sound files changed at random."""
-    result = fuzz(counts["files"], seed, folder)
+    """Sound inputs changed at random."""
+    return fuzz(counts["files"], seed, folder, report)
+
+
+def guided(counts: dict, seed: int, folder: Path, report: Report) -> dict:
+    """The same, where those that reach other lines of a reader are changed further."""
+    result = fuzz_guided(counts["guided"], seed, folder)
     report(1, 1)
     return result
 
@@ -205,6 +219,7 @@ def trials(counts: dict, seed: int, folder: Path, report: Report) -> dict:
 PARTS: dict[str, Callable[[dict, int, Path, Report], dict]] = {
     "inputs": inputs,
     "files": files,
+    "guided": guided,
     "kills": killed,
     "disk": disk,
     "frames": frames,
@@ -226,14 +241,12 @@ def table(figures: dict[str, dict]) -> str:
             )
         total, refused = (sum(part[key].values()) for key in ("tried", "refused"))
         rows.append(("malformed inputs, all", f"{total}", f"{refused} refused by name"))
-    if part := figures.get("files"):
-        rows.append(
-            (
-                "sound files changed at random",
-                f"{part['files']:,}",
-                f"{len(part['failures'])} not read or refused by name",
-            )
-        )
+    for name, what in (("files", "at random"), ("guided", "at random, guided by the lines they reach")):
+        if part := figures.get(name):
+            rows.append((
+                f"sound inputs of {len(part['tried'])} kinds changed {what}", f"{part['inputs']:,}",
+                f"{len(part['failures'])} neither read nor refused by name",
+            ))  # fmt: skip
     if part := figures.get("kills"):
         for name, count in part["tried"].items():
             rows.append((f"`kill -9` of {name}", f"{count}", f"{part['recovered'][name]} recovered"))
