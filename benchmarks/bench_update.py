@@ -4,8 +4,9 @@ python benchmarks/bench_update.py --json update.json
 
 Every function gets the frames of the same motion in order, one per period. Rows:
   call          the bare retargeter on a whole hand; the ratios are over it
-  update        input ports given their values, the system's update through Drake, its new state kept
-  ports alone   the same for a system that computes nothing, with ports and states of the same sizes
+  update        keypoints written into the input port, the system's update through Drake, its new state kept
+  and status    the same, and the status read
+  ports alone   as `update`, of a system that computes nothing, with ports and states of the same sizes
 """
 
 import itertools
@@ -38,6 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     functions = {
         "call": lambda: retarget(next(frames)),
         "update": updates(system, hands),
+        "and status": updates(system, hands, read="status"),
         "ports alone": updates(Idle(system), hands),
     }
     results = measure(functions, arguments.seconds)
@@ -45,18 +47,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def updates(system: LeafSystem, hands: np.ndarray) -> Callable[[], object]:
-    """A function of no arguments that takes the next frame through one update each time it is called."""
+def updates(system: LeafSystem, hands: np.ndarray, read: str = "") -> Callable[[], object]:
+    """A function of no arguments that takes the next frame through one update each time it is called.
+
+    Then it evaluates the output port `read`, if there is one.
+    """
     context = system.CreateDefaultContext()
-    keypoints, valid = system.GetInputPort("keypoints"), system.GetInputPort("valid")
     frames = itertools.cycle(list(hands.reshape(len(hands), -1)))
     steps = itertools.count()
+    system.GetInputPort("valid").FixValue(context, [1.0])
+    keypoints = system.GetInputPort("keypoints").FixValue(context, next(frames))
+    output = system.GetOutputPort(read) if read else None
 
     def update() -> None:
         context.SetTime(next(steps) * PERIOD)
-        keypoints.FixValue(context, next(frames))
-        valid.FixValue(context, [1.0])
+        keypoints.GetMutableData().get_mutable_value().SetFromVector(next(frames))
         context.SetDiscreteState(system.EvalUniquePeriodicDiscreteUpdate(context))
+        if output is not None:
+            output.Eval(context)
 
     return update
 

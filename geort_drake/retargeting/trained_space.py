@@ -51,7 +51,7 @@ class TrainedSpace:
 
         The thinning adds at most `VOXEL` · √3, 2 mm on average.
         """
-        p_HF = p_HK[self._keypoints] if len(p_HK) == KEYPOINT_COUNT else p_HK
+        p_HF = p_HK.take(self._keypoints, axis=0) if len(p_HK) == KEYPOINT_COUNT else p_HK
         p = np.ones((len(p_HF), 1, 4))
         p[:, 0, :3] = p_HF
         nearest = (p @ self._forms)[:, 0].min(axis=1)

@@ -7,7 +7,7 @@ import math
 _TIME_TOLERANCE = 1e-9
 
 
-@dc.dataclass
+@dc.dataclass(slots=True)
 class Easing:
     """Tells from update to update whether the hand follows, is held, or follows again with growing speed.
 

@@ -51,7 +51,7 @@ class GloveChecks:
                 raise ValueError(f"checks.{field.name} must be finite and not negative, not {value}")
 
 
-@dc.dataclass
+@dc.dataclass(slots=True)
 class GloveMemory:
     """What is known of the input so far: the last usable keypoints, and when they came (s)."""
 
@@ -59,6 +59,7 @@ class GloveMemory:
     changed: float
     stamp: float  # of the glove's clock, NaN before the first
     stamped: float
+    moved: float = math.nan  # how far a coordinate is from where it was at the update before, m
 
 
 def judge(
@@ -89,10 +90,10 @@ def judge(
             fault = HELD_STALE
     if not valid:
         return HELD_LOST
-    farthest = float(np.abs(keypoints).max())  # NaN where a keypoint is
+    farthest = _largest(keypoints)  # NaN where a keypoint is
     if not farthest <= checks.reach:
         return HELD_OUT_OF_RANGE if math.isfinite(farthest) else HELD_NOT_FINITE
-    moved = float(np.abs(keypoints - memory.keypoints).max())  # NaN at the first
+    memory.moved = moved = _largest(keypoints - memory.keypoints)
     if moved != 0.0:
         gap = max(min(time - memory.changed, _LONGEST_GAP), period)
         if moved > checks.max_speed * gap:
@@ -101,3 +102,9 @@ def judge(
     elif time - memory.changed > checks.frozen_after:
         fault = fault or FROZEN
     return fault
+
+
+def _largest(x: np.ndarray) -> float:
+    """The largest |x|; NaN where there is one. (`max` takes five times as long as `argmax`.)"""
+    size = np.abs(x)
+    return size.item(size.argmax())

@@ -18,8 +18,8 @@ class JointLimits:
 
     Attributes:
         lower, upper: (n,) positions, rad.
-        speed: (n,) or a number, rad/s.
-        acceleration: (n,) or a number, rad/s².
+        speed: (n,), rad/s; given as a number, it is every joint's.
+        acceleration: (n,), rad/s²; likewise.
 
     Raises:
         HandError: a lower limit is not below its upper one, or speed or acceleration is not positive.
@@ -29,10 +29,16 @@ class JointLimits:
     upper: np.ndarray
     speed: np.ndarray | float = 7.0
     acceleration: np.ndarray | float = DEFAULT_ACCELERATION
+    # Period → what `_free` made of it.
+    _made: dict[float, tuple[np.ndarray, ...]] = dc.field(
+        init=False, repr=False, compare=False, default_factory=dict
+    )
 
     def __post_init__(self) -> None:
-        for field in dc.fields(self):
-            object.__setattr__(self, field.name, np.asarray(getattr(self, field.name), dtype=float))
+        names = ("lower", "upper", "speed", "acceleration")
+        values = np.broadcast_arrays(*(np.asarray(getattr(self, name), dtype=float) for name in names))
+        for name, value in zip(names, values, strict=True):
+            object.__setattr__(self, name, value.copy())
         if not (self.lower < self.upper).all():
             raise HandError(
                 f"joint limits: lower ones must be below upper ones; given: {self.lower} and {self.upper}"
@@ -80,16 +86,14 @@ class JointLimits:
             period: s.
             share: of the speed limit that may be used; where v is above it already, the joint slows down.
         """
-        gain = self.acceleration * period  # of speed in one period
-        wanted = (target - q) / period
+        wanted, lag = (target - q) / period, target_before - q
         # Most steps need nothing of what follows. A joint at v stops within v²/2a, so where that is
         # inside the position limits, no later step will have to leave them.
-        end = target + wanted * np.abs(wanted) * (0.5 / self.acceleration)
-        within = (np.abs(wanted) <= self.speed) & (np.abs(wanted - v) <= gain)
-        within &= (np.abs(target_before - q) <= gain * period) & (self.lower <= end) & (end <= self.upper)
-        if share == 1.0 and within.all():
+        low, high, stretch = self._free(period)
+        values = np.array([wanted, wanted - v, lag, target + wanted * np.abs(wanted) * stretch])
+        if share == 1.0 and np.count_nonzero((low <= values) & (values <= high)) == values.size:
             return target, wanted
-        lag = target_before - q
+        gain = self.acceleration * period  # of speed in one period
         distance = np.array([np.abs(lag), self.upper - q, q - self.lower])
         to_target, to_upper, to_lower = self._braking_speed(distance, period)
         speed = np.minimum(np.maximum((target - target_before) / period, -self.speed), self.speed)
@@ -100,6 +104,18 @@ class JointLimits:
         v = np.minimum(np.maximum(speed, low), high)
         # Clipped once more, because of rounding.
         return np.minimum(np.maximum(q + v * period, self.lower), self.upper), v
+
+    def _free(self, period: float) -> tuple[np.ndarray, ...]:
+        """Lowest and highest (4, n) velocity, change of it, lag and stopping place of a free step; 1/2a (n,).
+
+        They are kept, because making them takes as long as a step.
+        """
+        if period not in self._made:
+            gain = self.acceleration * period
+            most = np.array([self.speed, gain, gain * period])
+            low, high = np.array([*-most, self.lower]), np.array([*most, self.upper])
+            self._made[period] = (low, high, np.divide(0.5, self.acceleration))
+        return self._made[period]
 
     def _braking_speed(self, distance: np.ndarray, period: float) -> np.ndarray:
         """The highest speed from which braking ends within `distance` (..., n), the coming step included.

@@ -44,6 +44,9 @@ STATES = (
     HELD_JUMPED,
     FROZEN,
 )
+# A point moves at most so many times as far as any of its coordinates.
+_DIAGONAL = math.sqrt(3.0)
+_ROUNDING = 1e-9  # m; of distances
 
 
 @dc.dataclass(frozen=True)
@@ -51,7 +54,7 @@ class RetargetingStatus:
     """What the system does with its input, and since which time (s).
 
     `distance` (m) is how far a fingertip is from all places it had in training, the farthest one's; NaN
-    where that is not known.
+    where that is not known, and while the input is not followed.
     """
 
     state: str = SETTLING
@@ -81,8 +84,8 @@ class RetargetingSystem(LeafSystem):
         delay: from the keypoints to what is made of them, s: `latency`, and that of the low-pass for slow
             motion.
 
-    State: the 2n desired values last computed; the status; what is remembered of the input; and with a
-    latency the 2n desired values last given out (discrete, so there is no direct feedthrough).
+    State: the 2n desired values last computed; what is remembered of status and input; and with a latency
+    the 2n desired values last given out (discrete, so there is no direct feedthrough).
 
     Args:
         retarget: maps keypoints (21, 3) in H to joint positions (n,) in `joint_names` order.
@@ -136,6 +139,7 @@ class RetargetingSystem(LeafSystem):
         self._blend = 1.0 - math.exp(-2.0 * math.pi * cutoff * period) if cutoff > 0 else 1.0
         self.delay = latency + period * (1.0 - self._blend) / self._blend
         self._n = n = len(actuated_joints)
+        self._zeros = np.zeros(n)
         self._keypoints_port = self.DeclareVectorInputPort("keypoints", 63)
         self._valid_port = self.DeclareVectorInputPort("valid", 1)
         self._stamp_port = self.DeclareVectorInputPort("stamp", 1)
@@ -148,11 +152,9 @@ class RetargetingSystem(LeafSystem):
                     f"the initial position of '{name}' must be within [{low:g}, {high:g}] rad; given: {q:g}"
                 )
         desired = self.DeclareDiscreteState(np.concatenate([q0, np.zeros(n)]))
-        self._status = self.DeclareDiscreteState([STATES.index(SETTLING), 0.0, math.nan])
         easing = Easing.at_start(self._checks.ease_at_start)
-        self._memory = self.DeclareDiscreteState(
-            np.concatenate([q0, np.full(63, math.nan), [0.0, math.nan, 0.0], dc.astuple(easing)])
-        )
+        numbers = [STATES.index(SETTLING), 0.0, math.nan, 0.0, math.nan, 0.0, *dc.astuple(easing)]
+        self._memory = self.DeclareDiscreteState(np.concatenate([q0, np.full(63, math.nan), numbers]))
         # With a latency, what is given out is kept apart from what is computed meanwhile.
         self._given_out = desired
         if latency > 0:
@@ -162,7 +164,7 @@ class RetargetingSystem(LeafSystem):
             "status",
             lambda: AbstractValue.Make(RetargetingStatus()),
             self._calc_status,
-            {self.discrete_state_ticket(self._status)},
+            {self.discrete_state_ticket(self._memory)},
         )
         # Two events due at once would be at the mercy of rounding, so one that is busy all the time gives
         # out its last result when it takes up the next.
@@ -187,15 +189,15 @@ class RetargetingSystem(LeafSystem):
         if self._busy:
             self._give_out(context, discrete_state)
         n, period, time = self._n, self.period, context.get_time()
-        desired = context.get_discrete_state(0).value()
-        q, v = desired[:n], desired[n:]
-        memory = context.get_discrete_state(self._memory).value()
-        target, numbers = memory[:n], memory[n + 63 :].tolist()
+        # What is to be written begins as what is there.
+        desired = discrete_state.get_mutable_value(0)
+        memory = discrete_state.get_mutable_value(self._memory)
+        q, v, target = desired[:n], desired[n:], memory[:n]
+        code, since, excess, *numbers = memory[n + 63 :].tolist()
         glove, easing = GloveMemory(memory[n : n + 63], *numbers[:3]), Easing(*numbers[3:])
-        code, since, _ = context.get_discrete_state(self._status).value().tolist()
         before = STATES[int(code)]
 
-        state, wanted, distance = self._wanted(context, glove, easing, before, since)
+        state, wanted, excess = self._wanted(context, time, glove, easing, before, since, excess)
         if wanted is None:
             easing.hold(time, good=state == SETTLING)
             q, v = self._limits.step(q, v, q, q, period)
@@ -210,27 +212,35 @@ class RetargetingSystem(LeafSystem):
             if reached or share == 1.0:
                 easing.end()
             if state is None:
-                state = self._following(easing, distance, reached)
+                state = self._following(easing, excess, reached)
 
-        # The velocity target keeps the joint's damping from acting against a wanted motion.
-        discrete_state.set_value(0, np.concatenate([q, v]))
-        numbers = [glove.changed, glove.stamp, glove.stamped]
-        numbers += [easing.good_since, easing.held_since, easing.eased_from, easing.duration]
-        discrete_state.set_value(self._memory, np.concatenate([target, glove.keypoints, numbers]))
         if state != before:
             code, since = STATES.index(state), time
-        discrete_state.set_value(self._status, [code, since, distance])
+        memory[:n], memory[n : n + 63] = target, glove.keypoints
+        memory[n + 63 :] = [
+            *(code, since, excess, glove.changed, glove.stamp, glove.stamped),
+            *(easing.good_since, easing.held_since, easing.eased_from, easing.duration),
+        ]
+        # The velocity target keeps the joint's damping from acting against a wanted motion.
+        desired[:n], desired[n:] = q, v
         return EventStatus.Succeeded()
 
     def _wanted(
-        self, context: Context, glove: GloveMemory, easing: Easing, before: str, since: float
+        self,
+        context: Context,
+        time: float,
+        glove: GloveMemory,
+        easing: Easing,
+        before: str,
+        since: float,
+        excess: float,
     ) -> tuple[str | None, np.ndarray | None, float]:
         """The state that the input decides, if any; what it asks of the joints (n,) rad, None to hold them;
-        and a fingertip's largest distance from its places in training, m.
+        and the fingertips' `_excess`, NaN where nothing is asked.
 
-        `before` is the state until now, `since` when it began.
+        `before` is the state until now, `since` when it began, `excess` that of the last update.
         """
-        time, keypoints = context.get_time(), self._keypoints_port.Eval(context)
+        keypoints = self._keypoints_port.Eval(context)
         valid = self._valid_port.Eval(context)[0] >= 0.5
         stamped = self._stamp_port.HasValue(context)
         stamp = float(self._stamp_port.Eval(context)[0]) if stamped else None
@@ -242,23 +252,39 @@ class RetargetingSystem(LeafSystem):
             return fault, None, math.nan
         if not easing.settled(time, self._checks.settle_time):
             return SETTLING, None, math.nan
-        points, distance = keypoints.reshape(21, 3), math.nan
+        points = keypoints.reshape(21, 3)
         wanted = self._retarget(points)[self._to_plant]
-        if self._trained_space is not None:
-            distance = float(self._trained_space.distances(points).max())
-        if not math.isfinite(wanted.sum()):
-            return HELD_NOT_FINITE, None, distance
+        excess = self._excess(points, excess, glove.moved)
+        if wanted.dot(self._zeros) != 0.0:  # a zero times NaN or infinity is NaN
+            return HELD_NOT_FINITE, None, excess
         wanted = np.minimum(np.maximum(wanted, self._limits.lower), self._limits.upper)
-        return fault, wanted, distance
+        return fault, wanted, excess
 
-    def _following(self, easing: Easing, distance: float, reached: bool) -> str:
+    def _excess(self, points: np.ndarray, before: float, moved: float) -> float:
+        """How much farther from training a fingertip is than tolerated, m: right in sign, at most in size.
+
+        A distance changes by no more than the fingertip moves. So it is measured only where coordinates that
+        `moved` by so much may have changed the sign since `before`, which this returned at the last update.
+        """
+        if self._trained_space is None:
+            return math.nan
+        left = abs(before) - _DIAGONAL * moved
+        if left > _ROUNDING:
+            return math.copysign(left, before)
+        return float(self._trained_space.distances(points).max()) - self._checks.trained_tolerance
+
+    def _following(self, easing: Easing, excess: float, reached: bool) -> str:
         """The state of a hand that follows good input."""
         if easing.duration > 0.0:
             return EASING
-        if distance > self._checks.trained_tolerance:
+        if excess > 0.0:
             return OUTSIDE
         return TRACKING if reached else LIMITED
 
     def _calc_status(self, context: Context, output) -> None:
-        code, since, distance = context.get_discrete_state(self._status).value()
-        output.set_value(RetargetingStatus(STATES[int(code)], float(since), float(distance)))
+        memory = context.get_discrete_state(self._memory).value()[self._n :]
+        code, since, excess = memory[63:66].tolist()
+        distance = math.nan
+        if self._trained_space is not None and not math.isnan(excess):
+            distance = self._trained_space.distances(memory[:63].reshape(21, 3)).max().item()
+        output.set_value(RetargetingStatus(STATES[int(code)], since, distance))
