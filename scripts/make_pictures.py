@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import io
 import os
 import re
 import subprocess
@@ -10,7 +11,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
+from rich.progress import track
 
 from geort_drake.console import console, run_main
 from geort_drake.errors import GeortError
@@ -20,6 +23,9 @@ ROOT = Path(__file__).resolve().parents[1]
 SIZE = (1440, 900)  # px
 # The viewer's menu, and its time controls with nothing of the recording on them, px.
 TOP, BOTTOM = 37, 30
+# A film shows what matters of a scene: left, top, right and bottom in shares of it.
+FILM_PART = (0.13, 0.14, 0.87, 0.80)
+FILM_HZ, FILM_QUALITY = 8, 60
 EPILOG = """\
 Everything is recorded from scratch, which takes as long as one training and one grasp. On a machine without a
 graphics card, Rerun's viewer draws with Mesa's software driver (apt-get install mesa-vulkan-drivers).
@@ -34,11 +40,13 @@ class Picture:
         record: makes the recording in a folder, for which `arguments` hold what was asked for.
         file: the recording, in that folder.
         time: on its timeline: s, or steps; None is the end.
+        moves: whether it is a film of the scene from beginning to end.
     """
 
     record: Callable[[Path, argparse.Namespace], None]
     file: str
     time: float | None = None
+    moves: bool = False
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -63,9 +71,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         picture = PICTURES[name]
         console.print(f"[bold]{name}[/]")
         picture.record(folder, arguments)
-        check(folder / picture.file)
-        photograph(folder / picture.file, arguments.output / f"{name}.png", picture.time)
-        console.print(f"Wrote {arguments.output / f'{name}.png'}", soft_wrap=True)
+        recording = folder / picture.file
+        check(recording)
+        file = arguments.output / f"{name}.{'webp' if picture.moves else 'png'}"
+        if picture.moves:
+            film(recording, file)
+        else:
+            photograph(recording, file, picture.time)
+        console.print(f"Wrote {file}", soft_wrap=True)
     return 0
 
 
@@ -90,6 +103,27 @@ def photograph(recording: Path, picture: Path, time: float | None) -> None:
         cut = whole.convert("RGB").crop((0, TOP, whole.width, whole.height - BOTTOM))
         # An octree keeps the hues of thin lines, which a median cut gives up.
         cut.quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(draft, optimize=True)
+
+
+def film(recording: Path, picture: Path) -> None:
+    """Writes a small moving .webp of a recording's scene, as fast as it was."""
+    from geort_drake.systems._rerun_screenshot import camera
+
+    with camera(recording, SIZE) as opened:
+        times = np.arange(0, opened.end, 1 / FILM_HZ)
+        shots = [opened.take(time, "scene") for time in track(times, "frames", console=console)]
+    frames = []
+    for shot in shots:
+        with Image.open(io.BytesIO(shot)) as whole:
+            part = np.array(FILM_PART) * (whole.size * 2)
+            frames.append(whole.convert("RGB").crop(part.astype(int).tolist()))
+    # The last instant stays for a while before it begins again.
+    durations = [1000 // FILM_HZ] * (len(frames) - 1) + [1500]
+    with atomic_path(picture) as draft:
+        frames[0].save(
+            draft, format="WEBP", save_all=True, append_images=frames[1:], duration=durations, loop=0,
+            quality=FILM_QUALITY, method=6,
+        )  # fmt: skip
 
 
 def record_training(folder: Path, arguments: argparse.Namespace) -> None:
@@ -127,6 +161,7 @@ PICTURES = {
     "training": Picture(record_training, "training.rrd"),
     "explorer": Picture(record_explorer, "explorer.rrd", 8.0),
     "grasp": Picture(record_grasp, "grasp/cylinder-0.rrd", 6.6),
+    "grasp_film": Picture(record_grasp, "grasp/cylinder-0.rrd", moves=True),
     "objects": Picture(record_objects, "objects.rrd", 0.5),
 }
 

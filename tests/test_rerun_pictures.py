@@ -1,6 +1,8 @@
 """The docs' pictures: what is recorded for them, checked, and cut to size."""
 
+import contextlib
 import importlib.util
+import io
 import re
 from pathlib import Path
 
@@ -32,6 +34,20 @@ def test_every_picture_of_a_recording_has_a_caption(pictures):
         assert name in pictures.PICTURES
         assert begins == "*", f"{name} has no caption"
         assert (ROOT / "docs" / "images" / f"{name}.png").stat().st_size < 300_000
+
+
+def test_the_readme_begins_with_a_moving_picture(pictures):
+    """It can be made anew, loads at once, and its frames are no more than a page needs."""
+    (name, suffix), *_ = re.findall(
+        r"\]\(docs/images/(\w+)\.(\w+)\)", (ROOT / "README.md").read_text("utf-8")
+    )
+    assert pictures.PICTURES[name].moves
+    path = ROOT / "docs" / "images" / f"{name}.{suffix}"
+    assert path.stat().st_size < 1_500_000
+    with Image.open(path) as film:
+        assert film.n_frames > 20
+        film.load()
+        assert film.info["duration"] >= 1000 / 12
 
 
 def test_the_docs_example_is_what_is_photographed(pictures):
@@ -73,3 +89,27 @@ def test_a_photograph_is_without_the_viewers_frame(pictures, tmp_path, monkeypat
         pixels = np.asarray(picture.convert("RGB"))
     assert pixels[400 - pictures.TOP, 700].tolist() == [10, 200, 30]
     assert (pixels.reshape(-1, 3) != 0).any(axis=1).sum() == 1
+
+
+def test_a_film_shows_the_scene_from_beginning_to_end(pictures, tmp_path, monkeypatch):
+    """One frame per instant, in order, of the part that matters."""
+    asked = []
+
+    class Camera:
+        end = 1.0
+
+        def take(self, time, view):
+            asked.append((time, view))
+            png = io.BytesIO()
+            Image.new("RGB", (100, 100), (round(200 * time), 0, 0)).save(png, "PNG")
+            return png.getvalue()
+
+    monkeypatch.setattr(_rerun_screenshot, "camera", lambda *_: contextlib.nullcontext(Camera()))
+    pictures.film(tmp_path / "any.rrd", tmp_path / "any.webp")
+    assert asked == [(k / pictures.FILM_HZ, "scene") for k in range(pictures.FILM_HZ)]
+    with Image.open(tmp_path / "any.webp") as film:
+        assert (film.n_frames, film.size) == (pictures.FILM_HZ, (74, 66))
+        for k in (0, 5):
+            film.seek(k)
+            shade = np.asarray(film.convert("RGB"))[..., 0]
+            assert np.abs(shade.astype(int) - 200 * k / pictures.FILM_HZ).max() < 8

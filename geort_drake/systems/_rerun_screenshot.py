@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from time import monotonic, sleep
 from typing import IO
@@ -20,37 +21,78 @@ from geort_drake.systems._rerun_writer import STEPS, TIMELINE
 
 _GREETING = 6.0  # s; so long a notice of the viewer's covers a corner
 _ATTEMPTS = 4
+_PAUSE = 0.3  # s, between two looks at whether anything still moves
 _DRIVER = (
     "The viewer needs a graphics driver; without a graphics card a software one will do "
     "(Debian and Ubuntu: apt-get install mesa-vulkan-drivers)."
 )
 
 
-def take_screenshot(
-    recording: str | os.PathLike,
-    picture: str | os.PathLike,
-    *,
-    time: float | None = None,
-    size: tuple[int, int] = (1440, 900),
-    timeout_s: float = 120.0,
-) -> None:
-    """Writes a .png of a recording as the viewer shows it, with the layout stored in the file.
+class Camera:
+    """Takes pictures of a recording that a viewer shows.
+
+    Attributes:
+        end: last time on the recording's timeline: simulated s, or training steps.
+    """
+
+    def __init__(self, client: ViewerClient, recording: Path, timeout_s: float):
+        self._client, self._timeout_s = client, timeout_s
+        client.open(str(recording))
+        deadline = monotonic() + timeout_s
+        while (state := client.get_state()).loading or not state.recordings:
+            if monotonic() > deadline:
+                raise RuntimeError(f"the recording did not load within {timeout_s:g} s")
+            sleep(0.2)
+        timelines = state.recordings[0].timelines
+        ends = {timeline.name: timeline.end for timeline in timelines if timeline.end is not None}
+        self._timeline = next((name for name in (TIMELINE, STEPS) if name in ends), None)
+        if self._timeline is None:
+            raise RecordingError(f"{recording}: holds nothing on the timeline '{TIMELINE}' or '{STEPS}'")
+        self.end: float = ends[self._timeline] * (1e-9 if self._timeline == TIMELINE else 1)
+        sleep(_GREETING)
+
+    def take(self, time: float | None = None, view: str | None = None) -> bytes:
+        """A .png of a time, by default the end; of the layout's view with a title, by default the window."""
+        shown = self.end if time is None else time
+        kind = {"duration": shown} if self._timeline == TIMELINE else {"sequence": round(shown)}
+        self._client.set_time(self._timeline, play_state="paused", **kind)
+        return self._settled(view)
+
+    def _settled(self, view: str | None) -> bytes:
+        """What the viewer shows when nothing moves any more: layout and plots settle over many frames."""
+        views = {shown.name: shown.view_id for shown in self._client.get_state().views}
+        end, before, failures = monotonic() + self._timeout_s, b"", 0
+        while True:
+            try:
+                now = self._client.take_screenshot(None if view is None else views[view])
+            except RuntimeError:  # a busy machine may not draw within the client's own limit
+                failures += 1
+                if failures == _ATTEMPTS:
+                    raise
+                continue
+            if now == before or monotonic() > end:
+                return now
+            before = now
+            sleep(_PAUSE)
+
+
+@contextlib.contextmanager
+def camera(
+    recording: str | os.PathLike, size: tuple[int, int] = (1440, 900), timeout_s: float = 120.0
+) -> Iterator[Camera]:
+    """Shows a recording in a viewer without a screen, with the layout stored in the file.
 
     Args:
         recording: the .rrd file.
-        picture: the .png file.
-        time: what to show, on the recording's timeline: simulated s, or training steps; by default the end.
         size: width and height of the window, px.
         timeout_s: how long to wait for the viewer to start, the file to load, and the layout to settle.
 
     Raises:
         RecordingError: the recording is missing or empty, or the viewer cannot draw here.
     """
-    recording, picture = Path(recording).resolve(), Path(picture).resolve()
+    recording = Path(recording).resolve()
     if not recording.is_file():
         raise RecordingError(f"{recording}: no such recording")
-    if picture.suffix != ".png":
-        raise RecordingError(f"{picture}: a picture's name must end with .png")
     try:
         RrdReader(recording).recordings()
     except (OSError, RuntimeError, ValueError) as error:
@@ -68,13 +110,38 @@ def take_screenshot(
         try:
             _wait_for(port, viewer, timeout_s)
             client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
-            _show(client, recording, time, timeout_s)
-            with atomic_path(picture) as draft:
-                _photograph(client, draft, timeout_s)
+            yield Camera(client, recording, timeout_s)
         except (OSError, RuntimeError) as error:
             raise RecordingError(f"{recording}: no picture: {error}. {_reason(viewer, log)}") from error
         finally:
             _end(viewer)
+
+
+def take_screenshot(
+    recording: str | os.PathLike,
+    picture: str | os.PathLike,
+    *,
+    time: float | None = None,
+    size: tuple[int, int] = (1440, 900),
+    timeout_s: float = 120.0,
+) -> None:
+    """Writes a .png of a recording as the viewer shows it, with the layout stored in the file.
+
+    Args:
+        recording, size, timeout_s: as in `camera`.
+        picture: the .png file.
+        time: what to show, on the recording's timeline: simulated s, or training steps; by default the end.
+
+    Raises:
+        RecordingError: see `camera`; or the picture has another suffix.
+    """
+    picture = Path(picture).resolve()
+    if picture.suffix != ".png":
+        raise RecordingError(f"{picture}: a picture's name must end with .png")
+    with camera(recording, size, timeout_s) as opened:
+        png = opened.take(time)
+    with atomic_path(picture) as draft:
+        draft.write_bytes(png)
 
 
 def _reason(viewer: subprocess.Popen, log: IO[bytes]) -> str:
@@ -108,41 +175,3 @@ def _wait_for(port: int, viewer: subprocess.Popen, timeout_s: float) -> None:
                 return
         sleep(0.2)
     raise RuntimeError(f"the viewer did not answer within {timeout_s:g} s")
-
-
-def _show(client: ViewerClient, recording: Path, time: float | None, timeout_s: float) -> None:
-    client.open(str(recording))
-    deadline = monotonic() + timeout_s
-    while (state := client.get_state()).loading or not state.recordings:
-        if monotonic() > deadline:
-            raise RuntimeError(f"the recording did not load within {timeout_s:g} s")
-        sleep(0.2)
-    timelines = state.recordings[0].timelines
-    ends = {timeline.name: timeline.end for timeline in timelines if timeline.end is not None}
-    if TIMELINE in ends:
-        shown = ends[TIMELINE] * 1e-9 if time is None else time
-        client.set_time(TIMELINE, duration=shown, play_state="paused")
-    elif STEPS in ends:
-        step = ends[STEPS] if time is None else round(time)
-        client.set_time(STEPS, sequence=step, play_state="paused")
-    else:
-        raise RecordingError(f"{recording}: holds nothing on the timeline '{TIMELINE}' or '{STEPS}'")
-
-
-def _photograph(client: ViewerClient, picture: Path, timeout_s: float) -> None:
-    """Saves what the viewer shows when nothing moves any more: layout and plots settle over many frames."""
-    end, before, failures = monotonic() + timeout_s, b"", 0
-    sleep(_GREETING)
-    while True:
-        try:
-            client.save_screenshot(str(picture))
-        except RuntimeError:  # a busy machine may not draw within the client's own limit
-            failures += 1
-            if failures == _ATTEMPTS:
-                raise
-            continue
-        now = picture.read_bytes()
-        if now == before or monotonic() > end:
-            return
-        before = now
-        sleep(1.0)
