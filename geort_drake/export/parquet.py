@@ -68,9 +68,13 @@ def frame_table(episode: Episode) -> pa.Table:
 
 def rows(values: np.ndarray, missing: np.ndarray | None = None) -> pa.Array:
     """A list of n numbers per row of values (T, n); null where `missing`."""
-    flat = pa.array(np.ascontiguousarray(values).ravel())
-    mask = None if missing is None else pa.array(missing)
-    return pa.FixedSizeListArray.from_arrays(flat, values.shape[1], mask=mask)
+    n = values.shape[1]
+    if missing is None:
+        return pa.FixedSizeListArray.from_arrays(pa.array(np.ascontiguousarray(values).ravel()), n)
+    # Before version 26, Arrow writes or reads no null among lists of fixed size.
+    ends = np.cumsum(np.where(missing, 0, n), dtype=np.int32)
+    flat = pa.array(np.ascontiguousarray(values[~missing]).ravel())
+    return pa.ListArray.from_arrays(pa.array(np.append(np.int32(0), ends)), flat, mask=pa.array(missing))
 
 
 def check_replaceable(output: str | os.PathLike, mark: str) -> None:

@@ -78,9 +78,11 @@ class Child:
         self.process.join()
 
 
-def run(function: Callable, arguments: tuple, folder: Path, beside: Path, **limits: int) -> Ending:
-    """A `Child` from start to end."""
-    return Child(function, arguments, folder, beside, **limits).wait()
+def run(
+    function: Callable, arguments: tuple, folder: Path, beside: Path, seconds: float = HANGING, **limits: int
+) -> Ending:
+    """A `Child` from start to end, for which it has so many seconds."""
+    return Child(function, arguments, folder, beside, **limits).wait(seconds)
 
 
 def script(name: str, argv: list[str]) -> int | None:

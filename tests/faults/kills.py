@@ -17,6 +17,7 @@ import numpy as np
 from faults.child import Child, Ending, run
 from faults.works import WORKS, Work
 
+TIME = 900.0  # s that a work may take, also on a busy machine
 NOTICED = 30.0  # s after which a killed program's worker must have ended, also on a busy machine
 
 
@@ -42,10 +43,10 @@ def reference(work: Work, folder: Path) -> Reference:
     """Runs a work twice, first with another seed, in a folder of its own."""
     room = folder / "reference"
     room.mkdir(parents=True)
-    _ended_well(run(_work, (work.name, 1, None), room, folder / "beside"))
+    _ended_well(run(_work, (work.name, 1, None), room, folder / "beside", TIME))
     earlier = work.results(room)
     shutil.copytree(room, folder / "earlier")
-    ending = _ended_well(run(_work, (work.name, 0, -1), room, folder / "beside"))
+    ending = _ended_well(run(_work, (work.name, 0, -1), room, folder / "beside", TIME))
     events = int((folder / "beside" / "events.txt").read_text())
     return Reference(folder / "earlier", earlier, work.results(room), ending.seconds, events)
 
@@ -67,12 +68,12 @@ def kill(work: Work, known: Reference, folder: Path, rng: np.random.Generator, b
         child.kill()
     else:
         at = int(rng.integers(1, known.events + 1))
-        ending = run(_work, (work.name, 0, at), room, folder / "beside")
+        ending = run(_work, (work.name, 0, at), room, folder / "beside", TIME)
         if ending.code != -signal.SIGKILL:
             return [f"was not killed at event {at}: {ending}"]
     wrong, left = _looked_at(work, known, room)
     wrong += [f"process {process} was left over" for process in _left_over(room)]
-    ending = run(_work, (work.name, 0, None), room, folder / "beside")
+    ending = run(_work, (work.name, 0, None), room, folder / "beside", TIME)
     if ending.code != 0:
         return [*wrong, f"did not go on: {ending}"]
     after = work.results(room)
@@ -87,11 +88,11 @@ def full_disk(work: Work, known: Reference, folder: Path, limit: int) -> list[st
     """Lets no file grow beyond `limit` bytes; then runs without the limit. What is wrong with that."""
     room = folder / "room"
     shutil.copytree(known.folder, room)
-    ending = run(_work, (work.name, 0, None), room, folder / "beside", RLIMIT_FSIZE=limit)
+    ending = run(_work, (work.name, 0, None), room, folder / "beside", TIME, RLIMIT_FSIZE=limit)
     wrong, _ = _looked_at(work, known, room)
     wrong += unclear(ending, "File too large|is the disk full")
     wrong += [f"left {path.name}" for path in room.rglob(".*")]
-    ending = run(_work, (work.name, 0, None), room, folder / "beside")
+    ending = run(_work, (work.name, 0, None), room, folder / "beside", TIME)
     if ending.code != 0 or work.results(room) != known.later:
         wrong.append(f"did not go on: {ending}")
     return wrong
