@@ -31,7 +31,7 @@ from geort_drake.systems._rerun_writer import Property, Writer, file_writer
 APPLICATION = "geort_drake_explorer"
 _APART = 0.26  # m, from hand to hand
 _HUMAN_TIP = 0.0085  # m, radius
-_ASKED = "asked pinch"
+_ASKED = "asked_pinch"
 _SKIN: Color = (224, 172, 138)
 # Of the methods in the plots: apart from those of fingers and marks.
 _COLORS: tuple[Color, ...] = ((0, 158, 115), (213, 94, 0), (148, 103, 189), (23, 190, 207), (188, 189, 34))
