@@ -1,17 +1,22 @@
 # make grasp: install into .venv, train a retargeter, simulate grasps, show the results.
 # make test:  install the test extra and run the tests.
+# make test-lowest: the same with the oldest versions of the dependencies, in .venv-lowest.
 # make pictures: record a training, a grasp and the like, and make the docs' pictures of them.
 PYTHON ?= python3
 VENV ?= .venv
+CONSTRAINTS ?= constraints.txt
 BIN := $(VENV)/bin
 
-.PHONY: grasp test lint pictures clean
+.PHONY: grasp test test-lowest lint pictures clean
 
 grasp: $(VENV)/installed
 	$(BIN)/python scripts/simulate_grasp.py $(ARGS)
 
 test: $(VENV)/installed-test
 	$(BIN)/python -m pytest -n 2 $(ARGS)
+
+test-lowest:
+	$(MAKE) test VENV=.venv-lowest CONSTRAINTS=constraints-lowest.txt
 
 pictures: $(VENV)/installed
 	$(BIN)/python scripts/make_pictures.py $(ARGS)
@@ -24,13 +29,13 @@ lint: $(VENV)/installed-test
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/installed: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
+$(VENV)/installed: $(VENV)/bin/python pyproject.toml $(CONSTRAINTS)
+	$(BIN)/python -m pip install --quiet --constraint $(CONSTRAINTS) --editable .
 	touch $@
 
 $(VENV)/installed-test: $(VENV)/installed
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
+	$(BIN)/python -m pip install --quiet --constraint $(CONSTRAINTS) --editable '.[test]'
 	touch $@
 
 clean:
-	rm -rf $(VENV) runs
+	rm -rf $(VENV) .venv-lowest runs
