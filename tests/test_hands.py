@@ -262,9 +262,31 @@ def test_samples_carry_the_hands_own_answers(allegro, tmp_path):
     """Fingertips and labels are those of the model at each sample."""
     data = robot_data(allegro, 300, seed=0, cache=tmp_path)
     np.testing.assert_array_equal(data.p_BF, allegro.fingertips(data.q))
-    np.testing.assert_array_equal(data.collides, allegro.collides(data.q))
     np.testing.assert_array_equal(data.collides_beyond_tips, allegro.collides_beyond_tips(data.q))
     assert data.digest == allegro.digest
+
+
+def test_samples_are_the_same_however_many_processes_label_them(allegro, tmp_path):
+    """This one alone, and one beside it; progress is told in order."""
+    done = []
+    alone = robot_data(allegro, 3200, cache=tmp_path / "a", processes=1)
+    shared = robot_data(
+        allegro, 3200, cache=tmp_path / "b", processes=2, progress=lambda *step: done.append(step)
+    )
+    for name, value in vars(alone).items():
+        np.testing.assert_array_equal(value, getattr(shared, name))
+    assert 0.05 < alone.collides_beyond_tips.mean() < 0.95
+    assert done[-1] == (3200, 3200) and done == sorted(done)
+
+
+def test_positions_cost_nothing_where_labels_are_not_wanted(allegro, tmp_path, monkeypatch):
+    """They are the same as with labels; nothing is computed or stored."""
+    labelled = robot_data(allegro, 300, cache=tmp_path / "a")
+    monkeypatch.setattr(HandModel, "collides_beyond_tips", lambda *_: pytest.fail("labelled"))
+    data = robot_data(allegro, 300, cache=tmp_path / "b", labels=False)
+    np.testing.assert_array_equal(data.q, labelled.q)
+    assert data.p_BF is None and data.collides_beyond_tips is None
+    assert not (tmp_path / "b").exists()
 
 
 def test_cached_samples_are_returned_as_they_were(allegro, tmp_path, monkeypatch):

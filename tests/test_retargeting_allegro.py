@@ -82,7 +82,8 @@ def test_a_trained_checkpoint_knows_where_it_comes_from(checkpoint, hand, play):
     assert content.hand["model_sha256"] == hand.digest
     provenance = content.provenance
     assert provenance["recording"]["sha256"] == play.digest
-    assert provenance["robot_data"] == {"count": 5000, "seed": 2, "model_sha256": hand.digest}
+    sampled = {"count": 5000, "seed": 2, "model_sha256": hand.digest, "labels": True}
+    assert provenance["robot_data"] == sampled
     assert {"drake", "torch", "numpy", "geort_drake"} <= set(provenance["versions"])
     assert provenance["timings"]["training_s"] > 0
     assert provenance["training"]["pinch_frames"] > 0

@@ -46,6 +46,8 @@ CONFIGS: dict[str, type[TrainingConfig]] = {
     "geort_coupled": CoupledConfig,
     "linear_offline": TrainingConfig,
 }
+# Methods that learn from the robot samples' labels; for the others they are not computed.
+LABELLED = frozenset({"geort"})
 
 
 def training_config(method: str, settings: Mapping | None = None) -> TrainingConfig:
@@ -111,7 +113,9 @@ def train_checkpoint(
             p_HF = recording.fingertips(keypoints)
             said = narrow_motions(recording.p_HK[recording.valid], keypoints)
         with _timed(timings, "robot_data_s"):
-            samples = robot_data(hand, robot_samples, seed, progress=bars.counter("robot samples"))
+            labels = method in LABELLED
+            counter = bars.counter("robot samples")
+            samples = robot_data(hand, robot_samples, seed, progress=counter, labels=labels)
         extra = {}
         if method == "geort_coupled":
             shapes = collision_shapes(hand)
@@ -157,7 +161,12 @@ def train_checkpoint(
                 "frames": len(p_HF),
                 "metadata": recording.metadata,
             },
-            "robot_data": {"count": len(samples.q), "seed": seed, "model_sha256": samples.digest},
+            "robot_data": {
+                "count": len(samples.q),
+                "seed": seed,
+                "model_sha256": samples.digest,
+                "labels": labels,
+            },
             "seed": seed,
             "warnings": said,
             "versions": versions(),

@@ -85,7 +85,8 @@ def refit_checkpoint(
         config = dataclasses.replace(FINE_TUNING, steps=steps)
         # Those of the training, as they are kept.
         sampled = old.provenance.get("robot_data", {})
-        samples = robot_data(hand, **{key: sampled[key] for key in ("count", "seed") if key in sampled})
+        kept = {key: sampled[key] for key in ("count", "seed") if key in sampled}
+        samples = robot_data(hand, **kept, labels=False)
         shapes, kinematics = collision_shapes(hand), hand.kinematics()
         if side == "left":
             shapes, kinematics = shapes.mirrored(), kinematics.mirrored()

@@ -10,7 +10,6 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from geort_drake.errors import HandError
 from geort_drake.files import atomic_directory, write_text
@@ -117,6 +116,9 @@ def _hull_obj(mesh: Path) -> str:
             f"{mesh}: Drake reads {', '.join(_READABLE)}, and {', '.join(_CONVERTIBLE)} are converted; "
             "convert this mesh to .obj"
         )
+    # Few hands need it, and its import takes as long as Drake's.
+    from scipy.spatial import ConvexHull, QhullError
+
     try:
         points = (_stl_points if suffix == ".stl" else _glb_points)(mesh.read_bytes())
         hull = ConvexHull(points)

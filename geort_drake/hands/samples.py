@@ -1,7 +1,8 @@
-"""The robot's side of training: random joint positions with their fingertips and collision labels."""
+"""The robot's side of training: random joint positions, with their fingertips and collisions as labels."""
 
 import hashlib
 import logging
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,31 +10,33 @@ from pathlib import Path
 import numpy as np
 
 from geort_drake.files import atomic_path
+from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import HandModel
+from geort_drake.hands.shared_work import shared_work, worthwhile_processes
 from geort_drake.resources import cache_dir
 
 # Part of the cache key: raise it when the meaning of the stored arrays changes.
 FORMAT_VERSION = 1
-_CHUNK = 2000
+_CHUNK = 500  # samples that one process labels at a time, 0.02 s
+_START = 40  # chunks in the time that a process takes to start
 
 
 @dataclass(frozen=True)
 class RobotData:
-    """N joint positions of a robot hand, uniform within the joint limits, with what follows from them.
+    """N joint positions of a robot hand, uniform within the joint limits; as labels, what follows from them.
 
     Attributes:
         q: (N, n) joint positions, rad, in the hand description's order.
-        p_BF: (N, F, 3) fingertip points in the hand base, m.
-        collides: (N,) whether any two parts of the hand touch.
-        collides_beyond_tips: (N,) the same, not counting tip against tip.
         digest: the `HandModel.digest` of the hand.
+        p_BF: (N, F, 3) fingertip points in the hand base, m; None without labels.
+        collides_beyond_tips: (N,) whether any two parts of the hand touch, not counting tip against tip; None
+            without labels.
     """
 
     q: np.ndarray
-    p_BF: np.ndarray
-    collides: np.ndarray
-    collides_beyond_tips: np.ndarray
     digest: str
+    p_BF: np.ndarray | None = None
+    collides_beyond_tips: np.ndarray | None = None
 
 
 def robot_data(
@@ -42,40 +45,67 @@ def robot_data(
     seed: int = 0,
     cache: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
+    labels: bool = True,
+    processes: int | None = None,
 ) -> RobotData:
-    """Samples a hand, or returns what was sampled before with the same hand, count and seed.
+    """Samples a hand; labels are computed once for the same hand, count and seed, and stored.
 
     Args:
         hand: the hand.
         count: N, how many samples.
         seed: seed of the uniform distribution within the joint limits.
         cache: directory of stored samples; by default `resources.cache_dir()`.
-        progress: called with (done, total) while sampling.
+        progress: called with (done, total) while labelling.
+        labels: whether they are wanted; the positions are the same without.
+        processes: how many share the labelling, which changes nothing in the result; by default one per core,
+            and this one alone where there is little to do.
     """
     if count < 1:
         raise ValueError(f"count must be at least 1, not {count}")
+    rng = np.random.default_rng(seed)
+    data = RobotData(rng.uniform(hand.lower, hand.upper, size=(count, len(hand.joint_names))), hand.digest)
+    if not labels:
+        return data
     path = (cache_dir() if cache is None else Path(cache)) / f"robot-data-{_key(hand, count, seed)}.npz"
-    data = _read(path, hand, count)
-    if data is None:
-        data = _sample(hand, count, seed, progress)
-        _write(path, data)
-    return data
+    labelled = _read(path, data, len(hand.finger_names))
+    if labelled is None:
+        labelled = _labelled(hand, data, processes, progress)
+        _write(path, labelled)
+    return labelled
 
 
-def _sample(hand, count, seed, progress) -> RobotData:
-    q = np.random.default_rng(seed).uniform(hand.lower, hand.upper, size=(count, len(hand.joint_names)))
+def _labelled(hand, data, processes, progress) -> RobotData:
+    count = len(data.q)
+    chunks = np.split(data.q, range(_CHUNK, count, _CHUNK))
+    if processes is None:
+        processes = worthwhile_processes(len(chunks), _START)
+    answers = shared_work(
+        chunks, lambda q: _answers(hand, q), _answers_in_worker, processes, _start, (hand.description,)
+    )
     p_BF = np.empty((count, len(hand.finger_names), 3))
     collides = np.empty(count, dtype=bool)
-    for start in range(0, count, _CHUNK):
-        chunk = slice(start, min(start + _CHUNK, count))
-        p_BF[chunk] = hand.fingertips(q[chunk])
-        collides[chunk] = hand.collides(q[chunk])
+    done = 0
+    for chunk_p_BF, chunk_collides in answers:
+        rows = slice(done, done + len(chunk_collides))
+        p_BF[rows], collides[rows], done = chunk_p_BF, chunk_collides, rows.stop
         if progress is not None:
-            progress(chunk.stop, count)
-    # Only a hand that collides at all can collide beyond its tips.
-    beyond = np.zeros(count, dtype=bool)
-    beyond[collides] = hand.collides_beyond_tips(q[collides])
-    return RobotData(q, p_BF, collides, beyond, hand.digest)
+            progress(done, count)
+    return RobotData(data.q, data.digest, p_BF=p_BF, collides_beyond_tips=collides)
+
+
+def _answers(hand: HandModel, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return hand.fingertips(q), hand.collides_beyond_tips(q)
+
+
+_worker: dict[str, HandModel] = {}  # the hand of a process that takes part
+
+
+def _start(description: HandDescription) -> None:
+    _worker["hand"] = HandModel(description)
+
+
+def _answers_in_worker(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return _answers(_worker["hand"], q)
 
 
 def _key(hand: HandModel, count: int, seed: int) -> str:
@@ -83,22 +113,17 @@ def _key(hand: HandModel, count: int, seed: int) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def _read(path: Path, hand: HandModel, count: int) -> RobotData | None:
-    """What is stored at `path`, or None if nothing usable is."""
-    n, fingers = len(hand.joint_names), len(hand.finger_names)
-    wanted = {
-        "q": ((count, n), "f"),
-        "p_BF": ((count, fingers, 3), "f"),
-        "collides": ((count,), "b"),
-        "collides_beyond_tips": ((count,), "b"),
-    }
+def _read(path: Path, data: RobotData, fingers: int) -> RobotData | None:
+    """The labels of `data` that are stored at `path`, or None if nothing usable is."""
+    count = len(data.q)
+    wanted = {"p_BF": ((count, fingers, 3), "f"), "collides_beyond_tips": ((count,), "b")}
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in wanted}
-            whole = str(file["digest"]) == hand.digest
+            whole = str(file["digest"]) == data.digest and np.array_equal(file["q"], data.q)
     except FileNotFoundError:
         return None
-    except Exception:  # a corrupt archive raises nearly anything
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         whole, arrays = False, {}
     whole = whole and all(
         (arrays[name].shape, arrays[name].dtype.kind) == shape_and_kind and np.isfinite(arrays[name]).all()
@@ -107,7 +132,7 @@ def _read(path: Path, hand: HandModel, count: int) -> RobotData | None:
     if not whole:
         logging.getLogger(__name__).warning("the cached samples %s are damaged and are made anew", path)
         return None
-    return RobotData(**arrays, digest=hand.digest)
+    return RobotData(data.q, data.digest, **arrays)
 
 
 def _write(path: Path, data: RobotData) -> None:

@@ -84,7 +84,7 @@ def train_coupled(
     Args:
         p_HF: (T, F, 3) human fingertips in H, m, of successive frames; fingers as in `kinematics`.
         kinematics: exact kinematics of the robot hand.
-        robot_samples: uniform samples of the robot's joint angles.
+        robot_samples: uniform samples of the robot's joint angles; labels are not used.
         config: a `CoupledConfig`; the defaults are meant for all recordings.
         seed: fixes the initial weights and every draw.
         device: "cpu" or "cuda".
@@ -105,7 +105,7 @@ def train_coupled(
         raise TrainingError(f"geort_coupled trains with exact kinematics only, not with fk '{config.fk}'")
     if config.resampling != "frames":
         raise TrainingError("geort_coupled takes hands as they were recorded, not with resampled fingers")
-    check_robot_samples(robot_samples, kinematics)
+    check_robot_samples(robot_samples, kinematics, labels=False)
     with one_thread():
         run = CoupledTraining(p_HF, kinematics, robot_samples, config, seed, device_of(device), shapes)
         return run.train(report)

@@ -19,23 +19,22 @@ class RobotSamples(Protocol):
     """Joint angles of a robot hand and whether it collides there.
 
     q (N, n) rad; collides_beyond_tips (N,) bool: any contact but those between two fingertips, which
-    a pinch needs. Where the fingertips are follows from the kinematics.
+    a pinch needs; None where nobody asks. Where the fingertips are follows from the kinematics.
     """
 
     @property
     def q(self) -> np.ndarray: ...
 
     @property
-    def collides_beyond_tips(self) -> np.ndarray: ...
+    def collides_beyond_tips(self) -> np.ndarray | None: ...
 
 
-def check_robot_samples(samples: RobotSamples, kinematics: HandKinematics) -> None:
-    """Raises TrainingError if shapes disagree with the hand or values are not finite."""
+def check_robot_samples(samples: RobotSamples, kinematics: HandKinematics, labels: bool) -> None:
+    """Raises TrainingError if shapes disagree with the hand or values are not finite; `labels`: theirs."""
     count = len(samples.q)
-    shapes = {
-        "q": (count, len(kinematics.joint_names)),
-        "collides_beyond_tips": (count,),
-    }
+    shapes: dict[str, tuple[int, ...]] = {"q": (count, len(kinematics.joint_names))}
+    if labels:
+        shapes["collides_beyond_tips"] = (count,)
     for name, wanted in shapes.items():
         value = np.asarray(getattr(samples, name))
         if value.shape != wanted or not np.isfinite(value).all():

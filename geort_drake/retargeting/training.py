@@ -148,7 +148,7 @@ def train_geort(
     Args:
         p_HF: (T, F, 3) human fingertips in H, m; a row is one instant, fingers as in `kinematics`.
         kinematics: exact kinematics of the robot hand.
-        robot_samples: uniform samples of the robot's joint angles.
+        robot_samples: uniform samples of the robot's joint angles, with labels.
         config: settings; the defaults are meant for all recordings.
         seed: fixes the initial weights and every draw.
         device: "cpu" or "cuda".
@@ -163,7 +163,7 @@ def train_geort(
     """
     config = config or TrainingConfig()
     config.validate()
-    check_robot_samples(robot_samples, kinematics)
+    check_robot_samples(robot_samples, kinematics, labels=True)
     with one_thread():
         run = _Run(p_HF, kinematics, robot_samples, config, seed, device_of(device), collides_beyond_tips)
         return run.train(report)

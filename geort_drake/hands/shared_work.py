@@ -1,0 +1,57 @@
+"""Work on the parts of a whole, in this process and in others beside it."""
+
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
+
+import joblib
+from joblib.externals.loky import ProcessPoolExecutor
+
+Part = TypeVar("Part")
+Result = TypeVar("Result")
+
+_IDLE = 30.0  # s; workers end after this, even where the process that started them was killed
+
+
+def worthwhile_processes(parts: int, parts_in_start: int) -> int:
+    """One process per core, but no more than pay, as each starts in the time of some parts.
+
+    A process that is a worker itself starts no others.
+    """
+    if multiprocessing.parent_process() is not None:
+        return 1
+    return max(1, min(joblib.cpu_count(), parts // (2 * parts_in_start)))
+
+
+def shared_work(
+    parts: Sequence[Part],
+    here: Callable[[Part], Result],
+    there: Callable[[Part], Result],
+    processes: int,
+    start: Callable[..., None],
+    arguments: tuple,
+) -> Iterator[Result]:
+    """Yields the results of all parts, in order.
+
+    Workers begin at the end, as they start late. This process begins at the front and waits for nobody: what
+    is not there when its turn comes is done here, were it that a worker failed.
+
+    Args:
+        parts: of the work.
+        here, there: what is done with a part, in this process and in a worker; both give the same.
+        processes: how many take part, this one included.
+        start: called once in every worker, with `arguments`.
+    """
+    if processes < 2:
+        yield from map(here, parts)
+        return
+    pool = ProcessPoolExecutor(processes - 1, timeout=_IDLE, initializer=start, initargs=arguments)
+    futures = [pool.submit(there, part) for part in reversed(parts)][::-1]
+    try:
+        for part, future in zip(parts, futures, strict=True):
+            given = future.done() and future.exception() is None
+            yield future.result() if given else here(part)
+    finally:
+        for future in futures:
+            future.cancel()
+        pool.shutdown(wait=False)
