@@ -118,6 +118,10 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str]] = {
     "limits the wrong way round": (hand(lower=[3.0] * 16), "lower and upper must be"),
     "limits for fewer joints": (hand(upper=[1.0] * 15), "lower and upper must be"),
     "limits that are texts": (hand(upper=["1.0"] * 16), "lower and upper must be"),
+    "joint names that are numbers": (
+        hand(joint_names=list(range(16))),
+        "joint_names differ: hand.json has 0, 1",
+    ),
     "an older format of the future": (config(format="2"), "format is 2, this version reads 1"),
 }
 
