@@ -24,7 +24,7 @@ SIZE = (1440, 900)  # px
 # The viewer's menu, and its time controls with nothing of the recording on them, px.
 TOP, BOTTOM = 37, 30
 # A film shows what matters of a scene: left, top, right and bottom in shares of it.
-FILM_PART = (0.13, 0.14, 0.87, 0.80)
+FILM_PART = (0.20, 0.15, 0.93, 0.83)
 FILM_HZ, FILM_QUALITY = 8, 60
 EPILOG = """\
 Everything is recorded from scratch, which takes as long as one training and one grasp. On a machine without a
@@ -122,7 +122,7 @@ def film(recording: Path, picture: Path) -> None:
     with atomic_path(picture) as draft:
         frames[0].save(
             draft, format="WEBP", save_all=True, append_images=frames[1:], duration=durations, loop=0,
-            quality=FILM_QUALITY, method=6,
+            quality=FILM_QUALITY,
         )  # fmt: skip
 
 

@@ -30,7 +30,7 @@ belongs to which human one.
 |---|---|---|
 | I | keep directions of motion | the lattices keep their directions |
 | II | use all of the robot's reach | grey dots take their finger's colour |
-| III | answer equal motions equally | the lattices' cells become alike |
+| III | answer equal motions equally | the lattices' cells are alike |
 | IV | close pinches | lines between fingertips: red open, green closed |
 | V | keep the hand off itself | red balls vanish |
 
@@ -135,11 +135,11 @@ class TrainingRecorder:
 
 def _layout(steps: int) -> rrb.Blueprint:
     scenes = [scene_view(eye, target, title, contents) for title, eye, target, contents in _VIEWS]
-    plots = [time_series(title, [f"/criteria/{key}"], legend=False) for key, title in CRITERIA.items()]
-    losses = time_series("losses", ["/losses/**"], legend=False)
+    curves = [(title, f"/criteria/{key}") for key, title in CRITERIA.items()] + [("losses", "/losses/**")]
+    plots = [time_series(title, [path], legend=False, steps=steps) for title, path in curves]
     below = rrb.Horizontal(
         rrb.TextDocumentView(origin="/about", name="what you see"),
-        rrb.Grid(contents=[*plots, losses], grid_columns=3, name="criteria"),
+        rrb.Grid(contents=plots, grid_columns=3, name="criteria"),
         column_shares=[2, 3],
     )
     rows = rrb.Vertical(rrb.Horizontal(*scenes), below, row_shares=[5, 4])

@@ -106,12 +106,18 @@ def scene_view(
     )
 
 
-def time_series(title: str, paths: Sequence[str], legend: bool = True) -> rrb.TimeSeriesView:
-    """A plot whose time axis moves with those of the others."""
+def time_series(
+    title: str, paths: Sequence[str], legend: bool = True, steps: int | None = None
+) -> rrb.TimeSeriesView:
+    """A plot whose time axis moves with those of the others, or shows so many steps."""
+    axis = rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
+    if steps is not None:
+        first, last = rr.TimeRangeBoundary.absolute(seq=0), rr.TimeRangeBoundary.absolute(seq=steps)
+        axis = rrb.TimeAxis(view_range=rr.TimeRange(first, last))
     return rrb.TimeSeriesView(
         origin="/",
         contents=list(paths),
         name=title,
-        axis_x=rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal),
+        axis_x=axis,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
     )
