@@ -39,11 +39,11 @@ class CoupledConfig(TrainingConfig):
     hidden: int = 64
     residual_hidden: int = 112
     direction_weight: float = 3.0
-    track_weight: float = 5.65
-    coverage_weight: float = 1.445
+    track_weight: float = 5.6
+    coverage_weight: float = 1.465
     context_weight: float = 1.82
     cross_talk_weight: float = 3.75
-    flatness_weight: float = 0.67
+    flatness_weight: float = 0.64
     response_weight: float = 0.9
     pinch_weight: float = 1.2
     false_pinch_weight: float = 0.45
