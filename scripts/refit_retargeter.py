@@ -31,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             arguments.hand,
             steps,
             arguments.seed,
-            lambda done, total, _losses: progress.update(task, completed=done, total=total),
+            lambda done, total, *_: progress.update(task, completed=done, total=total),
         )
     provenance = load_checkpoint(path).provenance
     metrics = json.loads((path / METRICS).read_text(encoding="utf-8"))
