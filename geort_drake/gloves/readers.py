@@ -109,7 +109,9 @@ def _recording(
 def _wrist_poses(p_WK: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """X_WH (T, 7) as the keypoints give it; without rotation in frames that are not valid."""
     R_WH, p_WH = wrist_pose(p_WK)
-    R_WH = np.where(valid[:, None, None], R_WH, np.eye(3))
+    # Of a hand that is larger than numbers can say, nothing is left.
+    turned = valid & (np.linalg.det(np.nan_to_num(R_WH)) > 0.5)
+    R_WH = np.where(turned[:, None, None], R_WH, np.eye(3))
     return np.concatenate([_continuous(Rotation.from_matrix(R_WH).as_quat(scalar_first=True)), p_WH], axis=1)
 
 

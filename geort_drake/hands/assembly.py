@@ -1,5 +1,6 @@
 """Adding a hand to a plant as its description says: base, couplings, what is held, gains, filters."""
 
+import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -44,7 +45,7 @@ def add_hand_model(
     """
     path = resolve_uri(description.model)
     source = f"hand '{description.name}' with model {path}"
-    if not path.is_file():
+    if not os.path.isfile(path):  # no more can be said of a name that is too long
         raise HandError(f"hand '{description.name}': the model file {path} is missing")
     constraints, scenery = set(plant.GetConstraintIds()), set(_scenery(plant))
     hand = parse_model(plant, path, source)

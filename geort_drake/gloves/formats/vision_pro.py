@@ -55,7 +55,7 @@ def read(name: str, contents: Any, side: str) -> Tracks:
     return Tracks(p_WK, t, world=True, side=side, findings=[*findings, *turned])
 
 
-def _stacked(name: str, frames: list) -> dict[str, np.ndarray]:
+def _stacked(name: str, frames: list) -> dict[str, Any]:
     """Arrays (T, ...) of the fields that all frames have."""
     if not all(isinstance(frame, Mapping) for frame in frames):
         raise RecordingError(f"{name}: a list of dicts is wanted, one per frame")
@@ -69,9 +69,9 @@ def _stacked(name: str, frames: list) -> dict[str, np.ndarray]:
             given = shape_of(frame[field])
             if given is None or given != shape_of(frames[0][field]):
                 raise RecordingError(f"{name}: frame {i}: {field} has shape {given}, not frame 0's")
-    arrays = {field: np.array([frame[field] for frame in frames]) for field in fields}
+    arrays: dict[str, Any] = {field: np.array([frame[field] for frame in frames]) for field in fields}
     if "timestamp" in frames[0]:
-        arrays["timestamps"] = np.array([frame.get("timestamp", np.nan) for frame in frames])
+        arrays["timestamps"] = [frame.get("timestamp", np.nan) for frame in frames]
     return arrays
 
 
