@@ -142,7 +142,7 @@ def test_the_loop_runs_over_loopback(desk, tmp_path, lcm_url):
     ):  # fmt: skip
         said(tmp_path, "teleoperate", "tracking")
         low = high = statuses(1)[0].commanded
-        # A busy machine plays the glove slowly, so this waits for the motion and not for a number of messages.
+        # A busy machine plays the glove slowly: wait for the motion, not for a number of messages.
         deadline = time.monotonic() + PATIENCE_S
         while np.ptp([low, high], axis=0).max() <= 0.1 and time.monotonic() < deadline:
             commanded = statuses(1)[0].commanded
