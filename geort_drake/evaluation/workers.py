@@ -3,16 +3,13 @@
 import contextlib
 import functools
 import os
-import threading
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor
 
 from joblib import Parallel, parallel_config, register_parallel_backend
 
 from geort_drake.errors import BenchmarkError, GeortError
-
-_WATCH_PERIOD = 1.0  # s
+from geort_drake.processes import end_with
 
 
 @contextlib.contextmanager
@@ -23,7 +20,7 @@ def workers(jobs: int, backend: str = "loky") -> Iterator[Callable[..., Parallel
         BenchmarkError: a worker ended before its task did.
         GeortError: the backend is not installed.
     """
-    options: dict = {"inner_max_num_threads": 1, "initializer": _end_with, "initargs": (os.getpid(),)}
+    options: dict = {"inner_max_num_threads": 1, "initializer": end_with, "initargs": (os.getpid(),)}
     if backend == "ray":
         options = {}
         _register_ray()
@@ -36,20 +33,6 @@ def workers(jobs: int, backend: str = "loky") -> Iterator[Callable[..., Parallel
             "a worker process ended, perhaps for want of memory; what is finished is kept: "
             "run the same command again, with fewer --jobs perhaps"
         ) from error
-
-
-def _end_with(starter: int) -> None:
-    """Ends this process when the one that started it has ended, were it by `kill -9`.
-
-    Left alone, workers of loky hold their memory for five minutes more.
-    """
-
-    def watch() -> None:
-        while os.getppid() == starter:
-            time.sleep(_WATCH_PERIOD)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def _register_ray() -> None:

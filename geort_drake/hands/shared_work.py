@@ -1,16 +1,17 @@
 """Work on the parts of a whole, in this process and in others beside it."""
 
 import multiprocessing
+import os
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
 import joblib
 from joblib.externals.loky import ProcessPoolExecutor
 
+from geort_drake.processes import end_with
+
 Part = TypeVar("Part")
 Result = TypeVar("Result")
-
-_IDLE = 30.0  # s; workers end after this, even where the process that started them was killed
 
 
 def worthwhile_processes(parts: int, parts_in_start: int) -> int:
@@ -45,7 +46,7 @@ def shared_work(
     if processes < 2:
         yield from map(here, parts)
         return
-    pool = ProcessPoolExecutor(processes - 1, timeout=_IDLE, initializer=start, initargs=arguments)
+    pool = ProcessPoolExecutor(processes - 1, initializer=_begin, initargs=(os.getpid(), start, arguments))
     futures = [pool.submit(there, part) for part in reversed(parts)][::-1]
     try:
         for part, future in zip(parts, futures, strict=True):
@@ -55,3 +56,8 @@ def shared_work(
         for future in futures:
             future.cancel()
         pool.shutdown(wait=False)
+
+
+def _begin(starter: int, start: Callable[..., None], arguments: tuple) -> None:
+    end_with(starter)
+    start(*arguments)
