@@ -15,7 +15,8 @@ from pydrake.systems.framework import LeafSystem, PortDataType
 from geort_drake.errors import HandError, ScenarioError
 from geort_drake.gloves.recording import Recording
 from geort_drake.operators.finger_motion import FingerMotion
-from geort_drake.simulation.diagram import GraspDiagram, draw_placement, make_grasp_diagram
+from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
+from geort_drake.simulation.scene import draw_placement
 from geort_drake.simulation.trial import run_trial
 from geort_drake.simulation.world import ARM, HAND
 

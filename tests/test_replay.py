@@ -15,7 +15,7 @@ from geort_drake.evaluation.replay import as_recorded, summarize_replay
 from geort_drake.evaluation.trial_log import read_records
 from geort_drake.gloves.recording import Recording
 from geort_drake.operators.finger_motion import FingerMotion
-from geort_drake.simulation.diagram import draw_placement
+from geort_drake.simulation.scene import draw_placement
 
 SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "evaluate_replay.py"
 

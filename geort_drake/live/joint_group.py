@@ -6,6 +6,8 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 
+from geort_drake.simulation.world import actuated_joints
+
 
 @dc.dataclass(frozen=True, eq=False)
 class JointGroup:
@@ -26,7 +28,7 @@ class JointGroup:
     @classmethod
     def of_plant(cls, plant: MultibodyPlant, model: ModelInstanceIndex) -> "JointGroup":
         """Those of a model in a finalized plant."""
-        joints = [plant.get_joint_actuator(index).joint() for index in plant.GetJointActuatorIndices(model)]
+        joints = actuated_joints(plant, model)
         return cls(
             plant.GetModelInstanceName(model),
             [joint.name() for joint in joints],

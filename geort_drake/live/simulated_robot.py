@@ -1,18 +1,14 @@
 """Arm, hand and object of a scenario as one system, driven by joint targets."""
 
 import numpy as np
-from pydrake.geometry import Meshcat, MeshcatParams, MeshcatVisualizer, SceneGraph
-from pydrake.math import RigidTransform
-from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex
+from pydrake.geometry import Meshcat, MeshcatParams, MeshcatVisualizer
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.live.joint_group import JointGroup
-from geort_drake.simulation.diagram import draw_placement
-from geort_drake.simulation.object_shape import object_shape
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.world import ARM, HAND, add_object, add_robot, scale_stiffness
+from geort_drake.simulation.scene import add_scene
+from geort_drake.simulation.world import ARM, HAND, actuated_state
 
 
 class SimulatedRobot(Diagram):
@@ -37,28 +33,13 @@ class SimulatedRobot(Diagram):
     def __init__(self, scenario: Scenario, description: HandDescription, meshcat: Meshcat | None = None):
         super().__init__()
         builder = DiagramBuilder()
-        plant: MultibodyPlant
-        scene_graph: SceneGraph
-        plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
-        add_robot(plant, scenario, description)
-        body = add_object(plant, scenario.object.name)
-        shape = object_shape(plant, scene_graph.model_inspector(), body)
-        placement = draw_placement(
-            scenario, shape.lowest_point(RigidTransform()), np.random.default_rng(scenario.random_seed)
-        )
-        plant.SetDefaultFloatingBaseBodyPose(body, placement.X_WO)
-        arm, hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
-        scale_stiffness(plant, hand, scenario.hand_stiffness_factor)
-        # The arm's controller compensates for gravity, its own and that of what it carries.
-        for number in range(plant.num_model_instances()):
-            if (model := ModelInstanceIndex(number)) != body.model_instance():
-                plant.set_gravity_enabled(model, False)
-        plant.Finalize()
+        scene = add_scene(builder, scenario, description, np.random.default_rng(scenario.random_seed))
+        plant, hand, arm = scene.plant, scene.hand, scene.arm
         for model, name in ((hand, HAND), (arm, ARM)):
             builder.ExportInput(plant.get_desired_state_input_port(model), f"{name}_desired_state")
-            builder.ExportOutput(plant.get_state_output_port(model), f"{name}_state")
+            builder.ExportOutput(actuated_state(builder, plant, model), f"{name}_state")
         if meshcat is not None:
-            MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat)
+            MeshcatVisualizer.AddToBuilder(builder, scene.scene_graph, meshcat)
         builder.BuildInto(self)
         self.hand, self.arm = JointGroup.of_plant(plant, hand), JointGroup.of_plant(plant, arm)
 

@@ -9,29 +9,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex, RigidBody, SpatialInertia
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import RigidBody, SpatialInertia
 from pydrake.planning import RobotDiagramBuilder
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, OutputPort
 from pydrake.systems.primitives import DiscreteTimeDelay, Gain
 
-from geort_drake.errors import HandError
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.recording import Recording
 from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.operators.grasp_goal import GraspGoal
-from geort_drake.simulation.object_shape import object_shape
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.world import (
-    ARM,
-    HAND,
-    actuated_state,
-    add_object,
-    add_robot,
-    scale_friction,
-    scale_stiffness,
-    standing_pose,
-)
+from geort_drake.simulation.scene import Placement, add_scene
+from geort_drake.simulation.world import ARM, HAND, actuated_joints, actuated_state, add_robot
 from geort_drake.systems.action_correction import make_correction
 from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
@@ -49,15 +39,6 @@ if TYPE_CHECKING:
     from geort_drake.systems.rerun_recorder import RerunRecorder
 
 Retarget = Callable[[np.ndarray], np.ndarray]
-
-
-@dc.dataclass(frozen=True)
-class Placement:
-    """Where the object stands in one trial, how heavy and how rough it is."""
-
-    X_WO: RigidTransform
-    mass_factor: float
-    friction_factor: float
 
 
 @dc.dataclass(frozen=True)
@@ -90,19 +71,6 @@ class GraspDiagram:
         self.wrist_to_arm.initialize(root)
 
 
-def draw_placement(scenario: Scenario, lowest_at_identity: float, rng: np.random.Generator) -> Placement:
-    """Draws the object's pose and the factors on mass and friction within the scenario's ranges."""
-    config = scenario.object
-    dx, dy = rng.uniform(-config.position_range, config.position_range, 2)
-    yaw = config.yaw + rng.uniform(-config.yaw_range, config.yaw_range)
-    mass = config.mass_factor * (1 + rng.uniform(-config.mass_range, config.mass_range))
-    # From a generator of its own, so that what is drawn next does not depend on it.
-    friction = config.friction_factor * (
-        1 + rng.spawn(1)[0].uniform(-config.friction_range, config.friction_range)
-    )
-    return Placement(standing_pose(scenario, lowest_at_identity, dx, dy, yaw), mass, friction)
-
-
 def make_grasp_diagram(
     scenario: Scenario,
     retarget: Retarget,
@@ -128,23 +96,8 @@ def make_grasp_diagram(
     builder = DiagramBuilder()
 
     # The plant: robot, surroundings and the object, standing where the seed puts it.
-    plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
-    add_robot(plant, scenario, description)
-    object_body = add_object(plant, scenario.object.name)
-    shape = object_shape(plant, scene_graph.model_inspector(), object_body)
-    placement = draw_placement(scenario, shape.lowest_point(RigidTransform()), rng)
-    plant.SetDefaultFloatingBaseBodyPose(object_body, placement.X_WO)
-    scale_friction(plant, scene_graph, object_body, placement.friction_factor)
-    arm, hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
-    scale_stiffness(plant, hand, scenario.hand_stiffness_factor)
-    # The real arm's controller compensates for gravity, its own and that of what it carries; the rest
-    # of the scene but the object stands still anyway.
-    for number in range(plant.num_model_instances()):
-        if (model := ModelInstanceIndex(number)) != object_body.model_instance():
-            plant.set_gravity_enabled(model, False)
-    plant.Finalize()
-    _require_controllers(plant, hand, f"hand '{description.name}'")
-    _require_controllers(plant, arm, "the arm")
+    scene = add_scene(builder, scenario, description, rng)
+    plant, arm, hand = scene.plant, scene.arm, scene.hand
 
     # The robot without the object, as the inverse kinematics knows it.
     robot_builder = RobotDiagramBuilder(time_step=scenario.plant_config.time_step)
@@ -157,7 +110,9 @@ def make_grasp_diagram(
     in_mirror = description.side == "left"
 
     # What can be seen of the scene.
-    view = builder.AddNamedSystem("scene_view", SceneView(plant, description, hand, object_body.index()))
+    view = builder.AddNamedSystem(
+        "scene_view", SceneView(plant, description, hand, scene.object_body.index())
+    )
     builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
     builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
 
@@ -191,10 +146,9 @@ def make_grasp_diagram(
             builder.Connect(source.GetOutputPort(name), hand_source.GetInputPort(name))
 
     # Fingers: keypoints → joint targets → (correction) → the hand's PD controllers.
-    actuated = [
-        plant.get_joint_actuator(index).joint().name() for index in plant.GetJointActuatorIndices(hand)
-    ]
-    start = {name: plant.GetJointByName(name, hand).default_positions()[0] for name in actuated}
+    joints = actuated_joints(plant, hand)
+    actuated = [joint.name() for joint in joints]
+    start = {joint.name(): joint.default_positions()[0] for joint in joints}
     step = scenario.plant_config.time_step
     latency = step * math.ceil(scenario.retargeting.latency / step - 1e-6)
     limits = JointLimits.of_plant(
@@ -237,7 +191,10 @@ def make_grasp_diagram(
     monitor = builder.AddNamedSystem(
         "grasp_monitor",
         GraspMonitor(
-            len(description.fingers), shape.lowest_point, scenario.object.support_height, scenario.monitor
+            len(description.fingers),
+            scene.object_shape.lowest_point,
+            scenario.object.support_height,
+            scenario.monitor,
         ),
     )
     for name in ("object_pose", "hand_pose", "contact"):
@@ -253,7 +210,7 @@ def make_grasp_diagram(
         recorder = add_grasp_recorder(
             builder,
             plant,
-            scene_graph,
+            scene.scene_graph,
             rerun_path,
             scenario,
             description,
@@ -272,10 +229,10 @@ def make_grasp_diagram(
     return GraspDiagram(
         diagram=diagram,
         plant=plant,
-        scene_graph=scene_graph,
+        scene_graph=scene.scene_graph,
         description=description,
-        object_body=object_body,
-        placement=placement,
+        object_body=scene.object_body,
+        placement=scene.placement,
         monitor=monitor,
         retargeting=retargeting,
         glove_recorder=glove_recorder,
@@ -313,13 +270,3 @@ def _mirrored(builder: DiagramBuilder, name: str, port: OutputPort) -> OutputPor
     mirror = builder.AddNamedSystem(f"{name}_mirrored", Gain(signs))
     builder.Connect(port, mirror.get_input_port())
     return mirror.get_output_port()
-
-
-def _require_controllers(plant: MultibodyPlant, model: ModelInstanceIndex, what: str) -> None:
-    actuators = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices(model)]
-    without = [actuator.name() for actuator in actuators if not actuator.has_controller()]
-    if without or not actuators:
-        raise HandError(
-            f"{what} needs PD gains (drake:controller_gains) on every actuator; missing on: "
-            f"{', '.join(without) or 'all, as it has no actuator'}"
-        )

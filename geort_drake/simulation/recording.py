@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Demultiplexer
 
@@ -14,7 +13,7 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.hands.links import finger_links
 from geort_drake.operators.behavior import Phase
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.world import ARM, HAND, actuated_state
+from geort_drake.simulation.world import ARM, HAND, actuated_joints, actuated_state
 from geort_drake.systems.grasp_monitor import GraspMonitor, GraspPhase
 from geort_drake.systems.rerun_recorder import (
     ContactSpec,
@@ -53,8 +52,8 @@ def add_grasp_recorder(
     """
     arm, hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
     finger_of = {joint: finger.name for finger in description.fingers for joint in finger.joints}
-    of_arm = _actuated(plant, arm)
-    of_hand = [f"{finger_of[joint]}/{joint}" for joint in _actuated(plant, hand)]
+    of_arm = [joint.name() for joint in actuated_joints(plant, arm)]
+    of_hand = [f"{finger_of[joint.name()]}/{joint.name()}" for joint in actuated_joints(plant, hand)]
     asked_hand, asked_arm = correction.get_output_port(), wrist_to_arm.GetOutputPort("arm_desired_state")
     signals = {}
     for key, names, asked, model in (("joints", of_hand, asked_hand, hand), ("arm", of_arm, asked_arm, arm)):
@@ -87,7 +86,3 @@ def add_grasp_recorder(
         states=states,
         properties=properties,
     )
-
-
-def _actuated(plant: MultibodyPlant, model: ModelInstanceIndex) -> list[str]:
-    return [plant.get_joint_actuator(index).joint().name() for index in plant.GetJointActuatorIndices(model)]

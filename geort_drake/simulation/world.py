@@ -12,7 +12,7 @@ from pydrake.multibody.parsing import (
     ProcessModelDirectives,
 )
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
-from pydrake.multibody.tree import JointIndex, ModelInstanceIndex, PdControllerGains, RigidBody
+from pydrake.multibody.tree import Joint, JointIndex, ModelInstanceIndex, PdControllerGains, RigidBody
 from pydrake.systems.framework import DiagramBuilder, OutputPort
 from pydrake.systems.primitives import MatrixGain
 
@@ -99,9 +99,14 @@ def scale_stiffness(plant: MultibodyPlant, model: ModelInstanceIndex, factor: fl
             )
 
 
+def actuated_joints(plant: MultibodyPlant, model: ModelInstanceIndex) -> list[Joint]:
+    """The joints of a model that have a motor, in actuator order; the plant is finalized."""
+    return [plant.get_joint_actuator(index).joint() for index in plant.GetJointActuatorIndices(model)]
+
+
 def actuated_state(builder: DiagramBuilder, plant: MultibodyPlant, model: ModelInstanceIndex) -> OutputPort:
     """Positions, then velocities of a model's actuated joints; joints that follow others are left out."""
-    joints = [plant.get_joint_actuator(index).joint() for index in plant.GetJointActuatorIndices(model)]
+    joints = actuated_joints(plant, model)
     everything = plant.get_state_output_port(model)
     if everything.size() == 2 * len(joints):
         return everything
