@@ -1,11 +1,9 @@
 """What every script shares: one console, progress bars, warnings, and errors that end with exit code 2."""
 
-import argparse
 import logging
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from rich.console import Console
 from rich.progress import (
@@ -18,7 +16,6 @@ from rich.progress import (
 )
 
 from geort_drake.errors import GeortError
-from geort_drake.files import require_writable
 
 # Progress and tables go to stderr so that a script's stdout stays machine-readable.
 console = Console(stderr=True, highlight=False)
@@ -36,20 +33,6 @@ def progress_bar() -> Progress:
         console=console,
         transient=False,
     )
-
-
-def check_outputs(parser: argparse.ArgumentParser, *outputs: tuple[Path | None, str]) -> None:
-    """Checks, before anything is written, all files that a script will write: a path and its suffix each.
-
-    Raises:
-        OutputError: a path cannot be written. Another suffix ends the program through `parser`.
-    """
-    for path, suffix in outputs:
-        if path is None:
-            continue
-        if path.suffix != suffix:
-            parser.error(f"{path}: the name must end with {suffix}")
-        require_writable(path)
 
 
 def run_main(main: Callable[[Sequence[str] | None], int | None]) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
+from geort_drake.command_line import check_outputs, make_parser
 from geort_drake.console import console, run_main
 from geort_drake.errors import OutputError
 from geort_drake.files import require_writable
@@ -33,7 +34,7 @@ Exit codes: 0 the description was written, or checked; 2 the model or something 
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    arguments = _arguments(argv)
+    arguments = parse_arguments(argv)
     given: Path = arguments.model
     notes: list[str] = []
     if given.suffix in (".yaml", ".yml"):
@@ -95,12 +96,8 @@ def _print(description: HandDescription, hand: HandModel) -> None:
     console.print(table)
 
 
-def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        description=__doc__.splitlines()[0],
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = make_parser(__doc__, EPILOG)
     parser.add_argument("model", type=Path, help="URDF, SDF or MJCF file; or a description (.yaml) to check")
     parser.add_argument("--name", help="of the hand (default: the file's)")
     parser.add_argument(
@@ -111,10 +108,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     arguments = parser.parse_args(argv)
     if arguments.output is not None and arguments.output.suffix not in (".yaml", ".yml"):
         parser.error(f"{arguments.output}: the name must end with .yaml")
-    if arguments.rrd is not None:
-        if arguments.rrd.suffix != ".rrd":
-            parser.error(f"{arguments.rrd}: the name must end with .rrd")
-        require_writable(arguments.rrd)
+    check_outputs(parser, (arguments.rrd, ".rrd"))
     return arguments
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from rich.table import Table
 
+from geort_drake.command_line import add_scenario_options, at_least, make_parser, scenario_of
 from geort_drake.console import console, progress_bar, run_main
 from geort_drake.errors import BenchmarkError, UnknownNameError
 from geort_drake.files import require_writable
@@ -39,9 +40,7 @@ raised an error.
 
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = make_parser(__doc__, EPILOG)
     add = parser.add_argument
     add("--output", type=Path, default=Path("runs/benchmark"), help="folder for the results (runs/benchmark)")
     add(
@@ -51,9 +50,14 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         help=f"methods or directories of checkpoints; the first is the reference ({' '.join(METHODS)})",
     )
     add("--objects", nargs="+", metavar="NAME", help="what to grasp (every object)")
-    add("--trials", type=int, help="trials per method and object, each with its own seed (30)")
+    add("--trials", type=at_least(1), help="trials per method and object, each with its own seed (30)")
     add("--quick", action="store_true", help="a small benchmark of some five minutes on two cores")
-    add("--jobs", type=int, default=os.cpu_count() or 1, help="trials at a time (the number of processors)")
+    add(
+        "--jobs",
+        type=at_least(1),
+        default=os.cpu_count() or 1,
+        help="trials at a time (the number of processors)",
+    )
     add("--backend", default="loky", choices=["loky", "ray"], help="processes here, or a Ray cluster (loky)")
     add("--zero_latency", action="store_true", help="let every method answer at once")
     add("--recording", type=Path, help="the person's glove recording instead of synthetic play")
@@ -64,12 +68,8 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         help="run the trials also with one assumption changed: delay (ms), gain (1/s), and factors on "
         "noise, stiffness and friction; a NAME alone takes its usual values, no NAME takes all",
     )
-    add("--hand", help="robot hand, by name or file of its description (the scenario's)")
     add("--side", choices=["left", "right"], help="side of the recorded hand (the robot hand's)")
-    add("--seed", type=int, default=0, help="seed of training and synthetic play (0)")
-    add("--scenario_file", type=Path, help="scenarios in YAML (the package's)")
-    add("--scenario_name", default="Grasp", help="which scenario of the file (Grasp)")
-    add("--scenario_text", help="YAML merged into the scenario, for example '{timeout: 30}'")
+    add("--seed", type=at_least(0), default=0, help="seed of training and synthetic play (0)")
     add(
         "--rrd",
         nargs=3,
@@ -77,13 +77,8 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         help="simulate one finished trial of --output again, check it, and write its Rerun recording",
     )
     add("--report", action="store_true", help="only write the report of --output again")
+    add_scenario_options(parser)
     arguments = parser.parse_args(argv)
-    for name in ("trials", "jobs"):
-        value = getattr(arguments, name)
-        if value is not None and value < 1:
-            parser.error(f"--{name} must be at least 1, not {value}")
-    if arguments.seed < 0:
-        parser.error(f"--seed must be 0 or more, not {arguments.seed}")
     if arguments.rrd and not arguments.rrd[2].isdecimal():
         parser.error(f"--rrd: SEED must be a whole number, not {arguments.rrd[2]}")
     chosen = QUICK if arguments.quick else {"methods": METHODS, "objects": None, "trials": 30}
@@ -115,7 +110,7 @@ def run(arguments: argparse.Namespace) -> None:
     from geort_drake.evaluation.sensitivity import PARAMETERS, make_conditions, parse_values
     from geort_drake.evaluation.trial_log import TrialLog, key_of
     from geort_drake.hands.description import load_hand
-    from geort_drake.simulation.scenario import load_scenario, object_names
+    from geort_drake.simulation.scenario import object_names
 
     # What is wrong with the request is found before anything is computed or written.
     names = names_of(arguments.methods)
@@ -123,9 +118,7 @@ def run(arguments: argparse.Namespace) -> None:
     for name in objects:
         if name not in object_names():
             raise UnknownNameError("object", name, object_names())
-    scenario = load_scenario(
-        arguments.scenario_file, arguments.scenario_name, arguments.scenario_text, arguments.hand
-    )
+    scenario = scenario_of(arguments)
     side = arguments.side or load_hand(scenario.hand).side
     conditions = {}
     if arguments.sensitivity is not None:

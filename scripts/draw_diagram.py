@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from geort_drake.command_line import add_scenario_options, make_parser, scenario_of
 from geort_drake.console import console, run_main
 from geort_drake.errors import GeortError
 from geort_drake.files import write_text
@@ -43,12 +44,11 @@ GROUPS = {
 
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    add = parser.add_argument
-    add("--scenario_file", type=Path, help="scenarios in YAML (the package's)")
-    add("--scenario_name", default="Grasp", help="which scenario of the file (Grasp)")
-    add("--scenario_text", help="YAML merged into the scenario")
-    add("--output", type=Path, default=Path("docs/diagram.svg"), help="the picture (docs/diagram.svg)")
+    parser = make_parser(__doc__)
+    parser.add_argument(
+        "--output", type=Path, default=Path("docs/diagram.svg"), help="the picture (docs/diagram.svg)"
+    )
+    add_scenario_options(parser)
     return parser.parse_args(argv)
 
 
@@ -59,9 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             "drawing needs Graphviz's program 'dot', and it is not on the PATH; install Graphviz, "
             "for example with: apt-get install graphviz, or: brew install graphviz"
         )
-    from geort_drake.simulation.scenario import load_scenario
-
-    scenario = load_scenario(arguments.scenario_file, arguments.scenario_name, arguments.scenario_text)
+    scenario = scenario_of(arguments)
     with tempfile.TemporaryDirectory() as folder:
         parts = build(scenario, Path(folder) / "unused.rrd")
         svg = draw(parts.diagram, f"delays of {1e3 * scenario.operator.visual_delay:g} ms")

@@ -12,12 +12,13 @@ from pathlib import Path
 
 from rich.table import Table
 
+from geort_drake.command_line import add_scenario_options, at_least, make_parser, scenario_of
 from geort_drake.console import console, progress_bar, run_main
 from geort_drake.files import require_writable
 
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = make_parser(__doc__)
     add = parser.add_argument
     add("sessions", nargs="+", type=Path, metavar="SESSION", help="recordings with wrist poses (.npz)")
     add("--retargeter", type=Path, required=True, help="directory of the checkpoint to replay through")
@@ -27,22 +28,21 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         nargs="+",
         default=(),
         metavar="NAME=S1,S2",
-        help="largest changes to try: position (mm), yaw (°), and shares of mass and friction\n"
+        help="largest changes to try: position (mm), yaw (°), and shares of mass and friction "
         "(all four with their usual sizes)",
     )
-    add("--trials", type=int, default=20, help="draws per session and size (20)")
-    add("--jobs", type=int, default=os.cpu_count() or 1, help="trials at a time (the number of processors)")
+    add("--trials", type=at_least(1), default=20, help="draws per session and size (20)")
+    add(
+        "--jobs",
+        type=at_least(1),
+        default=os.cpu_count() or 1,
+        help="trials at a time (the number of processors)",
+    )
     add("--backend", default="loky", choices=["loky", "ray"], help="processes here, or a Ray cluster (loky)")
     add("--output", type=Path, default=Path("runs/replay"), help="folder for the results (runs/replay)")
-    add("--hand", help="robot hand, by name or file of its description (the scenario's)")
     add("--side", choices=["left", "right"], help="side of the recorded hands (the robot hand's)")
-    add("--scenario_file", type=Path, help="scenarios in YAML (the package's)")
-    add("--scenario_name", default="Grasp", help="which scenario of the file (Grasp)")
-    add("--scenario_text", help="YAML merged into the scenario, for example '{retargeting: {latency: 0.01}}'")
+    add_scenario_options(parser, "{retargeting: {latency: 0.01}}")
     arguments = parser.parse_args(argv)
-    for name in ("trials", "jobs"):
-        if getattr(arguments, name) < 1:
-            parser.error(f"--{name} must be at least 1, not {getattr(arguments, name)}")
     require_writable(arguments.output, directory=True)
     return arguments
 
@@ -54,12 +54,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     from geort_drake.evaluation.replay import PERTURBATIONS, REPORT, Replay, write_report
     from geort_drake.evaluation.sensitivity import parse_values
     from geort_drake.evaluation.trial_log import TrialLog, key_of
-    from geort_drake.simulation.scenario import load_scenario
 
     usual = {name: perturbation.sizes for name, perturbation in PERTURBATIONS.items()}
-    scenario = load_scenario(
-        arguments.scenario_file, arguments.scenario_name, arguments.scenario_text, arguments.hand
-    )
+    scenario = scenario_of(arguments)
     replay = Replay(
         scenario,
         arguments.sessions,

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from rich.progress import Progress
 
+from geort_drake.command_line import at_least, make_parser
 from geort_drake.console import console, progress_bar, run_main
 from geort_drake.evaluation.ablation import ablation
 from geort_drake.evaluation.comparison import Comparison, Outcome, check_methods, method_names
@@ -61,9 +62,7 @@ Ends with code 1 if something could not be scored or trained; the rest is shown 
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = _parser()
-    arguments = parser.parse_args(argv)
-    _check(parser, arguments)
+    arguments = parse_arguments(argv)
     if arguments.sweep is not None:
         return _sweep(arguments)
     description = load_hand(arguments.hand)
@@ -161,12 +160,8 @@ def _trainer(hand_name: str, progress: Progress) -> Callable[[Recording, str, in
     return train
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        description=__doc__.splitlines()[0],
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = make_parser(__doc__, EPILOG)
     parser.add_argument(
         "--hand",
         default="allegro_right",
@@ -186,14 +181,17 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--seeds",
-        type=int,
+        type=at_least(0),
         nargs="+",
         metavar="SEED",
         default=[0],
         help="of training and metrics; of several, the mean and the worst are shown (default: 0)",
     )
     parser.add_argument(
-        "--frames", type=int, metavar="N", help="score on the first N valid frames only, of each block too"
+        "--frames",
+        type=at_least(10),
+        metavar="N",
+        help="score on the first N valid frames only, of each block too",
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure to this file")
     parser.add_argument(
@@ -213,16 +211,14 @@ def _parser() -> argparse.ArgumentParser:
     group.add_argument(
         "--output", type=Path, metavar="FOLDER", help="of the sweep; one that is there goes on"
     )
-    group.add_argument("--jobs", type=int, metavar="N", help="runs at a time (default: 1)")
-    return parser
+    group.add_argument("--jobs", type=at_least(1), metavar="N", help="runs at a time (default: 1)")
+    arguments = parser.parse_args(argv)
+    _check(parser, arguments)
+    return arguments
 
 
 def _check(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
     """Refuses what argparse cannot, before anything is read."""
-    if min(arguments.seeds) < 0:
-        parser.error(f"--seeds must be 0 or more, not {min(arguments.seeds)}")
-    if arguments.frames is not None and arguments.frames < 10:
-        parser.error(f"--frames must be at least 10, not {arguments.frames}")
     sweeping, comparing = ("set", "output", "jobs"), ("held_out", "score_on", "frames", "json", "plots")
     others = sweeping if arguments.sweep is None else comparing
     wrong = [f"--{name}" for name in others if getattr(arguments, name)]
@@ -230,8 +226,6 @@ def _check(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> No
         parser.error(f"{', '.join(wrong)}: {'only' if arguments.sweep is None else 'not'} with --sweep")
     if arguments.sweep is not None and not (arguments.methods and arguments.output):
         parser.error("--sweep needs --methods and --output")
-    if arguments.jobs is not None and arguments.jobs < 1:
-        parser.error(f"--jobs must be at least 1, not {arguments.jobs}")
     listed = {
         "seeds": arguments.seeds,
         "score_on": arguments.score_on or [],

@@ -1,15 +1,16 @@
 """Shows what retargeting methods make of a recorded hand, side by side, in the Rerun viewer.
 
 python scripts/explore_retargeting.py --recording alex.npy --methods geort_coupled geort --output e.rrd
+rerun e.rrd
 """
 
 import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from geort_drake.command_line import at_least, check_outputs, make_parser
 from geort_drake.console import console, run_main
 from geort_drake.evaluation.comparison import check_methods, method_names
-from geort_drake.files import require_writable
 from geort_drake.hands.description import hand_names, load_hand
 
 EPILOG = """\
@@ -18,18 +19,11 @@ each answer, pinches that close or do not, and collisions; docs/rerun.md explain
 
 A method that is trained is trained on the whole recording, unless that was done before: the checkpoint is
 kept in the user's cache directory. A method may also be the directory of a checkpoint.
-
-  python scripts/explore_retargeting.py --methods geort_coupled --output explorer.rrd
-  rerun explorer.rrd
 """
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__.splitlines()[0],
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = make_parser(__doc__, EPILOG)
     add = parser.add_argument
     add("--recording", type=Path, metavar="FILE", help="of a hand (default: synthetic play)")
     add(
@@ -47,11 +41,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     add("--start", type=float, metavar="S", help="where to begin, s (default: where most pinches are)")
     add("--duration", type=float, default=20.0, metavar="S", help="how long, s (default: %(default)g)")
-    add("--seed", type=int, default=0, help="of training and of synthetic play (default: %(default)s)")
+    add(
+        "--seed", type=at_least(0), default=0, help="of training and of synthetic play (default: %(default)s)"
+    )
     arguments = parser.parse_args(argv)
     if not 0.1 <= arguments.duration <= 600:
         parser.error(f"--duration must be from 0.1 to 600, not {arguments.duration:g}")
-    require_writable(arguments.output)
+    check_outputs(parser, (arguments.output, ".rrd"))
     check_methods(arguments.methods)
 
     from geort_drake.evaluation._rerun_explorer import write_exploration

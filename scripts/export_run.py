@@ -9,6 +9,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from geort_drake.command_line import at_least, make_parser
 from geort_drake.console import console, progress_bar, run_main
 from geort_drake.errors import OutputError
 from geort_drake.files import require_writable
@@ -18,7 +19,7 @@ FORMATS = ("parquet", "lerobot", "rrd")
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    arguments = _arguments(argv)
+    arguments = parse_arguments(argv)
     # Imported after parsing, so that --help answers at once.
     from geort_drake.export.episode import RESULTS, episode_of, read_episodes
     from geort_drake.export.lerobot import write_lerobot
@@ -50,15 +51,13 @@ def main(argv: Sequence[str] | None = None) -> None:
     console.print(f"exported to {output}", markup=False, soft_wrap=True)
 
 
-def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = make_parser(__doc__)
     add = parser.add_argument
     add("input", type=Path, help="folder that simulate_grasp.py wrote, or a recording of a hand")
     add("output", type=Path, help="folder to write; for rrd a file")
     add("--format", choices=FORMATS, default="parquet", help="(parquet)")
-    add("--fps", type=_positive, help="frames per second, of lerobot (the recording's) and rrd (30)")
+    add("--fps", type=at_least(1), help="frames per second, of lerobot (the recording's) and rrd (30)")
     add("--side", choices=SIDES, default="right", help="which hand was recorded (right)")
     arguments = parser.parse_args(argv)
     if arguments.format == "rrd" and arguments.output.suffix != ".rrd":
@@ -67,13 +66,6 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         parser.error("--fps: Parquet keeps every sample; it is for lerobot and rrd")
     require_writable(arguments.output, directory=arguments.format != "rrd")
     return arguments
-
-
-def _positive(text: str) -> int:
-    value = int(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"must be positive, not {text}")
-    return value
 
 
 if __name__ == "__main__":

@@ -13,7 +13,8 @@ from typing import Any
 from rich.live import Live
 from rich.table import Table
 
-from geort_drake.console import check_outputs, console, run_main
+from geort_drake.command_line import check_outputs, make_parser, positive
+from geort_drake.console import console, run_main
 from geort_drake.errors import RecordingError
 from geort_drake.gloves.coverage import coverage
 from geort_drake.gloves.formats import AUTO, FORMATS
@@ -29,7 +30,7 @@ _LOOK_EVERY_S = 1.0
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    arguments = _arguments(argv)
+    arguments = parse_arguments(argv)
     name = str(arguments.input)
     if arguments.watch:
         _watch(arguments)
@@ -150,15 +151,11 @@ def _draw(recording: Recording, hand_name: str, path: Path) -> None:
     draw_fingertips(recording, tips, description.name, path)
 
 
-def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     formats = "\n".join(
         f"  {name:16} {entry.title} ({', '.join(entry.suffixes)})" for name, entry in FORMATS.items()
     )
-    parser = argparse.ArgumentParser(
-        description=__doc__,
-        epilog=f"formats:\n{formats}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = make_parser(__doc__, f"formats:\n{formats}")
     parser.add_argument("input", type=Path, help="recording, in one of the formats below")
     parser.add_argument("output", type=Path, nargs="?", help=".npz to write; without it, only the report")
     parser.add_argument(
@@ -167,7 +164,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--side", choices=SIDES, default="right", help="which hand was recorded (right)")
     parser.add_argument("--unit", choices=list(UNITS_M), help="of lengths in the file (the format's)")
     parser.add_argument(
-        "--rate", type=_positive, metavar="HZ", help="of a file without timestamps (30 is assumed)"
+        "--rate", type=positive, metavar="HZ", help="of a file without timestamps (30 is assumed)"
     )
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     parser.add_argument(
@@ -180,13 +177,6 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     arguments = parser.parse_args(argv)
     check_outputs(parser, (arguments.output, ".npz"), (arguments.picture, ".png"))
     return arguments
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"must be positive, not {text}")
-    return value
 
 
 if __name__ == "__main__":

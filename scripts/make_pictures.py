@@ -15,6 +15,7 @@ import numpy as np
 from PIL import Image
 from rich.progress import track
 
+from geort_drake.command_line import make_parser
 from geort_drake.console import console, run_main
 from geort_drake.errors import GeortError
 from geort_drake.files import atomic_path, require_writable
@@ -50,9 +51,7 @@ class Picture:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = make_parser(__doc__, EPILOG)
     add = parser.add_argument
     add("--only", nargs="+", choices=tuple(PICTURES), metavar="NAME", help=f"of {', '.join(PICTURES)}")
     add("--recording", type=Path, metavar="FILE", help="of a hand (default: synthetic play)")

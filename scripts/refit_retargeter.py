@@ -10,12 +10,13 @@ from pathlib import Path
 
 from rich.table import Table
 
+from geort_drake.command_line import at_least, make_parser
 from geort_drake.console import console, progress_bar, run_main
 from geort_drake.files import require_writable
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    arguments = _arguments(argv)
+    arguments = parse_arguments(argv)
     # Imported after parsing, so that --help answers at once.
     from geort_drake.evaluation.refitting import refit_checkpoint
     from geort_drake.retargeting.checkpoint import METRICS, load_checkpoint
@@ -54,22 +55,16 @@ def main(argv: Sequence[str] | None = None) -> None:
     console.print(f"saved to {path}", markup=False, soft_wrap=True)
 
 
-def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = make_parser(__doc__)
     add = parser.add_argument
     add("checkpoint", type=Path, help="directory of the checkpoint to start from")
     add("recording", type=Path, help="about a minute of the new person's hand, in any format that is read")
     add("output", type=Path, help="directory of the new checkpoint")
     add("--hand", help="robot hand, by name or file of its description (the checkpoint's)")
-    add("--steps", type=int, help="of fine-tuning (400); 0 leaves it out, which takes a second")
-    add("--seed", type=int, default=0, help="(0)")
+    add("--steps", type=at_least(0), help="of fine-tuning (400); 0 leaves it out, which takes a second")
+    add("--seed", type=at_least(0), default=0, help="(0)")
     arguments = parser.parse_args(argv)
-    for name in ("steps", "seed"):
-        value = getattr(arguments, name)
-        if value is not None and value < 0:
-            parser.error(f"--{name} must be 0 or more, not {value}")
     require_writable(arguments.output, directory=True)
     return arguments
 

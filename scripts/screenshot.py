@@ -1,18 +1,19 @@
 """Takes a picture of a Rerun recording (.rrd), without a screen."""
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from geort_drake.command_line import make_parser
 from geort_drake.console import console, run_main
+
+EPILOG = """\
+On a machine without a graphics card, Rerun's viewer draws with Mesa's software driver (Debian and Ubuntu:
+apt-get install mesa-vulkan-drivers).
+"""
 
 
 def main(argv: Sequence[str] | None = None) -> int | None:
-    parser = argparse.ArgumentParser(
-        description=__doc__,
-        epilog="On a machine without a graphics card, Rerun's viewer draws with Mesa's software "
-        "driver (Debian and Ubuntu: apt-get install mesa-vulkan-drivers).",
-    )
+    parser = make_parser(__doc__, EPILOG)
     add = parser.add_argument
     add("recording", type=Path, metavar="FILE.rrd", help="the recording")
     add("picture", type=Path, metavar="OUT.png", help="the picture to write")

@@ -6,12 +6,13 @@ from pathlib import Path
 
 from rich.table import Table
 
-from geort_drake.console import check_outputs, console, run_main
+from geort_drake.command_line import at_least, check_outputs, make_parser
+from geort_drake.console import console, run_main
 from geort_drake.gloves.protocol import STEPS, demonstrate
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    arguments = _arguments(argv)
+    arguments = parse_arguments(argv)
     table = Table("from", "for", "step", "what to do", box=None)
     begin = 0.0
     for step in STEPS:
@@ -34,14 +35,12 @@ def main(argv: Sequence[str] | None = None) -> None:
         console.print(f"watch it: rerun {arguments.output}", markup=False, soft_wrap=True)
 
 
-def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__)
+def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = make_parser(__doc__)
     parser.add_argument("--output", type=Path, help=".rrd to write: the synthetic hand in Rerun")
     parser.add_argument("--recording", type=Path, help=".npz to write: the same as a recording")
-    parser.add_argument("--seed", type=int, default=0, help="of the demonstration (0)")
+    parser.add_argument("--seed", type=at_least(0), default=0, help="of the demonstration (0)")
     arguments = parser.parse_args(argv)
-    if arguments.seed < 0:
-        parser.error(f"--seed must be 0 or more, not {arguments.seed}")
     check_outputs(parser, (arguments.output, ".rrd"), (arguments.recording, ".npz"))
     return arguments
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from rich.table import Table
 
 from geort_drake import __version__
+from geort_drake.command_line import add_scenario_options, at_least, make_parser, scenario_of
 from geort_drake.console import console, progress_bar, run_main
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.files import require_writable, write_text
@@ -25,33 +26,22 @@ DEFAULT_OBJECTS = ("cylinder", "sphere", "cube")
 
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = make_parser(__doc__)
     add = parser.add_argument
-    add("--hand", help="robot hand, by name or file of its description (the scenario's)")
     add("--output", type=Path, default=Path("runs/grasp"), help="folder for the results (runs/grasp)")
     add("--objects", nargs="+", help=f"what to grasp ({' '.join(DEFAULT_OBJECTS)})")
-    add("--trials", type=int, default=1, help="trials per object, each with its own seed (1)")
+    add("--trials", type=at_least(1), default=1, help="trials per object, each with its own seed (1)")
     add("--recording", type=Path, help="train on this glove recording instead of synthetic play")
     add("--side", choices=["left", "right"], help="side of the recorded hand (the robot hand's)")
-    add(
-        "--retargeter",
-        type=Path,
-        help="use this checkpoint, do not train; give its --recording too",
-    )
+    add("--retargeter", type=Path, help="use this checkpoint, do not train; give its --recording too")
     add("--method", help="retargeting method to train (train_retargeter.py's default)")
     add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train (cpu)")
-    add("--seed", type=int, default=0, help="seed of training and synthetic play (0)")
+    add("--seed", type=at_least(0), default=0, help="seed of training and synthetic play (0)")
     add("--replay", type=Path, help="replay this recording with wrist poses in the operator's place")
-    add("--scenario_file", type=Path, help="scenarios in YAML (the package's)")
-    add("--scenario_name", default="Grasp", help="which scenario of the file (Grasp)")
-    add("--scenario_text", help="YAML merged into the scenario, for example '{timeout: 30}'")
     add("--no_rerun", action="store_true", help="write no .rrd files")
     add("--json", action="store_true", help="also print the results as JSON on stdout")
+    add_scenario_options(parser)
     arguments = parser.parse_args(argv)
-    if arguments.trials < 1:
-        parser.error(f"--trials must be at least 1, not {arguments.trials}")
-    if arguments.seed < 0:
-        parser.error(f"--seed must be 0 or more, not {arguments.seed}")
     require_writable(arguments.output, directory=True)
     return arguments
 
@@ -68,16 +58,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     from geort_drake.hands.model import HandModel
     from geort_drake.retargeting.retargeter import load_retargeter
     from geort_drake.simulation.grasp_planner import GraspPlanner
-    from geort_drake.simulation.scenario import dump_scenario, load_scenario
+    from geort_drake.simulation.scenario import dump_scenario
     from geort_drake.simulation.trial import run_trial
 
     # What is wrong with the request is found before anything is computed or written.
     method = arguments.method or DEFAULT_METHOD
     if method not in METHODS:
         raise UnknownNameError("retargeting method", method, METHODS)
-    base = load_scenario(
-        arguments.scenario_file, arguments.scenario_name, arguments.scenario_text, arguments.hand
-    )
+    base = scenario_of(arguments)
     description = load_hand(base.hand)
     side = arguments.side or description.side
     scenarios = []

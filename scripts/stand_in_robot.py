@@ -7,21 +7,18 @@ command when no more come. Ctrl-C stops it.
 import argparse
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
+from geort_drake.command_line import add_scenario_options, make_parser, scenario_of
 from geort_drake.console import console, run_main
 
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = make_parser(__doc__)
     add = parser.add_argument
     add("--lcm", default="lcm", metavar="ADDRESS", help="the bus: lcm, or lcm+URL (lcm)")
-    add("--hand", help="robot hand, by name or file of its description (the scenario's)")
     add("--duration", type=float, default=math.inf, help="stop after so many seconds (never)")
     add("--meshcat", action="store_true", help="show it in a browser on this machine")
-    add("--scenario_file", type=Path, help="scenarios in YAML (the package's)")
-    add("--scenario_name", default="Grasp", help="which scenario of the file (Grasp)")
-    add("--scenario_text", help="YAML merged into the scenario, for example '{object: {name: sphere}}'")
+    add_scenario_options(parser, "{object: {name: sphere}}")
     arguments = parser.parse_args(argv)
     if not arguments.duration > 0:
         parser.error(f"--duration must be positive, not {arguments.duration}")
@@ -37,12 +34,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     from geort_drake.live.simulated_robot import show
     from geort_drake.live.stand_in import make_stand_in
     from geort_drake.live.transports import split_address
-    from geort_drake.simulation.scenario import load_scenario
 
     _, url = split_address(arguments.lcm, ())
-    scenario = load_scenario(
-        arguments.scenario_file, arguments.scenario_name, arguments.scenario_text, arguments.hand
-    )
+    scenario = scenario_of(arguments)
     diagram = make_stand_in(scenario, url, show() if arguments.meshcat else None)
     simulator = Simulator(diagram)
     simulator.Initialize()

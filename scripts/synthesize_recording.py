@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from geort_drake.console import check_outputs, console, run_main
+from geort_drake.command_line import at_least, check_outputs, make_parser, positive
+from geort_drake.console import console, run_main
 from geort_drake.files import atomic_path
 from geort_drake.gloves.health import check_recording
 from geort_drake.gloves.human_hand import HumanHand
@@ -22,7 +23,7 @@ _COLORS = dict(zip(FINGER_NAMES, ["#D55E00", "#0072B2", "#009E73", "#CC79A7", "#
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    arguments = _arguments(argv)
+    arguments = parse_arguments(argv)
     hand = None
     if arguments.hand_of is not None:
         hand = HumanHand.fit(read_recording(arguments.hand_of, arguments.side))
@@ -117,12 +118,12 @@ def _draw_pinches(axis, recording: Recording) -> None:
     axis.spines[["top", "right"]].set_visible(False)
 
 
-def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__)
+def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = make_parser(__doc__)
     parser.add_argument("output", type=Path, help=".npz to write")
-    parser.add_argument("--seed", type=int, default=0, help="(0)")
-    parser.add_argument("--duration", type=_positive, default=300.0, help="s (300)")
-    parser.add_argument("--rate", type=_positive, default=120.0, help="frames per second (120)")
+    parser.add_argument("--seed", type=at_least(0), default=0, help="(0)")
+    parser.add_argument("--duration", type=positive, default=300.0, help="s (300)")
+    parser.add_argument("--rate", type=positive, default=120.0, help="frames per second (120)")
     parser.add_argument(
         "--hand_of", type=Path, help="recording whose hand to use; default an average adult's"
     )
@@ -130,20 +131,11 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--compare", type=Path, help="recording to draw below, for comparison")
     parser.add_argument("--side", choices=SIDES, default="right", help="of --hand_of and --compare (right)")
     arguments = parser.parse_args(argv)
-    if arguments.seed < 0:
-        parser.error(f"--seed must be 0 or more, not {arguments.seed}")
     if arguments.duration * arguments.rate > _MOST_FRAMES:
         parser.error(f"--duration by --rate may be at most {_MOST_FRAMES:,} frames")
     # Also the name of the plot, which comes last, is looked at before anything is written.
     check_outputs(parser, (arguments.output, ".npz"), (arguments.plot, ".png"))
     return arguments
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0 < value < np.inf:
-        raise argparse.ArgumentTypeError(f"must be positive, not {text}")
-    return value
 
 
 if __name__ == "__main__":

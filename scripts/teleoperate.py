@@ -13,17 +13,16 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from geort_drake.command_line import add_scenario_options, check_outputs, make_parser, scenario_of
 from geort_drake.console import console, run_main
-from geort_drake.files import require_writable
 
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = make_parser(__doc__)
     add = parser.add_argument
     add("--glove", required=True, metavar="SOURCE", help="where the hand's motion comes from")
     add("--robot", default="simulation", metavar="TARGET", help="what is driven (simulation)")
     add("--retargeter", type=Path, help="directory of the checkpoint (trained on synthetic play, and kept)")
-    add("--hand", help="robot hand, by name or file of its description (the scenario's)")
     add("--glove_id", help="serial number of the MANUS glove, where a bridge sends several")
     add("--engage", default="key", choices=["key", "now"], help="engage with Enter, or at once (key)")
     add("--relax_after", type=float, default=5.0, help="s that a lost hand is held, before it relaxes (5)")
@@ -33,24 +32,19 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--robot_silence",
         type=float,
         default=0.5,
-        help="stop when the robot is silent for so long, s (0.5)",
+        help="s that the robot may be silent before it stops (0.5)",
     )
     add("--record", type=Path, metavar="FILE", help="keep what the glove gave (.npz), to train on or replay")
     add("--meshcat", action="store_true", help="show the simulation in a browser on this machine")
     add("--json", action="store_true", help="print a report as JSON on stdout")
-    add("--scenario_file", type=Path, help="scenarios in YAML (the package's)")
-    add("--scenario_name", default="Grasp", help="which scenario of the file (Grasp)")
-    add("--scenario_text", help="YAML merged into the scenario, for example '{correction: {kind: guard}}'")
+    add_scenario_options(parser, "{correction: {kind: guard}}")
     arguments = parser.parse_args(argv)
     for name in ("duration", "relax_after", "timeout", "robot_silence"):
         if not getattr(arguments, name) > 0:
             parser.error(f"--{name} must be positive, not {getattr(arguments, name)}")
     if arguments.meshcat and arguments.robot != "simulation":
         parser.error("--meshcat shows the simulation; give it to stand_in_robot.py")
-    if arguments.record:
-        if arguments.record.suffix != ".npz":
-            parser.error(f"--record must name an .npz file, not {arguments.record}")
-        require_writable(arguments.record)
+    check_outputs(parser, (arguments.record, ".npz"))
     return arguments
 
 
@@ -72,12 +66,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     from geort_drake.live.transports import is_address, is_local, open_receiver, split_address
     from geort_drake.live.watchdog import WatchdogConfig
     from geort_drake.retargeting.retargeter import load_retargeter
-    from geort_drake.simulation.scenario import load_scenario
     from geort_drake.systems.glove_replay import GloveReplay
 
-    scenario = load_scenario(
-        arguments.scenario_file, arguments.scenario_name, arguments.scenario_text, arguments.hand
-    )
+    scenario = scenario_of(arguments)
     description = load_hand(scenario.hand)
     side, duration = description.side, arguments.duration
     receiver = None

@@ -12,6 +12,7 @@ from typing import Any
 
 from rich.table import Table
 
+from geort_drake.command_line import at_least, check_outputs, make_parser
 from geort_drake.console import console, run_main
 from geort_drake.errors import TrainingError
 from geort_drake.evaluation.pipeline import (
@@ -35,8 +36,8 @@ EPILOG = """\
 The output directory holds weights.safetensors, config.json, hand.json, provenance.json, history.csv and
 metrics.json; load it with geort_drake.retargeting.retargeter.load_retargeter(DIR).
 
-Recordings: a GeoRT .npy (T, 21, 3), a raw MANUS .npz, or this package's own .npz. The person should move
-every finger to its limits and pinch with the thumb; five minutes are plenty.
+docs/data_formats.md lists the recordings that are read. The person should move every finger to its limits and
+pinch with the thumb; five minutes are plenty.
 
 Exit codes: 0 the checkpoint was written; 2 something asked for is unusable, nothing was written; 3 the
 checkpoint was written, but the loss stopped being finite on the way and the last good weights were kept.
@@ -45,15 +46,7 @@ STOPPED_EARLY = 3
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = _parser()
-    arguments = parser.parse_args(argv)
-    if arguments.seed < 0:
-        parser.error(f"--seed must be 0 or more, not {arguments.seed}")
-    if arguments.robot_samples < 1:
-        parser.error(f"--robot_samples must be at least 1, not {arguments.robot_samples}")
-    require_writable(arguments.output, directory=True)
-    if arguments.rrd is not None:
-        require_writable(arguments.rrd)
+    arguments = parse_arguments(argv)
     settings = _settings(arguments)
     recording = None
     if arguments.recording is not None:
@@ -99,12 +92,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0 if checkpoint.provenance["training"]["stopped_at"] is None else STOPPED_EARLY
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        description=__doc__.splitlines()[0],
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = make_parser(__doc__, EPILOG)
     parser.add_argument(
         "--hand",
         default="allegro_right",
@@ -133,14 +122,14 @@ def _parser() -> argparse.ArgumentParser:
         help="forward kinematics used in training; neural is the paper's (default: exact)",
     )
     parser.add_argument(
-        "--seed", type=int, default=0, help="seed of everything random (default: %(default)s)"
+        "--seed", type=at_least(0), default=0, help="seed of everything random (default: %(default)s)"
     )
     parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"), help="(default: %(default)s)")
     steps = ", ".join(f"{method} {config.steps}" for method, config in CONFIGS.items())
     parser.add_argument("--steps", type=int, help=f"descent steps (default: {steps})")
     parser.add_argument(
         "--robot_samples",
-        type=int,
+        type=at_least(1),
         default=100_000,
         help="joint positions of the robot (default: %(default)s)",
     )
@@ -157,7 +146,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--json", action="store_true", help="print the metrics as JSON on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress bars and no table")
-    return parser
+    arguments = parser.parse_args(argv)
+    require_writable(arguments.output, directory=True)
+    check_outputs(parser, (arguments.rrd, ".rrd"))
+    return arguments
 
 
 def _settings(arguments: argparse.Namespace) -> dict[str, Any]:

@@ -230,7 +230,7 @@ def test_a_recording_unfit_for_training_is_refused_before_training(refused, scri
         ("--output file/runs", ["file", "directory"]),
         ("--output file --retargeter @c/good", ["file", "directory"]),
         ("--trials 0", ["--trials", "at least 1", "0"]),
-        ("--trials many", ["--trials", "invalid int value: 'many'"]),
+        ("--trials many", ["--trials", "a whole number, not 'many'"]),
         ("--seed -1", ["--seed", "-1"]),
         ("--side both", ["--side", "left", "right"]),
     ],

@@ -235,7 +235,7 @@ def test_the_script_writes_table_and_plot_and_goes_on(monkeypatch, tmp_path, cap
         (["--sweep", "--output", "out"], "--sweep needs --methods and --output"),
         (["--sweep", "--methods", "geort", "--output", "out", "--json", "t"], "--json: not with --sweep"),
         (["--output", "out", "--jobs", "2"], "--output, --jobs: only with --sweep"),
-        (["--sweep", "--methods", "geort", "--output", "out", "--jobs", "0"], "--jobs must be at least 1"),
+        (["--sweep", "--methods", "geort", "--output", "out", "--jobs", "0"], "--jobs: must be at least 1"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(arguments, message, capsys):
