@@ -39,6 +39,14 @@ class BenchmarkError(GeortError):
     """A benchmark's folder is corrupt, in use, or of another configuration."""
 
 
+class LiveError(GeortError):
+    """A message cannot be used, or a glove or robot is missing or does not answer."""
+
+
+class MismatchError(LiveError):
+    """A glove speaks another version or unit, or is of another hand; waiting for it does not help."""
+
+
 class OutputError(GeortError, OSError):
     """A file or folder cannot be written where it was asked for, or not to its end."""
 

@@ -15,12 +15,11 @@ import numpy as np
 import pytest
 from pydrake.lcm import DrakeLcm
 
-from geort_drake.errors import HandError, RecordingError
+from geort_drake.errors import HandError, LiveError, RecordingError
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.live.devices import ALLEGRO, PANDA, JointStatus
-from geort_drake.live.errors import LiveError
 from geort_drake.live.joint_group import JointGroup
 from geort_drake.live.lcm_inbox import LcmInbox
 from geort_drake.live.robot_link import RobotLink

@@ -10,11 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_messages import manus_glove, manus_words, nodes_of, own_fields
 
-from geort_drake.errors import HandError
+from geort_drake.errors import HandError, LiveError, MismatchError
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.live.decoding import decode
 from geort_drake.live.devices import ALLEGRO, PANDA, JointStatus
-from geort_drake.live.errors import LiveError, MismatchError
 from geort_drake.live.glove_frame import MAX_BYTES, GloveFrame, encode_frame
 from geort_drake.live.joint_group import JointGroup
 from geort_drake.live.transports import is_local, open_receiver, open_sender, split_address, wait_for

@@ -13,10 +13,9 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake.errors import RecordingError
+from geort_drake.errors import LiveError, MismatchError, RecordingError
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.readers import read_recording
-from geort_drake.live.errors import LiveError, MismatchError
 from geort_drake.live.glove_frame import GloveFrame, encode_frame
 from geort_drake.live.glove_stream import GloveStream
 from geort_drake.live.latency import Latency, LatencyMeter

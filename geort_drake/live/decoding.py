@@ -1,6 +1,6 @@
 """Which of the known forms a glove's message has, and the frame in it."""
 
-from geort_drake.live.errors import LiveError, MismatchError
+from geort_drake.errors import LiveError, MismatchError
 from geort_drake.live.glove_frame import FORMAT, MAX_BYTES, GloveFrame, decode_frame, parse_json
 from geort_drake.live.manus_bridge import decode_manus_glove, decode_text
 

@@ -13,9 +13,8 @@ import numpy as np
 from drake import lcmt_allegro_command, lcmt_allegro_status, lcmt_panda_command, lcmt_panda_status
 from pydrake.manipulation import PandaControlMode
 
-from geort_drake.errors import HandError
+from geort_drake.errors import HandError, LiveError
 from geort_drake.hands.description import HandDescription
-from geort_drake.live.errors import LiveError
 from geort_drake.live.joint_group import JointGroup
 
 

@@ -9,11 +9,11 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, LeafSystem
 
+from geort_drake.errors import LiveError, MismatchError
 from geort_drake.gloves.health import anatomy, refuse
 from geort_drake.gloves.keypoints import FINGER_KEYPOINTS
 from geort_drake.gloves.recording import SIDES, Recording
 from geort_drake.live.decoding import decode
-from geort_drake.live.errors import LiveError, MismatchError
 from geort_drake.live.glove_frame import GloveFrame
 from geort_drake.live.transports import Receiver, wait_for
 from geort_drake.systems.poses import vector_to_pose

@@ -7,7 +7,7 @@ from typing import Any
 
 from pydrake.lcm import DrakeLcm
 
-from geort_drake.live.errors import LiveError
+from geort_drake.errors import LiveError
 
 
 @dc.dataclass(frozen=True)

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from geort_drake.errors import LiveError, MismatchError
 from geort_drake.gloves.formats.tracks import KEYPOINTS_OF_25
 from geort_drake.gloves.keypoints import mirrored, to_wrist_frame, wrist_pose
-from geort_drake.live.errors import LiveError, MismatchError
 from geort_drake.live.glove_frame import FARTHEST_M, GloveFrame, side_of
 
 _NODES = 25

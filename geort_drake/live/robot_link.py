@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from pydrake.systems.framework import Context, EventStatus, LeafSystem
 
+from geort_drake.errors import LiveError
 from geort_drake.live.devices import ALLEGRO, PANDA, Device, JointStatus
-from geort_drake.live.errors import LiveError
 from geort_drake.live.glove_stream import POLL_PERIOD
 from geort_drake.live.joint_group import JointGroup
 from geort_drake.live.lcm_inbox import LcmInbox

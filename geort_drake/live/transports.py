@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 from pydrake.lcm import DrakeLcm
 
-from geort_drake.live.errors import LiveError
+from geort_drake.errors import LiveError
 from geort_drake.live.glove_frame import MAX_BYTES
 
 # LCM's usual group and port; ttl=0 keeps what is sent on this machine.
