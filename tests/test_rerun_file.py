@@ -100,4 +100,5 @@ def test_going_back_in_time_starts_over_from_there(tmp_path):
     world.simulator.Initialize()
     world.simulator.AdvanceTo(3 / 16)
     np.testing.assert_allclose(world.recorder.times, np.arange(4) / 16, atol=1e-9)
+    world.recorder.flush()
     assert all(len(track.rows) == 4 for track in world.recorder._recording.tracks)

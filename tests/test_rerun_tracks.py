@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import ScenarioError
 from geort_drake.gloves.keypoints import BONES
+from geort_drake.systems._rerun_tracks import quaternions
 from geort_drake.systems.rerun_recorder import CameraSpec, HandSpec, PointsSpec, SignalSpec, StateSpec
 
 
@@ -177,3 +178,13 @@ def test_cameras_are_pictures_and_where_they_were_taken(tmp_path):
     np.testing.assert_allclose(p_WC[-1][0], (X_WB @ X_BC).translation(), atol=1e-6)
     _, size = read(world.recorder.path, "/world/eye", "Pinhole:resolution")
     assert size[0].tolist() == [[64, 48]]
+
+
+def test_quaternions_are_scipys():
+    """Also of half turns, where the simple formula divides by nothing, and of stacks."""
+    half_turns = Rotation.from_rotvec(np.pi * np.eye(3))
+    rotations = Rotation.concatenate([Rotation.random(997, rng=1), half_turns])
+    R = rotations.as_matrix().reshape(10, 100, 3, 3)
+    found = quaternions(R)
+    expected = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat().reshape(10, 100, 4)
+    np.testing.assert_allclose(found, expected, atol=1e-15)

@@ -8,10 +8,9 @@ import rerun as rr
 from PIL import Image
 from pydrake.math import RigidTransform
 from pydrake.systems.sensors import ImageRgba8U, RgbdSensor
-from scipy.spatial.transform import Rotation
 
 from geort_drake.systems._rerun_scene import WORLD, entity_path
-from geort_drake.systems._rerun_tracks import Track
+from geort_drake.systems._rerun_tracks import Track, quaternions
 from geort_drake.systems._rerun_writer import Writer
 
 _QUALITY = 85  # of JPEG; a tenth of the size of PNG
@@ -20,6 +19,8 @@ _PLANE = 0.15  # m; how far before the camera its picture hangs in the scene
 
 class CameraTrack(Track):
     """Colour pictures of a Drake camera: rows (JPEG, X_WC), C the colour camera, z ahead and y down."""
+
+    large = True
 
     def __init__(self, key: str, sensor: RgbdSensor, period: float):
         super().__init__(f"{key}/color_image", f"{key}/body_pose", period=period)
@@ -33,8 +34,7 @@ class CameraTrack(Track):
 
     def read(self, image: ImageRgba8U, X_WB: RigidTransform) -> tuple[bytes, np.ndarray]:
         file = io.BytesIO()
-        # The picture is copied: Drake renders the next one into the same memory.
-        Image.fromarray(image.data[..., :3].copy()).save(file, "JPEG", quality=_QUALITY)
+        Image.fromarray(np.ascontiguousarray(image.data[..., :3])).save(file, "JPEG", quality=_QUALITY)
         return file.getvalue(), (X_WB @ self._X_BC).GetAsMatrix34()
 
     def describe(self, writer: Writer) -> None:
@@ -53,9 +53,7 @@ class CameraTrack(Track):
         if not pictures:
             return
         X_WC = np.array([pose for _, pose in pictures])
-        columns = rr.Transform3D.columns(
-            translation=X_WC[:, :, 3], quaternion=Rotation.from_matrix(X_WC[:, :, :3]).as_quat()
-        )
+        columns = rr.Transform3D.columns(translation=X_WC[:, :, 3], quaternion=quaternions(X_WC[:, :, :3]))
         writer.columns(self.path(), columns, taken)
         jpegs = rr.EncodedImage.columns(
             blob=[jpeg for jpeg, _ in pictures], media_type=["image/jpeg"] * len(pictures)

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import rerun as rr
-from pydrake.multibody.plant import ContactResults
+from pydrake.multibody.plant import ContactResults, PointPairContactInfo
 
 from geort_drake.systems._rerun_scene import WORLD, Scene, entity_path
 from geort_drake.systems._rerun_tracks import PALETTE, Color, Track, scalars
@@ -34,21 +34,25 @@ class ContactTrack(Track):
         self._max_length = max_length
 
     def read(self, results: ContactResults) -> np.ndarray:
-        infos = [results.point_pair_contact_info(i) for i in range(results.num_point_pair_contacts())]
-        bodies = [(int(info.bodyA_index()), int(info.bodyB_index())) for info in infos]
-        points = [info.contact_point() for info in infos]
-        forces = [info.contact_force() for info in infos]
-        for i in range(results.num_hydroelastic_contacts()):
+        points, patches = results.num_point_pair_contacts(), results.num_hydroelastic_contacts()
+        if not points + patches:
+            return _NOTHING
+        row = np.empty((points + patches, 8))
+        # Calls into C++ are what recording costs most: five for each contact, and nothing around them.
+        infos = list(map(results.point_pair_contact_info, range(points)))
+        row[:points, 0] = np.fromiter(map(PointPairContactInfo.bodyA_index, infos), int, points)
+        row[:points, 1] = np.fromiter(map(PointPairContactInfo.bodyB_index, infos), int, points)
+        row[:points, 2:5] = np.reshape(list(map(PointPairContactInfo.contact_point, infos)), (points, 3))
+        row[:points, 5:] = np.reshape(list(map(PointPairContactInfo.contact_force, infos)), (points, 3))
+        of_geometry = self._scene.body_of_geometry
+        for i in range(patches):
             patch = results.hydroelastic_contact_info(i)
             surface = patch.contact_surface()
-            of_geometry = self._scene.body_of_geometry
-            bodies.append((of_geometry[surface.id_M()], of_geometry[surface.id_N()]))
-            points.append(surface.centroid())
+            row[points + i, :2] = of_geometry[surface.id_M()], of_geometry[surface.id_N()]
+            row[points + i, 2:5] = surface.centroid()
             # F_Ac_W acts on the body of M, at the centroid.
-            forces.append(np.negative(patch.F_Ac_W().translational()))
-        if not bodies:
-            return _NOTHING
-        return np.concatenate([np.array(bodies, dtype=float), points, forces], axis=1)
+            row[points + i, 5:] = -patch.F_Ac_W().translational()
+        return row
 
     def describe(self, writer: Writer) -> None:
         writer.static(self.ARROWS, rr.Arrows3D.from_fields(colors=[_COLOR], radii=[0.0025]))
@@ -74,9 +78,11 @@ class ContactTrack(Track):
         """
         begun: dict[str, Sequence[int]] = writer.memory.setdefault(self.SERIES, {})
         groups = dict(begun)
+        bodies = contacts[:, :2].astype(int)
         if self._groups is None:
-            touched = sorted({int(i) for i in contacts[:, :2].ravel()} & set(self._scene.moving))
-            groups |= {self._scene.paths[i].removeprefix(f"/{WORLD}/"): [i] for i in touched}
+            touched = np.flatnonzero(np.bincount(bodies.ravel()))
+            moving = [i for i in self._scene.moving if i in touched]
+            groups |= {self._scene.paths[i].removeprefix(f"/{WORLD}/"): [i] for i in moving}
         else:
             groups |= self._groups
         magnitude = np.linalg.norm(contacts[:, 5:], axis=1)
@@ -86,7 +92,9 @@ class ContactTrack(Track):
                 color = PALETTE[len(begun) % len(PALETTE)]
                 begun[name] = members
                 writer.static(path, rr.SeriesLines(names=[name], colors=[color], widths=[1.5]))
-            inside = np.isin(contacts[:, :2], list(members))
-            crossing = inside[:, 0] != inside[:, 1]
+            member = np.zeros(len(self._scene.paths), dtype=bool)
+            member[list(members)] = True
+            A, B = member[bodies].T
+            crossing = A != B
             force = np.bincount(sample[crossing], magnitude[crossing], minlength=samples)
             writer.columns(path, scalars(force[:, None]))

@@ -5,10 +5,12 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from pydrake.common.value import AbstractValue
 
 from geort_drake.gloves.keypoints import FINGER_NAMES
 from geort_drake.systems._rerun_blueprint import grasp_blueprint
@@ -21,6 +23,7 @@ from geort_drake.systems._rerun_writer import LiveSink, LiveWriter, Property, Wr
 
 _VIEW_DIRECTION = np.array([0.62, -0.62, 0.48])  # from the scene to the eye: front left, from above
 _BATCH_S = 0.1  # wall time between two batches for those who look on
+_READ_AT_ONCE = 64  # samples
 
 
 class Recording:
@@ -57,24 +60,44 @@ class Recording:
         self._recording_id = recording_id
         self._blueprint = blueprint
         self._live: LiveWriter | None = None
+        self._unread: list[Sequence[tuple | None]] = []  # the newest samples, of which there are no rows yet
         self._sent = 0  # how many samples the viewers have got
         self._sent_at = 0.0  # wall time, s
         self._changed = True  # since the file was written
 
-    def append(self, time_s: float, rows: Sequence) -> None:
-        """Adds one row per track; samples at or after `time_s` are dropped first."""
+    def append(self, time_s: float, sample: Sequence[tuple | None]) -> None:
+        """Adds for each track copies of its ports' values; samples at or after `time_s` are dropped first."""
         keep = len(self.times)
         while keep and self.times[keep - 1] >= time_s:
             keep -= 1
-        del self.times[keep:]
+        if keep < len(self.times):
+            self._read()
+            del self.times[keep:]
+            for track in self.tracks:
+                del track.rows[keep:]
         self.times.append(time_s)
-        for track, row in zip(self.tracks, rows, strict=True):
-            del track.rows[keep:]
-            track.rows.append(row)
+        self._unread.append(sample)
         self._changed = True
         self._sent = min(self._sent, keep)
+        large = any(track.large and values for track, values in zip(self.tracks, sample, strict=True))
+        if large or len(self._unread) == _READ_AT_ONCE:
+            self._read()
         if self._sinks and time.monotonic() >= self._sent_at + _BATCH_S:
             self._send()
+
+    def _read(self) -> None:
+        """Makes rows of the samples that have none.
+
+        Many at once, because what is done between two steps of a simulation finds the processor's caches
+        full of other things, and takes half as long again.
+        """
+        columns = [
+            [None if values is None else track.read(*map(_content, values)) for values in column]
+            for track, *column in zip(self.tracks, *self._unread, strict=True)
+        ]
+        self._unread.clear()
+        for track, rows in zip(self.tracks, columns, strict=True):
+            track.rows += rows
 
     def set_properties(self, properties: Mapping[str, Property]) -> None:
         """Adds to what the recording is about; viewers keep what they were told first."""
@@ -89,6 +112,7 @@ class Recording:
             self._send()
         if self.path is None or not self._changed:
             return
+        self._read()
         file = file_writer(
             self.path,
             application_id=self._application_id,
@@ -115,6 +139,7 @@ class Recording:
         self.tracks.clear()
 
     def _send(self) -> None:
+        self._read()
         if self._live is None:
             self._live = LiveWriter(
                 self._sinks,
@@ -191,3 +216,7 @@ class Recording:
 
     def _of(self, kind):
         return [track for track in self.tracks if isinstance(track, kind)]
+
+
+def _content(copy: np.ndarray | AbstractValue) -> Any:
+    return copy.get_value() if isinstance(copy, AbstractValue) else copy

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import rerun as rr
 from pydrake.math import RigidTransform
-from scipy.spatial.transform import Rotation
 
 from geort_drake.systems._rerun_scene import WORLD, Scene, entity_path
 from geort_drake.systems._rerun_writer import Writer
@@ -36,7 +35,12 @@ class Track:
     """Rows sampled from the input ports named in `ports`, at most once per `period`, s.
 
     A row is None where the track was not due.
+
+    Attributes:
+        large: whether the ports' values are too large to keep many of them.
     """
+
+    large = False
 
     def __init__(self, *ports: str, period: float = 0.0):
         self.ports = ports
@@ -80,16 +84,38 @@ class PoseTrack(Track):
 
     def write(self, writer: Writer, rows: Sequence[np.ndarray]) -> None:
         poses = np.array(rows).reshape(len(rows), len(self._indices), 3, 4)
+        finite = np.isfinite(poses).all(axis=(2, 3))
+        poses[~finite] = np.eye(3, 4)  # not drawn
+        translations = poses[..., 3].astype(np.float32)
+        rotations = quaternions(poses[..., :3]).astype(np.float32)
         for k, path in enumerate(self._paths):
-            X_WB = poses[:, k]
-            finite = np.isfinite(X_WB).all(axis=(1, 2))
-            X_WB = X_WB[finite]
-            if len(X_WB):
-                columns = rr.Transform3D.columns(
-                    translation=X_WB[:, :, 3].astype(np.float32),
-                    quaternion=Rotation.from_matrix(X_WB[:, :, :3]).as_quat().astype(np.float32),
-                )
-                writer.columns(path, columns, finite)
+            drawn = None if finite[:, k].all() else finite[:, k]
+            chosen = slice(None) if drawn is None else drawn
+            columns = rr.Transform3D.columns(
+                translation=translations[chosen, k], quaternion=rotations[chosen, k]
+            )
+            writer.columns(path, columns, drawn)
+
+
+def quaternions(R: np.ndarray) -> np.ndarray:
+    """Unit quaternions (..., 4), xyzw, of rotation matrices (..., 3, 3).
+
+    For matrices that are valid, as all of Drake's are; `scipy.spatial.transform.Rotation` takes several
+    times as long, most of it to see whether they are.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(R, (-2, -1), (0, 1))
+    # Every row is the quaternion times four times one of its elements: the largest one is exact.
+    rows = np.array(
+        [
+            [1 + xx - yy - zz, xy + yx, zx + xz, zy - yz],
+            [xy + yx, 1 - xx + yy - zz, yz + zy, xz - zx],
+            [zx + xz, yz + zy, 1 - xx - yy + zz, yx - xy],
+            [zy - yz, xz - zx, yx - xy, 1 + xx + yy + zz],
+        ]
+    )
+    largest = np.argmax(np.einsum("ii...->i...", rows), axis=0)
+    q = np.take_along_axis(rows, largest[None, None], axis=0)[0]
+    return np.moveaxis(q / np.linalg.norm(q, axis=0), 0, -1)
 
 
 class SignalTrack(Track):

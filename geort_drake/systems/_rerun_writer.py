@@ -32,11 +32,12 @@ class Writer:
         self.memory: dict[str, Any] = {}
         self._stream = stream
         self._timeline = timeline
-        self._times = np.empty(0)
+        self.at(np.empty(0))
 
     def at(self, times: np.ndarray) -> "Writer":
         """Sets the times (T,) of the rows that follow: s as floats, or steps as integers."""
         self._times = np.asarray(times)
+        self._all_times = self._column(self._times)
         return self
 
     def static(self, path: str, archetype: rr.AsComponents) -> None:
@@ -45,11 +46,13 @@ class Writer:
 
     def columns(self, path: str, columns: rr.ComponentColumnList, rows: np.ndarray | None = None) -> None:
         """Sends one entry per time, or one per time of which the mask or indices `rows` hold."""
-        times = self._times if rows is None else self._times[rows]
-        if len(times):
-            kind = "sequence" if np.issubdtype(times.dtype, np.integer) else "duration"
-            index = rr.TimeColumn(self._timeline, **{kind: times})
+        index = self._all_times if rows is None else self._column(self._times[rows])
+        if len(index.as_arrow_array()):
             self._stream.send_columns(path, [index], columns, strict=True)
+
+    def _column(self, times: np.ndarray) -> rr.TimeColumn:
+        kind = "sequence" if np.issubdtype(times.dtype, np.integer) else "duration"
+        return rr.TimeColumn(self._timeline, **{kind: times})
 
 
 # At the end of every whole file.

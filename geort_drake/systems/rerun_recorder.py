@@ -23,6 +23,7 @@ from pydrake.systems.framework import (
     Context,
     DiagramBuilder,
     EventStatus,
+    InputPort,
     LeafSystem,
     OutputPort,
     PortDataType,
@@ -140,18 +141,24 @@ class RerunRecorder(LeafSystem):
         if self._recording.closed:
             return EventStatus.DidNothing()
         time = context.get_time()
-        values: dict[str, Any] = {}
-        rows: list[Any] = []
+        copies: dict[str, Any] = {}
+        sample: list[tuple | None] = []
         for track in self._recording.tracks:
             if not track.due(time):
-                rows.append(None)
+                sample.append(None)
                 continue
             for name in track.ports:
-                if name not in values:
-                    values[name] = self._inputs[name].Eval(context)
-            rows.append(track.read(*(values[name] for name in track.ports)))
-        self._recording.append(time, rows)
+                if name not in copies:
+                    copies[name] = self._copy(context, self._inputs[name])
+            sample.append(tuple(copies[name] for name in track.ports))
+        self._recording.append(time, sample)
         return EventStatus.Succeeded()
+
+    def _copy(self, context: Context, port: InputPort) -> np.ndarray | AbstractValue:
+        """The value of a port, which goes on holding when the simulation does."""
+        if port.get_data_type() == PortDataType.kVectorValued:
+            return port.Eval(context)
+        return self.EvalAbstractInput(context, port.get_index()).Clone()
 
 
 class _Token:
