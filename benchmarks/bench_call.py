@@ -52,7 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     retarget = untrained(arguments.method)
     description = load_hand(HAND)
-    tips = hands[:, [finger.human_keypoint for finger in description.fingers]]
+    tips = hands[:, description.human_keypoints]
     published = Published(tips)
     functions = {
         "call": over(retarget, tips),
@@ -133,7 +133,7 @@ def dex_retargeting(description, hands: np.ndarray) -> dict[str, Callable[[], ob
         console.print(f"without dex-retargeting: {error}")
         return {}
     kinematics = HandModel(description).kinematics()
-    keypoints = [finger.human_keypoint for finger in description.fingers]
+    keypoints = description.human_keypoints
     functions = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, kind in TYPES.items():

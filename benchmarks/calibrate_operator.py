@@ -47,7 +47,7 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
     hand = HandModel(description)
     play = synthesize_play(seed=0, duration_s=60)
     # The middle of what the person's fingertips reach meets the middle of what the robot's reach.
-    rest = play.fingertips([finger.human_keypoint for finger in description.fingers]).mean(axis=0)
+    rest = play.fingertips(description.human_keypoints).mean(axis=0)
     q = np.random.default_rng(0).uniform(hand.lower, hand.upper, (2000, len(hand.lower)))
     shift = hand.fingertips(q).mean(axis=0) - hand.fingertips(hand.default_position)
     gain, turn, offset = MAPS[map_name]

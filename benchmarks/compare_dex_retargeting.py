@@ -57,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     results = {}
     with tempfile.TemporaryDirectory() as folder, progress_bar() as progress:
         for name, kind in TYPES.items():
-            keypoints = [finger.human_keypoint for finger in description.fingers]
+            keypoints = description.human_keypoints
             ours = ONLINE[name](hand.kinematics(), human_keypoints=keypoints)
             urdf = Path(folder) / f"{name}.urdf"
             urdf.write_text(_urdf(hand.kinematics()), encoding="utf-8")
@@ -123,7 +123,7 @@ def _settings(kind: str, urdf: Path, description, config) -> dict:
     tips = [f"{finger.name}_tip" for finger in description.fingers]
     settings = {"type": kind, "urdf_path": str(urdf), "scaling_factor": config.scale, "low_pass_alpha": 1.0}
     if kind == "vector":
-        keypoints = [finger.human_keypoint for finger in description.fingers]
+        keypoints = description.human_keypoints
         return settings | {
             "target_origin_link_names": ["wrist"] * len(tips),
             "target_task_link_names": tips,

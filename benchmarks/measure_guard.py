@@ -19,10 +19,11 @@ import torch
 from geort_drake.console import run_main
 from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
 from geort_drake.evaluation.contact_metrics import pinch, self_collision
-from geort_drake.evaluation.metrics import canonical_kinematics, motion_preservation_track
+from geort_drake.evaluation.metrics import motion_preservation_track
 from geort_drake.files import write_text
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.readers import read_recording
+from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.retargeter import load_retargeter
@@ -50,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     else:
         recording = synthesize_play(0)
     path = arguments.retargeter or cached_checkpoint(arguments.hand, recording, arguments.method)[0]
-    frames = recording.fingertips([finger.human_keypoint for finger in description.fingers])
+    frames = recording.fingertips(description.human_keypoints)
     frames = frames[: arguments.frames].astype(float)
     bare = load_retargeter(path, hand)(frames)
     guarded, times, touched = _guarded(hand, bare)

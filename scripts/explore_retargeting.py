@@ -84,13 +84,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _retargeter(method: str, arguments: argparse.Namespace, hand, recording) -> Callable:
     from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
-    from geort_drake.evaluation.metrics import canonical_kinematics
     from geort_drake.evaluation.pipeline import METHODS
+    from geort_drake.hands.canonical import canonical_kinematics
     from geort_drake.retargeting.baselines.registry import BASELINES, make_baseline
     from geort_drake.retargeting.retargeter import load_retargeter
 
     if method in BASELINES:
-        keypoints = [finger.human_keypoint for finger in hand.description.fingers]
+        keypoints = hand.description.human_keypoints
         frames = recording.fingertips(keypoints)
         return make_baseline(
             method, canonical_kinematics(hand), keypoints, frames=frames, seed=arguments.seed

@@ -187,7 +187,7 @@ def compare(play, seeds):
     """A comparison on the whole play and its halves, of methods that need no training."""
     hand = HandModel(load_hand("allegro_right"))
     protocols = [same_person(play, "play"), held_out(play, 2)]
-    return Comparison(hand, protocols, seeds, trainer=pytest.fail, frame_limit=20)
+    return Comparison(hand, protocols, seeds, checkpoint_of=pytest.fail, frame_limit=20)
 
 
 def test_pinches_of_all_blocks_count_alike(play):

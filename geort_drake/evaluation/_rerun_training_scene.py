@@ -20,6 +20,7 @@ from geort_drake.evaluation._rerun_posed_hand import (
 from geort_drake.evaluation.exploration import find_pinches, tips_of
 from geort_drake.gloves.keypoints import mirrored
 from geort_drake.gloves.recording import Recording
+from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.clouds import voxel_centres, voxel_thinned
 from geort_drake.systems._rerun_hand import HandTrack
@@ -58,7 +59,7 @@ class TrainingScene:
 
     def __init__(self, hand: HandModel, recording: Recording, seed: int):
         self._hand, self._seed = hand, seed
-        self._kinematics = metrics.canonical_kinematics(hand)
+        self._kinematics = canonical_kinematics(hand)
         self._fingers = range(len(hand.finger_names))
         self._colors = [FINGER_COLORS[name] for name in hand.finger_names]
         # People are canonical right hands; what is drawn of a left hand is mirrored back.

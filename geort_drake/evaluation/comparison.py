@@ -14,7 +14,6 @@ from geort_drake.evaluation.metric_table import mean, worst
 from geort_drake.evaluation.metrics import (
     MIN_FRAMES,
     RobotSpace,
-    canonical_kinematics,
     evaluate_frames,
     robot_space,
 )
@@ -22,14 +21,15 @@ from geort_drake.evaluation.protocols import HELD_OUT, SAME_PERSON, Case, Protoc
 from geort_drake.evaluation.related_metrics import aligned_motion_preservation, workspace
 from geort_drake.gloves.keypoints import FINGER_KEYPOINTS
 from geort_drake.gloves.recording import Recording
+from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.baselines.online import VectorOnline
 from geort_drake.retargeting.baselines.registry import BASELINES, make_baseline
 from geort_drake.retargeting.checkpoint import CONFIG, load_checkpoint
 from geort_drake.retargeting.retargeter import load_retargeter
 
-# From (recording, method, seed) to the directory of a checkpoint.
-Trainer = Callable[[Recording, str, int], Path]
+# From (recording, method, seed) to the directory of a checkpoint, trained or found.
+CheckpointSource = Callable[[Recording, str, int], Path]
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Comparison:
         hand: model of the robot hand.
         protocols: what to train and to score on.
         seeds: of training and metrics; everything is done once with each.
-        trainer: makes the checkpoint of a method that is trained.
+        checkpoint_of: gives the checkpoint of a method that is trained.
         frame_limit: score on the first so many valid frames of each recording or block only.
     """
 
@@ -99,12 +99,12 @@ class Comparison:
         hand: HandModel,
         protocols: Sequence[Protocol],
         seeds: Sequence[int],
-        trainer: Trainer,
+        checkpoint_of: CheckpointSource,
         frame_limit: int | None = None,
     ):
         self.hand, self.protocols, self.seeds = hand, tuple(protocols), tuple(seeds)
-        self._trainer, self.frame_limit = trainer, frame_limit
-        self._keypoints = [finger.human_keypoint for finger in hand.description.fingers]
+        self._checkpoint_of, self.frame_limit = checkpoint_of, frame_limit
+        self._keypoints = hand.description.human_keypoints
         self._kinematics = canonical_kinematics(hand)
         self._spaces: dict[int, RobotSpace] = {}
 
@@ -195,7 +195,7 @@ class Comparison:
             learned = case.trained_on.fingertips(self._keypoints)
             return make_baseline(name, self._kinematics, self._keypoints, frames=learned, seed=seed)
         if name in pipeline.METHODS:
-            return load_retargeter(self._trainer(case.trained_on, name, seed), self.hand)
+            return load_retargeter(self._checkpoint_of(case.trained_on, name, seed), self.hand)
         if protocol.name == HELD_OUT:
             raise CheckpointError(
                 f"{name}: a checkpoint cannot be trained without the block; name its method instead"

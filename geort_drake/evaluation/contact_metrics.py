@@ -4,7 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-PINCH_DISTANCE = 0.015  # m, nearer human fingertips pinch
+from geort_drake.gloves.recording import PINCH_M
+from geort_drake.hands.model import HandModel
+
 APART_DISTANCE = 0.030  # m, human fingertips farther apart do not mean to pinch
 TOO_DEEP = 0.004  # m, nearer robot fingertips fight each other
 PENETRATION = 0.002  # m, deeper penetrations count as self-collision
@@ -19,6 +21,12 @@ def pinch(
     frames in which it is under 15 mm apart (None if there are none), `all_pairs` of all such pairs;
     `false` is the share of pairs over 30 mm apart in which the robot's meet. Robot fingertips meet
     when their spheres touch: centres at most two tip radii apart. None for a hand without a thumb.
+
+    Args:
+        frames: (T, F, 3) human fingertips, m.
+        p_BF: (T, F, 3) the robot's, m.
+        finger_names: F names.
+        tip_radius: of the robot's fingertips, m.
     """
     if "thumb" not in finger_names or len(finger_names) == 1:
         return None
@@ -28,7 +36,7 @@ def pinch(
     robot = np.linalg.norm(p_BF[:, others] - p_BF[:, [thumb]], axis=-1)
     nearest = human.argmin(axis=1)
     rows = np.arange(len(human))
-    in_pinch = human[rows, nearest] < PINCH_DISTANCE
+    in_pinch = human[rows, nearest] < PINCH_M
     apart = human > APART_DISTANCE
 
     def figures(distance: np.ndarray) -> dict:
@@ -44,11 +52,11 @@ def pinch(
 
     return figures(robot[rows, nearest][in_pinch]) | {
         "false": float((robot[apart] <= 2 * tip_radius).mean()) if apart.any() else None,
-        "all_pairs": figures(robot[human < PINCH_DISTANCE]),
+        "all_pairs": figures(robot[human < PINCH_M]),
     }
 
 
-def self_collision(hand, q: np.ndarray) -> dict[str, float]:
+def self_collision(hand: HandModel, q: np.ndarray) -> dict[str, float]:
     """Shares of joint angles (T, n) that collide.
 
     `deep` counts penetrations over 2 mm between links that are not both fingertips, `any` every contact.

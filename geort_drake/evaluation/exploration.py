@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geort_drake.errors import RecordingError
-from geort_drake.evaluation.contact_metrics import PINCH_DISTANCE
 from geort_drake.gloves.keypoints import mirrored
-from geort_drake.gloves.recording import Recording
+from geort_drake.gloves.recording import PINCH_M, Recording
 from geort_drake.hands.model import HandModel
 
 WINDOW = 0.1  # s; motions are compared from so long before an instant to so long after it
@@ -107,7 +106,7 @@ def find_pinches(tips: np.ndarray, finger_names: Sequence[str]) -> Pinches:
     nearest = distances.argmin(axis=1)
     distance = distances[np.arange(len(tips)), nearest]
     pair = np.stack([np.full(len(tips), thumb), others[nearest]], axis=1)
-    return Pinches(pair, distance, distance < PINCH_DISTANCE)
+    return Pinches(pair, distance, distance < PINCH_M)
 
 
 def answers(retarget: Callable, hand: HandModel, hands: Excerpt) -> Answers:
@@ -129,7 +128,7 @@ def answers(retarget: Callable, hand: HandModel, hands: Excerpt) -> Answers:
 
 def tips_of(p_HK: np.ndarray, hand: HandModel) -> np.ndarray:
     """(T, F, 3) the tips that the robot's fingers follow."""
-    return p_HK[:, [finger.human_keypoint for finger in hand.description.fingers]]
+    return p_HK[:, hand.description.human_keypoints]
 
 
 def proportional_copy(human: np.ndarray, robot: np.ndarray) -> np.ndarray:

@@ -153,8 +153,8 @@ def open_benchmark(
         wanted["trials"] = max(trials, stored["trials"])
         wanted["notes"] = stored["notes"]
         wanted["methods"] = dict(stored["methods"])
-    elif (folder / TRIALS).exists() and (folder / TRIALS).stat().st_size:
-        raise BenchmarkError(f"{folder / TRIALS}: holds trials without their {CONFIG}; choose another folder")
+    else:
+        require_no_trials(folder)
     ready = {}
     for name, method in names.items():
         retarget, digest = make_retargeter(
@@ -218,6 +218,13 @@ def keep_error(folder: Path, record: dict) -> dict:
     path = Path(ERRORS) / f"{'-'.join(str(part) for part in key_of(record) if part != '')}.txt"
     write_text(folder / path, record["error"])
     return {**record, "error": record["error"].strip().splitlines()[-1], "traceback": str(path)}
+
+
+def require_no_trials(folder: Path) -> None:
+    """Raises BenchmarkError where a folder without a configuration holds trials: nobody knows of what."""
+    path = folder / TRIALS
+    if path.exists() and path.stat().st_size:
+        raise BenchmarkError(f"{path}: holds trials without their {CONFIG}; choose another folder")
 
 
 def require_same(path: Path, stored: dict, wanted: dict, within: str = "") -> None:

@@ -13,6 +13,7 @@ from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
 from geort_drake.evaluation.comparison import check_methods
 from geort_drake.files import atomic_directory, sha256_of
 from geort_drake.gloves.recording import Recording
+from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.baselines.registry import BASELINES, make_baseline
 from geort_drake.retargeting.checkpoint import WEIGHTS
@@ -63,12 +64,10 @@ def make_retargeter(
     Raises:
         UnknownNameError, CheckpointError, TrainingError: see `cached_checkpoint` and `load_retargeter`.
     """
-    description = hand.description
     if method in BASELINES:
-        keypoints = [finger.human_keypoint for finger in description.fingers]
-        kinematics = hand.kinematics().mirrored() if description.side == "left" else hand.kinematics()
+        keypoints = hand.description.human_keypoints
         frames = recording.fingertips(keypoints).astype(float)
-        return make_baseline(method, kinematics, keypoints, frames=frames, seed=seed), None
+        return make_baseline(method, canonical_kinematics(hand), keypoints, frames=frames, seed=seed), None
     kept = keep / name
     if name != method:
         load_retargeter(method, hand)

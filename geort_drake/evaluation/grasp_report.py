@@ -66,13 +66,7 @@ def write_report(folder: Path) -> dict:
     content = {
         "summary": summary,
         "config": config,
-        "records": [
-            {
-                **record,
-                "rrd": str(path) if (folder / (path := rerun_path(key_of(record)))).is_file() else None,
-            }
-            for record in records
-        ],
+        "records": [{**record, "rrd": _recorded(folder, key_of(record))} for record in records],
         "errors": errors,
         "figure": SENSITIVITY,
         "expected": len(config["methods"]) * len(config["objects"]) * config["trials"],

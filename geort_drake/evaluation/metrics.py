@@ -15,6 +15,9 @@ from scipy.spatial import cKDTree
 
 from geort_drake.errors import RecordingError
 from geort_drake.evaluation.contact_metrics import pinch, self_collision
+from geort_drake.gloves.recording import Recording
+from geort_drake.hands.canonical import canonical_kinematics
+from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.clouds import voxel_centres, voxel_index, voxel_thinned
 
 FingertipMap = Callable[[np.ndarray], np.ndarray]
@@ -42,7 +45,7 @@ class RobotSpace:
     collision_free: list[np.ndarray]
 
 
-def robot_space(hand, seed: int = 0) -> RobotSpace:
+def robot_space(hand: HandModel, seed: int = 0) -> RobotSpace:
     """Samples the C-space of a hand; it is the same for all methods, so it is worth keeping."""
     rng = np.random.default_rng(seed)
     q = rng.uniform(hand.lower, hand.upper, (ROBOT_SAMPLES, len(hand.joint_names)))
@@ -50,24 +53,19 @@ def robot_space(hand, seed: int = 0) -> RobotSpace:
     return RobotSpace(p_BF, robot_voxels(p_BF), robot_voxels(p_BF[~hand.collides(q)]))
 
 
-def canonical_kinematics(hand):
-    """The hand's kinematics as a right hand: people are canonical right hands, so a left one is mirrored."""
-    return hand.kinematics().mirrored() if hand.description.side == "left" else hand.kinematics()
-
-
-def evaluate(retarget: Callable, hand, recording, seed: int = 0) -> dict:
+def evaluate(retarget: Callable, hand: HandModel, recording: Recording, seed: int = 0) -> dict:
     """All metrics of a retargeter on one recording, as a JSON-ready dictionary.
 
     Args:
         retarget: maps (F, 3) and (N, F, 3) human fingertips in H, m, to joint angles in rad.
-        hand: a `HandModel` of the robot; its fingers are those of the retargeter.
-        recording: a `Recording` of the person's hand.
+        hand: model of the robot hand; its fingers are those of the retargeter.
+        recording: of the person's hand.
         seed: of the anchors, directions and robot samples.
 
     Raises:
         RecordingError: when the recording has too few frames to measure on.
     """
-    keypoints = [finger.human_keypoint for finger in hand.description.fingers]
+    keypoints = hand.description.human_keypoints
     frames = recording.fingertips(keypoints)
     check_frames(frames)
     return evaluate_frames(retarget, hand, frames, recording.rate_hz, seed, robot_space(hand, seed))[0]
@@ -83,7 +81,7 @@ def check_frames(frames: np.ndarray) -> None:
 
 def evaluate_frames(
     retarget: Callable,
-    hand,
+    hand: HandModel,
     frames: np.ndarray,
     rate_hz: float,
     seed: int = 0,
@@ -129,7 +127,7 @@ def evaluate_frames(
     return figures, p_BF, gains
 
 
-def _fingertips_of(hand) -> Callable[[np.ndarray], np.ndarray]:
+def _fingertips_of(hand: HandModel) -> Callable[[np.ndarray], np.ndarray]:
     """From joint angles (N, n) to fingertips (N, F, 3)."""
     kinematics = canonical_kinematics(hand)
     return lambda q: kinematics.fingertips(torch.from_numpy(q)).numpy()

@@ -21,7 +21,7 @@ from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.range_of_motion import narrow_motions
 from geort_drake.gloves.readers import read_recording
 from geort_drake.gloves.recording import Recording
-from geort_drake.hands.collision_shapes import collision_shapes
+from geort_drake.hands.canonical import canonical_kinematics, canonical_shapes
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.samples import robot_data
@@ -48,6 +48,8 @@ CONFIGS: dict[str, type[TrainingConfig]] = {
 }
 # Methods that learn from the robot samples' labels; for the others they are not computed.
 LABELLED = frozenset({"geort"})
+# Methods that take the hand's collision shapes.
+SHAPED = frozenset({"geort_coupled"})
 
 
 def training_config(method: str, settings: Mapping | None = None) -> TrainingConfig:
@@ -103,13 +105,14 @@ def train_checkpoint(
     check_replaceable(output)
     description = load_hand(hand_name)
     hand = HandModel(description)
-    # People are canonical right hands, so a left robot hand learns in the mirror.
-    kinematics = hand.kinematics().mirrored() if description.side == "left" else hand.kinematics()
+    kinematics = canonical_kinematics(hand)
     timings: dict[str, float] = {}
     with _Bars(show_progress) as bars:
         with _timed(timings, "recording_s"):
-            recording = _recording(recording, description.side, seed)
-            keypoints = [finger.human_keypoint for finger in description.fingers]
+            if recording is None:
+                recording = synthesize_play(seed, side=description.side)
+            recording = training_recording(recording, description.side)
+            keypoints = description.human_keypoints
             p_HF = recording.fingertips(keypoints)
             said = narrow_motions(recording.p_HK[recording.valid], keypoints)
         with _timed(timings, "robot_data_s"):
@@ -117,9 +120,8 @@ def train_checkpoint(
             counter = bars.counter("robot samples")
             samples = robot_data(hand, robot_samples, seed, progress=counter, labels=labels)
         extra = {}
-        if method == "geort_coupled":
-            shapes = collision_shapes(hand)
-            extra["shapes"] = shapes.mirrored() if description.side == "left" else shapes
+        if method in SHAPED:
+            extra["shapes"] = canonical_shapes(hand)
         with _timed(timings, "fit_s"), _collected(said):
             result = METHODS[method](
                 p_HF,
@@ -188,9 +190,12 @@ def train_checkpoint(
     return path
 
 
-def _recording(source: Recording | str | os.PathLike | None, side: str, seed: int) -> Recording:
-    if source is None:
-        return synthesize_play(seed, side=side)
+def training_recording(source: Recording | str | os.PathLike, side: str) -> Recording:
+    """A recording of a person's hand, or that of a file, for a robot hand of that side.
+
+    Raises:
+        RecordingError: it is of the other hand, or the file is unfit for training.
+    """
     if not isinstance(source, Recording):
         return read_recording(source, side=side, training=True)
     if source.side != side:

@@ -31,7 +31,6 @@ class Protocol:
         name: SAME_PERSON, HELD_OUT or OTHER_PERSON.
         title: what tables call it.
         meaning: what its figures stand for, and what is left out.
-        part: what a part is called in the plural: recordings or blocks.
         cases: one per part.
         with_coverage: whether the share of the robot's C-space means anything here.
     """
@@ -39,7 +38,6 @@ class Protocol:
     name: str
     title: str
     meaning: str
-    part: str
     cases: tuple[Case, ...]
     with_coverage: bool = True
 
@@ -50,7 +48,6 @@ def same_person(recording: Recording, name: str) -> Protocol:
         SAME_PERSON,
         "same person, training recording",
         "trained and scored on the same recording, as in the paper",
-        "recordings",
         (Case(name, recording, recording),),
     )
 
@@ -90,7 +87,6 @@ def held_out(recording: Recording, blocks: int) -> Protocol:
         "same person, held-out blocks",
         f"scored on each of {blocks} contiguous blocks, trained on the rest, {GUARD_S:g} s before and after "
         "the block left out; no coverage, as a block holds too little motion to cover the C-space",
-        "blocks",
         tuple(cases),
         with_coverage=False,
     )
@@ -109,6 +105,5 @@ def other_person(recording: Recording, others: Mapping[str, Recording]) -> Proto
         OTHER_PERSON,
         "another person",
         "trained on one person's recording, scored on another's as it is, without any calibration",
-        "recordings",
         tuple(Case(name, recording, other) for name, other in others.items()),
     )

@@ -6,13 +6,13 @@ import time
 from functools import partial
 from pathlib import Path
 
-from geort_drake.errors import CheckpointError, RecordingError, UnknownNameError
+from geort_drake.errors import CheckpointError, UnknownNameError
 from geort_drake.evaluation.metrics import evaluate
+from geort_drake.evaluation.pipeline import training_recording
 from geort_drake.evaluation.versions import versions
 from geort_drake.files import sha256_of
-from geort_drake.gloves.readers import read_recording
 from geort_drake.gloves.recording import Recording
-from geort_drake.hands.collision_shapes import collision_shapes
+from geort_drake.hands.canonical import canonical_kinematics, canonical_shapes
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.samples import robot_data
@@ -71,11 +71,7 @@ def refit_checkpoint(
         raise UnknownNameError("retargeting method", old.config["method"], RETARGETERS)
     hand = HandModel(load_hand(hand_name or old.hand["name"]))
     old.check_hand(hand)
-    side = hand.description.side
-    if not isinstance(recording, Recording):
-        recording = read_recording(recording, side=side, training=True)
-    if recording.side != side:
-        raise RecordingError(f"the recording is of a {recording.side} hand, the robot's is a {side} hand")
+    recording = training_recording(recording, hand.description.side)
     p_HF = recording.fingertips(old.config["human_keypoints"])
     started = time.perf_counter()
     method = old.config["method"]
@@ -87,15 +83,12 @@ def refit_checkpoint(
         sampled = old.provenance.get("robot_data", {})
         kept = {key: sampled[key] for key in ("count", "seed") if key in sampled}
         samples = robot_data(hand, **kept, labels=False)
-        shapes, kinematics = collision_shapes(hand), hand.kinematics()
-        if side == "left":
-            shapes, kinematics = shapes.mirrored(), kinematics.mirrored()
         tune = partial(
             fine_tune,
             p_HF=p_HF,
-            kinematics=kinematics,
+            kinematics=canonical_kinematics(hand),
             samples=samples,
-            shapes=shapes,
+            shapes=canonical_shapes(hand),
             config=config,
             seed=seed,
             report=report,

@@ -19,7 +19,13 @@ import yaml
 from joblib import delayed
 
 from geort_drake.errors import BenchmarkError, ScenarioError, UnknownNameError
-from geort_drake.evaluation.grasp_benchmark import CONFIG, TRIALS, require_same, simulation_settings
+from geort_drake.evaluation.grasp_benchmark import (
+    CONFIG,
+    TRIALS,
+    require_no_trials,
+    require_same,
+    simulation_settings,
+)
 from geort_drake.evaluation.grasp_plots import success_panels
 from geort_drake.evaluation.grasp_statistics import Record, proportion
 from geort_drake.evaluation.grasp_trial import simulate
@@ -162,10 +168,8 @@ class Replay:
             for name in sessions.keys() & wanted["sessions"].keys():
                 require_same(path, sessions[name], wanted["sessions"][name], f"{name}.")
             wanted["sessions"] = {**sessions, **wanted["sessions"]}
-        elif (folder / TRIALS).exists() and (folder / TRIALS).stat().st_size:
-            raise BenchmarkError(
-                f"{folder / TRIALS}: holds trials without their {CONFIG}; choose another folder"
-            )
+        else:
+            require_no_trials(folder)
         write_text(path, json.dumps(wanted, indent=2, allow_nan=False) + "\n")
 
 

@@ -9,9 +9,8 @@ from pydrake.common.yaml import yaml_load_typed
 
 from geort_drake.errors import HandError, UnknownNameError
 from geort_drake.gloves.keypoints import FINGER_NAMES
+from geort_drake.gloves.recording import SIDES
 from geort_drake.resources import PACKAGE_NAME, models_dir
-
-SIDES = ("right", "left")
 
 
 @dc.dataclass
@@ -113,6 +112,10 @@ class HandDescription:
     @property
     def finger_names(self) -> list[str]:
         return [finger.name for finger in self.fingers]
+
+    @property
+    def human_keypoints(self) -> list[int]:
+        return [finger.human_keypoint for finger in self.fingers]
 
     def validate(self) -> None:
         """Checks what can be checked without the model.

@@ -9,7 +9,6 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -117,20 +116,8 @@ class TrainingResult:
     pinch_frames: int = 0
 
 
-class Trainer(Protocol):
-    """How every method is trained: `train_geort` documents the arguments."""
-
-    def __call__(
-        self,
-        p_HF: np.ndarray,
-        kinematics: HandKinematics,
-        robot_samples: RobotSamples,
-        config: TrainingConfig | None = None,
-        seed: int = 0,
-        device: str = "cpu",
-        report: Report | None = None,
-        collides_beyond_tips: Callable[[np.ndarray], np.ndarray] | None = None,
-    ) -> TrainingResult: ...
+# How every method is trained: with the arguments of `train_geort`, and perhaps others.
+Trainer = Callable[..., TrainingResult]
 
 
 def train_geort(
