@@ -1,5 +1,6 @@
 """Fixtures shared by the tests: seeded generators, and real recordings where they are at hand."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,25 @@ def manus_npz() -> Path:
 def allegro():
     """The right Allegro hand, a `HandModel`."""
     return _hand("allegro_right")
+
+
+@pytest.fixture
+def allegro_copy(tmp_path):
+    """A copy of the right Allegro's files, to change: its description as a dict, and what loads it."""
+    import yaml
+
+    from geort_drake.hands.description import load_hand
+    from geort_drake.resources import models_dir
+
+    shutil.copy(models_dir() / "sdf" / "allegro_right.sdf", tmp_path / "hand.sdf")
+    facts = yaml.safe_load((models_dir() / "hands" / "allegro_right.yaml").read_text(encoding="utf-8"))
+    facts["model"] = "hand.sdf"
+
+    def load():
+        (tmp_path / "hand.yaml").write_text(yaml.safe_dump(facts), encoding="utf-8")
+        return load_hand(tmp_path / "hand.yaml")
+
+    return facts, load
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 from glove_files import (
-    FRAMES,
     FROM_WRIST_25,
     manus_table,
     mediapipe_frames,
@@ -29,6 +28,7 @@ from glove_files import (
     write_webxr,
     write_webxr_json,
 )
+from moving_hands import FRAMES
 
 
 def without(table, column):

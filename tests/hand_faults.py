@@ -4,7 +4,7 @@ import functools
 from dataclasses import replace
 
 import numpy as np
-from glove_files import FRAMES, Hand, moving
+from moving_hands import FRAMES, Hand, moving
 
 from geort_drake.gloves.health.findings import Severity
 

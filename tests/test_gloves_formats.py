@@ -6,16 +6,13 @@ import pickle
 import numpy as np
 import pytest
 from glove_files import (
-    FRAMES,
     FROM_WRIST_25,
     NAMES,
     TIMED,
     WRITERS,
-    moving,
     openxr_order,
     poses,
     published_manus_table,
-    random_hand,
     stacked,
     transforms,
     write_dex_retargeting,
@@ -23,6 +20,7 @@ from glove_files import (
     write_openxr,
     write_webxr,
 )
+from moving_hands import FRAMES, moving, random_hand
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError, UnknownNameError

@@ -8,8 +8,9 @@ import re
 import numpy as np
 import pytest
 from file_faults import FILES
-from glove_files import FRAMES, RATE_HZ, WRITERS, moving
+from glove_files import WRITERS
 from hand_faults import ADVICE, ERROR, FAULTS, UNFIT, WARNING, hand_faults, one_spike, stored_twice
+from moving_hands import FRAMES, RATE_HZ, moving
 
 from geort_drake.errors import RecordingError
 from geort_drake.gloves.health import examine, verdict

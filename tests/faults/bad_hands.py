@@ -1,4 +1,4 @@
-"""Hand descriptions and models that are no hand, beside those in test_hands.py."""
+"""Hand descriptions and models that are no hand, beside those in test_hand_descriptions.py."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -13,7 +13,6 @@ import numpy as np
 from glove_files import (
     manus_table,
     mediapipe_frames,
-    moving,
     openxr_frames,
     webxr_frames,
     webxr_names,
@@ -23,6 +22,7 @@ from glove_files import (
     write_openxr,
     write_own,
 )
+from moving_hands import moving
 
 from faults.hostile import GIB, Calls, doubling, laughs, nested_key, npy_header, zip_bomb
 from faults.refusals import Case

@@ -7,9 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from glove_files import WRITERS, moving
+from glove_files import WRITERS
 from hand_family import HandSpec, write_hand
 from live_messages import manus_glove, manus_words, nodes_of, own_fields
+from moving_hands import moving
 
 from faults.sound import checkpoint
 from geort_drake.evaluation.grasp_benchmark import CONFIG, TRIALS, read_config

@@ -1,0 +1,120 @@
+"""Hand descriptions: how they are found and read, and what is wrong with bad ones."""
+
+import dataclasses as dc
+
+import numpy as np
+import pytest
+from model_scene import SHIPPED_HANDS
+
+from geort_drake.errors import HandError, UnknownNameError
+from geort_drake.hands.description import hand_names, load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.resources import models_dir
+
+
+def test_fingers_come_thumb_first_and_joints_finger_by_finger():
+    """The order of q is the description's, whatever order the plant has."""
+    hand = load_hand("allegro_right")
+    assert hand.finger_names == ["thumb", "index", "middle", "ring"]
+    assert hand.joint_names == [f"joint_{i}" for i in (12, 13, 14, 15, *range(12))]
+    assert [finger.human_keypoint for finger in hand.fingers] == [4, 8, 12, 16]
+
+
+def test_hands_are_known_by_the_names_of_their_files(monkeypatch, tmp_path):
+    """Those that come along, and one that a user puts beside them."""
+    assert set(SHIPPED_HANDS) <= set(hand_names())
+    (tmp_path / "hands").mkdir()
+    text = (models_dir() / "hands" / "leap_right.yaml").read_text(encoding="utf-8")
+    (tmp_path / "hands" / "mine.yaml").write_text(text.replace("name: leap_right", "name: mine"))
+    monkeypatch.setattr("geort_drake.hands.description.models_dir", lambda: tmp_path)
+    assert hand_names() == ["mine"]
+    assert load_hand("mine").name == "mine"
+
+
+def test_unknown_hand_lists_the_choices():
+    """A name that stands for nothing is answered with the names that do."""
+    with pytest.raises(UnknownNameError, match=r"unknown hand 'alegro'.*allegro_right"):
+        load_hand("alegro")
+
+
+def test_a_left_hand_is_described_as_its_right_one():
+    """But for name, model, side and mount, the descriptions of the Allegro's two hands are the same."""
+    right, left = (dc.asdict(load_hand(f"allegro_{side}")) for side in ("right", "left"))
+    for facts, side in ((right, "right"), (left, "left")):
+        assert facts.pop("side") == side
+        assert facts.pop("name").endswith(f"_{side}") and facts.pop("model").endswith(f"_{side}.sdf")
+        facts.pop("mount")
+        for finger in facts["fingers"]:
+            finger["tip_point"] = np.abs(finger["tip_point"]).tolist()
+    assert left == right
+
+
+def _set(path: str, value):
+    """A function that puts `value` at a dotted path of the description."""
+
+    def apply(facts):
+        *parents, last = path.split(".")
+        for key in parents:
+            facts = facts[int(key) if isinstance(facts, list) else key]
+        facts[last] = value
+
+    return apply
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (_set("model", "nothing.sdf"), r"nothing\.sdf is missing"),
+        (_set("model", ""), r"hand\.yaml.*model must be given"),
+        (_set("side", "middle"), r"side must be one of left, right; given: 'middle'"),
+        (_set("base_frame", "palm"), r"base_frame names the frame or link 'palm'.*base_link"),
+        (_set("fingers.1.tip_link", "tip"), r"fingers\.index\.tip_link names.*'tip'.*link_3"),
+        (_set("fingers.1.joints", ["joint_0", "knuckle"]), r"fingers\.index\.joints.*'knuckle'.*joint_1"),
+        (_set("fingers.1.joints", ["joint_12", "joint_1"]), r"every joint once; given: twice: joint_12"),
+        (_set("fingers.1.name", "pinky"), r"fingers\[1\]\.name must be one of thumb.*'pinky'"),
+        (_set("fingers.1.human_keypoint", 21), r"human_keypoint must be from 1 to 20; given: 21"),
+        (_set("fingers.1.tip_point", [0.0, 0.1]), r"tip_point must be three finite"),
+        (_set("fingers.1.tip_radius", -0.01), r"tip_radius must be positive"),
+        (_set("fingers", []), r"fingers must be a list of at least one finger"),
+        (_set("default_positions.joint_12", 0.0), r"joint_12 must be within its limits.*0\.263.*given: 0"),
+        (_set("default_positions.wrist", 0.0), r"default_positions names.*'wrist'.*joint_0"),
+        (_set("mount.frame", "wrist"), r"mount\.frame names the frame or link 'wrist'.*mount"),
+        (_set("mount.rpy_deg", [90]), r"mount\.rpy_deg must be three finite numbers"),
+        (_set("colour", "red"), r"hand\.yaml is malformed.*colour"),
+        (_set("fingers.0.tip_radius", "wide"), r"hand\.yaml is malformed"),
+    ],
+)
+def test_bad_descriptions_name_what_is_wrong(allegro_copy, change, message):
+    """Every error names the field, what was wanted and what was given, and lists the choices."""
+    facts, load = allegro_copy
+    change(facts)
+    with pytest.raises(HandError, match=f"(?s){message}"):
+        HandModel(load())
+
+
+def test_fingers_out_of_order_are_refused(allegro_copy):
+    """Fingers are listed thumb first, as everything downstream assumes."""
+    facts, load = allegro_copy
+    facts["fingers"].reverse()
+    with pytest.raises(HandError, match=r"fingers must be each at most once, as thumb, index"):
+        load()
+
+
+def test_joints_that_form_no_finger_are_refused(allegro_copy):
+    """A chain needs all of its moving joints, base to tip."""
+    facts, load = allegro_copy
+    joints = facts["fingers"][1]["joints"]
+    facts["fingers"][1]["joints"] = joints[::-1]
+    with pytest.raises(HandError, match=r"finger 'index': its joints must be listed base to tip"):
+        HandModel(load()).kinematics()
+
+
+def test_missing_or_unreadable_files_are_named(tmp_path):
+    """A missing description, and a model that is no SDF, are reported by path."""
+    with pytest.raises(HandError, match=r"absent\.yaml is missing"):
+        load_hand(tmp_path / "absent.yaml")
+    (tmp_path / "broken.sdf").write_text("<sdf>", encoding="utf-8")
+    hand = load_hand("allegro_right")
+    hand.model = str(tmp_path / "broken.sdf")
+    with pytest.raises(HandError, match=r"broken\.sdf: not one readable model"):
+        HandModel(hand)

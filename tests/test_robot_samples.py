@@ -1,0 +1,105 @@
+"""The sampled robot data: what it depends on, and its cache."""
+
+import numpy as np
+import pytest
+
+from geort_drake.hands.model import HandModel
+from geort_drake.hands.samples import robot_data
+
+
+def test_samples_depend_on_nothing_but_hand_count_and_seed(allegro, tmp_path):
+    """A seed gives the same samples again, another seed different ones, all within the limits."""
+    first = robot_data(allegro, 500, seed=3, cache=tmp_path / "a")
+    again = robot_data(allegro, 500, seed=3, cache=tmp_path / "b")
+    other = robot_data(allegro, 500, seed=4, cache=tmp_path / "a")
+    np.testing.assert_array_equal(first.q, again.q)
+    np.testing.assert_array_equal(first.p_BF, again.p_BF)
+    assert not np.isin(first.q, other.q).any()
+    assert ((allegro.lower <= first.q) & (first.q <= allegro.upper)).all()
+
+
+def test_samples_carry_the_hands_own_answers(allegro, tmp_path):
+    """Fingertips and labels are those of the model at each sample."""
+    data = robot_data(allegro, 300, seed=0, cache=tmp_path)
+    np.testing.assert_array_equal(data.p_BF, allegro.fingertips(data.q))
+    np.testing.assert_array_equal(data.collides_beyond_tips, allegro.collides_beyond_tips(data.q))
+    assert data.digest == allegro.digest
+
+
+def test_samples_are_the_same_however_many_processes_label_them(allegro, tmp_path):
+    """This one alone, and one beside it; progress is told in order."""
+    done = []
+    alone = robot_data(allegro, 3200, cache=tmp_path / "a", processes=1)
+    shared = robot_data(
+        allegro, 3200, cache=tmp_path / "b", processes=2, progress=lambda *step: done.append(step)
+    )
+    for name, value in vars(alone).items():
+        np.testing.assert_array_equal(value, getattr(shared, name))
+    assert 0.05 < alone.collides_beyond_tips.mean() < 0.95
+    assert done[-1] == (3200, 3200) and done == sorted(done)
+
+
+def test_positions_cost_nothing_where_labels_are_not_wanted(allegro, tmp_path, monkeypatch):
+    """They are the same as with labels; nothing is computed or stored."""
+    labelled = robot_data(allegro, 300, cache=tmp_path / "a")
+    monkeypatch.setattr(HandModel, "collides_beyond_tips", lambda *_: pytest.fail("labelled"))
+    data = robot_data(allegro, 300, cache=tmp_path / "b", labels=False)
+    np.testing.assert_array_equal(data.q, labelled.q)
+    assert data.p_BF is None and data.collides_beyond_tips is None
+    assert not (tmp_path / "b").exists()
+
+
+def test_cached_samples_are_returned_as_they_were(allegro, tmp_path, monkeypatch):
+    """The second call computes nothing and returns identical arrays."""
+    calls = []
+    first = robot_data(allegro, 300, cache=tmp_path, progress=lambda *step: calls.append(step))
+    assert calls[-1] == (300, 300)
+    monkeypatch.setattr(HandModel, "fingertips", lambda *_: pytest.fail("sampled again"))
+    second = robot_data(allegro, 300, cache=tmp_path)
+    for name, value in vars(first).items():
+        np.testing.assert_array_equal(value, getattr(second, name))
+
+
+@pytest.mark.parametrize("damage", ["garbage", "truncated", "wrong shape", "not a number"])
+def test_damaged_cache_is_made_anew(allegro, tmp_path, damage):
+    """A cache file that is not whole is never used and is replaced."""
+    good = robot_data(allegro, 200, cache=tmp_path)
+    (path,) = tmp_path.iterdir()
+    whole = path.read_bytes()
+    match damage:
+        case "garbage":
+            path.write_bytes(b"not an archive")
+        case "truncated":
+            path.write_bytes(whole[: len(whole) // 2])
+        case "wrong shape":
+            np.savez(path, **(vars(good) | {"q": good.q[:, :3]}))
+        case "not a number":
+            np.savez(path, **(vars(good) | {"p_BF": good.p_BF * np.nan}))
+    mended = robot_data(allegro, 200, cache=tmp_path)
+    np.testing.assert_array_equal(mended.p_BF, good.p_BF)
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+    with np.load(path) as file:
+        np.testing.assert_array_equal(file["q"], good.q)
+
+
+def test_cache_belongs_to_one_model(allegro_copy, tmp_path):
+    """A hand whose SDF text differs has another digest and another cache file."""
+    _, load = allegro_copy
+    original = HandModel(load())
+    assert original.digest == HandModel(load()).digest
+    sdf = tmp_path / "hand.sdf"
+    text = sdf.read_text(encoding="utf-8")
+    sdf.write_text(text.replace("<upper>1.61</upper>", "<upper>1.51</upper>", 1), encoding="utf-8")
+    changed = HandModel(load())
+    assert changed.digest != original.digest
+    cache = tmp_path / "cache"
+    robot_data(original, 50, cache=cache)
+    data = robot_data(changed, 50, cache=cache)
+    assert len(list(cache.iterdir())) == 2
+    assert data.q[:, changed.joint_names.index("joint_1")].max() <= 1.51
+
+
+def test_samples_come_even_where_they_cannot_be_stored(allegro, tmp_path):
+    """A cache directory that cannot be made is reported, not fatal."""
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    assert len(robot_data(allegro, 10, cache=tmp_path / "file" / "cache").q) == 10

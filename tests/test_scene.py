@@ -1,0 +1,100 @@
+"""The plant of a scenario: where the object stands, how heavy and rough it is, and who feels gravity."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from grasp_setup import scenario_with
+from pydrake.geometry import Role
+from pydrake.systems.framework import DiagramBuilder
+
+from geort_drake.hands.description import load_hand
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.scene import Scene, add_scene, draw_placement
+
+
+def scene_of(scenario: Scenario) -> Scene:
+    return add_scene(DiagramBuilder(), scenario, load_hand(scenario.hand), np.random.default_rng(0))
+
+
+@cache
+def nominal_scene() -> Scene:
+    return scene_of(scenario_with("cylinder"))
+
+
+def test_the_placement_is_the_seeds_and_within_its_ranges():
+    """Position, yaw and mass stay in the ranges and fill them; one seed gives one placement."""
+    scenario = scenario_with("cylinder")
+    config = scenario.object
+    placements = [draw_placement(scenario, -0.05, np.random.default_rng(seed)) for seed in range(300)]
+    p = np.array([placement.X_WO.translation() for placement in placements])
+    offsets = p[:, :2] - config.position
+    assert np.abs(offsets).max() <= config.position_range
+    assert np.abs(offsets).max(axis=0).min() > 0.9 * config.position_range
+    np.testing.assert_allclose(p[:, 2], config.support_height + 0.05, atol=1e-12)
+    yaw = np.array([np.arctan2(*placement.X_WO.rotation().matrix()[[1, 0], 0]) for placement in placements])
+    assert 0.9 * config.yaw_range < np.abs(yaw).max() <= config.yaw_range
+    factor = np.array([placement.mass_factor for placement in placements])
+    assert 0.9 * config.mass_range < np.abs(factor - 1).max() <= config.mass_range
+    assert {placement.friction_factor for placement in placements} == {1.0}
+    again = draw_placement(scenario, -0.05, np.random.default_rng(7))
+    np.testing.assert_array_equal(again.X_WO.GetAsMatrix4(), placements[7].X_WO.GetAsMatrix4())
+
+
+def test_the_centre_of_a_placement_can_be_chosen():
+    """Without ranges the placement is the centre; friction has draws of its own and changes no other."""
+    text = "{object: {yaw: 0.3, mass_factor: 2.0, friction_factor: 0.5, %s}}"
+    ranges = "position_range: 0, yaw_range: 0, mass_range: 0"
+    exact = draw_placement(scenario_with("cube", text % ranges), -0.05, np.random.default_rng(3))
+    p, R = exact.X_WO.translation(), exact.X_WO.rotation().matrix()
+    np.testing.assert_allclose(p[:2], scenario_with("cube").object.position)
+    assert np.arctan2(R[1, 0], R[0, 0]) == pytest.approx(0.3)
+    assert (exact.mass_factor, exact.friction_factor) == (2.0, 0.5)
+    drawn = []
+    for friction_range in (0.0, 0.4):
+        scenario = scenario_with("cube", f"{{object: {{friction_range: {friction_range}}}}}")
+        generators = [np.random.default_rng(seed) for seed in range(100)]
+        drawn.append([(draw_placement(scenario, -0.05, rng), rng.random()) for rng in generators])
+    for (first, after), (second, after_second) in zip(*drawn, strict=True):
+        np.testing.assert_array_equal(first.X_WO.GetAsMatrix4(), second.X_WO.GetAsMatrix4())
+        assert (first.mass_factor, after) == (second.mass_factor, after_second)
+    friction = np.array([placement.friction_factor for placement, _ in drawn[1]])
+    assert 0.35 < np.abs(friction - 1).max() <= 0.4
+
+
+def test_friction_and_stiffness_are_scaled_in_the_plant():
+    """The object's coefficients and the hand's gains, and nobody else's."""
+    text = "{hand_stiffness_factor: 4.0, object: {friction_factor: 0.5}}"
+    scaled, nominal = scene_of(scenario_with("cylinder", text)), nominal_scene()
+
+    def coefficients(scene: Scene) -> dict[str, float]:
+        inspector = scene.scene_graph.model_inspector()
+        return {
+            inspector.GetName(geometry): inspector.GetProximityProperties(geometry)
+            .GetProperty("material", "coulomb_friction")
+            .dynamic_friction()
+            for geometry in inspector.GetAllGeometryIds(Role.kProximity)
+        }
+
+    def gains(scene: Scene) -> dict[str, tuple[float, float]]:
+        indices = scene.plant.GetJointActuatorIndices()
+        actuators = [scene.plant.get_joint_actuator(index) for index in indices]
+        return {a.name(): (a.get_controller_gains().p, a.get_controller_gains().d) for a in actuators}
+
+    before, after = coefficients(nominal), coefficients(scaled)
+    changed = {name: after[name] / before[name] for name in before if after[name] != before[name]}
+    assert set(changed) == {name for name in before if name.startswith("cylinder::")} != set()
+    assert set(changed.values()) == {0.5}
+    indices = nominal.plant.GetJointActuatorIndices(nominal.hand)
+    of_hand = {nominal.plant.get_joint_actuator(index).name() for index in indices}
+    stiff = gains(scaled)
+    for name, (p, d) in gains(nominal).items():
+        assert stiff[name] == pytest.approx((4 * p, 2 * d) if name in of_hand else (p, d))
+
+
+def test_only_the_object_feels_gravity():
+    """The arm's controller compensates for its own weight and the hand's; the object falls."""
+    scene = nominal_scene()
+    for model in (scene.arm, scene.hand):
+        assert not scene.plant.is_gravity_enabled(model)
+    assert scene.plant.is_gravity_enabled(scene.object_body.model_instance())
