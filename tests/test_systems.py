@@ -249,7 +249,7 @@ def test_action_correction_passes_on_and_can_be_overridden():
 def test_clutch_moves_the_hand_by_what_the_wrist_moved_and_survives_a_gap():
     """Translation and rotation are relative to the engagement; a gap causes no jump."""
     X_WB0 = RigidTransform(RotationMatrix.MakeXRotation(0.5), [0.4, 0.1, 0.3])
-    clutch = Clutch("frame", X_WB0, 0.01)
+    clutch = Clutch(X_WB0, 0.01)
     simulator = Simulator(clutch)
     context = simulator.get_mutable_context()
 
@@ -257,7 +257,7 @@ def test_clutch_moves_the_hand_by_what_the_wrist_moved_and_survives_a_gap():
         clutch.GetInputPort("wrist_pose").FixValue(context, AbstractValue.Make(X_WH))
         clutch.GetInputPort("valid").FixValue(context, [valid])
         simulator.AdvanceTo(until)
-        return clutch.GetOutputPort("desired_poses").Eval(context).Find("frame")
+        return RigidTransform(clutch.GetOutputPort("hand_pose").Eval(context))
 
     first = RigidTransform(RotationMatrix.MakeZRotation(1.0), [5, 5, 5])
     np.testing.assert_allclose(at(first, 1.0, 0.005).GetAsMatrix4(), X_WB0.GetAsMatrix4(), atol=1e-12)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, EventStatus
+from pydrake.systems.framework import Context
 
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.recording import Recording
@@ -15,6 +15,8 @@ from geort_drake.operators.grasp_goal import GraspGoal
 from geort_drake.simulation.diagram import GraspDiagram, Retarget, make_grasp_diagram
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.systems.grasp_monitor import GraspOutcome, GraspPhase
+
+_REPORT_PERIOD = 0.25  # simulated s
 
 
 @dc.dataclass(frozen=True)
@@ -74,21 +76,13 @@ def run_trial(
     simulator = Simulator(parts.diagram)
     root = simulator.get_mutable_context()
     parts.initialize(root)
-    last_report = -math.inf
-
-    def stop_when_over(context: Context) -> EventStatus:
-        nonlocal last_report
-        if report is not None and context.get_time() - last_report >= 0.25:
-            last_report = context.get_time()
-            report(last_report)
-        if parts.monitor.outcome(parts.monitor.GetMyContextFromRoot(context)).over:
-            return EventStatus.ReachedTermination(parts.monitor, "the grasp is judged")
-        return EventStatus.Succeeded()
-
-    simulator.set_monitor(stop_when_over)
+    context = parts.monitor.GetMyContextFromRoot(root)
     try:
-        simulator.AdvanceTo(scenario.timeout)
-        outcome = parts.monitor.outcome(parts.monitor.GetMyContextFromRoot(root))
+        # The monitor ends it when the grasp is judged.
+        while not (outcome := parts.monitor.outcome(context)).over and root.get_time() < scenario.timeout:
+            if report is not None:
+                report(root.get_time())
+            simulator.AdvanceTo(min(root.get_time() + _REPORT_PERIOD, scenario.timeout))
         result = _result(scenario, parts, outcome, root, time.perf_counter() - started)
         if parts.recorder is not None:
             parts.recorder.set_properties({"outcome": result.outcome})

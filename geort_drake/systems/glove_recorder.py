@@ -23,20 +23,27 @@ class GloveRecorder(LeafSystem):
 
     def __init__(self, period: float):
         super().__init__()
-        self._samples: list[tuple[float, np.ndarray, np.ndarray, bool]] = []
-        self.DeclareVectorInputPort("keypoints", 63)
-        self.DeclareAbstractInputPort("wrist_pose", AbstractValue.Make(RigidTransform()))
-        self.DeclareVectorInputPort("valid", 1)
+        self._samples: list[tuple[float, np.ndarray, RigidTransform, bool]] = []
+        self._keypoints = self.DeclareVectorInputPort("keypoints", 63)
+        self._wrist = self.DeclareAbstractInputPort("wrist_pose", AbstractValue.Make(RigidTransform()))
+        self._valid = self.DeclareVectorInputPort("valid", 1)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._sample)
 
     def _sample(self, context: Context, _state) -> EventStatus:
-        pose = pose_to_vector(self.GetInputPort("wrist_pose").Eval(context))
-        keypoints = self.GetInputPort("keypoints").Eval(context).reshape(21, 3).copy()
-        valid = bool(self.GetInputPort("valid").Eval(context)[0] > 0.5)
-        self._samples.append((context.get_time(), keypoints, pose, valid))
+        # Copies, because ports are written over.
+        keypoints = self._keypoints.Eval(context).reshape(21, 3).copy()
+        X_WH = RigidTransform(self._wrist.Eval(context))
+        valid = bool(self._valid.Eval(context)[0] > 0.5)
+        self._samples.append((context.get_time(), keypoints, X_WH, valid))
         return EventStatus.Succeeded()
 
     def recording(self, metadata: dict | None = None) -> Recording:
         """What was sampled so far, as a `Recording` with tracker poses."""
-        t, p_HK, X_WH, valid = (np.array(column) for column in zip(*self._samples, strict=True))
-        return Recording(t=t - t[0], p_HK=p_HK, valid=valid, X_WH=X_WH, metadata=dict(metadata or {}))
+        t, p_HK, poses, valid = zip(*self._samples, strict=True)
+        return Recording(
+            t=np.array(t) - t[0],
+            p_HK=np.array(p_HK),
+            valid=np.array(valid),
+            X_WH=np.array([pose_to_vector(X) for X in poses]),
+            metadata=dict(metadata or {}),
+        )

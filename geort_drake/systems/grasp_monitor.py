@@ -11,7 +11,6 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, LeafSystem
 
 from geort_drake.systems.poses import vector_to_pose
-from geort_drake.systems.unchanging import Unchanging
 
 
 class GraspPhase(enum.IntEnum):
@@ -53,7 +52,7 @@ class GraspMonitorConfig:
 
 
 @dc.dataclass(frozen=True)
-class GraspOutcome(Unchanging):
+class GraspOutcome:
     """What has come of the grasp so far; times in s since the start, NaN where it has not happened."""
 
     phase: GraspPhase = GraspPhase.REACH
@@ -77,7 +76,7 @@ class GraspOutcome(Unchanging):
     @property
     def over(self) -> bool:
         """Whether nothing more can come of the trial."""
-        return self.phase in (GraspPhase.DONE, GraspPhase.THROWN)
+        return self.phase in _OVER
 
     @property
     def completion_time(self) -> float:
@@ -85,8 +84,19 @@ class GraspOutcome(Unchanging):
         return self.held_since if self.success else float("nan")
 
 
+# What the numbers of the monitor's state are.
+_PHASE, _HELD_SINCE, _DROPS, _SLIP, _PEAK_FORCE, _PEAK_HEIGHT = range(6)
+_TIMES = slice(6, 6 + len(GraspPhase))  # by phase; NaN before the first entry
+_DURATIONS = slice(_TIMES.stop, _TIMES.stop + len(GraspPhase))
+_START = slice(_DURATIONS.stop, _DURATIONS.stop + 3)  # p_WO at the first look; NaN before
+_LIFTED_AT = slice(_START.stop, _START.stop + 3)  # p_BO when the last lift began
+_STATE_SIZE = _LIFTED_AT.stop
+_LIFTED = (GraspPhase.LIFT, GraspPhase.HOLD, GraspPhase.DONE)
+_OVER = (GraspPhase.DONE, GraspPhase.THROWN)
+
+
 class GraspMonitor(LeafSystem):
-    """Watches object and contacts, without delay or noise, and keeps the outcome.
+    """Watches object and contacts, without delay or noise, and ends the simulation when the grasp is judged.
 
     Input ports (F fingers):
         object_pose (7): X_WO, qw qx qy qz x y z.
@@ -95,6 +105,8 @@ class GraspMonitor(LeafSystem):
     Output ports:
         phase (1): `GraspPhase` as a number.
         outcome (abstract GraspOutcome).
+
+    State: the outcome as numbers (discrete), which Drake copies faster than a Python object.
 
     Args:
         lowest_point: height in W of the object's lowest point when the object is at X_WO, m.
@@ -116,78 +128,82 @@ class GraspMonitor(LeafSystem):
         self._object_pose = self.DeclareVectorInputPort("object_pose", 7)
         self._hand_pose = self.DeclareVectorInputPort("hand_pose", 7)
         self._contact = self.DeclareVectorInputPort("contact", num_fingers)
-        self._outcome = self.DeclareAbstractState(AbstractValue.Make(GraspOutcome()))
-        self._start = self.DeclareDiscreteState(np.full(3, np.nan))
-        self._p_BO_lifted = self.DeclareDiscreteState(np.full(3, np.nan))
-        ticket = {self.abstract_state_ticket(self._outcome)}
+        start = np.full(_STATE_SIZE, math.nan)
+        start[[_PHASE, _DROPS, _PEAK_FORCE, _PEAK_HEIGHT]] = 0.0
+        start[_DURATIONS] = 0.0
+        ticket = {self.discrete_state_ticket(self.DeclareDiscreteState(start))}
         self.DeclareVectorOutputPort(
-            "phase",
-            1,
-            lambda context, output: output.SetAtIndex(0, float(self.outcome(context).phase)),
+            "phase", 1, lambda context, output: output.SetAtIndex(0, self._numbers(context)[_PHASE]), ticket
+        )
+        self.DeclareAbstractOutputPort(
+            "outcome",
+            lambda: AbstractValue.Make(GraspOutcome()),
+            lambda context, output: output.set_value(self.outcome(context)),
             ticket,
         )
-        self.DeclareStateOutputPort("outcome", self._outcome)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(config.period, 0.0, self._look)
+        self.DeclarePeriodicDiscreteUpdateEvent(config.period, 0.0, self._look)
 
     def outcome(self, context: Context) -> GraspOutcome:
         """The outcome so far."""
-        return context.get_abstract_state(self._outcome).get_value()
+        numbers = self._numbers(context).tolist()
+        times = {p.name: t for p, t in zip(GraspPhase, numbers[_TIMES], strict=True) if not math.isnan(t)}
+        return GraspOutcome(
+            phase=GraspPhase(int(numbers[_PHASE])),
+            times=dict(sorted(times.items(), key=lambda entry: entry[1])),
+            durations={
+                p.name: spent for p, spent in zip(GraspPhase, numbers[_DURATIONS], strict=True) if spent
+            },
+            held_since=numbers[_HELD_SINCE],
+            drops=int(numbers[_DROPS]),
+            slip=numbers[_SLIP],
+            peak_force=numbers[_PEAK_FORCE],
+            peak_height=numbers[_PEAK_HEIGHT],
+        )
+
+    def _numbers(self, context: Context) -> np.ndarray:
+        return context.get_discrete_state(0).value()
 
     def _look(self, context: Context, state) -> EventStatus:
-        before = self.outcome(context)
-        if before.over:
+        # What is to be written begins as what is there.
+        numbers = state.get_mutable_value(0)
+        before = GraspPhase(int(numbers[_PHASE]))
+        if before in _OVER:
             return EventStatus.DidNothing()
         config, t = self._config, context.get_time()
         pose = self._object_pose.Eval(context)
-        force = self._contact.Eval(context)
-        start = context.get_discrete_state(self._start).value()
-        if np.isnan(start).any():
-            start = pose[4:].copy()
-            state.get_mutable_discrete_state(self._start).set_value(start)
+        force = self._contact.Eval(context).tolist()
+        if math.isnan(numbers[_START.start]):
+            numbers[_START] = pose[4:]
+        x, y = numbers[_START].tolist()[:2]
         height = self._lowest_point(vector_to_pose(pose)) - self._support
-        touching = int((force > config.touch_force).sum())
-        strayed = float(np.linalg.norm(pose[4:6] - start[:2])) > config.strayed
-        held_since = before.held_since
+        touching = sum(one > config.touch_force for one in force)
+        strayed = math.hypot(pose[4] - x, pose[5] - y) > config.strayed
+        held_since = math.nan
         if height >= config.height and touching >= 2:
-            phase = GraspPhase.HOLD
-            held_since = t if np.isnan(held_since) else held_since
-            if t - held_since >= config.hold_time:
-                phase = GraspPhase.DONE
+            held_since = t if math.isnan(numbers[_HELD_SINCE]) else float(numbers[_HELD_SINCE])
+            phase = GraspPhase.DONE if t - held_since >= config.hold_time else GraspPhase.HOLD
+        elif height < -config.fallen or (strayed and touching == 0):
+            phase = GraspPhase.THROWN
+        elif height > config.lifted and touching >= 2:
+            phase = GraspPhase.LIFT
         else:
-            held_since = float("nan")
-            if height < -config.fallen or (strayed and touching == 0):
-                phase = GraspPhase.THROWN
-            elif height > config.lifted and touching >= 2:
-                phase = GraspPhase.LIFT
+            phase = GraspPhase(min(touching, 2))
+        if phase in _LIFTED:
+            p_BO = vector_to_pose(self._hand_pose.Eval(context)).inverse().multiply(pose[4:])
+            if before in _LIFTED:
+                way = float(np.linalg.norm(p_BO - numbers[_LIFTED_AT]))
+                numbers[_SLIP] = max(float(numbers[_SLIP]), way)
             else:
-                phase = GraspPhase(min(touching, 2))
-        lifted = (GraspPhase.LIFT, GraspPhase.HOLD, GraspPhase.DONE)
-        slip = before.slip
-        if phase in lifted:
-            X_WB = vector_to_pose(self._hand_pose.Eval(context))
-            p_BO = X_WB.inverse().multiply(pose[4:])
-            if before.phase in lifted:
-                p_BO_lifted = context.get_discrete_state(self._p_BO_lifted).value()
-                slip = max(slip, float(np.linalg.norm(p_BO - p_BO_lifted)))
-            else:
-                state.get_mutable_discrete_state(self._p_BO_lifted).set_value(p_BO)
-                slip = 0.0
-        times = before.times
-        if phase.name not in times:
-            times = {**times, phase.name: t}
-        durations = before.durations
+                numbers[_LIFTED_AT], numbers[_SLIP] = p_BO, 0.0
+        elif before in _LIFTED and phase < GraspPhase.GRASP:
+            numbers[_DROPS] += 1
+        if math.isnan(numbers[_TIMES][phase]):
+            numbers[_TIMES][phase] = t
         if t > 0:
-            spent = durations.get(before.phase.name, 0.0) + config.period
-            durations = {**durations, before.phase.name: spent}
-        outcome = GraspOutcome(
-            phase=phase,
-            times=times,
-            durations=durations,
-            held_since=held_since,
-            drops=before.drops + int(before.phase in lifted and phase < GraspPhase.GRASP),
-            slip=slip,
-            peak_force=max(before.peak_force, float(force.max())),
-            peak_height=max(before.peak_height, float(height)),
-        )
-        state.get_mutable_abstract_state(self._outcome).set_value(outcome)
+            numbers[_DURATIONS][before] += config.period
+        numbers[_PHASE], numbers[_HELD_SINCE] = phase, held_since
+        numbers[_PEAK_FORCE] = max(numbers[_PEAK_FORCE], *force)
+        numbers[_PEAK_HEIGHT] = max(numbers[_PEAK_HEIGHT], height)
+        if phase in _OVER:
+            return EventStatus.ReachedTermination(self, "the grasp is judged")
         return EventStatus.Succeeded()

@@ -5,7 +5,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import ContactResults, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.links import finger_links
@@ -35,15 +35,15 @@ class SceneView(LeafSystem):
     ):
         super().__init__()
         num_fingers = len(description.fingers)
-        self._base = plant.GetFrameByName(description.base_frame, hand).body().index()
+        self._base = int(plant.GetFrameByName(description.base_frame, hand).body().index())
         self._X_BaseB = plant.GetFrameByName(description.base_frame, hand).GetFixedPoseInBodyFrame()
-        self._object = object_body
+        self._object = int(object_body)
         self._tips = [
-            (plant.GetBodyByName(finger.tip_link, hand).index(), np.asarray(finger.tip_point, float))
+            (int(plant.GetBodyByName(finger.tip_link, hand).index()), np.asarray(finger.tip_point, float))
             for finger in description.fingers
         ]
         self._finger_of_body = {
-            body.index(): number
+            int(body.index()): number
             for number, links in enumerate(finger_links(plant, description, hand))
             for body in links
         }
@@ -51,30 +51,46 @@ class SceneView(LeafSystem):
         self._contacts = self.DeclareAbstractInputPort(
             "contact_results", AbstractValue.Make(ContactResults())
         )
-        self.DeclareVectorOutputPort("fingertips", 3 * num_fingers, self._calc_fingertips)
-        self.DeclareVectorOutputPort("hand_pose", 7, self._calc_hand_pose)
-        self.DeclareVectorOutputPort("object_pose", 7, self._calc_object_pose)
-        self.DeclareVectorOutputPort("contact", num_fingers, self._calc_contact)
+        # Kept for three ports, because reading the list of all poses takes longer than the rest.
+        places = self.DeclareCacheEntry(
+            "fingertips, hand_pose, object_pose",
+            ValueProducer(lambda: AbstractValue.Make({}), self._calc_places),
+            {self.input_port_ticket(self._poses.get_index())},
+        )
+        for name, size in (("fingertips", 3 * num_fingers), ("hand_pose", 7), ("object_pose", 7)):
+            self.DeclareVectorOutputPort(
+                name,
+                size,
+                lambda context, output, name=name: output.SetFromVector(places.Eval(context)[name]),
+                {places.ticket()},
+            )
+        self.DeclareVectorOutputPort(
+            "contact",
+            num_fingers,
+            self._calc_contact,
+            {self.input_port_ticket(self._contacts.get_index())},
+        )
 
-    def _calc_fingertips(self, context: Context, output) -> None:
+    def _calc_places(self, context: Context, output) -> None:
         poses = self._poses.Eval(context)
-        output.SetFromVector(np.concatenate([poses[body] @ point for body, point in self._tips]))
-
-    def _calc_hand_pose(self, context: Context, output) -> None:
-        output.SetFromVector(pose_to_vector(self._poses.Eval(context)[self._base] @ self._X_BaseB))
-
-    def _calc_object_pose(self, context: Context, output) -> None:
-        output.SetFromVector(pose_to_vector(self._poses.Eval(context)[self._object]))
+        output.set_value(
+            {
+                "fingertips": np.concatenate([poses[body].multiply(point) for body, point in self._tips]),
+                "hand_pose": pose_to_vector(poses[self._base].multiply(self._X_BaseB)),
+                "object_pose": pose_to_vector(poses[self._object]),
+            }
+        )
 
     def _calc_contact(self, context: Context, output) -> None:
         results = self._contacts.Eval(context)
         force = np.zeros(output.size())
         for number in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(number)
-            pair = (info.bodyA_index(), info.bodyB_index())
+            pair = {int(info.bodyA_index()), int(info.bodyB_index())}
             if self._object not in pair:
                 continue
-            finger = self._finger_of_body.get(pair[0] if pair[1] == self._object else pair[1])
+            (other,) = pair - {self._object}
+            finger = self._finger_of_body.get(other)
             if finger is not None:
                 force[finger] = max(force[finger], float(np.linalg.norm(info.contact_force())))
         output.SetFromVector(force)

@@ -15,8 +15,14 @@ from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, ModelInstanceIndex
 from pydrake.planning import DofMask, JointLimits, RobotDiagram, SceneGraphCollisionChecker
-from pydrake.systems.framework import BusValue, Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
-from pydrake.systems.primitives import ConstantVectorSource, MatrixGain, Multiplexer, ZeroOrderHold
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
+from pydrake.systems.primitives import (
+    BusCreator,
+    ConstantVectorSource,
+    MatrixGain,
+    Multiplexer,
+    ZeroOrderHold,
+)
 
 from geort_drake.systems.unchanging import Unchanging
 
@@ -60,23 +66,17 @@ class Clutch(LeafSystem):
         valid (1): 1 tracked, 0 lost. While lost, the last target stands; afterwards the wrist's
             motion is taken on from there, so that a gap never makes the arm jump.
     Output port:
-        desired_poses (abstract BusValue): frame name → X_WB, as Drake's inverse kinematics wants it.
+        hand_pose (abstract RigidTransform): X_WB, where the hand shall be.
     """
 
-    def __init__(self, frame_name: str, X_WB_start: RigidTransform, period: float):
+    def __init__(self, X_WB_start: RigidTransform, period: float):
         super().__init__()
-        self._frame_name = frame_name
         self._wrist = self.DeclareAbstractInputPort("wrist_pose", AbstractValue.Make(RigidTransform()))
         self._valid = self.DeclareVectorInputPort("valid", 1)
         self._target = self.DeclareAbstractState(AbstractValue.Make(X_WB_start))
         # None until engaged, else the wrist's and the hand's pose at that moment.
         self._engaged = self.DeclareAbstractState(AbstractValue.Make(_Engagement()))
-        self.DeclareAbstractOutputPort(
-            "desired_poses",
-            lambda: AbstractValue.Make(BusValue()),
-            self._calc,
-            {self.abstract_state_ticket(self._target)},
-        )
+        self.DeclareStateOutputPort("hand_pose", self._target)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
 
     def _update(self, context: Context, state) -> EventStatus:
@@ -94,10 +94,6 @@ class Clutch(LeafSystem):
         R_WB = X_WH.rotation() @ engaged.X_WH.rotation().inverse() @ engaged.X_WB.rotation()
         state.get_mutable_abstract_state(self._target).set_value(RigidTransform(R_WB, p_WB))
         return EventStatus.Succeeded()
-
-    def _calc(self, context: Context, output) -> None:
-        target = context.get_abstract_state(self._target).get_value()
-        output.get_mutable_value().Set(self._frame_name, AbstractValue.Make(target))
 
 
 @dc.dataclass(frozen=True)
@@ -162,9 +158,12 @@ class WristToArm(Diagram):
         )
 
         builder = DiagramBuilder()
-        frame_name = hand_frame.scoped_name().get_full()
-        X_WB_start = hand_frame.CalcPoseInWorld(context)
-        clutch = builder.AddNamedSystem("clutch", Clutch(frame_name, X_WB_start, config.period))
+        clutch = builder.AddNamedSystem("clutch", Clutch(hand_frame.CalcPoseInWorld(context), config.period))
+        # Frame name → X_WB, as Drake's inverse kinematics wants it.
+        poses = builder.AddNamedSystem("desired_poses", BusCreator())
+        wanted = poses.DeclareAbstractInputPort(
+            hand_frame.scoped_name().get_full(), AbstractValue.Make(RigidTransform())
+        )
         controller = builder.AddNamedSystem(
             "differential_inverse_kinematics",
             DifferentialInverseKinematicsController(inverse_kinematics, planar_rotation_dof_indices=[]),
@@ -179,7 +178,8 @@ class WristToArm(Diagram):
         # Without the hold, every step of the plant would solve the inverse kinematics again.
         hold = builder.AddNamedSystem("velocity_hold", ZeroOrderHold(config.period, int(active.sum())))
         both = builder.AddNamedSystem("desired_state", Multiplexer([len(arm_dofs)] * 2))
-        builder.Connect(clutch.GetOutputPort("desired_poses"), controller.GetInputPort("desired_poses"))
+        builder.Connect(clutch.get_output_port(), wanted)
+        builder.Connect(poses.get_output_port(), controller.GetInputPort("desired_poses"))
         builder.Connect(nominal.get_output_port(), controller.GetInputPort("nominal_posture"))
         builder.Connect(start.get_output_port(), controller.GetInputPort("estimated_state"))
         builder.Connect(controller.GetOutputPort("commanded_position"), positions.get_input_port())
