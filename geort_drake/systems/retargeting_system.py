@@ -1,6 +1,7 @@
 """The retargeter as a system: human keypoints in, joint targets for the hand's PD controllers out."""
 
 import dataclasses as dc
+import functools
 import math
 from collections.abc import Callable, Sequence
 
@@ -24,6 +25,7 @@ from geort_drake.systems.glove_checks import (
     judge,
 )
 from geort_drake.systems.joint_limits import JointLimits
+from geort_drake.systems.unchanging import Unchanging
 
 TRACKING = "tracking"
 LIMITED = "limited: a joint is at a limit of its position, speed or acceleration"
@@ -50,16 +52,25 @@ _ROUNDING = 1e-9  # m; of distances
 
 
 @dc.dataclass(frozen=True)
-class RetargetingStatus:
-    """What the system does with its input, and since which time (s).
-
-    `distance` (m) is how far a fingertip is from all places it had in training, the farthest one's; NaN
-    where that is not known, and while the input is not followed.
-    """
+class RetargetingStatus(Unchanging):
+    """What the system does with its input, and since which time (s)."""
 
     state: str = SETTLING
     since: float = 0.0
-    distance: float = math.nan
+    # What `distance` is measured from: (21, 3) m in H, None while the input is not followed.
+    p_HK: np.ndarray | None = dc.field(default=None, repr=False, compare=False)
+    trained_space: TrainedSpace | None = dc.field(default=None, repr=False, compare=False)
+
+    @functools.cached_property
+    def distance(self) -> float:
+        """How far a fingertip is from all places it had in training, the farthest one's, m.
+
+        NaN where that is not known, and while the input is not followed. Measured when it is first asked for,
+        because that takes longer than the rest of a status.
+        """
+        if self.p_HK is None or self.trained_space is None:
+            return math.nan
+        return self.trained_space.distances(self.p_HK).max().item()
 
 
 class RetargetingSystem(LeafSystem):
@@ -253,7 +264,7 @@ class RetargetingSystem(LeafSystem):
         if not easing.settled(time, self._checks.settle_time):
             return SETTLING, None, math.nan
         points = keypoints.reshape(21, 3)
-        wanted = self._retarget(points)[self._to_plant]
+        wanted = self._retarget(points).take(self._to_plant)
         excess = self._excess(points, excess, glove.moved)
         if wanted.dot(self._zeros) != 0.0:  # a zero times NaN or infinity is NaN
             return HELD_NOT_FINITE, None, excess
@@ -284,7 +295,5 @@ class RetargetingSystem(LeafSystem):
     def _calc_status(self, context: Context, output) -> None:
         memory = context.get_discrete_state(self._memory).value()[self._n :]
         code, since, excess = memory[63:66].tolist()
-        distance = math.nan
-        if self._trained_space is not None and not math.isnan(excess):
-            distance = self._trained_space.distances(memory[:63].reshape(21, 3)).max().item()
-        output.set_value(RetargetingStatus(STATES[int(code)], since, distance))
+        followed = None if math.isnan(excess) else memory[:63].reshape(21, 3).copy()
+        output.set_value(RetargetingStatus(STATES[int(code)], since, followed, self._trained_space))
