@@ -9,6 +9,7 @@ from pydrake.multibody.tree import Frame, Joint, WeldJoint
 from geort_drake.errors import HandError
 from geort_drake.hands.couplings import JointCouplings
 from geort_drake.hands.description import FingerDescription, HandDescription
+from geort_drake.hands.links import inboard_joints
 from geort_drake.retargeting.kinematics import FingerChain
 
 
@@ -95,8 +96,7 @@ def finger_chain(
 
 def _inboard(plant: MultibodyPlant, tip, base: Frame, where: str) -> list[Joint]:
     """The joints between a link and what is welded to the base, from the link on."""
-    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
-    inboard = {joint.child_body().index(): joint for joint in joints}
+    inboard = inboard_joints(plant)
     still = {body.index() for body in plant.GetBodiesWeldedTo(base.body())}
     path: list[Joint] = []
     body = tip

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from pydrake.geometry import Box, CalcObb, Capsule, Convex, Cylinder, GeometryId, Mesh, Role, Sphere
 from pydrake.math import RigidTransform
-from pydrake.multibody.tree import RevoluteJoint
 
 from geort_drake.errors import HandError
+from geort_drake.hands.links import inboard_joints, moving_joint
 from geort_drake.hands.model import HandModel
 
 # Pairs whose distance depends on so few joints are tried on a grid of this many angles per joint.
@@ -111,8 +111,7 @@ class HandClearance:
         # What the joints that follow others are turned by; nothing where there are none.
         self._coupling = coupling if len(coupling) > len(hand.joint_names) else None
         names = self._names = list(free.joint_names)
-        every = map(plant.get_joint, plant.GetJointIndices())
-        self._inboard = {joint.child_body().index(): joint for joint in every}
+        self._inboard = inboard_joints(plant)
         context, joints = plant.CreateDefaultContext(), [plant.GetJointByName(name) for name in names]
         offsets = dict(zip(hand.couplings.names, hand.couplings.offset, strict=True))
         for joint in joints:
@@ -144,9 +143,7 @@ class HandClearance:
 
     def _mover(self, body, names: list[str]) -> int:
         """Number of the joint of q that moves a body, −1 for the base."""
-        joint = self._inboard.get(body.index())
-        while joint is not None and not (isinstance(joint, RevoluteJoint) and joint.name() in names):
-            joint = self._inboard.get(joint.parent_body().index())
+        joint = moving_joint(body, self._inboard, names)
         return -1 if joint is None else names.index(joint.name())
 
     def _read_shapes(self, hand: HandModel) -> None:

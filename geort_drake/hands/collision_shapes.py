@@ -2,10 +2,10 @@
 
 import numpy as np
 from pydrake.geometry import Box, CalcObb, Capsule, Convex, Cylinder, Mesh, Role, Sphere
-from pydrake.multibody.tree import RevoluteJoint
 from scipy.spatial import ConvexHull
 
 from geort_drake.errors import HandError
+from geort_drake.hands.links import inboard_joints, moving_joint
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.collision_geometry import CollisionShapes
 
@@ -23,7 +23,7 @@ def collision_shapes(hand: HandModel) -> CollisionShapes:
     plant, inspector = hand.plant, hand.scene_graph.model_inspector()
     context = plant.CreateDefaultContext()
     moving = list(hand.kinematics().uncoupled()[0].joint_names)
-    inboard = {plant.get_joint(i).child_body().index(): plant.get_joint(i) for i in plant.GetJointIndices()}
+    inboard = inboard_joints(plant)
     joint, X_JS, half, radius, source = [], [], [], [], []
     for geometry in sorted(inspector.GetAllGeometryIds(Role.kProximity), key=lambda id: id.get_value()):
         body = plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
@@ -32,9 +32,7 @@ def collision_shapes(hand: HandModel) -> CollisionShapes:
         X_WS = plant.EvalBodyPoseInWorld(context, body).GetAsMatrix4() @ (
             inspector.GetPoseInFrame(geometry).GetAsMatrix4()
         )
-        mover = inboard.get(body.index())
-        while mover is not None and not (isinstance(mover, RevoluteJoint) and mover.name() in moving):
-            mover = inboard.get(mover.parent_body().index())
+        mover = moving_joint(body, inboard, moving)
         if mover is None:
             X_WJ = np.eye(4)  # the hand base is welded to the world
         else:

@@ -107,14 +107,17 @@ class HandDescription:
 
     @property
     def joint_names(self) -> list[str]:
+        """The joints that fingers list, in the order of q."""
         return [joint for finger in self.fingers for joint in finger.joints]
 
     @property
     def finger_names(self) -> list[str]:
+        """In the order of fingertips."""
         return [finger.name for finger in self.fingers]
 
     @property
     def human_keypoints(self) -> list[int]:
+        """The human keypoint that each fingertip follows, likewise."""
         return [finger.human_keypoint for finger in self.fingers]
 
     def validate(self) -> None:

@@ -68,10 +68,12 @@ class _Finger:
 
     @property
     def direction(self) -> np.ndarray:
+        """(3,) unit vector along the stretched finger."""
         return _unit(self.p_stretched - self.chain.p_base)
 
     @property
     def reach(self) -> float:
+        """Length of the stretched finger, m."""
         return float(np.linalg.norm(self.p_stretched - self.chain.p_base))
 
     @property

@@ -58,6 +58,9 @@ def robot_data(
         labels: whether they are wanted; the positions are the same without.
         processes: how many share the labelling, which changes nothing in the result; by default one per core,
             and this one alone where there is little to do.
+
+    Raises:
+        ValueError: `count` is less than 1.
     """
     if count < 1:
         raise ValueError(f"count must be at least 1, not {count}")
