@@ -36,6 +36,7 @@ class Motion:
 
     @property
     def enough(self) -> bool:
+        """Whether training needs no more of it."""
         return self.seen >= self.wanted
 
     def __str__(self) -> str:

@@ -54,6 +54,10 @@ def synthesize_play(
         hand: whose hand; by default an adult's average one. Pinches it cannot reach are left out.
         jitter: scale of jitter, tremor and drift; 0 leaves the movements alone.
         side: of the hand; a left one, as it is described in its mirror image, moves as the right one does.
+
+    Raises:
+        UnknownNameError: there is no such side.
+        ValueError: a duration or rate that is not positive, or a negative jitter.
     """
     if side not in SIDES:
         raise UnknownNameError("side", side, SIDES)
@@ -89,7 +93,12 @@ def record(
 
 
 class Timeline:
-    """Postures in the order they are reached, and when."""
+    """Postures in the order they are reached, and when.
+
+    Attributes:
+        times: s.
+        postures: (20,) rad each, within the hand's limits.
+    """
 
     def __init__(self, hand: HumanHand, start: np.ndarray):
         self._hand = hand
@@ -99,6 +108,7 @@ class Timeline:
 
     @property
     def pose(self) -> np.ndarray:
+        """(20,) the last posture, rad."""
         return self.postures[-1]
 
     def move(self, theta: np.ndarray, duration_s: float) -> None:
@@ -107,6 +117,7 @@ class Timeline:
         self._append(theta)
 
     def hold(self, duration_s: float) -> None:
+        """Stays in the last posture."""
         self.move(self.pose, duration_s)
 
     def _append(self, theta: np.ndarray) -> None:
@@ -175,6 +186,7 @@ def _freedom(flexion_deg: float) -> float:
 
 
 def fists(timeline: Timeline, rng: np.random.Generator) -> None:
+    """All fingers closed and stretched, twice."""
     for _ in range(2):
         timeline.move(np.deg2rad(_around(_FIST, 4.0, rng)), rng.uniform(0.25, 0.5))
         timeline.hold(rng.uniform(0.1, 0.3))

@@ -86,6 +86,7 @@ class Recording:
 
     @property
     def duration_s(self) -> float:
+        """From the first frame to the last, s; 0 without frames."""
         return float(self.t[-1] - self.t[0]) if len(self) else 0.0
 
     @property

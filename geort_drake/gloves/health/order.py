@@ -8,9 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from geort_drake.gloves.keypoints import BONES
-
-_F = {"thumb": (1, 2, 3, 4), "index": (5, 6, 7, 8), "middle": (9, 10, 11, 12)}
-_F |= {"ring": (13, 14, 15, 16), "little": (17, 18, 19, 20)}
+from geort_drake.gloves.keypoints import FINGER_KEYPOINTS as _F
 
 # Which keypoint stands at each of the 21 places of a file, in the orders that data sets use.
 MANO_ORDER = (0, 5, 6, 7, 9, 10, 11, 17, 18, 19, 13, 14, 15, 1, 2, 3, 4, 8, 12, 16, 20)
