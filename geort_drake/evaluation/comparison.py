@@ -110,6 +110,7 @@ class Comparison:
 
     @property
     def cases_per_method(self) -> int:
+        """How many cases `run` judges, all seeds counted."""
         return len(self.seeds) * sum(len(protocol.cases) for protocol in self.protocols)
 
     def run(self, name: str, starts: Callable[[str], None] = lambda _note: None) -> dict[str, list[Outcome]]:

@@ -3,20 +3,17 @@
 import contextlib
 import dataclasses
 import os
-import subprocess
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
-from torch import nn
 
-import geort_drake
-from geort_drake.console import progress_bar
 from geort_drake.errors import RecordingError, UnknownNameError
 from geort_drake.evaluation.metrics import evaluate
-from geort_drake.evaluation.versions import versions
+from geort_drake.evaluation.training_bars import TrainingBars
+from geort_drake.evaluation.versions import git_state, versions
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.range_of_motion import narrow_motions
 from geort_drake.gloves.readers import read_recording
@@ -107,7 +104,7 @@ def train_checkpoint(
     hand = HandModel(description)
     kinematics = canonical_kinematics(hand)
     timings: dict[str, float] = {}
-    with _Bars(show_progress) as bars:
+    with TrainingBars(show_progress) as bars:
         with _timed(timings, "recording_s"):
             if recording is None:
                 recording = synthesize_play(seed, side=description.side)
@@ -172,7 +169,7 @@ def train_checkpoint(
             "seed": seed,
             "warnings": said,
             "versions": versions(),
-            "git": _git_state(),
+            "git": git_state(),
             "timings": {key: round(value, 3) for key, value in (timings | result.timings).items()},
             "training": {
                 "classifier": result.classifier,
@@ -203,22 +200,6 @@ def training_recording(source: Recording | str | os.PathLike, side: str) -> Reco
     return source
 
 
-def _git_state() -> dict | None:
-    """Commit of the package's checkout and whether it had changes; None for an installed package."""
-    root = Path(geort_drake.__file__).resolve().parents[1]
-    if not (root / ".git").exists():
-        return None
-
-    def git(*arguments: str) -> str:
-        command = ["git", "-C", str(root), *arguments]
-        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
-
-    try:
-        return {"commit": git("rev-parse", "HEAD"), "changed": bool(git("status", "--porcelain"))}
-    except (OSError, subprocess.SubprocessError):
-        return None
-
-
 @contextlib.contextmanager
 def _collected(said: list[str]) -> Iterator[None]:
     """Appends the RuntimeWarnings of the block to `said`; warnings of other kinds stay what they are."""
@@ -237,56 +218,3 @@ def _timed(timings: dict[str, float], name: str):
     started = time.perf_counter()
     yield
     timings[name] = time.perf_counter() - started
-
-
-class _Bars:
-    """The progress bars of one run; nothing at all when they are not wanted."""
-
-    def __init__(self, wanted: bool):
-        self._progress = progress_bar() if wanted else None
-
-    def __enter__(self):
-        if self._progress is not None:
-            self._progress.start()
-        return self
-
-    def __exit__(self, *_):
-        if self._progress is not None:
-            self._progress.stop()
-
-    def counter(self, name: str) -> Callable[[int, int], None]:
-        """A callback (done, total)."""
-        return self._updater(name, lambda _values: "")
-
-    def losses(self, name: str, also: Report | None) -> Report:
-        """A callback that shows losses, and tells `also`."""
-        shown = ("direction", "matching", "coverage", "pinch", "collision")
-        update = self._updater(name, lambda v: "  ".join(f"{key} {v[key]:.3f}" for key in shown if key in v))
-
-        def report(step: int, steps: int, losses: dict[str, float], network: nn.Module) -> None:
-            update(step, steps, losses)
-            if also is not None:
-                also(step, steps, losses, network)
-
-        return report
-
-    @contextlib.contextmanager
-    def spinner(self, name: str):
-        """A bar of one step."""
-        update = self.counter(name)
-        update(0, 1)
-        yield
-        update(1, 1)
-
-    def _updater(self, name: str, note: Callable[[dict], str]) -> Callable:
-        task = None
-
-        def update(done: int, total: int, values: dict | None = None) -> None:
-            nonlocal task
-            if self._progress is None:
-                return
-            if task is None:
-                task = self._progress.add_task(name, total=total, note="")
-            self._progress.update(task, completed=done, total=total, note=note(values) if values else "")
-
-        return update

@@ -48,10 +48,12 @@ class Run:
 
     @property
     def config(self) -> TrainingConfig:
+        """What the run is trained with."""
         return training_config(self.method, self.settings)
 
     @property
     def settings(self) -> dict[str, Any]:
+        """What of it differs from the method's defaults, by name."""
         return {**self.common, **dict([self.change] if self.change else [])}
 
 

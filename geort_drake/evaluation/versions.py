@@ -2,6 +2,8 @@
 
 import importlib.metadata
 import platform
+import subprocess
+from pathlib import Path
 
 import geort_drake
 
@@ -16,6 +18,22 @@ def versions() -> dict[str, str]:
         **{name: _version(name) for name in _PACKAGES},
         "platform": platform.platform(),
     }
+
+
+def git_state() -> dict | None:
+    """Commit of the package's checkout and whether it had changes; None for an installed package."""
+    root = Path(geort_drake.__file__).resolve().parents[1]
+    if not (root / ".git").exists():
+        return None
+
+    def git(*arguments: str) -> str:
+        command = ["git", "-C", str(root), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+
+    try:
+        return {"commit": git("rev-parse", "HEAD"), "changed": bool(git("status", "--porcelain"))}
+    except (OSError, subprocess.SubprocessError):
+        return None
 
 
 def _version(package: str) -> str:
