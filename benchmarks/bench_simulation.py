@@ -3,7 +3,7 @@
 python benchmarks/bench_simulation.py --json simulation.json
 
 The same trial is simulated several times over, all in turns of a quarter of a simulated second, by the CPU
-time of the thread. Rows:
+time of the thread. The speeds are of turns, and of all of them together. Rows:
   everything on   arm, hand, object, contact, operator, retargeting, inverse kinematics, monitor, recording
   no recording    the same without the Rerun recorder; the ratios are over it
   1 ms            everything on at half the step, which is another trial as physics goes
@@ -16,7 +16,7 @@ import inspect
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +37,7 @@ from geort_drake.simulation.grasp_planner import GraspPlanner
 from geort_drake.simulation.scenario import Scenario, load_scenario
 
 TURN = 0.25  # simulated s
-RECORDED, PLAIN, FINER, TIMED = "everything on", "no recording", "everything on, 1 ms", "timed"
+RECORDED, PLAIN, FINER = "everything on", "no recording", "everything on, 1 ms"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -51,14 +51,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     made.add_argument("--json", type=Path, help="write the figures to this file")
     arguments = parse(made, argv)
+    make = _maker(arguments)
     with tempfile.TemporaryDirectory() as folder:
-        trials, spent = _trials(arguments, Path(folder))
+        trials = {
+            RECORDED: make(rerun_path=Path(folder) / "a.rrd"),
+            PLAIN: make(),
+            FINER: make(step=0.001, rerun_path=Path(folder) / "b.rrd"),
+        }
         _advance(trials, arguments.seconds)
         started = time.thread_time()
         trials[RECORDED].parts.recorder.close()
         writing = time.thread_time() - started
         trials[FINER].parts.recorder.close()
-    _report(trials, spent, writing, arguments.json)
+        # Last, because it changes the systems' classes.
+        kinds = {type(system) for system in _systems(trials[RECORDED].parts.diagram)}
+        shares = _shares(kinds, lambda: make(rerun_path=Path(folder) / "c.rrd"), arguments.seconds)
+    _report(trials, shares, writing, arguments.json)
     return 0
 
 
@@ -69,6 +77,8 @@ class Trial:
         self.parts = parts
         self.simulator = Simulator(parts.diagram)
         parts.initialize(self.simulator.get_mutable_context())
+        # Of each turn: simulated s, CPU s, and how far the grasp was at its end.
+        self.simulated: list[float] = []
         self.cpu: list[float] = []
         self.phases: list[str] = []
 
@@ -77,36 +87,43 @@ class Trial:
         context = self.parts.monitor.GetMyContextFromRoot(self.simulator.get_context())
         if self.parts.monitor.outcome(context).over:
             return
-        started = time.thread_time()
-        self.simulator.AdvanceTo(until)
+        before, started = context.get_time(), time.thread_time()
+        self.simulator.AdvanceTo(until)  # the monitor may end it earlier
         self.cpu.append(time.thread_time() - started)
+        self.simulated.append(context.get_time() - before)
         self.phases.append(self.parts.monitor.outcome(context).phase.name)
 
 
-def _trials(arguments: argparse.Namespace, folder: Path) -> tuple[dict[str, Trial], dict[str, float]]:
-    """The simulations by name, and the CPU seconds of each system's callbacks, which fill up later."""
+def _maker(arguments: argparse.Namespace) -> Callable[..., Trial]:
+    """What makes the simulations, all of the same trial: makes one from a step, s, and a recording's path."""
     scenario = _scenario(arguments.object)
     play = synthesize_play(seed=0)
     checkpoint = arguments.retargeter or cached_checkpoint(scenario.hand, play)[0]
     retarget = load_retargeter(checkpoint, HandModel(load_hand(scenario.hand)))
     human = HumanHand.fit(play), GraspPlanner(scenario, load_hand(scenario.hand)).plan()
-    trials = {
-        RECORDED: Trial(make_grasp_diagram(scenario, retarget, human, folder / "a.rrd")),
-        PLAIN: Trial(make_grasp_diagram(scenario, retarget, human)),
-        FINER: Trial(
-            make_grasp_diagram(_scenario(arguments.object, 0.001), retarget, human, folder / "b.rrd")
-        ),
-    }
-    # Last, because systems declare their callbacks when they are made.
-    spent: dict[str, float] = defaultdict(float)
-    for kind in {type(system) for system in _systems(trials[RECORDED].parts.diagram)}:
-        _time_callbacks(kind, spent)
-    trials[TIMED] = Trial(make_grasp_diagram(scenario, retarget, human, folder / "c.rrd"))
-    return trials, spent
+
+    def make(step: float = 0.002, rerun_path: Path | None = None) -> Trial:
+        return Trial(make_grasp_diagram(_scenario(arguments.object, step), retarget, human, rerun_path))
+
+    return make
 
 
 def _scenario(name: str, step: float = 0.002) -> Scenario:
     return load_scenario(text=f"{{object: {{name: {name}}}, plant_config: {{time_step: {step}}}}}")
+
+
+def _shares(kinds: set[type], make: Callable[[], Trial], seconds: float) -> dict[str, float]:
+    """Each kind of system's share of the CPU time of a simulation, and what is left for Drake."""
+    spent: dict[str, float] = defaultdict(float)
+    for kind in kinds:
+        _time_callbacks(kind, spent)
+    # Now, because systems declare their callbacks when they are made.
+    trial = make()
+    _advance({"timed": trial}, seconds)
+    trial.parts.recorder.close()
+    total = sum(trial.cpu)
+    shares = {name: own / total for name, own in sorted(spent.items(), key=lambda item: -item[1])}
+    return shares | {"Drake": 1 - sum(shares.values())}
 
 
 def _systems(diagram: Diagram) -> Iterator:
@@ -154,18 +171,21 @@ def _advance(trials: Mapping[str, Trial], seconds: float) -> None:
 
 
 def _report(
-    trials: Mapping[str, Trial], spent: Mapping[str, float], writing: float, path: Path | None
+    trials: Mapping[str, Trial], shares: Mapping[str, float], writing: float, path: Path | None
 ) -> None:
     table = Table(title="simulated s per s of one core")
-    for heading in ("", "median", "p5 – p95", f"CPU over '{PLAIN}' (p5 – p95)", "turns", "last phase"):
+    ratio_heading = f"CPU over '{PLAIN}' (p5 – p95)"
+    for heading in ("", "median", "p5 – p95", "in all", ratio_heading, "turns", "last phase"):
         table.add_column(heading, justify="right" if heading else "left")
     results = {}
+    speeds = {name: np.divide(trial.simulated, trial.cpu) for name, trial in trials.items()}
     for name, trial in trials.items():
-        cpu, plain = np.array(trial.cpu), np.array(trials[PLAIN].cpu)
-        both = min(len(cpu), len(plain))
-        speed, ratio = TURN / cpu, cpu[:both] / plain[:both]
+        both = min(len(speeds[name]), len(speeds[PLAIN]))
+        ratio = speeds[PLAIN][:both] / speeds[name][:both]
+        whole = sum(trial.simulated) / sum(trial.cpu)
         results[name] = {
-            "speed": _spread(speed),
+            "speed": _spread(speeds[name]),
+            "speed_in_all": whole,
             "ratio": _spread(ratio),
             "cpu_s": trial.cpu,
             "phases": trial.phases,
@@ -175,21 +195,19 @@ def _report(
             name,
             f"{s['median']:.2f} ×",
             f"{s['p5']:.2f} – {s['p95']:.2f}",
+            f"{whole:.2f} ×",
             f"{r['median']:.3f} ({r['p5']:.3f} – {r['p95']:.3f})",
-            str(len(cpu)),
+            str(len(trial.cpu)),
             trial.phases[-1],
         )
     console.print(table)
-    total = sum(trials[TIMED].cpu)
-    shares = {name: seconds / total for name, seconds in sorted(spent.items(), key=lambda item: -item[1])}
-    shares["Drake"] = 1 - sum(shares.values())
     table = Table(title="share of the CPU time")
     table.add_column("system")
     table.add_column("share", justify="right")
     for name, share in shares.items():
         table.add_row(name, f"{100 * share:.1f} %")
     console.print(table)
-    simulated = TURN * len(trials[RECORDED].cpu)
+    simulated = sum(trials[RECORDED].simulated)
     console.print(f"writing the recording of {simulated:g} s: {writing:.2f} s of CPU time")
     if path:
         write_json(path, title="simulation", results=results, shares=shares, writing_cpu_s=writing)
