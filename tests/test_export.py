@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow.dataset
 import pyarrow.parquet as pq
 import pytest
+from pydrake.math import RigidTransform
 from rerun.experimental import LeRobotReader
 from scipy.spatial.transform import Rotation
 from test_gloves_scripts import script
@@ -66,7 +67,9 @@ def run(tmp_path):
         for t in PERIOD * np.arange(frames):
             q = command(t)
             parts = [part for asked in (q[:3], q[3:]) for part in (asked, asked - 0.1)]
-            file.append(t, [np.stack([pose(0, t), pose(1, t)]), *parts, float(t > 0.1)])
+            poses = [RigidTransform(), RigidTransform(pose(0, t)), RigidTransform(pose(1, t))]
+            # For each track the values of its ports.
+            file.append(t, [(poses,), *((part,) for part in parts), ([float(t > 0.1)],)])
         file.close()
         glove(frames * PERIOD).save(folder / f"{name}.glove.npz")
         trials.append({"object": "cube", "seed": number, "success": number == 0, "outcome": "success",
