@@ -39,14 +39,18 @@ def write_hand(
     # The plots of the default layout stand one for each finger.
     names = [f"{finger}/thumb to {finger}" for finger in FINGER_NAMES[1:]]
     tracks: list[Track] = [
-        HandTrack("human", _SKIN, RigidTransform(), has_valid=True),
+        HandTrack("human", _SKIN, RigidTransform(), has_valid=False),
         SignalTrack("gap", names, "mm", faint=False),
     ]
-    samples: list[Iterable] = [p_HK, 1e3 * tip_distances(p_HK)]
+    # For each track the values of its ports; a hand that is lost is not a number.
+    samples: list[Iterable[tuple]] = [
+        ((keypoints, RigidTransform()) for keypoints in p_HK),
+        ((gaps,) for gaps in 1e3 * tip_distances(p_HK)),
+    ]
     for key, what in (states or {}).items():
         labels = list(dict.fromkeys(what))
         tracks.append(StateTrack(key, dict(enumerate(labels))))
-        samples.append([float(labels.index(what[row])) for row in rows])
+        samples.append([([labels.index(what[row])],) for row in rows])
     facts = {key: value for key, value in recording.metadata.items() if isinstance(value, str | int | float)}
     file = RerunFile(
         path,
@@ -57,6 +61,6 @@ def write_hand(
         properties=facts,
         blueprint=None,
     )
-    for time, *row in zip(times, *samples, strict=True):
-        file.append(float(time), row)
+    for time, *sample in zip(times, *samples, strict=True):
+        file.append(float(time), sample)
     file.close()
