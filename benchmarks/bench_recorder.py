@@ -3,7 +3,7 @@
 python benchmarks/bench_recorder.py --json recorder.json
 
 Free bodies are simulated and recorded at 60 Hz: all of them tumbling through the air, a third of them
-rolling on the ground with a contact each, which is as many contacts as a grasp has, and all of them
+rolling on the ground with a contact each, which is a few more contacts than a grasp has, and all of them
 rolling. A frame costs its sample and its share of writing the file, in CPU time of the thread.
 """
 

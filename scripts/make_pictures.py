@@ -159,9 +159,9 @@ def record_objects(folder: Path, _arguments: argparse.Namespace) -> None:
 PICTURES = {
     "training": Picture(record_training, "training.rrd"),
     "explorer": Picture(record_explorer, "explorer.rrd", 4.0),
-    "grasp": Picture(record_grasp, "grasp/cylinder-0.rrd", 6.6),
+    "grasp": Picture(record_grasp, "grasp/cylinder-0.rrd", 5.0),
     "grasp_film": Picture(record_grasp, "grasp/cylinder-0.rrd", moves=True),
-    "objects": Picture(record_objects, "objects.rrd", 0.5),
+    "objects": Picture(record_objects, "objects.rrd", 0.7),
 }
 
 

@@ -6,6 +6,7 @@ from rerun.chunk import RrdReader
 from rerun_world import GRAVITY, MASS, World, entities, read
 
 from geort_drake.systems import _rerun_file
+from geort_drake.systems._rerun_contact import ContactTrack
 from geort_drake.systems.rerun_recorder import ContactSpec
 
 
@@ -85,3 +86,14 @@ def test_without_groups_each_touched_body_has_a_series(tmp_path):
     assert series == {"/contact/force/ball/body"}
     _, force = read(world.recorder.path, "/contact/force/ball/body", "Scalars:scalars")
     np.testing.assert_allclose(force[-1], [MASS * GRAVITY], atol=2e-2)
+
+
+def test_whether_forces_are_strongest_at_first(tmp_path):
+    """A ball that has just fallen hits hardest late, and early once it has lain for as long again."""
+    world = World(height=0.1).finalize().record(tmp_path / "fall.rrd", period=0.002)
+    (contact,) = (track for track in world.recorder._recording.tracks if isinstance(track, ContactTrack))
+    assert not contact.early()
+    for end, early in ((0.12, False), (0.5, True)):
+        world.simulator.AdvanceTo(end)
+        world.recorder.flush()
+        assert contact.early() is early

@@ -1,5 +1,6 @@
 """The retargeting explorer: a recorded hand, and what methods make of it, side by side."""
 
+import itertools
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from geort_drake.evaluation._rerun_posed_hand import (
 from geort_drake.evaluation.exploration import Answers, Excerpt, Pinches, find_pinches, tips_of
 from geort_drake.gloves.keypoints import mirrored
 from geort_drake.hands.model import HandModel
-from geort_drake.systems._rerun_blueprint import blueprint, scene_view, time_series
+from geort_drake.systems._rerun_blueprint import blueprint, lanes_share, scene_view, time_series
 from geort_drake.systems._rerun_hand import HandTrack
 from geort_drake.systems._rerun_scene import WORLD, entity_path
 from geort_drake.systems._rerun_tracks import Color, StateTrack, scalars
@@ -56,6 +57,7 @@ Left: the **recorded hand**. Beside it: what each method makes of its fingertips
 - **A cage around two fingertips**: the person pinches. On the robot it is green where its fingertips meet,
   and red where they do not.
 - **Red balls**: parts of the hand are over 2 mm inside each other.
+- **Lines** in the plots have the colour of the name above the hand.
 """
 
 
@@ -108,12 +110,12 @@ def write_exploration(
         )
         writer.at(hands.t)
         _write_human(writer, hand, p_HK, pinches, places["human"])
-        for number, (name, answers) in enumerate(methods.items()):
+        for color, (name, answers) in zip(itertools.cycle(_COLORS), methods.items(), strict=False):
             posed[name].describe(writer)
             posed[name].write(writer, answers.q)
             _write_marks(writer, posed[name].path, hand, answers, marks[name], pinches)
-            write_label(writer, posed[name].path, name)
-            _write_series(writer, name, _COLORS[number % len(_COLORS)], answers, marks[name])
+            write_label(writer, posed[name].path, name, color)
+            _write_series(writer, name, color, answers, marks[name])
         _write_lanes(writer, hand, marks, pinches)
 
 
@@ -135,7 +137,7 @@ def _write_human(
     write_balls(writer, f"{path}/tips", list(tips), _HUMAN_TIP, _finger_colors(hand))
     colors = [np.full((int(pinch), 3), 255) for pinch in pinches.asked]
     _write_pinches(writer, path, tips, pinches, colors, 1.8 * _HUMAN_TIP)
-    write_label(writer, path, "recorded hand", X_WH)
+    write_label(writer, path, "recorded hand", _SKIN, X_WH)
     gap = 1e3 * pinches.distance
     writer.static("/gap/human", rr.SeriesLines(names=["human"], colors=[_SKIN], widths=[2.5]))
     writer.columns("/gap/human", scalars(gap[:, None]))
@@ -209,13 +211,13 @@ def _layout(methods: Mapping[str, Answers], places: int) -> rrb.Blueprint:
     left = rrb.Vertical(
         scene_view(eye, middle, "recorded hand and robot hands"),
         rrb.StateTimelineView(origin="/", contents=lanes, name="pinches and collisions"),
-        row_shares=[1.0, 0.12 + 0.06 * len(lanes)],
+        row_shares=[1.0, lanes_share(len(lanes), 1.0)],
     )
     right = rrb.Vertical(
         rrb.TextDocumentView(origin="/about", name="what you see"),
         time_series("fingertips against a proportional copy [mm]", ["/error/**"]),
-        time_series("direction of motion kept (cosine)", ["/motion/**"], legend=False),
-        time_series("nearest thumb and finger [mm]", ["/gap/**"], legend=False),
+        time_series("direction of motion kept (cosine)", ["/motion/**"]),
+        time_series("nearest thumb and finger [mm]", ["/gap/**"]),
         row_shares=[2.3, 1.2, 1.0, 1.0],
     )
     return blueprint(rrb.Horizontal(left, right, column_shares=[5, 3]))

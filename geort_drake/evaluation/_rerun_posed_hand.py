@@ -13,11 +13,10 @@ from pydrake.systems.framework import Context
 from geort_drake.evaluation.contact_metrics import PENETRATION
 from geort_drake.hands.model import HandModel
 from geort_drake.systems._rerun_scene import WORLD, describe_scene, entity_path, transform
-from geort_drake.systems._rerun_tracks import PoseTrack
+from geort_drake.systems._rerun_tracks import Color, PoseTrack
 from geort_drake.systems._rerun_writer import Writer
 
 _LABEL_HEIGHT = 0.235  # m
-_LABEL = (225, 228, 235)
 
 
 class PosedHand:
@@ -115,10 +114,10 @@ def write_balls(
     writer.columns(path, columns.partition(counts))
 
 
-def write_label(writer: Writer, path: str, text: str, X: RigidTransform | None = None) -> None:
+def write_label(writer: Writer, path: str, text: str, color: Color, X: RigidTransform | None = None) -> None:
     """Sends a name above a hand that stands at X."""
     where = (X or RigidTransform()) @ [0.0, 0.0, _LABEL_HEIGHT]
-    label = rr.Points3D([where], labels=[text], show_labels=True, radii=[0.0], colors=[_LABEL])
+    label = rr.Points3D([where], labels=[text], show_labels=True, radii=[0.0], colors=[color])
     writer.static(f"{path}/name", label)
 
 

@@ -136,7 +136,7 @@ class TrainingRecorder:
 def _layout(steps: int) -> rrb.Blueprint:
     scenes = [scene_view(eye, target, title, contents) for title, eye, target, contents in _VIEWS]
     curves = [(title, f"/criteria/{key}") for key, title in CRITERIA.items()] + [("losses", "/losses/**")]
-    plots = [time_series(title, [path], legend=False, steps=steps) for title, path in curves]
+    plots = [time_series(title, [path], steps=steps) for title, path in curves]
     below = rrb.Horizontal(
         rrb.TextDocumentView(origin="/about", name="what you see"),
         rrb.Grid(contents=plots, grid_columns=3, name="criteria"),

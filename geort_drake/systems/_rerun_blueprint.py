@@ -10,6 +10,8 @@ from geort_drake.systems._rerun_scene import WORLD
 from geort_drake.systems._rerun_writer import TIMELINE
 
 _BACKGROUND = (38, 41, 48)
+# px in the viewer: title and ruler of a view of lanes, a lane, and what a window of 720 px leaves for views.
+_RULER, _LANE, _WINDOW = 48, 40, 650
 
 
 def grasp_blueprint(
@@ -20,6 +22,7 @@ def grasp_blueprint(
     cameras: Sequence[str] = (),
     eye: Sequence[float] | np.ndarray = (1.35, -1.05, 0.85),
     target: Sequence[float] | np.ndarray = (0.45, 0.0, 0.2),
+    early: bool = False,
 ) -> rrb.Blueprint:
     """The scene on the left; states, contact forces, cameras and plots on the right; the time line below.
 
@@ -29,30 +32,40 @@ def grasp_blueprint(
         contact: whether to plot contact forces.
         cameras: entity paths of the cameras; two stand side by side.
         eye, target: where the camera stands and what it looks at, m, in W.
+        early: whether contact forces are strongest at first, so that their legend goes to the right.
     """
     view = scene_view(eye, target)
     right: list[rrb.Container | rrb.View] = []
     shares: list[float] = []
-    if states:
-        right.append(rrb.StateTimelineView(origin="/", contents=list(states), name="phase"))
-        shares.append(0.4 + 0.2 * len(states))
     if contact:
-        right.append(time_series("contact force [N]", ["/contact/**"]))
+        corner = rrb.Corner2D.RightTop if early else rrb.Corner2D.LeftTop
+        right.append(time_series("contact force [N]", ["/contact/**"], corner))
         shares.append(1.2)
     if cameras:
         pictures = [rrb.Spatial2DView(origin=path, name=path.rsplit("/", 1)[-1]) for path in cameras]
         right.append(rrb.Grid(contents=pictures, grid_columns=min(2, len(pictures)), name="cameras"))
         shares.append(1.5 * ((len(pictures) + 1) // 2))
     # A legend would cover most of so small a plot; pointing at a line tells its name.
-    cells = [time_series(title, paths, legend=False) for title, paths in (plots or {}).items()]
-    if cells:
-        rows = (len(cells) + 1) // 2
-        right.append(rrb.Grid(contents=cells, grid_columns=min(2, len(cells)), name="signals"))
-        shares.append(1.2 * rows)
+    cells = [time_series(title, paths) for title, paths in (plots or {}).items()]
+    for first in range(0, len(cells), 2):
+        right.append(rrb.Horizontal(*cells[first : first + 2]))
+        shares.append(1.2)
+    if states:
+        right.insert(0, rrb.StateTimelineView(origin="/", contents=list(states), name="phase"))
+        shares.insert(0, lanes_share(len(states), sum(shares)))
     layout: rrb.Container | rrb.View = view
     if right:
         layout = rrb.Horizontal(view, rrb.Vertical(contents=right, row_shares=shares), column_shares=[3, 2])
     return blueprint(layout)
+
+
+def lanes_share(lanes: int, others: float) -> float:
+    """The share of a column that shows all of so many state lanes, beside the shares of the others.
+
+    It is at most half of the column.
+    """
+    height = _RULER + _LANE * lanes
+    return others * height / max(_WINDOW - height, height) if others else 1.0
 
 
 def blueprint(layout: rrb.Container | rrb.View, timeline: str = TIMELINE, rate: float = 1.0) -> rrb.Blueprint:
@@ -107,7 +120,7 @@ def scene_view(
 
 
 def time_series(
-    title: str, paths: Sequence[str], legend: bool = True, steps: int | None = None
+    title: str, paths: Sequence[str], legend: rrb.Corner2D | None = None, steps: int | None = None
 ) -> rrb.TimeSeriesView:
     """A plot whose time axis moves with those of the others, or shows so many steps."""
     axis = rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
@@ -119,5 +132,5 @@ def time_series(
         contents=list(paths),
         name=title,
         axis_x=axis,
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
+        plot_legend=rrb.PlotLegend(legend, visible=legend is not None),
     )

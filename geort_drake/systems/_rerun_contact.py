@@ -54,6 +54,15 @@ class ContactTrack(Track):
             row[points + i, 5:] = -patch.F_Ac_W().translational()
         return row
 
+    def early(self) -> bool:
+        """Whether the strongest force is in the first half of the samples."""
+        contacts = np.concatenate([_NOTHING, *self.rows])
+        if not len(contacts):
+            return False
+        strongest = np.argmax(np.square(contacts[:, 5:]).sum(axis=1))
+        before = sum(len(row) for row in self.rows[: len(self.rows) // 2])
+        return bool(strongest < before)
+
     def describe(self, writer: Writer) -> None:
         writer.static(self.ARROWS, rr.Arrows3D.from_fields(colors=[_COLOR], radii=[0.0025]))
 

@@ -191,13 +191,15 @@ class Recording:
         first = [name for name in FINGER_NAMES if name in plots]
         plots = {name: plots[name] for name in [*first, *(n for n in plots if n not in first)]}
         target, eye = self._eye()
+        contact = self._of(ContactTrack)
         return grasp_blueprint(
             plots=plots,
             states=[entity_path(track.key) for track in self._of(StateTrack)],
-            contact=bool(self._of(ContactTrack)),
+            contact=bool(contact),
             cameras=[track.path() for track in self._of(CameraTrack)],
             eye=eye,
             target=target,
+            early=any(track.early() for track in contact),
         )
 
     def _eye(self) -> tuple[np.ndarray, np.ndarray]:
