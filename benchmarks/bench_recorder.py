@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "on the ground": arguments.bodies,
     }
     rows = {name: _figures(arguments, count) for name, count in rolling.items()}
-    table = Table("", *FIGURES)
+    table = Table("", *(figure.replace("_", " ") for figure in FIGURES))  # which break at spaces
     for name, row in rows.items():
         table.add_row(name, *(form.format(row[figure]) for figure, form in FIGURES.items()))
     console.print(table)
