@@ -298,8 +298,8 @@ class GraspingPerson:
             if shift is not None:
                 state.movement = self._plan_movement(state.X_WH, *shift, t)
                 state.movements += 1
-        # Afterwards the wrist stays where the movement has ended.
-        if state.movement is not None and t < state.movement.t_end + self._config.period:
+        # By then a decision has come after the movement's end, and the wrist stays where that has put it.
+        if state.movement is not None and t < state.movement.t_end + 2 * self._config.period:
             state.X_WH = state.movement.pose(t)
 
     def _wrist_shift(
