@@ -40,7 +40,7 @@ def grasp_blueprint(
     if contact:
         corner = rrb.Corner2D.RightTop if early else rrb.Corner2D.LeftTop
         right.append(time_series("contact force [N]", ["/contact/**"], corner))
-        shares.append(1.2)
+        shares.append(2.0)  # so high that a window of 900 px labels single newtons of a grasp
     if cameras:
         pictures = [rrb.Spatial2DView(origin=path, name=path.rsplit("/", 1)[-1]) for path in cameras]
         right.append(rrb.Grid(contents=pictures, grid_columns=min(2, len(pictures)), name="cameras"))
