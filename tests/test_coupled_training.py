@@ -191,6 +191,8 @@ def test_settings_of_another_method_are_refused(hand, human):
         quick(hand, human, resampling="independent")
     with pytest.raises(TrainingError, match="coverage_weight must be zero or positive"):
         quick(hand, human, coverage_weight=-1.0)
+    with pytest.raises(TrainingError, match="track_wanted, a mean cosine, must be below 1, it is 1"):
+        quick(hand, human, track_wanted=1.0)
 
 
 def test_training_avoids_collisions_of_the_given_shapes(hand, human):

@@ -100,9 +100,10 @@ class TrainingHands:
         return torch.cat([self.frames[real], hands]), torch.cat([self._weights[real], weights])
 
     def made_up_pinches(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Hands (N, F, 3) of which a pair of fingertips was moved to one point, and weights (N, P).
+        """Hands (N, F, 3) of which a pair of fingertips was drawn together, and weights (N, P).
 
-        The other fingers are displaced, or from another instant: the pair should meet whatever they do.
+        They are left as far apart as in any pinch, and the other fingers are displaced, or from another
+        instant: the pair should meet whatever they do.
         """
         config = self._config
         some = self.draw(len(self._near), count)
@@ -116,7 +117,11 @@ class TrainingHands:
             first, second = torch.tensor(self.pairs)[pair].T
             middle = 0.5 * (near[row, first] + near[row, second])
             middle = middle + config.pinch_spread * self.normal(middle.shape)
-            hands[row, first], hands[row, second] = middle, middle
+            half = 0.5 * (near[row, second] - near[row, first])
+            left = torch.rand((len(some), 1), generator=self._generator).to(self._device)
+            left = 0.5 * config.pinch_threshold * left / (half.norm(dim=-1, keepdim=True) + 1e-9)
+            half = half * left.clamp(max=1.0)
+            hands[row, first], hands[row, second] = middle - half, middle + half
             weights[row, pair] = 1.0
         return hands, weights
 

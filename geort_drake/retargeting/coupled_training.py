@@ -14,6 +14,7 @@ from geort_drake.retargeting.coupled_batches import COLLIDE_EVERY, Batch, Batche
 from geort_drake.retargeting.coupled_coverage import AVERAGED, CoverageTargets
 from geort_drake.retargeting.coupled_hands import STEP_RANGE, TrainingHands
 from geort_drake.retargeting.coupled_network import CoupledNetwork
+from geort_drake.retargeting.coupled_prices import Prices
 from geort_drake.retargeting.criteria import direction_loss
 from geort_drake.retargeting.descent import Report, descend, device_of, one_thread
 from geort_drake.retargeting.kinematics import HandKinematics
@@ -28,7 +29,7 @@ TIP_MARGIN = 0.002  # m; apart fingertips are kept this far from touching
 class CoupledConfig(TrainingConfig):
     """Settings of `train_coupled`. Weights are of ratios; `length_unit` and the classifier's are unused."""
 
-    steps: int = 7000
+    steps: int = 7800
     learning_rate: float = 0.017  # of SOAP, falls to zero along half a cosine
     points: int = 40  # real frames per finger and step at which that finger is moved
     targets: int = 48  # robot voxels per finger and step
@@ -38,17 +39,19 @@ class CoupledConfig(TrainingConfig):
     collisions: int = 48  # hands whose collisions are computed, in every other step
     hidden: int = 64
     residual_hidden: int = 112
-    direction_weight: float = 3.0
-    track_weight: float = 5.6
-    coverage_weight: float = 1.465
-    context_weight: float = 1.82
-    cross_talk_weight: float = 3.75
-    flatness_weight: float = 0.64
-    response_weight: float = 0.9
-    pinch_weight: float = 1.2
-    false_pinch_weight: float = 0.45
-    collision_weight: float = 0.225
+    direction_weight: float = 2.9
+    track_weight: float = 5.75
+    coverage_weight: float = 1.485
+    context_weight: float = 1.91
+    cross_talk_weight: float = 3.95
+    flatness_weight: float = 0.68
+    response_weight: float = 0.95
+    pinch_weight: float = 0.72
+    false_pinch_weight: float = 0.7
+    collision_weight: float = 0.38
     coverage_radius: float = 0.010  # m
+    track_wanted: float = 0.973  # mean cosine; see `Prices`
+    cross_talk_wanted: float = 0.0388
     response_band: float = 0.6  # of log gain around its median
     pinch_wanted: float = 0.010  # m; between a touch (two tip radii) and fingertips in one place
     pinch_scale: float = 0.008  # m
@@ -66,6 +69,14 @@ class CoupledConfig(TrainingConfig):
     weight_decay: float = 1e-2  # of the fingers' own networks
     residual_decay: float = 0.05
     averaging: float = 0.998  # of the weights, in the second half
+
+    def validate(self) -> None:
+        """Raises TrainingError where a value makes no sense."""
+        super().validate()
+        if self.track_wanted >= 1:
+            raise TrainingError(
+                f"training config: track_wanted, a mean cosine, must be below 1, it is {self.track_wanted}"
+            )
 
 
 def train_coupled(
@@ -128,6 +139,7 @@ class CoupledTraining:
             self.gaps = CollisionGaps(kinematics, shapes, device)
             self.gaps.keep_pairs_that_meet(q[:4000], config.collision_margin)
         self.batches = Batches(self.hands, space, self.gaps, config)
+        self.prices = Prices({"track": -config.track_wanted, "cross_talk": config.cross_talk_wanted})
         mean, scale = self.hands.mean, self.hands.scale
         self.network = CoupledNetwork(
             kinematics, mean, scale, config.hidden, config.residual_hidden, generator
@@ -169,6 +181,7 @@ class CoupledTraining:
             return torch.tensor(math.nan), {}
         row = self._row(batch, self._answers(batch))
         scale = {"collision": COLLIDE_EVERY * min(max((progress - 0.15) / 0.25, 0.0), 1.0)}
+        scale |= self.prices.follow(row, progress)
         total = sum(
             scale.get(name, 1.0) * getattr(config, f"{name}_weight") * value for name, value in row.items()
         )
