@@ -29,7 +29,7 @@ TIP_MARGIN = 0.002  # m; apart fingertips are kept this far from touching
 class CoupledConfig(TrainingConfig):
     """Settings of `train_coupled`. Weights are of ratios; `length_unit` and the classifier's are unused."""
 
-    steps: int = 7800
+    steps: int = 8000
     learning_rate: float = 0.017  # of SOAP, falls to zero along half a cosine
     points: int = 40  # real frames per finger and step at which that finger is moved
     targets: int = 48  # robot voxels per finger and step
@@ -46,7 +46,7 @@ class CoupledConfig(TrainingConfig):
     cross_talk_weight: float = 3.95
     flatness_weight: float = 0.68
     response_weight: float = 0.95
-    pinch_weight: float = 0.72
+    pinch_weight: float = 0.62
     false_pinch_weight: float = 0.7
     collision_weight: float = 0.38
     coverage_radius: float = 0.010  # m
