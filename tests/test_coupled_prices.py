@@ -10,7 +10,7 @@ from geort_drake.retargeting.coupled_prices import FROM, RANGE, Prices
 @pytest.mark.parametrize("name, wanted, best", [("track", -0.97, -1.0), ("cross_talk", 0.04, 0.0)])
 def test_a_loss_that_its_weight_can_move_becomes_what_is_wanted(name, wanted, best, start):
     """From above and from below, for a cosine and for a ratio."""
-    prices, factor = Prices({name: wanted}), 1.0
+    prices, factor = Prices({name: wanted}, may_fall=[name]), 1.0
     for _ in range(20_000):
         loss = best + start * (wanted - best) / factor
         factor = prices.follow({name: torch.tensor(loss)}, 0.5)[name]
@@ -18,12 +18,14 @@ def test_a_loss_that_its_weight_can_move_becomes_what_is_wanted(name, wanted, be
 
 
 def test_what_cannot_be_had_costs_no_more_than_the_range():
-    """Nor is a weight taken away from a loss that is better than wanted."""
-    prices = Prices({"track": -0.97, "cross_talk": 0.04})
-    row = {"track": torch.tensor(-0.5), "cross_talk": torch.tensor(0.0)}
+    """Nor does what is better than wanted lose more of its weight, or any that may not fall."""
+    prices = Prices(
+        {"track": -0.97, "cross_talk": 0.04, "direction": -0.97}, may_fall=["track", "cross_talk"]
+    )
+    row = {"track": torch.tensor(-0.5), "cross_talk": torch.tensor(0.0), "direction": torch.tensor(-0.99)}
     for _ in range(5000):
         factors = prices.follow(row, 0.5)
-    assert factors == pytest.approx({"track": RANGE, "cross_talk": 1.0 / RANGE})
+    assert factors == pytest.approx({"track": RANGE, "cross_talk": 1.0 / RANGE, "direction": 1.0})
 
 
 def test_nothing_is_priced_before_the_map_has_a_shape():

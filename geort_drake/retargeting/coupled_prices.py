@@ -1,6 +1,7 @@
 """Weights of losses that follow from the value which a loss should have."""
 
 import math
+from collections.abc import Collection
 
 import torch
 
@@ -18,10 +19,14 @@ class Prices:
     constrained problem (Platt and Barr 1987, "Constrained differential optimization").
     """
 
-    def __init__(self, wanted: dict[str, float]):
-        """Takes the value that each loss should have; a negative one is of a mean cosine, −1 at best."""
+    def __init__(self, wanted: dict[str, float], may_fall: Collection[str] = ()):
+        """Takes the value that each loss should have; a negative one is of a mean cosine, −1 at best.
+
+        Weights of the losses `may_fall` fall while the loss is better than wanted, others only rise.
+        """
         self._wanted = wanted
         self._factors = dict.fromkeys(wanted, 1.0)
+        self._least = {name: 1.0 / RANGE if name in may_fall else 1.0 for name in wanted}
 
     def follow(self, row: dict[str, torch.Tensor], progress: float) -> dict[str, float]:
         """The factors for a step whose losses are `row`, `progress` (0 to 1) through the descent."""
@@ -29,5 +34,5 @@ class Prices:
             for name, wanted in self._wanted.items():
                 error = (float(row[name].detach()) - wanted) / (1.0 + wanted if wanted < 0 else wanted)
                 factor = self._factors[name] * math.exp(RATE * error)
-                self._factors[name] = min(max(factor, 1.0 / RANGE), RANGE)
+                self._factors[name] = min(max(factor, self._least[name]), RANGE)
         return dict(self._factors)
