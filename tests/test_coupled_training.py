@@ -181,6 +181,15 @@ def test_a_loss_that_stops_being_finite_keeps_the_last_good_weights(hand, human)
     assert all(np.isfinite(array).all() for array in result.network.arrays().values())
 
 
+def test_what_is_wanted_of_a_loss_changes_the_map(hand, human):
+    """Less cross-talk comes of wanting less, with the same weights."""
+    little, much = (
+        sum(row["cross_talk"] for row in quick(hand, human, cross_talk_wanted=wanted).history[-20:])
+        for wanted in (0.001, 10.0)
+    )
+    assert little < 0.97 * much
+
+
 def test_settings_of_another_method_are_refused(hand, human):
     """The wrong config, neural kinematics and negative weights."""
     with pytest.raises(TrainingError, match="takes a CoupledConfig"):

@@ -118,9 +118,9 @@ class TrainingHands:
             middle = 0.5 * (near[row, first] + near[row, second])
             middle = middle + config.pinch_spread * self.normal(middle.shape)
             half = 0.5 * (near[row, second] - near[row, first])
-            left = torch.rand((len(some), 1), generator=self._generator).to(self._device)
-            left = 0.5 * config.pinch_threshold * left / (half.norm(dim=-1, keepdim=True) + 1e-9)
-            half = half * left.clamp(max=1.0)
+            kept = torch.rand((len(some), 1), generator=self._generator).to(self._device)
+            kept = 0.5 * config.pinch_threshold * kept / (half.norm(dim=-1, keepdim=True) + 1e-9)
+            half = half * kept.clamp(max=1.0)
             hands[row, first], hands[row, second] = middle - half, middle + half
             weights[row, pair] = 1.0
         return hands, weights
