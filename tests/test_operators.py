@@ -11,11 +11,12 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.operators import behavior
-from geort_drake.operators.behavior import GraspingPerson, Phase, Seen
+from geort_drake.operators.behavior import GraspingPerson
 from geort_drake.operators.config import OperatorConfig
 from geort_drake.operators.finger_motion import FingerMotion
 from geort_drake.operators.grasp_goal import GraspGoal
 from geort_drake.operators.sensed_gain import SensedGain
+from geort_drake.operators.state import Phase, Seen
 
 ROBOT_FINGERS = ("thumb", "index", "middle", "ring")
 

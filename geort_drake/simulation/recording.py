@@ -11,7 +11,7 @@ from pydrake.systems.primitives import Demultiplexer
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.links import finger_links
-from geort_drake.operators.behavior import Phase
+from geort_drake.operators.state import Phase
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import ARM, HAND, actuated_joints, actuated_state
 from geort_drake.systems.grasp_monitor import GraspMonitor, GraspPhase

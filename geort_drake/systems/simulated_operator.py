@@ -8,9 +8,10 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, LeafSystem
 
 from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.operators.behavior import GraspingPerson, OperatorState, Phase, Seen
+from geort_drake.operators.behavior import GraspingPerson
 from geort_drake.operators.config import OperatorConfig
 from geort_drake.operators.grasp_goal import GraspGoal
+from geort_drake.operators.state import OperatorState, Phase, Seen
 from geort_drake.systems.poses import vector_to_pose
 from geort_drake.systems.unchanging import Unchanging
 
