@@ -141,8 +141,8 @@ def run(arguments: argparse.Namespace) -> None:
             conditions,
         )
         keys = benchmark.keys(names, objects, arguments.trials)
-        done = {key_of(record) for record in log.records}
-        left = [key for key in keys if key not in done]
+        finished = log.finished
+        left = [key for key in keys if key not in finished]
         console.print(f"{len(keys)} trials, {len(keys) - len(left)} of them finished before")
         if not left:
             return

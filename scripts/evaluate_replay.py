@@ -69,8 +69,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     with TrialLog(arguments.output / TRIALS) as log:
         replay.open(arguments.output)
         keys = replay.keys()
-        done = set(map(key_of, log.records))
-        left = [key for key in keys if key not in done]
+        finished = log.finished
+        left = [key for key in keys if key not in finished]
         console.print(f"{len(keys)} trials, {len(keys) - len(left)} of them finished before")
         with progress_bar() as progress:
             task = progress.add_task("replaying", total=len(left), note="")

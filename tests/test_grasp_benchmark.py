@@ -127,7 +127,7 @@ def test_trials_objects_and_methods_can_be_added(script, tmp_path):
 
 
 def test_a_trial_that_raises_is_recorded_and_stops_no_other(script, tmp_path, monkeypatch):
-    """Its traceback is in a file, the exit status is 1, and going on does not hide it."""
+    """Its traceback is in a file and the exit status is 1, until it has been repeated and comes to an end."""
     run_trial = grasp_trial.run_trial
 
     def failing(scenario, *rest):
@@ -144,8 +144,11 @@ def test_a_trial_that_raises_is_recorded_and_stops_no_other(script, tmp_path, mo
     assert record["error"] == "ArithmeticError: the <map> has failed"
     assert "in failing" in (tmp_path / record["traceback"]).read_text()
     assert "error" not in records[TrialKey("hold", "cylinder", 0)]
-    assert script.main(arguments(tmp_path)) == 1
     assert "ArithmeticError: the &lt;map&gt; has failed" in (tmp_path / "report.html").read_text()
+    assert script.main(arguments(tmp_path)) == 0
+    assert "ArithmeticError" not in (tmp_path / "report.html").read_text()
+    lines = (tmp_path / "trials.jsonl").read_text().splitlines()
+    assert len(lines) == 6  # two raised; the others were not repeated
 
 
 def test_a_hand_given_as_a_file_is_the_one_that_is_trained(tmp_path, play, monkeypatch):

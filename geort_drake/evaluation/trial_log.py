@@ -40,10 +40,10 @@ def identity(key: TrialKey) -> dict:
 
 
 def read_records(path: str | os.PathLike) -> list[dict]:
-    """The lines of a results file; one that was being written when the program ended is left out.
+    """The last line of each trial of a results file; one that was being written at the end is left out.
 
     Raises:
-        BenchmarkError: the file does not exist, or a line of it is not a trial's, or is its second.
+        BenchmarkError: the file does not exist, or a line of it is not a trial's, or follows its result.
     """
     path = Path(path)
     if not path.is_file():
@@ -59,7 +59,7 @@ class TrialLog:
 
     Attributes:
         path: of the file.
-        records: what was in the file when it was opened.
+        records: the last line of each trial that was in the file when it was opened.
         torn: whether a torn last line was dropped.
 
     Raises:
@@ -88,8 +88,13 @@ class TrialLog:
             self.close()
             raise
 
+    @property
+    def finished(self) -> set[TrialKey]:
+        """Trials of `records` that have a result; those that raised are to be tried again."""
+        return {key_of(record) for record in self.records if "error" not in record}
+
     def append(self, record: dict) -> None:
-        """Writes a trial's line to the disk.
+        """Writes a trial's line to the disk, in the place of an earlier one that says it raised.
 
         Raises:
             OutputError: the disk is full, say; what was written of the line is dropped at the next opening.
@@ -117,7 +122,7 @@ def _parse(path: Path, content: bytes) -> list[dict]:
         try:
             record = json.loads(line)
             key = key_of(record)
-            repeated = key in records
+            repeated = "error" not in records.get(key, {"error": ""})
             missing = [] if "error" in record else sorted(_FIELDS - set(record))
         except (ValueError, TypeError, KeyError, RecursionError) as error:
             raise BenchmarkError(
