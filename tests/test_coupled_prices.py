@@ -1,35 +1,68 @@
-"""Weights that follow from what is wanted of a loss."""
+"""Weights that follow from the figures which a map should have."""
 
 import pytest
 import torch
+from torch import nn
 
-from geort_drake.retargeting.coupled_prices import FROM, RANGE, Prices
+from geort_drake.retargeting.coupled_prices import EVERY, FROM, RANGE, Prices
 
 
-@pytest.mark.parametrize("start", [0.9, 1.1])
-@pytest.mark.parametrize("name, wanted, best", [("track", -0.97, -1.0), ("cross_talk", 0.04, 0.0)])
-def test_a_loss_that_its_weight_can_move_becomes_what_is_wanted(name, wanted, best, start):
-    """From above and from below, for a cosine and for a ratio."""
-    prices, factor = Prices({name: wanted}, may_fall=[name]), 1.0
-    for _ in range(20_000):
-        loss = best + start * (wanted - best) / factor
-        factor = prices.follow({name: torch.tensor(loss)}, 0.5)[name]
-    assert factor == pytest.approx(start, rel=0.005)
+class Map(nn.Module):
+    """A map of one number."""
+
+    def __init__(self, value: float = 1.0):
+        super().__init__()
+        self.value = nn.Parameter(torch.tensor(value))
+
+
+def follow(prices: Prices, measurements: int, network: nn.Module) -> None:
+    """Lets the end of a descent pass, in which the map becomes the factor of its loss."""
+    for step in range(measurements * EVERY):
+        prices.follow(network, step, FROM)
+        network.value.data.fill_(prices.factors["coverage"])
+
+
+@pytest.mark.parametrize("right", [0.9, 1.1])
+def test_a_figure_that_its_weight_can_move_becomes_what_is_wanted(right):
+    """From above and from below."""
+    with Prices(
+        ["coverage"], lambda network: {"coverage": right / float(network.value.detach()) - 1}
+    ) as prices:
+        follow(prices, 60, Map())
+    assert prices.factors == pytest.approx({"coverage": right}, rel=1e-3)
 
 
 def test_what_cannot_be_had_costs_no_more_than_the_range():
-    """Nor does what is better than wanted lose more of its weight, or any that may not fall."""
-    prices = Prices(
-        {"track": -0.97, "cross_talk": 0.04, "direction": -0.97}, may_fall=["track", "cross_talk"]
-    )
-    row = {"track": torch.tensor(-0.5), "cross_talk": torch.tensor(0.0), "direction": torch.tensor(-0.99)}
-    for _ in range(5000):
-        factors = prices.follow(row, 0.5)
-    assert factors == pytest.approx({"track": RANGE, "cross_talk": 1.0 / RANGE, "direction": 1.0})
+    """Nor does what is better than wanted lose more of its weight."""
+    errors = {"coverage": 0.5, "cross_talk": -0.5}
+    with Prices(errors, lambda network: errors) as prices:
+        follow(prices, 20, Map())
+    assert prices.factors == pytest.approx({"coverage": RANGE, "cross_talk": 1.0 / RANGE})
 
 
-def test_nothing_is_priced_before_the_map_has_a_shape():
-    """The first losses are far from what any map has at the end."""
-    prices = Prices({"track": -0.97})
-    for _ in range(1000):
-        assert prices.follow({"track": torch.tensor(0.0)}, FROM) == {"track": 1.0}
+def test_nothing_is_measured_before_the_map_has_a_shape():
+    """The first figures are far from what any map has at the end."""
+    asked = []
+    with Prices(["coverage"], asked.append) as prices:
+        prices.follow(Map(), EVERY, 0.99 * FROM)
+    assert not asked
+
+
+def test_a_figure_that_is_not_finite_changes_no_weight():
+    """A map that moves no finger has no cross-talk to speak of."""
+    with Prices(["coverage"], lambda network: {"coverage": float("nan")}) as prices:
+        follow(prices, 3, Map())
+    assert prices.factors == {"coverage": 1.0}
+
+
+def test_a_measurement_is_of_the_map_as_it_was_when_it_began():
+    """Whatever the descent has done to it in the meantime, so that the outcome does not depend on timing."""
+    seen = []
+
+    def errors(network):
+        seen.append(float(network.value.detach()))
+        return {"coverage": 0.1}
+
+    with Prices(["coverage"], errors) as prices:
+        follow(prices, 2, Map(value=3.0))
+    assert seen == [3.0, 1.0]

@@ -156,7 +156,7 @@ def test_flatness_of_a_parabola_is_its_second_over_first_difference(rng):
     def g(p):
         return k * p**2
 
-    d = 0.002 * metrics._directions(200_000, rng)
+    d = 0.002 * metrics.directions(200_000, rng)
     x = rng.uniform(-0.04, 0.04, d.shape)
     first = (k * (2 * x * d + d**2)) ** 2
     second = (2 * k * d**2) ** 2

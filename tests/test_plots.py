@@ -6,7 +6,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from geort_drake.evaluation import plots
-from geort_drake.evaluation.metrics import ROBOT_VOXEL, robot_voxels
+from geort_drake.retargeting.map_figures import ROBOT_VOXEL, robot_voxels
 
 NAMES = ("thumb", "index")
 

@@ -6,7 +6,7 @@ functions take g = FK∘f, "where do the robot's fingertips (N, F, 3) go for hum
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,14 +18,18 @@ from geort_drake.evaluation.contact_metrics import pinch, self_collision
 from geort_drake.gloves.recording import Recording
 from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.clouds import voxel_centres, voxel_index, voxel_thinned
+from geort_drake.retargeting.clouds import voxel_index, voxel_thinned
+from geort_drake.retargeting.map_figures import (
+    ROBOT_SAMPLES,
+    FingertipMap,
+    coverage,
+    cross_talk,
+    directions,
+    moved,
+    robot_voxels,
+)
 
-FingertipMap = Callable[[np.ndarray], np.ndarray]
-
-COVERAGE_RADII_MM = (5, 10, 15)
 MIN_FRAMES = 10
-ROBOT_SAMPLES = 200_000
-ROBOT_VOXEL = 0.003  # m
 HUMAN_VOXEL = 0.001  # m
 SMALL_STEP = 0.002  # m, at which flatness and gain are measured
 
@@ -155,8 +159,8 @@ def motion_preservation(
     means = []
     for finger in range(frames.shape[1]):
         x = frames[_anchor_rows(frames[:, finger], anchors, rng)]
-        d = _directions(anchors, rng) * rng.uniform(0.001, 0.011, (anchors, 1))
-        answer = _moved(g, x, finger, d)[:, finger] - g(x)[:, finger]
+        d = directions(anchors, rng) * rng.uniform(0.001, 0.011, (anchors, 1))
+        answer = moved(g, x, finger, d)[:, finger] - g(x)[:, finger]
         means.append(_cosines(d, answer).mean())
     return float(np.mean(means))
 
@@ -171,36 +175,6 @@ def motion_preservation_track(frames: np.ndarray, p_BF: np.ndarray) -> float | N
         if long[:, i].any()
     ]
     return float(np.mean(means)) if means else None
-
-
-def cross_talk(g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 1000) -> float:
-    """Mean motion of the other robot fingertips over that of its own when one human tip moves by 5 mm."""
-    fingers = frames.shape[1]
-    if fingers == 1:
-        return 0.0
-    ratios = []
-    for finger in range(fingers):
-        x = frames[rng.integers(len(frames), size=anchors)]
-        d = 0.005 * _directions(anchors, rng)
-        moved = np.linalg.norm(_moved(g, x, finger, d) - g(x), axis=-1).mean(axis=0)
-        others = (moved.sum() - moved[finger]) / (fingers - 1)
-        ratios.append(others / moved[finger] if moved[finger] > 0 else (np.inf if others > 0 else 0.0))
-    return float(np.mean(ratios))
-
-
-def robot_voxels(p_BF: np.ndarray) -> list[np.ndarray]:
-    """Per finger, the centres of the 3 mm voxels of its C-space that samples (N, F, 3) hit."""
-    return [voxel_centres(p_BF[:, i], ROBOT_VOXEL) for i in range(p_BF.shape[1])]
-
-
-def coverage(voxels: Sequence[np.ndarray], tips: Sequence[np.ndarray]) -> dict[str, float]:
-    """Share of each finger's voxels within 5, 10 and 15 mm of where its tip goes, F arrays (T, 3)."""
-    farthest = 0.001 * max(COVERAGE_RADII_MM) + 1e-9
-    shares = []
-    for centres, points in zip(voxels, tips, strict=True):
-        distance, _ = cKDTree(points).query(centres, distance_upper_bound=farthest)
-        shares.append([(distance <= 0.001 * r).mean() for r in COVERAGE_RADII_MM])
-    return {f"{r}mm": float(s) for r, s in zip(COVERAGE_RADII_MM, np.mean(shares, axis=0), strict=True)}
 
 
 def context_averaged(g: FingertipMap, frames: np.ndarray, contexts: int = 12) -> list[np.ndarray]:
@@ -230,9 +204,9 @@ def flatness_and_gain(
     flats, gains = [], []
     for finger in range(frames.shape[1]):
         x = frames[_anchor_rows(frames[:, finger], anchors, rng)]
-        d = SMALL_STEP * _directions(anchors, rng)
+        d = SMALL_STEP * directions(anchors, rng)
         here = g(x)[:, finger]
-        ahead, behind = _moved(g, x, finger, d)[:, finger], _moved(g, x, finger, -d)[:, finger]
+        ahead, behind = moved(g, x, finger, d)[:, finger], moved(g, x, finger, -d)[:, finger]
         first = np.linalg.norm(ahead - here, axis=1)
         second = np.linalg.norm(ahead + behind - 2 * here, axis=1)
         flats.append((second**2).mean() / max((first**2).mean(), 1e-18))
@@ -280,17 +254,6 @@ def _anchor_rows(tips: np.ndarray, count: int, rng: np.random.Generator) -> np.n
 def _in_chunks(retarget: Callable, p_HF: np.ndarray, rows: int = 4096) -> np.ndarray:
     """retarget(p_HF) in pieces, because hidden layers of a long recording would fill the memory."""
     return np.concatenate([retarget(p_HF[i : i + rows]) for i in range(0, len(p_HF), rows)])
-
-
-def _moved(g: FingertipMap, x: np.ndarray, finger: int, d: np.ndarray) -> np.ndarray:
-    moved = x.copy()
-    moved[:, finger] += d
-    return g(moved)
-
-
-def _directions(count: int, rng: np.random.Generator) -> np.ndarray:
-    d = rng.normal(size=(count, 3))
-    return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
 def _cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -14,8 +14,9 @@ from matplotlib.ticker import PercentFormatter
 
 from geort_drake.evaluation.comparison import Judged
 from geort_drake.evaluation.metric_table import Metric
-from geort_drake.evaluation.metrics import ROBOT_VOXEL, RobotSpace
+from geort_drake.evaluation.metrics import RobotSpace
 from geort_drake.files import atomic_path
+from geort_drake.retargeting.map_figures import ROBOT_VOXEL
 
 # Okabe and Ito's colours, which colour-blind people tell apart as well; shapes say the same once more.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#777777", "#8C6D31")

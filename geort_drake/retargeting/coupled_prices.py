@@ -1,38 +1,52 @@
-"""Weights of losses that follow from the value which a loss should have."""
+"""Weights of losses that follow from the figures which the map should have."""
 
+import copy
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 
-import torch
+from torch import nn
 
-RATE = 5e-4  # per step and relative error; the map answers a weight faster, within some hundred steps
-RANGE = 1.2  # times more or less, so that a value that cannot be had costs the other losses little
-FROM = 0.1  # of the descent; before, the map has no shape
+FROM = 0.77  # of the descent; before, the learning rate keeps the map from what it will be
+EVERY = 80  # steps between measurements
+RATE = 0.7  # per measurement and relative error
+RANGE = 1.4  # times more or less, so that a figure that cannot be had costs the other ones little
 
 
 class Prices:
-    """Factors of some losses' weights, which rise while the loss is above what is wanted of it.
+    """Factors of some losses' weights, which rise while a figure is worse than wanted and fall while better.
 
     Motion can be given up for coverage at a nearly constant rate, so a map whose weights are a few per cent
     off goes far along that line, and the right weights differ from one recording to the next. Fixed is
     therefore what should come out, and the weights find themselves: gradient ascent on the multipliers of a
-    constrained problem (Platt and Barr 1987, "Constrained differential optimization").
+    constrained problem (Platt and Barr 1987, "Constrained differential optimization"). Figures are measured
+    beside the descent, with a copy of the map, and count when the next measurement begins. Used as a
+    context manager.
+
+    Attributes:
+        factors: name → factor.
     """
 
-    def __init__(self, wanted: dict[str, float], may_fall: Collection[str] = ()):
-        """Takes the value that each loss should have; a negative one is of a mean cosine, −1 at best.
+    def __init__(self, names: Iterable[str], errors: Callable[[nn.Module], dict[str, float]]):
+        """`errors` gives by how much of it each figure is worse than wanted, negative where it is better."""
+        self.factors = dict.fromkeys(names, 1.0)
+        self._errors = errors
+        self._coming: Future | None = None
 
-        Weights of the losses `may_fall` fall while the loss is better than wanted, others only rise.
-        """
-        self._wanted = wanted
-        self._factors = dict.fromkeys(wanted, 1.0)
-        self._least = {name: 1.0 / RANGE if name in may_fall else 1.0 for name in wanted}
+    def __enter__(self) -> "Prices":
+        self._beside = ThreadPoolExecutor(1)
+        return self
 
-    def follow(self, row: dict[str, torch.Tensor], progress: float) -> dict[str, float]:
-        """The factors for a step whose losses are `row`, `progress` (0 to 1) through the descent."""
-        if progress > FROM:
-            for name, wanted in self._wanted.items():
-                error = (float(row[name].detach()) - wanted) / (1.0 + wanted if wanted < 0 else wanted)
-                factor = self._factors[name] * math.exp(RATE * error)
-                self._factors[name] = min(max(factor, self._least[name]), RANGE)
-        return dict(self._factors)
+    def __exit__(self, *_) -> None:
+        self._beside.shutdown(cancel_futures=True)
+
+    def follow(self, network: nn.Module, step: int, progress: float) -> None:
+        """Brings the factors up to date for a step of a map that is `progress` (0 to 1) through."""
+        if progress < FROM or step % EVERY:
+            return
+        if self._coming is not None:
+            for name, error in self._coming.result().items():
+                if math.isfinite(error):
+                    factor = self.factors[name] * math.exp(RATE * error)
+                    self.factors[name] = min(max(factor, 1.0 / RANGE), RANGE)
+        self._coming = self._beside.submit(self._errors, copy.deepcopy(network))

@@ -15,6 +15,7 @@ from geort_drake.retargeting.coupled_coverage import AVERAGED, CoverageTargets
 from geort_drake.retargeting.coupled_hands import STEP_RANGE, TrainingHands
 from geort_drake.retargeting.coupled_network import CoupledNetwork
 from geort_drake.retargeting.coupled_prices import Prices
+from geort_drake.retargeting.coupled_wanted import Shortfalls
 from geort_drake.retargeting.criteria import direction_loss
 from geort_drake.retargeting.descent import Report, descend, device_of, one_thread
 from geort_drake.retargeting.kinematics import HandKinematics
@@ -29,7 +30,7 @@ TIP_MARGIN = 0.002  # m; apart fingertips are kept this far from touching
 class CoupledConfig(TrainingConfig):
     """Settings of `train_coupled`. Weights are of ratios; `length_unit` and the classifier's are unused."""
 
-    steps: int = 8000
+    steps: int = 8600
     learning_rate: float = 0.017  # of SOAP, falls to zero along half a cosine
     points: int = 40  # real frames per finger and step at which that finger is moved
     targets: int = 48  # robot voxels per finger and step
@@ -39,20 +40,20 @@ class CoupledConfig(TrainingConfig):
     collisions: int = 48  # hands whose collisions are computed, in every other step
     hidden: int = 64
     residual_hidden: int = 112
-    direction_weight: float = 2.9
+    direction_weight: float = 3.3
     track_weight: float = 5.75
-    coverage_weight: float = 1.5
-    context_weight: float = 1.93
+    coverage_weight: float = 1.53
+    context_weight: float = 1.87
     cross_talk_weight: float = 3.95
-    flatness_weight: float = 0.65
-    response_weight: float = 0.9
-    pinch_weight: float = 0.55
+    flatness_weight: float = 0.78
+    response_weight: float = 0.93
+    pinch_weight: float = 0.5
     false_pinch_weight: float = 0.9
-    collision_weight: float = 0.42
+    collision_weight: float = 0.44
     coverage_radius: float = 0.010  # m
-    direction_wanted: float = 0.9688  # mean cosines; see `Prices`
-    track_wanted: float = 0.973
-    cross_talk_wanted: float = 0.0378
+    coverage_wanted: float = 0.786  # at 10 mm; see `Shortfalls`
+    far_coverage_wanted: float = 0.945  # at 15 mm
+    cross_talk_wanted: float = 0.0487
     response_band: float = 0.6  # of log gain around its median
     pinch_wanted: float = 0.010  # m; between a touch (two tip radii) and fingertips in one place
     pinch_scale: float = 0.008  # m
@@ -74,9 +75,13 @@ class CoupledConfig(TrainingConfig):
     def validate(self) -> None:
         """Raises TrainingError where a value makes no sense."""
         super().validate()
-        for name in ("direction_wanted", "track_wanted"):
+        for name in ("coverage_wanted", "far_coverage_wanted"):
             if (value := getattr(self, name)) >= 1:
-                raise TrainingError(f"training config: {name}, a mean cosine, must be below 1, it is {value}")
+                raise TrainingError(f"training config: {name}, a share, must be below 1, it is {value}")
+        if self.cross_talk_wanted <= 0:
+            raise TrainingError(
+                f"training config: cross_talk_wanted must be positive, it is {self.cross_talk_wanted}"
+            )
 
 
 def train_coupled(
@@ -139,14 +144,8 @@ class CoupledTraining:
             self.gaps = CollisionGaps(kinematics, shapes, device)
             self.gaps.keep_pairs_that_meet(q[:4000], config.collision_margin)
         self.batches = Batches(self.hands, space, self.gaps, config)
-        self.prices = Prices(
-            {
-                "direction": -config.direction_wanted,
-                "track": -config.track_wanted,
-                "cross_talk": config.cross_talk_wanted,
-            },
-            may_fall=("track", "cross_talk"),
-        )
+        shortfalls = Shortfalls(self.hands.frames, kinematics, config, seed)
+        self.prices = Prices(("coverage", "cross_talk"), shortfalls)
         mean, scale = self.hands.mean, self.hands.scale
         self.network = CoupledNetwork(
             kinematics, mean, scale, config.hidden, config.residual_hidden, generator
@@ -159,7 +158,7 @@ class CoupledTraining:
             {"params": [*self.network.mlp.parameters()], "weight_decay": config.weight_decay},
             {"params": [*self.network.residual.parameters()], "weight_decay": config.residual_decay},
         ]
-        with self.batches:
+        with self.batches, self.prices:
             descent = descend(
                 self.network,
                 self._losses,
@@ -188,7 +187,8 @@ class CoupledTraining:
             return torch.tensor(math.nan), {}
         row = self._row(batch, self._answers(batch))
         scale = {"collision": COLLIDE_EVERY * min(max((progress - 0.15) / 0.25, 0.0), 1.0)}
-        scale |= self.prices.follow(row, progress)
+        self.prices.follow(self.network, step, progress)
+        scale |= self.prices.factors | {"context": self.prices.factors["coverage"]}
         total = sum(
             scale.get(name, 1.0) * getattr(config, f"{name}_weight") * value for name, value in row.items()
         )

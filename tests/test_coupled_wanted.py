@@ -1,0 +1,74 @@
+"""What is still missing of the figures that a map should have."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from retargeting_toy import toy_human, toy_kinematics
+
+from geort_drake.retargeting import coupled_wanted
+from geort_drake.retargeting.coupled_network import CoupledNetwork
+from geort_drake.retargeting.coupled_training import CoupledConfig
+from geort_drake.retargeting.coupled_wanted import Shortfalls
+from geort_drake.retargeting.map_figures import coverage, cross_talk, robot_voxels
+
+
+@pytest.fixture
+def hand():
+    return toy_kinematics()
+
+
+@pytest.fixture
+def network(hand):
+    generator = torch.Generator().manual_seed(3)
+    mean, scale = torch.zeros(len(hand.fingers), 3), torch.full((len(hand.fingers), 3), 0.03)
+    network = CoupledNetwork(hand, mean, scale, 16, 16, generator)
+    with torch.no_grad():
+        network.residual.weights[-1].uniform_(-0.3, 0.3, generator=generator)
+    return network
+
+
+def figures(hand, network, frames) -> tuple[dict[str, float], float]:
+    """Coverage and cross-talk as an evaluation has them, but for the numbers drawn."""
+
+    def g(p_HF):
+        with torch.no_grad():
+            return hand.fingertips(network(torch.tensor(p_HF, dtype=torch.float32))).numpy()
+
+    q = np.random.default_rng(7).uniform(hand.lower, hand.upper, (200_000, len(hand.joint_names)))
+    voxels = robot_voxels(hand.fingertips(torch.tensor(q, dtype=torch.float32)).numpy())
+    reached = coverage(voxels, list(np.moveaxis(g(frames), 1, 0)))
+    return reached, cross_talk(g, frames, np.random.default_rng(8), 4000)
+
+
+def test_a_map_that_is_as_wanted_lacks_nothing(hand, network):
+    """The evaluation's figures, given as wanted, come out as no error; a worse one is its share of it."""
+    frames = toy_human(hand)
+    reached, talk = figures(hand, network, frames)
+    config = CoupledConfig(
+        coverage_wanted=reached["10mm"], far_coverage_wanted=reached["15mm"], cross_talk_wanted=talk
+    )
+    tensor = torch.tensor(frames, dtype=torch.float32)
+    errors = Shortfalls(tensor, hand, config, seed=0)(network)
+    assert errors == pytest.approx({"coverage": 0.0, "cross_talk": 0.0}, abs=0.03)
+    config = dataclasses.replace(
+        config, far_coverage_wanted=1 - (1 - reached["15mm"]) / 1.5, cross_talk_wanted=2 * talk
+    )
+    errors = Shortfalls(tensor, hand, config, seed=0)(network)
+    assert errors == pytest.approx({"coverage": 0.5, "cross_talk": -0.5}, abs=0.05)
+
+
+def test_a_map_is_asked_the_same_each_time(hand, network):
+    """Otherwise weights would follow the draws."""
+    shortfalls = Shortfalls(torch.tensor(toy_human(hand), dtype=torch.float32), hand, CoupledConfig(), 0)
+    assert shortfalls(network) == shortfalls(network)
+
+
+def test_a_long_recording_is_thinned(hand, network, monkeypatch):
+    """Evenly, so that all of it counts."""
+    monkeypatch.setattr(coupled_wanted, "FRAMES", 50)
+    frames = torch.tensor(toy_human(hand), dtype=torch.float32)
+    kept = Shortfalls(frames, hand, CoupledConfig(), 0)._frames
+    assert 25 <= len(kept) <= 50 < len(frames)
+    np.testing.assert_array_equal(kept, frames[:: len(frames) // 50 + 1])
