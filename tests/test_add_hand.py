@@ -187,10 +187,10 @@ def light(tmp_path, monkeypatch):
     """A cache of its own and an evaluation with few samples, where the plumbing is what is tested."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(metrics, "ROBOT_SAMPLES", 500)
-    for name in ("motion_preservation", "cross_talk", "flatness_and_gain"):
+    for name in ("motion_cosines", "cross_talk", "flatness_and_gain"):
         monkeypatch.setattr(metrics, name, functools.partial(getattr(metrics, name), anchors=30))
     monkeypatch.setattr(metrics, "context_averaged", functools.partial(metrics.context_averaged, contexts=2))
-    monkeypatch.setattr(metrics, "latency", functools.partial(metrics.latency, calls=10))
+    monkeypatch.setattr(metrics, "call_times", functools.partial(metrics.call_times, calls=10))
 
 
 def test_from_a_model_file_to_an_evaluated_retargeter(spec, tmp_path, light):

@@ -14,7 +14,7 @@ from geort_drake.evaluation import metrics
 from geort_drake.evaluation.comparison import Comparison, Judged, Outcome
 from geort_drake.evaluation.contact_metrics import pinch
 from geort_drake.evaluation.metric_table import mean
-from geort_drake.evaluation.metrics import evaluate_frames, robot_space
+from geort_drake.evaluation.metrics import Distributions, evaluate_frames, robot_space
 from geort_drake.evaluation.pipeline import train_checkpoint
 from geort_drake.evaluation.protocols import held_out, same_person
 from geort_drake.gloves.play import synthesize_play
@@ -37,6 +37,11 @@ def script(name: str):
     return module
 
 
+def judged(figures: dict, p_HF: np.ndarray, p_BF: np.ndarray) -> Judged:
+    """What is known of a method that put the fingertips there."""
+    return Judged(figures, False, p_HF, Distributions(p_BF, np.ones((4, 1)), np.ones((4, 1)), np.ones(1)))
+
+
 @pytest.fixture(scope="module")
 def play():
     """A minute of synthetic play at 30 Hz."""
@@ -48,10 +53,10 @@ def quick(monkeypatch, tmp_path):
     """Few samples and short training, so that what is tested is the plumbing."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(metrics, "ROBOT_SAMPLES", 2_000)
-    for name in ("motion_preservation", "cross_talk", "flatness_and_gain"):
+    for name in ("motion_cosines", "cross_talk", "flatness_and_gain"):
         monkeypatch.setattr(metrics, name, functools.partial(getattr(metrics, name), anchors=30))
     monkeypatch.setattr(metrics, "context_averaged", functools.partial(metrics.context_averaged, contexts=2))
-    monkeypatch.setattr(metrics, "latency", functools.partial(metrics.latency, calls=50))
+    monkeypatch.setattr(metrics, "call_times", functools.partial(metrics.call_times, calls=50))
 
     def train(hand_name, recording, method="geort", seed=0):
         path = tmp_path / f"{method}-{seed}-{recording.digest[:8]}"
@@ -112,7 +117,10 @@ def test_every_method_is_scored_under_every_protocol(evaluate, play, quick, tmp_
     assert {path.name for path in (tmp_path / "plots").iterdir()} == {
         "fingertips.png",
         "frontier.png",
+        "call_times.png",
+        "coverage.png",
         "gain.png",
+        "motion.png",
     }
     said = capsys.readouterr()
     assert "table.json" in said.out
@@ -201,7 +209,7 @@ def test_pinches_of_all_blocks_count_alike(play):
         p_BF = p_HF + (0.05 if pinches == 1 else 0.0) * np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0], [0, 0, 0]])
         figures = {**mean([]), "motion_preservation": float(rng.uniform())}
         figures["pinch"] = pinch(p_HF, p_BF, comparison.hand.finger_names, 0.012)
-        outcomes.append(Outcome(case, 0, Judged(figures, False, p_HF, p_BF, np.ones((4, 1)))))
+        outcomes.append(Outcome(case, 0, judged(figures, p_HF, p_BF)))
     summary = comparison.summary(outcomes)
     assert summary["mean"]["pinch"]["closed"] == pytest.approx(3 / 4)
     assert summary["mean"]["pinch"]["frames"] == 4
@@ -218,9 +226,7 @@ def test_the_worst_seed_is_of_whole_protocols(play):
     talks = {(0, 0): 0.1, (1, 0): 0.5, (0, 1): 0.4, (1, 1): 0.4}
     hands = np.zeros((4, 4, 3))
     outcomes = [
-        Outcome(
-            blocks[part], seed, Judged({**mean([]), "cross_talk": talk}, False, hands, hands, np.ones((4, 1)))
-        )
+        Outcome(blocks[part], seed, judged({**mean([]), "cross_talk": talk}, hands, hands))
         for (part, seed), talk in talks.items()
     ]
     summary = comparison.summary(outcomes)
@@ -247,7 +253,7 @@ def test_recorded_frames_are_answered_in_their_order_from_rest(play, quick):
         for outcome in outcomes:
             frames = outcome.case.scored_on.fingertips(keypoints)[:20]
             p_BF = hand.fingertips(VectorOnline(hand.kinematics())(frames))
-            np.testing.assert_allclose(outcome.judged.p_BF, p_BF, atol=1e-12)
+            np.testing.assert_allclose(outcome.judged.distributions.p_BF, p_BF, atol=1e-12)
             assert outcome.judged.remembers and outcome.judged.metrics["motion_preservation"] > 0.5
 
 

@@ -5,8 +5,8 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from geort_drake.evaluation import plots
-from geort_drake.retargeting.map_figures import ROBOT_VOXEL, robot_voxels
+from geort_drake.evaluation import distribution_plots, fingertip_plots, frontier_plots
+from geort_drake.retargeting.map_figures import ROBOT_VOXEL, coverage, robot_voxels
 
 NAMES = ("thumb", "index")
 
@@ -41,7 +41,9 @@ def drawn(figure: Figure) -> None:
 
 def test_the_frontier_has_a_point_for_every_method_that_has_the_metric():
     """A recording without pinches has no such figure, and its methods no such point."""
-    figure = plots.frontier({"ours": figures_of(0.9, 0.6), "theirs": figures_of(0.7, 0.8, closed=None)})
+    figure = frontier_plots.frontier(
+        {"ours": figures_of(0.9, 0.6), "theirs": figures_of(0.7, 0.8, closed=None)}
+    )
     drawn(figure)
     motion, pinches, _, context = figure.axes
     assert points_of(motion, "ours") == [(0.6, 0.9)] and points_of(motion, "theirs") == [(0.8, 0.7)]
@@ -69,7 +71,7 @@ def test_a_sweeps_lines_go_from_the_least_value_through_the_default():
             "error": "TrainingError: no",
         },
     ]
-    figure = plots.sweep_frontier(runs)
+    figure = frontier_plots.sweep_frontier(runs)
     drawn(figure)
     ax = figure.axes[0]
     lines = [
@@ -92,7 +94,7 @@ def test_the_c_space_is_shaded_where_its_voxels_are(rng):
     points = rng.uniform([0.01, -0.02], [0.05, 0.06], (500, 2))
     centres = (np.unique(np.floor(points / ROBOT_VOXEL), axis=0) + 0.5) * ROBOT_VOXEL
     ax = Figure().subplots()
-    plots._shade(ax, centres, "C0")
+    fingertip_plots._shade(ax, centres, "C0")
     (image,) = ax.images
     left, right, bottom, top = image.get_extent()
     shown = np.ma.filled(image.get_array(), 0.0)
@@ -108,7 +110,7 @@ def test_both_fingertip_spaces_are_shown_from_two_sides(rng):
     """The human's has no C-space behind it; a fifth cloud begins a second band."""
     human, robot = rng.uniform(-0.04, 0.04, (2, 50, 2, 3))
     methods = {f"method {k}": robot for k in range(4)}
-    figure = plots.fingertips(human, methods, NAMES, robot_voxels(robot))
+    figure = fingertip_plots.fingertips(human, methods, NAMES, robot_voxels(robot))
     drawn(figure)
     assert [ax.get_title() for ax in figure.axes[::2]] == ["human", *methods]
     assert [len(ax.images) for ax in figure.axes] == [0, 0] + 8 * [2]
@@ -121,7 +123,7 @@ def test_the_gain_is_marked_at_its_percentiles(rng):
     """Unanswered steps have no place on a logarithmic axis, so their share is written."""
     gains = np.exp(rng.normal(0, 0.5, (2, 400)))
     half = gains * (np.arange(400) % 2)
-    figure = plots.gain({"all": gains, "half": half, "none": np.zeros((2, 400))})
+    figure = distribution_plots.gain({"all": gains, "half": half, "none": np.zeros((2, 400))})
     drawn(figure)
     marks = [line.get_xdata()[0] for line in figure.axes[0].lines]
     np.testing.assert_allclose(marks[:2], np.percentile(gains, (5, 95)))
@@ -129,3 +131,37 @@ def test_the_gain_is_marked_at_its_percentiles(rng):
     assert [note.splitlines()[-1] for note in notes] == [
         f"unanswered: {share}" for share in ("0%", "50%", "100%")
     ]
+
+
+def test_motion_is_shown_as_an_angle():
+    """Unanswered steps, of cosine 0, are at 90°; a perfect method has everything at 0."""
+    figure = distribution_plots.motion(
+        {"half": np.tile([np.cos(0.5), 0.0], (2, 50)), "best": np.ones((2, 9))}
+    )
+    drawn(figure)
+    half, best = figure.axes
+    assert half.texts[0].get_text() == "median: 59°\n95 %: 90°"
+    assert best.texts[0].get_text() == "median: 0°\n95 %: 0°"
+    heights = [patch.get_height() for patch in half.patches]
+    assert heights[28] == heights[89] == 100.0 and sum(heights) == 200.0  # 0.5 rad is 28.6°
+
+
+def test_call_times_are_in_microseconds(rng):
+    """Median and 99th percentile are written."""
+    figure = distribution_plots.call_times({"quick": np.full(100, 15e-6), "slow": np.full(100, 0.012)})
+    drawn(figure)
+    notes = [ax.texts[0].get_text() for ax in figure.axes]
+    assert notes == ["median: 15 µs\n99 %: 15 µs", "median: 12,000 µs\n99 %: 12,000 µs"]
+
+
+def test_coverage_over_distance_agrees_with_the_figure(rng):
+    """At 5, 10 and 15 mm the curve has the metric's values."""
+    cloud, reachable = (
+        rng.uniform(-0.02, 0.02, (60, 2, 3)),
+        robot_voxels(rng.uniform(-0.04, 0.04, (900, 2, 3))),
+    )
+    figure = distribution_plots.coverage(reachable, {"ours": cloud})
+    drawn(figure)
+    x, y = figure.axes[0].lines[0].get_data()
+    for name, share in coverage(reachable, list(np.moveaxis(cloud, 1, 0))).items():
+        assert np.interp(float(name.removesuffix("mm")), x, y) == pytest.approx(share, abs=1e-3)

@@ -141,10 +141,10 @@ def test_names_that_do_not_exist_are_refused_before_any_work(play, tmp_path):
 def light(monkeypatch):
     """An evaluation with few samples, where the plumbing is what is tested."""
     monkeypatch.setattr(metrics, "ROBOT_SAMPLES", 500)
-    for name in ("motion_preservation", "cross_talk", "flatness_and_gain"):
+    for name in ("motion_cosines", "cross_talk", "flatness_and_gain"):
         monkeypatch.setattr(metrics, name, functools.partial(getattr(metrics, name), anchors=30))
     monkeypatch.setattr(metrics, "context_averaged", functools.partial(metrics.context_averaged, contexts=2))
-    monkeypatch.setattr(metrics, "latency", functools.partial(metrics.latency, calls=50))
+    monkeypatch.setattr(metrics, "call_times", functools.partial(metrics.call_times, calls=50))
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from geort_drake.evaluation.contact_metrics import pinch
 from geort_drake.evaluation.metric_table import mean, worst
 from geort_drake.evaluation.metrics import (
     MIN_FRAMES,
+    Distributions,
     RobotSpace,
     evaluate_frames,
     robot_space,
@@ -34,13 +35,12 @@ CheckpointSource = Callable[[Recording, str, int], Path]
 
 @dataclass(frozen=True)
 class Judged:
-    """One method's figures on one recording, and where it put the robot's fingertips."""
+    """One method's figures on one recording, and what they were made of."""
 
     metrics: dict  # of `evaluate` and, under "related", of `related_metrics`; JSON-ready
     remembers: bool  # answers depend on earlier frames
     p_HF: np.ndarray  # (T, F, 3) m, the scored frames
-    p_BF: np.ndarray  # (T, F, 3) m, the answers
-    gains: np.ndarray  # (F, N) of `flatness_and_gain`
+    distributions: Distributions
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,8 @@ class Comparison:
         }
 
     def _pooled(self, parts: Sequence[Judged]) -> dict:
-        frames, p_BF = (np.concatenate([getattr(part, name) for part in parts]) for name in ("p_HF", "p_BF"))
+        frames = np.concatenate([part.p_HF for part in parts])
+        p_BF = np.concatenate([part.distributions.p_BF for part in parts])
         pinches = pinch(frames, p_BF, self.hand.finger_names, self.hand.tip_radius)
         return {**mean([part.metrics for part in parts]), "pinch": pinches}
 
@@ -172,7 +173,7 @@ class Comparison:
             settled = retarget.settled_map(frames)
             retarget.reset()
         space = self.space(seed)
-        metrics, p_BF, gains = evaluate_frames(
+        metrics, distributions = evaluate_frames(
             retarget,
             self.hand,
             frames,
@@ -181,6 +182,7 @@ class Comparison:
             space if protocol.with_coverage else None,
             settled,
         )
+        p_BF = distributions.p_BF
         bases = [_base_keypoint(keypoint) for keypoint in self._keypoints]
         p_HL = np.concatenate([source.fingertips(bases)[: self.frame_limit], frames], axis=1)
         p_BJ = np.stack([finger.X_PJ[0][:3, 3] for finger in self._kinematics.fingers])
@@ -189,7 +191,7 @@ class Comparison:
             "motion_preservation": aligned_motion_preservation(p_HL, p_BL),
             "workspace": workspace(space.p_BF, p_BF) if protocol.with_coverage else None,
         }
-        return Judged(_finite(metrics), settled is not None, frames, p_BF, gains)
+        return Judged(_finite(metrics), settled is not None, frames, distributions)
 
     def _retargeter(self, name: str, protocol: Protocol, case: Case, seed: int) -> Callable:
         if name in BASELINES:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from geort_drake.evaluation.grasp_statistics import Record, completed_share
-from geort_drake.evaluation.plots import COLOURS, MARKERS, STYLE, WIDTH
+from geort_drake.evaluation.plot_style import COLOURS, MARKERS, STYLE, WIDTH
 from geort_drake.systems.grasp_monitor import GraspPhase
 
 

@@ -49,6 +49,23 @@ class RobotSpace:
     collision_free: list[np.ndarray]
 
 
+@dataclass(frozen=True)
+class Distributions:
+    """What figures are means and percentiles of, for plots.
+
+    Attributes:
+        p_BF: (T, F, 3) where the robot's fingertips went, m, as in `RobotSpace`.
+        cosines: (F, N) of `motion_cosines`.
+        gains: (F, N) of `flatness_and_gain`.
+        call_times: (N,) of `call_times`, s.
+    """
+
+    p_BF: np.ndarray
+    cosines: np.ndarray
+    gains: np.ndarray
+    call_times: np.ndarray
+
+
 def robot_space(hand: HandModel, seed: int = 0) -> RobotSpace:
     """Samples the C-space of a hand; it is the same for all methods, so it is worth keeping."""
     rng = np.random.default_rng(seed)
@@ -91,7 +108,7 @@ def evaluate_frames(
     seed: int = 0,
     space: RobotSpace | None = None,
     settled: Callable | None = None,
-) -> tuple[dict, np.ndarray, np.ndarray]:
+) -> tuple[dict, Distributions]:
     """`evaluate` for human fingertips (T, F, 3) of successive frames at `rate_hz`.
 
     A retargeter whose answers depend on the past answers `frames` in their order, as a batch. Where
@@ -100,8 +117,7 @@ def evaluate_frames(
     coverages are None.
 
     Returns:
-        The metrics; where the robot's fingertips went, p_BF (T, F, 3) in m, as in `RobotSpace`; and the
-        gains of `flatness_and_gain`.
+        The metrics, and what they were made of.
     """
     check_frames(frames)
     rng = np.random.default_rng([seed, 1])  # not the numbers that robot_space drew
@@ -115,8 +131,9 @@ def evaluate_frames(
     p_BF = fingertips(q)
     flat, gains = flatness_and_gain(g, frames, rng)
     collided = self_collision(hand, q)
+    cosines = motion_cosines(g, frames, rng)
     figures = {
-        "motion_preservation": motion_preservation(g, frames, rng),
+        "motion_preservation": float(cosines.mean()),
         "motion_preservation_track": motion_preservation_track(frames, p_BF),
         **_coverages(g, frames, p_BF, space),
         "cross_talk": cross_talk(g, frames, rng),
@@ -126,9 +143,11 @@ def evaluate_frames(
         "self_collision": collided["deep"],
         "self_collision_raw": collided["any"],
         "smoothness": smoothness(q, rate_hz),
-        "latency_us": latency(retarget, frames),
     }
-    return figures, p_BF, gains
+    times = call_times(retarget, frames)
+    median, p99 = np.percentile(times, (50, 99))
+    figures["latency_us"] = {"median": 1e6 * float(median), "p99": 1e6 * float(p99)}
+    return figures, Distributions(p_BF, cosines, gains, times)
 
 
 def _fingertips_of(hand: HandModel) -> Callable[[np.ndarray], np.ndarray]:
@@ -151,18 +170,25 @@ def _coverages(g: FingertipMap, frames: np.ndarray, p_BF: np.ndarray, space: Rob
 def motion_preservation(
     g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 4000
 ) -> float:
-    """Mean cosine between a random step of one human fingertip and the step of the robot's.
+    """Mean of `motion_cosines`."""
+    return float(motion_cosines(g, frames, rng, anchors).mean())
+
+
+def motion_cosines(
+    g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 4000
+) -> np.ndarray:
+    """Cosines (F, anchors) between a random step of one human fingertip and the step of the robot's.
 
     Anchors are whole recorded frames, uniform over the 1 mm voxels of the moved finger's cloud; steps
     are uniform in 1–11 mm, directions on the sphere. An unanswered step counts 0.
     """
-    means = []
+    cosines = []
     for finger in range(frames.shape[1]):
         x = frames[_anchor_rows(frames[:, finger], anchors, rng)]
         d = directions(anchors, rng) * rng.uniform(0.001, 0.011, (anchors, 1))
         answer = moved(g, x, finger, d)[:, finger] - g(x)[:, finger]
-        means.append(_cosines(d, answer).mean())
-    return float(np.mean(means))
+        cosines.append(_cosines(d, answer))
+    return np.stack(cosines)
 
 
 def motion_preservation_track(frames: np.ndarray, p_BF: np.ndarray) -> float | None:
@@ -232,8 +258,8 @@ def smoothness(q: np.ndarray, rate_hz: float) -> dict[str, float]:
     }
 
 
-def latency(retarget: Callable, frames: np.ndarray, calls: int = 2000) -> dict[str, float]:
-    """Wall time of one call with one frame in µs: median and 99th percentile after a warm-up."""
+def call_times(retarget: Callable, frames: np.ndarray, calls: int = 2000) -> np.ndarray:
+    """Wall time (calls,) of calls with one frame each, after a warm-up, s."""
     for frame in frames[:50]:
         retarget(frame)
     times = np.empty(calls)
@@ -242,7 +268,7 @@ def latency(retarget: Callable, frames: np.ndarray, calls: int = 2000) -> dict[s
         started = time.perf_counter()
         retarget(frame)
         times[k] = time.perf_counter() - started
-    return {"median": float(1e6 * np.median(times)), "p99": float(1e6 * np.percentile(times, 99))}
+    return times
 
 
 def _anchor_rows(tips: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
