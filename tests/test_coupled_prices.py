@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import nn
 
-from geort_drake.retargeting.coupled_prices import EVERY, FROM, RANGE, Prices
+from geort_drake.retargeting.coupled_prices import EVERY, FROM, LEAST, Prices
 
 
 class Map(nn.Module):
@@ -25,32 +25,34 @@ def follow(prices: Prices, measurements: int, network: nn.Module) -> None:
 @pytest.mark.parametrize("right", [0.9, 1.1])
 def test_a_figure_that_its_weight_can_move_becomes_what_is_wanted(right):
     """From above and from below."""
-    with Prices(
-        ["coverage"], lambda network: {"coverage": right / float(network.value.detach()) - 1}
-    ) as prices:
+
+    def errors(network):
+        return {"coverage": right / float(network.value.detach()) - 1}
+
+    with Prices({"coverage": 1.3}, errors) as prices:
         follow(prices, 60, Map())
     assert prices.factors == pytest.approx({"coverage": right}, rel=1e-3)
 
 
-def test_what_cannot_be_had_costs_no_more_than_the_range():
-    """Nor does what is better than wanted lose more of its weight."""
+def test_what_cannot_be_had_costs_no_more_than_is_allowed():
+    """Nor does what is better than wanted lose all of its weight."""
     errors = {"coverage": 0.5, "cross_talk": -0.5}
-    with Prices(errors, lambda network: errors) as prices:
+    with Prices({"coverage": 1.2, "cross_talk": 1.2}, lambda network: errors) as prices:
         follow(prices, 20, Map())
-    assert prices.factors == pytest.approx({"coverage": RANGE, "cross_talk": 1.0 / RANGE})
+    assert prices.factors == pytest.approx({"coverage": 1.2, "cross_talk": LEAST})
 
 
 def test_nothing_is_measured_before_the_map_has_a_shape():
     """The first figures are far from what any map has at the end."""
     asked = []
-    with Prices(["coverage"], asked.append) as prices:
+    with Prices({"coverage": 1.3}, asked.append) as prices:
         prices.follow(Map(), EVERY, 0.99 * FROM)
     assert not asked
 
 
 def test_a_figure_that_is_not_finite_changes_no_weight():
     """A map that moves no finger has no cross-talk to speak of."""
-    with Prices(["coverage"], lambda network: {"coverage": float("nan")}) as prices:
+    with Prices({"coverage": 1.3}, lambda network: {"coverage": float("nan")}) as prices:
         follow(prices, 3, Map())
     assert prices.factors == {"coverage": 1.0}
 
@@ -63,6 +65,6 @@ def test_a_measurement_is_of_the_map_as_it_was_when_it_began():
         seen.append(float(network.value.detach()))
         return {"coverage": 0.1}
 
-    with Prices(["coverage"], errors) as prices:
+    with Prices({"coverage": 1.3}, errors) as prices:
         follow(prices, 2, Map(value=3.0))
     assert seen == [3.0, 1.0]

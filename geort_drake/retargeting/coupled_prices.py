@@ -2,7 +2,7 @@
 
 import copy
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from torch import nn
@@ -10,7 +10,7 @@ from torch import nn
 FROM = 0.77  # of the descent; before, the learning rate keeps the map from what it will be
 EVERY = 80  # steps between measurements
 RATE = 0.7  # per measurement and relative error
-RANGE = 1.4  # times more or less, so that a figure that cannot be had costs the other ones little
+LEAST = 0.7  # of a factor
 
 
 class Prices:
@@ -27,10 +27,13 @@ class Prices:
         factors: name → factor.
     """
 
-    def __init__(self, names: Iterable[str], errors: Callable[[nn.Module], dict[str, float]]):
-        """`errors` gives by how much of it each figure is worse than wanted, negative where it is better."""
-        self.factors = dict.fromkeys(names, 1.0)
-        self._errors = errors
+    def __init__(self, most: Mapping[str, float], errors: Callable[[nn.Module], dict[str, float]]):
+        """Takes a name and the greatest factor of each loss.
+
+        `errors` gives by how much of it each figure is worse than wanted, negative where it is better.
+        """
+        self.factors = dict.fromkeys(most, 1.0)
+        self._most, self._errors = most, errors
         self._coming: Future | None = None
 
     def __enter__(self) -> "Prices":
@@ -48,5 +51,5 @@ class Prices:
             for name, error in self._coming.result().items():
                 if math.isfinite(error):
                     factor = self.factors[name] * math.exp(RATE * error)
-                    self.factors[name] = min(max(factor, 1.0 / RANGE), RANGE)
+                    self.factors[name] = min(max(factor, LEAST), self._most[name])
         self._coming = self._beside.submit(self._errors, copy.deepcopy(network))
