@@ -11,7 +11,13 @@ from geort_drake.retargeting import coupled_wanted
 from geort_drake.retargeting.coupled_network import CoupledNetwork
 from geort_drake.retargeting.coupled_training import CoupledConfig
 from geort_drake.retargeting.coupled_wanted import Shortfalls
-from geort_drake.retargeting.map_figures import coverage, cross_talk, robot_voxels
+from geort_drake.retargeting.map_figures import (
+    coverage,
+    cross_talk,
+    motion_preservation,
+    motion_preservation_track,
+    robot_voxels,
+)
 
 
 @pytest.fixture
@@ -47,7 +53,10 @@ def test_a_map_that_is_as_wanted_lacks_nothing(hand, network):
     frames = toy_human(hand)
     reached, talk = figures(hand, network, frames)
     config = CoupledConfig(
-        coverage_wanted=reached["10mm"], far_coverage_wanted=reached["15mm"], cross_talk_wanted=talk
+        motion_wanted=-9.0,
+        coverage_wanted=reached["10mm"],
+        far_coverage_wanted=reached["15mm"],
+        cross_talk_wanted=talk,
     )
     tensor = torch.tensor(frames, dtype=torch.float32)
     errors = Shortfalls(tensor, hand, config, seed=0)(network)
@@ -57,6 +66,21 @@ def test_a_map_that_is_as_wanted_lacks_nothing(hand, network):
     )
     errors = Shortfalls(tensor, hand, config, seed=0)(network)
     assert errors == pytest.approx({"coverage": 0.5, "cross_talk": -0.5}, abs=0.05)
+
+
+def test_motion_comes_before_coverage(hand, network):
+    """However little is covered, it is too much where motion preservation is too low, in either sense."""
+    frames = toy_human(hand)
+
+    def g(p_HF):
+        with torch.no_grad():
+            return hand.fingertips(network(torch.tensor(p_HF, dtype=torch.float32))).numpy()
+
+    motion = motion_preservation(g, frames, np.random.default_rng(0))
+    least = min(motion, motion_preservation_track(frames, g(frames)))
+    config = CoupledConfig(motion_wanted=1 - (1 - least) / 1.2, coverage_wanted=0.99)
+    tensor = torch.tensor(frames, dtype=torch.float32)
+    assert Shortfalls(tensor, hand, config, seed=0)(network)["coverage"] == pytest.approx(-0.2, abs=0.02)
 
 
 def test_a_map_is_asked_the_same_each_time(hand, network):

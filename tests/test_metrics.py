@@ -13,6 +13,7 @@ from geort_drake.errors import RecordingError
 from geort_drake.evaluation import metrics
 from geort_drake.evaluation.metric_table import METRICS, mean, worst
 from geort_drake.evaluation.related_metrics import aligned_motion_preservation, workspace
+from geort_drake.retargeting import map_figures
 from geort_drake.retargeting.clouds import voxel_thinned
 
 NAMES = ("thumb", "index", "middle")
@@ -50,16 +51,16 @@ def frames(rng):
 
 def test_motion_preservation_of_a_scaled_identity_is_one(frames, rng):
     """The gain plays no role; a constant map is worth nothing; a mirror image less than nothing."""
-    assert metrics.motion_preservation(lambda p: 3 * p + 0.1, frames, rng) == pytest.approx(1.0)
-    assert metrics.motion_preservation(np.zeros_like, frames, rng) == 0.0
-    assert metrics.motion_preservation(lambda p: -p, frames, rng) == pytest.approx(-1.0)
+    assert map_figures.motion_preservation(lambda p: 3 * p + 0.1, frames, rng) == pytest.approx(1.0)
+    assert map_figures.motion_preservation(np.zeros_like, frames, rng) == 0.0
+    assert map_figures.motion_preservation(lambda p: -p, frames, rng) == pytest.approx(-1.0)
 
 
 def test_motion_preservation_of_a_rotation_is_a_third_of_its_trace(frames, rng):
     """E⟨d, R d⟩ over the sphere is tr(R)/3 = (1 + 2 cos θ)/3."""
     R = Rotation.from_rotvec([0.3, -0.5, 0.4])
     expected = (1 + 2 * math.cos(R.magnitude())) / 3
-    value = metrics.motion_preservation(lambda p: p @ R.as_matrix().T, frames, rng, anchors=20_000)
+    value = map_figures.motion_preservation(lambda p: p @ R.as_matrix().T, frames, rng, anchors=20_000)
     assert value == pytest.approx(expected, abs=0.01)
 
 
@@ -71,7 +72,7 @@ def test_motion_preservation_moves_one_fingertip_of_a_whole_frame(frames, rng):
         seen.append(p.copy())
         return p + 5 * p.sum(axis=1, keepdims=True)
 
-    assert metrics.motion_preservation(g, frames, rng, anchors=50) == pytest.approx(1.0)
+    assert map_figures.motion_preservation(g, frames, rng, anchors=50) == pytest.approx(1.0)
     for moved, still in zip(seen[::2], seen[1::2], strict=True):
         changed = np.abs(moved - still).max(axis=2) > 0
         assert (changed.sum(axis=1) == 1).all()
@@ -85,7 +86,7 @@ def test_motion_preservation_moves_one_fingertip_of_a_whole_frame(frames, rng):
 def test_anchors_are_uniform_over_places_not_over_time(rng):
     """A place that was visited a thousand times is drawn as often as one that was visited once."""
     tips = np.repeat(np.array([[0.0, 0, 0], [0.01, 0, 0]]) + 0.0005, [1000, 1], axis=0)
-    rows = metrics._anchor_rows(tips, 4000, rng)
+    rows = map_figures.anchor_rows(tips, 4000, rng)
     assert (rows == 1000).mean() == pytest.approx(0.5, abs=0.04)
 
 

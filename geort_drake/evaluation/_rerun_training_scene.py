@@ -23,6 +23,7 @@ from geort_drake.gloves.recording import Recording
 from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.clouds import voxel_centres, voxel_thinned
+from geort_drake.retargeting.map_figures import motion_preservation
 from geort_drake.systems._rerun_hand import HandTrack
 from geort_drake.systems._rerun_scene import WORLD, entity_path
 from geort_drake.systems._rerun_tracks import Color, scalars
@@ -87,7 +88,7 @@ class TrainingScene:
         self._posed.write(writer, np.concatenate([answer(instant) for answer in maps]))
         self._write_lattices(writer, maps)
         curves = {
-            "motion": [self._measure(metrics.motion_preservation, answer) for answer in maps],
+            "motion": [self._measure(motion_preservation, answer) for answer in maps],
             "coverage": self._write_reach(writer, maps),
             "flatness": [self._measure(metrics.flatness_and_gain, answer)[0] for answer in maps],
             "pinch": self._write_pinches(writer, maps),

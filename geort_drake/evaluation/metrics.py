@@ -18,19 +18,22 @@ from geort_drake.evaluation.contact_metrics import pinch, self_collision
 from geort_drake.gloves.recording import Recording
 from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.clouds import voxel_index, voxel_thinned
+from geort_drake.retargeting.clouds import voxel_thinned
 from geort_drake.retargeting.map_figures import (
+    HUMAN_VOXEL,
     ROBOT_SAMPLES,
     FingertipMap,
+    anchor_rows,
     coverage,
     cross_talk,
     directions,
+    motion_cosines,
+    motion_preservation_track,
     moved,
     robot_voxels,
 )
 
 MIN_FRAMES = 10
-HUMAN_VOXEL = 0.001  # m
 SMALL_STEP = 0.002  # m, at which flatness and gain are measured
 
 
@@ -167,42 +170,6 @@ def _coverages(g: FingertipMap, frames: np.ndarray, p_BF: np.ndarray, space: Rob
     }
 
 
-def motion_preservation(
-    g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 4000
-) -> float:
-    """Mean of `motion_cosines`."""
-    return float(motion_cosines(g, frames, rng, anchors).mean())
-
-
-def motion_cosines(
-    g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 4000
-) -> np.ndarray:
-    """Cosines (F, anchors) between a random step of one human fingertip and the step of the robot's.
-
-    Anchors are whole recorded frames, uniform over the 1 mm voxels of the moved finger's cloud; steps
-    are uniform in 1–11 mm, directions on the sphere. An unanswered step counts 0.
-    """
-    cosines = []
-    for finger in range(frames.shape[1]):
-        x = frames[_anchor_rows(frames[:, finger], anchors, rng)]
-        d = directions(anchors, rng) * rng.uniform(0.001, 0.011, (anchors, 1))
-        answer = moved(g, x, finger, d)[:, finger] - g(x)[:, finger]
-        cosines.append(_cosines(d, answer))
-    return np.stack(cosines)
-
-
-def motion_preservation_track(frames: np.ndarray, p_BF: np.ndarray) -> float | None:
-    """Mean cosine of real successive steps longer than 1 mm; None if there is none."""
-    d, answer = np.diff(frames, axis=0), np.diff(p_BF, axis=0)
-    long = np.linalg.norm(d, axis=-1) > 0.001
-    means = [
-        _cosines(d[long[:, i], i], answer[long[:, i], i]).mean()
-        for i in range(d.shape[1])
-        if long[:, i].any()
-    ]
-    return float(np.mean(means)) if means else None
-
-
 def context_averaged(g: FingertipMap, frames: np.ndarray, contexts: int = 12) -> list[np.ndarray]:
     """Per finger, where its tip goes, averaged over what the person's other fingers may be doing: (M, 3).
 
@@ -229,7 +196,7 @@ def flatness_and_gain(
     """
     flats, gains = [], []
     for finger in range(frames.shape[1]):
-        x = frames[_anchor_rows(frames[:, finger], anchors, rng)]
+        x = frames[anchor_rows(frames[:, finger], anchors, rng)]
         d = SMALL_STEP * directions(anchors, rng)
         here = g(x)[:, finger]
         ahead, behind = moved(g, x, finger, d)[:, finger], moved(g, x, finger, -d)[:, finger]
@@ -271,17 +238,6 @@ def call_times(retarget: Callable, frames: np.ndarray, calls: int = 2000) -> np.
     return times
 
 
-def _anchor_rows(tips: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Rows of tips (T, 3) such that every 1 mm voxel that was visited is equally likely."""
-    _, first = np.unique(voxel_index(tips, HUMAN_VOXEL), axis=0, return_index=True)
-    return rng.choice(first, size=count)
-
-
 def _in_chunks(retarget: Callable, p_HF: np.ndarray, rows: int = 4096) -> np.ndarray:
     """retarget(p_HF) in pieces, because hidden layers of a long recording would fill the memory."""
     return np.concatenate([retarget(p_HF[i : i + rows]) for i in range(0, len(p_HF), rows)])
-
-
-def _cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    norms = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
-    return np.where(norms > 0, (a * b).sum(-1) / np.where(norms > 0, norms, 1.0), 0.0)

@@ -7,7 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 from torch import nn
 
-FROM = 0.77  # of the descent; before, the learning rate keeps the map from what it will be
+FROM = 0.8  # of the descent; before, the learning rate keeps the map from what it will be
 EVERY = 80  # steps between measurements
 RATE = 0.7  # per measurement and relative error
 LEAST = 0.7  # of a factor

@@ -1,4 +1,4 @@
-"""Coverage and cross-talk of a map, which a training steers by and an evaluation reports.
+"""Motion preservation, coverage and cross-talk: what a training steers by and an evaluation reports.
 
 Functions take g = FK∘f, "where do the robot's fingertips (N, F, 3) go for human fingertips (N, F, 3)",
 in metres; randomness enters as a NumPy Generator.
@@ -9,13 +9,50 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from geort_drake.retargeting.clouds import voxel_centres
+from geort_drake.retargeting.clouds import voxel_centres, voxel_index
 
 FingertipMap = Callable[[np.ndarray], np.ndarray]
 
 COVERAGE_RADII_MM = (5, 10, 15)
 ROBOT_SAMPLES = 200_000  # uniform in the joint angles, from which a C-space is made
 ROBOT_VOXEL = 0.003  # m
+HUMAN_VOXEL = 0.001  # m
+
+
+def motion_preservation(
+    g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 4000
+) -> float:
+    """Mean of `motion_cosines`."""
+    return float(motion_cosines(g, frames, rng, anchors).mean())
+
+
+def motion_cosines(
+    g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 4000
+) -> np.ndarray:
+    """Cosines (F, anchors) between a random step of one human fingertip and the step of the robot's.
+
+    Anchors are whole recorded frames, uniform over the 1 mm voxels of the moved finger's cloud; steps
+    are uniform in 1–11 mm, directions on the sphere. An unanswered step counts 0.
+    """
+    cosines = []
+    for finger in range(frames.shape[1]):
+        x = frames[anchor_rows(frames[:, finger], anchors, rng)]
+        d = directions(anchors, rng) * rng.uniform(0.001, 0.011, (anchors, 1))
+        answer = moved(g, x, finger, d)[:, finger] - g(x)[:, finger]
+        cosines.append(_cosines(d, answer))
+    return np.stack(cosines)
+
+
+def motion_preservation_track(frames: np.ndarray, p_BF: np.ndarray) -> float | None:
+    """Mean cosine of real successive steps longer than 1 mm; None if there is none."""
+    d, answer = np.diff(frames, axis=0), np.diff(p_BF, axis=0)
+    long = np.linalg.norm(d, axis=-1) > 0.001
+    means = [
+        _cosines(d[long[:, i], i], answer[long[:, i], i]).mean()
+        for i in range(d.shape[1])
+        if long[:, i].any()
+    ]
+    return float(np.mean(means)) if means else None
 
 
 def robot_voxels(p_BF: np.ndarray) -> list[np.ndarray]:
@@ -59,3 +96,14 @@ def directions(count: int, rng: np.random.Generator) -> np.ndarray:
     """(count, 3) unit vectors, uniform on the sphere."""
     d = rng.normal(size=(count, 3))
     return d / np.linalg.norm(d, axis=1, keepdims=True)
+
+
+def anchor_rows(tips: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Rows of tips (T, 3) such that every 1 mm voxel that was visited is equally likely."""
+    _, first = np.unique(voxel_index(tips, HUMAN_VOXEL), axis=0, return_index=True)
+    return rng.choice(first, size=count)
+
+
+def _cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    norms = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
+    return np.where(norms > 0, (a * b).sum(-1) / np.where(norms > 0, norms, 1.0), 0.0)
