@@ -18,7 +18,7 @@ from geort_drake.retargeting.map_figures import (
 
 FRAMES = 10_000  # a longer recording is thinned
 ANCHORS = 2000  # hands per finger at which motion preservation is measured
-TALKING = 500  # the same for cross-talk
+TALKING = 1000  # the same for cross-talk
 
 
 class Shortfalls:
