@@ -134,16 +134,18 @@ def test_the_gain_is_marked_at_its_percentiles(rng):
 
 
 def test_motion_is_shown_as_an_angle():
-    """Unanswered steps, of cosine 0, are at 90°; a perfect method has everything at 0."""
+    """Unanswered steps, of cosine 0, are at 90°; a perfect method is at 0, and one the wrong way at 180."""
     figure = distribution_plots.motion(
-        {"half": np.tile([np.cos(0.5), 0.0], (2, 50)), "best": np.ones((2, 9))}
+        {"half": np.tile([np.cos(0.5), 0.0], (2, 50)), "best": np.ones((2, 9)), "wrong": -np.ones((2, 9))}
     )
     drawn(figure)
-    half, best = figure.axes
+    half, best, wrong = figure.axes
     assert half.texts[0].get_text() == "median: 59°\n95 %: 90°"
     assert best.texts[0].get_text() == "median: 0°\n95 %: 0°"
     heights = [patch.get_height() for patch in half.patches]
-    assert heights[28] == heights[89] == 100.0 and sum(heights) == 200.0  # 0.5 rad is 28.6°
+    assert heights[28] == heights[90] == 100.0 and sum(heights) == 200.0  # 0.5 rad is 28.6°
+    assert wrong.texts[0].get_text() == "median: 180°\n95 %: 180°"
+    assert sum(patch.get_height() for patch in wrong.patches) == 18.0
 
 
 def test_call_times_are_in_microseconds(rng):

@@ -15,13 +15,13 @@ def motion(cosines: Mapping[str, np.ndarray]) -> Figure:
     """How far the robot fingertip's direction is from the human one's; median and 95th percentile are marked.
 
     Args:
-        cosines: name of a method → (F, N) of `metrics.motion_cosines`; a step without an answer is at 90°.
+        cosines: name of a method → (F, N) of `map_figures.motion_cosines`; unanswered steps are at 90°.
     """
     angles = {name: np.degrees(np.arccos(np.clip(values, -1, 1))) for name, values in cosines.items()}
     return _rows(
         angles,
-        np.linspace(0, 90, 91),
-        lambda values: np.percentile(values, (50, 95)),
+        np.linspace(0, 180, 181),
+        (50, 95),
         lambda marks, _: f"median: {marks[0]:.0f}°\n95 %: {marks[1]:.0f}°",
         "angle between the fingertips' motions / °, steps of 1 to 11 mm",
         "linear",
@@ -40,7 +40,7 @@ def gain(gains: Mapping[str, np.ndarray]) -> Figure:
     figure = _rows(
         gains,
         np.geomspace(0.02, 50, 120),
-        lambda values: np.percentile(values, (5, 95)),
+        (5, 95),
         lambda marks, values: (
             f"5 %: {marks[0]:.2g}\n95 %: {marks[1]:.2g}\nunanswered: {(values == 0).mean():.0%}"
         ),
@@ -61,7 +61,7 @@ def call_times(times: Mapping[str, np.ndarray]) -> Figure:
     return _rows(
         {name: 1e6 * values for name, values in times.items()},
         np.geomspace(5, 1e5, 150),
-        lambda values: np.percentile(values, (50, 99)),
+        (50, 99),
         lambda marks, _: f"median: {marks[0]:,.0f} µs\n99 %: {marks[1]:,.0f} µs",
         "time of a call / µs",
         "log",
@@ -93,16 +93,16 @@ def coverage(voxels: Sequence[np.ndarray], clouds: Mapping[str, np.ndarray]) -> 
 def _rows(
     distributions: Mapping[str, np.ndarray],
     bins: np.ndarray,
-    marks_of: Callable[[np.ndarray], np.ndarray],
+    percentiles: tuple[float, float],
     note_of: Callable[[np.ndarray, np.ndarray], str],
     label: str,
     scale: str,
 ) -> Figure:
-    """A histogram per method, one below the other, with marks and what they are."""
+    """A histogram per method, one below the other, with two percentiles marked and what they are."""
     figure = Figure(figsize=(WIDTH, 0.8 + 0.75 * len(distributions)), layout="constrained")
     axes = figure.subplots(len(distributions), 1, sharex=True, squeeze=False)[:, 0]
     for number, (ax, (name, values)) in enumerate(zip(axes, distributions.items(), strict=True)):
-        marks = marks_of(values)
+        marks = np.percentile(values, percentiles)
         ax.hist(np.ravel(values), bins, color=f"C{number}", alpha=0.6)
         for mark in marks:
             ax.axvline(mark, color=f"C{number}", lw=1.5)

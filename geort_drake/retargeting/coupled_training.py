@@ -146,6 +146,7 @@ class CoupledTraining:
             self.gaps.keep_pairs_that_meet(q[:4000], config.collision_margin)
         self.batches = Batches(self.hands, space, self.gaps, config)
         shortfalls = Shortfalls(self.hands.frames, kinematics, config, seed)
+        # Hardly more of coverage: a part of a recording has less to cover with, and would pay in motion.
         self.prices = Prices({"coverage": 1.1, "cross_talk": 1.4}, shortfalls)
         mean, scale = self.hands.mean, self.hands.scale
         self.network = CoupledNetwork(
