@@ -1,22 +1,29 @@
 """Tries the simulated person out on known affine maps, which are no method under test.
 
 The person's parameters are chosen by looking at this table alone: maps of known gain, rotation and
-offset, a few objects, a few seeds. Trials run in parallel processes.
+offset, objects of each grip, a few seeds. Trials run in parallel processes.
+
+python benchmarks/calibrate_operator.py --json calibration.json
 """
 
-import argparse
 import copy
+import datetime
 import itertools
-import json
 import statistics
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+from geort_drake.command_line import add_json_option, make_parser, write_json
 from geort_drake.console import console, progress_bar, run_main
+
+# The maps are shared with the tests.
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 # Name → gain, rotation vector (degrees, in B), offset of all fingertips (m, in B).
 MAPS = {
@@ -28,15 +35,18 @@ MAPS = {
     "gain 1.5, 20° about z": (1.5, (0, 0, 20), (0, 0, 0)),
     "gain 1.5, 15 mm off": (1.5, (0, 0, 0), (0.010, 0.005, -0.010)),
 }
+# Three for a tripod, two for a pinch, one for the whole hand.
+OBJECTS = ("cylinder", "cube", "sphere", "block_tiny", "rod", "bottle")
 
 
 def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None) -> dict:
     """One grasp through one map."""
+    from affine_map import AffineMap
+
     from geort_drake.gloves.human_hand import HumanHand
     from geort_drake.gloves.play import synthesize_play
     from geort_drake.hands.description import load_hand
     from geort_drake.hands.model import HandModel
-    from geort_drake.operators.affine_map import AffineMap
     from geort_drake.simulation.grasp_planner import GraspPlanner
     from geort_drake.simulation.scenario import load_scenario
     from geort_drake.simulation.trial import run_trial
@@ -59,13 +69,13 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--objects", nargs="+", default=["cylinder", "sphere", "cube"])
+    parser = make_parser(__doc__)
+    parser.add_argument("--objects", nargs="+", default=list(OBJECTS), metavar="OBJECT")
     parser.add_argument("--maps", nargs="+", default=list(MAPS), choices=list(MAPS), metavar="MAP")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--scenario_text", help="YAML merged into the scenario, such as an operator's field")
-    parser.add_argument("--json", action="store_true", help="print every trial as JSON")
+    add_json_option(parser, "date, table and every trial")
     arguments = parser.parse_args(argv)
     cases = list(itertools.product(arguments.maps, arguments.objects, range(arguments.seeds)))
     results = []
@@ -76,20 +86,25 @@ def main(argv: Sequence[str] | None = None) -> int:
         ):
             results.append(result)
             progress.update(task, advance=1)
-    table = Table("map", *arguments.objects, "median time")
-    for name in arguments.maps:
-        row = [name]
-        for thing in arguments.objects:
-            mine = [r for r in results if r["map"] == name and r["object"] == thing]
-            row.append(f"{sum(r['success'] for r in mine)}/{len(mine)}")
+    date = datetime.date.today().isoformat()
+    counts = {
+        name: {thing: _success(results, name, thing) for thing in arguments.objects}
+        for name in arguments.maps
+    }
+    table = Table("map", *arguments.objects, "median time", title=f"grasps that succeeded, {date}")
+    for name, row in counts.items():
         times = [r["completion_time"] for r in results if r["map"] == name and r["success"]]
-        row.append(f"{statistics.median(times):.1f} s" if times else "–")
-        table.add_row(*row)
+        shares = [f"{count['successes']}/{count['trials']}" for count in row.values()]
+        table.add_row(name, *shares, f"{statistics.median(times):.1f} s" if times else "–")
     console.print(table)
     console.print(f"{sum(r['success'] for r in results)} of {len(results)} grasps succeeded")
-    if arguments.json:
-        print(json.dumps(results, indent=1))
+    write_json(arguments.json, {"date": date, "successes": counts, "trials": results})
     return 0
+
+
+def _success(results: Sequence[dict], map_name: str, object_name: str) -> dict[str, int]:
+    mine = [r["success"] for r in results if r["map"] == map_name and r["object"] == object_name]
+    return {"successes": sum(mine), "trials": len(mine)}
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ The hand base stands where the goal puts it, on a lift, and the fingertips are l
 import dataclasses as dc
 
 import numpy as np
+from affine_map import AffineMap
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlant
@@ -14,7 +15,6 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.model import HandModel
-from geort_drake.operators.affine_map import AffineMap
 from geort_drake.operators.grasp_goal import GraspGoal
 from geort_drake.resources import models_dir, resolve_uri
 from geort_drake.simulation.object_shape import object_shape

@@ -7,17 +7,20 @@ from collections import deque
 
 import numpy as np
 import pytest
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from scipy.spatial.transform import Rotation
 
 from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.operators import behavior
+from geort_drake.operators import behavior, perception
 from geort_drake.operators.behavior import GraspingPerson
 from geort_drake.operators.config import OperatorConfig
 from geort_drake.operators.finger_motion import FingerMotion
 from geort_drake.operators.grasp_goal import GraspGoal
+from geort_drake.operators.perception import judged, perceive
 from geort_drake.operators.sensed_gain import SensedGain
 from geort_drake.operators.state import Phase, Seen
 
+QUIET = dict.fromkeys(("visual_noise", "visual_turn_noise", "contact_noise", "motor_noise"), 0.0)
 ROBOT_FINGERS = ("thumb", "index", "middle", "ring")
 
 
@@ -47,7 +50,7 @@ class StandInWorld:
             touches=touches,
             X_OB=X_BO.inverse(),
             X_OB_before=X_BO.inverse() @ RigidTransform([-0.08, 0, 0]),
-            p_BF_open=rest.copy(),
+            p_BF_open=rest - 0.02 * np.where(touches[:, None], inwards, 0.0),
             p_OF_touch=rest + 0.02 * inwards - centre,
             n_OF=np.where(touches[:, None], inwards, 0.0),
             yaw_symmetry=0.0,
@@ -138,8 +141,8 @@ def test_the_person_grasps_through_maps_of_different_gain(gain):
     assert session.attempts == 1
     assert session.raised == pytest.approx(OperatorConfig().lift_height, abs=0.03)
     # The squeeze asks the robot's fingertips for what the configuration says, by the gain that was sensed:
-    # within a half, as part of every motion is still under way when it is looked at.
-    assert session.squeeze * gain == pytest.approx(OperatorConfig().squeeze, rel=0.5)
+    # within 0.4 of it, as part of every motion is still under way when it is looked at.
+    assert session.squeeze * gain == pytest.approx(OperatorConfig().squeeze, rel=0.4)
 
 
 def test_the_sensed_gain_is_the_ratio_of_the_motions():
@@ -167,18 +170,81 @@ def test_the_person_tries_again_when_the_object_stays_behind():
     assert session.raised > 0.1
 
 
-def test_the_person_sees_tips_and_object_with_noise():
-    """Every seen coordinate of fingertips and object scatters by `visual_noise`, by its own draw."""
-    config = OperatorConfig(visual_noise=0.002)
+def looks(config: OperatorConfig, count: int = 2000) -> tuple[Seen, list[Seen]]:
+    """A scene in which two fingers touch, and what a person sees of it in so many looks."""
     world = StandInWorld(1.0, config)
-    person = GraspingPerson(world.hand, world.goal, config, np.random.default_rng(0))
-    scene = world.advance(FingerMotion(world.hand).rest, RigidTransform(), lifting=False)
-    seen = [person._perceive(scene) for _ in range(2000)]
-    points = np.array([[*one.p_WF, one.X_WO.translation()] for one in seen])
+    turned = RotationMatrix(RollPitchYaw(0.4, -1.0, 2.0))
+    scene = dc.replace(
+        world.advance(FingerMotion(world.hand).rest, RigidTransform(), lifting=False),
+        X_WB=RigidTransform(turned, [0.3, 0.1, 0.2]),
+        X_WO=RigidTransform(turned.inverse(), [0.5, 0.0, 0.1]),
+        contact=np.array([2.0, 0.5, 0.0, 0.0]),
+    )
+    rng = np.random.default_rng(0)
+    return scene, [perceive(scene, config, rng) for _ in range(count)]
+
+
+def test_the_person_sees_tips_hand_and_object_with_noise():
+    """Every seen coordinate scatters by `visual_noise`, by its own draw."""
+    scene, seen = looks(OperatorConfig(visual_noise=0.002))
+    points = np.array([[*one.p_WF, one.X_WB.translation(), one.X_WO.translation()] for one in seen])
     np.testing.assert_allclose(points.std(axis=0), 0.002, rtol=0.1)
-    np.testing.assert_allclose(points.mean(axis=0), [*scene.p_WF, scene.X_WO.translation()], atol=2e-4)
+    expected = [*scene.p_WF, scene.X_WB.translation(), scene.X_WO.translation()]
+    np.testing.assert_allclose(points.mean(axis=0), expected, atol=2e-4)
     correlation = np.corrcoef(points.reshape(len(seen), -1).T)
     assert np.abs(correlation - np.eye(len(correlation))).max() < 0.12
+
+
+def test_the_person_sees_hand_and_object_turned_by_noise():
+    """Both rotations scatter about every axis by `visual_turn_noise`, by draws of their own."""
+    scene, seen = looks(OperatorConfig(visual_turn_noise=0.03))
+    turns = np.array(
+        [
+            [
+                Rotation.from_matrix((of(one) @ of(scene).inverse()).matrix()).as_rotvec()
+                for of in (lambda x: x.X_WB.rotation(), lambda x: x.X_WO.rotation())
+            ]
+            for one in seen
+        ]
+    )
+    np.testing.assert_allclose(turns.std(axis=0), 0.03, rtol=0.1)
+    np.testing.assert_allclose(turns.mean(axis=0), 0.0, atol=0.003)
+    correlation = np.corrcoef(turns.reshape(len(seen), -1).T)
+    assert np.abs(correlation - np.eye(6)).max() < 0.12
+
+
+def test_the_person_feels_forces_by_a_share():
+    """Weber's law: felt forces scatter by `contact_noise` of the force; where none is, none is felt."""
+    scene, seen = looks(OperatorConfig(contact_noise=0.2))
+    felt = np.array([one.contact for one in seen])
+    np.testing.assert_allclose(felt.std(axis=0), 0.2 * scene.contact, rtol=0.1)
+    np.testing.assert_allclose(felt.mean(axis=0), scene.contact, rtol=0.02)
+    assert abs(np.corrcoef(felt[:, :2].T)[0, 1]) < 0.12
+    _, wild = looks(OperatorConfig(contact_noise=2.0), 100)
+    assert min(one.contact.min() for one in wild) == 0.0
+
+
+def test_a_noisier_scene_makes_the_person_slower_but_lose_nothing():
+    """With four times the noise single looks are off by more than the tolerances; the grasp still holds."""
+    noisy = {name: 4 * getattr(OperatorConfig(), name) for name in QUIET}
+    session = act(1.5, until=30.0, **noisy)
+    assert session.phases == STRAIGHT and session.attempts == 1
+    assert session.squeeze * 1.5 == pytest.approx(OperatorConfig().squeeze, rel=0.4)
+
+
+def test_what_is_judged_scatters_less_than_a_look_and_follows_a_change():
+    """An average over `judging_time`: a fourth of the noise, and no bias once that time has passed."""
+    config, rng = OperatorConfig(), np.random.default_rng(0)
+    value, values = None, []
+    for _ in range(3000):
+        value = judged(value, rng.normal(1.0, 1.0, 3), config)
+        values.append(value)
+    assert np.std(values[100:]) == pytest.approx(0.23, rel=0.1)
+    value = judged(None, np.zeros(3), config)
+    np.testing.assert_array_equal(value, 0)
+    for _ in range(round(5 * config.judging_time / config.period)):
+        value = judged(value, np.ones(3), config)
+    np.testing.assert_allclose(value, 1.0, atol=0.01)
 
 
 def test_a_wrist_movement_misses_by_a_share_of_its_length():
@@ -216,19 +282,20 @@ def test_a_closing_finger_stops_at_the_object_and_does_not_run_ahead():
 
 def test_the_hand_shifts_to_the_middle_of_what_the_fingers_lack():
     """Halfway between the extremes of the errors to the surface; a finger that touches lacks nothing."""
-    config = OperatorConfig(visual_noise=0.0)
+    config = OperatorConfig()
     world = StandInWorld(1.0, config)
     person = GraspingPerson(world.hand, world.goal, config, np.random.default_rng(0))
     scene = world.advance(FingerMotion(world.hand).rest, RigidTransform(), lifting=False)
     X_WB = RigidTransform(world.X_WO @ world.goal.X_OB)
     rest = (world.X_WO @ world.goal.X_OB).multiply(world.goal.p_BF_open.T).T
     state = dc.replace(person.start(RigidTransform()), phase=Phase.CLOSE)
-    # At the goal's hand pose every fingertip is 20 mm off the surface along its own way inwards.
-    lacking = 0.02 * world.goal.n_OF[:3]
+    # At the goal's hand pose every fingertip is 40 mm off the surface along its own way inwards.
+    lacking = 0.04 * world.goal.n_OF[:3]
     for contact in ([0.0, 0, 0, 0], [1.0, 0, 0, 0]):
         seen = dc.replace(scene, p_WF=rest, X_WB=X_WB, contact=np.array(contact))
         left = np.where(np.array(contact)[:3, None] > 0, 0.0, lacking)
         wanted = 0.5 * (left.min(axis=0) + left.max(axis=0))
+        state.shape_error = person._fingertip_errors(state, seen)
         shift = person._hand_shift(state, seen)
         assert shift is not None
         np.testing.assert_allclose(shift, wanted, atol=1e-9)
@@ -236,7 +303,7 @@ def test_the_hand_shifts_to_the_middle_of_what_the_fingers_lack():
 
 def test_the_person_does_not_repeat_what_is_done_but_not_yet_seen():
     """Own motion of the last delay counts as done: an error that it will mend moves no finger further."""
-    config = OperatorConfig(visual_noise=0.0, motor_noise=0.0)
+    config = OperatorConfig(**QUIET)
     world = StandInWorld(1.0, config)
     motion = FingerMotion(world.hand)
     rest = world.hand.fingertips(motion.rest)
@@ -300,16 +367,15 @@ def test_a_decision_leaves_the_earlier_state_alone():
 
 def test_the_person_without_noise_draws_nothing_from_chance():
     """With all noise off, two seeds give the same session: there is no other use of chance."""
-    quiet = {"visual_noise": 0.0, "motor_noise": 0.0}
-    np.testing.assert_array_equal(act(1.2, seed=1, **quiet).theta, act(1.2, seed=2, **quiet).theta)
+    np.testing.assert_array_equal(act(1.2, seed=1, **QUIET).theta, act(1.2, seed=2, **QUIET).theta)
 
 
 def test_the_person_cannot_know_the_map():
     """The person's module imports nothing that maps hands, and is given only what can be seen."""
-    tree = ast.parse(inspect.getsource(behavior))
-    imported = {
-        node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module
-    } | {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    trees = [ast.walk(ast.parse(inspect.getsource(module))) for module in (behavior, perception)]
+    nodes = [node for tree in trees for node in tree]
+    imported = {node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module}
+    imported |= {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
     forbidden = ("retargeting", "affine_map", "geort_drake.hands", "geort_drake.evaluation")
     assert not [name for name in imported for part in forbidden if part in name]
     assert list(inspect.signature(GraspingPerson).parameters) == ["hand", "goal", "config", "rng"]

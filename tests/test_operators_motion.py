@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from affine_map import AffineMap
 from grasp_setup import allegro, centred_map, person_and_rest, workspace_centre
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from scipy.spatial.transform import Rotation
 
 from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.operators.affine_map import AffineMap
 from geort_drake.operators.finger_motion import FingerMotion
 from geort_drake.operators.grasp_goal import GraspGoal
 from geort_drake.operators.wrist_motion import WristMovement, minimum_jerk

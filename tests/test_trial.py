@@ -13,6 +13,7 @@ import pytest
 from grasp_setup import allegro, centred_map, person_and_rest, planned_goal, scenario_with
 
 from geort_drake.gloves.recording import Recording
+from geort_drake.operators.state import Phase
 from geort_drake.simulation.diagram import make_grasp_diagram
 from geort_drake.simulation.trial import TrialResult, _result, run_trial
 from geort_drake.systems.grasp_monitor import GraspOutcome, GraspPhase
@@ -91,6 +92,7 @@ def test_the_cylinder_is_lifted_through_a_known_map():
     assert sum(result.phase_durations.values()) == pytest.approx(result.simulated_time, abs=0.011)
     assert result.phase_durations["HOLD"] == pytest.approx(0.5, abs=0.011)
     assert 0 < result.slip < 0.05
+    assert result.operator_phase in ("lift", "hold") and 0 <= result.self_contact <= 1
     # At least the weight of 0.1 kg held by friction of two sides, at most what the motors can do.
     assert 0.3 < result.peak_force < 20.0
     assert result.wall_time > 0
@@ -128,7 +130,7 @@ def test_the_gloves_recording_played_again_grasps_again(tmp_path):
     again, glove_again = run_trial(scenario, centred_map(), Recording.load(tmp_path / "session.npz"))
     assert again.success
     assert again.completion_time == pytest.approx(result.completion_time, abs=0.1)
-    assert again.attempts is None and again.first_attempt is None
+    assert again.attempts is None and again.first_attempt is None and again.operator_phase is None
     count = min(len(glove.t), len(glove_again.t))
     np.testing.assert_allclose(glove_again.p_HK[:count], glove.p_HK[:count], atol=1e-6)
 
@@ -147,7 +149,7 @@ def test_a_map_with_a_memory_begins_each_trial_afresh():
 # -- failures
 
 
-def test_a_map_that_does_nothing_times_out_in_a_named_phase(tmp_path):
+def test_a_map_that_does_nothing_times_out_in_a_named_phase():
     """Without finger motion nothing is lifted; the failure has the phase it ended in."""
     scenario = scenario_with("cylinder", "{timeout: 5.0}")
     human = (person_and_rest()[0], planned_goal("cylinder"))
@@ -169,6 +171,42 @@ def test_an_object_that_falls_off_its_support_ends_the_trial():
     assert result.outcome == "thrown: reach" and not result.success
     assert result.simulated_time < 1.0
     assert result.phase_times["THROWN"] == pytest.approx(result.simulated_time, abs=0.011)
+
+
+class Fist(HoldPose):
+    """A retargeter that presses the middle finger's side into the index's."""
+
+    def __init__(self):
+        super().__init__()
+        # The two fingers' joints that swing them sideways, towards each other.
+        for name, angle in (("joint_0", -0.45), ("joint_4", 0.45)):
+            self._q[self.joint_names.index(name)] = angle
+
+
+def test_the_time_in_self_contact_is_the_trials():
+    """A hand that crosses two fingers touches itself almost all the time; one at rest never does."""
+    scenario = scenario_with("cylinder", "{timeout: 1.0}")
+    crossed, _ = run_trial(scenario, Fist(), still_hand())
+    assert 0.5 < crossed.self_contact < 1.0
+    rest, _ = run_trial(scenario, HoldPose(), still_hand())
+    assert rest.self_contact == 0.0
+
+
+@pytest.mark.parametrize(
+    ("last", "doing", "outcome"),
+    [(GraspPhase.TOUCH, Phase.APPROACH, "thrown: touch"), (GraspPhase.REACH, Phase.CLOSE, "thrown: reach")],
+)
+def test_a_throw_is_named_after_the_last_touch_and_beside_it_stands_what_the_person_did(last, doing, outcome):
+    """Whatever phases came before, and how far."""
+    scenario = scenario_with("cylinder", TEXT)
+    parts = make_grasp_diagram(scenario, centred_map(), (person_and_rest()[0], planned_goal("cylinder")))
+    root = parts.diagram.CreateDefaultContext()
+    state = parts.operator.GetMyMutableContextFromRoot(root).get_mutable_abstract_state(0)
+    memory = state.get_value()
+    state.set_value(dc.replace(memory, state=dc.replace(memory.state, phase=doing)))
+    thrown = GraspOutcome(phase=GraspPhase.THROWN, times={"LIFT": 1.0, "THROWN": 3.0}, last_touched=last)
+    result = _result(scenario, parts, thrown, root, wall_time=1.0)
+    assert (result.outcome, result.operator_phase) == (outcome, doing.name.lower())
 
 
 # -- what is written and reported
@@ -209,6 +247,49 @@ def test_the_recording_says_what_hand_and_arm_were_asked_for_and_did(tmp_path):
     for kind in KINDS:
         names = {name.rpartition(".")[2] for name in trial.signals if name.startswith(f"joints.{kind}.")}
         assert names == set(allegro().joint_names)
+
+
+def test_the_recording_shows_what_fingertips_are_asked_for_and_how_hard_joints_work(tmp_path):
+    """Commanded fingertips by exact kinematics, torques within limits, delays, and what was simulated."""
+    from rerun_world import entities, read
+
+    from geort_drake.export._rerun_trial import read_trial
+
+    path = tmp_path / "trial.rrd"
+    scenario = scenario_with("cylinder", "{timeout: 0.5, retargeting: {latency: 0.004}}")
+    human = (person_and_rest()[0], planned_goal("cylinder"))
+    run_trial(scenario, centred_map(), human, path, {"method": "affine"})
+    signals = read_trial(path).signals
+    hand, fingers = allegro(), allegro().finger_names
+    joints = [f"{finger.name}.{joint}" for finger in hand.description.fingers for joint in finger.joints]
+    q = {kind: np.stack([signals[f"joints.{kind}.{joint}"] for joint in joints], 1) for kind in KINDS}
+    apart = np.linalg.norm(hand.fingertips(q["command"]) - hand.fingertips(q["measured"]), axis=2)
+    distance = np.stack([signals[f"fingertips.distance.{finger}"] for finger in fingers], 1)
+    np.testing.assert_allclose(distance, 1e3 * apart, atol=0.01)
+    shares = {name: value for name, value in signals.items() if ".torque_share." in name}
+    assert len(shares) == len(hand.joint_names) + len(scenario.arm_posture)
+    assert max(np.abs(share).max() for share in shares.values()) <= 1 + 1e-9
+    for finger in fingers:
+        of_finger = [share for name, share in shares.items() if f".{finger}." in name]
+        largest = signals[f"joints.largest_torque_share.{finger}"]
+        np.testing.assert_allclose(largest, np.abs(of_finger).max(axis=0), atol=1e-6)
+    assert set(signals["delays.assumed.retargeting"]) == {4.0}
+    assert set(signals["delays.assumed.sight"]) == {1e3 * scenario.operator.visual_delay}
+    times, seen = read(path, "/world/seen/fingertips", "Ellipsoids3D:centers")
+    begun = np.array([len(points) > 0 for points in seen])
+    np.testing.assert_array_equal(begun, np.array(times) >= scenario.operator.visual_delay - 1e-9)
+    assert {"/world/fingertips/commanded", "/world/object/path", "/world/seen/object"} <= entities(path)
+
+    def said(name):
+        return read(path, "/__properties/run", name)[1][0].item()
+
+    facts = {name: said(name) for name in ("method", "hand", "object", "seed", "retargeting_delay_ms")}
+    assert facts == {
+        "method": "affine", "hand": "allegro_right", "object": "cylinder", "seed": 0,
+        "retargeting_delay_ms": 4.0,
+    }  # fmt: skip
+    for package in ("geort_drake", "drake", "rerun", "numpy", "torch"):
+        assert said(package)[0].isdigit()
 
 
 def test_nothing_is_written_and_rerun_not_loaded_unless_asked_for(tmp_path):

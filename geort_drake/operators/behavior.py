@@ -17,6 +17,7 @@ from geort_drake.gloves.keypoints import FINGER_NAMES
 from geort_drake.operators.config import OperatorConfig
 from geort_drake.operators.finger_motion import FingerMotion
 from geort_drake.operators.grasp_goal import GraspGoal
+from geort_drake.operators.perception import judged, perceive
 from geort_drake.operators.sensed_gain import SensedGain
 from geort_drake.operators.state import OperatorState, Phase, Seen
 from geort_drake.operators.wrist_motion import WristMovement, minimum_jerk
@@ -29,7 +30,7 @@ class GraspingPerson:
         hand: the person's hand.
         goal: the grasp wanted.
         config: the person's parameters.
-        rng: source of the visual and motor noise.
+        rng: source of the noise of what is seen, felt and done.
     """
 
     def __init__(self, hand: HumanHand, goal: GraspGoal, config: OperatorConfig, rng: np.random.Generator):
@@ -53,21 +54,21 @@ class GraspingPerson:
         """One decision at time t, s; returns the new state and leaves the old one alone."""
         past = (*state.p_HF_past[1:], self._hand.fingertips(state.theta))
         state = dc.replace(state, p_HF_past=past)
-        seen = self._perceive(scene)
+        seen = perceive(scene, self._config, self._rng)
         free = seen.contact <= self._config.touch_force
         # The oldest own posture that is remembered was taken up when the picture was made.
-        state.sensed = state.sensed.look(t, past[0][self._own], seen.p_BF, free)
+        tips = np.stack([past[0][self._own], seen.p_BF])
+        state.fingertips = judged(state.fingertips, tips, self._config)
+        own, robot = state.fingertips
+        state.sensed = state.sensed.look(t, own, robot, free)
+        state.p_BO = judged(state.p_BO, seen.X_BW @ seen.X_WO.translation(), self._config)
+        state.shape_error = judged(state.shape_error, self._fingertip_errors(state, seen), self._config)
         self._advance_phase(state, t, seen)
+        if state.shape_error is None:  # a new phase wants the fingertips elsewhere
+            state.shape_error = self._fingertip_errors(state, seen)
         self._move_fingers(state, t, seen)
         self._move_wrist(state, t, seen)
         return state
-
-    def _perceive(self, scene: Seen) -> Seen:
-        noise = self._rng.normal(0, self._config.visual_noise, (len(scene.p_WF) + 1, 3))
-        p_WO = scene.X_WO.translation() + noise[-1]
-        return dc.replace(
-            scene, p_WF=scene.p_WF + noise[:-1], X_WO=RigidTransform(scene.X_WO.rotation(), p_WO)
-        )
 
     # -- phases
 
@@ -96,8 +97,8 @@ class GraspingPerson:
         elif state.phase == Phase.SQUEEZE:
             if t - state.phase_start >= config.squeeze_time + config.settle_time:
                 self._enter(state, Phase.LIFT, t)
-                state.p_BO_start = seen.X_BW @ seen.X_WO.translation()
-        elif self._slip(state, seen) > config.lost_distance:
+                state.p_BO_start = state.p_BO
+        elif self._slip(state) > config.lost_distance:
             self._enter(state, Phase.RELEASE, t)
             state.attempt += 1
         elif state.phase == Phase.LIFT and self._wrist_rests(state, t) and state.movement is not None:
@@ -106,21 +107,24 @@ class GraspingPerson:
     def _enter(self, state: OperatorState, phase: Phase, t: float) -> None:
         state.phase, state.phase_start = phase, t
         state.best_error, state.best_time = np.inf, t
+        state.shape_error = None
         if phase != Phase.HOLD:
             state.movement, state.movements = None, 0
 
     def _shaped(self, state: OperatorState, t: float, seen: Seen, tolerance: float) -> bool:
         """Whether the fingers are as wanted, or as near to it as fingers and hand can get them."""
-        error = self._fingertip_errors(state, seen)[self._goal.touches]
-        if np.linalg.norm(error, axis=1).max() < tolerance:
+        if self._worst_error(state) < tolerance:
             return True
-        at_limit = self._fingers_at_limit(state, t, seen)
+        at_limit = self._fingers_at_limit(state, t)
         shiftable = state.phase in (Phase.SURROUND, Phase.CLOSE)
         return at_limit and not (shiftable and self._hand_shift(state, seen) is not None)
 
-    def _fingers_at_limit(self, state: OperatorState, t: float, seen: Seen) -> bool:
-        error = self._fingertip_errors(state, seen)[self._goal.touches]
-        worst = float(np.linalg.norm(error, axis=1).max())
+    def _worst_error(self, state: OperatorState) -> float:
+        assert state.shape_error is not None  # every decision begins by judging it
+        return float(np.linalg.norm(state.shape_error[self._goal.touches], axis=1).max())
+
+    def _fingers_at_limit(self, state: OperatorState, t: float) -> bool:
+        worst = self._worst_error(state)
         if worst < state.best_error - 0.001:
             state.best_error, state.best_time = worst, t
         return t - state.best_time > self._config.patience
@@ -130,11 +134,12 @@ class GraspingPerson:
 
         It is the middle of the fingertips' errors, which leaves the least for the worst of them.
         """
-        error = self._fingertip_errors(state, seen)
+        error = state.shape_error
+        assert error is not None  # every decision begins by judging it
         if state.phase == Phase.CLOSE:
             # Up to the surface, not below it; a finger that touches has arrived.
             X_BO = seen.X_BW @ self._goal.object_frame(seen.X_WO)
-            error -= self._config.overshoot * (self._goal.n_OF @ X_BO.rotation().matrix().T)
+            error = error - self._config.overshoot * (self._goal.n_OF @ X_BO.rotation().matrix().T)
             error[seen.contact > self._config.touch_force] = 0
         error = error[self._goal.touches]
         middle = 0.5 * (error.min(axis=0) + error.max(axis=0))
@@ -142,10 +147,10 @@ class GraspingPerson:
             return None
         return seen.X_WB.rotation().matrix() @ middle
 
-    def _slip(self, state: OperatorState, seen: Seen) -> float:
+    def _slip(self, state: OperatorState) -> float:
         """How far the object has moved in the hand since the lift began, m."""
-        p_BO = seen.X_BW @ seen.X_WO.translation()
-        return float(np.linalg.norm(p_BO - state.p_BO_start))
+        assert state.p_BO is not None and state.p_BO_start is not None  # set before and on entering the lift
+        return float(np.linalg.norm(state.p_BO - state.p_BO_start))
 
     # -- fingers
 
@@ -176,7 +181,7 @@ class GraspingPerson:
         speed = np.linalg.norm(wanted, axis=1, keepdims=True)
         limit = np.full((5, 1), config.max_fingertip_speed)
         if state.phase == Phase.CLOSE:
-            limit[self._own, 0] = config.closing_speed * self._closing_share(error, seen)
+            limit[self._own, 0] = config.closing_speed * self._closing_share(state.shape_error - done, seen)
         wanted *= np.minimum(1.0, limit / np.maximum(speed, 1e-9))
         for own in self._followers:
             wanted[own] = wanted[own - 1]
@@ -250,7 +255,7 @@ class GraspingPerson:
         if state.phase in (Phase.SQUEEZE, Phase.HOLD):
             return None
         if state.phase in (Phase.SURROUND, Phase.CLOSE):
-            if not self._fingers_at_limit(state, t, seen):
+            if not self._fingers_at_limit(state, t):
                 return None
             shift = self._hand_shift(state, seen)
             if shift is None:

@@ -20,8 +20,8 @@ class OperatorConfig:
 
     Sources: [S05] Saunders and Knill 2005, visual correction of reaching; [F65] Ferrell 1965, remote
     manipulation with delay; [FH85] Flash and Hogan 1985, minimum jerk; [HW98] Harris and Wolpert 1998,
-    signal-dependent noise; [R97] Riviere 1997, tremor of eye surgeons; [M] fingertip speeds measured on
-    recorded glove play.
+    signal-dependent noise; [J89] Jones 1989, just noticeable differences of force; [R97] Riviere 1997,
+    tremor of eye surgeons; [M] fingertip speeds measured on recorded glove play.
     """
 
     # Time between two decisions, s.
@@ -29,8 +29,14 @@ class OperatorConfig:
     # The scene is seen this late, s: visual corrections start after 117 ms (direction) to 200 ms
     # (distance) [S05]. A multiple of `period`.
     visual_delay: float = 0.18
-    # Standard deviation of every seen coordinate, m.
+    # Standard deviation of every seen coordinate, m: of the fingertips, the hand and the object.
     visual_noise: float = 0.001
+    # Standard deviation of the seen rotation of hand and object about each axis, rad: `visual_noise` at a
+    # lever of 0.1 m.
+    visual_turn_noise: float = 0.01
+    # Standard deviation of a felt contact force as a share of it; its just noticeable difference is 7 to
+    # 10 % [J89].
+    contact_noise: float = 0.1
     # The person moves a fingertip by this much per second for each metre of error that is seen and not
     # yet dealt with, 1/s. The naive gain: the robot's fingertip is taken to move like the own.
     correction_rate: float = 2.5
@@ -51,8 +57,8 @@ class OperatorConfig:
     peak_wrist_turn: float = 1.5
     # Shortest wrist movement, s.
     min_movement_time: float = 0.4
-    # Pause after a wrist movement before its result is judged, on top of the visual delay, s:
-    # with delay, people move and wait [F65].
+    # Pause after a wrist movement before its result is judged, on top of the visual delay, s: with delay,
+    # people move and wait [F65]. What is judged is what was seen over about this time.
     judging_time: float = 0.09
     # After so many movements to one place the hand is taken to be as near as the arm gets it.
     max_corrections: int = 4

@@ -31,7 +31,7 @@ class Seen:
     p_WF: np.ndarray  # (F, 3) robot fingertip points, m
     X_WB: RigidTransform  # robot hand base
     X_WO: RigidTransform  # object
-    contact: np.ndarray  # (F,) force between each robot finger and the object, N
+    contact: np.ndarray  # (F,) felt force between each robot finger and the object, N
 
     @functools.cached_property
     def X_BW(self) -> RigidTransform:
@@ -62,7 +62,13 @@ class OperatorState:
     # The wrist's present or last movement in this phase, and how many there were.
     movement: WristMovement | None = None
     movements: int = 0
-    # Smallest shape error seen in this phase, and when it last fell.
+    # What is judged from several looks, see `judged`, m: own fingertips in H when the picture was made, and
+    # the robot's in B, (2, F, 3); where the robot's should go in this phase, (F, 3) in B; the object's
+    # origin in B, (3,).
+    fingertips: np.ndarray | None = None
+    shape_error: np.ndarray | None = None
+    p_BO: np.ndarray | None = None
+    # Smallest error of a fingertip in this phase, and when it last fell.
     best_error: float = np.inf
     best_time: float = 0.0
     # Squeeze: where the own fingertips started, and which way is inwards, (F, 3).

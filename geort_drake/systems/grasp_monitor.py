@@ -8,13 +8,13 @@ from collections.abc import Callable
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem
 
 from geort_drake.systems.poses import vector_to_pose
 
 
 class GraspPhase(enum.IntEnum):
-    """How far the grasp has come; a trial that fails is named after the phase it was in."""
+    """How far the grasp has come."""
 
     REACH = 0  # nothing touches the object
     TOUCH = 1  # one finger touches
@@ -42,6 +42,8 @@ class GraspMonitorConfig:
     strayed: float = 0.30
     # A contact force above this is a touch, N.
     touch_force: float = 0.02
+    # A lifted object was dropped when fewer than two fingers have touched it for this long, s.
+    drop_time: float = 0.1
 
     def validate(self) -> None:
         """Raises ValueError for values that cannot work."""
@@ -61,12 +63,18 @@ class GraspOutcome:
     durations: dict[str, float] = dc.field(default_factory=dict)
     # The present time above the height began here; NaN while lower.
     held_since: float = float("nan")
+    # The last phase in which a finger touched the object, REACH where none has; the phases that end the
+    # trial do not count.
+    last_touched: GraspPhase = GraspPhase.REACH
+    # How often a lift ended: the object was back on its support, or two fingers had left it for `drop_time`.
     drops: int = 0
-    # Furthest way of the object's origin in the hand base's frame since the last lift began, m; NaN where
-    # nothing was lifted.
+    # Furthest way of the object's origin in the hand base's frame since the last lift began, m, while two
+    # fingers touched it; NaN where nothing was lifted. A lift begins with LIFT and ends with a drop.
     slip: float = float("nan")
     peak_force: float = 0.0
     peak_height: float = 0.0
+    # Time for which links of the hand touched each other, s; see `SceneView`.
+    self_contact_time: float = 0.0
 
     @property
     def success(self) -> bool:
@@ -85,11 +93,12 @@ class GraspOutcome:
 
 
 # What the numbers of the monitor's state are.
-_PHASE, _HELD_SINCE, _DROPS, _SLIP, _PEAK_FORCE, _PEAK_HEIGHT = range(6)
-_TIMES = slice(6, 6 + len(GraspPhase))  # by phase; NaN before the first entry
+_PHASE, _HELD_SINCE, _LAST_TOUCHED, _DROPS, _SLIP, _PEAK_FORCE, _PEAK_HEIGHT, _SELF_CONTACT_TIME = range(8)
+_LOOSE_SINCE = 8  # the present time with fewer than two fingers, in a lift; NaN otherwise
+_TIMES = slice(9, 9 + len(GraspPhase))  # by phase; NaN before the first entry
 _DURATIONS = slice(_TIMES.stop, _TIMES.stop + len(GraspPhase))
 _START = slice(_DURATIONS.stop, _DURATIONS.stop + 3)  # p_WO at the first look; NaN before
-_LIFTED_AT = slice(_START.stop, _START.stop + 3)  # p_BO when the last lift began
+_LIFTED_AT = slice(_START.stop, _START.stop + 3)  # p_BO when the present lift began; NaN outside of one
 _STATE_SIZE = _LIFTED_AT.stop
 _LIFTED = (GraspPhase.LIFT, GraspPhase.HOLD, GraspPhase.DONE)
 _OVER = (GraspPhase.DONE, GraspPhase.THROWN)
@@ -102,6 +111,7 @@ class GraspMonitor(LeafSystem):
         object_pose (7): X_WO, qw qx qy qz x y z.
         hand_pose (7): X_WB of the robot's hand base.
         contact (F): force between each finger and the object, N.
+        self_contact (1): above 0 while links of the hand touch each other.
     Output ports:
         phase (1): `GraspPhase` as a number.
         outcome (abstract GraspOutcome).
@@ -128,8 +138,9 @@ class GraspMonitor(LeafSystem):
         self._object_pose = self.DeclareVectorInputPort("object_pose", 7)
         self._hand_pose = self.DeclareVectorInputPort("hand_pose", 7)
         self._contact = self.DeclareVectorInputPort("contact", num_fingers)
+        self._self_contact = self.DeclareVectorInputPort("self_contact", 1)
         start = np.full(_STATE_SIZE, math.nan)
-        start[[_PHASE, _DROPS, _PEAK_FORCE, _PEAK_HEIGHT]] = 0.0
+        start[[_PHASE, _LAST_TOUCHED, _DROPS, _PEAK_FORCE, _PEAK_HEIGHT, _SELF_CONTACT_TIME]] = 0.0
         start[_DURATIONS] = 0.0
         ticket = {self.discrete_state_ticket(self.DeclareDiscreteState(start))}
         self.DeclareVectorOutputPort(
@@ -154,16 +165,18 @@ class GraspMonitor(LeafSystem):
                 p.name: spent for p, spent in zip(GraspPhase, numbers[_DURATIONS], strict=True) if spent
             },
             held_since=numbers[_HELD_SINCE],
+            last_touched=GraspPhase(int(numbers[_LAST_TOUCHED])),
             drops=int(numbers[_DROPS]),
             slip=numbers[_SLIP],
             peak_force=numbers[_PEAK_FORCE],
             peak_height=numbers[_PEAK_HEIGHT],
+            self_contact_time=numbers[_SELF_CONTACT_TIME],
         )
 
     def _numbers(self, context: Context) -> np.ndarray:
         return context.get_discrete_state(0).value()
 
-    def _look(self, context: Context, state) -> EventStatus:
+    def _look(self, context: Context, state: DiscreteValues) -> EventStatus:
         # What is to be written begins as what is there.
         numbers = state.get_mutable_value(0)
         before = GraspPhase(int(numbers[_PHASE]))
@@ -188,22 +201,38 @@ class GraspMonitor(LeafSystem):
             phase = GraspPhase.LIFT
         else:
             phase = GraspPhase(min(touching, 2))
+        if touching and phase not in _OVER:
+            numbers[_LAST_TOUCHED] = phase
         if phase in _LIFTED:
-            p_BO = vector_to_pose(self._hand_pose.Eval(context)).inverse().multiply(pose[4:])
-            if before in _LIFTED:
-                way = float(np.linalg.norm(p_BO - numbers[_LIFTED_AT]))
-                numbers[_SLIP] = max(float(numbers[_SLIP]), way)
-            else:
-                numbers[_LIFTED_AT], numbers[_SLIP] = p_BO, 0.0
-        elif before in _LIFTED and phase < GraspPhase.GRASP:
-            numbers[_DROPS] += 1
+            self._follow_lift(numbers, vector_to_pose(self._hand_pose.Eval(context)).inverse() @ pose[4:])
+        elif not math.isnan(numbers[_LIFTED_AT.start]):
+            self._look_for_drop(numbers, t, touching, on_support=height <= config.lifted)
         if math.isnan(numbers[_TIMES][phase]):
             numbers[_TIMES][phase] = t
         if t > 0:
             numbers[_DURATIONS][before] += config.period
+            numbers[_SELF_CONTACT_TIME] += config.period * (self._self_contact.Eval(context)[0] > 0)
         numbers[_PHASE], numbers[_HELD_SINCE] = phase, held_since
         numbers[_PEAK_FORCE] = max(numbers[_PEAK_FORCE], *force)
         numbers[_PEAK_HEIGHT] = max(numbers[_PEAK_HEIGHT], height)
         if phase in _OVER:
             return EventStatus.ReachedTermination(self, "the grasp is judged")
         return EventStatus.Succeeded()
+
+    def _follow_lift(self, numbers: np.ndarray, p_BO: np.ndarray) -> None:
+        """Begins a lift, or goes on with it, while two fingers hold the object at p_BO (3,), m."""
+        numbers[_LOOSE_SINCE] = math.nan
+        if math.isnan(numbers[_LIFTED_AT.start]):
+            numbers[_LIFTED_AT], numbers[_SLIP] = p_BO, 0.0
+        else:
+            way = float(np.linalg.norm(p_BO - numbers[_LIFTED_AT]))
+            numbers[_SLIP] = max(float(numbers[_SLIP]), way)
+
+    def _look_for_drop(self, numbers: np.ndarray, t: float, touching: int, on_support: bool) -> None:
+        """Ends a lift whose object is back, or has been held by fewer than two fingers for too long."""
+        if touching < 2 and math.isnan(numbers[_LOOSE_SINCE]):
+            numbers[_LOOSE_SINCE] = t
+        # A single look without contact is chatter of the contact model, and no drop.
+        if on_support or t - numbers[_LOOSE_SINCE] >= self._config.drop_time - 1e-9:
+            numbers[_DROPS] += 1
+            numbers[_LIFTED_AT] = numbers[_LOOSE_SINCE] = math.nan

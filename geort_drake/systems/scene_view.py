@@ -1,7 +1,8 @@
-"""What can be seen of a grasp: fingertips, hand, object, and which finger touches the object."""
+"""What can be seen of a grasp: fingertips, hand, object, and what touches what."""
 
 import numpy as np
 from pydrake.common.value import AbstractValue
+from pydrake.geometry import SceneGraphInspector
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import ContactResults, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
@@ -9,6 +10,7 @@ from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.links import finger_links
+from geort_drake.hands.model import tip_geometries
 from geort_drake.systems.poses import pose_to_vector
 
 
@@ -24,6 +26,16 @@ class SceneView(LeafSystem):
         object_pose (7): X_WO of the object, qw qx qy qz x y z.
         contact (F): magnitude of the largest contact force, normal and friction, between one of a
             finger's links and the object, N.
+        self_contact (1): 1 while two links of the hand touch each other, else 0. Fingertip on fingertip does
+            not count (see `tip_geometries`), nor do links between which contact is filtered out: neighbours
+            along a finger, and the description's `ignored_collisions`.
+
+    Contacts are the plant's point contacts.
+
+    Args:
+        plant: finalized.
+        hand: the model instance of the hand, as `add_hand_model` adds it.
+        inspector: of the plant's scene graph.
     """
 
     def __init__(
@@ -32,6 +44,7 @@ class SceneView(LeafSystem):
         description: HandDescription,
         hand: ModelInstanceIndex,
         object_body: BodyIndex,
+        inspector: SceneGraphInspector,
     ):
         super().__init__()
         num_fingers = len(description.fingers)
@@ -46,6 +59,12 @@ class SceneView(LeafSystem):
             int(body.index()): number
             for number, links in enumerate(finger_links(plant, description, hand))
             for body in links
+        }
+        self._hand = {int(body) for body in plant.GetBodyIndices(hand)}
+        self._tip_geometries = {
+            geometry
+            for finger in description.fingers
+            for geometry in tip_geometries(plant, inspector, plant.GetBodyByName(finger.tip_link, hand))
         }
         self._poses = self.DeclareAbstractInputPort("body_poses", AbstractValue.Make([RigidTransform()]))
         self._contacts = self.DeclareAbstractInputPort(
@@ -64,14 +83,21 @@ class SceneView(LeafSystem):
                 lambda context, output, name=name: output.SetFromVector(places.Eval(context)[name]),
                 {places.ticket()},
             )
-        self.DeclareVectorOutputPort(
-            "contact",
-            num_fingers,
-            self._calc_contact,
+        touches = self.DeclareCacheEntry(
+            "contact, self_contact",
+            ValueProducer(lambda: AbstractValue.Make({}), self._calc_touches),
             {self.input_port_ticket(self._contacts.get_index())},
         )
+        for name, size in (("contact", num_fingers), ("self_contact", 1)):
+            self.DeclareVectorOutputPort(
+                name,
+                size,
+                lambda context, output, name=name: output.SetFromVector(touches.Eval(context)[name]),
+                {touches.ticket()},
+            )
+        self._num_fingers = num_fingers
 
-    def _calc_places(self, context: Context, output) -> None:
+    def _calc_places(self, context: Context, output: AbstractValue) -> None:
         poses = self._poses.Eval(context)
         output.set_value(
             {
@@ -81,16 +107,19 @@ class SceneView(LeafSystem):
             }
         )
 
-    def _calc_contact(self, context: Context, output) -> None:
+    def _calc_touches(self, context: Context, output: AbstractValue) -> None:
         results = self._contacts.Eval(context)
-        force = np.zeros(output.size())
+        force, self_contact = np.zeros(self._num_fingers), 0.0
         for number in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(number)
             pair = {int(info.bodyA_index()), int(info.bodyB_index())}
-            if self._object not in pair:
-                continue
-            (other,) = pair - {self._object}
-            finger = self._finger_of_body.get(other)
-            if finger is not None:
-                force[finger] = max(force[finger], float(np.linalg.norm(info.contact_force())))
-        output.SetFromVector(force)
+            if self._object in pair:
+                (other,) = pair - {self._object}
+                finger = self._finger_of_body.get(other)
+                if finger is not None:
+                    force[finger] = max(force[finger], float(np.linalg.norm(info.contact_force())))
+            elif pair <= self._hand:
+                geometries = info.point_pair()
+                if not {geometries.id_A, geometries.id_B} <= self._tip_geometries:
+                    self_contact = 1.0
+        output.set_value({"contact": force, "self_contact": np.array([self_contact])})
