@@ -11,28 +11,32 @@ from pathlib import Path
 
 from rich.table import Table
 
-from geort_drake.command_line import add_scenario_options, at_least, make_parser, scenario_of
-from geort_drake.console import console, progress_bar, run_main
+from geort_drake.command_line import (
+    METHOD_SUMMARIES,
+    add_json_option,
+    add_scenario_options,
+    at_least,
+    command,
+    make_parser,
+    method_help,
+    scenario_of,
+    write_json,
+)
+from geort_drake.console import console, progress_bar, run_main, warn
 from geort_drake.errors import BenchmarkError, UnknownNameError
 from geort_drake.files import require_writable
+from geort_drake.gloves.recording import SIDES
 
 # The first one is what the others are compared with.
-METHODS = (
-    "geort_coupled",
-    "geort",
-    "linear_offline",
-    "vector_online",
-    "dexpilot_online",
-    "nearest_neighbour",
-    "hold",
-)
+METHODS = tuple(METHOD_SUMMARIES)
 # Those that need no training but that of `make grasp`.
 QUICK = {
     "methods": ("geort_coupled", "vector_online", "dexpilot_online", "nearest_neighbour", "hold"),
     "objects": ("cylinder", "sphere", "cube"),
     "trials": 2,
 }
-EPILOG = """\
+EPILOG = f"""\
+{method_help(METHODS)}
 The folder given by --output holds trials.jsonl (one line per trial, as it finishes), summary.json,
 report.html and report.md. docs/benchmark.md says what is measured. The exit status is 1 when a trial
 raised an error.
@@ -42,25 +46,29 @@ raised an error.
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = make_parser(__doc__, EPILOG)
     add = parser.add_argument
-    add("--output", type=Path, default=Path("runs/benchmark"), help="folder for the results (runs/benchmark)")
+    add("--output", type=Path, default=Path("runs/benchmark"), help="folder for the results")
     add(
         "--methods",
         nargs="+",
         metavar="NAME",
-        help=f"methods or directories of checkpoints; the first is the reference ({' '.join(METHODS)})",
+        help="of those below, or directories of checkpoints; the first is the reference (default: all)",
     )
-    add("--objects", nargs="+", metavar="NAME", help="what to grasp (every object)")
-    add("--trials", type=at_least(1), help="trials per method and object, each with its own seed (30)")
+    add("--objects", nargs="+", metavar="NAME", help="what to grasp (default: every object)")
+    add(
+        "--trials",
+        type=at_least(1),
+        help="trials per method and object, each with its own seed (default: 30)",
+    )
     add("--quick", action="store_true", help="a small benchmark of some five minutes on two cores")
     add(
         "--jobs",
         type=at_least(1),
         default=os.cpu_count() or 1,
-        help="trials at a time (the number of processors)",
+        help="trials at a time (default: the number of processors)",
     )
-    add("--backend", default="loky", choices=["loky", "ray"], help="processes here, or a Ray cluster (loky)")
+    add("--backend", default="loky", choices=["loky", "ray"], help="processes here, or a Ray cluster")
     add("--zero_latency", action="store_true", help="let every method answer at once")
-    add("--recording", type=Path, help="the person's glove recording instead of synthetic play")
+    add("--recording", type=Path, help="the person's glove recording (default: synthetic play)")
     add(
         "--sensitivity",
         nargs="*",
@@ -68,17 +76,21 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         help="run the trials also with one assumption changed: delay (ms), gain (1/s), and factors on "
         "noise, stiffness and friction; a NAME alone takes its usual values, no NAME takes all",
     )
-    add("--side", choices=["left", "right"], help="side of the recorded hand (the robot hand's)")
-    add("--seed", type=at_least(0), default=0, help="seed of training and synthetic play (0)")
+    add("--side", choices=SIDES, help="side of the recorded hand (default: the robot hand's)")
+    add("--seed", type=at_least(0), default=0, help="seed of training and synthetic play")
     add(
         "--rrd",
-        nargs=3,
-        metavar=("METHOD", "OBJECT", "SEED"),
-        help="simulate one finished trial of --output again, check it, and write its Rerun recording",
+        nargs="+",
+        metavar=("METHOD", "OBJECT SEED CONDITION"),
+        help="simulate one finished trial of --output again, check it, and write its Rerun recording; "
+        "CONDITION is one of --sensitivity, such as delay=100, and may be left out",
     )
     add("--report", action="store_true", help="only write the report of --output again")
+    add_json_option(parser, "the summary")
     add_scenario_options(parser)
     arguments = parser.parse_args(argv)
+    if arguments.rrd and len(arguments.rrd) not in (3, 4):
+        parser.error(f"--rrd: wants METHOD OBJECT SEED [CONDITION], not {' '.join(arguments.rrd)}")
     if arguments.rrd and not arguments.rrd[2].isdecimal():
         parser.error(f"--rrd: SEED must be a whole number, not {arguments.rrd[2]}")
     chosen = QUICK if arguments.quick else {"methods": METHODS, "objects": None, "trials": 30}
@@ -95,26 +107,28 @@ def main(argv: Sequence[str] | None = None) -> int:
     from geort_drake.evaluation.grasp_report import write_report
 
     if arguments.report:
-        return finish(arguments.output, write_report(arguments.output))
+        return finish(arguments, write_report(arguments.output))
     if arguments.rrd:
-        method, thing, seed = arguments.rrd
-        return watch(arguments.output, method, thing, int(seed))
+        method, thing, seed, *condition = arguments.rrd
+        return watch(arguments.output, method, thing, int(seed), *condition)
     run(arguments)
-    return finish(arguments.output, write_report(arguments.output))
+    return finish(arguments, write_report(arguments.output))
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Runs what is left of the benchmark."""
-    from geort_drake.evaluation.grasp_benchmark import TRIALS, keep_error, open_benchmark
+    from geort_drake.evaluation.grasp_benchmark import keep_error, open_benchmark
+    from geort_drake.evaluation.grasp_config import TRIALS
     from geort_drake.evaluation.grasp_methods import names_of
     from geort_drake.evaluation.sensitivity import PARAMETERS, make_conditions, parse_values
     from geort_drake.evaluation.trial_log import TrialLog, key_of
+    from geort_drake.evaluation.workers import require_workers
     from geort_drake.hands.description import load_hand
     from geort_drake.simulation.scenario import object_names
 
     # What is wrong with the request is found before anything is computed or written.
     names = names_of(arguments.methods)
-    objects = list(arguments.objects or object_names())
+    objects = list(dict.fromkeys(arguments.objects or object_names()))
     for name in objects:
         if name not in object_names():
             raise UnknownNameError("object", name, object_names())
@@ -147,6 +161,7 @@ def run(arguments: argparse.Namespace) -> None:
         if not left:
             return
         jobs, backend = arguments.jobs, arguments.backend
+        require_workers(min(jobs, len(left)), backend)
         with progress_bar() as progress:
             wanted = [name for name in objects if any(key.object == name for key in left)]
             goals = {}
@@ -172,41 +187,51 @@ def read_person(path: Path | None, side: str, seed: int):
     return read_recording(path, side, training=True), {"recording": str(path.resolve()), "side": side}
 
 
-def watch(folder: Path, method: str, thing: str, seed: int) -> int:
+def watch(folder: Path, method: str, thing: str, seed: int, condition: str = "") -> int:
     """Simulates a finished trial again, with a recording; 1 when it did not come out the same."""
-    from geort_drake.evaluation.grasp_benchmark import METHODS as KEPT
-    from geort_drake.evaluation.grasp_benchmark import SCENARIO, TRIALS, open_benchmark, read_config
+    from geort_drake.evaluation.grasp_benchmark import open_benchmark
+    from geort_drake.evaluation.grasp_config import METHODS as KEPT
+    from geort_drake.evaluation.grasp_config import SCENARIO, TRIALS, read_config
     from geort_drake.evaluation.grasp_report import rerun_path, write_report
     from geort_drake.evaluation.grasp_trial import simulate
+    from geort_drake.evaluation.sensitivity import PARAMETERS, make_conditions, parse_values
     from geort_drake.evaluation.trial_log import TrialKey, key_of, read_records
+    from geort_drake.evaluation.trial_sources import code_digest
     from geort_drake.simulation.scenario import load_scenario
 
     config = read_config(folder)
-    key = TrialKey(method, thing, seed)
+    key = TrialKey(method, thing, seed, condition)
     records = {key_of(record): record for record in read_records(folder / TRIALS)}
     if key not in records:
-        nominal = [other for other in records if not other.condition]
-        finished = [other for other in nominal if other.object == thing] or nominal
-        named = [f"{other.method} {other.object} {other.seed}" for other in finished]
-        raise UnknownNameError("finished trial", f"{method} {thing} {seed}", named)
+        alike = [other for other in records if other.condition == condition] or list(records)
+        named = [other.words for other in alike if other.object == thing] or [other.words for other in alike]
+        raise UnknownNameError("finished trial", key.words, named)
     notes, settings = config["notes"], config["settings"]
     recording, _ = read_person(
-        Path(notes["recording"]) if notes["recording"] else None,
+        Path(notes["recording"]) if notes.get("recording") else None,
         notes.get("side", "right"),
         settings["training_seed"],
     )
+    if settings["code_sha256"] != code_digest():
+        warn("the trials' code has changed since; this one may come out otherwise")
+    scenario, conditions = load_scenario(folder / SCENARIO, "Resolved"), {}
+    if condition:
+        usual = {name: parameter.values for name, parameter in PARAMETERS.items()}
+        conditions = make_conditions(scenario, parse_values([condition], usual))
     kept = folder / KEPT / method
     with progress_bar() as progress:
         task = progress.add_task("simulating", total=None, note=str(key))
         benchmark = open_benchmark(
             folder,
-            load_scenario(folder / SCENARIO, "Resolved"),
+            scenario,
             recording,
             [str(kept) if kept.is_dir() else method],
             [thing],
             1,
             settings["training_seed"],
             settings["latency"] == "zero",
+            conditions=conditions,
+            any_code=True,
         )
         ((_, goal),) = benchmark.goals([thing], 1, "loky")
         path = folder / rerun_path(key)
@@ -220,23 +245,24 @@ def watch(folder: Path, method: str, thing: str, seed: int) -> int:
     if differing:
         raise BenchmarkError(
             f"{folder / TRIALS}: this time the trial came out otherwise in {', '.join(differing)}; "
-            f"was it run on another kind of machine? The recording is of this time: {path}"
+            "was it run with other code, or on another kind of machine? "
+            f"The recording is of this time: {path}"
         )
     write_report(folder)  # which now links the recording
     console.print(f"The same outcome: {record['outcome']}", markup=False)
-    console.print(f"Watch it: rerun {path}", soft_wrap=True)
+    console.print(f"Watch it: {command('rerun', path)}", markup=False, soft_wrap=True)
     return 0
 
 
-def finish(folder: Path, summary: dict) -> int:
+def finish(arguments: argparse.Namespace, summary: dict) -> int:
     """Prints what came out; the exit status."""
+    folder = arguments.output
     console.print(results_table(summary))
     errors = summary["errors"]
     if errors:
-        console.print(
-            f"[bold red]{errors} trials raised an error:[/] see {folder / 'errors'}", soft_wrap=True
-        )
-    console.print(f"Report: {folder / 'report.html'}", soft_wrap=True)
+        warn(f"{errors} trials raised an error: see {folder / 'errors'}")
+    write_json(arguments.json, summary)
+    console.print(f"Report: {folder / 'report.html'} (a browser shows it)", markup=False, soft_wrap=True)
     return 1 if errors else 0
 
 

@@ -12,9 +12,17 @@ from pathlib import Path
 
 from rich.table import Table
 
-from geort_drake.command_line import add_scenario_options, at_least, make_parser, scenario_of
-from geort_drake.console import console, progress_bar, run_main
+from geort_drake.command_line import (
+    add_json_option,
+    add_scenario_options,
+    at_least,
+    make_parser,
+    scenario_of,
+    write_json,
+)
+from geort_drake.console import console, progress_bar, run_main, warn
 from geort_drake.files import require_writable
+from geort_drake.gloves.recording import SIDES
 
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -22,25 +30,26 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     add = parser.add_argument
     add("sessions", nargs="+", type=Path, metavar="SESSION", help="recordings with wrist poses (.npz)")
     add("--retargeter", type=Path, required=True, help="directory of the checkpoint to replay through")
-    add("--object", help="what was grasped (what the session says)")
+    add("--object", help="what was grasped (default: what the session says)")
     add(
         "--perturb",
         nargs="+",
         default=(),
         metavar="NAME=S1,S2",
         help="largest changes to try: position (mm), yaw (°), and shares of mass and friction "
-        "(all four with their usual sizes)",
+        "(default: all four with their usual sizes)",
     )
-    add("--trials", type=at_least(1), default=20, help="draws per session and size (20)")
+    add("--trials", type=at_least(1), default=20, help="draws per session and size")
     add(
         "--jobs",
         type=at_least(1),
         default=os.cpu_count() or 1,
-        help="trials at a time (the number of processors)",
+        help="trials at a time (default: the number of processors)",
     )
-    add("--backend", default="loky", choices=["loky", "ray"], help="processes here, or a Ray cluster (loky)")
-    add("--output", type=Path, default=Path("runs/replay"), help="folder for the results (runs/replay)")
-    add("--side", choices=["left", "right"], help="side of the recorded hands (the robot hand's)")
+    add("--backend", default="loky", choices=["loky", "ray"], help="processes here, or a Ray cluster")
+    add("--output", type=Path, default=Path("runs/replay"), help="folder for the results")
+    add("--side", choices=SIDES, help="side of the recorded hands (default: the robot hand's)")
+    add_json_option(parser, "the summary")
     add_scenario_options(parser, "{retargeting: {latency: 0.01}}")
     arguments = parser.parse_args(argv)
     require_writable(arguments.output, directory=True)
@@ -50,7 +59,8 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse_arguments(argv)
     # Imported after parsing, so that --help answers at once.
-    from geort_drake.evaluation.grasp_benchmark import TRIALS, keep_error
+    from geort_drake.evaluation.grasp_benchmark import keep_error
+    from geort_drake.evaluation.grasp_config import TRIALS
     from geort_drake.evaluation.replay import PERTURBATIONS, REPORT, Replay, write_report
     from geort_drake.evaluation.sensitivity import parse_values
     from geort_drake.evaluation.trial_log import TrialLog, key_of
@@ -82,10 +92,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     summary = write_report(arguments.output)
     console.print(results_table(summary))
     if summary["errors"]:
-        console.print(
-            f"[bold red]{summary['errors']} trials raised an error:[/] see {arguments.output}/errors"
-        )
-    console.print(f"Report: {arguments.output / REPORT}", soft_wrap=True)
+        warn(f"{summary['errors']} trials raised an error: see {arguments.output}/errors")
+    write_json(arguments.json, summary)
+    console.print(f"Report: {arguments.output / REPORT}", markup=False, soft_wrap=True)
     return 1 if summary["errors"] else 0
 
 

@@ -1,27 +1,28 @@
 """The grasp benchmark: going on after an interruption, errors, backends and the report."""
 
-import importlib.util
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 from grasp_setup import person_and_rest, planned_goal
+from script_modules import load_script
 
 from geort_drake.errors import BenchmarkError, GeortError, OutputError, TrainingError, UnknownNameError
-from geort_drake.evaluation import grasp_benchmark, grasp_methods, grasp_trial
-from geort_drake.evaluation.grasp_benchmark import open_benchmark, read_config
-from geort_drake.evaluation.grasp_methods import measure_latency
+from geort_drake.evaluation import grasp_benchmark, grasp_methods, grasp_trial, trial_sources, workers
+from geort_drake.evaluation.grasp_benchmark import keep_error, open_benchmark
+from geort_drake.evaluation.grasp_config import read_config
+from geort_drake.evaluation.grasp_methods import measure_latency, names_of
 from geort_drake.evaluation.trial_log import TrialKey, TrialLog, key_of, read_records
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.hands.description import load_hand
 from geort_drake.resources import models_dir
+from geort_drake.simulation.diagram import make_grasp_diagram
 from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.trial import run_trial
 
-SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "benchmark_grasping.py"
 # Too short to grasp anything, long enough to run through every part.
 SHORT = "{timeout: 0.3}"
 
@@ -41,9 +42,7 @@ def benchmark(tmp_path_factory, play):
 @pytest.fixture
 def script(monkeypatch, play):
     """The script, with a person made already, and with one plan: no trial lasts long enough to follow it."""
-    spec = importlib.util.spec_from_file_location("benchmark_grasping", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = load_script("benchmark_grasping.py")
     monkeypatch.setattr(module, "read_person", lambda *_: (play, {"recording": None}))
     monkeypatch.setattr(grasp_benchmark, "plan", lambda *_: planned_goal("cylinder"))
     return module
@@ -72,15 +71,54 @@ def test_a_benchmark_runs_all_trials_and_reports_them(script, tmp_path, capsys):
     assert len(records) == 4 and {key_of(record) for record in records} == keys
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["reference"] == "hold"
-    assert summary["methods"]["hold"]["overall"]["failures"] == {"timeout: reach": 2}
+    failures = summary["methods"]["hold"]["overall"]["failures"]
+    assert sum(failures.values()) == 2 and all(name.startswith("timeout: reach (") for name in failures)
     assert summary["differences"]["nearest_neighbour"]["overall"]["pairs"] == 2
     page = (tmp_path / "report.html").read_text()
     assert page.count("<svg") == 3
     assert "<script" not in page and 'href="http' not in page and "src=" not in page
     for key in keys:
         assert f"--output {tmp_path} --rrd {key.method} {key.object} {key.seed}" in page
-    assert "| hold | 0 % [0, 66] |" in (tmp_path / "report.md").read_text()
+    report = (tmp_path / "report.md").read_text()
+    # Overall, in its class and by itself.
+    assert report.count("| hold | 0 % [0, 66] |") == 3
+    assert report.count("| nearest_neighbour | 2 | +0 [+0, +0] | 0 : 0 |") == 3
+    assert "### tripod: cylinder" in report and "### cylinder (tripod)" in report
+    assert "](completion.svg)" in report and (tmp_path / "completion.svg").read_text().startswith("<svg")
+    assert summary["methods"]["hold"]["classes"]["tripod"] == summary["methods"]["hold"]["overall"]
     assert "4 trials, 0 of them finished before" in capsys.readouterr().err
+
+
+def test_names_given_twice_are_run_once(script, tmp_path):
+    """Methods and objects keep their order; the folder stays one that can be gone on with."""
+    doubled = [
+        "--methods",
+        "vector_online",
+        "hold",
+        "vector_online",
+        "--objects",
+        "sphere",
+        "cylinder",
+        "sphere",
+    ]
+    for _ in range(2):
+        assert script.main([*arguments(tmp_path, "--trials", "1"), *doubled]) == 0
+    config = read_config(tmp_path)
+    assert config["objects"] == ["sphere", "cylinder"]
+    assert list(config["methods"]) == ["vector_online", "hold"]
+    assert len((tmp_path / "trials.jsonl").read_text().splitlines()) == 4
+
+
+def test_a_checkpoint_is_named_after_its_directory_however_that_is_given(tmp_path, monkeypatch):
+    """Also from within it; two directories of one name are refused, and one given twice is taken once."""
+    for folder in ("one/map", "other/map"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "config.json").write_text("{}")
+    monkeypatch.chdir(tmp_path / "one" / "map")
+    path = str(tmp_path / "one" / "map")
+    assert names_of([".", "hold", path, "hold", "../map"]) == {"map": path, "hold": "hold"}
+    with pytest.raises(BenchmarkError, match=r"two methods have the name 'map': .*one/map and .*other/map"):
+        names_of([".", "../../other/map"])
 
 
 def test_an_interrupted_benchmark_goes_on_without_losing_or_repeating(script, tmp_path, monkeypatch):
@@ -175,6 +213,7 @@ def test_another_configuration_is_refused_by_the_name_of_its_field(benchmark, pl
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     fresh = (["hold"], ["cylinder"], 2)
     other_play = synthesize_play(seed=1, duration_s=60)
+    assert open_benchmark(folder, load_scenario(text=SHORT), play, *fresh).config == benchmark.config
     for field, scenario, recording, options in (
         ("scenario.timeout: 0.3, not 0.4", "{timeout: 0.4}", play, {}),
         ("scenario.operator.visual_delay", "{timeout: 0.3, operator: {visual_delay: 0.2}}", play, {}),
@@ -197,6 +236,52 @@ def test_results_without_their_configuration_are_not_taken_over(tmp_path, play):
         open_benchmark(tmp_path, load_scenario(text=SHORT), play, ["hold"], ["cylinder"], 1)
 
 
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (("settings",), {}, "settings.code_sha256, settings.hand.* missing"),
+        (("settings", "latency"), "none", "settings.latency must be .measured. or .zero., not .none."),
+        (
+            ("settings", "scenario", "timeout"),
+            "25",
+            "settings.scenario.timeout must be a finite number, not .25.",
+        ),
+        (("methods", "hold"), {}, "methods.hold.latency_s, methods.hold.weights_sha256 missing"),
+        (("methods", "hold", "latency_s"), float("nan"), "methods.hold.latency_s must be a finite number"),
+        (("methods",), {}, "methods must name at least one"),
+        (("objects",), ["cylinder", 1], r"objects\[1\] must be a text, not 1"),
+        (("trials",), 2.5, "trials must be a whole number, not 2.5"),
+        (("conditions",), {"delay=0": None}, "conditions.delay=0 must be an object, not null"),
+        (("notes", "recording"), 3, "notes.recording must be a text or null, not 3"),
+    ],
+)
+def test_a_configuration_that_makes_no_sense_is_refused_by_its_field(
+    benchmark, tmp_path, path, value, message
+):
+    """The report says so, and nothing else is written."""
+    config = json.loads((benchmark.folder / "config.json").read_text())
+    *outer, last = path
+    within = config
+    for name in outer:
+        within = within[name]
+    within[last] = value
+    (tmp_path / "config.json").write_text(json.dumps(config))
+    (tmp_path / "trials.jsonl").write_text("")
+    with pytest.raises(BenchmarkError, match=rf"config\.json: .*{message}"):
+        load_script("benchmark_grasping.py").main(["--output", str(tmp_path), "--report"])
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_result_that_is_not_finite_is_kept_as_an_error(tmp_path, benchmark):
+    """It does not stop the other trials, and leaves a file that can be read."""
+    key, *rest = benchmark.arguments(TrialKey("hold", "cylinder", 0), planned_goal("cylinder"))
+    record = {**grasp_trial.simulate(key, *rest), "peak_force": float("nan")}
+    kept = keep_error(tmp_path, record)
+    assert set(kept) == {"method", "object", "seed", "error", "traceback"}
+    assert kept["error"].endswith("peak_force must be a finite number, not NaN")
+    assert (tmp_path / kept["traceback"]).read_text() == kept["error"]
+
+
 def test_unknown_names_are_refused_with_the_choices_before_anything_is_written(script, tmp_path):
     """Methods, objects, finished trials and folders."""
     folder = tmp_path / "new"
@@ -213,7 +298,8 @@ def test_unknown_names_are_refused_with_the_choices_before_anything_is_written(s
 
 
 @pytest.mark.parametrize(
-    "option", [["--trials", "0"], ["--jobs", "0"], ["--seed", "-1"], ["--rrd", "a", "b", "c"]]
+    "option",
+    [["--trials", "0"], ["--jobs", "0"], ["--seed", "-1"], ["--rrd", "a", "b", "c"], ["--rrd", "a", "b"]],
 )
 def test_senseless_numbers_are_refused(script, tmp_path, option, capsys):
     """With the option's name."""
@@ -225,8 +311,8 @@ def test_senseless_numbers_are_refused(script, tmp_path, option, capsys):
 # -- one trial again
 
 
-def test_one_trial_can_be_watched_and_must_come_out_the_same(script, tmp_path):
-    """The recording is written and linked; a line that says otherwise is an error."""
+def test_one_trial_can_be_watched_and_must_come_out_the_same(script, tmp_path, capsys):
+    """The recording is written and linked; code that has changed is said, another outcome is an error."""
     script.main(arguments(tmp_path))
     watch = ["--output", str(tmp_path), "--rrd", "nearest_neighbour", "cylinder", "1"]
     assert script.main(watch) == 0
@@ -235,6 +321,11 @@ def test_one_trial_can_be_watched_and_must_come_out_the_same(script, tmp_path):
     assert f'href="{name}"' in (tmp_path / "report.html").read_text()
     with pytest.raises(UnknownNameError, match=r"finished trial 'hold cylinder 7'.*hold cylinder 0"):
         script.main(["--output", str(tmp_path), "--rrd", "hold", "cylinder", "7"])
+    config = read_config(tmp_path)
+    config["settings"]["code_sha256"] = "of before"
+    (tmp_path / "config.json").write_text(json.dumps(config))
+    assert script.main(watch) == 0
+    assert "code has changed since" in capsys.readouterr().err and read_config(tmp_path) == config
     path = tmp_path / "trials.jsonl"
     path.write_text(path.read_text().replace('"peak_height": ', '"peak_height": 1'))
     with pytest.raises(BenchmarkError, match="came out otherwise in peak_height"):
@@ -294,8 +385,34 @@ def test_processes_give_what_one_process_gives(benchmark):
     assert run_all(benchmark, 2) == alone
 
 
-def test_a_ray_cluster_gives_what_one_process_gives(benchmark, monkeypatch):
-    """On a local cluster of two workers that the test starts."""
+@pytest.fixture(scope="module")
+def grasping(tmp_path_factory, play):
+    """One trial, long enough for a whole grasp by a method with a memory: the benchmark, goals and keys."""
+    scenario = load_scenario(text="{timeout: 9.0, monitor: {hold_time: 0.5}}")
+    folder = tmp_path_factory.mktemp("grasping")
+    made = open_benchmark(folder, scenario, play, ["vector_online"], ["cylinder"], 1, zero_latency=True)
+    return made, made.keys(["vector_online"], ["cylinder"], 1), {"cylinder": planned_goal("cylinder")}
+
+
+@pytest.fixture(scope="module")
+def grasped(grasping):
+    """Its line, from this process."""
+    made, keys, goals = grasping
+    (record,) = made.run(keys, goals, 1, "loky")
+    # In contact, small differences would grow.
+    assert {"TOUCH", "GRASP", "LIFT"} <= record["phase_times"].keys() and record["peak_force"] > 0.1
+    return judged(record)
+
+
+def test_a_whole_grasp_is_the_same_in_another_process(grasping, grasped):
+    """With all its contacts, to the last bit."""
+    made, keys, goals = grasping
+    (record,) = made.run(keys, goals, 2, "loky")
+    assert judged(record) == grasped
+
+
+def test_a_ray_cluster_gives_what_one_process_gives(benchmark, grasping, grasped, monkeypatch):
+    """On a local cluster of two workers that the test starts; a whole grasp, too."""
     ray = pytest.importorskip("ray")
     # The workers find the tests' own modules, and this package where it is not installed.
     environment = {"env_vars": {"PYTHONPATH": ":".join(map(str, sys.path)), "OMP_NUM_THREADS": "1"}}
@@ -303,6 +420,10 @@ def test_a_ray_cluster_gives_what_one_process_gives(benchmark, monkeypatch):
     ray.init(num_cpus=2, include_dashboard=False, runtime_env=environment, log_to_driver=False)
     try:
         assert run_all(benchmark, 2, "ray") == run_all(benchmark, 1)
+        made, keys, goals = grasping
+        assert [judged(record) for record in made.run(keys, goals, 2, "ray")] == [grasped]
+        with pytest.raises(BenchmarkError, match="--jobs 3: the Ray cluster has 2 CPUs"):
+            run_all(benchmark, 3, "ray")
     finally:
         ray.shutdown()
 
@@ -319,6 +440,34 @@ def test_a_worker_that_dies_leaves_a_message_that_helps(benchmark, monkeypatch):
     monkeypatch.setattr(grasp_benchmark, "simulate", _die)
     with pytest.raises(BenchmarkError, match=r"a worker process ended.*run the same command again"):
         run_all(benchmark, 2)
+
+
+def test_a_worker_that_loaded_other_code_is_named(benchmark, monkeypatch):
+    """As one that begins after the code was changed does; with what to do about it."""
+    monkeypatch.setattr(workers, "code_digest", lambda: "of before")
+    with pytest.raises(
+        BenchmarkError, match=r"code_sha256: a worker on .* not of before; what is finished is kept"
+    ):
+        run_all(benchmark, 2)
+
+
+def test_the_digest_covers_what_a_worker_loads_and_no_training():
+    """Every module of a worker that can change a trial, and those that are imported later."""
+    code = (
+        "import sys, geort_drake.evaluation.grasp_trial, geort_drake.retargeting.baselines.registry; "
+        "print(*[m.__file__ for n, m in sys.modules.items() if n.startswith('geort_drake.') and m.__file__])"
+    )
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    covered = {str(path) for path in trial_sources.trial_sources()}
+    rooms = ("/gloves/", "/hands/", "/operators/", "/retargeting/", "/simulation/", "/systems/")
+    needed = {
+        path for path in loaded.split() if any(room in path for room in rooms) and "__init__" not in path
+    }
+    assert len(needed) > 30 and needed <= covered
+    names = {path.rpartition("/")[2] for path in covered}
+    assert "coupled_retargeter.py" in names  # imported where a checkpoint asks for it
+    assert not any("rerun" in name for name in names)
+    assert not names & {"training.py", "descent.py", "coupled_training.py", "coupled_losses.py", "play.py"}
 
 
 def _die(*_):
@@ -338,19 +487,25 @@ def test_a_worker_loads_neither_torch_nor_what_draws():
 
 
 def test_seeds_are_paired_across_methods(benchmark):
-    """One seed is one placement and mass, whatever the method; another seed is another."""
+    """One seed is one place, mass, friction and noise, whatever the method; another seed differs in each."""
     keys = benchmark.keys(["hold", "vector_online"], ["cylinder"], 2)
     assert [key.seed for key in keys] == [0, 0, 1, 1]
-    person = person_and_rest()[0]
-    glove = [
-        grasp_trial.run_trial(
-            load_scenario(text=f"{{timeout: 0.3, random_seed: {key.seed}}}"),
-            benchmark.methods[key.method].retarget,
-            (person, planned_goal("cylinder")),
-        )[1]
-        for key in keys
-    ]
-    # The person has not seen the robot move yet, so the noise is all that moves the hand.
-    early = [recording.p_HK[:15] for recording in glove]
-    np.testing.assert_array_equal(early[0], early[1])
-    np.testing.assert_array_equal(early[2], early[3])
+    human = (person_and_rest()[0], planned_goal("cylinder"))
+    seen = []
+    for key in keys:
+        scenario = load_scenario(text=f"{{timeout: 0.4, random_seed: {key.seed}}}")
+        scenario.object.name = key.object
+        retarget = benchmark.methods[key.method].retarget
+        drawn = make_grasp_diagram(scenario, retarget, human).placement
+        glove = run_trial(scenario, retarget, human)[1]
+        # The person first decides at the sample after the visual delay, and does not see before the next one
+        # what the method makes of it. The arm moves without the method.
+        first = round(scenario.operator.visual_delay / scenario.operator.period)
+        assert not np.array_equal(glove.p_HK[first], glove.p_HK[0])
+        place = drawn.X_WO.GetAsMatrix4()
+        seen.append((place, drawn.mass_factor, drawn.friction_factor, glove.p_HK[: first + 1], glove.X_WH))
+    for one, other in ((0, 1), (2, 3)):
+        for value, again in zip(seen[one], seen[other], strict=True):
+            np.testing.assert_array_equal(value, again)
+    for value, of_other_seed in zip(seen[0], seen[2], strict=True):
+        assert not np.array_equal(value, of_other_seed)

@@ -15,6 +15,7 @@ from geort_drake.evaluation.grasp_statistics import (
 )
 
 TIMEOUT = 20.0
+GRIPS = {"cube": "tripod", "ball": "tripod", "rod": "pinch"}
 
 
 def trial(method="a", thing="cube", seed=0, time=5.0, attempts=1, **changes) -> dict:
@@ -33,6 +34,8 @@ def trial(method="a", thing="cube", seed=0, time=5.0, attempts=1, **changes) -> 
         "drops": attempts - 1,
         "slip": 0.002,
         "peak_force": 4.0,
+        "operator_phase": None,
+        "self_contact": 0.0,
         **changes,
     }
 
@@ -144,15 +147,45 @@ def test_the_summary_is_the_same_for_any_order_and_is_json():
         for thing in ("cube", "rod")
         for seed in range(6)
     ]
-    summary = summarize(records, ["b", "a", "new"], TIMEOUT)
+    summary = summarize(records, ["b", "a", "new"], TIMEOUT, GRIPS)
     shuffled = [records[k] for k in rng.permutation(len(records))]
-    assert summarize(shuffled, ["b", "a", "new"], TIMEOUT) == summary
+    assert summarize(shuffled, ["b", "a", "new"], TIMEOUT, GRIPS) == summary
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
     assert list(summary["methods"]) == ["b", "a", "new"] and summary["reference"] == "b"
     assert list(summary["differences"]) == ["a", "new"] and summary["objects"] == ["cube", "rod"]
     rod = summary["methods"]["a"]["objects"]["rod"]
     assert rod == figures([r for r in records if (r["method"], r["object"]) == ("a", "rod")], TIMEOUT)
     assert summary["methods"]["new"]["overall"]["trials"] == 0
+
+
+def test_a_class_has_the_figures_of_all_its_objects():
+    """Also its differences; a class without an object is left out."""
+    records = [
+        trial(method, thing, seed, time)
+        for method, time in (("a", 5.0), ("b", None))
+        for thing in ("cube", "ball", "rod")
+        for seed in range(4)
+    ]
+    summary = summarize(records, ["a", "b"], TIMEOUT, {**GRIPS, "bottle": "power"})
+    assert summary["classes"] == {"pinch": ["rod"], "tripod": ["ball", "cube"]}
+    own = [r for r in records if r["method"] == "b" and r["object"] != "rod"]
+    assert summary["methods"]["b"]["classes"]["tripod"] == figures(own, TIMEOUT)
+    tripod = summary["differences"]["b"]["classes"]["tripod"]
+    assert tripod["pairs"] == tripod["one_time_success"]["lost"] == 8
+    assert summary["methods"]["b"]["classes"]["pinch"] == summary["methods"]["b"]["objects"]["rod"]
+
+
+def test_failures_say_what_the_person_was_about():
+    """Where there is one; the share of self-contact is a mean over trials."""
+    records = [
+        trial(time=None, operator_phase="approach", self_contact=0.1),
+        trial(time=None, seed=1, operator_phase="approach", self_contact=0.2),
+        trial(time=None, seed=2, self_contact=0.0),
+        trial(seed=3, operator_phase="lift", self_contact=0.1),
+    ]
+    found = figures(records, TIMEOUT)
+    assert found["failures"] == {"timeout: lift (approach)": 2, "timeout: lift": 1}
+    assert found["self_contact"] == pytest.approx(0.1)
 
 
 def test_the_completed_share_rises_to_the_success_rate():

@@ -1,13 +1,12 @@
 """Replayed sessions: the object stands as it did, changes are drawn, and what is finished is kept."""
 
 import dataclasses as dc
-import importlib.util
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 from grasp_setup import centred_map, person_and_rest, scenario_with
+from script_modules import load_script
 
 from geort_drake.errors import BenchmarkError, RecordingError, ScenarioError
 from geort_drake.evaluation import replay
@@ -16,8 +15,6 @@ from geort_drake.evaluation.trial_log import read_records
 from geort_drake.gloves.recording import Recording
 from geort_drake.operators.finger_motion import FingerMotion
 from geort_drake.simulation.scene import draw_placement
-
-SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "evaluate_replay.py"
 
 
 def session(**metadata) -> Recording:
@@ -84,9 +81,7 @@ def test_the_summary_pools_sessions_and_begins_without_a_change():
 @pytest.fixture
 def script(monkeypatch, tmp_path):
     """The script, with a known map in place of a checkpoint."""
-    spec = importlib.util.spec_from_file_location("evaluate_replay", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = load_script("evaluate_replay.py")
     monkeypatch.setattr(replay, "load_retargeter", lambda *_: centred_map())
     (tmp_path / "map").mkdir()
     (tmp_path / "map" / replay.WEIGHTS).write_bytes(b"a known map")

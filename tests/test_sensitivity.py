@@ -1,15 +1,14 @@
 """The sensitivity of a grasp benchmark: conditions, how they are run and kept, and the ranking."""
 
-import importlib.util
 import json
-from pathlib import Path
 
 import pytest
 from grasp_setup import planned_goal
+from script_modules import load_script
 
 from geort_drake.errors import BenchmarkError, ScenarioError, UnknownNameError
 from geort_drake.evaluation import grasp_benchmark
-from geort_drake.evaluation.grasp_benchmark import read_config
+from geort_drake.evaluation.grasp_config import read_config
 from geort_drake.evaluation.sensitivity import (
     PARAMETERS,
     make_conditions,
@@ -20,7 +19,6 @@ from geort_drake.evaluation.trial_log import key_of, read_records
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.simulation.scenario import Scenario, dump_scenario, load_scenario
 
-SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "benchmark_grasping.py"
 USUAL = {name: parameter.values for name, parameter in PARAMETERS.items()}
 
 
@@ -67,7 +65,7 @@ def test_a_condition_changes_what_its_name_says_and_the_nominal_value_makes_none
     assert conditions["delay=300"].operator.visual_delay == 0.3
     assert conditions["gain=0.5"].operator.correction_rate == 0.5
     noisy, person = conditions["noise=2"].operator, scenario.operator
-    for field in ("visual_noise", "motor_noise", "tremor"):
+    for field in ("visual_noise", "visual_turn_noise", "contact_noise", "motor_noise", "tremor"):
         assert getattr(noisy, field) == 2 * getattr(person, field)
     assert conditions["stiffness=4"].hand_stiffness_factor == 4
     assert conditions["friction=0.5"].object.friction_factor == 0.5
@@ -124,9 +122,7 @@ def test_nominal_trials_count_where_a_condition_tried_the_same():
 @pytest.fixture
 def script(monkeypatch):
     """The script, with a person made already and one plan; no trial lasts long enough to follow it."""
-    spec = importlib.util.spec_from_file_location("benchmark_grasping", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = load_script("benchmark_grasping.py")
     play = synthesize_play(seed=0, duration_s=60)
     monkeypatch.setattr(module, "read_person", lambda *_: (play, {"recording": None}))
     monkeypatch.setattr(grasp_benchmark, "plan", lambda *_: planned_goal("cylinder"))
@@ -164,6 +160,12 @@ def test_conditions_are_added_to_a_benchmark_and_reported(script, tmp_path):
     assert "| **180** | – | 0 % [0, 79] | 0 % [0, 79] |" in report
     assert (tmp_path / "sensitivity.svg").read_text().startswith("<svg")
     assert (tmp_path / "report.html").read_text().count("<svg") == 4
+    # A trial of a condition can be watched, too.
+    watch = ["--output", str(tmp_path), "--rrd", "hold", "cylinder", "0"]
+    assert script.main([*watch, "delay=0"]) == 0
+    assert (tmp_path / "rrd" / "hold-cylinder-0-delay=0.rrd").stat().st_size > 20_000
+    with pytest.raises(UnknownNameError, match=r"'hold cylinder 0 delay=9'.*hold cylinder 0 delay=0"):
+        script.main([*watch, "delay=9"])
     # Going on finds all of it finished.
     script.main(arguments(tmp_path, "--sensitivity", "delay=0"))
     assert read_records(tmp_path / "trials.jsonl") == records

@@ -1,12 +1,12 @@
 """Sweeps: what is run, what is not run again, what a failure does, and the tables."""
 
-import importlib.util
 import json
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
+from script_modules import load_script
 
 from geort_drake.errors import CheckpointError, GeortError, OutputError, TrainingError, UnknownNameError
 from geort_drake.evaluation import sweep as sweeping
@@ -195,15 +195,6 @@ def test_processes_of_their_own_record_their_failures(tmp_path):
     assert len(json.loads((tmp_path / "sweep" / SWEEP).read_text("utf-8"))["runs"]) == 3
 
 
-def script():
-    """The script as a module."""
-    path = Path(__file__).resolve().parents[1] / "scripts" / "evaluate_retargeting.py"
-    spec = importlib.util.spec_from_file_location("evaluate_retargeting", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_the_script_writes_table_and_plot_and_goes_on(monkeypatch, tmp_path, capsys):
     """A failure ends with code 1 after everything else is written; the same command tries only it again."""
     play = synthesize_play(0, duration_s=20.0, rate_hz=30.0)
@@ -215,16 +206,18 @@ def test_the_script_writes_table_and_plot_and_goes_on(monkeypatch, tmp_path, cap
         "--recording", str(tmp_path / "hand.npz"), "--methods", "geort", "--sweep", "coverage_weight=0,3.5",
         "--seeds", "0", "1", "--set", "steps=7", "--output", str(tmp_path / "sweep"),
     ]  # fmt: skip
-    assert script().main(command) == 1
+    assert load_script("evaluate_retargeting.py").main(command) == 1
     files = [tmp_path / "sweep" / name for name in ("sweep.json", "ablation.md", "frontier.png")]
     said = capsys.readouterr()
-    assert said.out.split() == [str(path) for path in files]
+    assert said.out == ""
+    assert f"Figures: {files[0]}\n" in said.err and f"Tables: {files[1]}\n" in said.err
+    assert f"Plot: {files[2]}\n" in said.err
     assert "geort-coverage_weight=3.5-seed1: TrainingError: the loss is not finite" in said.err
     assert "| `coverage_weight` = 0 | 0, 1 | -0.700 ± 0.000 |" in files[1].read_text("utf-8")
     assert files[2].read_bytes().startswith(b"\x89PNG")
     assert read_sweep(tmp_path / "sweep")["ground"]["settings"] == {"steps": 7}
     assert len(names) == 6
-    assert script().main(command) == 1
+    assert load_script("evaluate_retargeting.py").main(command) == 1
     assert names[6:] == ["geort-coverage_weight=3.5-seed1"]
 
 
@@ -233,7 +226,7 @@ def test_the_script_writes_table_and_plot_and_goes_on(monkeypatch, tmp_path, cap
     [
         (["--sweep", "--methods", "geort"], "--sweep needs --methods and --output"),
         (["--sweep", "--output", "out"], "--sweep needs --methods and --output"),
-        (["--sweep", "--methods", "geort", "--output", "out", "--json", "t"], "--json: not with --sweep"),
+        (["--sweep", "--methods", "geort", "--output", "out", "--json"], "--json: not with --sweep"),
         (["--output", "out", "--jobs", "2"], "--output, --jobs: only with --sweep"),
         (["--sweep", "--methods", "geort", "--output", "out", "--jobs", "0"], "--jobs: must be at least 1"),
     ],
@@ -241,5 +234,5 @@ def test_the_script_writes_table_and_plot_and_goes_on(monkeypatch, tmp_path, cap
 def test_options_that_do_not_go_together_are_refused(arguments, message, capsys):
     """Before anything is read."""
     with pytest.raises(SystemExit):
-        script().main(["--recording", "none.npy", *arguments])
+        load_script("evaluate_retargeting.py").main(["--recording", "none.npy", *arguments])
     assert message in capsys.readouterr().err

@@ -14,15 +14,23 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from joblib import delayed
 
-import geort_drake
 from geort_drake.errors import BenchmarkError
+from geort_drake.evaluation.grasp_config import (
+    CONFIG,
+    ERRORS,
+    METHODS,
+    SCENARIO,
+    read_config,
+    require_no_trials,
+    require_same,
+)
 from geort_drake.evaluation.grasp_methods import Method, make_retargeter, measure_latency, names_of
 from geort_drake.evaluation.grasp_trial import plan, simulate
-from geort_drake.evaluation.trial_log import TrialKey, key_of
+from geort_drake.evaluation.trial_log import TrialKey, check_record, identity, key_of
+from geort_drake.evaluation.trial_sources import code_digest
 from geort_drake.evaluation.versions import versions
-from geort_drake.evaluation.workers import workers
+from geort_drake.evaluation.workers import run_trials
 from geort_drake.files import digest_of, write_text
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.recording import Recording
@@ -32,16 +40,6 @@ from geort_drake.operators.grasp_goal import GraspGoal
 from geort_drake.resources import diagrams_dir, models_dir
 from geort_drake.simulation.scenario import Scenario, dump_scenario
 
-CONFIG, SCENARIO, TRIALS, METHODS, ERRORS = (
-    "config.json",
-    "scenario.yaml",
-    "trials.jsonl",
-    "methods",
-    "errors",
-)
-# What a trial runs through; reports and metrics may change without it.
-_SOURCES = ("gloves", "hands", "operators", "retargeting", "simulation", "systems")
-_CONFIG_TYPES = {"settings": dict, "objects": list, "methods": dict, "trials": int, "notes": dict}
 _VERSIONS = ("geort_drake", "python", "numpy", "scipy", "drake")
 
 
@@ -64,23 +62,21 @@ class Benchmark:
             TrialKey(method, name, first + k, condition)
             for k in range(trials)
             for condition in ("", *self.conditions)
-            for name in objects
-            for method in methods
+            for name in dict.fromkeys(objects)
+            for method in dict.fromkeys(methods)
         ]
 
     def goals(self, objects: Sequence[str], jobs: int, backend: str) -> Iterator[tuple[str, GraspGoal]]:
         """Plans a grasp of each object, which is the same for all methods."""
-        tasks = (delayed(plan)(self.scenario_text, name) for name in objects)
-        with workers(jobs, backend) as parallel:
-            yield from zip(objects, parallel(return_as="generator")(tasks), strict=True)
+        arguments = ((self.scenario_text, name) for name in objects)
+        yield from zip(objects, run_trials(plan, arguments, jobs, backend, ordered=True), strict=True)
 
     def run(
         self, keys: Sequence[TrialKey], goals: dict[str, GraspGoal], jobs: int, backend: str
     ) -> Iterator[dict]:
         """Simulates trials and yields their lines as they finish."""
-        tasks = (delayed(simulate)(*self.arguments(key, goals[key.object])) for key in keys)
-        with workers(jobs, backend) as parallel:
-            yield from parallel(return_as="generator_unordered")(tasks)
+        arguments = (self.arguments(key, goals[key.object]) for key in keys)
+        yield from run_trials(simulate, arguments, jobs, backend)
 
     def arguments(self, key: TrialKey, goal: GraspGoal) -> tuple:
         """What `simulate` takes for a trial."""
@@ -100,6 +96,7 @@ def open_benchmark(
     zero_latency: bool = False,
     notes: dict | None = None,
     conditions: Mapping[str, Scenario] | None = None,
+    any_code: bool = False,
 ) -> Benchmark:
     """Begins a benchmark in a folder, or goes on with the one that is there.
 
@@ -114,6 +111,7 @@ def open_benchmark(
         zero_latency: every method answers at once.
         notes: what else the configuration says; not compared.
         conditions: name → changed scenario in which the trials are run as well.
+        any_code: go on although the code of the trials has changed since the benchmark began.
 
     Raises:
         BenchmarkError: the folder's benchmark was begun with another configuration.
@@ -133,7 +131,7 @@ def open_benchmark(
             "scenario": resolved,
             **simulation_settings(hand),
         },
-        "objects": list(objects),
+        "objects": list(dict.fromkeys(objects)),
         "methods": {},
         "trials": trials,
         "conditions": {
@@ -144,6 +142,8 @@ def open_benchmark(
     path = folder / CONFIG
     stored = read_config(folder) if path.exists() else None
     if stored is not None:
+        if any_code:
+            wanted["settings"]["code_sha256"] = stored["settings"]["code_sha256"]
         require_same(path, stored["settings"], wanted["settings"])
         known_conditions = stored.get("conditions", {})
         for name in known_conditions.keys() & wanted["conditions"].keys():
@@ -177,67 +177,30 @@ def open_benchmark(
 
 def simulation_settings(hand: HandModel) -> dict:
     """What decides a trial beside scenario and method: the models, the code and the libraries."""
-    made_with, package = versions(), Path(geort_drake.__file__).parent
+    made_with = versions()
     return {
         "hand": hand.description.name,
         "hand_sha256": hand.digest,
         "models_sha256": digest_of(models_dir().parent, [models_dir(), diagrams_dir()]),
-        "code_sha256": digest_of(package, [package / room for room in _SOURCES]),
+        "code_sha256": code_digest(),
         "versions": {name: made_with[name] for name in _VERSIONS},
     }
 
 
-def read_config(folder: Path) -> dict:
-    """The configuration of the benchmark in a folder.
-
-    Raises:
-        BenchmarkError: there is none, or it is not one.
-    """
-    path = folder / CONFIG
-    if not path.is_file():
-        raise BenchmarkError(f"{path}: there is no such file; a benchmark writes it when it begins")
-    try:
-        config = json.loads(path.read_text(encoding="utf-8"))
-        missing = _CONFIG_TYPES.keys() - set(config)
-    except (ValueError, TypeError, RecursionError) as error:
-        raise BenchmarkError(f"{path}: not a benchmark's configuration: {error}") from error
-    if missing:
-        raise BenchmarkError(f"{path}: {', '.join(sorted(missing))} missing")
-    for field, kind in _CONFIG_TYPES.items():
-        if not isinstance(config[field], kind):
-            raise BenchmarkError(
-                f"{path}: {field} must be of type {kind.__name__}, not {config[field]!r:.60}"
-            )
-    return config
-
-
 def keep_error(folder: Path, record: dict) -> dict:
-    """Moves the traceback of a trial that raised into a file, and names the file in its line."""
+    """A trial's line as it is kept: the traceback of one that raised goes into a file, which its line names.
+
+    A result that is none, such as a force that is not finite, is an error too.
+    """
     if "error" not in record:
-        return record
-    path = Path(ERRORS) / f"{'-'.join(str(part) for part in key_of(record) if part != '')}.txt"
+        try:
+            check_record(record, "the simulation gave no sound result")
+            return record
+        except BenchmarkError as error:
+            record = {**identity(key_of(record)), "error": str(error)}
+    path = Path(ERRORS) / f"{key_of(record).file_stem}.txt"
     write_text(folder / path, record["error"])
     return {**record, "error": record["error"].strip().splitlines()[-1], "traceback": str(path)}
-
-
-def require_no_trials(folder: Path) -> None:
-    """Raises BenchmarkError where a folder without a configuration holds trials: nobody knows of what."""
-    path = folder / TRIALS
-    if path.exists() and path.stat().st_size:
-        raise BenchmarkError(f"{path}: holds trials without their {CONFIG}; choose another folder")
-
-
-def require_same(path: Path, stored: dict, wanted: dict, within: str = "") -> None:
-    """Raises BenchmarkError, by its name, for the first field in which two configurations differ."""
-    for field in {**stored, **wanted}:
-        before, now = stored.get(field), wanted.get(field)
-        if isinstance(before, dict) and isinstance(now, dict):
-            require_same(path, before, now, f"{within}{field}.")
-        elif before != now:
-            raise BenchmarkError(
-                f"{path}: this benchmark was begun with another {within}{field}: {before}, not {now}; "
-                "go on with the same, or choose another folder"
-            )
 
 
 def _changes(nominal: dict, changed: dict) -> dict:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from geort_drake.errors import UnknownNameError
+from geort_drake.errors import BenchmarkError
 from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
-from geort_drake.evaluation.comparison import check_methods
+from geort_drake.evaluation.comparison import check_methods, method_names
 from geort_drake.files import atomic_directory, sha256_of
 from geort_drake.gloves.recording import Recording
 from geort_drake.hands.canonical import canonical_kinematics
@@ -36,15 +36,21 @@ class Method:
 
 
 def names_of(methods: Sequence[str]) -> dict[str, str]:
-    """Name → method for methods and directories of checkpoints, which are named after the directory.
+    """Name → method, each once, for methods and directories of checkpoints, named after the directory.
 
     Raises:
-        UnknownNameError: neither a method nor a checkpoint, or two of one name.
+        UnknownNameError: neither a method nor a checkpoint.
+        BenchmarkError: two different ones have one name.
     """
     check_methods(methods)
-    names = {Path(method).name: method for method in methods}
-    if len(names) != len(methods):
-        raise UnknownNameError("set of methods, as two have one name,", " ".join(methods), names)
+    names: dict[str, str] = {}
+    for given in methods:
+        path = Path(given).resolve()
+        name, method = (given, given) if given in method_names() else (path.name, str(path))
+        if names.setdefault(name, method) != method:
+            raise BenchmarkError(
+                f"two methods have the name '{name}': {names[name]} and {method}; rename one directory"
+            )
     return names
 
 

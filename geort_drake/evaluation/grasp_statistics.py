@@ -6,7 +6,7 @@ success is censored at the timeout, whenever it ended.
 
 import warnings
 from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from scipy.stats import CensoredData, binomtest, bootstrap, ecdf
@@ -18,30 +18,39 @@ _RESAMPLES = 4000
 _SEED = 0
 
 
-def summarize(records: Sequence[Record], methods: Sequence[str], timeout: float) -> dict:
+def summarize(
+    records: Sequence[Record], methods: Sequence[str], timeout: float, grips: Mapping[str, str]
+) -> dict:
     """All figures of a benchmark, JSON-ready.
 
     Args:
         records: lines of the results file, in any order.
         methods: in the order of the report; differences are against the first one.
         timeout: at which failures are censored, s.
+        grips: object → the grip that it is made for, which is its class.
 
     Returns:
-        `reference`, `timeout_s`, `objects`; `methods`: name → `overall` and `objects` → `figures`;
-        `differences`: name of every other method → `overall` and `objects` → `difference`.
+        `reference`, `timeout_s`, `objects`; `classes`: grip → its objects; `methods`: name → `overall`,
+        `classes` and `objects` → `figures`; `differences`: name of every other method → `overall`,
+        `classes` and `objects` → `difference`.
     """
     records = sorted(records, key=lambda r: (r["object"], r["seed"]))
     objects = sorted({record["object"] for record in records})
+    classes: dict[str, list[str]] = {grip: [] for grip in sorted({grips[name] for name in objects})}
+    for name in objects:
+        classes[grips[name]].append(name)
     of = {name: [record for record in records if record["method"] == name] for name in methods}
 
     def each(calculate: Callable[..., dict], *groups: Sequence[Record]) -> dict:
-        """Overall, then object by object."""
+        """Overall, then class by class and object by object."""
+
+        def of_objects(names: Sequence[str]) -> dict:
+            return calculate(*([r for r in group if r["object"] in names] for group in groups), timeout)
+
         return {
             "overall": calculate(*groups, timeout),
-            "objects": {
-                name: calculate(*([r for r in group if r["object"] == name] for group in groups), timeout)
-                for name in objects
-            },
+            "classes": {grip: of_objects(names) for grip, names in classes.items()},
+            "objects": {name: of_objects([name]) for name in objects},
         }
 
     reference, *others = methods
@@ -49,6 +58,7 @@ def summarize(records: Sequence[Record], methods: Sequence[str], timeout: float)
         "reference": reference,
         "timeout_s": timeout,
         "objects": objects,
+        "classes": classes,
         "methods": {name: each(figures, of[name]) for name in methods},
         "differences": {name: each(difference, of[name], of[reference]) for name in others},
     }
@@ -62,7 +72,8 @@ def figures(records: Sequence[Record], timeout: float) -> dict:
         `proportion`; `completion_time_s`: `restricted_mean` up to the timeout with its interval, and
         `median_of_successes`; `phase_s`: mean time in each phase; `slip_mm`: median and 95th percentile
         over the trials in which something was lifted; `drops_per_trial`; `peak_force_n`, median;
-        `failures`: how often each outcome but success was had.
+        `self_contact`, mean share of the time; `failures`: how often each ending but success was had, see
+        `ending`.
     """
     judged = [record for record in records if "error" not in record]
     by_object: dict[str, list[float]] = defaultdict(list)
@@ -90,7 +101,8 @@ def figures(records: Sequence[Record], timeout: float) -> dict:
         },
         "drops_per_trial": float(np.mean([r["drops"] for r in judged])) if judged else None,
         "peak_force_n": _median([r["peak_force"] for r in judged]),
-        "failures": dict(Counter(r["outcome"] for r in judged if not r["success"]).most_common()),
+        "self_contact": float(np.mean([r["self_contact"] for r in judged])) if judged else None,
+        "failures": dict(Counter(ending(r) for r in judged if not r["success"]).most_common()),
     }
 
 
@@ -124,6 +136,12 @@ def difference(records: Sequence[Record], reference: Sequence[Record], timeout: 
         },
         "completion_time_s": mean_and_interval(list(time.values())),
     }
+
+
+def ending(record: Record) -> str:
+    """How a trial ended: its outcome, and for a failure what the person was about where somebody was."""
+    phase = None if record["success"] else record["operator_phase"]
+    return record["outcome"] if phase is None else f"{record['outcome']} ({phase})"
 
 
 def restricted_time(record: Record, timeout: float) -> float:

@@ -43,7 +43,7 @@ CONFIGS: dict[str, type[TrainingConfig]] = {
     "geort_coupled": CoupledConfig,
     "linear_offline": TrainingConfig,
 }
-# Methods that learn from the robot samples' labels; for the others they are not computed.
+# Methods that learn from labels of collision; for the others they are not computed.
 LABELLED = frozenset({"geort"})
 # Methods that take the hand's collision shapes.
 SHAPED = frozenset({"geort_coupled"})
@@ -116,7 +116,9 @@ def train_checkpoint(
             labels = method in LABELLED
             counter = bars.counter("robot samples")
             samples = robot_data(hand, robot_samples, seed, progress=counter, labels=labels)
-        extra = {}
+        extra: dict[str, object] = {}
+        if labels:
+            extra["collides_beyond_tips"] = hand.collides_beyond_tips
         if method in SHAPED:
             extra["shapes"] = canonical_shapes(hand)
         with _timed(timings, "fit_s"), _collected(said):
@@ -128,7 +130,6 @@ def train_checkpoint(
                 seed,
                 device,
                 report=bars.losses("training", report),
-                collides_beyond_tips=hand.collides_beyond_tips,
                 **extra,
             )
         arrays = result.network.arrays()
@@ -214,7 +215,7 @@ def _collected(said: list[str]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _timed(timings: dict[str, float], name: str):
+def _timed(timings: dict[str, float], name: str) -> Iterator[None]:
     started = time.perf_counter()
     yield
     timings[name] = time.perf_counter() - started

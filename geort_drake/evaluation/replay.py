@@ -12,26 +12,20 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict
 
 import numpy as np
 import yaml
-from joblib import delayed
 
-from geort_drake.errors import BenchmarkError, ScenarioError, UnknownNameError
-from geort_drake.evaluation.grasp_benchmark import (
-    CONFIG,
-    TRIALS,
-    require_no_trials,
-    require_same,
-    simulation_settings,
-)
+from geort_drake.errors import ScenarioError, UnknownNameError
+from geort_drake.evaluation.grasp_benchmark import simulation_settings
+from geort_drake.evaluation.grasp_config import CONFIG, TRIALS, read_json, require_no_trials, require_same
 from geort_drake.evaluation.grasp_plots import success_panels
 from geort_drake.evaluation.grasp_statistics import Record, proportion
 from geort_drake.evaluation.grasp_trial import simulate
 from geort_drake.evaluation.sensitivity import condition_name
 from geort_drake.evaluation.trial_log import TrialKey, read_records
-from geort_drake.evaluation.workers import workers
+from geort_drake.evaluation.workers import run_trials
 from geort_drake.files import sha256_of, write_text
 from geort_drake.gloves.readers import read_recording
 from geort_drake.gloves.recording import Recording
@@ -60,6 +54,13 @@ PERTURBATIONS = {
     "mass": Perturbation("mass_range", 1.0, "largest change of mass, share", (0.2, 0.5, 0.8)),
     "friction": Perturbation("friction_range", 1.0, "largest change of friction, share", (0.2, 0.5, 0.8)),
 }
+
+
+class _Config(TypedDict):
+    settings: dict
+    sessions: dict[str, dict]
+
+
 REPORT, SUMMARY, FIGURE = "report.md", "summary.json", "success.svg"
 
 
@@ -128,8 +129,8 @@ class Replay:
 
     def run(self, keys: Sequence[TrialKey], jobs: int, backend: str) -> Iterator[dict]:
         """Simulates trials and yields their lines as they finish."""
-        tasks = (
-            delayed(simulate)(
+        arguments = (
+            (
                 key,
                 dump_scenario(scenario := self.scenario(key)),
                 self.retarget,
@@ -138,8 +139,7 @@ class Replay:
             )
             for key in keys
         )
-        with workers(jobs, backend) as parallel:
-            yield from parallel(return_as="generator_unordered")(tasks)
+        yield from run_trials(simulate, arguments, jobs, backend)
 
     def open(self, folder: Path) -> None:
         """Begins in a folder, or goes on there.
@@ -159,12 +159,9 @@ class Replay:
         }
         path = folder / CONFIG
         if path.is_file():
-            try:
-                stored = json.loads(path.read_text(encoding="utf-8"))
-                sessions = dict(stored["sessions"])
-                require_same(path, stored["settings"], wanted["settings"])
-            except (ValueError, KeyError, TypeError, RecursionError) as error:
-                raise BenchmarkError(f"{path}: not a replay's configuration: {error}") from error
+            stored = read_json(path, _Config, "a replay's configuration")
+            require_same(path, stored["settings"], wanted["settings"])
+            sessions = stored["sessions"]
             for name in sessions.keys() & wanted["sessions"].keys():
                 require_same(path, sessions[name], wanted["sessions"][name], f"{name}.")
             wanted["sessions"] = {**sessions, **wanted["sessions"]}

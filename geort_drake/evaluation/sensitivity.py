@@ -38,6 +38,8 @@ def _set_gain(scenario: Scenario, rate: float) -> None:
 def _scale_noise(scenario: Scenario, factor: float) -> None:
     person = scenario.operator
     person.visual_noise *= factor
+    person.visual_turn_noise *= factor
+    person.contact_noise *= factor
     person.motor_noise *= factor
     person.tremor *= factor
 

@@ -113,7 +113,7 @@ def plan(
     return runs
 
 
-def _changes(method: str, config, texts: Sequence[str]) -> Iterator[tuple[str, float]]:
+def _changes(method: str, config: TrainingConfig, texts: Sequence[str]) -> Iterator[tuple[str, float]]:
     for text in texts:
         name, _, values = text.partition("=")
         for value in values.split(","):

@@ -1,17 +1,31 @@
 """The results file of a benchmark: one JSON line per trial, whole after an interruption at any time."""
 
-import dataclasses as dc
 import fcntl
 import json
+import math
 import os
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, NotRequired, TypedDict
 
 from geort_drake.errors import BenchmarkError
+from geort_drake.evaluation.json_types import require_type
 from geort_drake.files import writing
 from geort_drake.simulation.trial import TrialResult
 
-_FIELDS = {"method", *(field.name for field in dc.fields(TrialResult))}
+
+class _Identity(TypedDict):
+    method: str
+    object: str
+    seed: int
+    condition: NotRequired[str]
+
+
+class _Raised(_Identity):
+    """The line of a trial that raised."""
+
+    # Last line of the traceback, and the file, within the folder, that has all of it.
+    error: str
+    traceback: str
 
 
 class TrialKey(NamedTuple):
@@ -22,6 +36,16 @@ class TrialKey(NamedTuple):
     seed: int
     # Name of a changed scenario; empty for the scenario as it is.
     condition: str = ""
+
+    @property
+    def file_stem(self) -> str:
+        """What the trial's own files are called, without folder and suffix."""
+        return "-".join(str(part) for part in self if part != "")
+
+    @property
+    def words(self) -> str:
+        """As a command line names it."""
+        return " ".join(str(part) for part in self if part != "")
 
     def __str__(self) -> str:
         parts = [self.method, self.object, f"seed {self.seed}", self.condition]
@@ -37,6 +61,41 @@ def identity(key: TrialKey) -> dict:
     """The fields of a line that say which trial it is."""
     named = key._asdict()
     return named if key.condition else {name: named[name] for name in ("method", "object", "seed")}
+
+
+def check_record(record: Any, where: str) -> None:
+    """Checks that a line is a trial's: fields, their types, and that they agree on how it ended.
+
+    Args:
+        record: the line.
+        where: what the message begins with.
+
+    Raises:
+        BenchmarkError: it is not; with the field, and what was wanted and given.
+    """
+    require_type(record, _Identity, where)
+    if condition := record.get("condition"):
+        try:
+            sound = math.isfinite(float(condition.partition("=")[2]))
+        except ValueError:
+            sound = False
+        if not sound:
+            raise BenchmarkError(f"{where}: condition must be NAME=NUMBER, not '{condition}'")
+    if "error" in record:
+        require_type(record, _Raised, where)
+        return
+    require_type(record, TrialResult, where)
+    success, ended = record["success"], "success" if record["success"] else "no success"
+    time, longest = record["completion_time"], record["simulated_time"]
+    if (record["outcome"] == "success") != success:
+        raise BenchmarkError(f"{where}: a trial with {ended} cannot have the outcome '{record['outcome']}'")
+    if (time is not None) != success or (success and not 0 <= time <= longest):
+        wanted = f"between 0 and its simulated_time, {longest}" if success else "null"
+        raise BenchmarkError(
+            f"{where}: the completion_time of a trial with {ended} must be {wanted}, not {time}"
+        )
+    if record["first_attempt"] and not success:
+        raise BenchmarkError(f"{where}: first_attempt must not be true of a trial with {ended}")
 
 
 def read_records(path: str | os.PathLike) -> list[dict]:
@@ -112,26 +171,24 @@ class TrialLog:
     def __enter__(self) -> "TrialLog":
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
 def _parse(path: Path, content: bytes) -> list[dict]:
     records: dict[TrialKey, dict] = {}
     for number, line in enumerate(content.splitlines(), start=1):
+        where = f"{path}, line {number}"
         try:
             record = json.loads(line)
-            key = key_of(record)
-            repeated = "error" not in records.get(key, {"error": ""})
-            missing = [] if "error" in record else sorted(_FIELDS - set(record))
-        except (ValueError, TypeError, KeyError, RecursionError) as error:
+            check_record(record, "not a trial's result")
+        except (ValueError, RecursionError, BenchmarkError) as error:
+            said = error if isinstance(error, BenchmarkError) else f"not a trial's result: {error}"
             raise BenchmarkError(
-                f"{path}, line {number}: not a trial's result ({type(error).__name__}: {error}); mend or "
-                f"delete the line, or choose another folder"
+                f"{where}: {said}; mend or delete the line, or choose another folder"
             ) from error
-        if missing:
-            raise BenchmarkError(f"{path}, line {number}: {', '.join(missing)} missing")
-        if repeated:
-            raise BenchmarkError(f"{path}, line {number}: a second result of {key}")
+        key = key_of(record)
+        if "error" not in records.get(key, {"error": ""}):
+            raise BenchmarkError(f"{where}: a second result of {key}")
         records[key] = record
     return list(records.values())

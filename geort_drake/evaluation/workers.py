@@ -3,12 +3,15 @@
 import contextlib
 import functools
 import os
-from collections.abc import Callable, Iterator
+import platform
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor
+from typing import Any
 
-from joblib import Parallel, parallel_config, register_parallel_backend
+from joblib import Parallel, delayed, parallel_config, register_parallel_backend
 
 from geort_drake.errors import BenchmarkError, GeortError
+from geort_drake.evaluation.trial_sources import code_digest
 from geort_drake.processes import end_with
 
 
@@ -16,16 +19,18 @@ from geort_drake.processes import end_with
 def workers(jobs: int, backend: str = "loky") -> Iterator[Callable[..., Parallel]]:
     """Yields what makes a `Parallel` of so many workers, called with joblib's `return_as`.
 
+    Args:
+        jobs: tasks at a time.
+        backend: "loky", processes here; "ray", on a cluster.
+
     Raises:
-        BenchmarkError: a worker ended before its task did.
-        GeortError: the backend is not installed.
+        BenchmarkError: a worker ended before its task did; or see `require_workers`.
+        GeortError: see `require_workers`.
     """
+    require_workers(jobs, backend)
     options: dict = {"inner_max_num_threads": 1, "initializer": end_with, "initargs": (os.getpid(),)}
-    if backend == "ray":
-        options = {}
-        _register_ray()
     try:
-        with parallel_config(backend=backend, n_jobs=jobs, **options):
+        with parallel_config(backend=backend, n_jobs=jobs, **({} if backend == "ray" else options)):
             # Tasks are long and their arguments small: one at a time, and none mapped into files.
             yield functools.partial(Parallel, batch_size=1, max_nbytes=None)
     except BrokenExecutor as error:
@@ -35,8 +40,44 @@ def workers(jobs: int, backend: str = "loky") -> Iterator[Callable[..., Parallel
         ) from error
 
 
-def _register_ray() -> None:
+def run_trials(
+    function: Callable, arguments: Iterable[tuple], jobs: int, backend: str = "loky", ordered: bool = False
+) -> Iterator[Any]:
+    """Calls `function` with each of the arguments, in workers that run the same trials' code as this process.
+
+    Args:
+        function, arguments: what is called.
+        jobs, backend: see `workers`.
+        ordered: whether results come in the order of the arguments; otherwise as they are ready.
+
+    Raises:
+        BenchmarkError, GeortError: a worker loaded other code; or see `workers`.
+    """
+    code = code_digest()
+    tasks = (delayed(_call)(code, function, each) for each in arguments)
     try:
+        with workers(jobs, backend) as parallel:
+            yield from parallel(return_as="generator" if ordered else "generator_unordered")(tasks)
+    except BenchmarkError as error:
+        # A worker may have ended because code that has changed does not even load.
+        if isinstance(error.__cause__, BrokenExecutor) and (now := _code_now()) != code:
+            raise BenchmarkError(
+                f"{error}; code_sha256: the trials' code is {now} by now, and was {code} when this run began"
+            ) from error
+        raise
+
+
+def require_workers(jobs: int, backend: str) -> None:
+    """Checks that a backend has so many workers; joins the Ray cluster, or starts one here.
+
+    Raises:
+        BenchmarkError: the cluster does not answer, or has fewer processors.
+        GeortError: the backend is not installed.
+    """
+    if backend != "ray":
+        return
+    try:
+        import ray
         from ray.util.joblib.ray_backend import RayBackend
     except ImportError as error:
         raise GeortError("the backend 'ray' needs Ray: pip install 'geort-drake[ray]'") from error
@@ -46,3 +87,33 @@ def _register_ray() -> None:
         supports_return_generator = True
 
     register_parallel_backend("ray", Backend)
+    if not ray.is_initialized():
+        try:
+            ray.init()
+        except (ConnectionError, ValueError) as error:
+            raise BenchmarkError(f"the Ray cluster does not answer: {error}") from error
+    processors = int(ray.cluster_resources().get("CPU", 0))
+    if jobs > processors:
+        raise BenchmarkError(
+            f"--jobs {jobs}: the Ray cluster has {processors} CPUs; ask for at most as many jobs, or add "
+            "machines"
+        )
+
+
+def _call(code: str, function: Callable, arguments: tuple) -> Any:
+    """What a task gives, in a process that has just loaded the code, or a while ago."""
+    # Workers start anew now and then, and those of a cluster are on other machines.
+    if code_digest() != code:
+        raise BenchmarkError(
+            f"code_sha256: a worker on {platform.node()} has loaded other code of the trials than this run "
+            f"began with: {code_digest()}, not {code}; what is finished is kept: put the code back and run "
+            "the same command again, or choose another folder"
+        )
+    return function(*arguments)
+
+
+def _code_now() -> str:
+    try:
+        return code_digest.__wrapped__()
+    except (SyntaxError, OSError) as error:
+        return f"none: {error}"
