@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from geort_drake.command_line import check_outputs, make_parser
+from geort_drake.command_line import add_json_option, check_outputs, command, make_parser, write_json
 from geort_drake.console import console, run_main
 from geort_drake.errors import OutputError
 from geort_drake.files import require_writable
@@ -52,7 +52,7 @@ def main(argv: Sequence[str] | None = None) -> None:
                 f"Drake does not read {len(unreadable)} of the meshes, such as {unreadable[0].name}; their "
                 f"convex hulls, and a model with these, are in {model.parent.name}"
             )
-        proposal = propose(model, name)
+        proposal = propose(model, name, arguments.palm)
         description = proposal.description
         notes += proposal.notes
         write_description(description, path, [f"Made by add_hand.py from {given.name}.", *notes])
@@ -70,8 +70,17 @@ def main(argv: Sequence[str] | None = None) -> None:
         from geort_drake.hands.hand_view import record_hand
 
         record_hand(hand, arguments.rrd)
-        console.print(f"look at it: rerun {arguments.rrd}", markup=False, soft_wrap=True)
-    print(path)
+    write_json(arguments.json, {"description": str(path), "notes": notes, "to_correct": found})
+    lines = {"Description": str(path)}
+    if arguments.rrd is not None:
+        lines["Look at it"] = command("rerun", arguments.rrd)
+    if found:
+        lines["Check it again after corrections"] = command("add_hand.py", path)
+    else:
+        output = Path("runs") / path.stem
+        lines["Train it"] = command("train_retargeter.py", "--hand", path, "--output", output)
+    for what, line in lines.items():
+        console.print(f"{what}: {line}", markup=False, soft_wrap=True)
 
 
 def _print(description: HandDescription, hand: HandModel) -> None:
@@ -99,12 +108,16 @@ def _print(description: HandDescription, hand: HandModel) -> None:
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = make_parser(__doc__, EPILOG)
     parser.add_argument("model", type=Path, help="URDF, SDF or MJCF file; or a description (.yaml) to check")
-    parser.add_argument("--name", help="of the hand (default: the file's)")
+    parser.add_argument("--name", help="of the hand (default: that of the file)")
+    parser.add_argument(
+        "--palm", metavar="LINK", help="that carries the fingers (default: the one that most chains leave)"
+    )
     parser.add_argument(
         "--output", type=Path, metavar="FILE", help="description to write (default: models/hands/NAME.yaml)"
     )
     parser.add_argument("--overwrite", action="store_true", help="replace the description if it exists")
     parser.add_argument("--rrd", type=Path, metavar="FILE", help="Rerun recording of the hand to write")
+    add_json_option(parser, "what was found")
     arguments = parser.parse_args(argv)
     if arguments.output is not None and arguments.output.suffix not in (".yaml", ".yml"):
         parser.error(f"{arguments.output}: the name must end with .yaml")

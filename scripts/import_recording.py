@@ -4,7 +4,6 @@ Exit code 0: usable, with or without warnings; 2: refused.
 """
 
 import argparse
-import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,8 +12,15 @@ from typing import Any
 from rich.live import Live
 from rich.table import Table
 
-from geort_drake.command_line import check_outputs, make_parser, positive
-from geort_drake.console import console, run_main
+from geort_drake.command_line import (
+    add_json_option,
+    check_outputs,
+    command,
+    make_parser,
+    positive,
+    write_json,
+)
+from geort_drake.console import console, run_main, warn
 from geort_drake.errors import RecordingError
 from geort_drake.gloves.coverage import coverage
 from geort_drake.gloves.formats import AUTO, FORMATS
@@ -42,28 +48,39 @@ def main(argv: Sequence[str] | None = None) -> None:
         recording, found = examine(recording)
         findings += found
         refuse(name, findings)
+        recording = recording.mirrored() if arguments.mirror else recording
     except RecordingError as error:
-        if arguments.json:
-            # What could not even be read has no finding of a check.
-            read = findings or [Finding("file", Severity.ERROR, str(error).removeprefix(f"{name}: "))]
-            print(json.dumps(report(name, recording, read), indent=2))
+        # What could not even be read has no finding of a check.
+        read = findings or [Finding("file", Severity.ERROR, str(error).removeprefix(f"{name}: "))]
+        write_json(arguments.json, report(name, recording, read))
         raise
     result = report(name, recording, findings)
     _print(result, findings)
-    if arguments.json:
-        print(json.dumps(result, indent=2))
+    write_json(arguments.json, result)
+    lines = {}
     if arguments.picture is not None:
         _draw(recording, arguments.hand, arguments.picture)
-        console.print(f"drawn to {arguments.picture}", markup=False, soft_wrap=True)
+        lines["Picture"] = str(arguments.picture)
     if arguments.output is not None:
         noted(recording, findings).save(arguments.output)
-        console.print(f"saved to {arguments.output}", markup=False, soft_wrap=True)
+        lines["Recording"] = str(arguments.output)
+    if result["fit_for_training"]:
+        # A robot hand of the same side, which other programs read the file as.
+        hand = [] if recording.side == "right" else ["--hand", "allegro_left"]
+        words = ("--recording", arguments.output or arguments.input, *hand)
+        if arguments.output is not None or not arguments.mirror:
+            lines["Train on it, and grasp"] = command("simulate_grasp.py", *words)
+    for what, line in lines.items():
+        console.print(f"{what}: {line}", markup=False, soft_wrap=True)
 
 
 def _print(result: dict[str, Any], findings: Sequence[Finding]) -> None:
     kind = FORMATS[result["format"]].title if result["format"] in FORMATS else result["format"]
     known = "known" if result["rate_known"] else "assumed"
-    console.print(f"{result['file']}: {result['side']} hand, taken for {kind}", markup=False, soft_wrap=True)
+    origin = f", mirrored from a {result['recorded_side']} one" if result["recorded_side"] else ""
+    console.print(
+        f"{result['file']}: {result['side']} hand{origin}, taken for {kind}", markup=False, soft_wrap=True
+    )
     console.print(
         f"{result['frames']} frames, {result['valid_frames']} valid, {result['duration_s']:.1f} s at "
         f"{result['rate_hz']:.1f} Hz ({known}); wrist: {result['wrist']}"
@@ -80,8 +97,10 @@ def _print(result: dict[str, Any], findings: Sequence[Finding]) -> None:
         )
     console.print(table)
     for finding in findings:
-        label = "warning" if finding.severity is Severity.UNFIT else finding.severity
-        console.print(f"{label}: {finding}", markup=False, soft_wrap=True)
+        if finding.severity in (Severity.UNFIT, Severity.WARNING):
+            warn(str(finding))
+        else:
+            console.print(f"{finding.severity}: {finding}", markup=False, soft_wrap=True)
     enough = [motion["enough"] for motion in result["coverage"]]
     console.print(f"coverage: {sum(enough)} of {len(enough)} motions that training wants")
     console.print(
@@ -159,18 +178,23 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("input", type=Path, help="recording, in one of the formats below")
     parser.add_argument("output", type=Path, nargs="?", help=".npz to write; without it, only the report")
     parser.add_argument(
-        "--format", default=AUTO, metavar="NAME", help="one of those below (auto: by the file's contents)"
+        "--format", default=AUTO, metavar="NAME", help="one of those below; auto goes by the file's contents"
     )
-    parser.add_argument("--side", choices=SIDES, default="right", help="which hand was recorded (right)")
-    parser.add_argument("--unit", choices=list(UNITS_M), help="of lengths in the file (the format's)")
+    parser.add_argument("--side", choices=SIDES, default="right", help="which hand was recorded")
     parser.add_argument(
-        "--rate", type=positive, metavar="HZ", help="of a file without timestamps (30 is assumed)"
+        "--mirror", action="store_true", help="make it the other hand's: for a robot hand of the other side"
     )
-    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+    parser.add_argument(
+        "--unit", choices=list(UNITS_M), help="of lengths in the file (default: the format's)"
+    )
+    parser.add_argument(
+        "--rate", type=positive, metavar="HZ", help="of a file without timestamps (default: 30)"
+    )
+    add_json_option(parser, "the report")
     parser.add_argument(
         "--picture", type=Path, metavar="FILE", help=".png of the fingertips against a robot's"
     )
-    parser.add_argument("--hand", default="allegro_right", help="the picture's robot hand (allegro_right)")
+    parser.add_argument("--hand", default="allegro_right", help="the picture's robot hand")
     parser.add_argument(
         "--watch", action="store_true", help="first show what is still missing, while the file is recorded"
     )

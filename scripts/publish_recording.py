@@ -10,17 +10,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from geort_drake.command_line import make_parser
-from geort_drake.console import console, run_main
+from geort_drake.console import console, run_main, warn
+from geort_drake.gloves.recording import SIDES
 
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = make_parser(__doc__)
     add = parser.add_argument
     add("recording", type=Path, help="a recording in any format that is read")
-    add(
-        "--to", default="pub+tcp://127.0.0.1:5556", metavar="ADDRESS", help="where (pub+tcp://127.0.0.1:5556)"
-    )
-    add("--side", default="right", choices=["left", "right"], help="side of the recorded hand (right)")
+    add("--to", default="pub+tcp://127.0.0.1:5556", metavar="ADDRESS", help="where the messages go")
+    add("--side", default="right", choices=SIDES, help="side of the recorded hand")
     add("--loop", action="store_true", help="begin again at the end")
     return parser.parse_args(argv)
 
@@ -36,7 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     recording = read_recording(arguments.recording, arguments.side)
     sender = open_sender(arguments.to)
     if not is_local(arguments.to):
-        console.print(f"[yellow]{arguments.to} is open to the network[/]")
+        warn(f"{arguments.to} is open to the network")
     console.print(f"{len(recording)} frames of a {recording.side} hand to {arguments.to}; Ctrl-C stops")
     sent = 0
     try:

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from geort_drake.command_line import at_least, check_outputs, make_parser, positive
-from geort_drake.console import console, run_main
+from geort_drake.colours import FINGER_COLOURS
+from geort_drake.command_line import at_least, check_outputs, command, make_parser, positive
+from geort_drake.console import console, run_main, warn
 from geort_drake.files import atomic_path
 from geort_drake.gloves.health import check_recording
 from geort_drake.gloves.human_hand import HumanHand
@@ -18,8 +19,6 @@ from geort_drake.gloves.recording import SIDES, Recording
 from geort_drake.gloves.summary import fingertip_speeds, summarize
 
 _MOST_FRAMES = 5_000_000  # half a day at 120 Hz, and two gigabytes while they are made
-# Okabe & Ito's palette, which colour-blind readers can tell apart.
-_COLORS = dict(zip(FINGER_NAMES, ["#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00"], strict=True))
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -35,14 +34,16 @@ def main(argv: Sequence[str] | None = None) -> None:
         synthesize_play(arguments.seed, arguments.duration, arguments.rate, hand), str(arguments.output)
     )
     recording.save(arguments.output)
-    console.print(
-        f"saved {len(recording)} frames at {recording.rate_hz:g} Hz to {arguments.output}", markup=False
-    )
     for warning in recording.metadata["warnings"]:
-        console.print(f"warning: {warning}", markup=False)
+        warn(warning)
+    told = f"{len(recording)} frames at {recording.rate_hz:g} Hz"
+    lines = {"Recording": f"{arguments.output} ({told})"}
     if arguments.plot is not None:
         plot({f"synthetic play, seed {arguments.seed}": recording} | compared, arguments.plot)
-        console.print(f"plotted to {arguments.plot}", markup=False)
+        lines["Plot"] = str(arguments.plot)
+    lines["Train on it, and grasp"] = command("simulate_grasp.py", "--recording", arguments.output)
+    for what, line in lines.items():
+        console.print(f"{what}: {line}", markup=False, soft_wrap=True)
 
 
 def plot(recordings: dict[str, Recording], path: Path) -> None:
@@ -81,7 +82,7 @@ def _draw_clouds(axis, recording: Recording, plane, limits, x_label: str, title:
     palm = 1e3 * np.median(recording.p_HK[recording.valid][:, [0, 1, 5, 9, 13, 17, 0]], axis=0)
     for i, finger in enumerate(FINGER_NAMES):
         cloud = p_HF[some, i][:, plane]
-        axis.plot(*cloud.T, ".", ms=1.2, alpha=0.5, mew=0, color=_COLORS[finger], rasterized=True)
+        axis.plot(*cloud.T, ".", ms=1.2, alpha=0.5, mew=0, color=FINGER_COLOURS[finger], rasterized=True)
     axis.plot(*palm[:, plane].T, "-o", color="0.25", ms=3, lw=1.2)
     axis.set_xlim(limits[plane[0]])
     axis.set_ylim(limits[plane[1]])
@@ -95,7 +96,9 @@ def _draw_speeds(axis, recording: Recording) -> None:
     speeds = fingertip_speeds(recording).clip(1e-4)
     share = np.linspace(0, 100, 400)
     for i, finger in enumerate(FINGER_NAMES):
-        axis.plot(np.percentile(speeds[:, i], share), share, color=_COLORS[finger], lw=1.8, label=finger)
+        axis.plot(
+            np.percentile(speeds[:, i], share), share, color=FINGER_COLOURS[finger], lw=1.8, label=finger
+        )
     axis.set_xscale("log")
     axis.set_xlim(1e-3, 4)
     axis.set_ylim(0, 100)
@@ -110,7 +113,7 @@ def _draw_pinches(axis, recording: Recording) -> None:
     summary = summarize(recording)
     names = [*FINGER_NAMES[1:], "any"]
     shares = 100 * np.append(summary.pinch_share, summary.any_pinch_share)
-    bars = axis.bar(names, shares, color=[_COLORS.get(name, "0.5") for name in names])
+    bars = axis.bar(names, shares, color=[FINGER_COLOURS.get(name, "0.5") for name in names])
     axis.bar_label(bars, fmt="%.0f %%", padding=2, fontsize=9)
     axis.set_ylim(0, 45)
     axis.set_ylabel("share of frames, %")
@@ -121,15 +124,15 @@ def _draw_pinches(axis, recording: Recording) -> None:
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = make_parser(__doc__)
     parser.add_argument("output", type=Path, help=".npz to write")
-    parser.add_argument("--seed", type=at_least(0), default=0, help="(0)")
-    parser.add_argument("--duration", type=positive, default=300.0, help="s (300)")
-    parser.add_argument("--rate", type=positive, default=120.0, help="frames per second (120)")
+    parser.add_argument("--seed", type=at_least(0), default=0, help="of the motions")
+    parser.add_argument("--duration", type=positive, default=300.0, help="s")
+    parser.add_argument("--rate", type=positive, default=120.0, help="frames per second")
     parser.add_argument(
-        "--hand_of", type=Path, help="recording whose hand to use; default an average adult's"
+        "--hand_of", type=Path, help="recording whose hand to use (default: an average adult's)"
     )
     parser.add_argument("--plot", type=Path, help=".png to draw clouds, speeds and pinches to")
     parser.add_argument("--compare", type=Path, help="recording to draw below, for comparison")
-    parser.add_argument("--side", choices=SIDES, default="right", help="of --hand_of and --compare (right)")
+    parser.add_argument("--side", choices=SIDES, default="right", help="of --hand_of and --compare")
     arguments = parser.parse_args(argv)
     if arguments.duration * arguments.rate > _MOST_FRAMES:
         parser.error(f"--duration by --rate may be at most {_MOST_FRAMES:,} frames")

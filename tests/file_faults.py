@@ -12,6 +12,7 @@ from glove_files import (
     poses,
     stacked,
     transforms,
+    vision_pro_app_frames,
     vision_pro_arrays,
     webxr_frames,
     write_dex_retargeting,
@@ -24,6 +25,7 @@ from glove_files import (
     write_openxr_json,
     write_own,
     write_vision_pro,
+    write_vision_pro_app,
     write_vision_pro_pkl,
     write_webxr,
     write_webxr_json,
@@ -54,6 +56,32 @@ def edited(frames, i, **changes):
 def in_frame(contents, i, **changes):
     edited(contents["frames"], i, **changes)
     return contents
+
+
+def labelled(hand, label):
+    return [{**frame, "handedness": [[{"categoryName": label}]]} for frame in mediapipe_frames(hand)]
+
+
+def timed(contents, times):
+    for frame, t in zip(contents["frames"], times.tolist(), strict=True):
+        frame["time"] = t
+    return contents
+
+
+def commas(table):
+    return [[str(cell).replace(".", ",") for cell in row] for row in table]
+
+
+def split_at_commas(path):
+    """Without the quotes that keep a cell with a comma together."""
+    path.write_text(path.read_text().replace('"', ""))
+    return path
+
+
+def with_joint(hand, i, joint, value):
+    frames = vision_pro_app_frames(hand)
+    frames[i]["rightHand"][joint] = value
+    return frames
 
 
 def manus_data(hand, order):
@@ -141,6 +169,18 @@ FILES = {
         lambda f, h: write_manus_csv(f, h, with_cell(manus_table(h), 12, "Hand_X", "n/a")),
         "line 13, column Hand_X must be a number, not 'n/a'",
     ),
+    "csv in metres": (
+        lambda f, h: write_manus_csv(f, h, manus_table(h, "_Position")),
+        "but is 0.0008.* m with the file's lengths in cm; .* numbers were metres .*--unit m$",
+    ),
+    "csv with decimal commas": (
+        lambda f, h: write_manus_csv(f, h, commas(manus_table(h)), ";"),
+        "column Hand_X must be a number, not '.*,.*'; write decimals with points",
+    ),
+    "csv with decimal commas between commas": (
+        lambda f, h: split_at_commas(write_manus_csv(f, h, commas(manus_table(h)))),
+        "line 2 has 1\\d\\d cells, the header has 78; are decimals written with commas",
+    ),
     "csv with a short row": (
         lambda f, h: write_manus_csv(f, h, manus_table(h)[:20] + [[1, 2, 3]]),
         "line 21 has 3 cells",
@@ -174,9 +214,35 @@ FILES = {
         ),
         "frame 4, landmark 0 must be a point of three numbers",
     ),
+    "mediapipe in the picture, with labels": (
+        lambda f, h: write_mediapipe(
+            f,
+            h,
+            [{"landmarks": m["worldLandmarks"], "handedness": m["handedness"]} for m in mediapipe_frames(h)],
+        ),
+        "frame 0 holds landmarks of the picture .* world landmarks",
+    ),
     "mediapipe of the other hand": (
-        lambda f, h: write_mediapipe(f, h, [{**m, "handedness": [["Left"]]} for m in mediapipe_frames(h)]),
-        "holds a left hand, a right one was asked for",
+        lambda f, h: write_mediapipe(f, replace(h, side="left")),
+        "holds a left hand by its label, and its fingers do not bend as a right one's",
+    ),
+    "mediapipe labelled for the mirror": (
+        lambda f, h: write_mediapipe(f, h, labelled(h, "Left")),
+        "labelled left, but the fingers bend as a right hand's: taken for a right one, .* mirrored",
+    ),
+    "mediapipe of a mirrored picture": (
+        lambda f, h: write_mediapipe(f, h, labelled(replace(h, side="left"), "Right")),
+        "bend backwards .* read it with side 'left', and if the axes are mirrored also with --mirror",
+    ),
+    "mediapipe of no side": (
+        lambda f, h: write_mediapipe(f, h, labelled(h, "Both")),
+        "frame 0: handedness 'both' is none of: left, right",
+    ),
+    "mediapipe in seconds": (
+        lambda f, h: write_mediapipe(
+            f, h, [{**m, "timestampMs": t} for m, t in zip(mediapipe_frames(h), h.t.tolist(), strict=True)]
+        ),
+        "timestampMs must be in milliseconds, .* gives 6e.04; .* numbers were seconds",
     ),
     "mediapipe of unnamed hands": (
         lambda f, h: write_mediapipe(
@@ -202,6 +268,10 @@ FILES = {
         "frame 3: 26 joints are wanted, 25 given",
     ),
     "openxr of a left hand": (lambda f, h: write_openxr(f, h, hand=np.array("left")), "holds a left hand"),
+    "openxr in milliseconds": (
+        lambda f, h: write_openxr_json(f, h, timed(openxr_frames(h), 1e3 * h.t)),
+        "time must be in nanoseconds, .* gives 6e.07; .* numbers were milliseconds",
+    ),
     "webxr without a joint": (
         lambda f, h: write_webxr_json(f, h, in_frame(webxr_frames(h), 3, joints={"wrist": None})),
         "frame 3 lacks 24 of 25 joints, such as thumb-metacarpal",
@@ -237,6 +307,14 @@ FILES = {
     "vision pro of the other hand": (
         lambda f, h: write_vision_pro(f, replace(h, side="left")),
         "a right hand must be called right_fingers",
+    ),
+    "vision pro's app with a short matrix": (
+        lambda f, h: write_vision_pro_app(f, h, with_joint(h, 7, "ringTip", [1.0] * 15)),
+        "frame 7, rightHand.ringTip must be 16 numbers",
+    ),
+    "vision pro's app, the other hand": (
+        lambda f, h: write_vision_pro_app(f, replace(h, side="left")),
+        "no frame has a rightHand; the file holds the other hand",
     ),
     "vision pro lacks a field": (
         lambda f, h: write_vision_pro_pkl(f, h, [{"right_fingers": np.eye(4)}, {}]),

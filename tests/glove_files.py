@@ -256,6 +256,33 @@ def write_vision_pro_pkl(folder: Path, hand: Hand, frames: list | None = None) -
     return _pickle(folder / "avp.pkl", made if frames is None else frames)
 
 
+def vision_pro_app_frames(hand: Hand) -> list[dict]:
+    """Lines of the app's own recording: joints by name from the wrist, and the wrist in the world."""
+    arrays = vision_pro_arrays(hand, 27)
+    names = ["wrist", *(f"thumb{j}" for j in ("Knuckle", "IntermediateBase", "IntermediateTip", "Tip"))]
+    joints = ("Metacarpal", "Knuckle", "IntermediateBase", "IntermediateTip", "Tip")
+    names += [f"{finger}{joint}" for finger in FINGERS for joint in joints] + ["forearmWrist", "forearmArm"]
+    X = arrays[f"{hand.side}_fingers"]
+    X[:, 0] = arrays[f"{hand.side}_wrist"][:, 0]
+    columns = np.swapaxes(X, -1, -2).reshape(len(X), 27, 16).tolist()
+    return [
+        {
+            "timestamp": t,
+            "systemTime": 1.76e9 + t,
+            f"{hand.side}Hand": dict(zip(names, row, strict=True)),
+            "videoFrameIndex": -1,
+        }
+        for t, row in zip(hand.t.tolist(), columns, strict=True)
+    ]
+
+
+def write_vision_pro_app(folder: Path, hand: Hand, frames: list | None = None) -> Path:
+    path = folder / "tracking.jsonl"
+    made = vision_pro_app_frames(hand) if frames is None else frames
+    path.write_text("".join(json.dumps(frame) + "\n" for frame in made))
+    return path
+
+
 def mano_order() -> list[str]:
     """MANO's joints, then the tips."""
     inner = [
@@ -308,6 +335,7 @@ WRITERS = {
     "webxr_json": write_webxr_json,
     "vision_pro": write_vision_pro,
     "vision_pro_pkl": write_vision_pro_pkl,
+    "vision_pro_app": write_vision_pro_app,
     "mano": write_mano,
     "mano_npy": write_mano_npy,
     "ho3d": write_ho3d,
@@ -317,6 +345,7 @@ WRITERS = {
 NAMES = {name: name.removesuffix("_json").removesuffix("_npy").removesuffix("_pkl") for name in WRITERS} | {
     "own": "geort_drake",
     "ho3d": "mano",
+    "vision_pro_app": "vision_pro",
 }
 TIMED = tuple(
     name for name in WRITERS if name not in ("geort", "mediapipe_npy", "mano_npy", "ho3d", "dex_retargeting")

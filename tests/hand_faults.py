@@ -47,6 +47,27 @@ def thumb_last(p):
 
 
 @keypoints_changed
+def index_for_middle(p):
+    return p[:, [*range(5), *range(9, 13), *range(5, 9), *range(13, 21)]]
+
+
+@keypoints_changed
+def pip_for_dip(p):
+    return p[:, [*range(6), 7, 6, *range(8, 21)]]
+
+
+@keypoints_changed
+def tips_before_dips(p):
+    return p[:, [0, *(k + j for k in range(1, 21, 4) for j in (0, 1, 3, 2))]]
+
+
+@keypoints_changed
+def index_tip_lost(p):
+    p[:, 8] = np.nan
+    return p
+
+
+@keypoints_changed
 def breathing_bones(p):
     return p * (1 + 0.5 * np.sin(0.05 * np.arange(len(p))))[:, None, None]
 
@@ -162,10 +183,19 @@ FAULTS = {
     millimetres: (
         ERROR,
         "unit",
-        r"60 to 110 mm, but is 8\d\.\d+ m; .* millimetres .*--unit mm",
+        # Our own files have no unit to choose.
+        r"60 to 110 mm, but is 8\d\.\d+ m; .* millimetres .*(--unit mm|give keypoints in metres)",
     ),
     mirrored_axes: (ERROR, "handedness", r"bend backwards .* left hand or a right one in mirrored axes"),
     little_finger_first: (ERROR, "joint order", r"wrong joint order: .*: wrist, then little finger to thumb"),
+    index_for_middle: (
+        ERROR,
+        "joint order",
+        r"wrong joint order: .*: the same, but index and middle finger exchanged",
+    ),
+    pip_for_dip: (ERROR, "joint order", r"the same, but PIP and DIP of the index finger exchanged"),
+    tips_before_dips: (ERROR, "joint order", r"the same, but DIP and tip of every finger exchanged"),
+    index_tip_lost: (ERROR, "lost frames", r"keypoint 8 \(index\) is lost in all 400 frames"),
     breathing_bones: (ERROR, "bone lengths", r"bone \d+–\d+ changes its length by 3\d %"),
     dead_ring_finger: (
         ERROR,
@@ -182,7 +212,11 @@ FAULTS = {
     many_lost: (ERROR, "lost frames", r"70 of 400 frames are not finite .* frame 40; at most one in ten"),
     stalled_most: (ERROR, "constant signal", r"frames repeat for (5\.3|10\.6) s from frame 80"),
     clock_runs_back: (ERROR, "clock", r"t must increase, but frame 100 has"),
-    clock_in_milliseconds: (ERROR, "clock", r"t must be in seconds, .* gives 0\.06; .* milliseconds"),
+    clock_in_milliseconds: (
+        ERROR,
+        "clock",
+        r"(t|timestamps) must be in seconds, .* gives 0\.06; .* milliseconds",
+    ),
     one_frame: (ERROR, "length", r"at least 2 frames are needed, 1 given"),
     noisy_bones: (WARNING, "bone lengths", r"changes its length by [56] %"),
     one_spike: (
@@ -218,6 +252,10 @@ PLAIN = (
 )
 ELSEWHERE = {
     thumb_last: ("vision_pro", "webxr_json"),
+    index_for_middle: ("own", "geort", "manus", "mediapipe"),
+    pip_for_dip: ("own", "manus_csv", "openxr"),
+    tips_before_dips: ("geort", "vision_pro_app", "mediapipe_npy"),
+    index_tip_lost: ("geort", "openxr_json"),
     doubled_keypoint: ("geort", "manus"),
     flat: ("mediapipe", "dex_retargeting"),
     many_lost: ("manus", "openxr"),

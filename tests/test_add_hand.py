@@ -1,10 +1,8 @@
 """From a model file to a hand description: what is found, what is said of it, and what it is good for."""
 
 import dataclasses as dc
-import functools
 import json
 import re
-import sys
 
 import numpy as np
 import pytest
@@ -16,9 +14,9 @@ from pydrake.math import RollPitchYaw
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
+from script_modules import load_script
 
 from geort_drake.errors import HandError, OutputError
-from geort_drake.evaluation import metrics
 from geort_drake.evaluation.pipeline import train_checkpoint
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.hands.assembly import add_hand_model
@@ -30,15 +28,13 @@ from geort_drake.hands.description import load_hand
 from geort_drake.hands.description_file import write_description
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.proposal import propose
-from geort_drake.resources import resource_root
 from geort_drake.retargeting.baselines.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.collision_geometry import CollisionGaps
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.simulation.diagram import make_grasp_diagram
 from geort_drake.simulation.scenario import load_scenario
 
-sys.path.insert(0, str(resource_root() / "scripts"))
-import add_hand
+add_hand = load_script("add_hand.py")
 
 # The family: every number of fingers, format and kind of oddity, each with some of the others.
 FAMILY = [
@@ -182,18 +178,8 @@ def test_in_simulation_what_follows_has_no_motor_and_follows(coupled):
     assert follower == pytest.approx(0.8 * leader + 0.1, abs=1e-3)
 
 
-@pytest.fixture
-def light(tmp_path, monkeypatch):
-    """A cache of its own and an evaluation with few samples, where the plumbing is what is tested."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(metrics, "ROBOT_SAMPLES", 500)
-    for name in ("motion_cosines", "cross_talk", "flatness_and_gain"):
-        monkeypatch.setattr(metrics, name, functools.partial(getattr(metrics, name), anchors=30))
-    monkeypatch.setattr(metrics, "context_averaged", functools.partial(metrics.context_averaged, contexts=2))
-    monkeypatch.setattr(metrics, "call_times", functools.partial(metrics.call_times, calls=10))
-
-
-def test_from_a_model_file_to_an_evaluated_retargeter(spec, tmp_path, light):
+@pytest.mark.usefixtures("light_evaluation")
+def test_from_a_model_file_to_an_evaluated_retargeter(spec, tmp_path):
     """One command describes the hand, one trains for it; no code knows its joints."""
     model = write_hand(tmp_path, spec)
     file = tmp_path / "mine.yaml"

@@ -1,11 +1,14 @@
-"""A hand without an arm: the floating base of the scenario `Floating` follows the wrist as an arm does."""
+"""A hand without an arm: the base of the scenario `Floating` follows the wrist, that of `Fixed` stays."""
 
 import dataclasses as dc
 
 import numpy as np
+import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
+from script_modules import load_script
 
+from geort_drake.errors import ScenarioError
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
@@ -46,3 +49,44 @@ def test_the_floating_base_carries_the_hand_after_the_wrist():
     np.testing.assert_allclose(
         turned.matrix(), RollPitchYaw(0, 0, 0.3).ToRotationMatrix().matrix(), atol=0.02
     )
+
+
+class _Closing:
+    """Closes the hand as far as the person's index finger."""
+
+    def __init__(self, hand: HandModel):
+        self.joint_names, self._hand = hand.joint_names, hand
+
+    def __call__(self, p_HK: np.ndarray) -> np.ndarray:
+        share = np.clip(1.0 - 5.0 * np.asarray(p_HK)[8, 2], 0.1, 0.9)
+        return self._hand.lower + share * (self._hand.upper - self._hand.lower)
+
+
+def test_on_a_fixed_base_only_the_fingers_move():
+    """The base stays to the last bit, whatever the wrist did; the fingers follow the recording."""
+    play = synthesize_play(seed=0, duration_s=0.5, rate_hz=60.0)
+    wrist = np.array([pose_to_vector(RigidTransform([0, 0, 0.2 * t])) for t in play.t])
+    hand = HandModel(load_hand("allegro_right"))
+    parts = make_grasp_diagram(load_scenario(name="Fixed"), _Closing(hand), dc.replace(play, X_WH=wrist))
+    simulator = Simulator(parts.diagram)
+    root = simulator.get_mutable_context()
+    parts.initialize(root)
+    model = parts.plant.GetModelInstanceByName(HAND)
+    base = parts.plant.GetFrameByName("base_link", model)
+    context = parts.plant.GetMyContextFromRoot(root)
+    before, q = base.CalcPoseInWorld(context), parts.plant.GetPositions(context, model)
+    simulator.AdvanceTo(0.5)
+    assert base.CalcPoseInWorld(context).IsExactlyEqualTo(before)
+    assert np.abs(parts.plant.GetPositions(context, model) - q).max() > 0.2
+
+
+def test_what_a_fixed_base_is_for_is_said(tmp_path):
+    """Replays without wrist poses need it, and it needs a replay."""
+    simulate_grasp = load_script("simulate_grasp.py")
+    play = synthesize_play(seed=0, duration_s=2.0, rate_hz=60.0)
+    play.save(tmp_path / "play.npz")
+    words = ["--output", str(tmp_path / "out"), "--objects", "cube"]
+    with pytest.raises(ScenarioError, match=r"play\.npz: .* needs wrist poses .* --scenario_name Fixed"):
+        simulate_grasp.main([*words, "--replay", str(tmp_path / "play.npz")])
+    with pytest.raises(ScenarioError, match="scenario 'Fixed': nobody grasps from a fixed base"):
+        simulate_grasp.main([*words, "--scenario_name", "Fixed"])

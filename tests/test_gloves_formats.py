@@ -10,14 +10,23 @@ from glove_files import (
     NAMES,
     TIMED,
     WRITERS,
+    mediapipe_frames,
+    openxr_frames,
     openxr_order,
     poses,
     published_manus_table,
     stacked,
     transforms,
+    vision_pro_app_frames,
+    vision_pro_arrays,
     write_dex_retargeting,
+    write_manus,
     write_manus_csv,
+    write_mediapipe,
     write_openxr,
+    write_openxr_json,
+    write_vision_pro,
+    write_vision_pro_app,
     write_webxr,
 )
 from moving_hands import FRAMES, moving, random_hand
@@ -28,6 +37,7 @@ from geort_drake.gloves.formats import FORMATS
 from geort_drake.gloves.formats.unpickling import load_plain
 from geort_drake.gloves.health import examine
 from geort_drake.gloves.health.findings import Severity
+from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.readers import ASSUMED_RATE_HZ, open_recording, read_recording
 from geort_drake.gloves.recording import Recording
 
@@ -150,6 +160,119 @@ def test_frames_without_a_hand_are_lost_and_nothing_else(tmp_path):
     recording = read_recording(write_dex_retargeting(tmp_path, moving(), frames))
     assert np.flatnonzero(~recording.valid).tolist() == [7, 8]
     assert len(recording) == FRAMES
+
+
+def identities(folder, hand, empty):
+    """Vision Pro's stream of a hand that is not seen."""
+    arrays = vision_pro_arrays(hand)
+    for name in ("right_fingers", "right_wrist"):
+        arrays[name][empty] = np.eye(4)
+    return write_vision_pro(folder, hand, **arrays)
+
+
+def zeros(write, field, order, quaternion):
+    """Frames of zeros alone, quaternions among them."""
+
+    def written(folder, hand, empty):
+        joints = poses(stacked(hand.joints(), order), quaternion)
+        joints[empty] = 0.0
+        return write(folder, hand, **{field: joints})
+
+    return written
+
+
+def zero_matrices(folder, hand, empty):
+    arrays = vision_pro_arrays(hand)
+    for name in ("right_fingers", "right_wrist"):
+        arrays[name][empty] = 0.0
+    return write_vision_pro(folder, hand, **arrays)
+
+
+def inactive(folder, hand, empty):
+    """OpenXR's isActive, and no joints."""
+    contents = openxr_frames(hand)
+    for i in empty:
+        contents["frames"][i] |= {"isActive": False, "joints": []}
+    return write_openxr_json(folder, hand, contents)
+
+
+def app_without(folder, hand, empty):
+    frames = vision_pro_app_frames(hand)
+    for i in empty:
+        del frames[i]["rightHand"]
+    return write_vision_pro_app(folder, hand, frames)
+
+
+EMPTY = {
+    "vision_pro": identities,
+    "vision_pro, zero": zero_matrices,
+    "openxr": zeros(write_openxr, "joints", openxr_order(), [0, 0, 0, 1.0]),
+    "webxr": zeros(write_webxr, "joints", FROM_WRIST_25, [0, 0, 0, 1.0]),
+    "manus": zeros(write_manus, "data", FROM_WRIST_25, [1.0, 0, 0, 0]),
+    "openxr, inactive": inactive,
+    "vision_pro, app": app_without,
+}
+
+
+@pytest.mark.parametrize("written", EMPTY)
+def test_frames_in_which_a_tracker_saw_no_hand_are_lost(tmp_path, written):
+    """Whatever it stores in them; what is stored as a point is counted, and too many of them are refused."""
+    hand = moving()
+    recording, findings = open_recording(EMPTY[written](tmp_path, hand, [0, 7, 8]))
+    examined, found = examine(recording)
+    assert np.flatnonzero(~examined.valid).tolist() == [0, 7, 8]
+    np.testing.assert_allclose(examined.p_HK[examined.valid], hand.p_HK[examined.valid], atol=1e-6)
+    assert "3 of 400 frames are not finite numbers" in str(found[0])
+    if written not in ("openxr, inactive", "vision_pro, app"):
+        (told,) = findings
+        assert told.check == "lost frames"
+        assert "3 of 400 frames hold no hand, as all keypoints are in one place; the first is frame 0" in str(
+            told
+        )
+    path = EMPTY[written](tmp_path, hand, range(100))
+    with pytest.raises(RecordingError, match=r"100 of 400 frames are not finite .* at most one in ten"):
+        read_recording(path)
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+def test_of_two_hands_in_a_picture_that_of_the_side_is_taken(tmp_path, flipped):
+    """By the way their fingers bend, whether or not labels are those of a mirrored picture."""
+    right = moving()
+    left = dc.replace(right, p_HK=right.p_HK * [1.1, 1.0, 1.0], side="left")
+    frames = mediapipe_frames(right)
+    for frame, other in zip(frames, mediapipe_frames(left), strict=True):
+        frame["worldLandmarks"] += other["worldLandmarks"]
+        labels = ["Left", "Right"] if flipped else ["Right", "Left"]
+        frame["handedness"] = [[{"categoryName": label}] for label in labels]
+    path = write_mediapipe(tmp_path, right, frames)
+    for side, hand in (("right", right), ("left", left)):
+        recording, findings = open_recording(path, side)
+        np.testing.assert_allclose(recording.p_HK, hand.p_HK, atol=1e-6)
+        assert [finding.check for finding in findings] == ["handedness"] * flipped
+
+
+def test_a_label_counts_where_fingers_hardly_bend(tmp_path):
+    """Of an open hand there is nothing else to go by, and the message says so."""
+    straight = moving(held=tuple((name, 0.0) for name in HumanHand.joint_names if "mcp" not in name))
+    flat = dc.replace(straight, p_HK=np.repeat(straight.p_HK[:1], FRAMES, axis=0))
+    frames = [{**frame, "handedness": [["Left"]]} for frame in mediapipe_frames(flat)]
+    path = write_mediapipe(tmp_path, flat, frames)
+    assert open_recording(path, "left")[0].side == "left"
+    with pytest.raises(RecordingError, match="holds a left hand by its label, and its fingers do not bend"):
+        open_recording(path, "right")
+
+
+def test_a_raw_manus_skeleton_needs_no_timestamps(tmp_path):
+    """It is known by its shape, and 30 Hz are assumed."""
+    recording, findings = open_recording(write_manus(tmp_path, moving(), timestamps=None))
+    assert recording.metadata["format"] == "manus"
+    assert [finding.check for finding in findings] == ["timestamps"]
+
+
+def test_suffixes_may_be_in_capitals(tmp_path):
+    """As other systems write them."""
+    path = WRITERS["geort"](tmp_path, moving())
+    assert read_recording(path.rename(tmp_path / "HAND.NPY")).metadata["format"] == "geort"
 
 
 class Harmful:

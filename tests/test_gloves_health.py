@@ -14,7 +14,10 @@ from moving_hands import FRAMES, RATE_HZ, moving
 
 from geort_drake.errors import RecordingError
 from geort_drake.gloves.health import examine, verdict
-from geort_drake.gloves.health.order import ORDERS, fitting_order, is_right
+from geort_drake.gloves.health.order import EXCHANGES, ORDERS, fitting_order, is_right
+from geort_drake.gloves.human_hand import HumanHand
+from geort_drake.gloves.keypoints import mirrored
+from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.readers import open_recording
 from geort_drake.gloves.recording import Recording
 
@@ -68,6 +71,33 @@ def test_what_is_repaired_is_as_it_was(tmp_path):
     _, recording = judged(WRITERS["manus"](tmp_path, stored_twice(moving())))
     np.testing.assert_allclose(recording.t, moving().t, atol=1e-6)
     np.testing.assert_allclose(recording.p_HK, moving().p_HK, atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def real_hands(alex_npy, manus_npz):
+    """Keypoints (T, 21, 3) of two people's recordings."""
+    return [open_recording(path)[0].p_HK.astype(float) for path in (alex_npy, manus_npz)]
+
+
+@pytest.mark.parametrize("order", [*ORDERS, *EXCHANGES])
+def test_the_order_of_real_hands_is_told(real_hands, order):
+    """Gloves' bones keep their lengths, so each order is told, and which fingers or joints are exchanged."""
+    for p_HK in real_hands:
+        assert fitting_order(p_HK[:, list((ORDERS | EXCHANGES)[order])]) == order
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize(("length_m", "breadth_m"), [(0.15, 0.07), (0.19, 0.085), (0.21, 0.1)])
+def test_the_order_of_sound_hands_is_right(length_m, breadth_m, side):
+    """Of several people, either side, straight, in motion, in a fist, and as a camera sees them."""
+    hand = HumanHand.anatomical(length_m, breadth_m)
+    p_HK = synthesize_play(1, duration_s=10.0, rate_hz=30.0, hand=hand).p_HK.astype(float)
+    fist = np.where([name.endswith("flexion") for name in hand.joint_names], hand.upper, 0.0)
+    for p in (p_HK, p_HK[:5], hand.keypoints(np.zeros((5, 20))), hand.keypoints(fist[None].repeat(5, 0))):
+        seen = mirrored(p) if side == "left" else p
+        assert is_right(fitting_order(seen))
+        noise = np.random.default_rng(0).normal(0.0, 0.003, seen.shape)
+        assert is_right(fitting_order(seen + noise))
 
 
 @pytest.mark.parametrize("order", ORDERS)

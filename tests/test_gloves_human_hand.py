@@ -198,7 +198,7 @@ def test_unreachable_targets_are_approached_as_far_as_possible(hand):
     np.testing.assert_allclose(reach[1:], hand.lengths.sum(axis=1)[1:], rtol=0.01)
 
 
-def test_a_finger_of_weight_zero_stays(hand, rng):
+def test_a_finger_of_weight_zero_stays(hand):
     """Only weighted fingers move."""
     theta0 = 0.3 * hand.upper
     target = hand.fingertips(theta0) + 0.01

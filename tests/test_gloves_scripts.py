@@ -1,29 +1,18 @@
 """The scripts that make and import recordings, run as a user runs them."""
 
-import importlib.util
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib import pyplot as plt
+from script_modules import SCRIPTS, load_script
 
 from geort_drake.errors import RecordingError
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.readers import read_recording
 from geort_drake.gloves.recording import Recording
-
-SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
-
-
-def script(name):
-    """The script as a module."""
-    spec = importlib.util.spec_from_file_location(name.removesuffix(".py"), SCRIPTS / name)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def run(script, *arguments):
@@ -70,7 +59,11 @@ def test_importing_converts_and_reports_the_hands_health(npy, tmp_path):
     assert "450 frames, 450 valid, 15.0 s at 30.0 Hz (assumed); wrist: none" in said
     assert "warning: no timestamps: 30 Hz assumed" in said
     assert "warning: the thumb never comes within 15 mm of:" in said
-    assert result.stderr.endswith(f"verdict: usable with warnings\nsaved to {tmp_path / 'hand.npz'}\n")
+    # What it says last is where the copy is, and how to go on with it.
+    last = result.stderr.partition("verdict: usable with warnings\n")[2].splitlines()
+    assert last[0] == f"Recording: {tmp_path / 'hand.npz'}"
+    assert last[1].startswith("Train on it, and grasp: ")
+    assert last[1].endswith(f"simulate_grasp.py --recording {tmp_path / 'hand.npz'}")
     assert result.stdout == ""
 
 
@@ -94,9 +87,34 @@ def test_bad_input_ends_with_exit_code_2_and_one_line(npy, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_options_may_stand_between_input_and_output(npy, tmp_path):
+    """As the usage line has them."""
+    main = load_script("import_recording.py").main
+    main([str(npy), "--side", "right", str(tmp_path / "hand.npz"), "--rate", "60"])
+    assert Recording.load(tmp_path / "hand.npz").rate_hz == pytest.approx(60.0)
+
+
+def test_a_recording_is_mirrored_for_a_hand_of_the_other_side(npy, tmp_path, capsys):
+    """The other hand makes the same motion: stored in the mirror, the keypoints are the same."""
+    main = load_script("import_recording.py").main
+    main([str(npy), str(tmp_path / "left.npz"), "--mirror", "--json"])
+    out = capsys.readouterr()
+    report = json.loads(out.out)
+    assert (report["side"], report["recorded_side"]) == ("left", "right")
+    assert "left hand, mirrored from a right one" in out.err
+    assert out.err.rstrip().endswith(f"--recording {tmp_path / 'left.npz'} --hand allegro_left")
+    right, left = read_recording(npy), read_recording(tmp_path / "left.npz", "left", training=True)
+    np.testing.assert_array_equal(left.p_HK, right.p_HK)
+    assert left.metadata["recorded_side"] == "right"
+    assert left.digest != right.digest
+    with pytest.raises(RecordingError, match=r"holds a left hand, .* with --side left --mirror"):
+        read_recording(tmp_path / "left.npz")
+    assert left.mirrored().digest == right.digest
+
+
 def test_the_report_is_also_given_as_json(npy, tmp_path, capsys):
     """One object on stdout: verdict, findings with place and advice, figures; also of what is refused."""
-    main = script("import_recording.py").main
+    main = load_script("import_recording.py").main
     main([str(npy), "--json", "--rate", "60"])
     report = json.loads(capsys.readouterr().out)
     assert report["verdict"] in ("usable", "usable with warnings")
@@ -128,7 +146,7 @@ def test_the_report_is_also_given_as_json(npy, tmp_path, capsys):
 
 def test_the_picture_shows_both_hands_on_any_background(npy, tmp_path):
     """A PNG with a transparent background, coloured and grey points."""
-    script("import_recording.py").main([str(npy), "--picture", str(tmp_path / "tips.png")])
+    load_script("import_recording.py").main([str(npy), "--picture", str(tmp_path / "tips.png")])
     pixels = plt.imread(tmp_path / "tips.png")
     assert pixels.shape[2] == 4
     assert pixels[0, 0, 3] == 0.0

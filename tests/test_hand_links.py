@@ -8,7 +8,7 @@ from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.assembly import add_hand_model
-from geort_drake.hands.description import CouplingDescription, HandDescription
+from geort_drake.hands.description import CouplingDescription, HandDescription, load_hand
 from geort_drake.hands.description_file import write_description
 from geort_drake.hands.links import finger_links, palm_links
 from geort_drake.hands.model import HandModel
@@ -44,6 +44,17 @@ def _plant(description: HandDescription, object_name: str = "sphere"):
     return builder, plant, hand, thing
 
 
+def _view(builder, plant, description: HandDescription, hand, thing) -> SceneView:
+    """What is seen of hand and object."""
+    scene_graph = builder.GetSubsystemByName("scene_graph")
+    view = builder.AddSystem(
+        SceneView(plant, description, hand, thing.index(), scene_graph.model_inspector())
+    )
+    builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
+    builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
+    return view
+
+
 def test_a_fingers_links_are_all_that_its_motors_move(description):
     """Those that only follow too; what is held belongs to the palm."""
     description.fingers[2].joints.remove("middle_j0")
@@ -71,9 +82,7 @@ def test_motors_on_the_arm_are_not_asked_for_what_followers_cannot_do(descriptio
 def test_contact_on_a_link_that_follows_is_the_fingers(description, link):
     """Drake's contact results of an object that sticks into one link of the index show on the index alone."""
     builder, plant, hand, thing = _plant(description)
-    view = builder.AddSystem(SceneView(plant, description, hand, thing.index()))
-    builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
-    builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
+    view = _view(builder, plant, description, hand, thing)
     diagram = builder.Build()
     root = diagram.CreateDefaultContext()
     context = plant.GetMyMutableContextFromRoot(root)
@@ -85,6 +94,25 @@ def test_contact_on_a_link_that_follows_is_the_fingers(description, link):
     contact = view.GetOutputPort("contact").Eval(view.GetMyContextFromRoot(root))
     assert contact[1] > 0.1
     assert contact[0] == contact[2] == 0.0
+
+
+def test_self_contact_is_what_the_hand_model_calls_a_collision_beyond_tips():
+    """At postures of the Allegro with and without: two links that touch count, two fingertips do not."""
+    model = HandModel(load_hand("allegro_right"))
+    builder, plant, hand, thing = _plant(model.description)
+    view = _view(builder, plant, model.description, hand, thing)
+    root = builder.Build().CreateDefaultContext()
+    context = plant.GetMyMutableContextFromRoot(root)
+    plant.SetFloatingBaseBodyPoseInWorldFrame(context, thing, RigidTransform([1.0, 0.0, 0.0]))
+    q = np.random.default_rng(0).uniform(model.lower, model.upper, (2000, len(model.lower)))
+    beyond, touching = model.collides_beyond_tips(q), model.collides(q)
+    tips_alone = touching & ~beyond
+    assert min(beyond.sum(), (~touching).sum(), tips_alone.sum()) >= 3
+    for row, expected in [*zip(q[:60], beyond[:60], strict=True), *((r, False) for r in q[tips_alone])]:
+        for name, angle in zip(model.joint_names, row, strict=True):
+            plant.GetJointByName(name, hand).set_angle(context, angle)
+        seen = view.GetOutputPort("self_contact").Eval(view.GetMyContextFromRoot(root))
+        assert seen.tolist() == [float(expected)]
 
 
 def test_a_grasp_is_planned_for_fingers_of_few_joints(description, tmp_path):

@@ -3,6 +3,8 @@
 `models/sdf/human_right.sdf` is `human_hand_sdf(HumanHand.anatomical(), "human_right")`.
 """
 
+from collections.abc import Iterable
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -154,7 +156,7 @@ def _geometry(name: str, pose: str, radius: float, length: float) -> list[str]:
     ]
 
 
-def _inertial(mass: float, centre, inertia: np.ndarray) -> str:
+def _inertial(mass: float, centre: Iterable[float], inertia: np.ndarray) -> str:
     ixx, iyy, izz = inertia
     return (
         f"<inertial><pose>{_numbers(centre)} 0 0 0</pose><mass>{mass:.6g}</mass><inertia><ixx>{ixx:.6g}</ixx>"
@@ -166,12 +168,12 @@ def _frame(name: str, link: str, pose: str) -> str:
     return f'<frame name="{name}" attached_to="{link}"><pose>{pose}</pose></frame>'
 
 
-def _pose(p, turn: Rotation | None = None) -> str:
+def _pose(p: Iterable[float], turn: Rotation | None = None) -> str:
     rpy = np.zeros(3) if turn is None else turn.as_euler("xyz")
     return f"{_numbers(p)} {_numbers(rpy)}"
 
 
-def _numbers(values) -> str:
+def _numbers(values: Iterable[float]) -> str:
     # Rounded far below a micrometre, so that the text does not depend on the last bits of arithmetic.
     return " ".join(f"{round(float(value), 10) + 0.0:.9g}" for value in values)
 

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from geort_drake.colours import FINGER_COLOURS
 from geort_drake.files import atomic_path
 from geort_drake.gloves.keypoints import TIP_KEYPOINT
 from geort_drake.gloves.recording import Recording
@@ -16,8 +17,6 @@ from geort_drake.gloves.recording import Recording
 _POINTS = 4000
 # A grey that is read on white paper and on a dark page; there is no background of its own.
 _GREY = "#7f7f7f"
-# Okabe and Ito's, which colour-blind readers can tell apart.
-_COLOURS = dict(zip(TIP_KEYPOINT, ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00"), strict=True))
 _STYLE: Any = {
     "axes.edgecolor": _GREY,
     "axes.facecolor": "none",
@@ -56,10 +55,10 @@ def draw_fingertips(
             for row, plane in enumerate(((0, 2), (1, 2))):
                 axes = rows[row, column]
                 _cloud(axes, reach[:, column][:, plane], _GREY, 0.3)
-                _cloud(axes, human[:, column][:, plane], _COLOURS[finger], 0.6)
+                _cloud(axes, human[:, column][:, plane], FINGER_COLOURS[finger], 0.6)
                 axes.set_aspect("equal")
                 axes.plot(0.0, 0.0, "+", color=_GREY, ms=9)
-            rows[0, column].set_title(finger, color=_COLOURS[finger], weight="bold")
+            rows[0, column].set_title(finger, color=FINGER_COLOURS[finger], weight="bold")
             rows[0, column].set_xlabel("x, out of the palm, mm")
             rows[1, column].set_xlabel("y, to the index side, mm")
         for row, view in zip(rows, ("from the side", "from the palm"), strict=True):

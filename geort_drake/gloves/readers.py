@@ -18,11 +18,13 @@ from geort_drake.gloves.health.anatomy import UNITS_M
 from geort_drake.gloves.health.findings import Finding, Severity
 from geort_drake.gloves.keypoints import mirrored, to_wrist_frame, wrist_pose
 from geort_drake.gloves.recording import SIDES, Recording
+from geort_drake.gloves.recording_parts import read_parts
 
 # For files without timestamps. Free hand motion at 30 Hz gives GeoRT's recording fingertip speeds
 # (99th percentile 1 m/s) that agree with gloves whose rate is known.
 ASSUMED_RATE_HZ = 30.0
 
+_ONE_PLACE_M = 1e-6  # keypoints that are nearer to each other are no hand, m
 _UNIX_S = 1e8  # times beyond this, in 1973, count from 1970; others from wherever the device started
 
 
@@ -69,6 +71,9 @@ def open_recording(
     for kind, given, choices in (("side", side, SIDES), ("unit", unit, UNITS_M)):
         if given is not None and given not in choices:
             raise UnknownNameError(kind, given, choices)
+    if (unfinished := read_parts(path)) is not None:
+        _agree_on_side(path, unfinished.side, side)
+        return unfinished, []
     contents = load(path)
     chosen = choose(str(path), suffix_of(path), contents, format)
     read = FORMATS[chosen].read(str(path), contents, side)
@@ -77,19 +82,23 @@ def open_recording(
         if unit not in (None, "m"):
             raise RecordingError(f"{path}: geort-drake's own files are in metres, not in {unit}")
         return read, []
-    return _recording(path, chosen, read, side, UNITS_M[unit or read.unit], rate_hz)
+    return _recording(path, chosen, read, side, unit or read.unit, rate_hz)
 
 
 def _recording(
-    path: Path, chosen: str, tracks: Tracks, side: str, unit_m: float, rate_hz: float | None
+    path: Path, chosen: str, tracks: Tracks, side: str, unit: str, rate_hz: float | None
 ) -> tuple[Recording, list[Finding]]:
     findings = list(tracks.findings)
-    p_WK, t = unit_m * tracks.p_WK, tracks.t
+    p_WK, clock = UNITS_M[unit] * tracks.p_WK, tracks.clock
     metadata = {"side": side, "source": path.name, "format": chosen, "rate_known": True, **tracks.metadata}
-    if t is None:
+    metadata["unit"] = unit
+    if clock is not None:
+        t, metadata["time_field"], metadata["time_unit"] = clock.t, clock.field, clock.unit
+    else:
         t, metadata["rate_known"] = np.arange(len(p_WK)) / (rate_hz or ASSUMED_RATE_HZ), rate_hz is not None
         if rate_hz is None:
             findings.append(_no_times())
+    p_WK = _without_empty(p_WK, findings)
     p_WK, t = _without_doubles(p_WK, t, findings)
     if len(t) and t[0] > _UNIX_S:
         metadata["start_time_unix_s"] = float(t[0])
@@ -130,6 +139,26 @@ def _no_times() -> Finding:
     )
 
 
+def _without_empty(p_WK: np.ndarray, findings: list[Finding]) -> np.ndarray:
+    """NaN in frames without a hand, in which trackers store the origin for every joint, and says so."""
+    with np.errstate(invalid="ignore"):
+        empty = np.ptp(p_WK, axis=1).max(axis=1, initial=0.0) < _ONE_PLACE_M
+    if not empty.any():
+        return p_WK
+    first = int(np.argmax(empty))
+    findings.append(
+        Finding(
+            "lost frames",
+            Severity.WARNING,
+            f"{int(empty.sum())} of {len(p_WK)} frames hold no hand, as all keypoints are in one place; the "
+            f"first is frame {first}",
+            f"frame {first}",
+            "taken for lost",
+        )
+    )
+    return np.where(empty[:, None, None], np.nan, p_WK)
+
+
 def _without_doubles(
     p_WK: np.ndarray, t: np.ndarray, findings: list[Finding]
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -160,10 +189,13 @@ def _check_palm_plane(path: Path, p_WK: np.ndarray, p_HK: np.ndarray) -> None:
         raise RecordingError(
             f"{path}: wrist, index, middle and ring knuckles (keypoints 0, 5, 9, 13) must span a plane, but "
             f"coincide or lie on a line in {lacking.sum()} of {len(p_WK)} frames, first in frame "
-            f"{int(np.argmax(lacking))}; is the signal constant?"
+            f"{int(np.argmax(lacking))}"
         )
 
 
 def _agree_on_side(path: Path, given: str | None, wanted: str) -> None:
     if given is not None and given != wanted:
-        raise RecordingError(f"{path}: the file holds a {given} hand, a {wanted} one was asked for")
+        raise RecordingError(
+            f"{path}: the file holds a {given} hand, a {wanted} one was asked for; import_recording.py makes "
+            f"it a {wanted} one's with --side {given} --mirror"
+        )

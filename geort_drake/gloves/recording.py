@@ -30,8 +30,16 @@ _METADATA = {
     "seed": int,
     "warnings": list,
     "rate_known": bool,
+    "recorded_side": str,
     "wrist_position_tracked": bool,
+    "unit": str,
+    "time_field": str,
+    "time_unit": str,
 }
+
+
+# How a file's numbers were taken, which messages say; no concern of the file that is saved.
+_OF_THE_SOURCE = ("unit", "time_field", "time_unit")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -52,7 +60,7 @@ class Recording:
     X_WH: np.ndarray | None = None
     metadata: dict = dataclasses.field(default_factory=dict)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         # float32 is what the file holds, so the digest survives a round trip.
         types = {"t": np.float64, "p_HK": np.float32, "valid": np.bool_, "X_WH": np.float64}
         for name, dtype in types.items():
@@ -109,6 +117,15 @@ class Recording:
         """p_HF (T, F, 3) float64, m: the given keypoints of the valid frames."""
         return self.p_HK[self.valid][:, list(keypoints)].astype(float)
 
+    def mirrored(self) -> "Recording":
+        """The same motion made by the other hand: each frame's mirror image in the xz-plane of H.
+
+        Keypoints and wrist poses stay as they are, since a left hand is described by its mirror image;
+        `metadata["recorded_side"]` keeps which hand was recorded.
+        """
+        metadata = {"recorded_side": self.side, **self.metadata, "side": SIDES[1 - SIDES.index(self.side)]}
+        return dataclasses.replace(self, metadata=metadata)
+
     def save(self, path: str | os.PathLike) -> None:
         """Writes the recording as .npz without pickle; the file is whole or absent."""
         if Path(path).suffix != ".npz":
@@ -116,7 +133,8 @@ class Recording:
         arrays: dict[str, np.ndarray] = {"t": self.t, "p_HK": self.p_HK, "valid": self.valid}
         if self.X_WH is not None:
             arrays["X_WH"] = self.X_WH
-        metadata = {**self.metadata, "side": self.side, "convention": CONVENTION}
+        kept = {key: value for key, value in self.metadata.items() if key not in _OF_THE_SOURCE}
+        metadata = {**kept, "side": self.side, "convention": CONVENTION}
         with atomic_path(path) as draft:
             # The stub takes every array for the argument allow_pickle.
             np.savez_compressed(draft, **arrays, metadata=np.array(json.dumps(metadata)))  # type: ignore[arg-type]

@@ -25,6 +25,8 @@ from pydrake.multibody.tree import (
 from geort_drake.errors import HandError
 from geort_drake.hands.couplings import JointCouplings, root
 from geort_drake.hands.description import HandDescription
+from geort_drake.hands.model_files import model_files
+from geort_drake.hands.model_values import check_model_values
 from geort_drake.resources import PACKAGE_NAME, resolve_uri, resource_root
 
 
@@ -111,7 +113,11 @@ def _scenery(plant: MultibodyPlant) -> list[GeometryId]:
 
 
 def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstanceIndex:
-    """Adds the one model of a file; what it says of packages is looked for in the folders above it."""
+    """Adds the one model of a file; what it says of packages is looked for in the folders above it.
+
+    Raises:
+        HandError: the file is not one model that Drake reads, or holds values that no hand has.
+    """
     parser = Parser(plant)
     packages = parser.package_map()
     packages.Add(PACKAGE_NAME, str(resource_root()))
@@ -120,6 +126,9 @@ def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstance
         (hand,) = parser.AddModels(path)
     except (RuntimeError, ValueError, SystemExit) as error:  # a failed assertion of Drake exits
         raise HandError(f"{source}: not one readable model: {error}") from error
+    scenery = parser.scene_graph()
+    inspector = None if scenery is None else scenery.model_inspector()
+    check_model_values(model_files(plant, inspector, hand, path), source)
     return hand
 
 
@@ -148,7 +157,9 @@ def _add_packages(packages: PackageMap, path: Path) -> None:
                 packages.Add(name, str(place))
 
 
-def _add_base(plant, hand, description: HandDescription, source: str) -> None:
+def _add_base(
+    plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription, source: str
+) -> None:
     base = description.base_pose
     if not base.relative_to:
         return
@@ -169,7 +180,7 @@ def _add_base(plant, hand, description: HandDescription, source: str) -> None:
 
 
 def _set_default_positions(
-    plant, hand, description: HandDescription, source: str
+    plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription, source: str
 ) -> dict[str, tuple[str, float, float]]:
     """Sets them, and returns which joints follow one that a finger lists: leader, ratio, offset."""
     for name, position in description.default_positions.items():
@@ -211,7 +222,9 @@ def _remove_joint(plant: MultibodyPlant, joint: Joint) -> None:
         ) from error
 
 
-def _actuate(plant, hand, description: HandDescription, followers: Iterable[str]) -> None:
+def _actuate(
+    plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription, followers: Iterable[str]
+) -> None:
     """Motors on the joints that fingers list and on no others, with the description's gains."""
     for name in followers:
         _remove_actuators(plant, plant.GetJointByName(name, hand))
@@ -243,7 +256,7 @@ def _remove_actuators(plant: MultibodyPlant, joint: Joint) -> None:
             plant.RemoveJointActuator(actuator)
 
 
-def _axial_joint(plant, hand, name: str, where: str) -> Joint:
+def _axial_joint(plant: MultibodyPlant, hand: ModelInstanceIndex, name: str, where: str) -> Joint:
     """A joint with one position."""
     choices = [joint.name() for joint in _joints(plant, hand) if joint.num_positions() == 1]
     if name not in choices:
@@ -254,7 +267,9 @@ def _axial_joint(plant, hand, name: str, where: str) -> Joint:
     return plant.GetJointByName(name, hand)
 
 
-def _ignore_collisions(plant, hand, description: HandDescription, source: str) -> None:
+def _ignore_collisions(
+    plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription, source: str
+) -> None:
     names = [str(plant.get_body(index).name()) for index in plant.GetBodyIndices(hand)]
     filters = CollisionFilterDeclaration()
     for pair in description.ignored_collisions:

@@ -4,7 +4,7 @@ import numpy as np
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Frame, Joint, WeldJoint
+from pydrake.multibody.tree import Frame, Joint, RigidBody, WeldJoint
 
 from geort_drake.errors import HandError
 from geort_drake.hands.couplings import JointCouplings
@@ -94,7 +94,7 @@ def finger_chain(
     )
 
 
-def _inboard(plant: MultibodyPlant, tip, base: Frame, where: str) -> list[Joint]:
+def _inboard(plant: MultibodyPlant, tip: RigidBody, base: Frame, where: str) -> list[Joint]:
     """The joints between a link and what is welded to the base, from the link on."""
     inboard = inboard_joints(plant)
     still = {body.index() for body in plant.GetBodiesWeldedTo(base.body())}

@@ -67,7 +67,7 @@ def nearest_pinch(kinematics: NumpyKinematics, number: int, seed: int = 0) -> fl
     p_BF = kinematics.fingertips(q)
     starts = q[np.argsort(np.linalg.norm(p_BF[:, 0] - p_BF[:, number], axis=1))[:_STARTS]]
 
-    def cost(x):
+    def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
         p_BF, J = kinematics.fingertips_and_jacobians(x[None])
         v = p_BF[0, 0] - p_BF[0, number]
         return 1e4 * v @ v, 2e4 * v @ (J[0, 0] - J[0, number])

@@ -13,8 +13,9 @@ where a bound must hold here, and works on float32 batches of few pairs, where o
 from dataclasses import dataclass
 
 import numpy as np
-from pydrake.geometry import Box, CalcObb, Capsule, Convex, Cylinder, GeometryId, Mesh, Role, Sphere
+from pydrake.geometry import Box, CalcObb, Capsule, Convex, Cylinder, GeometryId, Mesh, Role, Shape, Sphere
 from pydrake.math import RigidTransform
+from pydrake.multibody.tree import RigidBody
 
 from geort_drake.errors import HandError
 from geort_drake.hands.links import inboard_joints, moving_joint
@@ -141,7 +142,7 @@ class HandClearance:
         # Rodrigues: X_PJ Rot(a, θ) = X_PJ + sin θ · X_PJ K + (1 − cos θ) · X_PJ K²
         self._X, self._XK, self._XKK = X_PJ, X_PJ @ K, X_PJ @ K @ K
 
-    def _mover(self, body, names: list[str]) -> int:
+    def _mover(self, body: RigidBody, names: list[str]) -> int:
         """Number of the joint of q that moves a body, −1 for the base."""
         joint = moving_joint(body, self._inboard, names)
         return -1 if joint is None else names.index(joint.name())
@@ -226,7 +227,9 @@ class HandClearance:
             np.matmul(T.take(parents, axis=-3), local[..., rows, :, :], out=T[..., rows, :, :])
         return T
 
-    def _gaps(self, R: np.ndarray, p: np.ndarray, within: float):
+    def _gaps(
+        self, R: np.ndarray, p: np.ndarray, within: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Rows of the K pairs with a gap below `within`; their gaps; and the axes along which they have them.
 
         These are (K, 3) in the first one's frame, and fixed in the first one (0), the second (1) or neither.
@@ -288,7 +291,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[:, up] * b[:, down] - a[:, down] * b[:, up]
 
 
-def _summands(shape, name: str) -> tuple[RigidTransform, tuple[float, float, float], float, float]:
+def _summands(shape: Shape, name: str) -> tuple[RigidTransform, tuple[float, float, float], float, float]:
     """Pose in the geometry's frame, half edges of the box, radii of the disc about z and of the sphere."""
     X_GS = RigidTransform()
     if isinstance(shape, Box):

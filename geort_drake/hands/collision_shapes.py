@@ -1,7 +1,7 @@
 """A hand's collision geometry as plain arrays, for training without Drake."""
 
 import numpy as np
-from pydrake.geometry import Box, CalcObb, Capsule, Convex, Cylinder, Mesh, Role, Sphere
+from pydrake.geometry import Box, CalcObb, Capsule, Convex, Cylinder, Mesh, Role, Shape, Sphere
 from scipy.spatial import ConvexHull
 
 from geort_drake.errors import HandError
@@ -59,7 +59,7 @@ def collision_shapes(hand: HandModel) -> CollisionShapes:
     )
 
 
-def _parts(shape, name: str) -> list[tuple[np.ndarray, tuple[float, float, float], float]]:
+def _parts(shape: Shape, name: str) -> list[tuple[np.ndarray, tuple[float, float, float], float]]:
     """Pose in the geometry's frame, half edges and radius of each box or sphere that stands for a shape."""
     if isinstance(shape, Box):
         return [(np.eye(4), tuple(0.5 * shape.size()), 0.0)]

@@ -7,6 +7,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
+from geort_drake.colours import FINGER_COLOURS, rgb
 from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.couplings import JointCouplings
 from geort_drake.hands.model import HandModel
@@ -14,7 +15,7 @@ from geort_drake.systems.rerun_recorder import PointsSpec, add_rerun_recorder
 
 _FRAMES_PER_JOINT, _RATE = 24, 30.0  # pictures, and how many a second
 _AXES = {"x": (230, 60, 60), "y": (60, 180, 60), "z": (60, 90, 230)}
-_AXIS_POINTS = np.linspace(0.0, 0.08, 17)  # m
+_AXIS_POINTS = np.linspace(0.0, 0.12, 25)  # m
 
 
 def record_hand(hand: HandModel, path: Path) -> None:
@@ -33,11 +34,15 @@ def record_hand(hand: HandModel, path: Path) -> None:
     for number, (axis, color) in enumerate(_AXES.items()):
         line = np.outer(_AXIS_POINTS, np.eye(3)[number]).ravel()
         source = builder.AddNamedSystem(f"axis_{axis}", ConstantVectorSource(line))
-        points[f"hand_base/{axis}"] = PointsSpec(source.get_output_port(), base, 0.0015, color)
+        points[f"hand_base/{axis}"] = PointsSpec(source.get_output_port(), base, 0.002, color)
     for finger in description.fingers:
         source = builder.AddNamedSystem(f"tip_{finger.name}", ConstantVectorSource(finger.tip_point))
         frame = plant.GetFrameByName(finger.tip_link, model)
-        points[f"tips/{finger.name}"] = PointsSpec(source.get_output_port(), frame, finger.tip_radius)
+        # Of glass, around the tip that the model draws.
+        glass = (*rgb(FINGER_COLOURS[finger.name]), 130)
+        points[f"tips/{finger.name}"] = PointsSpec(
+            source.get_output_port(), frame, 1.25 * finger.tip_radius, glass
+        )
     recorder = add_rerun_recorder(
         builder, plant, scene_graph, path, period=1.0 / _RATE, contact=False, points=points
     )

@@ -23,6 +23,7 @@ from geort_drake.hands.assembly import add_hand_model, joint_names, position_lim
 from geort_drake.hands.couplings import JointCouplings
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model_files import digest_of_contents, model_files
+from geort_drake.joint_ranges import MAX_ANGLE
 from geort_drake.resources import resolve_uri
 
 if TYPE_CHECKING:
@@ -236,8 +237,12 @@ class HandModel:
         if name not in movable:
             raise self._unknown(field, "revolute joint", name, movable)
         joint = self.plant.GetJointByName(name, self._instance)
-        if limited and not np.isfinite([joint.position_lower_limit(), joint.position_upper_limit()]).all():
-            raise HandError(f"{self._source}: joint '{name}' needs position limits, it has none")
+        low, high = joint.position_lower_limit(), joint.position_upper_limit()
+        if limited and not -MAX_ANGLE <= low <= high <= MAX_ANGLE:
+            given = f"it has [{low:g}, {high:g}]" if np.isfinite([low, high]).all() else "it has none"
+            raise HandError(
+                f"{self._source}: joint '{name}' needs position limits within ±{MAX_ANGLE:g} rad, {given}"
+            )
         return joint
 
     def _check_default_positions(self) -> None:

@@ -14,17 +14,18 @@ from geort_drake.hands.meshes import resolved
 
 
 def model_files(
-    plant: MultibodyPlant, inspector: SceneGraphInspector, hand: ModelInstanceIndex, model: Path
+    plant: MultibodyPlant, inspector: SceneGraphInspector | None, hand: ModelInstanceIndex, model: Path
 ) -> list[Path]:
     """A hand's model file, what that includes, and the meshes of its collision geometry as Drake found them.
 
     Args:
+        inspector: of the plant's scene graph; None without one, and then without the meshes.
         hand: the model instance of the hand in `plant`.
         model: its SDF, URDF or MJCF file.
     """
     bodies = [plant.get_body(index) for index in plant.GetBodyIndices(hand)]
     geometries = [id for body in bodies for id in plant.GetCollisionGeometriesForBody(body)]
-    shapes = [inspector.GetShape(id) for id in geometries]
+    shapes = [inspector.GetShape(id) for id in geometries] if inspector is not None else []
     sources = [shape.source() for shape in shapes if isinstance(shape, Convex | Mesh)]
     meshes = [Path(source.path()) for source in sources if source.is_path()]
     return list(dict.fromkeys([model, *_included(model), *meshes]))

@@ -31,6 +31,7 @@ BASE = "hand_base"
 # palm's link is put there, and from the second angle on that is said.
 _SNAP, _SAID = np.deg2rad(30.0), np.deg2rad(5.0)
 _GRID = 7
+_MANY = 8  # joints, each of which is not worth a sentence
 # Fingers close to a side if their tips are there on average, by this part of how far they are to any side.
 _CLOSING = 0.6
 # A thumb is beside the fingers, not opposite to them, if it is by this part of how far it stands before them.
@@ -83,17 +84,19 @@ class _Finger:
         return v - np.outer(v @ self.direction, self.direction)
 
 
-def propose(model: Path, name: str | None = None) -> Proposal:
+def propose(model: Path, name: str | None = None, palm: str | None = None) -> Proposal:
     """Describes a model: fingers and their names, tips, side, hand base, joints that follow, gains.
 
     Args:
         model: URDF, SDF or MJCF file.
         name: of the hand; by default made from the file's.
+        palm: link that carries the fingers; by default the one that most chains of joints leave.
 
     Raises:
-        HandError: the model cannot be read, or is no hand with 2 to 5 fingers of revolute joints.
+        HandError: the model cannot be read, or is not one hand with 2 to 5 fingers of revolute joints.
+        UnknownNameError: it has no such link.
     """
-    structure = read_structure(model.resolve())
+    structure = read_structure(model.resolve(), palm)
     notes: list[str] = []
     fingers = [_finger(structure, chain) for chain in structure.chains]
     names, X_RB, side = _arrange(structure, fingers, notes)
@@ -103,10 +106,9 @@ def propose(model: Path, name: str | None = None) -> Proposal:
                 f"the tip of the {label} finger was taken from {finger.tip.source}: "
                 f"radius {1e3 * finger.tip.radius:.1f} mm"
             )
-    for joint, reason in structure.held.items():
-        notes.append(f"joint '{joint}' {reason}: it is held at its default position")
-    palm = structure.palm[0]
-    X_RP = structure.plant.EvalBodyPoseInWorld(structure.plant.CreateDefaultContext(), palm)
+    notes += _held_notes(structure.held)
+    palm_link = structure.palm[0]
+    X_RP = structure.plant.EvalBodyPoseInWorld(structure.plant.CreateDefaultContext(), palm_link)
     X_PB = X_RP.inverse() @ X_RB
     rpy_deg = np.rad2deg(RollPitchYaw(X_PB.rotation()).vector())
     order = sorted(range(len(fingers)), key=lambda number: FINGER_NAMES.index(names[number]))
@@ -118,7 +120,7 @@ def propose(model: Path, name: str | None = None) -> Proposal:
         model=str(model.resolve()),
         side=side,
         base_frame=base,
-        base_pose=BasePoseDescription(palm.name(), _rounded(X_PB.translation()), _rounded(rpy_deg, 2)),
+        base_pose=BasePoseDescription(palm_link.name(), _rounded(X_PB.translation()), _rounded(rpy_deg, 2)),
         fingers=[_describe(names[number], fingers[number]) for number in order],
         couplings=_couplings(structure),
         actuation=_actuation(structure, notes),
@@ -190,8 +192,11 @@ def _arrange(
     side = "right" if sideways > 0 else "left"
     bodies = structure.plant.GetBodyIndices(structure.hand)
     links = [structure.plant.get_body(index).name() for index in bodies]
-    told = side_by_name([structure.path.stem]) or side_by_name(
-        [structure.plant.GetModelInstanceName(structure.hand), *links]
+    # Links of a whole robot are of both sides.
+    told = (
+        side_by_name([structure.path.stem])
+        or side_by_name([structure.palm[0].name()])
+        or side_by_name([structure.plant.GetModelInstanceName(structure.hand), *links])
     )
     if abs(sideways) < _BESIDE * abs(forwards):
         side = told or "right"
@@ -227,6 +232,19 @@ def _snapped(R: np.ndarray, notes: list[str]) -> np.ndarray:
             return nearest
     notes.append("no axes of the palm's link lie along the fingers, so the hand base is turned as they are")
     return R
+
+
+def _held_notes(held: dict[str, str]) -> list[str]:
+    """A sentence on each joint that is held; on many with the same reason, as of a whole robot, one."""
+    notes = []
+    for reason in dict.fromkeys(held.values()):
+        joints = [joint for joint, why in held.items() if why == reason]
+        if len(joints) > _MANY:
+            named = ", ".join(f"'{joint}'" for joint in joints[:3])
+            notes.append(f"{len(joints)} joints are held, as each {reason}: {named}, ...")
+        else:
+            notes += [f"joint '{joint}' {reason}: it is held at its default position" for joint in joints]
+    return notes
 
 
 def _describe(name: str, finger: _Finger) -> FingerDescription:

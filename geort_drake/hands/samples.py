@@ -76,7 +76,12 @@ def robot_data(
     return labelled
 
 
-def _labelled(hand, data, processes, progress) -> RobotData:
+def _labelled(
+    hand: HandModel,
+    data: RobotData,
+    processes: int | None,
+    progress: Callable[[int, int], None] | None,
+) -> RobotData:
     count = len(data.q)
     chunks = np.split(data.q, range(_CHUNK, count, _CHUNK))
     if processes is None:

@@ -1,23 +1,20 @@
 """What a model of a hand consists of: the palm, and the chains of joints that leave it."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
-from pydrake.multibody.tree import Joint, ModelInstanceIndex, RevoluteJoint, RigidBody, WeldJoint
+from pydrake.multibody.tree import Joint, ModelInstanceIndex, RevoluteJoint, RigidBody
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from geort_drake.errors import HandError
 from geort_drake.hands.assembly import free_from_world, parse_model
 from geort_drake.hands.couplings import read_couplings, root
 from geort_drake.hands.description import CouplingDescription
+from geort_drake.hands.link_tree import LinkTree
 
-MOST_FINGERS = 5
-# How many joints of its own a second branch of a finger must have to be a finger.
-_OWN_JOINTS = 2
 _SAMPLES = 300
 
 
@@ -93,11 +90,16 @@ class HandStructure:
         return p_RF
 
 
-def read_structure(path: Path) -> HandStructure:
+def read_structure(path: Path, palm: str | None = None) -> HandStructure:
     """Loads a model and finds palm and fingers.
 
+    Args:
+        path: of the model.
+        palm: the link that carries the fingers; by default the one that most chains leave.
+
     Raises:
-        HandError: it cannot be loaded, or has no two fingers.
+        HandError: it cannot be loaded, has no two fingers, or is more than one hand.
+        UnknownNameError: it has no such link.
     """
     if not path.is_file():
         raise HandError(f"the model file {path} is missing")
@@ -107,7 +109,9 @@ def read_structure(path: Path) -> HandStructure:
     for constraint in plant.GetConstraintIds():
         plant.RemoveConstraint(constraint)
     free_from_world(plant, hand)
-    tree = _Tree(plant, hand)
+    tree = LinkTree(plant, hand, palm)
+    if palm is None:
+        tree.require_one_hand(f"model {path}")
     plant.WeldFrames(plant.world_frame(), tree.root.body_frame())
     plant.Finalize()
     structure = HandStructure(path, plant, scene_graph, hand, read_couplings(path))
@@ -116,7 +120,7 @@ def read_structure(path: Path) -> HandStructure:
         for name in (coupling.joint, coupling.follows):
             if name not in known:
                 raise HandError(f"model {path}: '{coupling.joint}' follows '{name}', which is no joint of it")
-    paths = tree.fingers()
+    paths = tree.fingers(f"model {path}")
     if len(paths) < 2:
         raise HandError(
             f"model {path}: {len(paths)} chains of revolute joints leave its palm, the link "
@@ -135,78 +139,7 @@ def read_structure(path: Path) -> HandStructure:
     return structure
 
 
-class _Tree:
-    """Links grouped by welds, and the joints between the groups."""
-
-    def __init__(self, plant: MultibodyPlant, hand: ModelInstanceIndex):
-        self.bodies = [plant.get_body(index) for index in plant.GetBodyIndices(hand)]
-        everything = [plant.get_joint(index) for index in plant.GetJointIndices(hand)]
-        self.group = {body.index(): number for number, body in enumerate(self.bodies)}
-        for joint in everything:
-            if isinstance(joint, WeldJoint):
-                old = self.group[joint.child_body().index()]
-                new = self.group[joint.parent_body().index()]
-                self.group = {body: new if number == old else number for body, number in self.group.items()}
-        self.joints: list[Joint] = [joint for joint in everything if not isinstance(joint, WeldJoint)]
-        self.leaving: dict[int, list[Joint]] = {}
-        for joint in self.joints:
-            self.leaving.setdefault(self.group[joint.parent_body().index()], []).append(joint)
-        children = {joint.child_body().index() for joint in everything}
-        roots = [body for body in self.bodies if body.index() not in children]
-        # What else is in the file, such as a floor, has fewer joints than the hand.
-        self.root = max(roots, key=lambda body: self._size(self.group[body.index()]))
-        self.palm_group = self._find_palm()
-        self.palm = next(body for body in self.bodies if self.group[body.index()] == self.palm_group)
-
-    def end(self, joint: Joint) -> int:
-        """The group that a joint moves."""
-        return self.group[joint.child_body().index()]
-
-    def fingers(self) -> list[list[Joint]]:
-        """The joints of each finger from the palm on, the longest fingers where there are too many."""
-        kept: list[list[Joint]] = []
-        for joint in self.leaving.get(self.palm_group, []):
-            branches = sorted(self._paths([joint]), key=len, reverse=True)
-            mine: list[list[Joint]] = []
-            for path in branches:
-                taken = {id(joint) for other in mine for joint in other}
-                own = [joint for joint in path if id(joint) not in taken]
-                if any(isinstance(joint, RevoluteJoint) for joint in path) and (
-                    not mine or len(own) >= _OWN_JOINTS
-                ):
-                    mine.append(path)
-            kept += mine
-        longest = sorted(kept, key=len, reverse=True)[:MOST_FINGERS]
-        return [path for path in kept if path in longest]
-
-    def palm_links(self, paths: list[list[Joint]]) -> list[RigidBody]:
-        """The palm's links, the one that carries most fingers first."""
-        links = [body for body in self.bodies if self.group[body.index()] == self.palm_group]
-        carried = [path[0].parent_body().index() for path in paths]
-        return sorted(links, key=lambda body: -carried.count(body.index()))
-
-    def _paths(self, path: list[Joint]) -> Iterator[list[Joint]]:
-        further = self.leaving.get(self.end(path[-1]), [])
-        if not further:
-            yield path
-        for joint in further:
-            yield from self._paths([*path, joint])
-
-    def _size(self, group: int) -> int:
-        return sum(1 + self._size(self.end(joint)) for joint in self.leaving.get(group, []))
-
-    def _find_palm(self) -> int:
-        """The group that most joints leave; of several, the one nearest to the root."""
-        best, level = self.group[self.root.index()], [self.group[self.root.index()]]
-        while level:
-            for group in level:
-                if len(self.leaving.get(group, [])) > len(self.leaving.get(best, [])):
-                    best = group
-            level = [self.end(joint) for group in level for joint in self.leaving.get(group, [])]
-        return best
-
-
-def _hold(structure: HandStructure, tree: _Tree, paths: list[list[Joint]]) -> None:
+def _hold(structure: HandStructure, tree: LinkTree, paths: list[list[Joint]]) -> None:
     """Decides which joints cannot be a finger's."""
     held = structure.held
     fingers_of: dict[str, set[int]] = {}
@@ -234,7 +167,7 @@ def _hold(structure: HandStructure, tree: _Tree, paths: list[list[Joint]]) -> No
             held[name] = "has no range between its limits"
 
 
-def _chain(structure: HandStructure, tree: _Tree, path: list[Joint], context: Context) -> Chain | None:
+def _chain(structure: HandStructure, tree: LinkTree, path: list[Joint], context: Context) -> Chain | None:
     """A finger of joints; None if none of them can be moved."""
     heads = {coupling.joint: root(structure.couplings, coupling)[0] for coupling in structure.couplings}
     names = [joint.name() for joint in path]

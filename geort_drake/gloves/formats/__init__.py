@@ -87,8 +87,8 @@ def choose(name: str, suffix: str, contents: Any, format: str = AUTO) -> str:
 
 
 def suffix_of(path: Path) -> str:
-    """A file's suffix; a folder stands for the pickles in it."""
-    return ".pkl" if path.is_dir() else path.suffix
+    """A file's suffix in lower case; a folder stands for the pickles in it."""
+    return ".pkl" if path.is_dir() else path.suffix.lower()
 
 
 def _told(contents: Any) -> str:

@@ -34,9 +34,10 @@ def load(path: Path) -> Any:
             check_file(file)
         return [load_plain(file) for file in files]
     check_file(path)
-    if path.suffix not in _LOADERS:
+    suffix = path.suffix.lower()
+    if suffix not in _LOADERS:
         raise RecordingError(f"{path}: recordings are read from {', '.join(_LOADERS)}, not '{path.suffix}'")
-    return _LOADERS[path.suffix](path)
+    return _LOADERS[suffix](path)
 
 
 def _load_table(path: Path) -> Table:

@@ -39,7 +39,7 @@ def recognizes(contents: Any) -> bool:
         return False
     known = data[np.isfinite(data).all(axis=(1, 2))]
     order = fitting_order(known) if len(known) else None
-    return order is not None and ORDERS[order] == MANO_ORDER
+    return ORDERS.get(order or "") == MANO_ORDER
 
 
 def read(name: str, contents: Any, side: str) -> Tracks:

@@ -26,7 +26,9 @@ SUFFIXES = (".npz",)
 
 
 def recognizes(contents: Any) -> bool:
-    return {"data", "timestamps"} <= contents.keys()
+    if "data" not in contents:
+        return False
+    return "timestamps" in contents or contents["data"].shape[1:] == (25, 7)
 
 
 def read(name: str, contents: Any, side: str) -> Tracks:
@@ -35,7 +37,7 @@ def read(name: str, contents: Any, side: str) -> Tracks:
     data = numbers(name, "data", contents["data"], (25, 7))
     check_quaternions(name, "data", data)
     nodes = np.asarray(contents.get("keypoint_ids", np.arange(25)))
-    if sorted(nodes.tolist()) != list(range(25)):
+    if nodes.shape != (25,) or sorted(nodes.tolist()) != list(range(25)):
         raise RecordingError(f"{name}: keypoint_ids must be the numbers 0 to 24 in some order")
     p_WK = data[:, np.argsort(nodes), :3][:, KEYPOINTS_OF_25]
     return Tracks(p_WK, times(name, contents, len(data)), world=True, side=side_of(name, contents))

@@ -24,10 +24,10 @@ import numpy as np
 
 from geort_drake.errors import RecordingError
 from geort_drake.gloves.formats.files import Table
-from geort_drake.gloves.formats.tracks import Tracks
-from geort_drake.gloves.health.anatomy import BENT, mean_bending
+from geort_drake.gloves.formats.tracks import Clock, Tracks
+from geort_drake.gloves.health.anatomy import bent_side
 from geort_drake.gloves.health.findings import Finding, Severity
-from geort_drake.gloves.keypoints import mirrored, to_wrist_frame
+from geort_drake.gloves.health.timing import TIME_UNITS_S
 
 SUFFIXES = (".csv",)
 
@@ -64,10 +64,12 @@ def read(name: str, contents: Table, side: str) -> Tracks:
     if twice:
         raise RecordingError(f"{name}: the header has the column {twice[0]} more than once")
     p_WK = np.stack([_column(name, contents, column) for column in columns], axis=1).reshape(-1, 21, 3)
-    t = _column(name, contents, _ELAPSED) * 1e-3 if _ELAPSED in contents.header else None
+    clock = None
+    if _ELAPSED in contents.header:
+        clock = Clock(_column(name, contents, _ELAPSED) * TIME_UNITS_S["ms"], _ELAPSED, "ms")
     findings = _skipped_frames(name, contents)
     named = re.search(r"_([LR])$", Path(name).stem)
-    if named and _SIDES[named[1]] == side and _is_mirrored(p_WK, side):
+    if named and _SIDES[named[1]] == side and bent_side(p_WK, side) != side:
         p_WK = p_WK * [-1, 1, 1]
         findings.append(
             Finding(
@@ -81,7 +83,7 @@ def read(name: str, contents: Table, side: str) -> Tracks:
         )
     return Tracks(
         p_WK,
-        t,
+        clock,
         world=not _is_from_hand(name, contents, naming),
         side=_SIDES[named[1]] if named else None,
         unit=_NAMINGS[naming],
@@ -91,12 +93,6 @@ def read(name: str, contents: Table, side: str) -> Tracks:
 
 def _columns(joints: tuple[str, ...], naming: str) -> tuple[str, ...]:
     return tuple(f"{joint}{naming}_{axis}" for joint in joints for axis in "XYZ")
-
-
-def _is_mirrored(p_WK: np.ndarray, side: str) -> bool:
-    p_VK = p_WK[np.isfinite(p_WK).all(axis=(1, 2))]
-    p_HK = to_wrist_frame(mirrored(p_VK) if side == "left" else p_VK)
-    return mean_bending(p_HK) < -BENT if len(p_HK) else False
 
 
 def _is_from_hand(name: str, table: Table, naming: str) -> bool:
@@ -129,13 +125,17 @@ def _column(name: str, table: Table, column: str) -> np.ndarray:
     values = np.empty(len(table.rows))
     for i, row in enumerate(table.rows):
         if len(row) != len(table.header):
+            split = "; are decimals written with commas? Write them with points"
             raise RecordingError(
                 f"{name}: line {i + 2} has {len(row)} cells, the header has {len(table.header)}"
+                + (split if len(row) > len(table.header) else "")
             )
         try:
             values[i] = float(row[place]) if row[place].strip() else np.nan
         except ValueError:
+            comma = re.fullmatch(r"\s*[-+]?\d*,\d+(e[-+]?\d+)?\s*", row[place], re.IGNORECASE)
             raise RecordingError(
                 f"{name}: line {i + 2}, column {column} must be a number, not '{row[place]}'"
+                + ("; write decimals with points, not with commas" if comma else "")
             ) from None
     return values

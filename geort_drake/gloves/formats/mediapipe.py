@@ -7,10 +7,16 @@ camera; where the wrist is they do not say. Landmarks of the picture ("normalize
 JSON: a list of results, or `{"frames": [...]}`, each as `HandLandmarkerResult` names its fields:
 `worldLandmarks` (Python: `hand_world_landmarks`) with one list of 21 points per hand seen, `handedness` with
 one category each, and `timestampMs` (or `timestamp_ms`) as passed to the detector. The hand of the side
-asked for is taken; frames without one are lost. An .npz holds `world_landmarks` and optionally `t`, s.
+asked for is taken; frames without one are lost. An .npz holds `world_landmarks` and optionally `t`, s, and
+`handedness`.
 
-Source: https://ai.google.dev/edge/mediapipe/solutions/vision/hand_landmarker and
-https://ai.google.dev/edge/api/mediapipe/js/tasks-vision.handlandmarkerresult
+Many versions label hands as if the image were mirrored, so that the right hand in an image that is not is
+called left; landmarks are those of what the image shows. So a hand is of the side to which its fingers bend,
+and its label counts only where they hardly bend.
+
+Source: https://ai.google.dev/edge/mediapipe/solutions/vision/hand_landmarker,
+https://ai.google.dev/edge/api/mediapipe/js/tasks-vision.handlandmarkerresult and, of the labels,
+https://github.com/google-ai-edge/mediapipe/issues/1374
 """
 
 from collections.abc import Sequence
@@ -20,7 +26,10 @@ import numpy as np
 
 from geort_drake.errors import RecordingError
 from geort_drake.gloves.formats.tracks import Tracks, frames_of, json_times, numbers, point, side_of, times
+from geort_drake.gloves.health.anatomy import bent_side
+from geort_drake.gloves.health.findings import Finding, Severity
 from geort_drake.gloves.keypoints import KEYPOINT_COUNT
+from geort_drake.gloves.recording import SIDES
 
 SUFFIXES = (".json", ".jsonl", ".npy", ".npz")
 
@@ -44,50 +53,82 @@ def recognizes(contents: Any) -> bool:
 
 def read(name: str, contents: Any, side: str) -> Tracks:
     if isinstance(contents, dict) and "frames" not in contents:
-        return _read_arrays(name, contents)
+        return _read_arrays(name, contents, side)
     frames = frames_of(name, contents)
-    hands = [_hand(name, i, frame, side) for i, frame in enumerate(frames)]
-    if hands and all(hand is None for hand in hands):
-        other = {"left": "right", "right": "left"}[side]
-        if any(_hand(name, i, frame, other) is not None for i, frame in enumerate(frames)):
-            raise RecordingError(f"{name}: the file holds a {other} hand, a {side} one was asked for")
-        if any(field in frame for frame in frames for field in _PICTURE):
-            raise RecordingError(
-                f"{name}: holds landmarks of the picture (normalized), which are no metric hand; save the "
-                f"world landmarks ({_WORLD[0]})"
-            )
-        raise RecordingError(f"{name}: no frame shows a hand")
+    hands = [_hands(name, i, frame, side) for i, frame in enumerate(frames)]
     lost = [[np.nan] * 3] * KEYPOINT_COUNT
-    p_WK = np.array([lost if hand is None else hand for hand in hands], dtype=float).reshape(-1, 21, 3)
+    labelled = {
+        label: np.array([seen.get(label, lost) for seen in hands], dtype=float)
+        for label in SIDES
+        if any(label in seen for seen in hands)
+    }
+    if frames and not labelled:
+        raise RecordingError(f"{name}: no frame shows a hand")
+    p_WK, findings = _of_side(name, labelled or {side: np.empty((0, KEYPOINT_COUNT, 3))}, side)
     field = next((field for field in _TIME if any(field in frame for frame in frames)), _TIME[0])
-    return Tracks(p_WK, json_times(name, frames, field, 1e-3), side=side)
+    return Tracks(p_WK, json_times(name, frames, field, "ms"), side=side, findings=findings)
 
 
-def _read_arrays(name: str, contents: Any) -> Tracks:
+def _read_arrays(name: str, contents: Any, side: str) -> Tracks:
     field = "world_landmarks" if "world_landmarks" in contents else "data"
     if field not in contents:
         raise RecordingError(f"{name}: landmarks must be called world_landmarks, not {', '.join(contents)}")
     p_WK = numbers(name, "array" if field == "data" else field, contents[field], (KEYPOINT_COUNT, 3))
-    return Tracks(p_WK, times(name, contents, len(p_WK)), side=side_of(name, contents))
+    p_WK, findings = _of_side(name, {side_of(name, contents) or side: p_WK}, side)
+    return Tracks(p_WK, times(name, contents, len(p_WK)), side=side, findings=findings)
 
 
-def _hand(name: str, i: int, frame: dict, side: str) -> list | None:
-    """21 points of the hand of that side, or None if the frame shows none."""
+def _of_side(name: str, labelled: dict[str, np.ndarray], side: str) -> tuple[np.ndarray, list[Finding]]:
+    """The hand (T, 21, 3) of that side by the way its fingers bend, out of those that labels tell apart."""
+    bent = {label: bent_side(p_WK, label) for label, p_WK in labelled.items()}
+    fitting = [label for label in labelled if bent[label] == side]
+    if not fitting and side not in labelled:
+        raise RecordingError(
+            f"{name}: the file holds a {next(iter(labelled))} hand by its label, and its fingers do not bend "
+            f"as a {side} one's; a {side} one was asked for"
+        )
+    # Of a hand whose label changes, the longer part. What does not fit is named by the checks.
+    label = max(fitting, key=lambda label: np.isfinite(labelled[label]).sum()) if fitting else side
+    if label == side:
+        return labelled[label], []
+    finding = Finding(
+        "handedness",
+        Severity.WARNING,
+        f"labelled {label}, but the fingers bend as a {side} hand's: taken for a {side} one, as MediaPipe's "
+        "labels are often those of mirrored images",
+        "handedness",
+        f"if the image itself was mirrored, this was a {label} hand: import it with --mirror",
+    )
+    return labelled[label], [finding]
+
+
+def _hands(name: str, i: int, frame: dict, side: str) -> dict[str, list]:
+    """21 points of each hand in a frame, by its label; of one without a label by the side asked for."""
     hands = _list(name, i, frame, _WORLD)
     labels = [_label(label) for label in _list(name, i, frame, _HANDEDNESS)]
+    if not hands and _list(name, i, frame, _PICTURE):
+        raise RecordingError(
+            f"{name}: frame {i} holds landmarks of the picture (normalized), which are no metric hand; save "
+            f"the world landmarks ({_WORLD[0]})"
+        )
     if labels and len(labels) != len(hands):
         raise RecordingError(f"{name}: frame {i} has {len(labels)} handedness for {len(hands)} hands")
     if len(hands) > 1 and not labels:
         raise RecordingError(f"{name}: frame {i} shows {len(hands)} hands and does not say which is which")
-    for number, hand in enumerate(hands):
-        if labels and labels[number] != side:
-            continue
+    seen: dict[str, list] = {}
+    for label, hand in zip(labels or [side], hands, strict=False):
+        if label not in SIDES:
+            raise RecordingError(
+                f"{name}: frame {i}: handedness '{label:.40}' is none of: {', '.join(SIDES)}"
+            )
         points = hand.get("landmark", hand.get("landmarks")) if isinstance(hand, dict) else hand
         if not isinstance(points, list) or len(points) != KEYPOINT_COUNT:
             given = len(points) if isinstance(points, list) else type(points).__name__
             raise RecordingError(f"{name}: frame {i}: {KEYPOINT_COUNT} landmarks are wanted, {given} given")
-        return [point(name, f"frame {i}, landmark {k}", value) for k, value in enumerate(points)]
-    return None
+        seen.setdefault(
+            label, [point(name, f"frame {i}, landmark {k}", value) for k, value in enumerate(points)]
+        )
+    return seen
 
 
 def _list(name: str, i: int, frame: dict, fields: Sequence[str]) -> list:

@@ -7,7 +7,8 @@ base of the bone of that name. Metres in the base space of the locate call, righ
 .npz: `joints` (T, 26, 3), (T, 26, 7) with `px py pz qx qy qz qw`, or (T, 26, 4, 4); optionally `t`, s,
 `valid` (T, 26) and `hand`. JSON: `{"hand": "right", "frames": [{"time": ns, "joints": [...]}]}`, where time
 is an XrTime and each of the 26 joints an XrHandJointLocationEXT: `pose` (or just its `position`) and
-`locationFlags`, whose bit 2 says that the position is valid.
+`locationFlags`, whose bit 2 says that the position is valid. A frame may also say `isActive`, as
+XrHandJointLocationsEXT does; where that is false, or joints are none, the hand is lost.
 
 Source: https://registry.khronos.org/OpenXR/specs/1.1/man/html/XrHandJointEXT.html and
 https://registry.khronos.org/OpenXR/specs/1.1/man/html/XrHandJointLocationEXT.html
@@ -42,11 +43,8 @@ def recognizes(contents: Any) -> bool:
         shape = contents["joints"].shape if isinstance(contents["joints"], np.ndarray) else ()
         return shape[1:2] in ((_JOINTS,), (_JOINTS * 16,))
     frames = contents.get("frames") if isinstance(contents, dict) else contents
-    return (
-        isinstance(frames, list)
-        and bool(frames)
-        and isinstance(frames[0], dict)
-        and isinstance(frames[0].get("joints"), list)
+    return isinstance(frames, list) and any(
+        isinstance(frame, dict) and isinstance(frame.get("joints"), list) for frame in frames
     )
 
 
@@ -55,7 +53,7 @@ def read(name: str, contents: Any, side: str) -> Tracks:
         if "joints" not in contents:
             raise RecordingError(f"{name}: OpenXR joints must be called joints, not {', '.join(contents)}")
         p, findings = joint_positions(name, "joints", contents["joints"], _JOINTS)
-        t = times(name, contents, len(p))
+        clock = times(name, contents, len(p))
         if "valid" in contents:
             valid = np.asarray(contents["valid"])
             if valid.shape != p.shape[:2] or valid.dtype != bool:
@@ -70,14 +68,16 @@ def read(name: str, contents: Any, side: str) -> Tracks:
             numbers(name, "joints", [_points(name, i, f) for i, f in enumerate(frames)], (26, 3)),
             [],
         )
-        t = json_times(name, frames, "time", 1e-9)
+        clock = json_times(name, frames, "time", "ns")
         stated = side_of(name, contents) if isinstance(contents, dict) else None
     _check_palm(name, p)
-    return Tracks(p[:, 1:][:, KEYPOINTS_OF_25], t, world=True, side=stated, findings=findings)
+    return Tracks(p[:, 1:][:, KEYPOINTS_OF_25], clock, world=True, side=stated, findings=findings)
 
 
 def _points(name: str, i: int, frame: dict) -> list[list[float]]:
     joints = frame.get("joints")
+    if frame.get("isActive") is False or joints in (None, []):
+        return [[np.nan] * 3] * _JOINTS
     if not isinstance(joints, list) or len(joints) != _JOINTS:
         given = len(joints) if isinstance(joints, list) else type(joints).__name__
         raise RecordingError(f"{name}: frame {i}: {_JOINTS} joints are wanted, {given} given")

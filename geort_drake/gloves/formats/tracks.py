@@ -8,6 +8,7 @@ import numpy as np
 
 from geort_drake.errors import RecordingError
 from geort_drake.gloves.health.findings import Finding, Severity
+from geort_drake.gloves.health.timing import TIME_UNITS_S
 from geort_drake.gloves.recording import SIDES
 
 # Of hands with 25 joints: wrist, four of the thumb, then five per finger whose first, the base of the
@@ -19,12 +20,27 @@ _SIDES = ("side", "chirality", "handedness", "hand")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class Clock:
+    """The times of a file's frames, and where they stood.
+
+    Attributes:
+        t: (T,) times, s.
+        field: of the file.
+        unit: of the file's numbers, one of `TIME_UNITS_S`.
+    """
+
+    t: np.ndarray
+    field: str
+    unit: str = "s"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class Tracks:
     """The keypoints of one hand as a file gives them.
 
     Attributes:
         p_WK: (T, 21, 3) keypoints in the file's frame W and unit; NaN where the hand was lost.
-        t: (T,) times, s, or None where the file has none.
+        clock: the times of the frames, or None where the file has none.
         world: whether W stays in place, so that the wrist's pose in it is worth keeping.
         side: which hand the file says it is, or None.
         unit: of p_WK, where nobody says another.
@@ -33,7 +49,7 @@ class Tracks:
     """
 
     p_WK: np.ndarray
-    t: np.ndarray | None = None
+    clock: Clock | None = None
     world: bool = False
     side: str | None = None
     unit: str = "m"
@@ -67,15 +83,15 @@ def shape_of(value: Any) -> tuple[int, ...] | None:
         return None
 
 
-def times(name: str, arrays: Mapping[str, Any], frames: int) -> np.ndarray | None:
-    """Times (T,), s, of an archive that may hold them as t, timestamps or time; one for each frame."""
+def times(name: str, arrays: Mapping[str, Any], frames: int) -> Clock | None:
+    """Times, s, of an archive that may hold them as t, timestamps or time; one for each frame."""
     field = next((field for field in _TIMES if field in arrays), None)
     if field is None:
         return None
     t = numbers(name, field, arrays[field], ())
     if len(t) != frames:
         raise RecordingError(f"{name}: {len(t)} {field} for {frames} frames of data")
-    return t
+    return Clock(t, field)
 
 
 def side_of(name: str, fields: Mapping[str, Any]) -> str | None:
@@ -108,24 +124,25 @@ def point(name: str, where: str, value: Any) -> list[float]:
     if value is None:
         return [np.nan] * 3
     xyz = [value.get(axis) for axis in "xyz"] if isinstance(value, dict) else value
-    if not isinstance(xyz, list) or len(xyz) != 3 or not all(map(_is_number, xyz)):
+    if not isinstance(xyz, list) or len(xyz) != 3 or not all(map(is_number, xyz)):
         raise RecordingError(f"{name}: {where} must be a point of three numbers x, y, z, not {value!r:.60}")
     return [float(x) for x in xyz]
 
 
-def json_times(name: str, frames: Sequence[dict], field: str, unit_s: float) -> np.ndarray | None:
-    """Times (T,), s, from the same field of every frame, which counts in `unit_s`; None without any."""
+def json_times(name: str, frames: Sequence[dict], field: str, unit: str) -> Clock | None:
+    """Times from the same field of every frame, which counts in one of `TIME_UNITS_S`; None without any."""
     stamps: list[Any] = [frame.get(field) for frame in frames]
     if all(stamp is None for stamp in stamps):
         return None
     for i, stamp in enumerate(stamps):
-        if not _is_number(stamp):
+        if not is_number(stamp):
             raise RecordingError(f"{name}: frame {i}: {field} must be a number, not {stamp!r:.40}")
     # Nanoseconds since an epoch exceed what a double resolves, so the start is taken off first.
-    return np.array([(stamp - stamps[0]) * unit_s for stamp in stamps])
+    t = np.array([(stamp - stamps[0]) * TIME_UNITS_S[unit] for stamp in stamps])
+    return Clock(t, field, unit)
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
     """Whether a value of a JSON file is a number that a float holds; JSON's whole numbers have no bound."""
     if isinstance(value, int) and not isinstance(value, bool):
         return abs(value) < 1 << 1000
@@ -169,7 +186,8 @@ def transforms(
         RecordingError: neither the last row nor the last column is 0 0 0 1.
     """
     end = np.array([0.0, 0.0, 0.0, 1.0])
-    known = X[np.isfinite(X).all(axis=(-1, -2))]
+    known = X[~empty_frames(X)]
+    known = known[np.isfinite(known).all(axis=(-1, -2))]
     in_column = np.allclose(known[..., 3, :], end, atol=1e-5)
     in_row = np.allclose(known[..., :, 3], end, atol=1e-5)
     if not (in_column or in_row):
@@ -190,9 +208,15 @@ def transforms(
     return (np.swapaxes(X, -1, -2) if in_row else X), [finding]
 
 
+def empty_frames(values: np.ndarray) -> np.ndarray:
+    """(T,) which frames of values (T, ...) are zeros alone, as some trackers store frames without a hand."""
+    return (values == 0.0).all(axis=tuple(range(1, values.ndim)))
+
+
 def check_quaternions(name: str, field: str, poses: np.ndarray) -> None:
-    """Looks whether poses (T, J, 7) are positions and then unit quaternions."""
+    """Looks whether poses (T, J, 7) are positions and then unit quaternions, where a frame has any."""
     size = np.linalg.norm(poses[..., 3:], axis=-1)
+    size[empty_frames(poses)] = 1.0
     if np.nanmax(np.abs(size - 1.0), initial=0.0) < 1e-2:
         return
     first = np.nanmax(np.abs(np.linalg.norm(poses[..., :4], axis=-1) - 1.0), initial=0.0) < 1e-2

@@ -58,17 +58,17 @@ def read(name: str, contents: Any, side: str) -> Tracks:
         if "joints" not in contents:
             raise RecordingError(f"{name}: WebXR joints must be called joints, not {', '.join(contents)}")
         field, value = "joints", contents["joints"]
-        t = times(name, contents, len(value))
+        clock = times(name, contents, len(value))
         stated = side_of(name, contents)
     else:
         frames = frames_of(name, contents)
         packed = any("poses" in frame for frame in frames)
         field = "poses" if packed else "joints"
         value = [frame.get("poses") if packed else _points(name, i, frame) for i, frame in enumerate(frames)]
-        t = json_times(name, frames, "time", 1e-3)
+        clock = json_times(name, frames, "time", "ms")
         stated = side_of(name, contents) if isinstance(contents, dict) else None
     p, findings = joint_positions(name, field, value, 25, column_major=True)
-    return Tracks(p[:, KEYPOINTS_OF_25], t, world=True, side=stated, findings=findings)
+    return Tracks(p[:, KEYPOINTS_OF_25], clock, world=True, side=stated, findings=findings)
 
 
 def _points(name: str, i: int, frame: dict) -> list[list[float]]:

@@ -12,13 +12,14 @@ from geort_drake.gloves.keypoints import (
     MIDDLE_MCP,
     WRIST,
     bone_lengths,
+    mirrored,
     to_wrist_frame,
 )
 from geort_drake.gloves.recording import SIDES, Recording
 
 UNITS_M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}
 
-_UNIT_NAMES = {"cm": "centimetres", "mm": "millimetres", "inch": "inches"}
+_UNIT_NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres", "inch": "inches"}
 _PALM_M = (0.060, 0.110)  # wrist to middle knuckle of people from a child of ten to a large adult
 BENT = 0.02  # a mean sine of the fingers' bending beyond this tells the side
 _FRAME_M = 0.005  # a keypoint may be so far from where the definition of H puts it
@@ -65,14 +66,19 @@ def check_unit(recording: Recording) -> Iterator[Finding]:
     low, high = _PALM_M
     if low <= palm <= high:
         return
-    fits = [unit for unit, name in _UNIT_NAMES.items() if low <= palm * UNITS_M[unit] <= high]
+    # What the reader took the file's numbers for; our own files know nothing but metres.
+    taken = recording.metadata.get("unit")
+    number = palm / UNITS_M.get(taken or "m", 1.0)
+    fits = [unit for unit in _UNIT_NAMES if unit != taken and low <= number * UNITS_M[unit] <= high]
+    given = f" with the file's lengths in {taken}" if taken not in (None, "m") else ""
     guess = f"; it would be right if the numbers were {_UNIT_NAMES[fits[0]]}" if fits else ""
     yield Finding(
         "unit",
         Severity.ERROR,
-        f"wrist to middle knuckle must be {1e3 * low:.0f} to {1e3 * high:.0f} mm, but is {palm:.4g} m{guess}",
+        f"wrist to middle knuckle must be {1e3 * low:.0f} to {1e3 * high:.0f} mm, but is {palm:.4g} m{given}"
+        f"{guess}",
         "p_HK",
-        "give keypoints in metres" + (f", or import them with --unit {fits[0]}" if fits else ""),
+        f"import them with --unit {fits[0]}" if fits and taken else "give keypoints in metres",
     )
 
 
@@ -90,6 +96,17 @@ def mean_bending(p_HK: np.ndarray) -> float:
     return float((np.cross(first, last)[..., 1] / np.maximum(size, 1e-12)).mean())
 
 
+def bent_side(p_WK: np.ndarray, side: str) -> str:
+    """The side that keypoints p_WK (T, 21, 3), of any frame and said to be of `side`, have by their bending.
+
+    That is `side` where the fingers hardly bend, or no frame is whole.
+    """
+    p_HK = to_wrist_frame(mirrored(p_WK) if side == "left" else p_WK)
+    p_HK = p_HK[np.isfinite(p_HK).all(axis=(1, 2))]
+    backwards = len(p_HK) > 0 and mean_bending(p_HK) < -BENT
+    return SIDES[1 - SIDES.index(side)] if backwards else side
+
+
 def check_side(recording: Recording) -> Iterator[Finding]:
     """The hand is of the side that was asked for, and not in mirrored coordinates."""
     side, bending = recording.side, mean_bending(_valid(recording))
@@ -101,7 +118,7 @@ def check_side(recording: Recording) -> Iterator[Finding]:
             f"the fingers bend backwards (mean sine {bending:.2f}), so this is a {other} hand or a "
             f"{side} one in mirrored axes (such as Unity's, which are left-handed)",
             "p_HK",
-            f"read it with side '{other}', or negate one coordinate if the axes are mirrored",
+            f"read it with side '{other}', and if the axes are mirrored also with --mirror",
         )
     elif bending < BENT:
         yield Finding(

@@ -3,7 +3,8 @@
 All is judged by distances, which neither the frame, the unit's size nor a mirror image changes.
 """
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -30,10 +31,40 @@ ORDERS: dict[str, tuple[int, ...]] = {
     ),
 }  # fmt: skip
 _RIGHT = next(iter(ORDERS))
+_JITTER = 5e-4  # of a glove's bones, as a share of the palm
+_THUMB_JOINTS, _FINGER_JOINTS = ("CMC", "MCP", "IP", "tip"), ("MCP", "PIP", "DIP", "tip")
+
+
+def _exchanges() -> dict[str, tuple[int, ...]]:
+    """Orders in which two fingers, or two neighbouring joints of one or of every finger, are exchanged."""
+    made: dict[str, Iterable[tuple[int, int]]] = {
+        f"{a} and {b} finger": zip(_F[a], _F[b], strict=True) for a, b in itertools.combinations(_F, 2)
+    }
+    for i in range(3):
+        pairs = {finger: (k[i], k[i + 1]) for finger, k in _F.items()}
+        for finger, pair in pairs.items():
+            joints = _THUMB_JOINTS if finger == "thumb" else _FINGER_JOINTS
+            whose = finger if finger == "thumb" else f"{finger} finger"
+            made[f"{joints[i]} and {joints[i + 1]} of the {whose}"] = [pair]
+        what = f"{_FINGER_JOINTS[i]} and {_FINGER_JOINTS[i + 1]} of every finger"
+        made[what] = list(pairs.values())
+        made[f"{what} but the thumb"] = list(pairs.values())[1:]
+    return {f"the same, but {what} exchanged": _exchanged(pairs) for what, pairs in made.items()}
+
+
+def _exchanged(pairs: Iterable[tuple[int, int]]) -> tuple[int, ...]:
+    order = list(range(21))
+    for a, b in pairs:
+        order[a], order[b] = order[b], order[a]
+    return tuple(order)
+
+
+# What data sets do not do, but programs of one's own.
+EXCHANGES = _exchanges()
 
 
 def fitting_order(p: np.ndarray) -> str | None:
-    """The order of `ORDERS` in which keypoints p (T, 21, 3) of any frame and unit are a hand.
+    """The order of `ORDERS` or `EXCHANGES` in which keypoints p (T, 21, 3) of any frame and unit are a hand.
 
     The order that is meant, the first, is preferred where it fits nearly as well as another. None
     where no order makes a hand of them.
@@ -43,7 +74,7 @@ def fitting_order(p: np.ndarray) -> str | None:
     middle = np.median(distances, axis=0)
     spread = np.median(np.abs(distances - middle), axis=0)
     fits: dict[str, float] = {}
-    for name, order in ORDERS.items():
+    for name, order in (ORDERS | EXCHANGES).items():
         places = np.argsort(order)
         grid = np.ix_(places, places)
         if not any(oddities(middle[grid])):
@@ -51,7 +82,7 @@ def fitting_order(p: np.ndarray) -> str | None:
     if not fits:
         return None
     best = min(fits, key=lambda name: fits[name])
-    return _RIGHT if fits.get(_RIGHT, np.inf) <= 2 * fits[best] + 0.02 else best
+    return _RIGHT if fits.get(_RIGHT, np.inf) <= 2 * fits[best] + _JITTER else best
 
 
 def is_right(order: str | None) -> bool:
@@ -67,8 +98,9 @@ def oddities(distance: np.ndarray) -> Iterator[str]:
         yield "keypoint 1, the thumb's base, is not nearer to the wrist than the knuckles are"
     if knuckles.min() < 0.7 * knuckles.max():
         yield "the knuckles 5, 9, 13 and 17 are not about equally far from the wrist"
-    row = distance[5, 9] < distance[5, 13] < distance[5, 17] and distance[17, 13] < distance[17, 9]
-    if not row:
+    from_index = distance[5, 9] < distance[5, 13] < distance[5, 17]
+    from_little = distance[17, 13] < distance[17, 9] < distance[17, 5]
+    if not (from_index and from_little):
         yield "the knuckles 5, 9, 13 and 17 do not follow each other across the palm"
     if distance[2, 5] > distance[2, 17]:
         yield "keypoint 2, of the thumb, is nearer to 17, the little finger, than to 5, the index finger"
@@ -76,6 +108,11 @@ def oddities(distance: np.ndarray) -> Iterator[str]:
     longest = max(inner, key=lambda bone: distance[bone])
     if distance[longest] > 0.75 * palm:
         yield f"{longest[0]} and {longest[1]}, the ends of a finger's bone, are nearly a palm apart"
+    # Even in a fist the joint after the next one is a little farther than the next.
+    for finger, k in _F.items():
+        for a, b, c in zip(k, k[1:], k[2:], strict=False):
+            if distance[a, c] < 0.9 * distance[a, b]:
+                yield f"keypoint {c}, of the {finger}, is nearer to {a} than {b}, which lies between them"
 
 
 def _bone_spread(middle: np.ndarray, spread: np.ndarray) -> float:

@@ -50,6 +50,7 @@ def _figures(recording: Recording) -> dict[str, Any]:
     return {
         "format": recording.metadata.get("format", "geort_drake"),
         "side": recording.side,
+        "recorded_side": recording.metadata.get("recorded_side"),
         "frames": len(recording),
         "valid_frames": int(recording.valid.sum()),
         "duration_s": recording.duration_s,

@@ -8,6 +8,9 @@ from geort_drake.gloves.health.findings import Finding, Severity
 from geort_drake.gloves.keypoints import FINGER_KEYPOINTS
 from geort_drake.gloves.recording import Recording
 
+# Units of times: how long they are, s, and what they are called.
+TIME_UNITS_S = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9}
+_TIME_UNIT_NAMES = {"s": "seconds", "ms": "milliseconds", "µs": "microseconds", "ns": "nanoseconds"}
 _RATE_HZ = (2.0, 2000.0)
 _GAP_S = 0.2
 _MISSING_SHARE = 0.05  # a glove at 118 Hz over radio loses 4 %
@@ -29,7 +32,7 @@ def check_length(recording: Recording) -> Iterator[Finding]:
 
 
 def check_clock(recording: Recording) -> Iterator[Finding]:
-    """Times are finite, increase, and are seconds."""
+    """Times are finite, increase, and are in the unit that the format says."""
     t = recording.t
     if not np.isfinite(t).all():
         frame = int(np.argmin(np.isfinite(t)))
@@ -48,15 +51,23 @@ def check_clock(recording: Recording) -> Iterator[Finding]:
         return
     rate = 1.0 / float(np.median(step))
     if not _RATE_HZ[0] <= rate <= _RATE_HZ[1]:
-        units = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
-        fits = [unit for unit, scale in units.items() if 10 <= rate * scale <= 1000]
+        # Of a file that was just read; in our own, t is in seconds.
+        field, unit = recording.metadata.get("time_field", "t"), recording.metadata.get("time_unit", "s")
+        if unit not in TIME_UNITS_S:
+            field, unit = "t", "s"
+        wanted = _TIME_UNIT_NAMES[unit]
+        fits = [
+            name
+            for other, name in _TIME_UNIT_NAMES.items()
+            if other != unit and 10 <= rate * TIME_UNITS_S[unit] / TIME_UNITS_S[other] <= 1000
+        ]
         yield Finding(
             "clock",
             Severity.ERROR,
-            f"t must be in seconds, with {_RATE_HZ[0]:g} to {_RATE_HZ[1]:g} frames in each, but gives "
-            f"{rate:.3g}" + (f"; it would be right if the numbers were {fits[0]}" if fits else ""),
-            "t",
-            "give t in seconds",
+            f"{field} must be in {wanted}, with {_RATE_HZ[0]:g} to {_RATE_HZ[1]:g} frames in a second, but "
+            f"gives {rate:.3g}" + (f"; it would be right if the numbers were {fits[0]}" if fits else ""),
+            field,
+            f"give {field} in {wanted}",
         )
 
 
@@ -92,7 +103,17 @@ def check_lost(recording: Recording) -> Iterator[Finding]:
         bad = bad | poses
     lost = np.flatnonzero(bad)
     many = len(lost) > 0.1 * len(bad)
-    if len(lost):
+    missing = _missing(recording)
+    if missing:
+        yield Finding(
+            "lost frames",
+            Severity.ERROR,
+            f"{missing} in all {len(bad)} frames; every frame needs all 21 keypoints",
+            "p_HK",
+            "look at that finger's sensor, or at what the recorder leaves out",
+            tuple(lost.tolist()),
+        )
+    elif len(lost):
         yield Finding(
             "lost frames",
             Severity.ERROR if many else Severity.WARNING,
@@ -107,6 +128,16 @@ def check_lost(recording: Recording) -> Iterator[Finding]:
         yield Finding(
             "lost frames", Severity.ERROR, f"only {valid} of {len(recording)} frames are valid", "valid"
         )
+
+
+def _missing(recording: Recording) -> str:
+    """Which keypoints no frame has, in words; empty where there are none, or no keypoint at all."""
+    known = np.isfinite(recording.p_HK).all(axis=2)
+    never = np.flatnonzero(~known.any(axis=0))
+    if len(never) in (0, known.shape[1]):
+        return ""
+    named = ", ".join(_named(int(keypoint)) for keypoint in never)
+    return f"{named} {'is' if len(never) == 1 else 'are'} lost"
 
 
 def check_repeats(recording: Recording) -> Iterator[Finding]:

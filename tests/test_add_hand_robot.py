@@ -1,0 +1,108 @@
+"""Models that are more than a hand: which are refused, and how one hand of them is described."""
+
+import re
+
+import pytest
+from hand_family import HandSpec, write_hand
+from script_modules import load_script
+
+from geort_drake.errors import HandError, UnknownNameError
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.proposal import propose
+
+add_hand = load_script("add_hand.py")
+
+
+def _robot(folder, arm_joints: int, legs: int = 0, hands=("left", "right"), fingers: int = 3):
+    """A URDF of a torso with an arm on each side, each with a hand, and with legs of three joints."""
+    limit = '<limit lower="-1" upper="1" effort="9" velocity="2"/>'
+    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    inertial = f'<inertial><mass value="1"/>{inertia}</inertial>'
+    lines = [f'<link name="torso">{inertial}</link>']
+
+    def chain(name, count, kind="revolute"):
+        parent = "torso"
+        for number in range(count):
+            link = f"{name}_{number}"
+            lines.append(f'<link name="{link}">{inertial}</link>')
+            lines.append(
+                f'<joint name="{link}_joint" type="{kind}"><parent link="{parent}"/><child link="{link}"/>'
+                f'<origin xyz="0 0.1 0.1"/><axis xyz="1 0 0"/>{limit}</joint>'
+            )
+            parent = link
+        return parent
+
+    for side in hands:
+        text = write_hand(folder, HandSpec(fingers, mimic=False, side=side), side).read_text(encoding="utf-8")
+        inside = text[text.index(">") + 1 : text.rindex("<")]
+        lines.append(re.sub(r'(name|link)="', rf'\1="{side}_', inside))
+        end = chain(f"{side}_arm", arm_joints)
+        lines.append(
+            f'<joint name="{side}_mount" type="fixed"><parent link="{end}"/>'
+            f'<child link="{side}_palm"/></joint>'
+        )
+    for number in range(legs):
+        chain(f"leg{number}", 3)
+    path = folder / "robot.urdf"
+    path.write_text(f'<robot name="robot">{"".join(lines)}</robot>', encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("arm_joints", "legs", "said"),
+    [
+        (7, 2, "7 joints in a row, from '(left|right)_arm_0_joint' to '(left|right)_arm_6_joint'"),
+        (2, 2, "of the 8 chains that leave it '(left|right)_arm_0_joint' moves several"),
+        (7, 0, "as many chains leave '(left|right)_palm'"),
+        (0, 0, "6 chains of joints leave its palm, .* and no 5 are longer than the rest"),
+    ],
+    ids=["humanoid", "short arms", "two arms", "no arms"],
+)
+def test_a_robot_with_two_hands_is_refused(tmp_path, arm_joints, legs, said):
+    """Fingers of both would be taken for one hand's; the message says how to name the palm."""
+    robot = _robot(tmp_path, arm_joints, legs)
+    with pytest.raises(HandError, match=said) as error:
+        propose(robot)
+    if arm_joints:
+        assert re.search("--palm .*'left_palm'.* or cut the hand out", str(error.value))
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_of_a_whole_robot_the_named_palm_is_described(tmp_path, side):
+    """With its own fingers; all other joints are held, in one note."""
+    robot = _robot(tmp_path, 7, legs=2)
+    add_hand.main([str(robot), "--palm", f"{side}_palm", "--output", str(tmp_path / "hand.yaml")])
+    description = load_hand(tmp_path / "hand.yaml")
+    assert description.side == side
+    assert description.base_pose.relative_to == f"{side}_palm"
+    assert {joint.partition("_")[0] for joint in description.joint_names} == {side}
+    assert len(description.joint_names) == 11
+    text = (tmp_path / "hand.yaml").read_text(encoding="utf-8")
+    assert "joints are held, as each belongs to no finger: " in text
+    with pytest.raises(
+        UnknownNameError, match=r"unknown link of the model 'hand'; choose one of: .*left_palm"
+    ):
+        propose(robot, palm="hand")
+
+
+def test_arms_and_folding_palms_of_one_hand_are_no_reason_to_refuse(tmp_path):
+    """An arm that carries all fingers, and a joint of the palm that carries two of four."""
+    assert propose(_robot(tmp_path, 7, hands=("right",))).description.finger_names == [
+        "thumb",
+        "index",
+        "middle",
+    ]
+    model = write_hand(tmp_path, HandSpec(4, mimic=False))
+    fold = (
+        '<link name="fold"><inertial><mass value="0.03"/><inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" '
+        'ixz="0" iyz="0"/></inertial></link><joint name="fold" type="revolute"><parent link="palm"/>'
+        '<child link="fold"/><axis xyz="0 0 1"/><limit lower="0" upper="0.4" effort="1" velocity="1"/>'
+        "</joint>"
+    )
+    text = model.read_text(encoding="utf-8").replace("</robot>", f"{fold}</robot>")
+    for finger in ("middle", "ring"):
+        text = re.sub(rf'(<joint name="{finger}_j0".*?<parent link=")palm', r"\1fold", text)
+    model.write_text(text, encoding="utf-8")
+    proposal = propose(model)
+    assert proposal.description.finger_names == ["thumb", "index", "middle", "ring"]
+    assert "joint 'fold' moves 2 fingers at once: it is held" in "\n".join(proposal.notes)
