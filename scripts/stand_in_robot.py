@@ -9,14 +9,14 @@ import math
 from collections.abc import Sequence
 
 from geort_drake.command_line import add_scenario_options, make_parser, scenario_of
-from geort_drake.console import console, run_main
+from geort_drake.console import console, run_main, warn
 
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = make_parser(__doc__)
     add = parser.add_argument
-    add("--lcm", default="lcm", metavar="ADDRESS", help="the bus: lcm, or lcm+URL (lcm)")
-    add("--duration", type=float, default=math.inf, help="stop after so many seconds (never)")
+    add("--lcm", default="lcm", metavar="ADDRESS", help="the bus: lcm, or lcm+URL")
+    add("--duration", type=float, default=math.inf, help="stop after so many seconds (default: never)")
     add("--meshcat", action="store_true", help="show it in a browser on this machine")
     add_scenario_options(parser, "{object: {name: sphere}}")
     arguments = parser.parse_args(argv)
@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             simulator, 0.02, lambda: not stop.is_set() and root.get_time() < arguments.duration
         )
     if late:
-        console.print(f"[yellow]the simulation was late {late} times[/]")
+        warn(f"the simulation was late {late} times")
     return 0
 
 

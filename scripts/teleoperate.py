@@ -8,35 +8,41 @@ stops and leaves the robot held. Messages are neither signed nor encrypted: who 
 
 import argparse
 import dataclasses
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from geort_drake.command_line import add_scenario_options, check_outputs, make_parser, scenario_of
-from geort_drake.console import console, run_main
+from geort_drake.command_line import (
+    add_json_option,
+    add_scenario_options,
+    check_outputs,
+    command,
+    make_parser,
+    scenario_of,
+    write_json,
+)
+from geort_drake.console import console, run_main, warn
 
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = make_parser(__doc__)
     add = parser.add_argument
     add("--glove", required=True, metavar="SOURCE", help="where the hand's motion comes from")
-    add("--robot", default="simulation", metavar="TARGET", help="what is driven (simulation)")
-    add("--retargeter", type=Path, help="directory of the checkpoint (trained on synthetic play, and kept)")
-    add("--glove_id", help="serial number of the MANUS glove, where a bridge sends several")
-    add("--engage", default="key", choices=["key", "now"], help="engage with Enter, or at once (key)")
-    add("--relax_after", type=float, default=5.0, help="s that a lost hand is held, before it relaxes (5)")
-    add("--duration", type=float, default=math.inf, help="stop after so many seconds (never)")
-    add("--timeout", type=float, default=10.0, help="s to wait for glove and robot (10)")
+    add("--robot", default="simulation", metavar="TARGET", help="what is driven")
     add(
-        "--robot_silence",
-        type=float,
-        default=0.5,
-        help="s that the robot may be silent before it stops (0.5)",
+        "--retargeter",
+        type=Path,
+        help="directory of the checkpoint (default: one trained on synthetic play, now or before)",
     )
+    add("--glove_id", help="serial number of the MANUS glove, where a bridge sends several")
+    add("--engage", default="key", choices=["key", "now"], help="engage with Enter, or at once")
+    add("--relax_after", type=float, default=5.0, help="s that a lost hand is held, before it relaxes")
+    add("--duration", type=float, default=math.inf, help="stop after so many seconds (default: never)")
+    add("--timeout", type=float, default=10.0, help="s to wait for glove and robot")
+    add("--robot_silence", type=float, default=0.5, help="s that the robot may be silent before it stops")
     add("--record", type=Path, metavar="FILE", help="keep what the glove gave (.npz), to train on or replay")
     add("--meshcat", action="store_true", help="show the simulation in a browser on this machine")
-    add("--json", action="store_true", help="print a report as JSON on stdout")
+    add_json_option(parser, "a report")
     add_scenario_options(parser, "{correction: {kind: guard}}")
     arguments = parser.parse_args(argv)
     for name in ("duration", "relax_after", "timeout", "robot_silence"):
@@ -54,6 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
     from geort_drake.gloves.play import synthesize_play
     from geort_drake.gloves.readers import read_recording
+    from geort_drake.gloves.recording_parts import RecordingParts
     from geort_drake.hands.description import load_hand
     from geort_drake.hands.model import HandModel
     from geort_drake.live.devices import require_hand_messages
@@ -63,9 +70,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     from geort_drake.live.session import EnterKey, run_session
     from geort_drake.live.simulated_robot import SimulatedRobot, show
     from geort_drake.live.teleoperation import RobotModel, make_teleoperation
-    from geort_drake.live.transports import is_address, is_local, open_receiver, split_address
+    from geort_drake.live.transports import (
+        heard_from_outside,
+        is_address,
+        is_local,
+        open_receiver,
+        split_address,
+    )
     from geort_drake.live.watchdog import WatchdogConfig
     from geort_drake.retargeting.retargeter import load_retargeter
+    from geort_drake.systems.glove_recorder import GloveRecorder
     from geort_drake.systems.glove_replay import GloveReplay
 
     scenario = scenario_of(arguments)
@@ -83,13 +97,26 @@ def main(argv: Sequence[str] | None = None) -> int:
         require_hand_messages(description)
     for address in (arguments.glove if receiver else None, lcm_url):
         if address and not is_local(address):
-            console.print(f"[yellow]{address} is open to the network; whoever is in it can move the robot[/]")
+            warn(f"{address} is open to the network; whoever is in it can move the robot")
+    for url in {lcm_url, split_address(arguments.glove, ("sub", "pull"))[1] if receiver else None}:
+        if url and url.startswith("udpm://") and is_local(url) and heard_from_outside(url):
+            group = url.removeprefix("udpm://").partition(":")[0]
+            warn(
+                f"{url} is heard from the network, too: whoever is in it can move the robot. To keep it to "
+                f"this machine: sudo ip link set lo multicast on && sudo ip route add {group} dev lo"
+            )
 
     checkpoint = arguments.retargeter
     if checkpoint is None:
         checkpoint, _ = cached_checkpoint(scenario.hand, synthesize_play(seed=0, side=side))
     retarget = load_retargeter(checkpoint, HandModel(description))
     model = RobotModel(scenario, description)
+    recorder = None
+    if arguments.record:
+        parts = RecordingParts(arguments.record, {"side": side, "source": "teleoperation"})
+        if parts.recovered:
+            warn(f"an earlier session to {arguments.record} was interrupted; it is kept as {parts.recovered}")
+        recorder = GloveRecorder(scenario.retargeting.period, parts)
     try:
         if receiver:
             glove.handshake(arguments.timeout)
@@ -109,31 +136,33 @@ def main(argv: Sequence[str] | None = None) -> int:
             robot,
             start,
             WatchdogConfig(relax_after=arguments.relax_after),
-            record=bool(arguments.record),
+            recorder,
         )
         engaged = arguments.engage == "now"
         console.print("Ctrl-C stops." if engaged else "Enter engages and disengages, Ctrl-C stops.")
-        try:
-            with stopping() as stop:
-                report = run_session(
-                    loop,
-                    engaged,
-                    None if engaged else EnterKey(),
-                    duration,
-                    stop,
-                    lambda: link.require_alive(arguments.robot_silence) if link else None,
-                    lambda time, state: console.print(f"{time:8.2f} s  {state}", soft_wrap=True),
-                )
-        finally:
-            # Also of a session that ended with an error.
-            if arguments.record:
-                loop.glove_recording({"side": side, "source": "teleoperation"}).save(arguments.record)
+        with stopping() as stop:
+            report = run_session(
+                loop,
+                engaged,
+                None if engaged else EnterKey(),
+                duration,
+                stop,
+                lambda: link.require_alive(arguments.robot_silence) if link else None,
+                lambda time, state: console.print(f"{time:8.2f} s  {state}", soft_wrap=True),
+            )
     finally:
         if receiver:
             receiver.close()
+        # Also of a session that ended with an error.
+        recorded = recorder is not None and recorder.finish()
     summary = dataclasses.asdict(report)
     if receiver:
-        summary["glove"] = {"received": glove.received, "refused": glove.refused}
+        summary["glove"] = {
+            "received": glove.received,
+            "refused": glove.refused,
+            "late": glove.late,
+            "clock_offset_s": None if math.isnan(glove.clock_offset) else glove.clock_offset,
+        }
         summary["latency_s"] = {
             name: dataclasses.asdict(latency)
             for name, latency in (("command", loop.meter.to_command()), ("echo", loop.meter.to_echo()))
@@ -141,8 +170,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     if link:
         summary["robot"] = {"refused": link.inbox.refused}
     tell(summary)
-    if arguments.json:
-        print(json.dumps(summary, indent=2, allow_nan=False))
+    if recorded:
+        train = command("simulate_grasp.py", "--recording", arguments.record)
+        console.print(f"Recording: {arguments.record}", markup=False, soft_wrap=True)
+        console.print(f"Train on it, and grasp: {train}", markup=False, soft_wrap=True)
+    write_json(arguments.json, summary)
     return 0
 
 
@@ -155,9 +187,16 @@ def tell(summary: dict) -> None:
             console.print(f"{text}: median {median}, 99th percentile {p99} ({latency['count']} commands)")
     if "glove" in summary:
         counts = summary["glove"]
-        console.print(f"glove: {counts['received']} frames received, {counts['refused']} refused")
+        console.print(
+            f"glove: {counts['received']} frames received, {counts['refused']} refused, {counts['late']} late"
+        )
+        if counts["clock_offset_s"] is not None:
+            offset = counts["clock_offset_s"]
+            console.print(
+                f"glove: the quickest frame came {offset:.3f} s after its time on the glove's clock"
+            )
     if summary["late"]:
-        console.print(f"[yellow]the loop was late {summary['late']} times[/]")
+        warn(f"the loop was late {summary['late']} times")
     console.print("stopped; the robot holds its last command")
 
 

@@ -1,5 +1,6 @@
 """What stands between retargeting and the hand: the guard against self-collision, and a user's policy."""
 
+import re
 import subprocess
 import sys
 from functools import cache
@@ -7,25 +8,26 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from grasp_setup import allegro
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
 from geort_drake.errors import HandError, PolicyError
 from geort_drake.hands.clearance import HandClearance
-from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.systems.action_correction import CorrectionConfig, make_correction
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.policy_correction import PolicyCorrection, load_policy
+from geort_drake.systems.policy_correction import (
+    POLICY_FAILED,
+    POLICY_NOT_FINITE,
+    POLICY_SHAPE,
+    PolicyCorrection,
+    load_policy,
+)
 from geort_drake.systems.self_collision_guard import SelfCollisionGuard
 
 CLEARANCE = 0.002
-
-
-@cache
-def allegro() -> HandModel:
-    return HandModel(load_hand("allegro_right"))
 
 
 @cache
@@ -257,7 +259,7 @@ def run_policy(policy, desired, measured=(0.0, 0.0), until=0.105):
     states = []
     for step in range(round(until / 0.01)):
         simulator.AdvanceTo(0.01 * step + 0.005)
-        states.append(system.get_output_port().Eval(context).copy())
+        states.append(system.GetOutputPort("desired_state").Eval(context).copy())
     return np.array(states)
 
 
@@ -279,6 +281,50 @@ def test_a_policys_answers_are_kept_finite_and_within_the_limits(tmp_path):
     assert np.abs(v).max() <= 5.0 + 1e-9 and np.abs(np.diff(v, axis=0)).max() <= 200.0 * 0.01 + 1e-9
     np.testing.assert_allclose(q[-1], 1.0)
     np.testing.assert_array_equal(run_policy(policy, (0.4, -0.4)), 0.0)
+
+
+class Failing(torch.nn.Module):
+    """Fails where the first joint is past 0.05 rad, as no trial call finds out."""
+
+    def forward(self, hand_state: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+        if bool(hand_state[0, 0] > 0.05):
+            raise ValueError("no such state")
+        return target
+
+
+class Short(torch.nn.Module):
+    """Answers for too few joints where the first one is past 0.05 rad."""
+
+    def forward(self, hand_state: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+        return target[:, :1] if bool(hand_state[0, 0] > 0.05) else target
+
+
+@pytest.mark.parametrize(
+    ("module", "status"),
+    [(Failing(), POLICY_FAILED), (Short(), POLICY_SHAPE), (Wild(), POLICY_NOT_FINITE)],
+    ids=["raises", "shape", "not finite"],
+)
+def test_a_policy_that_fails_while_it_runs_holds_the_joints(module, status, tmp_path):
+    """They brake within the limits; a warning comes once, the status says why."""
+    limits = JointLimits(np.full(2, -1.0), np.full(2, 1.0), 5.0, 200.0)
+    policy = load_policy(torchscript(tmp_path, module), 2)
+    system = PolicyCorrection(policy, ["a", "b"], {"a": 0.0, "b": 0.0}, limits)
+    simulator = Simulator(system)
+    context = simulator.get_mutable_context()
+    states, said = [], []
+    with pytest.warns(RuntimeWarning, match=re.escape(status)) as warned:
+        for step in range(90):
+            bad = 30 <= step < 60
+            system.GetInputPort("hand_state").FixValue(context, [0.1 * bad, 0.0, 0.0, 0.0])
+            system.GetInputPort("desired_state").FixValue(context, [0.4, -0.4 if bad else 0.4, 0.0, 0.0])
+            simulator.AdvanceTo(0.01 * step + 0.005)
+            states.append(system.GetOutputPort("desired_state").Eval(context).copy())
+            said.append(system.GetOutputPort("status").Eval(context))
+    assert len(warned) == 1
+    assert said == [""] * 30 + [status] * 30 + [""] * 30
+    v = np.array(states)[:, 2:]
+    assert np.abs(np.diff(v, axis=0)).max() <= 200.0 * 0.01 + 1e-9
+    np.testing.assert_array_equal(v[40:60], 0.0)
 
 
 def test_an_onnx_policy_runs(tmp_path):

@@ -1,7 +1,6 @@
 """The whole loop over loopback: a glove's process, teleoperation, and a robot's process with physics."""
 
 import contextlib
-import importlib.util
 import json
 import os
 import random
@@ -14,9 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pydrake.lcm import DrakeLcm
+from script_modules import SCRIPTS, load_script
 
 from geort_drake.errors import HandError, LiveError, RecordingError
 from geort_drake.gloves.play import synthesize_play
+from geort_drake.gloves.readers import read_recording
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.live.devices import ALLEGRO, PANDA, JointStatus
@@ -26,7 +27,6 @@ from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.transports import open_receiver, open_sender, wait_for
 from geort_drake.retargeting.checkpoint import save_checkpoint
 
-SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 # Machines that are busy take long to start three programs; nothing below waits so long if all is well.
 PATIENCE_S = 300.0
 
@@ -186,6 +186,23 @@ def test_a_replay_drives_the_simulation(desk, tmp_path):
         assert len(kept["t"]) >= 100 * report["duration"]
 
 
+@pytest.mark.slow
+def test_a_killed_session_keeps_its_recording(desk, tmp_path):
+    """All but the last seconds; it is read under the file's name."""
+    kept = tmp_path / "kept.npz"
+    with program(
+        tmp_path, "teleoperate", "--glove", str(desk / "hand.npz"), "--retargeter", str(desk / "checkpoint"),
+        "--record", str(kept), "--engage", "now",
+    ) as teleoperation:  # fmt: skip
+        part = tmp_path / "kept.npz.parts" / "000000.npz"
+        wait_for(lambda: part.exists() or None, PATIENCE_S, lambda: f"no {part}")
+        teleoperation.kill()
+        teleoperation.wait(PATIENCE_S)
+    assert not kept.exists()
+    recording = read_recording(kept)
+    assert len(recording) >= 500 and recording.rate_hz == pytest.approx(100.0)
+
+
 def groups() -> tuple[JointGroup, JointGroup]:
     """Of a hand whose joints are in another order than the messages', and of an arm."""
     return tuple(
@@ -253,9 +270,6 @@ def test_a_robot_that_falls_silent_is_not_driven_on(lcm_url):
 )  # fmt: skip
 def test_teleoperation_that_cannot_start_says_why(desk, arguments, error, told, monkeypatch):
     """Before it listens to anything or trains."""
-    spec = importlib.util.spec_from_file_location("teleoperate", SCRIPTS / "teleoperate.py")
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
     monkeypatch.chdir(desk)
     with pytest.raises(error, match=told):
-        script.main(arguments)
+        load_script("teleoperate.py").main(arguments)

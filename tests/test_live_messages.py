@@ -16,7 +16,15 @@ from geort_drake.live.decoding import decode
 from geort_drake.live.devices import ALLEGRO, PANDA, JointStatus
 from geort_drake.live.glove_frame import MAX_BYTES, GloveFrame, encode_frame
 from geort_drake.live.joint_group import JointGroup
-from geort_drake.live.transports import is_local, open_receiver, open_sender, split_address, wait_for
+from geort_drake.live.transports import (
+    LOCAL_LCM,
+    heard_from_outside,
+    is_local,
+    open_receiver,
+    open_sender,
+    split_address,
+    wait_for,
+)
 
 HAND = synthesize_play(3, duration_s=1.0, rate_hz=30.0).p_HK[20].astype(float)
 
@@ -278,3 +286,20 @@ def test_what_the_network_can_reach_is_told_apart():
     assert not any(
         map(is_local, ("lcm+udpm://239.1.1.1:7667?ttl=1", "pub+tcp://*:1", "sub+tcp://10.0.0.1:1"))
     )
+
+
+def test_an_lcm_group_that_is_routed_to_a_network_is_told(tmp_path):
+    """The narrowest route counts, and of equal ones the one of the lowest metric; a table there must be."""
+    table = tmp_path / "route"
+    head = "Iface\tDestination\tGateway\tFlags\tRefCnt\tUse\tMetric\tMask\tMTU\tWindow\tIRTT\n"
+    default = "eth0\t00000000\t010200C0\t0003\t0\t0\t100\t00000000\t0\t0\t0\n"
+    ours = "{}\t434CFFEF\t00000000\t0005\t0\t0\t{}\tFFFFFFFF\t0\t0\t0\n"
+    for routes, outside in (
+        (default, True),
+        (default + ours.format("lo", 0), False),
+        (ours.format("lo", 5) + default + ours.format("eth0", 0), True),
+        ("", False),
+    ):
+        table.write_text(head + routes)
+        assert heard_from_outside(LOCAL_LCM, table) == outside
+    assert heard_from_outside(LOCAL_LCM, tmp_path / "none")

@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+import os
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from geort_drake.live.glove_stream import GloveStream
 from geort_drake.live.latency import Latency, LatencyMeter
 from geort_drake.live.playback import play
 from geort_drake.live.real_time import run_in_real_time
+from geort_drake.live.session import EnterKey
 from geort_drake.live.watchdog import EngageSwitch, Watchdog, WatchdogConfig
 from geort_drake.systems.glove_checks import FROZEN, HELD_LOST, HELD_STALE
 from geort_drake.systems.joint_limits import JointLimits
@@ -53,7 +55,7 @@ class StreamBench:
         self.simulator.AdvanceTo(self.context.get_time() + 0.004)
         return {
             name: self.stream.GetOutputPort(name).Eval(self.context)
-            for name in ("keypoints", "valid", "stamp", "sent", "wrist_pose")
+            for name in ("keypoints", "valid", "stamp", "sent", "lateness", "wrist_pose")
         }
 
 
@@ -87,6 +89,29 @@ def test_a_stamp_of_this_machines_clock_says_when_it_was_sent():
     words = ",".join(["id", *(str(float(x)) for p in nodes_of(PLAY.p_HK[3]) for x in (*p, 0, 0, 0, 1))])
     arrived = bench.after(words.encode())
     assert (arrived["stamp"], arrived["sent"]) == (50.0, 50.0)
+
+
+def test_frames_that_come_late_are_not_followed():
+    """By over 0.2 s more than the quickest one; whatever the clocks, and although they drift."""
+    bench = StreamBench()
+
+    def arrives(stamp: float, delay: float) -> bool:
+        bench.clock.now = 5000.0 + stamp * (1 + 5e-5) + delay
+        return bool(bench.after(message(0, time=stamp))["valid"])
+
+    assert arrives(10.0, 0.15)
+    assert arrives(10.1, 0.0)
+    assert bench.stream.clock_offset == pytest.approx(5000.0, abs=1e-3)
+    assert arrives(10.2, 0.15) and not arrives(10.3, 0.25) and not arrives(10.4, 9.0)
+    assert bench.after()["lateness"] == pytest.approx(9.0, abs=1e-2)
+    assert arrives(10.5, 0.01)
+    # An hour later, the clocks differ by 0.18 s more.
+    for second in range(11, 3611, 100):
+        assert arrives(second, 0.1)
+    assert bench.stream.late == 2
+    # Another sender, with a clock of its own, is late by what it says itself.
+    assert bench.after(message(0, time=3.0))["valid"]
+    assert bench.stream.clock_offset == pytest.approx(bench.clock.now - 3.0)
 
 
 def test_the_handshake_takes_a_hand():
@@ -157,7 +182,7 @@ def test_the_handshake_says_what_it_waited_for():
         StreamBench(b"{}").stream.handshake(timeout_s=0.01)
 
 
-def test_a_recording_is_played_as_it_was(monkeypatch):
+def test_a_recording_is_played_as_it_was():
     """Every frame once, lost ones as lost, at its time on the sender's clock."""
 
     class Stop:
@@ -319,6 +344,35 @@ def test_a_hand_that_relaxed_comes_back_within_its_limits():
     assert returned[-1][3] == TRACKING
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_the_hand_over_to_the_watchdog_and_back_keeps_the_acceleration(seed):
+    """Also of the velocities that are told, while the commands go on as fast as they may."""
+    limits = JointLimits(np.full(2, -1.5), np.full(2, 1.5), 7.0, 100.0)
+    config = WatchdogConfig(relax_after=0.05, relax_speed=0.5, ease_time=0.05)
+    system = Watchdog(limits, np.zeros(2), PERIOD, config)
+    simulator = Simulator(system)
+    context = simulator.get_mutable_context()
+    rng = np.random.default_rng(seed)
+    q, v, target = np.zeros(2), np.zeros(2), np.zeros(2)
+    out, states = [np.zeros(4)], set()
+    for tick in range(600):
+        lost, before = tick % 120 >= 60 and tick % 60 < 20, target
+        target = q if lost else 1.2 * np.sin(3.0 * tick * PERIOD * rng.uniform(0.98, 1.02, 2) + [0, seed])
+        q, v = limits.step(q, v, target, q if lost else before, PERIOD)
+        status = RetargetingStatus(HELD_LOST if lost else TRACKING)
+        system.GetInputPort("desired_state").FixValue(context, [*q, *v])
+        system.GetInputPort("engaged").FixValue(context, [1.0])
+        system.GetInputPort("status").FixValue(context, AbstractValue.Make(status))
+        simulator.AdvanceTo((tick + 0.5) * PERIOD)
+        out.append(system.GetOutputPort("desired_state").Eval(context).copy())
+        states.add(system.GetOutputPort("state").Eval(context).partition(":")[0])
+    assert {"relaxing", "returning", TRACKING} <= states
+    positions, told = np.split(np.array(out), 2, axis=1)
+    velocity = np.diff(positions, axis=0) / PERIOD
+    assert np.abs(np.diff(velocity, axis=0)).max() <= 100.0 * PERIOD + 1e-9
+    assert np.abs(np.diff(told, axis=0)).max() <= 100.0 * PERIOD + 1e-9
+
+
 @settings(max_examples=40, deadline=None)
 @given(
     st.lists(
@@ -347,6 +401,26 @@ def test_a_watchdog_that_cannot_work_is_refused(config):
     """And told which value it is."""
     with pytest.raises(ValueError, match=next(iter(config))):
         Watchdog(LIMITS, SAFE, PERIOD, WatchdogConfig(**config))
+
+
+# -- the key
+
+
+def test_every_newline_of_a_pipe_is_a_press():
+    """Two at once are two; half a line waits for nothing, and the end of the pipe is told."""
+    reader, writer = os.pipe()
+    key = EnterKey(reader)
+    try:
+        assert key.presses() == 0
+        os.write(writer, b"\n\nhalf a li")
+        assert key.presses() == 2
+        assert key.presses() == 0
+        os.write(writer, b"ne\n")
+        os.close(writer)
+        assert key.presses() == 1
+        assert key.presses() is None
+    finally:
+        os.close(reader)
 
 
 # -- real time

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem
 
 from geort_drake.errors import LiveError, MismatchError
 from geort_drake.gloves.health import anatomy, refuse
@@ -22,6 +22,10 @@ from geort_drake.systems.poses import vector_to_pose
 POLL_PERIOD, _AHEAD = 0.002, 1e-4
 # A sender whose clock differs by less has this machine's, s.
 _SAME_CLOCK_S = 1.0
+# A frame that took so much longer than the quickest one is late, s.
+LATEST_S = 0.2
+# What is taken for the quickest grows by so much a second, because clocks drift apart by up to 100 ppm each.
+_DRIFT = 2e-4
 _HANDSHAKE_FRAMES = 5
 _CHECKS = (
     anatomy.check_depth,
@@ -33,6 +37,8 @@ _CHECKS = (
 # A thumb's MCP farther behind the palm is another side's, m: two people's never is, mirrored it mostly is.
 _BEHIND_M = 0.005
 _IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+# Before the first frame: valid, stamp, sent, lateness; the clocks' offset, and when the last frame arrived.
+_BEFORE = (0.0, 0.0, math.nan, 0.0, math.inf, math.nan)
 
 
 class GloveStream(LeafSystem):
@@ -41,14 +47,19 @@ class GloveStream(LeafSystem):
     Output ports:
         keypoints (63): p_HK, the 21 keypoints one after the other, m, wrist frame H.
         wrist_pose (abstract RigidTransform): X_WH of the tracker; the identity where there is none.
-        valid (1): 1 while the hand is tracked, 0 where it was lost.
+        valid (1): 1 while the hand is tracked, 0 where it was lost or the frame is over `LATEST_S` late.
         stamp (1): when the keypoints were measured, s on the sender's clock; where the sender says no time,
             when they arrived.
         sent (1): the same on this machine's clock as far as is known: the stamp if the sender's clock is
             this machine's monotonic one, else when they arrived. NaN before the first.
+        lateness (1): how much longer than the quickest frame the newest one took, s. That is told by arrival
+            minus stamp, and so from the beginning of the sender's clock: who was late from the first frame
+            on, by the same time, cannot be told from a clock that is set otherwise.
 
     Attributes:
-        received: frames that were taken.
+        received: frames that were taken, and `late` those among them that came late.
+        clock_offset: the quickest frame's arrival on this machine's clock minus its stamp, s; NaN before
+            the first.
         refused: messages that could not be used, and `last_refusal` why the last one could not.
 
     State: what the ports give; messages are fetched in a discrete update every `POLL_PERIOD`.
@@ -69,15 +80,17 @@ class GloveStream(LeafSystem):
     ):
         super().__init__()
         self._receiver, self._side, self._glove_id, self._clock = receiver, side, glove_id, clock
-        self.received = self.refused = 0
+        self.received = self.refused = self.late = 0
+        self.clock_offset = math.nan
         self.last_refusal = ""
-        self._state = self.DeclareDiscreteState(np.array([*np.zeros(63), *_IDENTITY, 0.0, 0.0, math.nan]))
+        self._state = self.DeclareDiscreteState(np.array([*np.zeros(63), *_IDENTITY, *_BEFORE]))
         ticket = {self.discrete_state_ticket(self._state)}
         for name, part in (
             ("keypoints", slice(0, 63)),
             ("valid", slice(70, 71)),
             ("stamp", slice(71, 72)),
             ("sent", slice(72, 73)),
+            ("lateness", slice(73, 74)),
         ):
             self.DeclareVectorOutputPort(
                 name,
@@ -140,7 +153,7 @@ class GloveStream(LeafSystem):
     def _value(self, context: Context) -> np.ndarray:
         return context.get_discrete_state(self._state).value()
 
-    def _update(self, context: Context, discrete_state) -> EventStatus:
+    def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         frame = self._newest()
         if frame is None:
             return EventStatus.DidNothing()
@@ -148,7 +161,16 @@ class GloveStream(LeafSystem):
         stamp = arrived if frame.time is None else frame.time
         value = self._value(context).copy()
         sent = stamp if abs(arrived - stamp) < _SAME_CLOCK_S else arrived
-        value[70:73] = frame.p_HK is not None, stamp, sent
+        offset, arrived_before = value[74:76].tolist()
+        if stamp < value[71]:  # the sender's clock was set back, or it is another sender's
+            offset = math.inf
+        if not math.isnan(arrived_before):
+            offset += _DRIFT * (arrived - arrived_before)
+        offset = self.clock_offset = min(offset, arrived - stamp)
+        lateness = arrived - stamp - offset
+        self.late += lateness > LATEST_S
+        tracked = frame.p_HK is not None and lateness <= LATEST_S
+        value[70:] = tracked, stamp, sent, lateness, offset, arrived
         if frame.p_HK is not None:
             value[:63] = frame.p_HK.ravel()
         if frame.X_WH is not None:

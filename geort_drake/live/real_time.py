@@ -45,7 +45,7 @@ def stopping() -> Iterator[threading.Event]:
     event = threading.Event()
     before: dict[int, Any] = {}
 
-    def stop(number, _frame) -> None:
+    def stop(number: int, _frame: object) -> None:
         event.set()
         signal.signal(number, before[number])
 

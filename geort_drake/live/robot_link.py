@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from pydrake.systems.framework import Context, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem
 
 from geort_drake.errors import LiveError
 from geort_drake.live.devices import ALLEGRO, PANDA, Device, JointStatus
@@ -133,7 +133,7 @@ class RobotLink(LeafSystem):
     def _status(self, part: "_Part") -> JointStatus:
         return self.inbox.newest[part.device.status_channel].contents
 
-    def _update(self, context: Context, discrete_state) -> EventStatus:
+    def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         self.inbox.fetch()
         for part, state in zip(self._parts, self._states, strict=True):
             if part.device.status_channel in self.inbox.newest:

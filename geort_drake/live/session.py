@@ -1,6 +1,7 @@
 """One session of teleoperation: engage, run in real time, and leave the robot held."""
 
 import dataclasses as dc
+import os
 import select
 import sys
 import threading
@@ -34,13 +35,22 @@ class SessionReport:
 
 
 class EnterKey:
-    """Whether Enter was pressed in the terminal."""
+    """How often Enter was pressed in the terminal, or newlines came through a pipe.
 
-    def pressed(self) -> bool | None:
-        """Whether since the last call; None once there will be no more keys. Does not wait."""
-        if not select.select([sys.stdin], [], [], 0.0)[0]:
-            return False
-        return True if sys.stdin.readline() else None
+    Args:
+        stream: the file descriptor that is read, past any buffer.
+    """
+
+    def __init__(self, stream: int | None = None):
+        self._stream = sys.stdin.fileno() if stream is None else stream
+
+    def presses(self) -> int | None:
+        """How often since the last call; None once there will be no more keys. Does not wait."""
+        if not select.select([self._stream], [], [], 0.0)[0]:
+            return 0
+        # What is there, also half a line, which readline() would wait for the end of.
+        keys = os.read(self._stream, 4096)
+        return keys.count(b"\n") if keys else None
 
 
 def run_session(
@@ -75,9 +85,9 @@ def run_session(
         time = root.get_time()
         if time > 0.0:
             require_robot()
-        if key is not None and (pressed := key.pressed()) is not False:
-            engaged = not engaged if pressed else False
-            key = key if pressed else None
+        if key is not None and (presses := key.presses()) != 0:
+            engaged = engaged != (presses % 2 == 1) if presses else False
+            key = key if presses else None
             loop.engage(root, engaged and ended is None)
         state = loop.state(root)
         states[state] = states.get(state, 0.0) + _STEP_S

@@ -6,7 +6,15 @@ from collections.abc import Callable
 import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.lcm import DrakeLcm
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    Diagram,
+    DiagramBuilder,
+    DiscreteValues,
+    EventStatus,
+    LeafSystem,
+)
 
 from geort_drake.hands.description import load_hand
 from geort_drake.live.devices import ALLEGRO, PANDA, Device, JointStatus, require_hand_messages
@@ -64,11 +72,11 @@ class JointServer(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(POLL_PERIOD, 0.0, self._update)
         self.DeclarePeriodicPublishEvent(STATUS_PERIOD, 0.0, self._publish)
 
-    def _calc(self, context: Context, output) -> None:
+    def _calc(self, context: Context, output: BasicVector) -> None:
         q = context.get_discrete_state(self._commanded).value()
         output.SetFromVector(np.concatenate([q, np.zeros(self._n)]))
 
-    def _update(self, context: Context, discrete_state) -> EventStatus:
+    def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         self.inbox.fetch()
         newest = self.inbox.newest.get(self._device.command_channel)
         if newest is not None:

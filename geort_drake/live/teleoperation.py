@@ -1,25 +1,31 @@
 """The loop: glove → engage switch → retargeting → watchdog → correction → robot, as one diagram."""
 
 import dataclasses as dc
+from typing import Any
 
 import numpy as np
 from pydrake.planning import RobotDiagram, RobotDiagramBuilder
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, System
 
-from geort_drake.gloves.recording import Recording
 from geort_drake.hands.description import HandDescription
+from geort_drake.live.glove_stream import LATEST_S
 from geort_drake.live.joint_group import JointGroup
 from geort_drake.live.latency import LatencyMeter
 from geort_drake.live.watchdog import EngageSwitch, Watchdog, WatchdogConfig
 from geort_drake.simulation.diagram import Retarget
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import ARM, HAND, add_robot
-from geort_drake.systems.action_correction import make_correction
+from geort_drake.systems.action_correction import ActionCorrection, make_correction
+from geort_drake.systems.glove_checks import HELD_LOST
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.hand_mirror import HandMirror
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.retargeting_system import RetargetingSystem
+from geort_drake.systems.wrist_checks import WristChecks
 from geort_drake.systems.wrist_to_arm import WristToArm
+
+# What the retargeting calls lost, where it is known why.
+HELD_LATE = "held: the glove's frames come late"
 
 
 class RobotModel:
@@ -57,27 +63,36 @@ class Teleoperation:
     """The diagram and the parts of it that one asks."""
 
     diagram: Diagram
+    glove: LeafSystem
     watchdog: Watchdog
-    meter: LatencyMeter | None
-    recorder: GloveRecorder | None
+    correction: ActionCorrection
+    wrist_checks: WristChecks
     wrist_to_arm: WristToArm
+    meter: LatencyMeter | None
 
     def initialize(self, root: Context) -> None:
-        """Prepares a context of the diagram: disengaged, the arm's commands where the arm is."""
+        """Prepares a context of the diagram: disengaged."""
         self.engage(root, False)
-        self.wrist_to_arm.initialize(root)
 
     def engage(self, root: Context, engaged: bool) -> None:
         """Lets robot and person follow each other, or parts them; the robot then brakes and holds."""
         self.diagram.GetInputPort("engaged").FixValue(root, [float(engaged)])
 
     def state(self, root: Context) -> str:
-        """What the fingers do."""
-        return self.watchdog.GetOutputPort("state").Eval(self.watchdog.GetMyContextFromRoot(root))
+        """What the fingers do; where they follow, why the policy or the arm is held, if one is."""
+        state = _eval(self.watchdog, "state", root)
+        if state == HELD_LOST and self.glove.HasOutputPort("lateness"):
+            return HELD_LATE if _eval(self.glove, "lateness", root)[0] > LATEST_S else state
+        if _eval(self.watchdog, "following", root)[0] < 0.5:
+            return state
+        if self.correction.HasOutputPort("status") and (status := _eval(self.correction, "status", root)):
+            return status
+        wrist = _eval(self.wrist_checks, "state", root)
+        return f"arm {wrist}" if wrist else state
 
-    def glove_recording(self, metadata: dict) -> Recording | None:
-        """What the glove gave since the start, if it was recorded."""
-        return None if self.recorder is None else self.recorder.recording(metadata)
+
+def _eval(system: LeafSystem, port: str, root: Context) -> Any:
+    return system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(root))
 
 
 def make_teleoperation(
@@ -89,7 +104,7 @@ def make_teleoperation(
     robot: System,
     start: tuple[np.ndarray, np.ndarray],
     config: WatchdogConfig,
-    record: bool = False,
+    recorder: GloveRecorder | None = None,
 ) -> Teleoperation:
     """Builds the loop around a glove and a robot.
 
@@ -98,7 +113,7 @@ def make_teleoperation(
         glove: `GloveStream`, or `GloveReplay`, which has no stamps.
         robot: `RobotLink`, `SimulatedRobot`, or what has their ports.
         start: positions of hand (n,) and arm (na,), rad, in the model's order: where the robot is.
-        record: whether to keep what the glove gives.
+        recorder: keeps what the glove gives.
 
     Raises:
         HandError: the retargeter and the robot move different joints.
@@ -149,36 +164,39 @@ def make_teleoperation(
     builder.ConnectInput("engaged", watchdog.GetInputPort("engaged"))
     builder.Connect(watchdog.GetOutputPort("desired_state"), correction.GetInputPort("desired_state"))
     builder.Connect(robot.GetOutputPort("hand_state"), correction.GetInputPort("hand_state"))
-    builder.Connect(correction.get_output_port(), robot.GetInputPort("hand_desired_state"))
+    builder.Connect(correction.GetOutputPort("desired_state"), robot.GetInputPort("hand_desired_state"))
 
-    # The arm follows the wrist while the fingers follow the hand.
+    # The arm follows the wrist while the fingers follow the hand, and the wrist moves as a wrist can.
     diagram = model.standing_at(dict(zip(model.arm.joints, q_arm.tolist(), strict=True)))
     arm, hand = (diagram.plant().GetModelInstanceByName(name) for name in (ARM, HAND))
     base = diagram.plant().GetFrameByName(description.base_frame, hand)
     wrist_to_arm = builder.AddNamedSystem(
-        "wrist_to_arm", WristToArm(diagram, arm, base, scenario.wrist_to_arm)
+        "wrist_to_arm", WristToArm(diagram, arm, base, scenario.wrist_to_arm, limit_acceleration=True)
     )
+    wrist_checks = builder.AddNamedSystem("wrist_checks", WristChecks(scenario.wrist_to_arm.period))
     wrist: LeafSystem = glove
     if description.side == "left":
         wrist = builder.AddNamedSystem("hand_mirror", HandMirror())
         for name in ("keypoints", "wrist_pose"):
             builder.Connect(glove.GetOutputPort(name), wrist.GetInputPort(name))
     builder.Connect(wrist.GetOutputPort("wrist_pose"), wrist_to_arm.GetInputPort("wrist_pose"))
-    builder.Connect(watchdog.GetOutputPort("following"), wrist_to_arm.GetInputPort("valid"))
+    builder.Connect(wrist.GetOutputPort("wrist_pose"), wrist_checks.GetInputPort("wrist_pose"))
+    builder.Connect(watchdog.GetOutputPort("following"), wrist_checks.GetInputPort("valid"))
+    builder.Connect(wrist_checks.GetOutputPort("valid"), wrist_to_arm.GetInputPort("valid"))
     builder.Connect(wrist_to_arm.GetOutputPort("arm_desired_state"), robot.GetInputPort("arm_desired_state"))
 
-    meter = recorder = None
+    meter = None
     if glove.HasOutputPort("sent"):
         meter = builder.AddNamedSystem("latency", LatencyMeter(len(safe), retargeting.period))
         builder.Connect(glove.GetOutputPort("sent"), meter.GetInputPort("sent"))
-        builder.Connect(correction.get_output_port(), meter.GetInputPort("command"))
+        builder.Connect(correction.GetOutputPort("desired_state"), meter.GetInputPort("command"))
         if robot.HasOutputPort("hand_commanded"):
             builder.Connect(robot.GetOutputPort("hand_commanded"), meter.GetInputPort("echo"))
-    if record:
-        recorder = builder.AddNamedSystem("glove_recorder", GloveRecorder(retargeting.period))
+    if recorder is not None:
+        builder.AddNamedSystem("glove_recorder", recorder)
         for name in ("keypoints", "wrist_pose", "valid"):
             builder.Connect(glove.GetOutputPort(name), recorder.GetInputPort(name))
 
     built = builder.Build()
     built.set_name("teleoperation")
-    return Teleoperation(built, watchdog, meter, recorder, wrist_to_arm)
+    return Teleoperation(built, glove, watchdog, correction, wrist_checks, wrist_to_arm, meter)

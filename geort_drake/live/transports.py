@@ -10,8 +10,10 @@ ZeroMQ's ipc:// serves in place of tcp://. Receivers connect and senders bind, s
 import importlib
 import ipaddress
 import re
+import socket
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Protocol
 
 from pydrake.lcm import DrakeLcm
@@ -22,6 +24,8 @@ from geort_drake.live.glove_frame import MAX_BYTES
 # LCM's usual group and port; ttl=0 keeps what is sent on this machine.
 LOCAL_LCM = "udpm://239.255.76.67:7667?ttl=0"
 GLOVE_CHANNEL = "GEORT_GLOVE"
+
+_ROUTES, _ROUTE_UP = Path("/proc/net/route"), 1
 
 _MOST_AT_ONCE = 100  # messages taken up in one go, so that a flood cannot keep a loop from going on
 
@@ -107,6 +111,28 @@ def is_local(address: str) -> bool:
     if "udpm://" in address or address == "lcm":
         return "?ttl=" not in address or address.endswith("?ttl=0")
     return "ipc://" in address or re.search(r"//(127\.[\d.]+|localhost):", address) is not None
+
+
+def heard_from_outside(url: str, routes: Path = _ROUTES) -> bool:
+    """Whether an LCM URL's multicast group is routed to a network, so that others' messages are heard, too.
+
+    `ttl=0` says nothing of that: it keeps what this machine sends. True where it cannot be told.
+
+    Args:
+        routes: Linux' table of IPv4 routes.
+    """
+    match = re.match(r"udpm://([\d.]+):", url)
+    if match is None or not routes.exists():
+        return True
+    group = int(ipaddress.IPv4Address(match[1]))
+    found = []
+    for line in routes.read_text().splitlines()[1:]:
+        interface, destination, _, flags, _, _, metric, mask, *_ = line.split()
+        # Addresses are in the machine's byte order.
+        network, bits = (socket.ntohl(int(word, 16)) for word in (destination, mask))
+        if int(flags, 16) & _ROUTE_UP and group & bits == network:
+            found.append((-bits, int(metric), interface))
+    return bool(found) and min(found)[2] != "lo"
 
 
 def open_lcm(url: str) -> DrakeLcm:

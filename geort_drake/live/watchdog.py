@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem
 
 from geort_drake.systems.glove_checks import FROZEN
 from geort_drake.systems.joint_limits import JointLimits
@@ -46,7 +46,7 @@ class EngageSwitch(LeafSystem):
         valid (1): 1 where both are.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__()
         self._valid = self.DeclareVectorInputPort("valid", 1)
         self._engaged = self.DeclareVectorInputPort("engaged", 1)
@@ -61,8 +61,8 @@ class Watchdog(LeafSystem):
 
     RetargetingSystem holds at once when its input is lost, which is passed on. After `relax_after` the
     hand moves to the safe pose; when the input is followed again, it eases back to the commands, and when
-    it has reached them exactly, they pass on. Disengaged, it never relaxes: a hold is what the person wants.
-    All motions of its own keep the limits.
+    it has met two of them in a row, so that its velocity is theirs, they pass on. Disengaged, it never
+    relaxes: a hold is what the person wants. All motions of its own keep the limits.
 
     Input ports:
         desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.
@@ -103,7 +103,7 @@ class Watchdog(LeafSystem):
         self.DeclareAbstractOutputPort("state", lambda: AbstractValue.Make(""), self._calc_state)
         self.DeclarePeriodicDiscreteUpdateEvent(period, AFTER, self._update)
 
-    def _update(self, context: Context, discrete_state) -> EventStatus:
+    def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         n, time = self._n, context.get_time()
         command = self._desired.Eval(context)
         wanted = command[:n]
@@ -133,8 +133,9 @@ class Watchdog(LeafSystem):
                 q, v = self._relaxed.step(q, v, self._safe, self._safe, self._period)
             else:
                 share = min((time - since + self._period) / self._config.ease_time, 1.0)
+                met = np.array_equal(q, before)
                 q, v = self._limits.step(q, v, wanted, before, self._period, share)
-                if np.array_equal(q, wanted):
+                if met and np.array_equal(q, wanted):
                     mode, since = _PASSING, time
         discrete_state.get_mutable_vector(self._state).SetFromVector(
             np.concatenate([q, v, wanted, [mode, lost_since, since]])
@@ -150,7 +151,7 @@ class Watchdog(LeafSystem):
         followed = self._status.Eval(context).state in _FOLLOWED
         output.SetAtIndex(0, float(followed and self._engaged.Eval(context)[0] >= 0.5))
 
-    def _calc_state(self, context: Context, output) -> None:
+    def _calc_state(self, context: Context, output: AbstractValue) -> None:
         mode = context.get_discrete_state(self._state).value()[3 * self._n]
         if self._engaged.Eval(context)[0] < 0.5:
             output.set_value("disengaged: held")

@@ -5,11 +5,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import HandModel
 from geort_drake.systems.joint_limits import JointLimits
+from geort_drake.systems.update_timing import check_timing
 
 CORRECTIONS = ("none", "guard", "policy")
 
@@ -95,7 +96,10 @@ class PeriodicCorrection(ActionCorrection):
         actuated_joints: joints in actuator order.
         initial_positions: joint name → rad, the command before the first update.
         limits: of the joints, in the order of `actuated_joints`.
-        period: time between updates, s.
+        period: time between updates, s, from 1e-5 to 10.
+
+    Raises:
+        ValueError: the period is none of these.
     """
 
     def __init__(
@@ -106,6 +110,7 @@ class PeriodicCorrection(ActionCorrection):
         period: float,
     ):
         super().__init__(len(actuated_joints))
+        check_timing(period)
         self._limits, self._period = limits, period
         self._q_start = np.array([initial_positions[name] for name in actuated_joints])
         self._positions = self.DeclareDiscreteState(self._q_start)
@@ -114,7 +119,7 @@ class PeriodicCorrection(ActionCorrection):
     def _depends_on(self) -> set:
         return {self.xd_ticket()}
 
-    def _update(self, context: Context, discrete_state) -> EventStatus:
+    def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         raise NotImplementedError
 
 

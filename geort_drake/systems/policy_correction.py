@@ -2,11 +2,14 @@
 
 import importlib
 import os
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, EventStatus
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus
 
 from geort_drake.errors import PolicyError
 from geort_drake.systems.action_correction import PeriodicCorrection
@@ -15,17 +18,24 @@ from geort_drake.systems.joint_limits import JointLimits
 # (hand state (2n,), commanded positions (n,)) → positions (n,), rad and rad/s.
 Policy = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
+POLICY_NOT_FINITE = "held: the policy's answer is not finite"
+POLICY_SHAPE = "held: the policy's answer has another shape than the command"
+POLICY_FAILED = "held: the policy failed"
+_STATES = ("", POLICY_NOT_FINITE, POLICY_SHAPE, POLICY_FAILED)
+
 
 class PolicyCorrection(PeriodicCorrection):
     """Asks a policy at a fixed period; its answers are kept finite and within the joint limits.
 
-    Position, speed and acceleration are limited as in `JointLimits.step`. An answer that is not finite is
-    left out: the joints brake and hold. What comes out at an update is made of the command and the hand
-    as they were just before, so commands come one update later.
+    Position, speed and acceleration are limited as in `JointLimits.step`. An answer that is not finite or
+    of another shape is left out, and so is an exception in its place: the joints brake and hold, and the
+    first time there is a warning. What comes out at an update is made of the command and the hand as they
+    were just before, so commands come one update later.
 
-    Its ports are those of `ActionCorrection`.
+    Its ports are those of `ActionCorrection`, and another output port:
+        status (abstract str): why the joints are held, or empty.
 
-    State: the policy's last answer (n), and the desired state last given out (2n).
+    State: the policy's last answer (n), the desired state last given out (2n), and the number of the status.
 
     Args:
         policy: what `load_policy` returns, or any function like it.
@@ -46,23 +56,54 @@ class PolicyCorrection(PeriodicCorrection):
         super().__init__(actuated_joints, initial_positions, limits, period)
         self._n, self._policy = len(actuated_joints), policy
         self._given_out = self.DeclareDiscreteState(np.concatenate([self._q_start, np.zeros(self._n)]))
+        self._status = self.DeclareDiscreteState(1)
+        self._warned = False
+        self.DeclareAbstractOutputPort(
+            "status",
+            lambda: AbstractValue.Make(""),
+            lambda context, output: output.set_value(
+                _STATES[int(context.get_discrete_state(self._status).value()[0])]
+            ),
+            {self.discrete_state_ticket(self._status)},
+        )
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(context.get_discrete_state(self._given_out).value())
 
-    def _update(self, context: Context, discrete_state) -> EventStatus:
+    def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         n = self._n
         state = context.get_discrete_state(self._given_out).value()
         q, v, before = state[:n], state[n:], context.get_discrete_state(self._positions).value()
-        answer = self._policy(self._measured.Eval(context), self._desired.Eval(context)[:n])
-        if np.isfinite(answer).all():
+        answer, status = self._ask(self._measured.Eval(context), self._desired.Eval(context)[:n])
+        if answer is not None:
             answer = np.clip(answer, self._limits.lower, self._limits.upper)
         else:
             answer = before = q
         q, v = self._limits.step(q, v, answer, before, self._period)
         discrete_state.get_mutable_vector(self._given_out).SetFromVector(np.concatenate([q, v]))
         discrete_state.get_mutable_vector(self._positions).SetFromVector(answer)
+        discrete_state.get_mutable_vector(self._status).SetFromVector([_STATES.index(status)])
         return EventStatus.Succeeded()
+
+    def _ask(self, hand_state: np.ndarray, target: np.ndarray) -> tuple[np.ndarray | None, str]:
+        """The policy's answer (n,), rad, and the status; None where it cannot be used."""
+        try:
+            answer = np.asarray(self._policy(hand_state, target), dtype=float)
+        except Exception as error:  # a policy is a program of anybody's
+            self._warn(f"{POLICY_FAILED}: {error}")
+            return None, POLICY_FAILED
+        if answer.shape != (self._n,):
+            self._warn(f"{POLICY_SHAPE}: {answer.shape}, not {(self._n,)}")
+            return None, POLICY_SHAPE
+        if not np.isfinite(answer).all():
+            self._warn(POLICY_NOT_FINITE)
+            return None, POLICY_NOT_FINITE
+        return answer, ""
+
+    def _warn(self, message: str) -> None:
+        if not self._warned:
+            self._warned = True
+            warnings.warn(message, RuntimeWarning, stacklevel=2)
 
 
 def load_policy(path: str | os.PathLike, num_joints: int) -> Policy:
@@ -134,7 +175,7 @@ def _onnx(path: Path) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     return run
 
 
-def _package(name: str, path: Path):
+def _package(name: str, path: Path) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ImportError as error:

@@ -7,23 +7,17 @@ import numpy as np
 from pydrake.common import Parallelism
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.multibody.inverse_kinematics import (
-    DifferentialInverseKinematicsController,
-    DifferentialInverseKinematicsSystem,
-)
+from pydrake.multibody.inverse_kinematics import DifferentialInverseKinematicsSystem
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, ModelInstanceIndex
-from pydrake.planning import DofMask, JointLimits, RobotDiagram, SceneGraphCollisionChecker
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
-from pydrake.systems.primitives import (
-    BusCreator,
-    ConstantVectorSource,
-    MatrixGain,
-    Multiplexer,
-    ZeroOrderHold,
-)
+from pydrake.planning import DofMask, RobotDiagram, SceneGraphCollisionChecker
+from pydrake.planning import JointLimits as PlanningLimits
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem, State
+from pydrake.systems.primitives import BusCreator, ConstantVectorSource
 
+from geort_drake.systems.arm_motion import ArmMotion
+from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.unchanging import Unchanging
 
 
@@ -63,8 +57,9 @@ class Clutch(LeafSystem):
 
     Input ports:
         wrist_pose (abstract RigidTransform): X_WH.
-        valid (1): 1 tracked, 0 lost. While lost, the last target stands; afterwards the wrist's
-            motion is taken on from there, so that a gap never makes the arm jump.
+        valid (1): 1 tracked, 0 lost. While lost, the target is where the hand is commanded to be, and the
+            wrist's motion is taken on from there, so that a gap never makes the arm jump.
+        commanded_pose (abstract RigidTransform): X_WB that the arm is commanded to have.
     Output port:
         hand_pose (abstract RigidTransform): X_WB, where the hand shall be.
     """
@@ -73,22 +68,27 @@ class Clutch(LeafSystem):
         super().__init__()
         self._wrist = self.DeclareAbstractInputPort("wrist_pose", AbstractValue.Make(RigidTransform()))
         self._valid = self.DeclareVectorInputPort("valid", 1)
+        self._commanded = self.DeclareAbstractInputPort(
+            "commanded_pose", AbstractValue.Make(RigidTransform())
+        )
         self._target = self.DeclareAbstractState(AbstractValue.Make(X_WB_start))
         # None until engaged, else the wrist's and the hand's pose at that moment.
         self._engaged = self.DeclareAbstractState(AbstractValue.Make(_Engagement()))
         self.DeclareStateOutputPort("hand_pose", self._target)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
 
-    def _update(self, context: Context, state) -> EventStatus:
-        X_WB = context.get_abstract_state(self._target).get_value()
+    def _update(self, context: Context, state: State) -> EventStatus:
         engaged = context.get_abstract_state(self._engaged).get_value()
         if self._valid.Eval(context)[0] < 0.5:
             state.get_mutable_abstract_state(self._engaged).set_value(_Engagement())
+            X_WB = RigidTransform(self._commanded.Eval(context))
+            state.get_mutable_abstract_state(self._target).set_value(X_WB)
             return EventStatus.Succeeded()
         X_WH = self._wrist.Eval(context)
         if engaged.X_WH is None:
             # Copies, because ports and states are written over.
-            engaged = _Engagement(RigidTransform(X_WH), RigidTransform(X_WB))
+            X_WB = RigidTransform(self._commanded.Eval(context))
+            engaged = _Engagement(RigidTransform(X_WH), X_WB)
             state.get_mutable_abstract_state(self._engaged).set_value(engaged)
         p_WB = engaged.X_WB.translation() + X_WH.translation() - engaged.X_WH.translation()
         R_WB = X_WH.rotation() @ engaged.X_WH.rotation().inverse() @ engaged.X_WB.rotation()
@@ -107,22 +107,28 @@ class WristToArm(Diagram):
 
     Input ports:
         wrist_pose (abstract RigidTransform): X_WH of the tracker.
-        valid (1): 1 tracked, 0 lost.
+        valid (1): 1 tracked, 0 lost: the arm brakes within its limits, and is held.
     Output port:
         arm_desired_state (2·na): the arm's joint positions (rad), then velocities (rad/s), plant order.
 
-    Inside: `Clutch` → Drake's DifferentialInverseKinematicsController, which keeps to the arm's position
-    and speed limits and starts at the robot's default positions. Give the root context of the diagram to
-    `initialize` before simulating.
+    Inside: `Clutch` → Drake's DifferentialInverseKinematicsSystem, which keeps to the arm's position
+    and speed limits → `ArmMotion`, which starts at the robot's default positions.
 
     Args:
         robot: robot and surroundings; its default positions are the start and the nominal posture.
         arm: the model in `robot` whose joints move; everything else stays at its default.
         hand_frame: the frame of `robot` that follows the wrist, the hand base B.
+        limit_acceleration: whether the joints' accelerations, too, keep the model's limits while the wrist is
+            followed; whoever drives a robot wants that.
     """
 
     def __init__(
-        self, robot: RobotDiagram, arm: ModelInstanceIndex, hand_frame: Frame, config: WristToArmConfig
+        self,
+        robot: RobotDiagram,
+        arm: ModelInstanceIndex,
+        hand_frame: Frame,
+        config: WristToArmConfig,
+        limit_acceleration: bool = False,
     ):
         super().__init__()
         config.validate()
@@ -164,39 +170,32 @@ class WristToArm(Diagram):
         wanted = poses.DeclareAbstractInputPort(
             hand_frame.scoped_name().get_full(), AbstractValue.Make(RigidTransform())
         )
-        controller = builder.AddNamedSystem(
-            "differential_inverse_kinematics",
-            DifferentialInverseKinematicsController(inverse_kinematics, planar_rotation_dof_indices=[]),
-        )
+        builder.AddNamedSystem("differential_inverse_kinematics", inverse_kinematics)
         nominal = builder.AddNamedSystem("nominal_posture", ConstantVectorSource(q_nominal))
-        start = builder.AddNamedSystem(
-            "start_state", ConstantVectorSource(np.concatenate([q_start, np.zeros(plant.num_velocities())]))
+        motion = builder.AddNamedSystem(
+            "arm_motion",
+            ArmMotion(
+                plant,
+                q_start,
+                active,
+                arm_dofs,
+                hand_frame,
+                _arm_limits(config, plant, arm_dofs, speed),
+                config.period,
+                limit_acceleration,
+            ),
         )
-        to_arm = np.eye(len(q_start))[arm_dofs][:, active]
-        positions = builder.AddNamedSystem("arm_positions", MatrixGain(to_arm))
-        velocities = builder.AddNamedSystem("arm_velocities", MatrixGain(to_arm))
-        # Without the hold, every step of the plant would solve the inverse kinematics again.
-        hold = builder.AddNamedSystem("velocity_hold", ZeroOrderHold(config.period, int(active.sum())))
-        both = builder.AddNamedSystem("desired_state", Multiplexer([len(arm_dofs)] * 2))
         builder.Connect(clutch.get_output_port(), wanted)
-        builder.Connect(poses.get_output_port(), controller.GetInputPort("desired_poses"))
-        builder.Connect(nominal.get_output_port(), controller.GetInputPort("nominal_posture"))
-        builder.Connect(start.get_output_port(), controller.GetInputPort("estimated_state"))
-        builder.Connect(controller.GetOutputPort("commanded_position"), positions.get_input_port())
-        builder.Connect(controller.GetOutputPort("commanded_velocity"), hold.get_input_port())
-        builder.Connect(hold.get_output_port(), velocities.get_input_port())
-        builder.Connect(positions.get_output_port(), both.get_input_port(0))
-        builder.Connect(velocities.get_output_port(), both.get_input_port(1))
+        builder.Connect(poses.get_output_port(), inverse_kinematics.GetInputPort("desired_cartesian_poses"))
+        builder.Connect(nominal.get_output_port(), inverse_kinematics.GetInputPort("nominal_posture"))
+        builder.Connect(motion.GetOutputPort("positions"), inverse_kinematics.GetInputPort("position"))
+        builder.Connect(inverse_kinematics.get_output_port(), motion.GetInputPort("velocity"))
+        builder.Connect(motion.GetOutputPort("hand_pose"), clutch.GetInputPort("commanded_pose"))
         builder.ExportInput(clutch.GetInputPort("wrist_pose"), "wrist_pose")
         builder.ExportInput(clutch.GetInputPort("valid"), "valid")
-        builder.ExportOutput(both.get_output_port(), "arm_desired_state")
+        builder.ConnectInput("valid", motion.GetInputPort("valid"))
+        builder.ExportOutput(motion.GetOutputPort("arm_desired_state"), "arm_desired_state")
         builder.BuildInto(self)
-        self._controller, self._q_start = controller, q_start
-
-    def initialize(self, root: Context) -> None:
-        """Starts the commanded positions at the robot's default, in the root context of the diagram."""
-        context = self._controller.GetMyMutableContextFromRoot(root)
-        self._controller.set_initial_position(context, self._q_start)
 
 
 def _dofs(plant: MultibodyPlant, arm: ModelInstanceIndex) -> tuple[np.ndarray, int | None]:
@@ -207,6 +206,19 @@ def _dofs(plant: MultibodyPlant, arm: ModelInstanceIndex) -> tuple[np.ndarray, i
         is_arm[joint.position_start() : joint.position_start() + joint.num_positions()] = True
     others = np.flatnonzero(~is_arm)
     return np.flatnonzero(is_arm), int(others[0]) if len(others) else None
+
+
+def _arm_limits(
+    config: WristToArmConfig, plant: MultibodyPlant, arm_dofs: np.ndarray, speed: np.ndarray
+) -> JointLimits:
+    """Of the arm's joints; from full speed to rest in one period where the model limits no acceleration."""
+    speed = speed[arm_dofs]
+    return JointLimits(
+        plant.GetPositionLowerLimits()[arm_dofs],
+        plant.GetPositionUpperLimits()[arm_dofs],
+        speed,
+        np.minimum(plant.GetAccelerationUpperLimits()[arm_dofs], speed / config.period),
+    )
 
 
 def _recipe(
@@ -222,7 +234,7 @@ def _recipe(
     # A joint slows down over the last 0.1 rad and stops 0.01 rad before its position limit.
     margins = ik.JointVelocityLimitConstraint.Config(min_margin=0.01, influence_margin=0.1)
     unlimited = np.full(int(active.sum()), np.inf)
-    limits = JointLimits(
+    limits = PlanningLimits(
         position_lower=plant.GetPositionLowerLimits()[active],
         position_upper=plant.GetPositionUpperLimits()[active],
         velocity_lower=-speed[active],

@@ -114,13 +114,43 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str]] = {
     "fingers that are a number": (config(finger_names=4), "finger_names must be"),
     "keypoints that are texts": (config(human_keypoints=["a", "b", "c", "d"]), "human_keypoints must be"),
     "keypoints that no hand has": (config(human_keypoints=[4, 8, 12, 99]), "human_keypoints must be"),
-    "limits that are not finite": (hand(lower=[float("nan")] * 16), "lower and upper must be"),
-    "limits the wrong way round": (hand(lower=[3.0] * 16), "lower and upper must be"),
-    "limits for fewer joints": (hand(upper=[1.0] * 15), "lower and upper must be"),
-    "limits that are texts": (hand(upper=["1.0"] * 16), "lower and upper must be"),
+    "weights whose products overflow": (
+        weights(weight1=np.full((4, 8, 8), 1e200)),
+        r"'weight1' must be within ±1e\+06, it has 1e\+200",
+    ),
+    "weights that are no numbers": (
+        weights(weight1=np.zeros((4, 8, 8), bool)),
+        "'weight1' must be .* of bool",
+    ),
+    "networks without a hidden unit": (
+        weights(
+            weight0=np.zeros((4, 3, 0)),
+            bias0=np.zeros((4, 1, 0)),
+            weight1=np.zeros((4, 0, 0)),
+            bias1=np.zeros((4, 1, 0)),
+            weight2=np.zeros((4, 0, 4)),
+        ),
+        r"'weight0' must be finite and of shape \(4, 3, -1\), it has \(4, 3, 0\)",
+    ),
+    "limits that are not finite": (
+        hand(lower=[float("nan")] * 16),
+        "lower of 'joint_12' must be a number within ±100 rad, not nan",
+    ),
+    "limits the wrong way round": (hand(lower=[3.0] * 16), "lower of 'joint_12' must be below upper"),
+    "limits for fewer joints": (hand(upper=[1.0] * 15), "upper must be a list of 16 numbers"),
+    "limits that are texts": (hand(upper=["1.0"] * 16), "upper of 'joint_12' must be a number"),
+    "limits whose difference overflows": (
+        hand(lower=[-1.7e308] * 16, upper=[1.7e308] * 16),
+        r"lower of 'joint_12' must be a number within ±100 rad, not -1\.7e\+308",
+    ),
+    "limits larger than any float": (hand(upper=[10**400] * 16), "upper of 'joint_12' must be a number"),
     "joint names that are numbers": (
         hand(joint_names=list(range(16))),
         "joint_names differ: hand.json has 0, 1",
+    ),
+    "joint names of half a character": (
+        config(joint_names=["\ud800"] * 16),
+        r"joint_names differ: .* has \\ud800",
     ),
     "an older format of the future": (config(format="2"), "format is 2, this version reads 1"),
 }

@@ -141,7 +141,7 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str, str]] = {
     "a configuration of nothing": (
         configuration(json.dumps(dict.fromkeys(("settings", "objects", "methods", "trials", "notes")))),
         "BenchmarkError",
-        "config.json: settings must be of type dict",
+        "config.json: not a benchmark's configuration: settings must be an",
     ),
     "a configuration 100,000 deep": (configuration("[" * 100_000), "BenchmarkError", "config.json"),
     "a policy that is a pickle": (policy("a.pt", pickle.dumps([1])), "PolicyError", "a.pt"),

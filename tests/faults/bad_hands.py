@@ -1,5 +1,6 @@
 """Hand descriptions and models that are no hand, beside those in test_hand_descriptions.py."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,17 @@ def modelled(text: str, suffix: str = "sdf") -> Callable[[Path], tuple]:
     def make(folder: Path) -> tuple:
         (folder / f"hand.{suffix}").write_text(text, encoding="utf-8")
         return fields(model=f"hand.{suffix}")(folder)
+
+    return make
+
+
+def meshed(vertices: str) -> Callable[[Path], tuple]:
+    """The Allegro hand with a mesh of these vertices among its collision shapes."""
+    shape = "<collision name='mesh'><geometry><mesh><uri>mesh.obj</uri></mesh></geometry></collision>"
+
+    def make(folder: Path) -> tuple:
+        (folder / "mesh.obj").write_text(vertices + "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n", encoding="utf-8")
+        return modelled(re.sub(r"(<link name=.base_link.>)", rf"\1{shape}", sdf(), count=1))(folder)
 
     return make
 
@@ -106,6 +118,30 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str]] = {
             "urdf",
         ),
         "readable model|frame or link|joint",
+    ),
+    "a mass that is not a number": (
+        modelled(re.sub(r"<mass>[^<]*", "<mass>nan", sdf(), count=1)),
+        "the mass of link 'base_link' in hand.sdf must be finite and not negative; given: nan",
+    ),
+    "a negative mass": (
+        modelled(re.sub(r"<mass>[^<]*", "<mass>-1", sdf(), count=1)),
+        "the mass of link 'base_link' in hand.sdf must be finite and not negative; given: -1",
+    ),
+    "an inertia that is not a number": (
+        modelled(re.sub(r"<ixy>[^<]*", "<ixy>nan", sdf(), count=1)),
+        "ixy of link 'base_link' in hand.sdf must be finite; given: nan",
+    ),
+    "a collision shape of negative size": (
+        modelled(re.sub(r"(<collision.*?<size>)[^<]*", r"\1-1 1 1", sdf(), count=1, flags=re.S)),
+        "must be finite and not negative; given: -1",
+    ),
+    "a joint of many turns": (
+        modelled(re.sub(r"<lower>[^<]*", "<lower>-1e308", sdf(), count=1)),
+        r"joint 'joint_0' needs position limits within ±100 rad, it has \[-1e\+308",
+    ),
+    "a mesh with a vertex that is not finite": (
+        meshed("v 0 0 0\nv nan 0 0\nv 0 1 0\nv 0 0 1\n"),
+        "given: v nan 0 0",
     ),
     "a model of no known kind": (modelled("solid", "stl"), MODEL),
 }

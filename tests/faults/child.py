@@ -3,19 +3,17 @@
 Processes are forked from one that has imported the package already, so that each takes milliseconds.
 """
 
-import contextlib
 import dataclasses as dc
-import importlib.util
 import multiprocessing
 import os
 import resource
-import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+from script_modules import load_script
+
 MEMORY = 2 << 30  # bytes that a process may ask for beyond what the imports took
 HANGING = 120.0  # s; whoever takes longer counts as hanging, also on a busy machine
 
@@ -87,23 +85,7 @@ def run(
 
 def script(name: str, argv: list[str]) -> int | None:
     """`main` of scripts/`name`."""
-    path = ROOT / "scripts" / name
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.main(argv)
-
-
-@contextlib.contextmanager
-def emptied(folder: Path) -> Iterator[Path]:
-    """A new folder that is gone afterwards."""
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    return load_script(name).main(argv)
 
 
 def _run(function: Callable, arguments: tuple, folder: Path, beside: Path, limits: dict[str, int]) -> None:

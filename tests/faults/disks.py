@@ -6,15 +6,27 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from faults.child import run
 from faults.kills import unclear
 from faults.sound import checkpoint, play
 from geort_drake.evaluation.trial_log import TrialLog
 from geort_drake.files import write_text
+from geort_drake.gloves.recording_parts import RecordingParts, read_parts
 
 
 def save_recording() -> None:
     play().save("play.npz")
+
+
+def record_session() -> None:
+    parts = RecordingParts("session.npz", {"side": "right"})
+    poses = np.tile(np.eye(7)[0], (25, 1))
+    for start in range(0, 200, 25):
+        part = slice(start, start + 25)
+        parts.append(play().t[part], play().p_HK[part], play().valid[part], poses)
+    parts.finish()
 
 
 def save_checkpoint() -> None:
@@ -28,10 +40,12 @@ def save_text() -> None:
 def append_trials() -> None:
     with TrialLog("trials.jsonl") as log:
         for seed in range(1000):
-            log.append({"method": "hold", "object": "cube", "seed": seed, "error": "x" * 200})
+            log.append(
+                {"method": "hold", "object": "cube", "seed": seed, "error": "x" * 184, "traceback": ""}
+            )
 
 
-WRITERS = (save_recording, save_checkpoint, save_text, append_trials)
+WRITERS = (save_recording, record_session, save_checkpoint, save_text, append_trials)
 
 
 def full(folder: Path) -> list[str]:
@@ -44,6 +58,9 @@ def full(folder: Path) -> list[str]:
             if writer is append_trials:
                 with TrialLog(disk / "trials.jsonl") as log:
                     wrong += [] if 0 < len(log.records) < 1000 else ["the log lost its lines"]
+            elif writer is record_session:
+                kept = read_parts(disk / "session.npz")
+                wrong += [] if kept is not None and 0 < len(kept) < 200 else ["the session was lost"]
             elif left := list(disk.iterdir()):
                 wrong.append(f"{writer.__name__}: left {left[0].name}")
     return wrong

@@ -5,6 +5,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 
 import numpy as np
+from arm_bench import PERIOD, ArmBench, ArmWatch
+from pydrake.math import RigidTransform, RollPitchYaw
 
 from faults.bench import Bench, Watch
 from faults.sound import LOWER, TIPS, UPPER, play, smooth_retargeter
@@ -49,6 +51,70 @@ FAULTS: dict[str, Fault] = {
     "time NaN": _stamped(lambda stamp, rng: math.nan),
     "valid NaN": lambda p, valid, stamp, last, rng: (p, math.nan, stamp),
 }
+
+
+WristFault = Callable[[RigidTransform, float, np.random.Generator], tuple[RigidTransform, float]]
+
+
+def _moved(X_WH: RigidTransform, p: np.ndarray, rpy: np.ndarray) -> RigidTransform:
+    turned = RigidTransform(RollPitchYaw(rpy), p)
+    return RigidTransform(X_WH.rotation() @ turned.rotation(), X_WH.translation() + turned.translation())
+
+
+# Each changes a wrist's pose X_WH and whether it is tracked in its own way.
+WRIST_FAULTS: dict[str, WristFault] = {
+    "dropout": lambda X, valid, rng: (X, 0.0),
+    "dropout with rubbish": lambda X, valid, rng: (RigidTransform(rng.uniform(-99, 99, 3)), 0.0),
+    "NaN": lambda X, valid, rng: (RigidTransform([math.nan, 0.0, 0.0]), valid),
+    "infinite": lambda X, valid, rng: (RigidTransform([0.0, math.inf, 0.0]), valid),
+    "jump": lambda X, valid, rng: (_moved(X, rng.uniform(-5, 5, 3), np.zeros(3)), valid),
+    "leap to one place": lambda X, valid, rng: (_moved(X, np.array([5.0, -3.0, 2.0]), np.zeros(3)), valid),
+    "turn round": lambda X, valid, rng: (_moved(X, np.zeros(3), rng.uniform(-3, 3, 3)), valid),
+    "noise": lambda X, valid, rng: (_moved(X, rng.normal(0, 5e-3, 3), rng.normal(0, 0.02, 3)), valid),
+    "origin": lambda X, valid, rng: (RigidTransform(), valid),
+    "valid NaN": lambda X, valid, rng: (X, math.nan),
+}
+
+
+def fuzz_arm(count: int, seed: int) -> dict:
+    """Drives the arm through `count` poses of a wrist, two thirds of them spoilt in episodes.
+
+    Returns:
+        frames, how many were spoilt by which fault, how many were held, how often which limit was broken, and
+        the arm's largest speed from 0.35 s after it was held on, rad/s.
+    """
+    rng = np.random.default_rng(seed)
+    names, bench = list(WRIST_FAULTS), ArmBench()
+    watch = ArmWatch(bench)
+    spoilt: Counter[str] = Counter()
+    broken: Counter[str] = Counter()
+    left, fault, held, in_a_row, creeping = 0, "", 0, 0, 0.0
+    for tick in range(count):
+        if left == 0:
+            fault = str(rng.choice(names)) if rng.random() < 2 / 3 else ""
+            left = int(rng.choice([1, 2, 5, 30, 120]))
+        left -= 1
+        phase = tick * PERIOD * np.array([1.0, 1.7, 2.3])
+        X_WH, valid = RigidTransform(RollPitchYaw(0.3 * np.sin(phase)), 0.15 * np.sin(1.3 * phase)), 1.0
+        if fault:
+            X_WH, valid = WRIST_FAULTS[fault](X_WH, valid, rng)
+        q, v, state = bench.tick(X_WH, valid)
+        broken.update(watch.broken(q, v))
+        spoilt[fault] += 1
+        in_a_row = 0 if valid >= 0.5 and not state else in_a_row + 1
+        held += in_a_row > 0
+        if in_a_row > 35:
+            creeping = max(creeping, float(np.abs(v).max()))
+    sound = spoilt.pop("", 0)
+    return {
+        "frames": count,
+        "sound": sound,
+        "faults": dict(sorted(spoilt.items())),
+        "held": held,
+        "violations": sum(broken.values()),
+        "broken": dict(broken),
+        "speed_when_held": creeping,
+    }
 
 
 def faulty_frames(count: int, rng: np.random.Generator) -> Iterator[tuple[Frame, str]]:

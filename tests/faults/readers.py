@@ -13,7 +13,7 @@ from live_messages import manus_glove, manus_words, nodes_of, own_fields
 from moving_hands import moving
 
 from faults.sound import checkpoint
-from geort_drake.evaluation.grasp_benchmark import CONFIG, TRIALS, read_config
+from geort_drake.evaluation.grasp_config import CONFIG, TRIALS, read_config
 from geort_drake.evaluation.trial_log import read_records
 from geort_drake.files import sha256_of
 from geort_drake.gloves.health import examine
@@ -108,13 +108,18 @@ def _messages(folder: Path) -> list[Reader]:
 
 def _results(folder: Path) -> list[Reader]:
     room = _room(folder, "results")
-    trial = {"method": "hold", "object": "cube", "error": "no"}
+    trial = {"method": "hold", "object": "cube", "error": "no", "traceback": "errors/hold.txt"}
     lines = [json.dumps({**trial, "seed": seed}) + "\n" for seed in range(3)]
     (room / TRIALS).write_text("".join(lines))
+    digests = ("recording_sha256", "hand_sha256", "models_sha256", "code_sha256")
+    settings = {
+        **dict.fromkeys(digests, "0" * 64), "training_seed": 0, "latency": "zero", "hand": "allegro_right",
+        "scenario": {"random_seed": 0, "timeout": 25.0}, "versions": {"python": "3.11"},
+    }  # fmt: skip
     config = {
-        "settings": {"latency": "zero"},
+        "settings": settings,
         "objects": ["cube"],
-        "methods": {"hold": {}},
+        "methods": {"hold": {"weights_sha256": None, "latency_s": 0.0}},
         "trials": 3,
         "notes": {},
     }

@@ -4,11 +4,10 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from grasp_setup import allegro
 
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.recording import Recording
-from geort_drake.hands.description import load_hand
-from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.checkpoint import TRAINED_POINTS, save_checkpoint
 from geort_drake.retargeting.retargeter import Retargeter
 from geort_drake.retargeting.trained_space import trained_points
@@ -44,12 +43,6 @@ def smooth_arrays(gain: float = 1.0) -> dict[str, np.ndarray]:
 def smooth_retargeter(gain: float = 1.0) -> Retargeter:
     """The map of `smooth_arrays`, for a hand of `JOINTS`."""
     return Retargeter(smooth_arrays(gain), FINGERS, JOINTS, TIPS, LOWER, UPPER)
-
-
-@cache
-def allegro() -> HandModel:
-    """The robot hand of the shipped scenario."""
-    return HandModel(load_hand("allegro_right"))
 
 
 def checkpoint(folder: Path) -> Path:

@@ -4,23 +4,32 @@ import dataclasses as dc
 import functools
 import hashlib
 import json
-from collections import Counter
+import time
+from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 from unittest import mock
 
 import numpy as np
+from grasp_setup import allegro
 from joblib.externals.loky import get_reusable_executor
 from pydrake.math import RigidTransform
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
 
 from faults.child import script
-from faults.sound import allegro, play, smooth_retargeter
+from faults.sound import play, smooth_retargeter
+from geort_drake.gloves.recording import Recording
+from geort_drake.gloves.recording_parts import RecordingParts, read_parts
 from geort_drake.operators.grasp_goal import GraspGoal
+from geort_drake.systems.glove_recorder import GloveRecorder
+from geort_drake.systems.glove_replay import GloveReplay
 
 SETTINGS = {
     "steps": 5, "points": 16, "targets": 32, "pinches": 8, "frames": 8, "hidden": 8,
     "classifier_steps": 5, "refreshes": 0,
 }  # fmt: skip
+ROW_ID = "rerun.controls.RowId"
 SHORT = "{timeout: 0.3}"  # too short to grasp anything, long enough for every part of a trial
 
 
@@ -51,8 +60,6 @@ def generate(seed: int) -> None:
 
 
 def generated(folder: Path) -> dict[str, str]:
-    from geort_drake.gloves.recording import Recording
-
     found = {path.name: Recording.load(path).digest for path in _visible(folder, "play.npz")}
     for path in _visible(folder, "robot-data-*.npz"):
         with np.load(path) as arrays:
@@ -104,7 +111,7 @@ def benchmark(seed: int, jobs: int = 1) -> None:
 
 
 def benchmarked(folder: Path) -> dict[str, str]:
-    from geort_drake.evaluation.grasp_benchmark import CONFIG, TRIALS, read_config
+    from geort_drake.evaluation.grasp_config import CONFIG, TRIALS, read_config
     from geort_drake.evaluation.trial_log import key_of, read_records
 
     if (folder / CONFIG).exists():
@@ -138,17 +145,54 @@ def record(seed: int) -> None:
 def recorded(folder: Path) -> dict[str, str]:
     from rerun.chunk import RrdReader
 
-    from geort_drake.gloves.recording import Recording
-
     found = {path.name: Recording.load(path).digest for path in _visible(folder, "*.glove.npz")}
     for path in _visible(folder, "*.rrd"):
-        # Equal recordings have an equal id, made of their contents, and chunks that differ in their own ids.
+        # Rerun gives every chunk and row an id of the clock and chance, and puts what holds at all times into
+        # as many chunks as it has time for; all the rest must be equal.
         reader = RrdReader(path)
-        rows = Counter()
+        columns: defaultdict[tuple[str, str], list] = defaultdict(list)
         for chunk in reader.stream():
-            rows[chunk.entity_path] += chunk.to_record_batch().num_rows
-        found[path.name] = f"{reader.recordings()[0].recording_id} {sorted(rows.items())}"
+            batch = chunk.to_record_batch()
+            for name in batch.schema.names:
+                if name != ROW_ID:
+                    values = batch.column(name).to_pylist()
+                    columns[chunk.entity_path, name] += [
+                        value for value in values if value is not None or not chunk.is_static
+                    ]
+        contents = (reader.recordings()[0].recording_id, sorted(columns.items(), key=lambda item: item[0]))
+        found[path.name] = _digest(repr(contents).encode())
     return found
+
+
+def teleoperate(seed: int) -> None:
+    """What a glove gives in a session of teleoperation, kept while it is given."""
+    builder = DiagramBuilder()
+    replay = builder.AddSystem(GloveReplay(_session(seed)))
+    parts = RecordingParts("session.npz", {"side": "right"})
+    recorder = builder.AddSystem(GloveRecorder(0.01, parts, part=0.1))
+    for name in ("keypoints", "wrist_pose", "valid"):
+        builder.Connect(replay.GetOutputPort(name), recorder.GetInputPort(name))
+    simulator = Simulator(builder.Build())
+    for tick in range(100):
+        simulator.AdvanceTo(0.01 * tick)
+        time.sleep(0.002)  # faster than in life, but not than the disk
+    recorder.finish()
+
+
+def teleoperated(folder: Path) -> dict[str, str]:
+    """The recording; and what was kept of interrupted ones must be the beginning of a session."""
+    kept = [Recording.load(path) for path in _visible(folder, "session-interrupted-*.npz")]
+    unfinished = read_parts(folder / "session.npz.parts")
+    for recording in kept + ([unfinished] if unfinished else []):
+        n = len(recording)
+        if not any((recording.p_HK == _session(seed).p_HK[:n]).all() for seed in (0, 1)):
+            raise ValueError("what was kept of an interrupted session is not its beginning")
+    return {path.name: Recording.load(path).digest for path in _visible(folder, "session.npz")}
+
+
+def _session(seed: int) -> Recording:
+    part = slice(100 * seed, 100 * seed + 100)
+    return Recording(play().t[part] - play().t[part][0], play().p_HK[part], play().valid[part])
 
 
 def _visible(folder: Path, pattern: str) -> list[Path]:
@@ -179,5 +223,6 @@ WORKS = {
         Work("benchmark", benchmark, benchmarked, replaces=False),
         Work("benchmark of two workers", functools.partial(benchmark, jobs=2), benchmarked, replaces=False),
         Work("recording", record, recorded),
+        Work("teleoperation", teleoperate, teleoperated),
     )
 }

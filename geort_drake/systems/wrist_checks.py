@@ -1,0 +1,92 @@
+"""Whether a tracker's wrist pose can be followed, judged from one update to the next."""
+
+import dataclasses as dc
+import math
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem
+
+from geort_drake.systems.poses import pose_to_vector
+
+WRIST_JUMPED = "held: the wrist moved faster than a wrist can"
+WRIST_NOT_FINITE = "held: the wrist's pose is not finite"
+_STATES = ("", WRIST_JUMPED, WRIST_NOT_FINITE)
+
+# Trackers send at least 25 times a second, so a longer gap allows no farther jump, s.
+_LONGEST_GAP = 0.04
+_TIME_TOLERANCE = 1e-9  # s; sums of periods round
+
+
+@dc.dataclass
+class WristLimits:
+    """What a wrist can do. A throw is faster; an arm that moves the hand at 0.6 m/s does not follow that."""
+
+    max_speed: float = 3.0  # m/s
+    max_rotation_speed: float = 20.0  # rad/s; 8 at most in a recording of MANUS, 118 Hz
+    settle_time: float = 0.1  # the pose must be good for so long before it is followed again, s
+
+
+class WristChecks(LeafSystem):
+    """Says that the wrist is lost where its pose is not finite or moves as no wrist does.
+
+    A pose that has jumped is held against where it jumped to, so a tracker that stays there is followed again
+    after the settling time; whoever follows takes only the motion from then on (`Clutch`).
+
+    Input ports:
+        wrist_pose (abstract RigidTransform): X_WH.
+        valid (1): 1 followed, 0 lost.
+    Output ports:
+        valid (1): 1 where it is, and the pose can be followed.
+        state (abstract str): why the pose cannot be followed, or empty; whatever the input `valid` is.
+
+    State: the last pose as qw qx qy qz x y z, when it came (s), when it was bad last (s), and the number of
+    the state.
+    """
+
+    def __init__(self, period: float, limits: WristLimits | None = None):
+        super().__init__()
+        self._limits, self._period = limits or WristLimits(), period
+        self._wrist = self.DeclareAbstractInputPort("wrist_pose", AbstractValue.Make(RigidTransform()))
+        self._valid = self.DeclareVectorInputPort("valid", 1)
+        self._memory = self.DeclareDiscreteState(np.array([*[math.nan] * 7, 0.0, -math.inf, 0.0]))
+        # Computed from the pose of the moment, so that nobody acts on one before it is judged.
+        self.DeclareVectorOutputPort("valid", 1, self._calc_valid)
+        self.DeclareAbstractOutputPort("state", lambda: AbstractValue.Make(""), self._calc_state)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
+
+    def _judge(self, context: Context) -> tuple[np.ndarray, str]:
+        """The memory after this moment, and the state."""
+        memory, limits, time = (
+            context.get_discrete_state(self._memory).value(),
+            self._limits,
+            context.get_time(),
+        )
+        last, (changed, bad_since, code) = memory[:7], memory[7:].tolist()
+        X_WH = self._wrist.Eval(context)
+        if not np.isfinite(X_WH.GetAsMatrix34()).all():
+            return np.array([*last, changed, time, _STATES.index(WRIST_NOT_FINITE)]), WRIST_NOT_FINITE
+        pose = pose_to_vector(X_WH)
+        if time - bad_since >= limits.settle_time - _TIME_TOLERANCE:
+            code = 0
+        if not np.array_equal(pose, last):
+            gap = max(min(time - changed, _LONGEST_GAP), self._period)
+            # |q · q'| is the cosine of half the angle. Before the first pose, all is NaN, which is no fault.
+            turn = 2.0 * math.acos(min(abs(float(pose[:4] @ last[:4])), 1.0))
+            way = float(np.linalg.norm(pose[4:] - last[4:]))
+            if way > limits.max_speed * gap or turn > limits.max_rotation_speed * gap:
+                code, bad_since = _STATES.index(WRIST_JUMPED), time
+            changed = time
+        return np.array([*pose, changed, bad_since, code]), _STATES[int(code)]
+
+    def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
+        discrete_state.get_mutable_vector(self._memory).SetFromVector(self._judge(context)[0])
+        return EventStatus.Succeeded()
+
+    def _calc_valid(self, context: Context, output: BasicVector) -> None:
+        good = self._valid.Eval(context)[0] >= 0.5 and not self._judge(context)[1]
+        output.SetAtIndex(0, float(good))
+
+    def _calc_state(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._judge(context)[1])

@@ -1,0 +1,83 @@
+"""The arm of the Allegro hand as teleoperation drives it, by itself: wrist checks and inverse kinematics."""
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.math import RigidTransform
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+from geort_drake.hands.description import load_hand
+from geort_drake.live.teleoperation import RobotModel
+from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.world import ARM, HAND
+from geort_drake.systems.wrist_checks import WristChecks
+from geort_drake.systems.wrist_to_arm import WristToArm
+
+PERIOD = 0.01
+# The Panda's limits, rad/s² and rad/s: libfranka, kMaxJointAcceleration and kMaxJointVelocity.
+ACCELERATION = np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0])
+SPEED = np.array([2.175] * 4 + [2.61] * 3)
+
+
+class ArmBench:
+    """Steps wrist checks and `WristToArm` with the settings of teleoperation, update by update."""
+
+    def __init__(self):
+        scenario = load_scenario()
+        description = load_hand(scenario.hand)
+        robot = RobotModel(scenario, description).standing_at({})
+        plant = robot.plant()
+        arm, hand = (plant.GetModelInstanceByName(name) for name in (ARM, HAND))
+        base = plant.GetFrameByName(description.base_frame, hand)
+        self.lower, self.upper = plant.GetPositionLowerLimits()[:7], plant.GetPositionUpperLimits()[:7]
+        builder = DiagramBuilder()
+        self.checks = builder.AddSystem(WristChecks(PERIOD))
+        self.arm = builder.AddSystem(
+            WristToArm(robot, arm, base, scenario.wrist_to_arm, limit_acceleration=True)
+        )
+        builder.Connect(self.checks.GetOutputPort("valid"), self.arm.GetInputPort("valid"))
+        builder.ExportInput(self.checks.GetInputPort("wrist_pose"), "wrist_pose")
+        builder.ConnectInput("wrist_pose", self.arm.GetInputPort("wrist_pose"))
+        builder.ExportInput(self.checks.GetInputPort("valid"), "valid")
+        self.diagram = builder.Build()
+        self.simulator = Simulator(self.diagram)
+        self.context = self.simulator.get_mutable_context()
+        self.ticks = 0
+        self._hand_pose = lambda q: (plant.SetPositions(scratch, arm, q), base.CalcPoseInWorld(scratch))[1]
+        scratch = plant.CreateDefaultContext()
+
+    def hand_position(self, q: np.ndarray) -> np.ndarray:
+        """p_WB (3,), m, of the hand with the arm at positions q (7,), rad."""
+        return self._hand_pose(q).translation().copy()
+
+    def tick(self, X_WH: RigidTransform, valid: float = 1.0) -> tuple[np.ndarray, np.ndarray, str]:
+        """One update; returns the arm's positions (rad) and velocities (rad/s), and the wrist's state."""
+        self.diagram.GetInputPort("wrist_pose").FixValue(self.context, AbstractValue.Make(X_WH))
+        self.diagram.GetInputPort("valid").FixValue(self.context, [valid])
+        self.simulator.AdvanceTo((self.ticks + 0.5) * PERIOD)
+        self.ticks += 1
+        desired = self.arm.get_output_port().Eval(self.arm.GetMyContextFromRoot(self.context)).copy()
+        state = self.checks.GetOutputPort("state").Eval(self.checks.GetMyContextFromRoot(self.context))
+        return desired[:7], desired[7:], state
+
+
+class ArmWatch:
+    """Holds every command of the arm against the limits, and the one before it."""
+
+    def __init__(self, bench: ArmBench):
+        self._lower, self._upper = bench.lower, bench.upper
+        self._q: np.ndarray | None = None
+        self._v = np.zeros(7)
+
+    def broken(self, q: np.ndarray, v: np.ndarray) -> list[str]:
+        """Which limits positions (rad) and velocities (rad/s) of the next update break."""
+        checks = {
+            "finite": bool(np.isfinite(q).all() and np.isfinite(v).all()),
+            "position": bool(((self._lower <= q) & (q <= self._upper)).all()),
+            "speed": bool((np.abs(v) <= SPEED).all()),
+            "acceleration": bool((np.abs(v - self._v) <= ACCELERATION * PERIOD + 1e-9).all()),
+        }
+        if self._q is not None:
+            checks["consistent velocity"] = bool((np.abs((q - self._q) / PERIOD - v) <= 1e-9).all())
+        self._q, self._v = q, v
+        return [name for name, kept in checks.items() if not kept]
