@@ -1,4 +1,4 @@
-"""Makes the docs' pictures of recordings anew: records each kind, and photographs it without a screen."""
+"""Makes the docs' pictures anew: records each kind, and photographs it without a screen; or draws."""
 
 import argparse
 import contextlib
@@ -24,9 +24,9 @@ ROOT = Path(__file__).resolve().parents[1]
 SIZE = (1440, 900)  # px
 # The viewer's menu, and its time controls with nothing of the recording on them, px.
 TOP, BOTTOM = 37, 30
-# A film shows what matters of a scene: left, top, right and bottom in shares of it.
-FILM_PART = (0.20, 0.15, 0.93, 0.83)
-FILM_HZ, FILM_QUALITY = 8, 60
+# A film shows the views of the scene, a row of them: left, top, right and bottom in shares of the window.
+FILM_PART = (0.0, 0.075, 1.0, 0.484)
+FILM_HZ, FILM_WIDTH, FILM_QUALITY = 8, 1200, 60
 EPILOG = """\
 Everything is recorded from scratch, which takes as long as one training and one grasp. On a machine without a
 graphics card, Rerun's viewer draws with Mesa's software driver (apt-get install mesa-vulkan-drivers).
@@ -35,12 +35,12 @@ graphics card, Rerun's viewer draws with Mesa's software driver (apt-get install
 
 @dataclass(frozen=True)
 class Picture:
-    """One kind of recording, and when to photograph it.
+    """One kind of recording, and when to photograph it; or a drawing.
 
     Attributes:
-        record: makes the recording in a folder, for which `arguments` hold what was asked for.
-        file: the recording, in that folder.
-        time: on its timeline: s, or steps; None is the end.
+        record: makes it in a folder, for which `arguments` hold what was asked for.
+        file: the recording, or the drawing (.png), in that folder.
+        time: on the recording's timeline: s, or steps; None is the end.
         moves: whether it is a film of the scene from beginning to end.
     """
 
@@ -53,31 +53,60 @@ class Picture:
 def main(argv: Sequence[str] | None = None) -> int:
     parser = make_parser(__doc__, EPILOG)
     add = parser.add_argument
-    add("--only", nargs="+", choices=tuple(PICTURES), metavar="NAME", help=f"of {', '.join(PICTURES)}")
-    add("--recording", type=Path, metavar="FILE", help="of a hand (default: synthetic play)")
-    add("--retargeter", type=Path, metavar="DIR", help="checkpoint to use instead of training one")
     add(
-        "--recordings", type=Path, default=Path("runs/pictures"), metavar="DIR", help="(default: %(default)s)"
+        "--only",
+        nargs="+",
+        choices=tuple(PICTURES),
+        metavar="NAME",
+        help=f"which pictures, of {', '.join(PICTURES)} (default: all)",
     )
-    add("--output", type=Path, default=ROOT / "docs" / "images", metavar="DIR", help="(default: %(default)s)")
+    add("--recording", type=Path, metavar="FILE", help="of a hand, to train on (default: synthetic play)")
+    add("--retargeter", type=Path, metavar="DIR", help="checkpoint to use (default: one trained now)")
+    add(
+        "--glove",
+        type=Path,
+        metavar="FILE",
+        help="recording beside synthetic play in human_play (default: none)",
+    )
+    add(
+        "--recordings",
+        type=Path,
+        default=Path("runs/pictures"),
+        metavar="DIR",
+        help="where the recordings that are photographed are kept",
+    )
+    add(
+        "--output",
+        type=Path,
+        default=ROOT / "docs" / "images",
+        metavar="DIR",
+        help="where the pictures are written",
+    )
     arguments = parser.parse_args(argv)
     require_writable(arguments.recordings, directory=True)
     require_writable(arguments.output, directory=True)
     folder = arguments.recordings.resolve()
     folder.mkdir(parents=True, exist_ok=True)
 
+    recorded = set()
     for name in arguments.only or PICTURES:
         picture = PICTURES[name]
         console.print(f"[bold]{name}[/]")
-        picture.record(folder, arguments)
-        recording = folder / picture.file
-        check(recording)
+        if picture.record not in recorded:
+            picture.record(folder, arguments)
+            recorded.add(picture.record)
+        source = folder / picture.file
         file = arguments.output / f"{name}.{'webp' if picture.moves else 'png'}"
-        if picture.moves:
-            film(recording, file)
+        if source.suffix == ".png":
+            with Image.open(source) as drawing:
+                shrink(drawing, file)
         else:
-            photograph(recording, file, picture.time)
-        console.print(f"Wrote {file}", soft_wrap=True)
+            check(source)
+            if picture.moves:
+                film(source, file)
+            else:
+                photograph(source, file, picture.time)
+        console.print(f"Picture: {file}", markup=False, soft_wrap=True)
     return 0
 
 
@@ -98,24 +127,31 @@ def photograph(recording: Path, picture: Path, time: float | None) -> None:
     from geort_drake.systems._rerun_screenshot import take_screenshot
 
     take_screenshot(recording, picture, time=time, size=SIZE)
-    with Image.open(picture) as whole, atomic_path(picture) as draft:
-        cut = whole.convert("RGB").crop((0, TOP, whole.width, whole.height - BOTTOM))
-        # An octree keeps the hues of thin lines, which a median cut gives up.
-        cut.quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(draft, optimize=True)
+    with Image.open(picture) as whole:
+        shrink(whole.convert("RGB").crop((0, TOP, whole.width, whole.height - BOTTOM)), picture)
+
+
+def shrink(image: Image.Image, picture: Path) -> None:
+    """Writes a .png of few colours; what is transparent stays so."""
+    # An octree keeps the hues of thin lines, which a median cut gives up.
+    few = image.quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    with atomic_path(picture) as draft:
+        few.save(draft, "PNG", optimize=True)
 
 
 def film(recording: Path, picture: Path) -> None:
-    """Writes a small moving .webp of a recording's scene, as fast as it was."""
+    """Writes a small moving .webp of the views of a recording's scene, as fast as it was."""
     from geort_drake.systems._rerun_screenshot import camera
 
     with camera(recording, SIZE) as opened:
         times = np.arange(0, opened.end, 1 / FILM_HZ)
-        shots = [opened.take(time, "scene") for time in track(times, "frames", console=console)]
+        shots = [opened.take(time) for time in track(times, "frames", console=console)]
     frames = []
     for shot in shots:
         with Image.open(io.BytesIO(shot)) as whole:
-            part = np.array(FILM_PART) * (whole.size * 2)
-            frames.append(whole.convert("RGB").crop(part.astype(int).tolist()))
+            part = whole.convert("RGB").crop((np.array(FILM_PART) * (whole.size * 2)).astype(int).tolist())
+        part.thumbnail((FILM_WIDTH, FILM_WIDTH), Image.Resampling.LANCZOS)
+        frames.append(part)
     # The last instant stays for a while before it begins again.
     durations = [1000 // FILM_HZ] * (len(frames) - 1) + [1500]
     with atomic_path(picture) as draft:
@@ -145,8 +181,37 @@ def record_explorer(folder: Path, arguments: argparse.Namespace) -> None:
 
 def record_grasp(folder: Path, arguments: argparse.Namespace) -> None:
     """A trial with the object that the README shows."""
-    options = ["--objects", "cylinder", "--retargeter", retargeter(folder, arguments)]
+    options = ["--objects", "cylinder", "--retargeter", retargeter(folder, arguments), *_recording(arguments)]
     run("simulate_grasp", *options, "--output", folder / "grasp")
+
+
+def record_hand(folder: Path, _arguments: argparse.Namespace) -> None:
+    """Synthetic play, with which the drawings are made as well."""
+    run("synthesize_recording", folder / "play.npz")
+    run("export_run", folder / "play.npz", folder / "hand.rrd", "--format", "rrd")
+
+
+def record_capture(folder: Path, _arguments: argparse.Namespace) -> None:
+    """The capture protocol."""
+    run("show_capture_protocol", "--output", folder / "capture.rrd")
+
+
+def record_add_hand(folder: Path, _arguments: argparse.Namespace) -> None:
+    """A hand as add_hand.py finds it in a model: LEAP."""
+    output = ["--output", folder / "leap.yaml", "--overwrite"]
+    run("add_hand", ROOT / "models" / "sdf" / "leap_right.sdf", *output, "--rrd", folder / "add_hand.rrd")
+
+
+def draw_human_play(folder: Path, arguments: argparse.Namespace) -> None:
+    """What synthetic play is like, beside a glove's recording where there is one."""
+    compared = [] if arguments.glove is None else ["--compare", arguments.glove]
+    run("synthesize_recording", folder / "play.npz", "--plot", folder / "human_play.png", *compared)
+
+
+def draw_fingertips(folder: Path, _arguments: argparse.Namespace) -> None:
+    """Where the fingertips of synthetic play go, and a robot's can."""
+    run("synthesize_recording", folder / "play.npz")
+    run("import_recording", folder / "play.npz", "--picture", folder / "fingertip_clouds.png")
 
 
 def record_objects(folder: Path, _arguments: argparse.Namespace) -> None:
@@ -162,6 +227,11 @@ PICTURES = {
     "grasp": Picture(record_grasp, "grasp/cylinder-0.rrd", 5.0),
     "grasp_film": Picture(record_grasp, "grasp/cylinder-0.rrd", moves=True),
     "objects": Picture(record_objects, "objects.rrd", 0.7),
+    "hand": Picture(record_hand, "hand.rrd", 12.0),
+    "capture": Picture(record_capture, "capture.rrd", 66.0),
+    "add_hand": Picture(record_add_hand, "add_hand.rrd", 4.0),
+    "human_play": Picture(draw_human_play, "human_play.png"),
+    "fingertip_clouds": Picture(draw_fingertips, "fingertip_clouds.png"),
 }
 
 
@@ -171,7 +241,8 @@ def run(script: str, *options: str | os.PathLike) -> None:
     Raises:
         GeortError: it failed; it has said why.
     """
-    command = [sys.executable, str(ROOT / "scripts" / f"{script}.py"), *map(str, options)]
+    quiet = ["--quiet"] if console.quiet else []
+    command = [sys.executable, str(ROOT / "scripts" / f"{script}.py"), *map(str, options), *quiet]
     if subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode:
         raise GeortError(f"{script}.py did not finish")
 

@@ -23,15 +23,15 @@ def main(argv: Sequence[str] | None = None) -> int | None:
         metavar="T",
         help="what to show: simulated s, or training steps (default: the end)",
     )
-    add("--width", type=int, default=1440, metavar="PX", help="of the window (default: %(default)s)")
-    add("--height", type=int, default=900, metavar="PX", help="of the window (default: %(default)s)")
+    add("--width", type=int, default=1440, metavar="PX", help="of the window")
+    add("--height", type=int, default=900, metavar="PX", help="of the window")
     arguments = parser.parse_args(argv)
 
     from geort_drake.systems._rerun_screenshot import take_screenshot
 
     size = (arguments.width, arguments.height)
     take_screenshot(arguments.recording, arguments.picture, time=arguments.time, size=size)
-    console.print(f"Wrote {arguments.picture}", soft_wrap=True)
+    console.print(f"Picture: {arguments.picture}", markup=False, soft_wrap=True)
     return None
 
 

@@ -44,7 +44,7 @@ def test_a_scaled_and_shifted_hand_is_its_own_copy(rng):
     assert np.unravel_index(errors.argmax(), errors.shape) == (7, 1)
 
 
-def test_cosines_are_of_the_motion_around_an_instant(rng):
+def test_cosines_are_of_the_motion_around_an_instant():
     """A robot finger that moves 60° aside keeps a cosine of a half; one that rests counts 0."""
     t = np.arange(20)[:, None]
     human = np.zeros((20, 2, 3))

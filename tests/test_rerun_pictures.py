@@ -1,7 +1,6 @@
 """The docs' pictures: what is recorded for them, checked, and cut to size."""
 
 import contextlib
-import importlib.util
 import io
 import re
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from rerun_world import World
+from script_modules import load_script
 
 from geort_drake.errors import GeortError
 from geort_drake.systems import _rerun_screenshot
@@ -19,10 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.fixture(scope="module")
 def pictures():
-    spec = importlib.util.spec_from_file_location("make_pictures", ROOT / "scripts" / "make_pictures.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_script("make_pictures.py")
 
 
 def test_every_picture_of_a_recording_has_a_caption(pictures):
@@ -33,7 +30,11 @@ def test_every_picture_of_a_recording_has_a_caption(pictures):
     for name, begins in shown:
         assert name in pictures.PICTURES
         assert begins == "*", f"{name} has no caption"
-        assert (ROOT / "docs" / "images" / f"{name}.png").stat().st_size < 300_000
+    images = (ROOT / "docs" / "images").iterdir()
+    for image in images:
+        assert image.stem in pictures.PICTURES, f"{image} cannot be made anew"
+        assert image.stat().st_size < (1_500_000 if image.suffix == ".webp" else 300_000)
+    assert not list((ROOT / "docs").glob("*.png"))
 
 
 def test_the_readme_begins_with_a_moving_picture(pictures):
@@ -98,18 +99,53 @@ def test_a_film_shows_the_scene_from_beginning_to_end(pictures, tmp_path, monkey
     class Camera:
         end = 1.0
 
-        def take(self, time, view):
-            asked.append((time, view))
+        def take(self, time):
+            asked.append(time)
             png = io.BytesIO()
-            Image.new("RGB", (100, 100), (round(200 * time), 0, 0)).save(png, "PNG")
+            Image.new("RGB", pictures.SIZE, (round(200 * time), 0, 0)).save(png, "PNG")
             return png.getvalue()
 
     monkeypatch.setattr(_rerun_screenshot, "camera", lambda *_: contextlib.nullcontext(Camera()))
     pictures.film(tmp_path / "any.rrd", tmp_path / "any.webp")
-    assert asked == [(k / pictures.FILM_HZ, "scene") for k in range(pictures.FILM_HZ)]
+    assert asked == [k / pictures.FILM_HZ for k in range(pictures.FILM_HZ)]
+    width, height = pictures.SIZE
+    left, top, right, bottom = pictures.FILM_PART
+    shape = height * (bottom - top) / (width * (right - left))
     with Image.open(tmp_path / "any.webp") as film:
-        assert (film.n_frames, film.size) == (pictures.FILM_HZ, (73, 68))
+        assert film.n_frames == pictures.FILM_HZ
+        assert film.size == (pictures.FILM_WIDTH, pytest.approx(pictures.FILM_WIDTH * shape, abs=1))
         for k in (0, 5):
             film.seek(k)
             shade = np.asarray(film.convert("RGB"))[..., 0]
             assert np.abs(shade.astype(int) - 200 * k / pictures.FILM_HZ).max() < 8
+
+
+def test_one_picture_is_made_by_its_name(pictures, tmp_path, monkeypatch):
+    """A drawing is made smaller and stays transparent; what two pictures show is recorded once."""
+    made = []
+
+    def draw(folder, _arguments):
+        made.append(folder)
+        Image.new("RGBA", (8, 6), (200, 10, 10, 0)).save(folder / "drawn.png")
+
+    two = {name: pictures.Picture(draw, "drawn.png") for name in ("one", "two")}
+    monkeypatch.setattr(pictures, "PICTURES", two)
+    folders = ["--recordings", str(tmp_path / "recordings"), "--output", str(tmp_path / "images")]
+    assert pictures.main(["--only", "two", *folders]) == 0
+    assert [path.name for path in (tmp_path / "images").iterdir()] == ["two.png"]
+    with Image.open(tmp_path / "images" / "two.png") as picture:
+        assert (picture.size, picture.mode) == ((8, 6), "P")
+        assert picture.convert("RGBA").getpixel((0, 0))[3] == 0
+    pictures.main(folders)
+    assert len(made) == 2
+    with pytest.raises(SystemExit):
+        pictures.main(["--only", "three", *folders])
+
+
+@pytest.mark.slow
+def test_the_other_recordings_are_made_of_nothing(pictures, tmp_path):
+    """The hand, the capture protocol and a hand's model need neither a recording nor a checkpoint."""
+    for name in ("hand", "capture", "add_hand"):
+        picture = pictures.PICTURES[name]
+        picture.record(tmp_path, None)
+        pictures.check(tmp_path / picture.file)

@@ -1,11 +1,13 @@
 """What the recorder draws: every shape of a scene graph, where and in which colour it is."""
 
 import base64
+import io
 import json
 import struct
 
 import numpy as np
 import pytest
+from PIL import Image
 from pydrake.common import MemoryFile
 from pydrake.geometry import (
     AddContactMaterial,
@@ -254,6 +256,67 @@ def test_a_gltf_file_is_whole_and_turned_as_drake_turns_it(tmp_path, kind):
     # y of the file is up: (x, y, z) becomes (x, -z, y), then scaled, then placed.
     turned = CORNERS[:, [0, 2, 1]] * [1, -1, 1] * scale
     np.testing.assert_allclose(found, np.stack([1 - turned[:, 1], turned[:, 0], turned[:, 2]], 1), atol=1e-6)
+
+
+MTL = "newmtl red\nKd 1 0.2 0\nd 0.5\nnewmtl a photo\nKd 0.1 0.1 0.1\nmap_Kd photo.png\n"
+PAINTED = "mtllib t.mtl\nv 0 0 0\nv 0.3 0 0\nv 0 0.2 0\nv 0 0 0.1\nvt 0 0\nvt 1 0\nvt 0 1\n"
+
+
+def photo():
+    """Half green, half blue, one below the other."""
+    file = io.BytesIO()
+    Image.fromarray(np.repeat([[[0, 255, 0]], [[0, 0, 255]]], 2, axis=1).astype(np.uint8)).save(file, "PNG")
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("where", ["file", "memory"])
+def test_an_obj_file_has_the_colours_of_its_materials(tmp_path, where):
+    """Face by face; what has no material has the geometry's colour, and several pictures give their means."""
+    text = PAINTED + "f 1 3 2\nusemtl red\nf -4 2 4\nusemtl a photo\nf 1/1 4/2 3/3\nusemtl red\nf 2 3 4\n"
+    (tmp_path / "t.obj").write_text(text)
+    (tmp_path / "t.mtl").write_text(MTL)
+    (tmp_path / "photo.png").write_bytes(photo())
+    shape = Mesh(str(tmp_path / "t.obj"), 2.0)
+    if where == "memory":
+        beside = {
+            "t.mtl": MemoryFile(MTL.encode(), ".mtl", "t"),
+            "photo.png": MemoryFile(photo(), ".png", "p"),
+        }
+        file = MemoryFile(text.encode(), ".obj", "t")
+        shape = Mesh(InMemoryMesh(mesh_file=file, supporting_files=beside), np.full(3, 2.0))
+    value = drawn(tmp_path, shape)
+    corners = value("Mesh3D:vertex_positions").reshape(-1, 3, 3)
+    turned = CORNERS[FACES.astype(int)] * 2.0
+    np.testing.assert_allclose(
+        corners, np.stack([1 - turned[..., 1], turned[..., 0], turned[..., 2]], -1), atol=1e-6
+    )
+    assert value("Mesh3D:vertex_colors").reshape(4, 3)[:, 0].tolist() == [
+        0x336699FF, 0xFF330080, 0x008080FF, 0xFF330080,
+    ]  # fmt: skip
+
+
+def test_an_obj_file_keeps_its_only_picture(tmp_path):
+    """Its places are counted from the bottom in the file, and from the top in Rerun."""
+    text = PAINTED + "usemtl a photo\nf 1/1/1 3/2/1 2/3/1\nf 1/1 2/2 4/3\nf 1/1 4/2 3/3\nf 2/1 3/2 4/3\n"
+    (tmp_path / "t.obj").write_text(text)
+    (tmp_path / "t.mtl").write_text(MTL)
+    (tmp_path / "photo.png").write_bytes(photo())
+    value = drawn(tmp_path, Mesh(str(tmp_path / "t.obj")))
+    np.testing.assert_allclose(value("Mesh3D:vertex_texcoords")[:3], [[0, 1], [1, 1], [0, 0]])
+    assert value("Mesh3D:albedo_texture_buffer").size == 2 * 2 * 3
+    assert int(value("Mesh3D:albedo_factor")[0]) == 0xFFFFFFFF
+
+
+@pytest.mark.parametrize(("library", "told"), [(None, r"t\.mtl"), ("newmtl red\nKd one\n", "one")])
+def test_an_obj_file_without_its_colours_is_drawn_in_one(tmp_path, library, told):
+    """A library that is missing or malformed is named."""
+    (tmp_path / "t.obj").write_text("mtllib t.mtl\nusemtl red\n" + OBJ)
+    if library:
+        (tmp_path / "t.mtl").write_text(library)
+    with pytest.warns(UserWarning, match=f"mesh: drawn in one colour; .*{told}"):
+        value = drawn(tmp_path, Mesh(str(tmp_path / "t.obj")))
+    assert int(value("Mesh3D:albedo_factor")[0]) == 0x336699FF
+    assert value("Mesh3D:vertex_positions").shape == (12, 3)
 
 
 def test_a_gltf_file_that_rerun_may_not_draw_is_named(tmp_path):

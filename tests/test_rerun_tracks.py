@@ -17,7 +17,14 @@ from scipy.spatial.transform import Rotation
 from geort_drake.errors import ScenarioError
 from geort_drake.gloves.keypoints import BONES
 from geort_drake.systems._rerun_tracks import quaternions
-from geort_drake.systems.rerun_recorder import CameraSpec, HandSpec, PointsSpec, SignalSpec, StateSpec
+from geort_drake.systems.rerun_recorder import (
+    CameraSpec,
+    CloseUpSpec,
+    HandSpec,
+    PointsSpec,
+    SignalSpec,
+    StateSpec,
+)
 
 
 def test_signals_are_grouped_by_what_stands_before_the_slash(tmp_path):
@@ -94,6 +101,77 @@ def test_points_follow_the_frame_they_are_measured_in(tmp_path):
     np.testing.assert_allclose(points[-1], [p_WB + [0, 0, 0.1 - 0.5]], atol=1e-6)
 
 
+def test_points_of_several_colours_keep_theirs(tmp_path):
+    """One that is not a number takes its colour along; points of glass are ellipsoids."""
+    world = World().finalize()
+    port = constant(world.builder, [1, 0, 0, np.nan, 0, 0, 3, 0, 0])
+    colors = [(255, 0, 0), (0, 255, 0), (0, 0, 255)]
+    points = {
+        "plain": PointsSpec(port, color=colors),
+        "glass": PointsSpec(port, radius=0.02, color=[(*color, 100) for color in colors]),
+    }
+    world.record(tmp_path / "c.rrd", points=points)
+    with world.recorder:
+        world.simulator.AdvanceTo(0.04)
+    for entity, kind, places, wanted in (
+        ("plain", "Points3D", "positions", [0xFF0000FF, 0x0000FFFF]),
+        ("glass", "Ellipsoids3D", "centers", [0xFF000064, 0x0000FF64]),
+    ):
+        _, found = read(world.recorder.path, f"/world/{entity}", f"{kind}:{places}")
+        np.testing.assert_allclose(found[-1], [[1, 0, 0], [3, 0, 0]])
+        _, shades = read(world.recorder.path, f"/world/{entity}", f"{kind}:colors")
+        assert shades[-1].tolist() == wanted
+    _, sizes = read(world.recorder.path, "/world/glass", "Ellipsoids3D:half_sizes")
+    np.testing.assert_allclose(sizes[-1], np.full((2, 3), 0.02), rtol=1e-6)
+
+
+def test_points_begin_when_their_port_holds_something(tmp_path):
+    """A delay, for example, gives zeros before its time."""
+    world = World().finalize()
+    points = {"late": PointsSpec(constant(world.builder, [1, 2, 3]), start=0.1)}
+    world.record(tmp_path / "late.rrd", points=points, period=0.05)
+    with world.recorder:
+        world.simulator.AdvanceTo(0.2)
+    _, found = read(world.recorder.path, "/world/late", "Points3D:positions")
+    assert [len(row) for row in found] == [0, 0, 1, 1, 1]
+
+
+def test_what_is_derived_is_computed_when_it_is_written(tmp_path):
+    """Of several ports, for all samples at once; a port that two want is read once."""
+    world = World(height=2.0).finalize()
+    one = steps(world.builder, [0, 0.1, 1], [[1, 2, 2], [3, 4, 4]])
+    other = constant(world.builder, [10])
+    calls = []
+
+    def added(values):
+        calls.append(values.shape)
+        return values[:, :2] + values[:, 2:]
+
+    world.record(
+        tmp_path / "d.rrd",
+        period=0.05,
+        signals={
+            "one/raw": SignalSpec(one, ["a", "b"]),
+            "one/sum": SignalSpec([one, other], ["a", "b"], derive=added),
+        },
+        points={
+            "one/point": PointsSpec(
+                one, world.ball.body_frame(), derive=lambda values: np.c_[values, np.zeros(len(values))]
+            )
+        },
+    )
+    with world.recorder:
+        world.simulator.AdvanceTo(0.12)
+        p_WB = world.plant.EvalBodyPoseInWorld(world.context, world.ball).translation()
+    inputs = [world.recorder.get_input_port(i).get_name() for i in range(world.recorder.num_input_ports())]
+    assert inputs == ["body_poses", "contact_results", "one/raw", "one/sum/y0"]
+    _, found = read(world.recorder.path, "/one/sum", "Scalars:scalars")
+    np.testing.assert_allclose(found, [[11, 13], [11, 13], [12, 14]])
+    assert calls == [(1, 3), (3, 3)]  # one to see what it makes
+    _, points = read(world.recorder.path, "/world/one/point", "Points3D:positions")
+    np.testing.assert_allclose(points[-1], [p_WB + [2, 4, 0]], atol=0.03)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -103,10 +181,29 @@ def test_points_follow_the_frame_they_are_measured_in(tmp_path):
             "'q'.*size 2.*wanted 1",
         ),
         (lambda w: {"states": {"s": StateSpec(constant(w.builder, [1, 2]), [])}}, "'s'.*size 2; wanted 1"),
-        (lambda w: {"points": {"p": PointsSpec(constant(w.builder, [1] * 4))}}, "'p'.*size 4; wanted 3"),
+        (
+            lambda w: {"points": {"p": PointsSpec(constant(w.builder, [1] * 4))}},
+            "'p'.*4 numbers; wanted 3 per point",
+        ),
         (
             lambda w: {"signals": {"x": SignalSpec(pose_source(w.builder, RigidTransform()), ["a"])}},
             "'x'.*is abstract; wanted a vector",
+        ),
+        (
+            lambda w: {"points": {"p": PointsSpec(constant(w.builder, [1] * 6), color=[(1, 2, 3)] * 3)}},
+            "'p'.*2 points and 3 colors",
+        ),
+        (
+            lambda w: {"signals": {"q": SignalSpec(constant(w.builder, [1]), ["a"], colors=[])}},
+            "'q'.*1 names and 0 colors",
+        ),
+        (
+            lambda w: {"signals": {"q": SignalSpec(constant(w.builder, [1, 2]), ["a"], derive=lambda x: x)}},
+            r"'q'.*\(1, 2\) values it makes \(1, 2\); wanted \(1, 1\)",
+        ),
+        (
+            lambda w: {"close_ups": {"c": CloseUpSpec("left", (1, 0, 0))}},
+            "close-up 'c' follows the hand 'left'; the recorded hands are: none",
         ),
         (
             lambda w: {"hands": {"h": HandSpec(constant(w.builder, [0] * 60), constant(w.builder, [0]))}},
@@ -119,10 +216,13 @@ def test_points_follow_the_frame_they_are_measured_in(tmp_path):
     ],
 )
 def test_what_does_not_fit_is_named(tmp_path, options, message):
-    """Key, port and sizes are in the message."""
+    """Key, port and sizes are in the message, and nothing has been added."""
     world = World().finalize()
+    options = options(world)
+    systems = world.builder.GetSystems()
     with pytest.raises(ScenarioError, match=message):
-        world.record(tmp_path / "no.rrd", **options(world))
+        world.record(tmp_path / "no.rrd", **options)
+    assert world.builder.GetSystems() == systems
 
 
 class RedCamera(LeafSystem):

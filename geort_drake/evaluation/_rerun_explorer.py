@@ -11,11 +11,12 @@ import rerun as rr
 import rerun.blueprint as rrb
 from pydrake.math import RigidTransform
 
+from geort_drake.colours import SKIN, Color
 from geort_drake.evaluation._rerun_posed_hand import (
-    FINGER_COLORS,
     RIGHT,
     WRONG,
     PosedHand,
+    finger_colors,
     write_balls,
     write_label,
     write_lines,
@@ -26,16 +27,15 @@ from geort_drake.hands.model import HandModel
 from geort_drake.systems._rerun_blueprint import blueprint, lanes_share, scene_view, time_series
 from geort_drake.systems._rerun_hand import HandTrack
 from geort_drake.systems._rerun_scene import WORLD, entity_path
-from geort_drake.systems._rerun_tracks import Color, StateTrack, scalars
+from geort_drake.systems._rerun_tracks import StateTrack, scalars
 from geort_drake.systems._rerun_writer import Property, Writer, file_writer
 
 APPLICATION = "geort_drake_explorer"
 _APART = 0.26  # m, from hand to hand
 _HUMAN_TIP = 0.0085  # m, radius
 _ASKED = "asked_pinch"
-_SKIN: Color = (224, 172, 138)
 # Of the methods in the plots: apart from those of fingers and marks.
-_COLORS: tuple[Color, ...] = ((0, 158, 115), (213, 94, 0), (148, 103, 189), (23, 190, 207), (188, 189, 34))
+_COLORS: tuple[Color, ...] = ((240, 228, 66), (178, 132, 255), (213, 94, 0), (0, 220, 200), (190, 190, 190))
 
 _NOTHING: Color = (58, 62, 71)
 _STATES: dict[int, tuple[str, Color]] = {
@@ -129,17 +129,17 @@ def _marks(posed: PosedHand, hand: HandModel, answers: Answers, pinches: Pinches
 def _write_human(
     writer: Writer, hand: HandModel, p_HK: np.ndarray, pinches: Pinches, X_WH: RigidTransform
 ) -> None:
-    track = HandTrack("human", _SKIN, X_WH, has_valid=False)
+    track = HandTrack("human", SKIN, X_WH)
     track.describe(writer)
     track.write(writer, [track.read(points, RigidTransform()) for points in p_HK])
     tips = tips_of(p_HK, hand) + X_WH.translation()
     path = entity_path(WORLD, "human")
-    write_balls(writer, f"{path}/tips", list(tips), _HUMAN_TIP, _finger_colors(hand))
+    write_balls(writer, f"{path}/tips", list(tips), _HUMAN_TIP, finger_colors(hand))
     colors = [np.full((int(pinch), 3), 255) for pinch in pinches.asked]
     _write_pinches(writer, path, tips, pinches, colors, 1.8 * _HUMAN_TIP)
-    write_label(writer, path, "recorded hand", _SKIN, X_WH)
+    write_label(writer, path, "recorded hand", SKIN, X_WH)
     gap = 1e3 * pinches.distance
-    writer.static("/gap/human", rr.SeriesLines(names=["human"], colors=[_SKIN], widths=[2.5]))
+    writer.static("/gap/human", rr.SeriesLines(names=["human"], colors=[SKIN], widths=[2.5]))
     writer.columns("/gap/human", scalars(gap[:, None]))
 
 
@@ -147,7 +147,7 @@ def _write_marks(
     writer: Writer, path: str, hand: HandModel, answers: Answers, marks: _Marks, pinches: Pinches
 ) -> None:
     tip = 1.1 * hand.tip_radius  # over the model's own
-    write_balls(writer, f"{path}/tips", list(answers.p_BF), tip, _finger_colors(hand))
+    write_balls(writer, f"{path}/tips", list(answers.p_BF), tip, finger_colors(hand))
     write_balls(writer, f"{path}/copy", list(answers.asked), 1.1 * tip, (235, 235, 235), cage=True)
     colors = [
         np.tile(RIGHT if closed else WRONG, (int(pinch), 1))
@@ -172,10 +172,6 @@ def _write_pinches(
     )
 
 
-def _finger_colors(hand: HandModel) -> list[Color]:
-    return [FINGER_COLORS[name] for name in hand.finger_names]
-
-
 def _write_series(writer: Writer, name: str, color: Color, answers: Answers, marks: _Marks) -> None:
     series = {
         "error": 1e3 * answers.error.mean(axis=1),
@@ -190,7 +186,7 @@ def _write_series(writer: Writer, name: str, color: Color, answers: Answers, mar
 
 
 def _write_lanes(writer: Writer, hand: HandModel, marks: Mapping[str, _Marks], pinches: Pinches) -> None:
-    colors = [_NOTHING, *(FINGER_COLORS[name] for name in hand.finger_names)]
+    colors = [_NOTHING, *finger_colors(hand)]
     lane = StateTrack(_ASKED, dict(enumerate(("–", *hand.finger_names))), colors)
     lane.describe(writer)
     lane.write(writer, list(np.where(pinches.asked, 1.0 + pinches.pair[:, 1], 0.0)))

@@ -1,7 +1,7 @@
 """A robot hand in given positions, for recordings in which nothing is simulated."""
 
 import dataclasses as dc
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import rerun as rr
@@ -10,13 +10,15 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context
 
+from geort_drake.colours import FINGER_COLOURS, Color, rgb
 from geort_drake.evaluation.contact_metrics import PENETRATION
 from geort_drake.hands.model import HandModel
 from geort_drake.systems._rerun_scene import WORLD, describe_scene, entity_path, transform
-from geort_drake.systems._rerun_tracks import Color, PoseTrack
+from geort_drake.systems._rerun_tracks import PoseTrack
 from geort_drake.systems._rerun_writer import Writer
 
 _LABEL_HEIGHT = 0.235  # m
+RIGHT, WRONG = (90, 255, 120), (255, 50, 50)  # no finger has such colours
 
 
 class PosedHand:
@@ -76,7 +78,7 @@ class PosedHand:
             found.append(np.array(deep).reshape(-1, 3))
         return found
 
-    def _each(self, q: np.ndarray):
+    def _each(self, q: np.ndarray) -> Iterator[None]:
         positions = self._hand.plant.GetPositions(self._context).copy()
         for row in self._hand.couplings.followed_by(q):
             positions[self._order] = row
@@ -133,12 +135,6 @@ def write_lines(
     writer.columns(path, columns.partition(counts))
 
 
-# Okabe and Ito's colours; red and green are left for what is wrong or right.
-FINGER_COLORS = {
-    "thumb": (86, 180, 233),
-    "index": (230, 159, 0),
-    "middle": (240, 228, 66),
-    "ring": (204, 121, 167),
-    "little": (0, 114, 178),
-}
-RIGHT, WRONG = (90, 255, 120), (255, 50, 50)
+def finger_colors(hand: HandModel) -> list[Color]:
+    """One for each finger, in the model's order."""
+    return [rgb(FINGER_COLOURS[name]) for name in hand.finger_names]

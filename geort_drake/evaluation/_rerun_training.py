@@ -22,19 +22,17 @@ _TEXT = """\
 **{method}** learns to move the {hand} from a recording of a person's hand. Nobody shows it which robot pose
 belongs to which human one.
 
-- **Left**: where the person's fingertips were, and a flat lattice in the cloud of each finger.
-- **Middle**: the same lattices, carried over by the map at this step.
-- **Right**: where the robot's fingertips can be.
+Lattices lie flat among the person's fingertips; the map carries them over.
 
 | | the map should | look at |
 |---|---|---|
-| I | keep directions of motion | the lattices keep their directions |
-| II | use all of the robot's reach | grey dots take their finger's colour |
-| III | answer equal motions equally | the lattices' cells are alike |
-| IV | close pinches | lines between fingertips: red open, green closed |
-| V | keep the hand off itself | red balls vanish |
+| I | keep directions | lattices keep theirs |
+| II | use the whole reach | grey dots take a colour |
+| III | be even | lattice cells are alike |
+| IV | close pinches | red lines turn green |
+| V | not hit itself | red balls vanish |
 
-Both hands show one pinch of the recording.
+Plots: I cosine; II, IV and V shares; III 0 where it is even. Both hands show one pinch of the recording.
 """
 # Title, where the eye is, what it looks at (m, in W), and which entities are there.
 _VIEWS = (
@@ -101,7 +99,7 @@ class TrainingRecorder:
             Path(path),
             application_id=APPLICATION,
             recording_id=f"training-{name}-{self._recording.digest}",
-            blueprint=_layout(self._steps),
+            blueprint=_layout(self._steps, self._loss_range()),
             properties=properties,
             timeline=STEPS,
         ) as writer:
@@ -116,11 +114,21 @@ class TrainingRecorder:
 
     def _write_losses(self, writer: Writer) -> None:
         writer.at(np.array([row["step"] for row in self._losses], dtype=np.int64))
-        names = [name for name in self._losses[0] if name not in ("step", "seconds", "total")]
-        for number, name in enumerate(names):
+        for number, name in enumerate(self._loss_names()):
             path, color = f"/losses/{name}", PALETTE[number % len(PALETTE)]
             writer.static(path, rr.SeriesLines(names=[name], colors=[color], widths=[1.5]))
             writer.columns(path, scalars(np.array([[row[name]] for row in self._losses])))
+
+    def _loss_names(self) -> list[str]:
+        return [name for name in self._losses[0] if name not in ("step", "seconds", "total")]
+
+    def _loss_range(self) -> tuple[float, float]:
+        """From the lowest to what only the peaks of some are above, which would flatten the others."""
+        names = self._loss_names()
+        values = np.array([[row[name] for name in names] for row in self._losses])
+        low, high = np.percentile(values, [0, 97])
+        margin = 0.05 * max(high - low, 1e-6)
+        return low - margin, high + margin
 
     def _map(self, weights: Mapping[str, torch.Tensor]) -> Map:
         def answer(p_HF: np.ndarray) -> np.ndarray:
@@ -133,14 +141,21 @@ class TrainingRecorder:
         return answer
 
 
-def _layout(steps: int) -> rrb.Blueprint:
+_WITH_LEGEND = 1.7  # a plot's time axis is so much longer than the training, so that a legend has room
+
+
+def _layout(steps: int, losses: tuple[float, float]) -> rrb.Blueprint:
+    """Of a training of so many steps, with a plot of losses from lowest to highest."""
     scenes = [scene_view(eye, target, title, contents) for title, eye, target, contents in _VIEWS]
-    curves = [(title, f"/criteria/{key}") for key, title in CRITERIA.items()] + [("losses", "/losses/**")]
-    plots = [time_series(title, [path], steps=steps) for title, path in curves]
+    plots = [
+        time_series(title, [f"/criteria/{key}"], steps=steps, limits=limits)
+        for key, (title, limits) in CRITERIA.items()
+    ]
     below = rrb.Horizontal(
         rrb.TextDocumentView(origin="/about", name="what you see"),
-        rrb.Grid(contents=plots, grid_columns=3, name="criteria"),
-        column_shares=[2, 3],
+        rrb.Vertical(rrb.Horizontal(*plots[:3]), rrb.Horizontal(*plots[3:]), name="criteria"),
+        time_series("losses", ["/losses/**"], rrb.Corner2D.RightTop, round(_WITH_LEGEND * steps), losses),
+        column_shares=[4, 6, 4],
     )
     rows = rrb.Vertical(rrb.Horizontal(*scenes), below, row_shares=[5, 4])
     # All of it within ten seconds.

@@ -1,6 +1,7 @@
 """What is drawn of a training: fingertip spaces, the map between them, pinches, collisions and curves."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -8,12 +9,13 @@ import torch
 from pydrake.math import RigidTransform
 from scipy.spatial import cKDTree
 
+from geort_drake.colours import SKIN
 from geort_drake.evaluation import metrics
 from geort_drake.evaluation._rerun_posed_hand import (
-    FINGER_COLORS,
     RIGHT,
     WRONG,
     PosedHand,
+    finger_colors,
     write_balls,
     write_lines,
 )
@@ -26,20 +28,20 @@ from geort_drake.retargeting.clouds import voxel_centres, voxel_thinned
 from geort_drake.retargeting.map_figures import motion_preservation
 from geort_drake.systems._rerun_hand import HandTrack
 from geort_drake.systems._rerun_scene import WORLD, entity_path
-from geort_drake.systems._rerun_tracks import Color, scalars
+from geort_drake.systems._rerun_tracks import scalars
 from geort_drake.systems._rerun_writer import Writer
 
 # From human fingertips (N, F, 3) of a canonical right hand, m, to joint angles (N, n), rad.
 Map = Callable[[np.ndarray], np.ndarray]
-# What is measured at every step, and the title of its plot.
-CRITERIA = {
-    "motion": "I  direction kept (cosine)",
-    "coverage": "II  share of the reach",
-    "flatness": "III  flatness (0: even)",
-    "pinch": "IV  pinches closed",
-    "collision": "V  hands that collide",
+# What is measured at every step: the title of its plot, and where that begins and ends if it is a share.
+_SHARE = (-0.05, 1.08)  # so that 0 and 1 are labelled
+CRITERIA: dict[str, tuple[str, tuple[float, float] | None]] = {
+    "motion": ("I  motion", _SHARE),
+    "coverage": ("II  reach", _SHARE),
+    "flatness": ("III  flatness", None),
+    "pinch": ("IV  pinches", _SHARE),
+    "collision": ("V  collisions", _SHARE),
 }
-_SKIN: Color = (224, 172, 138)
 _UNREACHED = (112, 118, 132)
 _APART = 0.32  # m; the robot hand stands beside the human one
 _FRAMES, _COLLIDING, _PINCHING, _ANCHORS, _SAMPLES = 1000, 150, 40, 300, 20_000
@@ -62,7 +64,7 @@ class TrainingScene:
         self._hand, self._seed = hand, seed
         self._kinematics = canonical_kinematics(hand)
         self._fingers = range(len(hand.finger_names))
-        self._colors = [FINGER_COLORS[name] for name in hand.finger_names]
+        self._colors = finger_colors(hand)
         # People are canonical right hands; what is drawn of a left hand is mirrored back.
         self._seen: Callable = mirrored if hand.description.side == "left" else np.asarray
         p_HK = recording.p_HK[recording.valid].astype(float)
@@ -102,7 +104,7 @@ class TrainingScene:
     def _fingertips(self, q: np.ndarray) -> np.ndarray:
         return self._kinematics.fingertips(torch.from_numpy(q)).numpy()
 
-    def _measure(self, metric: Callable, answer: Map):
+    def _measure(self, metric: Callable, answer: Map) -> Any:
         """A metric with the same random numbers for every map."""
 
         def fingertips(p_HF: np.ndarray) -> np.ndarray:
@@ -111,7 +113,7 @@ class TrainingScene:
         return metric(fingertips, self._frames, np.random.default_rng([self._seed, 1]), anchors=_ANCHORS)
 
     def _write_human(self, writer: Writer, steps: int) -> None:
-        track = HandTrack("human", _SKIN, RigidTransform(), has_valid=False)
+        track = HandTrack("human", SKIN, RigidTransform())
         track.describe(writer)
         track.write(writer, [self._seen(self._instant)] * steps)
         path = entity_path(WORLD, "human")

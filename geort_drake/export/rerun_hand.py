@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from pydrake.math import RigidTransform
 
+from geort_drake.colours import FINGER_COLOURS, SKIN, rgb
 from geort_drake.export.episode import newest
 from geort_drake.gloves.keypoints import FINGER_NAMES
 from geort_drake.gloves.recording import Recording
@@ -14,8 +15,6 @@ from geort_drake.systems._rerun_file import Recording as RerunFile
 from geort_drake.systems._rerun_hand import HandTrack
 from geort_drake.systems._rerun_scene import Scene
 from geort_drake.systems._rerun_tracks import SignalTrack, StateTrack, Track
-
-_SKIN = (224, 172, 138)
 
 
 def write_hand(
@@ -36,11 +35,17 @@ def write_hand(
     times = np.arange(int(t[-1] * fps + 1e-6) + 1) / fps
     rows = newest(t, times)
     p_HK = np.where(recording.valid[:, None, None], recording.p_HK.astype(float), np.nan)[rows]
-    # The plots of the default layout stand one for each finger.
-    names = [f"{finger}/thumb to {finger}" for finger in FINGER_NAMES[1:]]
+    others = FINGER_NAMES[1:]
     tracks: list[Track] = [
-        HandTrack("human", _SKIN, RigidTransform(), has_valid=False),
-        SignalTrack("gap", names, "mm", faint=False),
+        HandTrack("human", SKIN, RigidTransform()),
+        SignalTrack(
+            "gap/thumb",
+            others,
+            title="thumb's tip to that of",
+            unit="mm",
+            legend=True,
+            colors=[rgb(FINGER_COLOURS[finger]) for finger in others],
+        ),
     ]
     # For each track the values of its ports; a hand that is lost is not a number.
     samples: list[Iterable[tuple]] = [

@@ -6,8 +6,9 @@ import numpy as np
 import rerun as rr
 from pydrake.multibody.plant import ContactResults, PointPairContactInfo
 
+from geort_drake.colours import FINGER_COLOURS, Color, rgb
 from geort_drake.systems._rerun_scene import WORLD, Scene, entity_path
-from geort_drake.systems._rerun_tracks import PALETTE, Color, Track, scalars
+from geort_drake.systems._rerun_tracks import PALETTE, Track, scalars
 from geort_drake.systems._rerun_writer import Writer
 
 _COLOR: Color = (255, 200, 40)
@@ -98,7 +99,8 @@ class ContactTrack(Track):
         for name, members in groups.items():
             path = f"{self.SERIES}/{name}" if self._groups is None else entity_path(self.SERIES, name)
             if name not in begun:
-                color = PALETTE[len(begun) % len(PALETTE)]
+                finger = FINGER_COLOURS.get(name)
+                color = PALETTE[len(begun) % len(PALETTE)] if finger is None else rgb(finger)
                 begun[name] = members
                 writer.static(path, rr.SeriesLines(names=[name], colors=[color], widths=[1.5]))
             member = np.zeros(len(self._scene.paths), dtype=bool)

@@ -4,8 +4,9 @@ import hashlib
 import os
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import rerun as rr
@@ -13,17 +14,37 @@ import rerun.blueprint as rrb
 from pydrake.common.value import AbstractValue
 
 from geort_drake.gloves.keypoints import FINGER_NAMES
-from geort_drake.systems._rerun_blueprint import grasp_blueprint
+from geort_drake.systems._rerun_blueprint import CloseUp, Plot, grasp_blueprint
 from geort_drake.systems._rerun_camera import CameraTrack
 from geort_drake.systems._rerun_contact import ContactTrack
 from geort_drake.systems._rerun_hand import HandTrack
-from geort_drake.systems._rerun_scene import WORLD, Scene, entity_path, transform
+from geort_drake.systems._rerun_points import PointTrack
+from geort_drake.systems._rerun_scene import WORLD, Scene, as_of_glass, entity_path, transform
 from geort_drake.systems._rerun_tracks import PoseTrack, SignalTrack, StateTrack, Track
 from geort_drake.systems._rerun_writer import LiveSink, LiveWriter, Property, Writer, file_writer
 
 _VIEW_DIRECTION = np.array([0.62, -0.62, 0.48])  # from the scene to the eye: front left, from above
 _BATCH_S = 0.1  # wall time between two batches for those who look on
 _READ_AT_ONCE = 64  # samples
+T = TypeVar("T", bound=Track)
+
+
+@dataclass(frozen=True)
+class CloseUpView:
+    """See `CloseUpSpec`.
+
+    Attributes:
+        name: its title.
+        follows: index of a body, or the key of a hand.
+        eye, target: m, in the frame of that body or of that hand's wrist.
+        see_through: indices of bodies.
+    """
+
+    name: str
+    follows: int | str
+    eye: np.ndarray
+    target: np.ndarray
+    see_through: Sequence[int]
 
 
 class Recording:
@@ -48,6 +69,7 @@ class Recording:
         recording_id: str | None,
         properties: Mapping[str, Property],
         blueprint: rrb.Blueprint | None,
+        close_ups: Sequence[CloseUpView] = (),
     ):
         self.path = None if path is None else Path(path)
         self.scene = scene
@@ -59,6 +81,7 @@ class Recording:
         self._application_id = application_id
         self._recording_id = recording_id
         self._blueprint = blueprint
+        self._close_ups = list(close_ups)
         self._live: LiveWriter | None = None
         self._unread: list[Sequence[tuple | None]] = []  # the newest samples, of which there are no rows yet
         self._sent = 0  # how many samples the viewers have got
@@ -182,25 +205,56 @@ class Recording:
 
     def default_blueprint(self) -> rrb.Blueprint:
         """`grasp_blueprint` for what was recorded, seen from where the motion fills the view."""
-        plots: dict[str, list[str]] = {}
+        plots: dict[str, Plot] = {}
         for track in self._of(SignalTrack):
             for group in track.groups:
                 # What was asked for and what was measured share a plot.
-                plots.setdefault(group or track.key.partition("/")[0], []).append(track.path(group))
+                title = track.title(group)
+                before = plots.get(title, Plot([], track.page, track.legend, track.limits))
+                plots[title] = replace(before, paths=[*before.paths, track.path(group)])
         # Fingers in their usual order, whatever the order of the joints; the rest after them.
-        first = [name for name in FINGER_NAMES if name in plots]
-        plots = {name: plots[name] for name in [*first, *(n for n in plots if n not in first)]}
+        order = {name: number for number, name in enumerate(FINGER_NAMES)}
+        pages = list(dict.fromkeys(plot.page for plot in plots.values()))
+        titles = sorted(
+            plots, key=lambda t: (pages.index(plots[t].page), order.get(t.partition(" ")[0], len(order)))
+        )
         target, eye = self._eye()
         contact = self._of(ContactTrack)
         return grasp_blueprint(
-            plots=plots,
+            plots={title: plots[title] for title in titles},
             states=[entity_path(track.key) for track in self._of(StateTrack)],
             contact=bool(contact),
             cameras=[track.path() for track in self._of(CameraTrack)],
             eye=eye,
             target=target,
             early=any(track.early() for track in contact),
+            close_ups=[self._close_up(view) for view in self._close_ups],
+            trails={track.path: track.trail for track in self._of(PointTrack) if track.trail},
         )
+
+    def _close_up(self, view: CloseUpView) -> CloseUp:
+        # The view turns with what it follows, so what is up in it is up only at the end.
+        if isinstance(view.follows, int):
+            path, contents = self.scene.paths[view.follows], f"/{WORLD}/**"
+            R_WF = np.eye(3)
+            if view.follows in self.scene.anchored:
+                R_WF = self.scene.anchored[view.follows].rotation().matrix()
+            elif self.times:
+                (bodies,) = self._of(PoseTrack)
+                R_WF = bodies.poses()[-1, self.scene.moving.index(view.follows), :, :3]
+        else:
+            path = entity_path(WORLD, view.follows, HandTrack.FRAME)
+            contents = f"{entity_path(WORLD, view.follows)}/**"
+            (hand,) = (track for track in self._of(HandTrack) if track.key == view.follows)
+            R_WF = hand.last_rotation()
+        glass: dict[str, rr.AsComponents] = {}
+        for body in view.see_through:
+            inside = f"{self.scene.paths[body]}/"
+            shapes = {
+                path: as_of_glass(shape) for path, shape in self.scene.shapes if path.startswith(inside)
+            }
+            glass |= {path: style for path, style in shapes.items() if style is not None}
+        return CloseUp(view.name, path, contents, view.eye, view.target, R_WF[2], glass)
 
     def _eye(self) -> tuple[np.ndarray, np.ndarray]:
         """What the eye looks at and where it stands, m, in W, to take in the moving bodies and the hands.
@@ -213,10 +267,10 @@ class Recording:
         cloud = cloud[np.isfinite(cloud).all(axis=1)]
         low, high = np.percentile(cloud, [2, 98], axis=0) if len(cloud) else np.zeros((2, 3))
         target = (low + high) / 2
-        distance = 0.25 + 1.0 * float(np.linalg.norm(high - low))
+        distance = 0.17 + 0.78 * float(np.linalg.norm(high - low))
         return target, target + distance * _VIEW_DIRECTION
 
-    def _of(self, kind):
+    def _of(self, kind: type[T]) -> list[T]:
         return [track for track in self.tracks if isinstance(track, kind)]
 
 

@@ -6,23 +6,35 @@ import numpy as np
 import rerun as rr
 from pydrake.math import RigidTransform
 
-from geort_drake.gloves.keypoints import BONES, INDEX_MCP, LITTLE_MCP, MIDDLE_MCP, RING_MCP, THUMB_CMC, WRIST
+from geort_drake.colours import FINGER_COLOURS, Color, rgb
+from geort_drake.gloves.keypoints import (
+    BONES,
+    INDEX_MCP,
+    LITTLE_MCP,
+    MIDDLE_MCP,
+    RING_MCP,
+    THUMB_CMC,
+    TIP_KEYPOINT,
+    WRIST,
+    wrist_pose,
+)
 from geort_drake.systems._rerun_scene import WORLD, entity_path
-from geort_drake.systems._rerun_tracks import Color, Track
+from geort_drake.systems._rerun_tracks import Track, quaternions
 from geort_drake.systems._rerun_writer import Writer
 
 
 class HandTrack(Track):
     """A human hand: rows (21, 3), p_WK, NaN while it is not tracked."""
 
+    FRAME = "wrist"  # an entity without a shape, which views can follow
     # Radii of a middle-sized hand, m: metacarpals thin, as the palm covers them, and each phalanx
     # thinner than the one before it.
     _RADII = np.tile([0.007, 0.0085, 0.0075, 0.0065], 5)
     _PALM = np.array([WRIST, THUMB_CMC, INDEX_MCP, MIDDLE_MCP, RING_MCP, LITTLE_MCP])
     _PALM_TRIANGLES = ((0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5))
 
-    def __init__(self, key: str, color: Color, X_WO: RigidTransform, has_valid: bool):
-        super().__init__(f"{key}/keypoints", f"{key}/wrist_pose", *([f"{key}/valid"] * has_valid))
+    def __init__(self, key: str, color: Color, X_WO: RigidTransform, ports: Sequence[str] = ()):
+        super().__init__(*ports)
         self.key = key
         self._color = np.array(color)
         self._X_WO = X_WO
@@ -34,6 +46,12 @@ class HandTrack(Track):
             return np.full((21, 3), np.nan)
         return ((self._X_WO @ X_OH) @ keypoints.reshape(21, 3).T).T
 
+    def last_rotation(self) -> np.ndarray:
+        """R_WH (3, 3) where the hand was tracked last; the identity before."""
+        tracked = (row for row in reversed(self.rows) if np.isfinite(row).all())
+        row = next(tracked, None)
+        return np.eye(3) if row is None else wrist_pose(row)[0]
+
     def _paths(self) -> list[str]:
         return [entity_path(WORLD, self.key, name) for name in ("bones", "keypoints", "palm")]
 
@@ -42,10 +60,12 @@ class HandTrack(Track):
         solid = rr.components.FillMode.Solid
         skin = rr.Capsules3D.from_fields(radii=self._RADII, colors=[self._color], fill_mode=solid)
         writer.static(bones, skin)
-        # Joints stand out a little from the skin, and darker.
+        # Joints stand out a little from the skin, and darker; tips have the colour of their finger.
         radii = np.r_[0.011, 1.08 * self._RADII.reshape(5, 4)[:, [1, 2, 3, 3]].ravel()]
-        joints = rr.Points3D.from_fields(radii=radii, colors=[(0.72 * self._color).astype(np.uint8)])
-        writer.static(points, joints)
+        colors = np.tile((0.72 * self._color).astype(np.uint8), (21, 1))
+        for finger, tip in TIP_KEYPOINT.items():
+            colors[tip], radii[tip] = rgb(FINGER_COLOURS[finger]), 1.3 * radii[tip]
+        writer.static(points, rr.Points3D.from_fields(radii=radii, colors=colors))
         # Rerun does not shade a mesh without normals, so its colour is what shading makes of skin.
         shaded = [*(0.8 * self._color).astype(int).tolist(), 255]
         faces = rr.Mesh3D.from_fields(triangle_indices=self._PALM_TRIANGLES, albedo_factor=shaded)
@@ -71,6 +91,9 @@ class HandTrack(Track):
         writer.columns(points, positions.partition(21 * count))
         corners = rr.Mesh3D.columns(vertex_positions=p_WK[:, self._PALM].reshape(-1, 3))
         writer.columns(palm, corners.partition(len(self._PALM) * count))
+        R_WH, p_WH = wrist_pose(p_WK)
+        wrist = rr.Transform3D.columns(translation=p_WH, quaternion=quaternions(R_WH))
+        writer.columns(entity_path(WORLD, self.key, self.FRAME), wrist, drawn)
 
 
 def _turn_z_to(directions: np.ndarray) -> np.ndarray:

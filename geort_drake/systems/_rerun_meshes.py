@@ -31,6 +31,8 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform
 
+from geort_drake.systems._rerun_obj import read_painted
+
 # Drake turns a glTF file's y axis up to its own z before it scales.
 _GLTF_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
@@ -55,7 +57,12 @@ def draw_mesh(
                 name = inspector.GetName(geometry)
                 warnings.warn(f"geometry {name}: drawn as its convex hull; {error}", stacklevel=5)
         elif shape.extension() == ".obj":
-            return [_flat(_obj(shape), X_BG, color)]
+            try:
+                return [_obj(shape, X_BG, color)]
+            except (OSError, ValueError) as error:
+                name = inspector.GetName(geometry)
+                warnings.warn(f"geometry {name}: drawn in one colour; {error}", stacklevel=5)
+                return [_flat(_plain_obj(shape), X_BG, color)]
         elif (surface := _volume_surface(shape)) is not None:
             return [_flat(surface, X_BG, color)]
     surface = _hydroelastic(inspector, geometry) if role == Role.kProximity else None
@@ -64,8 +71,8 @@ def draw_mesh(
     return None if surface is None else [_flat(surface, X_BG, color)]
 
 
-def _flat(triangles: np.ndarray, X_BG: RigidTransform, color: list[int]) -> rr.Mesh3D:
-    """A mesh of triangles (n, 3, 3), m, in frame G."""
+def _flat(triangles: np.ndarray, X_BG: RigidTransform, color: list[int] | None, **paint: Any) -> rr.Mesh3D:
+    """A mesh of triangles (n, 3, 3), m, in frame G; `paint` is what Rerun knows beside one colour."""
     corners = triangles @ X_BG.rotation().matrix().T + X_BG.translation()
     # Corners are not shared, so that every triangle has its own normal and edges stay sharp.
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -74,6 +81,7 @@ def _flat(triangles: np.ndarray, X_BG: RigidTransform, color: list[int]) -> rr.M
         vertex_positions=corners.reshape(-1, 3),
         vertex_normals=np.repeat(normals, 3, axis=0),
         albedo_factor=color,
+        **paint,
     )
 
 
@@ -83,7 +91,26 @@ def _triangles(surface: TriangleSurfaceMesh) -> np.ndarray:
     return corners[[[triangle.vertex(i) for i in range(3)] for triangle in surface.triangles()],]
 
 
-def _obj(shape: Mesh) -> np.ndarray:
+def _obj(shape: Mesh, X_BG: RigidTransform, color: list[int]) -> rr.Mesh3D:
+    """An OBJ file with its own materials, which come before other colours as in Drake's renderers.
+
+    Raises:
+        ValueError, OSError: of the files that it names one is malformed or missing.
+    """
+    source = shape.source()
+    contents = source.path().read_bytes() if source.is_path() else _bytes(source.in_memory().mesh_file)
+    painted = read_painted(contents, _reader(source), color)
+    if painted is None:
+        return _flat(_plain_obj(shape), X_BG, color)
+    triangles = painted.triangles * shape.scale3()
+    if painted.picture is None or painted.places is None:
+        return _flat(triangles, X_BG, None, vertex_colors=np.repeat(painted.colors, 3, axis=0))
+    places = painted.places.reshape(-1, 2)
+    shade = painted.colors[0].tolist()
+    return _flat(triangles, X_BG, shade, vertex_texcoords=places, albedo_texture=painted.picture)
+
+
+def _plain_obj(shape: Mesh) -> np.ndarray:
     source = shape.source()
     if source.is_path():
         return _triangles(ReadObjToTriangleSurfaceMesh(source.path(), scale3=shape.scale3()))

@@ -2,7 +2,7 @@
 
 import warnings
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -29,6 +29,7 @@ from geort_drake.systems._rerun_meshes import draw_mesh
 
 WORLD = "world"
 _DEFAULT_COLOR = Rgba(0.75, 0.75, 0.78, 1.0)  # geometry that brings no colour
+_GLASS = 90  # opacity, of 255
 _HALF_SPACE_SIDE = 2.0  # m; a half space is drawn as a square
 
 
@@ -51,11 +52,16 @@ class Scene:
     body_of_geometry: dict[GeometryId, int] = field(default_factory=dict)
 
 
-def describe_scene(plant: MultibodyPlant, scene_graph: SceneGraph, role: Role) -> Scene:
+def describe_scene(
+    plant: MultibodyPlant, scene_graph: SceneGraph, role: Role, wanted: Collection = ()
+) -> Scene:
     """Reads the geometry of a finalized plant from its scene graph.
 
     A body without geometry of the wanted role is drawn with its proximity geometry; one that has
     neither is not drawn. A geometry that cannot be drawn is left out with a warning that names it.
+
+    Args:
+        wanted: indices of bodies whose poses are wanted also where nothing of them is drawn.
     """
     inspector = scene_graph.model_inspector()
     bodies = [plant.get_body(index) for index in map(BodyIndex, range(plant.num_bodies()))]
@@ -72,9 +78,11 @@ def describe_scene(plant: MultibodyPlant, scene_graph: SceneGraph, role: Role) -
         geometries = visible or proximity
         drawn_role = role if visible else Role.kProximity
         scene.shapes += _draw(inspector, geometries, drawn_role, scene.paths[index])
-        if geometries and plant.IsAnchored(body):
+        if not (geometries or index in wanted):
+            continue
+        if plant.IsAnchored(body):
             scene.anchored[index] = plant.EvalBodyPoseInWorld(defaults, body)
-        elif geometries:
+        else:
             scene.moving.append(index)
     return scene
 
@@ -169,6 +177,20 @@ def _color(inspector: SceneGraphInspector, geometry: GeometryId) -> list[int]:
     else:
         rgba = _DEFAULT_COLOR
     return [round(255 * value) for value in (rgba.r(), rgba.g(), rgba.b(), rgba.a())]
+
+
+def as_of_glass(shape: Any) -> rr.AsComponents | None:
+    """What makes a view draw a shape so that one sees through it; None where that is no shape."""
+    if isinstance(shape, rr.Mesh3D | rr.Asset3D):
+        # It is multiplied with the colours of the corners and of pictures.
+        factor = shape.albedo_factor
+        rgba = 0xFFFFFFFF if factor is None else int(factor.as_arrow_array()[0].as_py())
+        return type(shape).from_fields(albedo_factor=(rgba & 0xFFFFFF00) | _GLASS)
+    colors = getattr(shape, "colors", None)
+    if colors is None:
+        return None
+    rgba = colors.as_arrow_array().to_numpy()
+    return type(shape).from_fields(colors=(rgba & np.uint32(0xFFFFFF00)) | np.uint32(_GLASS))
 
 
 def _shifted(X_BG: RigidTransform, z: float) -> RigidTransform:

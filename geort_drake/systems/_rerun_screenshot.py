@@ -6,10 +6,10 @@ import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from time import monotonic, sleep
-from typing import IO
+from typing import IO, Any
 
 import psutil
 from rerun.chunk import RrdReader
@@ -55,25 +55,30 @@ class Camera:
         """A .png of a time, by default the end; of the layout's view with a title, by default the window."""
         shown = self.end if time is None else time
         kind = {"duration": shown} if self._timeline == TIMELINE else {"sequence": round(shown)}
-        self._client.set_time(self._timeline, play_state="paused", **kind)
+        _patiently(lambda: self._client.set_time(self._timeline, play_state="paused", **kind))
         return self._settled(view)
 
     def _settled(self, view: str | None) -> bytes:
         """What the viewer shows when nothing moves any more: layout and plots settle over many frames."""
-        views = {shown.name: shown.view_id for shown in self._client.get_state().views}
-        end, before, failures = monotonic() + self._timeout_s, b"", 0
+        shown = None
+        if view is not None:
+            views = _patiently(self._client.get_state).views
+            shown = next(one.view_id for one in views if one.name == view)
+        end, before = monotonic() + self._timeout_s, b""
         while True:
-            try:
-                now = self._client.take_screenshot(None if view is None else views[view])
-            except RuntimeError:  # a busy machine may not draw within the client's own limit
-                failures += 1
-                if failures == _ATTEMPTS:
-                    raise
-                continue
+            now = _patiently(lambda: self._client.take_screenshot(shown))
             if now == before or monotonic() > end:
                 return now
             before = now
             sleep(_PAUSE)
+
+
+def _patiently(ask: Callable[[], Any]) -> Any:
+    """The answer of a viewer, which on a busy machine may not come within the client's own limit."""
+    for _ in range(_ATTEMPTS - 1):
+        with contextlib.suppress(RuntimeError):
+            return ask()
+    return ask()
 
 
 @contextlib.contextmanager

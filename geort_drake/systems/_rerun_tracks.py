@@ -6,15 +6,16 @@ batch by batch.
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import rerun as rr
 from pydrake.math import RigidTransform
 
-from geort_drake.systems._rerun_scene import WORLD, Scene, entity_path
+from geort_drake.colours import Color
+from geort_drake.systems._rerun_scene import Scene, entity_path
+from geort_drake.systems._rerun_specs import Derive
 from geort_drake.systems._rerun_writer import Writer
-
-Color = tuple[int, int, int]
 
 # Matplotlib's "tab10", which stays apart for colour-blind readers too.
 PALETTE: tuple[Color, ...] = (
@@ -55,7 +56,7 @@ class Track:
         self._read_at = time
         return True
 
-    def read(self, *values):
+    def read(self, *values: Any) -> Any:
         """One row of the values of the ports."""
         raise NotImplementedError
 
@@ -119,30 +120,61 @@ def quaternions(R: np.ndarray) -> np.ndarray:
 
 
 class SignalTrack(Track):
-    """A vector port as time series: rows (n,).
+    """Vector ports as time series: rows (m,).
 
     Names that share what stands before their last slash form a group, which is one entity.
+
+    Args:
+        key: entity path of the groups.
+        names, label, faint, title, unit, page, legend, limits, colors, derive: see `SignalSpec`.
+        ports: names of the input ports; by default one that is called like the key.
+
+    Attributes:
+        groups: name of a group → indices of its elements.
     """
 
-    def __init__(self, key: str, names: Sequence[str], label: str, faint: bool):
-        super().__init__(key)
+    def __init__(
+        self,
+        key: str,
+        names: Sequence[str],
+        label: str = "",
+        faint: bool = False,
+        *,
+        title: str = "",
+        unit: str = "",
+        page: str = "",
+        legend: bool = False,
+        limits: tuple[float, float] | None = None,
+        colors: Sequence[Color] | None = None,
+        derive: Derive | None = None,
+        ports: Sequence[str] = (),
+    ):
+        super().__init__(*(ports or [key]))
         self.key = key
+        self.page, self.legend, self.limits = page, legend, limits
         self.groups: dict[str, list[int]] = {}
         for i, name in enumerate(names):
             self.groups.setdefault(name.rpartition("/")[0], []).append(i)
         self._labels = [f"{name.rpartition('/')[2]} {label}".strip() for name in names]
-        self._faint = faint
+        self._title, self._unit = title, unit
+        self._faint, self._colors, self._derive = faint, colors, derive
 
-    def read(self, value: np.ndarray) -> np.ndarray:
-        return np.array(value)
+    def read(self, *values: np.ndarray) -> np.ndarray:
+        return np.array(values[0]) if len(values) == 1 else np.concatenate(values)
 
     def path(self, group: str) -> str:
         return entity_path(self.key, group)
 
+    def title(self, group: str) -> str:
+        """Of the plot that shows a group, with its unit."""
+        title = self._title or group or self.key.partition("/")[0]
+        return f"{title} [{self._unit}]" if self._unit else title
+
     def describe(self, writer: Writer) -> None:
         for group, members in self.groups.items():
             # The same joint has the same colour in every signal.
-            colors = np.array([PALETTE[i % len(PALETTE)] for i in range(len(members))])
+            palette = [PALETTE[i % len(PALETTE)] for i in range(len(members))]
+            colors = np.array([self._colors[i] for i in members] if self._colors else palette)
             style = rr.SeriesLines(
                 names=[self._labels[i] for i in members],
                 colors=(colors + 255) // 2 if self._faint else colors,
@@ -151,7 +183,10 @@ class SignalTrack(Track):
             writer.static(self.path(group), style)
 
     def write(self, writer: Writer, rows: Sequence[np.ndarray]) -> None:
-        values = np.array(rows).reshape(-1, len(self._labels))
+        values = np.array(rows, dtype=float)
+        if self._derive is not None and len(rows):
+            values = self._derive(values)
+        values = values.reshape(len(rows), len(self._labels))
         for group, members in self.groups.items():
             writer.columns(self.path(group), scalars(values[:, members]))
 
@@ -164,8 +199,14 @@ def scalars(values: np.ndarray) -> rr.ComponentColumnList:
 class StateTrack(Track):
     """An integer code as a lane of named states: rows int; only changes are written."""
 
-    def __init__(self, key: str, labels: Mapping[int, str], colors: Sequence[Color] = PALETTE):
-        super().__init__(key)
+    def __init__(
+        self,
+        key: str,
+        labels: Mapping[int, str],
+        colors: Sequence[Color] = PALETTE,
+        port: str | None = None,
+    ):
+        super().__init__(port or key)
         self.key = key
         self._labels = dict(labels)
         self._colors = colors
@@ -189,30 +230,3 @@ class StateTrack(Track):
         begin = np.array([i for i, name in enumerate(names) if name != before[i]], dtype=int)
         writer.columns(path, rr.StateChange.columns(state=[names[i] for i in begin]), begin)
         writer.memory[path] = before[-1]
-
-
-class PointTrack(Track):
-    """Points: rows (k, 3), p_WP, NaN where there is none."""
-
-    def __init__(self, key: str, radius: float, color: Color, frame: tuple[int, RigidTransform] | None):
-        super().__init__(key, *(["body_poses"] if frame else []))
-        self.key = key
-        self._radius = radius
-        self._color = color
-        self._frame = frame
-
-    def read(self, value: np.ndarray, body_poses: Sequence[RigidTransform] | None = None) -> np.ndarray:
-        points = np.array(value).reshape(-1, 3)
-        if self._frame is None or body_poses is None:
-            return points
-        body, X_BF = self._frame
-        return ((body_poses[body] @ X_BF) @ points.T).T
-
-    def describe(self, writer: Writer) -> None:
-        style = rr.Points3D.from_fields(radii=[self._radius], colors=[self._color])
-        writer.static(entity_path(WORLD, self.key), style)
-
-    def write(self, writer: Writer, rows: Sequence[np.ndarray]) -> None:
-        drawn = [row[np.isfinite(row).all(axis=1)] for row in rows]
-        columns = rr.Points3D.columns(positions=np.concatenate([np.empty((0, 3)), *drawn]))
-        writer.columns(entity_path(WORLD, self.key), columns.partition([len(row) for row in drawn]))

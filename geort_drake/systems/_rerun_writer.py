@@ -26,6 +26,7 @@ class Writer:
 
     Attributes:
         memory: what the writers of columns remember from one batch to the next.
+        times: (T,) of the rows to come: s, or steps.
     """
 
     def __init__(self, stream: rr.RecordingStream, timeline: str = TIMELINE):
@@ -36,8 +37,8 @@ class Writer:
 
     def at(self, times: np.ndarray) -> "Writer":
         """Sets the times (T,) of the rows that follow: s as floats, or steps as integers."""
-        self._times = np.asarray(times)
-        self._all_times = self._column(self._times)
+        self.times = np.asarray(times)
+        self._all_times = self._column(self.times)
         return self
 
     def static(self, path: str, archetype: rr.AsComponents) -> None:
@@ -46,7 +47,7 @@ class Writer:
 
     def columns(self, path: str, columns: rr.ComponentColumnList, rows: np.ndarray | None = None) -> None:
         """Sends one entry per time, or one per time of which the mask or indices `rows` hold."""
-        index = self._all_times if rows is None else self._column(self._times[rows])
+        index = self._all_times if rows is None else self._column(self.times[rows])
         if len(index.as_arrow_array()):
             self._stream.send_columns(path, [index], columns, strict=True)
 
@@ -71,7 +72,7 @@ def file_writer(
 ) -> Iterator[Writer | None]:
     """Yields the writer of a file, which appears when the block is left without an error.
 
-    Without log times, and without the properties that Rerun adds by itself, equal data give equal files.
+    Equal data give equal columns, without log times and the properties that Rerun adds; ids of rows differ.
     Yields None, with a warning, where the environment says RERUN=off.
 
     Raises:

@@ -14,11 +14,9 @@ from typing import Any
 
 import numpy as np
 import rerun.blueprint as rrb
-from pydrake.common.value import AbstractValue, Value
+from pydrake.common.value import AbstractValue
 from pydrake.geometry import Role, SceneGraph
-from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Frame
 from pydrake.systems.framework import (
     Context,
     DiagramBuilder,
@@ -31,24 +29,23 @@ from pydrake.systems.framework import (
 
 from geort_drake.errors import ScenarioError
 from geort_drake.systems._rerun_blueprint import grasp_blueprint
-from geort_drake.systems._rerun_camera import CameraTrack
-from geort_drake.systems._rerun_contact import ContactTrack
 from geort_drake.systems._rerun_file import Recording
-from geort_drake.systems._rerun_hand import HandTrack
-from geort_drake.systems._rerun_scene import Scene, describe_scene
+from geort_drake.systems._rerun_inputs import Inputs, check_connectable, follow, ports_of_plant
+from geort_drake.systems._rerun_scene import describe_scene
 from geort_drake.systems._rerun_specs import (
     CameraSpec,
+    CloseUpSpec,
     ContactSpec,
     HandSpec,
     PointsSpec,
     SignalSpec,
     StateSpec,
 )
-from geort_drake.systems._rerun_tracks import PointTrack, PoseTrack, SignalTrack, StateTrack, Track
 from geort_drake.systems._rerun_writer import LiveSink, Property, is_live, live_sink
 
 __all__ = [
     "CameraSpec",
+    "CloseUpSpec",
     "ContactSpec",
     "HandSpec",
     "PointsSpec",
@@ -69,7 +66,7 @@ class RerunRecorder(LeafSystem):
     Input ports:
         body_poses (abstract list of RigidTransform): X_WB of all bodies, in plant order.
         contact_results (abstract ContactResults): when contact is recorded.
-        <signal key> (n): any vector, in the unit its names say.
+        <signal key> (n): any vector; of a signal of several ports <signal key>/<name of the port>.
         <state key> (1): integer code.
         <hand key>/keypoints (63): p_HK, keypoint-major, m.
         <hand key>/wrist_pose (abstract RigidTransform): X_OH.
@@ -77,6 +74,8 @@ class RerunRecorder(LeafSystem):
         <points key> (3k): p_FP, point-major, m.
         <camera key>/color_image (abstract ImageRgba8U).
         <camera key>/body_pose (abstract RigidTransform): X_WB of the camera's body.
+
+    A port that several of them would read is read by the first alone.
 
     Made and connected by `add_rerun_recorder`. Samples are taken in publish events, periodic and forced.
     Going back in time, as a simulator that is initialized anew does, drops the samples from there on.
@@ -129,7 +128,7 @@ class RerunRecorder(LeafSystem):
     def __enter__(self) -> "RerunRecorder":
         return self
 
-    def __exit__(self, *_exception) -> None:
+    def __exit__(self, *_exception: object) -> None:
         self.close()
 
     def _watch(self, context: Context) -> EventStatus:
@@ -164,7 +163,7 @@ class RerunRecorder(LeafSystem):
 class _Token:
     """Lives as long as the context that holds it; a copy of the context holds one of its own."""
 
-    def __deepcopy__(self, _memo) -> "_Token":
+    def __deepcopy__(self, _memo: dict) -> "_Token":
         return _Token()
 
 
@@ -184,13 +183,16 @@ def add_rerun_recorder(
     points: Mapping[str, PointsSpec] | None = None,
     states: Mapping[str, StateSpec] | None = None,
     cameras: Mapping[str, CameraSpec] | None = None,
+    close_ups: Mapping[str, CloseUpSpec] | None = None,
     properties: Mapping[str, Property] | None = None,
     blueprint: rrb.Blueprint | None = None,
+    plant_ports: Mapping[str, OutputPort] | None = None,
 ) -> RerunRecorder:
     """Adds a recorder of the plant, and of any further ports, to a diagram.
 
     Args:
-        builder: of the diagram that holds `plant`, `scene_graph` and every port given below.
+        builder: of the diagram that holds `plant` and every port given below. Of a plant, or a port, in a
+            diagram inside that one, the inner diagram's exported ports are given; see `plant_ports`.
         plant: finalized.
         path_or_viewer: the .rrd file, whose directory is made when needed; or a viewer that is open
             meanwhile, by its address "rerun+http://127.0.0.1:9876/proxy", or as `rerun.GrpcSink` or
@@ -206,12 +208,16 @@ def add_rerun_recorder(
         points: entity path to points, under /world.
         states: entity path to states, under /.
         cameras: entity path to camera, under /world.
+        close_ups: name to one more view of the scene, in the default layout.
         properties: what the recording is about, such as {"method": "geort", "seed": 3}.
         blueprint: layout; by default `grasp_blueprint` for what is recorded.
+        plant_ports: where the plant is in a diagram inside the builder's: the ports by which that one exports
+            the plant's `body_poses` and, if contact is recorded, `contact_results`, by these names.
 
     Raises:
-        ScenarioError: the plant is not finalized, the period is not positive, a port does not fit, or
-            there is more than one file.
+        ScenarioError: the plant is not finalized, or is in another diagram and its ports are not given; the
+            period is not positive; a port does not fit, or is in another diagram; or there is more than one
+            file. Nothing has been added to the builder then.
     """
     path, sinks = _targets(path_or_viewer)
     where = path or "live recording"
@@ -221,47 +227,39 @@ def add_rerun_recorder(
         )
     if not period > 0:
         raise ScenarioError(f"{where}: period must be positive, s; given {period}")
-    scene = describe_scene(plant, scene_graph, role)
-    sources: dict[str, OutputPort] = {"body_poses": plant.get_body_poses_output_port()}
-    tracks: list[Track] = [PoseTrack(scene)]
+    names = ["body_poses", *(["contact_results"] if contact else [])]
+    ports = ports_of_plant(where, builder, plant, names, plant_ports)
+    views = [follow(name, spec, hands or {}) for name, spec in (close_ups or {}).items()]
+    scene = describe_scene(plant, scene_graph, role, [view.follows for view in views])
+    inputs = Inputs(scene, ports)
     if contact:
-        spec = contact if isinstance(contact, ContactSpec) else ContactSpec()
-        tracks.append(_contact_track(scene, spec))
-        sources["contact_results"] = plant.get_contact_results_output_port()
-    for key, signal in (signals or {}).items():
-        sources[key] = _vector(key, signal.port, len(signal.names), "its names")
-        tracks.append(SignalTrack(key, signal.names, signal.label, signal.faint))
+        inputs.add_contact(contact if isinstance(contact, ContactSpec) else ContactSpec())
     for key, state in (states or {}).items():
-        sources[key] = _vector(key, state.port, 1, "a state code")
-        labels = state.labels if isinstance(state.labels, Mapping) else dict(enumerate(state.labels))
-        tracks.append(StateTrack(key, labels))
+        inputs.add_state(key, state)
+    for key, signal in (signals or {}).items():
+        inputs.add_signal(key, signal)
     for key, hand in (hands or {}).items():
-        sources[f"{key}/keypoints"] = _vector(f"{key}/keypoints", hand.keypoints_port, 63, "21 keypoints")
-        sources[f"{key}/wrist_pose"] = _pose(f"{key}/wrist_pose", hand.wrist_pose_port)
-        if hand.valid_port is not None:
-            sources[f"{key}/valid"] = _vector(f"{key}/valid", hand.valid_port, 1, "a flag")
-        tracks.append(HandTrack(key, hand.color, hand.X_WO, hand.valid_port is not None))
+        inputs.add_hand(key, hand)
     for key, cloud in (points or {}).items():
-        sources[key] = _vector(key, cloud.port, 3 * max(1, cloud.port.size() // 3), "points of 3 coordinates")
-        tracks.append(PointTrack(key, cloud.radius, cloud.color, _fixed_in_body(cloud.frame)))
+        inputs.add_points(key, cloud)
     for key, camera in (cameras or {}).items():
-        sources[f"{key}/color_image"] = camera.sensor.color_image_output_port()
-        sources[f"{key}/body_pose"] = camera.sensor.body_pose_in_world_output_port()
-        tracks.append(CameraTrack(key, camera.sensor, camera.period))
+        inputs.add_camera(key, camera)
+    check_connectable(where, builder, inputs.sources)
     recording = Recording(
         path,
         scene,
-        tracks,
+        inputs.tracks,
         sinks=sinks,
         application_id=application_id,
         recording_id=recording_id,
         properties=properties or {},
         blueprint=blueprint,
+        close_ups=views,
     )
-    recorder = RerunRecorder(recording, sources, period)
+    recorder = RerunRecorder(recording, inputs.sources, period)
     recorder.set_name("rerun_recorder")
     builder.AddSystem(recorder)
-    for name, source in sources.items():
+    for name, source in inputs.sources.items():
         builder.Connect(source, recorder.GetInputPort(name))
     return recorder
 
@@ -275,39 +273,3 @@ def _targets(path_or_viewer: Target | Sequence[Target]) -> tuple[Path | None, li
         given = ", ".join(map(str, targets)) or "nothing"
         raise ScenarioError(f"a recorder takes one file, viewers, or both; given: {given}")
     return Path(files[0]) if files else None, [live_sink(target) for target in targets if is_live(target)]
-
-
-def _contact_track(scene: Scene, spec: ContactSpec) -> ContactTrack:
-    groups = None
-    if spec.groups is not None:
-        groups = {name: [int(body.index()) for body in bodies] for name, bodies in spec.groups.items()}
-    return ContactTrack(scene, groups, spec.metres_per_newton, spec.max_length)
-
-
-def _fixed_in_body(frame: Frame | None) -> tuple[int, RigidTransform] | None:
-    """Index of the body that carries a frame F, and X_BF."""
-    if frame is None:
-        return None
-    return int(frame.body().index()), frame.GetFixedPoseInBodyFrame()
-
-
-def _vector(key: str, port: OutputPort, size: int, meaning: str) -> OutputPort:
-    if port.get_data_type() != PortDataType.kVectorValued:
-        raise ScenarioError(f"recording of '{key}': {_full_name(port)} is abstract; wanted a vector port")
-    if port.size() != size:
-        raise ScenarioError(
-            f"recording of '{key}': {_full_name(port)} has size {port.size()}; wanted {size}, for {meaning}"
-        )
-    return port
-
-
-def _pose(key: str, port: OutputPort) -> OutputPort:
-    value: Any = port.Allocate()
-    if not isinstance(value, Value[RigidTransform]):
-        raise ScenarioError(f"recording of '{key}': {_full_name(port)} does not hold a RigidTransform")
-    return port
-
-
-def _full_name(port: OutputPort) -> str:
-    system: Any = port.get_system()
-    return f"port '{port.get_name()}' of '{system.get_name()}'"

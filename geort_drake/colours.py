@@ -1,0 +1,19 @@
+"""Colours that mean the same in every plot and every recording."""
+
+Color = tuple[int, ...]  # red, green, blue, and, where it is given, opacity, 0–255
+
+# Five of Okabe and Ito's, which colour-blind readers can tell apart, and which are read on white and on dark
+# backgrounds. Red and bright green are left for what is wrong or right.
+FINGER_COLOURS = {
+    "thumb": "#E69F00",
+    "index": "#56B4E9",
+    "middle": "#009E73",
+    "ring": "#CC79A7",
+    "little": "#0072B2",
+}
+SKIN: Color = (224, 172, 138)
+
+
+def rgb(colour: str) -> Color:
+    """Red, green, blue of "#RRGGBB"."""
+    return tuple(bytes.fromhex(colour.removeprefix("#")))
