@@ -86,11 +86,16 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="what to measure (all)")
+    add("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="what to measure (default: all)")
     add("--quick", action="store_true", help="a small share of everything; the page stays as it is")
     for name, count in FULL.items():
-        add(f"--{name}", type=int, metavar="N", help=f"how many ({'all' if count is None else f'{count:,}'})")
-    add("--seed", type=int, default=0, help="of everything random (0)")
+        add(
+            f"--{name}",
+            type=int,
+            metavar="N",
+            help=f"how many (default: {'all' if count is None else f'{count:,}'})",
+        )
+    add("--seed", type=int, default=0, help="of everything random (default: 0)")
     add("--json", type=Path, help="another file for the figures; those of parts that it holds are kept")
     arguments = parser.parse_args(argv)
     if arguments.json:

@@ -17,7 +17,8 @@ from rich.progress import (
 
 from geort_drake.errors import GeortError
 
-# Progress and tables go to stderr so that a script's stdout stays machine-readable.
+# Progress and tables go to stderr so that a script's stdout stays machine-readable. With --quiet it is quiet;
+# warnings and errors are said all the same.
 console = Console(stderr=True, highlight=False)
 
 
@@ -32,7 +33,13 @@ def progress_bar() -> Progress:
         TextColumn("{task.fields[note]}"),
         console=console,
         transient=False,
+        disable=console.quiet,
     )
+
+
+def warn(message: Warning | str) -> None:
+    """Says on stderr what a user should know even of a quiet run."""
+    _say("warning", "yellow", message)
 
 
 def run_main(main: Callable[[Sequence[str] | None], int | None]) -> None:
@@ -44,7 +51,7 @@ def run_main(main: Callable[[Sequence[str] | None], int | None]) -> None:
     try:
         with warnings.catch_warnings():
             # Where in the code a warning was raised says nothing to a user.
-            warnings.showwarning = lambda message, *_, **__: _say("warning", "yellow", message)
+            warnings.showwarning = lambda message, *_, **__: warn(message)
             sys.exit(main(None) or 0)
     except (GeortError, OSError) as error:
         _say("error", "red", error)
@@ -58,8 +65,12 @@ def run_main(main: Callable[[Sequence[str] | None], int | None]) -> None:
 
 
 def _say(kind: str, colour: str, message: Warning | Exception | str) -> None:
-    console.print(f"[bold {colour}]{kind}:[/]", end=" ")
-    console.print(str(message), markup=False, soft_wrap=True)
+    quiet, console.quiet = console.quiet, False
+    try:
+        console.print(f"[bold {colour}]{kind}:[/]", end=" ")
+        console.print(str(message), markup=False, soft_wrap=True)
+    finally:
+        console.quiet = quiet
 
 
 def _first_of_its_kind() -> Callable[[logging.LogRecord], bool]:

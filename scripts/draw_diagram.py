@@ -45,9 +45,7 @@ GROUPS = {
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = make_parser(__doc__)
-    parser.add_argument(
-        "--output", type=Path, default=Path("docs/diagram.svg"), help="the picture (docs/diagram.svg)"
-    )
+    parser.add_argument("--output", type=Path, default=Path("docs/diagram.svg"), help="the picture")
     add_scenario_options(parser)
     return parser.parse_args(argv)
 
@@ -65,7 +63,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         svg = draw(parts.diagram, f"delays of {1e3 * scenario.operator.visual_delay:g} ms")
         parts.recorder.close()
     write_text(arguments.output, svg)
-    console.print(f"Diagram: {arguments.output}", soft_wrap=True)
+    console.print(f"Diagram: {arguments.output} (a browser shows it)", markup=False, soft_wrap=True)
     return 0
 
 
@@ -142,7 +140,7 @@ def boxes_and_lines(diagram, delay_text: str) -> tuple[dict[str, Box], list[Line
                 port_name, name, kind = name.removesuffix("_seen_late"), "seen_late", delay_text
                 order = others.get_index()
             box = boxes.setdefault(name, Box(name.replace("_", " "), kind, group_of(name)))
-            (box.outputs if port is out else box.inputs)[port_name] = (int(order), content(out))
+            (box.outputs if port is out else box.inputs).setdefault(port_name, (int(order), content(out)))
             ends += [name, port_name]
         lines.append(Line(*ends))
     for box in boxes.values():

@@ -4,15 +4,21 @@ python scripts/evaluate_retargeting.py --recording alex.npy --methods geort vect
 """
 
 import argparse
-import json
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rich.progress import Progress
 
-from geort_drake.command_line import at_least, make_parser
-from geort_drake.console import console, progress_bar, run_main
+from geort_drake.command_line import (
+    STDOUT,
+    add_json_option,
+    at_least,
+    make_parser,
+    method_help,
+    write_json,
+)
+from geort_drake.console import console, progress_bar, run_main, warn
 from geort_drake.evaluation.ablation import ablation
 from geort_drake.evaluation.comparison import Comparison, Outcome, check_methods, method_names
 from geort_drake.evaluation.pipeline import METHODS
@@ -33,6 +39,7 @@ from geort_drake.hands.description import hand_names, load_hand
 from geort_drake.hands.model import HandModel
 
 EPILOG = f"""\
+{method_help()}
 protocols, each with tables of its own:
   same person      trained and scored on --recording, as in the paper; always done
   held-out blocks  with --held_out K: the recording is cut into K blocks, and each is scored by a method
@@ -84,15 +91,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     for table in tables(comparison, results):
         console.print(table)
     for line in failures(results):
-        console.print(f"not scored: {line}", style="yellow", markup=False, soft_wrap=True)
-    if arguments.json:
-        print(arguments.json)
+        warn(f"not scored: {line}")
+    write_json(arguments.json, report(comparison, results, recording, arguments.recording.name))
     if arguments.plots:
         firsts = {name: of_method[SAME_PERSON][0].judged for name, of_method in results.items()}
         scored = {name: judged for name, judged in firsts.items() if judged is not None}
         space = comparison.space(arguments.seeds[0])
         for path in write_plots(arguments.plots, scored, hand.finger_names, space):
-            print(path)
+            console.print(f"Plot: {path}", markup=False, soft_wrap=True)
+    if arguments.json not in (None, STDOUT):
+        text = f"Figures: {arguments.json} (docs/data_formats.md explains them)"
+        console.print(text, markup=False, soft_wrap=True)
+    elif not (arguments.json or arguments.plots):
+        console.print("Nothing was written: --json FILE keeps these figures, and --plots FOLDER draws them.")
     return 1 if any(failures(results)) else 0
 
 
@@ -103,7 +114,7 @@ def _run(
     recording: Recording,
     progress: Progress,
 ) -> dict[str, dict[str, list[Outcome]]]:
-    """Judges every method, and writes the JSON file whenever one is done."""
+    """Judges every method, and writes what is known to the JSON file whenever one is done."""
     results = {}
     total = comparison.cases_per_method * len(methods)
     task = progress.add_task("evaluation", total=total, note="")
@@ -116,9 +127,8 @@ def _run(
 
     for name in methods:
         results[name] = comparison.run(name, starts)
-        if arguments.json:
-            content = report(comparison, results, recording, arguments.recording.name)
-            write_text(arguments.json, json.dumps(content, indent=2, allow_nan=False) + "\n")
+        content = report(comparison, results, recording, arguments.recording.name)
+        write_json(arguments.json, content, done=False)
     progress.update(task, completed=total, note="")
     return results
 
@@ -137,12 +147,15 @@ def _sweep(arguments: argparse.Namespace) -> int:
             progress.update(task, advance=1, note=record["name"])
             if "error" in record:
                 failed.append(record["name"])
-                progress.console.print(f"{record['name']}: {record['error']}", style="yellow", markup=False)
+                warn(f"{record['name']}: {record['error']}")
     content = read_sweep(arguments.output)
     write_text(arguments.output / "ablation.md", ablation(content))
     plot = write_sweep_plot(arguments.output, content["runs"])
-    for path in (arguments.output / SWEEP, arguments.output / "ablation.md", plot):
-        print(path)
+    lines = {"Tables": arguments.output / "ablation.md", "Plot": plot, "Figures": arguments.output / SWEEP}
+    for what, path in lines.items():
+        console.print(f"{what}: {path}", markup=False, soft_wrap=True)
+    if failed:
+        console.print(f"{len(failed)} runs failed; the same command tries them again.")
     return 1 if failed else 0
 
 
@@ -165,7 +178,7 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--hand",
         default="allegro_right",
-        help=f"name or file of a hand description; names: {', '.join(hand_names())} (default: %(default)s)",
+        help=f"name or file of a hand description; names: {', '.join(hand_names())}",
     )
     parser.add_argument("--recording", type=Path, required=True, help="what methods are trained on")
     parser.add_argument("--held_out", type=int, metavar="K", help="also score on K held-out blocks; 5, say")
@@ -176,8 +189,8 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--methods",
         nargs="+",
         metavar="NAME",
-        help=f"any of {', '.join(method_names())}, or directories of checkpoints (default: all names); with "
-        f"--sweep, any of {', '.join(METHODS)}",
+        help="of those below, or directories of checkpoints (default: all of them); with --sweep, any of "
+        f"{', '.join(METHODS)}",
     )
     parser.add_argument(
         "--seeds",
@@ -185,15 +198,15 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         nargs="+",
         metavar="SEED",
         default=[0],
-        help="of training and metrics; of several, the mean and the worst are shown (default: 0)",
+        help="of training and metrics; of several, the mean and the worst are shown",
     )
     parser.add_argument(
         "--frames",
         type=at_least(10),
         metavar="N",
-        help="score on the first N valid frames only, of each block too",
+        help="score on the first N valid frames only, of each block too (default: all)",
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure to this file")
+    add_json_option(parser, "all figures")
     parser.add_argument(
         "--plots", type=Path, metavar="FOLDER", help="write plots of the first seed, same person, here"
     )
@@ -235,8 +248,6 @@ def _check(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> No
         twice = sorted({str(value) for value in values if values.count(value) > 1})
         if twice:
             parser.error(f"--{option} lists {', '.join(twice)} more than once")
-    if arguments.json:
-        require_writable(arguments.json)
     if arguments.plots:
         require_writable(arguments.plots, directory=True)
 

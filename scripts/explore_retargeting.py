@@ -8,12 +8,13 @@ import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from geort_drake.command_line import at_least, check_outputs, make_parser
-from geort_drake.console import console, run_main
-from geort_drake.evaluation.comparison import check_methods, method_names
+from geort_drake.command_line import at_least, check_outputs, command, make_parser, method_help
+from geort_drake.console import console, progress_bar, run_main
+from geort_drake.evaluation.comparison import check_methods
 from geort_drake.hands.description import hand_names, load_hand
 
-EPILOG = """\
+EPILOG = f"""\
+{method_help()}
 The recording shows the recorded hand, and beside it the robot hand as each method moves it, the price of
 each answer, pinches that close or do not, and collisions; docs/rerun.md explains the picture.
 
@@ -31,19 +32,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         nargs="+",
         metavar="NAME",
         default=["geort_coupled", "vector_online"],
-        help=f"any of {', '.join(method_names())}, or directories of checkpoints (default: %(default)s)",
+        help="of those below, or directories of checkpoints",
     )
     add("--output", type=Path, required=True, metavar="FILE.rrd", help="the recording to write")
     add(
         "--hand",
         default="allegro_right",
-        help=f"name or file of a hand description; names: {', '.join(hand_names())} (default: %(default)s)",
+        help=f"name or file of a hand description; names: {', '.join(hand_names())}",
     )
     add("--start", type=float, metavar="S", help="where to begin, s (default: where most pinches are)")
-    add("--duration", type=float, default=20.0, metavar="S", help="how long, s (default: %(default)g)")
-    add(
-        "--seed", type=at_least(0), default=0, help="of training and of synthetic play (default: %(default)s)"
-    )
+    add("--duration", type=float, default=20.0, metavar="S", help="how long, s")
+    add("--seed", type=at_least(0), default=0, help="of training and of synthetic play")
     arguments = parser.parse_args(argv)
     if not 0.1 <= arguments.duration <= 600:
         parser.error(f"--duration must be from 0.1 to 600, not {arguments.duration:g}")
@@ -65,10 +64,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         recording = read_recording(arguments.recording, description.side, training=True)
     hands = excerpt(recording, duration_s=arguments.duration, start_s=arguments.start)
     methods = {}
-    for method in arguments.methods:
-        with console.status(f"{method} ..."):
-            retarget = _retargeter(method, arguments, hand, recording)
+    retargeters = {method: _retargeter(method, arguments, hand, recording) for method in arguments.methods}
+    with progress_bar() as progress:
+        task = progress.add_task("answers", total=len(retargeters), note="")
+        for method, retarget in retargeters.items():
+            progress.update(task, note=method)
             methods[Path(method).name] = answers(retarget, hand, hands)
+            progress.update(task, advance=1, note="")
     properties = {
         "hand": description.name,
         "methods": ", ".join(methods),
@@ -78,7 +80,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         "seed": arguments.seed,
     }
     write_exploration(arguments.output, hand, hands, methods, properties)
-    console.print(f"Wrote {arguments.output}; open it with: rerun {arguments.output}", soft_wrap=True)
+    console.print(f"Recording: {arguments.output}", markup=False, soft_wrap=True)
+    console.print(f"Watch it: {command('rerun', arguments.output)}", markup=False, soft_wrap=True)
     return 0
 
 

@@ -9,13 +9,16 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from geort_drake.command_line import at_least, make_parser
+from geort_drake.command_line import add_json_option, at_least, command, make_parser, write_json
 from geort_drake.console import console, progress_bar, run_main
 from geort_drake.errors import OutputError
 from geort_drake.files import require_writable
 from geort_drake.gloves.recording import SIDES
 
 FORMATS = ("parquet", "lerobot", "rrd")
+EPILOG = """\
+docs/data_formats.md lists the columns of both kinds of tables.
+"""
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -28,6 +31,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
     source, output = arguments.input, arguments.output
     is_run = (source / RESULTS).is_file()
+    names = [source.stem]
     if arguments.format == "rrd":
         if is_run:
             raise OutputError(f"{source}: the trials of a run are Rerun recordings already: {source}/*.rrd")
@@ -44,21 +48,36 @@ def main(argv: Sequence[str] | None = None) -> None:
             done = write_lerobot(episodes, output, arguments.fps)
         else:
             done = write_parquet(episodes, output)
+        names = []
         with progress_bar() as progress:
             task = progress.add_task("exporting", total=None, note="")
             for name in done:
+                names.append(name)
                 progress.update(task, advance=1, note=name)
-    console.print(f"exported to {output}", markup=False, soft_wrap=True)
+    write_json(arguments.json, {"format": arguments.format, "output": str(output), "episodes": names})
+    console.print(f"Exported: {output} ({len(names)} episodes)", markup=False, soft_wrap=True)
+    console.print(_how_to_open(arguments.format, output), markup=False, soft_wrap=True)
+
+
+def _how_to_open(format: str, output: Path) -> str:
+    if format != "parquet":
+        return f"Watch it: {command('rerun', output)}"
+    return f'Read it: pyarrow.dataset.dataset("{output / "frames"}").to_table()'
 
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = make_parser(__doc__)
+    parser = make_parser(__doc__, EPILOG)
     add = parser.add_argument
     add("input", type=Path, help="folder that simulate_grasp.py wrote, or a recording of a hand")
     add("output", type=Path, help="folder to write; for rrd a file")
-    add("--format", choices=FORMATS, default="parquet", help="(parquet)")
-    add("--fps", type=at_least(1), help="frames per second, of lerobot (the recording's) and rrd (30)")
-    add("--side", choices=SIDES, default="right", help="which hand was recorded (right)")
+    add("--format", choices=FORMATS, default="parquet", help="what to write")
+    add(
+        "--fps",
+        type=at_least(1),
+        help="frames per second of lerobot and rrd (default: the recording's, and 30 of rrd)",
+    )
+    add("--side", choices=SIDES, default="right", help="which hand was recorded")
+    add_json_option(parser, "what was exported")
     arguments = parser.parse_args(argv)
     if arguments.format == "rrd" and arguments.output.suffix != ".rrd":
         parser.error(f"{arguments.output}: the name must end with .rrd")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from geort_drake.command_line import at_least, make_parser
+from geort_drake.command_line import add_json_option, at_least, command, make_parser, write_json
 from geort_drake.console import console, progress_bar, run_main
 from geort_drake.files import require_writable
 
@@ -52,7 +52,11 @@ def main(argv: Sequence[str] | None = None) -> None:
         f"pinches closed {'–' if closed is None else f'{100 * closed:.0f} %'}, self-collision "
         f"{100 * metrics['self_collision']:.1f} %; fitted in {provenance['timings']['fit_s']:.1f} s"
     )
-    console.print(f"saved to {path}", markup=False, soft_wrap=True)
+    write_json(arguments.json, metrics)
+    console.print(f"Checkpoint: {path}", markup=False, soft_wrap=True)
+    hand = [] if arguments.hand is None else ["--hand", arguments.hand]
+    grasp = command("simulate_grasp.py", "--retargeter", path, "--recording", arguments.recording, *hand)
+    console.print(f"Grasp with it: {grasp}", markup=False, soft_wrap=True)
 
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -61,9 +65,14 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     add("checkpoint", type=Path, help="directory of the checkpoint to start from")
     add("recording", type=Path, help="about a minute of the new person's hand, in any format that is read")
     add("output", type=Path, help="directory of the new checkpoint")
-    add("--hand", help="robot hand, by name or file of its description (the checkpoint's)")
-    add("--steps", type=at_least(0), help="of fine-tuning (400); 0 leaves it out, which takes a second")
-    add("--seed", type=at_least(0), default=0, help="(0)")
+    add("--hand", help="robot hand, by name or file of its description (default: the checkpoint's)")
+    add(
+        "--steps",
+        type=at_least(0),
+        help="of fine-tuning; 0 leaves it out, which takes a second (default: 400)",
+    )
+    add("--seed", type=at_least(0), default=0, help="of fine-tuning and metrics")
+    add_json_option(parser, "the metrics")
     arguments = parser.parse_args(argv)
     require_writable(arguments.output, directory=True)
     return arguments

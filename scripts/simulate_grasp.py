@@ -6,10 +6,11 @@ and of each trial a Rerun recording (.rrd) and the glove and tracker data (.npz)
 """
 
 import argparse
+import contextlib
 import copy
+import dataclasses
 import json
-import os
-import sys
+import shlex
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,29 +18,51 @@ from pathlib import Path
 from rich.table import Table
 
 from geort_drake import __version__
-from geort_drake.command_line import add_scenario_options, at_least, make_parser, scenario_of
+from geort_drake.command_line import (
+    TRAINED_METHODS,
+    add_json_option,
+    add_scenario_options,
+    at_least,
+    command,
+    make_parser,
+    method_help,
+    scenario_of,
+    write_json,
+)
 from geort_drake.console import console, progress_bar, run_main
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.files import require_writable, write_text
+from geort_drake.gloves.recording import SIDES
+from geort_drake.retargeting.checkpoint import METRICS, Checkpoint, load_checkpoint
 
+# Grasped where neither --objects nor the scenario says what.
 DEFAULT_OBJECTS = ("cylinder", "sphere", "cube")
+EPILOG = f"""\
+{method_help(TRAINED_METHODS)}
+objects: those of models/objects.yaml; docs/grasping.md says what each of them tries
+"""
 
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = make_parser(__doc__)
+    parser = make_parser(__doc__, EPILOG)
     add = parser.add_argument
-    add("--output", type=Path, default=Path("runs/grasp"), help="folder for the results (runs/grasp)")
-    add("--objects", nargs="+", help=f"what to grasp ({' '.join(DEFAULT_OBJECTS)})")
-    add("--trials", type=at_least(1), default=1, help="trials per object, each with its own seed (1)")
-    add("--recording", type=Path, help="train on this glove recording instead of synthetic play")
-    add("--side", choices=["left", "right"], help="side of the recorded hand (the robot hand's)")
+    add("--output", type=Path, default=Path("runs/grasp"), help="folder for the results")
+    add(
+        "--objects",
+        nargs="+",
+        metavar="NAME",
+        help=f"what to grasp (default: the scenario's object, or {' '.join(DEFAULT_OBJECTS)} if it has none)",
+    )
+    add("--trials", type=at_least(1), default=1, help="trials per object, each with its own seed")
+    add("--recording", type=Path, help="glove recording to train on (default: synthetic play)")
+    add("--side", choices=SIDES, help="side of the recorded hand (default: the robot hand's)")
     add("--retargeter", type=Path, help="use this checkpoint, do not train; give its --recording too")
-    add("--method", help="retargeting method to train (train_retargeter.py's default)")
-    add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train (cpu)")
-    add("--seed", type=at_least(0), default=0, help="seed of training and synthetic play (0)")
-    add("--replay", type=Path, help="replay this recording with wrist poses in the operator's place")
+    add("--method", metavar="NAME", help=f"what to train, of those below (default: {TRAINED_METHODS[0]})")
+    add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train")
+    add("--seed", type=at_least(0), default=0, help="seed of training and synthetic play")
+    add("--replay", type=Path, help="replay this recording in the operator's place, with its wrist poses")
     add("--no_rerun", action="store_true", help="write no .rrd files")
-    add("--json", action="store_true", help="also print the results as JSON on stdout")
+    add_json_option(parser, "the results")
     add_scenario_options(parser)
     arguments = parser.parse_args(argv)
     require_writable(arguments.output, directory=True)
@@ -58,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     from geort_drake.hands.model import HandModel
     from geort_drake.retargeting.retargeter import load_retargeter
     from geort_drake.simulation.grasp_planner import GraspPlanner
-    from geort_drake.simulation.scenario import dump_scenario
+    from geort_drake.simulation.scenario import dump_scenario, names_object
     from geort_drake.simulation.trial import run_trial
 
     # What is wrong with the request is found before anything is computed or written.
@@ -68,8 +91,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     base = scenario_of(arguments)
     description = load_hand(base.hand)
     side = arguments.side or description.side
+    objects = arguments.objects or DEFAULT_OBJECTS
+    if arguments.objects is None and names_object(
+        arguments.scenario_file, arguments.scenario_name, arguments.scenario_text
+    ):
+        objects = [base.object.name]
     scenarios = []
-    for name in arguments.objects or DEFAULT_OBJECTS:
+    for name in objects:
         for trial in range(arguments.trials):
             scenario = copy.deepcopy(base)
             scenario.object.name = name
@@ -79,8 +107,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     replay = None
     if arguments.replay:
         replay = read_recording(arguments.replay, side)
-        if replay.X_WH is None:
-            raise ScenarioError(f"{arguments.replay}: a replay needs wrist poses (X_WH), and it has none")
+        if base.fixed_base:
+            replay = dataclasses.replace(replay, X_WH=None)  # nothing is to follow the wrist
+        elif replay.X_WH is None:
+            raise ScenarioError(
+                f"{arguments.replay}: a replay needs wrist poses (X_WH), and it has none; with "
+                "--scenario_name Fixed the hand stays where it is"
+            )
+    elif base.fixed_base:
+        raise ScenarioError(
+            f"scenario '{arguments.scenario_name}': nobody grasps from a fixed base; give a --replay"
+        )
 
     if arguments.recording:
         recording = read_recording(arguments.recording, side, training=True)
@@ -112,6 +149,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     console.print(f"Retargeter:   {checkpoint} ({'reused' if reused else 'trained now'})", soft_wrap=True)
 
     person = HumanHand.fit(recording)
+    properties = describe(load_checkpoint(checkpoint))
     results = []
     with progress_bar() as progress:
         total = len(scenarios)
@@ -124,7 +162,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 retarget,
                 replay or (person, goals[name]),
                 None if arguments.no_rerun else arguments.output / f"{stem}.rrd",
-                {"method": method, "checkpoint": str(checkpoint), "version": __version__},
+                properties,
                 lambda t, stem=stem: progress.update(task, note=f"{stem}: {t:.1f} s simulated"),
             )
             glove.save(arguments.output / f"{stem}.glove.npz")
@@ -140,22 +178,30 @@ def main(argv: Sequence[str] | None = None) -> int:
         "successes": sum(result.success for result in results),
         "trials": [result.to_json() for result in results],
     }
-    text = json.dumps(report, indent=2, allow_nan=False)
-    write_text(arguments.output / "results.json", text + "\n")
-    write_text(arguments.output / "scenario.yaml", dump_scenario(base))
+    write_json(arguments.output / "results.json", report)
+    # That of the first trial; the others differ in object and seed, which the results name.
+    write_text(arguments.output / "scenario.yaml", dump_scenario(scenarios[0]))
     console.print(results_table(results))
-    if arguments.json:
-        print(text)
-    console.print(f"Results: {arguments.output / 'results.json'}")
+    write_json(arguments.json, report)
+    console.print(f"Results:    {arguments.output / 'results.json'}", soft_wrap=True)
     if not arguments.no_rerun:
-        console.print(f"Watch them: {rerun_command()} {arguments.output}/*.rrd", soft_wrap=True)
+        # The shell is to put the names in.
+        recordings = f"{shlex.quote(str(arguments.output))}/*.rrd"
+        console.print(f"Watch them: {command('rerun')} {recordings}", markup=False, soft_wrap=True)
     return 0
 
 
-def rerun_command() -> str:
-    """The viewer that belongs to this Python, as one would type it here."""
-    beside = Path(sys.executable).with_name("rerun")
-    return os.path.relpath(beside) if beside.exists() else "rerun"
+def describe(checkpoint: Checkpoint) -> dict[str, str | float]:
+    """What the recordings say of the retargeter, with the time that one call took, if it was measured."""
+    properties = {
+        "checkpoint": str(checkpoint.path),
+        "method": checkpoint.config["method"],
+        "hand": checkpoint.hand["name"],
+    }
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+        metrics = json.loads((checkpoint.path / METRICS).read_text(encoding="utf-8"))
+        properties["retargeting_call_us"] = float(metrics["latency_us"]["median"])
+    return properties
 
 
 def results_table(results) -> Table:

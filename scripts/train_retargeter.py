@@ -12,13 +12,21 @@ from typing import Any
 
 from rich.table import Table
 
-from geort_drake.command_line import at_least, check_outputs, make_parser
-from geort_drake.console import console, run_main
+from geort_drake.command_line import (
+    TRAINED_METHODS,
+    add_json_option,
+    at_least,
+    check_outputs,
+    command,
+    make_parser,
+    method_help,
+    write_json,
+)
+from geort_drake.console import console, run_main, warn
 from geort_drake.errors import TrainingError
 from geort_drake.evaluation.pipeline import (
     CONFIGS,
     DEFAULT_METHOD,
-    METHODS,
     train_checkpoint,
     training_config,
 )
@@ -32,7 +40,8 @@ from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.retargeting.training import FORWARD_KINEMATICS, PRESETS
 from geort_drake.settings import parse_settings, settings_of
 
-EPILOG = """\
+EPILOG = f"""\
+{method_help(TRAINED_METHODS)}
 The output directory holds weights.safetensors, config.json, hand.json, provenance.json, history.csv and
 metrics.json; load it with geort_drake.retargeting.retargeter.load_retargeter(DIR).
 
@@ -43,6 +52,7 @@ Exit codes: 0 the checkpoint was written; 2 something asked for is unusable, not
 checkpoint was written, but the loss stopped being finite on the way and the last good weights were kept.
 """
 STOPPED_EARLY = 3
+DEFAULT_HAND = "allegro_right"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -80,35 +90,43 @@ def main(argv: Sequence[str] | None = None) -> int:
     if recorder is not None:
         properties = {"method": arguments.method, "hand": metrics["hand"], "seed": arguments.seed}
         recorder.write(arguments.rrd, load_retargeter(path), properties)
-        console.print(f"Wrote {arguments.rrd}; open it with: rerun {arguments.rrd}", soft_wrap=True)
-    if not arguments.quiet:
-        console.print(_table(checkpoint, metrics))
+    console.print(_table(checkpoint, metrics))
     for text in checkpoint.provenance["warnings"]:
-        console.print(f"warning: {text}", markup=False, soft_wrap=True)
-    if arguments.json:
-        print(json.dumps(metrics, indent=2))
-    else:
-        print(path)
+        warn(text)
+    write_json(arguments.json, metrics)
+    _tell_where(arguments, path)
     return 0 if checkpoint.provenance["training"]["stopped_at"] is None else STOPPED_EARLY
+
+
+def _tell_where(arguments: argparse.Namespace, path: Path) -> None:
+    """Where the results are, and what to do with them."""
+    recording = [] if arguments.recording is None else ["--recording", arguments.recording]
+    hand = [] if arguments.hand == DEFAULT_HAND else ["--hand", arguments.hand]
+    lines = {"Checkpoint": path}
+    if arguments.rrd is not None:
+        lines["Watch it form"] = command("rerun", arguments.rrd)
+    lines["Grasp with it"] = command("simulate_grasp.py", "--retargeter", path, *recording, *hand)
+    for what, line in lines.items():
+        console.print(f"{what}: {line}", markup=False, soft_wrap=True)
 
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = make_parser(__doc__, EPILOG)
     parser.add_argument(
         "--hand",
-        default="allegro_right",
-        help=f"name or file of a hand description; names: {', '.join(hand_names())} (default: %(default)s)",
+        default=DEFAULT_HAND,
+        help=f"name or file of a hand description; names: {', '.join(hand_names())}",
     )
     parser.add_argument(
         "--recording",
         type=Path,
-        help="recording of a human hand; without it, five minutes of play are synthesised",
+        help="of a human hand (default: five minutes of synthetic play)",
     )
     parser.add_argument(
         "--output", type=Path, required=True, help="checkpoint directory; replaced if it exists"
     )
     parser.add_argument(
-        "--method", default=DEFAULT_METHOD, help=f"one of {', '.join(METHODS)} (default: %(default)s)"
+        "--method", metavar="NAME", default=DEFAULT_METHOD, help="how to train, of those below"
     )
     parser.add_argument(
         "--preset",
@@ -121,17 +139,15 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         choices=FORWARD_KINEMATICS,
         help="forward kinematics used in training; neural is the paper's (default: exact)",
     )
-    parser.add_argument(
-        "--seed", type=at_least(0), default=0, help="seed of everything random (default: %(default)s)"
-    )
-    parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"), help="(default: %(default)s)")
+    parser.add_argument("--seed", type=at_least(0), default=0, help="seed of everything random")
+    parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"), help="where to train")
     steps = ", ".join(f"{method} {config.steps}" for method, config in CONFIGS.items())
     parser.add_argument("--steps", type=int, help=f"descent steps (default: {steps})")
     parser.add_argument(
         "--robot_samples",
         type=at_least(1),
         default=100_000,
-        help="joint positions of the robot (default: %(default)s)",
+        help="joint positions of the robot",
     )
     parser.add_argument(
         "--set",
@@ -144,8 +160,7 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--rrd", type=Path, metavar="FILE.rrd", help="also record how the map forms, for the Rerun viewer"
     )
-    parser.add_argument("--json", action="store_true", help="print the metrics as JSON on stdout")
-    parser.add_argument("--quiet", action="store_true", help="no progress bars and no table")
+    add_json_option(parser, "the metrics")
     arguments = parser.parse_args(argv)
     require_writable(arguments.output, directory=True)
     check_outputs(parser, (arguments.rrd, ".rrd"))

@@ -34,6 +34,15 @@ def manus_npz() -> Path:
     return _recording_file("manus_right_subject-000_run-010.npz")
 
 
+@pytest.fixture
+def light_evaluation(tmp_path, monkeypatch):
+    """A cache of its own and an evaluation with few samples, where the plumbing is what is tested."""
+    from light_metrics import lighten
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    lighten(monkeypatch)
+
+
 # Models that several modules look at, loaded once; imported only where one is asked for.
 
 

@@ -10,8 +10,6 @@ from retargeting_toy import toy_human, toy_kinematics
 from scipy.optimize import minimize
 
 from geort_drake.errors import GeortError, HandError, TrainingError, UnknownNameError
-from geort_drake.hands.description import load_hand
-from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.baselines.linear_offline import SCALE, train_linear_offline
 from geort_drake.retargeting.baselines.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.baselines.online import (
@@ -26,11 +24,6 @@ from geort_drake.retargeting.kinematics import FingerChain, HandKinematics
 from geort_drake.retargeting.training import TrainingConfig
 
 P_BW = np.array([0.0, 0.0, -0.095])  # of the Allegro: the palm's foot, as dex-retargeting has it
-
-
-@pytest.fixture(scope="module")
-def allegro() -> HandModel:
-    return HandModel(load_hand("allegro_right"))
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
-from test_gloves_scripts import script
+from script_modules import load_script
 
 from geort_drake.gloves.coverage import PINCHES, coverage, pinches
 from geort_drake.gloves.health import examine, verdict
@@ -127,7 +127,7 @@ def test_the_watch_ends_when_nothing_is_missing(tmp_path, shown, capsys):
     path = tmp_path / "hand.npz"
     half = len(recording) // 2
     Recording(recording.t[:half], recording.p_HK[:half], recording.valid[:half]).save(path)
-    module = script("import_recording.py")
+    module = load_script("import_recording.py")
     module._LOOK_EVERY_S = 0.05
     ended = threading.Event()
 
@@ -160,7 +160,7 @@ def test_the_protocol_is_written_down():
 def test_the_demonstration_is_a_rerun_recording(tmp_path):
     """The hand moves, and a lane names the steps in their order."""
     output = tmp_path / "protocol.rrd"
-    script("show_capture_protocol.py").main(["--output", str(output)])
+    load_script("show_capture_protocol.py").main(["--output", str(output)])
     steps: list[str] = []
     drawn = 0
     for chunk in RrdReader(output).stream():

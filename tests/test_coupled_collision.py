@@ -14,11 +14,6 @@ from geort_drake.retargeting.collision_geometry import CollisionGaps, CollisionS
 CPU = torch.device("cpu")
 
 
-@pytest.fixture(scope="module")
-def allegro():
-    return HandModel(load_hand("allegro_right"))
-
-
 def gap(R_A, R_B, p_AB, a, b) -> float:
     tensors = [torch.tensor(np.asarray(value, dtype=float))[None] for value in (R_A, R_B, p_AB, a, b)]
     return float(box_gap(*tensors)[0])

@@ -16,9 +16,13 @@ class Map(nn.Module):
 
 
 def follow(prices: Prices, measurements: int, network: nn.Module) -> None:
-    """Lets the end of a descent pass, in which the map becomes the factor of its loss."""
-    for step in range(measurements * EVERY):
-        prices.follow(network, step, FROM)
+    """Lets the end of a descent pass, in which the map becomes the factor of its loss.
+
+    So many measurements count; the one that would end after the descent is not begun.
+    """
+    steps = round((measurements + 1) * EVERY / (1 - FROM))
+    for step in range(round(FROM * steps), steps):
+        prices.follow(network, step, steps)
         network.value.data.fill_(prices.factors["coverage"])
 
 
@@ -42,11 +46,12 @@ def test_what_cannot_be_had_costs_no_more_than_is_allowed():
     assert prices.factors == pytest.approx({"coverage": 1.2, "cross_talk": LEAST})
 
 
-def test_nothing_is_measured_before_the_map_has_a_shape():
-    """The first figures are far from what any map has at the end."""
+def test_nothing_is_measured_before_the_map_has_a_shape_or_too_late_to_count():
+    """The first figures are far from what any map has at the end, and the last ones would change no step."""
     asked = []
     with Prices({"coverage": 1.3}, asked.append) as prices:
-        prices.follow(Map(), EVERY, 0.99 * FROM)
+        for step in range(5 * EVERY):
+            prices.follow(Map(), step, 5 * EVERY)
     assert not asked
 
 

@@ -89,7 +89,7 @@ def test_a_map_is_asked_the_same_each_time(hand, network):
     assert shortfalls(network) == shortfalls(network)
 
 
-def test_a_long_recording_is_thinned(hand, network, monkeypatch):
+def test_a_long_recording_is_thinned(hand, monkeypatch):
     """Evenly, so that all of it counts."""
     monkeypatch.setattr(coupled_wanted, "FRAMES", 50)
     frames = torch.tensor(toy_human(hand), dtype=torch.float32)

@@ -1,11 +1,11 @@
 """What README and docs promise is there: snippets run, commands parse, links lead somewhere."""
 
 import dataclasses
-import importlib.util
 import re
 import shlex
 import shutil
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -14,8 +14,11 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
+from script_modules import load_script
 
 from geort_drake.evaluation.pipeline import train_checkpoint
+from geort_drake.gloves.formats import FORMATS
+from geort_drake.gloves.health import examine, verdict
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.operators.config import OperatorConfig
 from geort_drake.resources import models_dir
@@ -87,20 +90,61 @@ def names_of_the_rerun_page() -> dict:
     }  # fmt: skip
 
 
+def points_of_a_glove() -> dict:
+    """The file that the first snippet of add_glove.md reads."""
+    np.save("points.npy", 1000 * synthesize_play(0, duration_s=12.0, rate_hz=60.0).p_HK)
+    return {}
+
+
+def reader_of_the_gloves_page() -> dict:
+    """The reader that the third snippet of add_glove.md registers, and a file for it."""
+    play = synthesize_play(0, duration_s=12.0, rate_hz=60.0)
+    wrist_last = np.roll(play.p_HK, -1, axis=1)
+    np.savez("markers.npz", markers=1000 * wrist_last, time=play.t, side="right")
+    given: dict = {"play": play}
+    exec(fences(ROOT / "docs" / "add_glove.md", "python")[1], given)
+    return given
+
+
 # Snippets that go on where the reader's own program stops, and what they find there.
-GIVEN = {("rerun.md", 1): names_of_the_rerun_page}
+GIVEN = {
+    ("rerun.md", 1): names_of_the_rerun_page,
+    ("add_glove.md", 0): points_of_a_glove,
+    ("add_glove.md", 2): reader_of_the_gloves_page,
+}
 
 
 @pytest.mark.parametrize(("page", "number"), SNIPPETS)
 def test_a_snippet_runs(page, number, desk, monkeypatch):
     """Every Python snippet runs as it stands, in a folder with the files it names."""
     monkeypatch.chdir(desk)
-    given = GIVEN.get((page.name, number), dict)()
-    code = compile(fences(page, "python")[number], f"{page.name}, snippet {number}", "exec")
-    exec(code, given)
+    given = run_snippet(page, number)
     recorder = given.get("recorder")
     if recorder is not None:
         recorder.close()
+
+
+def run_snippet(page: Path, number: int) -> dict:
+    """Its names after it ran in this folder, without the formats of recordings that it adds."""
+    given = GIVEN.get((page.name, number), dict)()
+    code = compile(fences(page, "python")[number], f"{page.name}, snippet {number}", "exec")
+    with mock.patch.dict(FORMATS):
+        exec(code, given)
+    return given
+
+
+@pytest.mark.parametrize("number", [0, 2])
+def test_the_page_of_gloves_reads_the_hand_that_a_file_holds(number, tmp_path, monkeypatch):
+    """By a few lines and by a reader, in the wrist frame, m, and sound."""
+    monkeypatch.chdir(tmp_path)
+    read = run_snippet(ROOT / "docs" / "add_glove.md", number)["recording"]
+    play = synthesize_play(0, duration_s=12.0, rate_hz=60.0)
+    np.testing.assert_allclose(read.p_HK, play.p_HK, atol=1e-6)
+    np.testing.assert_allclose(read.t, play.t, atol=1e-9)
+    assert read.valid.all() and read.side == "right"
+    assert "refused" not in verdict(examine(read)[1])
+    if number == 2:
+        assert (read.metadata["format"], read.metadata["rate_known"]) == ("my_glove", True)
 
 
 def test_the_readmes_diagram_moves_the_hand(desk, monkeypatch):
@@ -131,13 +175,6 @@ def commands() -> list:
     return found
 
 
-def script(path: str):
-    spec = importlib.util.spec_from_file_location(Path(path).stem, ROOT / path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.parametrize("line", commands())
 def test_a_command_names_a_script_and_options_that_exist(line, capsys):
     """The script is there and its --help lists every option that the page uses."""
@@ -145,7 +182,7 @@ def test_a_command_names_a_script_and_options_that_exist(line, capsys):
     path = next(word for word in words if word.startswith("scripts/"))
     assert (ROOT / path).is_file()
     with pytest.raises(SystemExit):
-        script(path).main(["--help"])
+        load_script(Path(path).name).main(["--help"])
     known = set(re.findall(r"--\w+", capsys.readouterr().out))
     assert {word.split("=")[0] for word in words if word.startswith("--")} <= known
 
@@ -174,6 +211,13 @@ def test_links_and_files_lead_somewhere(page):
     )
     missing += [target for target in named if not (ROOT / target).exists()]
     assert missing == []
+
+
+def test_the_readme_lists_every_page():
+    """In its table of documentation."""
+    index = (ROOT / "README.md").read_text("utf-8").split("## Documentation")[1].split("\n## ")[0]
+    pages = {f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md")} | {"CHANGELOG.md", "SECURITY.md"}
+    assert set(re.findall(r"\]\(([^)#]+)\)", index)) == pages
 
 
 def test_the_documented_parameters_have_their_defaults():

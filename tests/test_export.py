@@ -9,7 +9,7 @@ import pytest
 from pydrake.math import RigidTransform
 from rerun.experimental import LeRobotReader
 from scipy.spatial.transform import Rotation
-from test_gloves_scripts import script
+from script_modules import load_script
 
 from geort_drake.errors import OutputError, RecordingError
 from geort_drake.export.episode import episode_of, glove_at, newest, read_episodes
@@ -242,7 +242,7 @@ def test_what_cannot_be_exported_is_refused(run, tmp_path):
 
 def test_the_script_exports_runs_and_recordings(run, tmp_path):
     """Parquet of both; a recording of a hand as Rerun's file, which a run has already."""
-    export = script("export_run.py").main
+    export = load_script("export_run.py").main
     export([str(run), str(tmp_path / "lerobot"), "--format", "lerobot", "--fps", "10"])
     assert LeRobotReader(tmp_path / "lerobot").episodes() == [0, 1]
     hand = tmp_path / "hand.npz"

@@ -204,7 +204,7 @@ def test_self_collision_counts_penetrations_over_two_millimetres():
     assert result == {"deep": pytest.approx(2 / 5), "any": pytest.approx(3 / 5)}
 
 
-def test_smoothness_of_a_parabola_has_no_jerk(rng):
+def test_smoothness_of_a_parabola_has_no_jerk():
     """q = t² e: steps grow linearly, the third difference vanishes; a cubic's is 6."""
     t = np.arange(11.0)
     q = np.outer(t**2, [0.6, 0.8])

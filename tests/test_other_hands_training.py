@@ -1,14 +1,12 @@
 """Training for hands other than the Allegro right: a left one in the mirror, and LEAP."""
 
 import dataclasses
-import functools
 import json
 
 import numpy as np
 import pytest
 
 from geort_drake.errors import RecordingError
-from geort_drake.evaluation import metrics
 from geort_drake.evaluation.pipeline import train_checkpoint
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.gloves.recording import Recording
@@ -17,16 +15,7 @@ from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.retargeter import load_retargeter
 
-
-@pytest.fixture(autouse=True)
-def light(tmp_path, monkeypatch):
-    """A cache of its own and an evaluation with few samples, where the plumbing is what is tested."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(metrics, "ROBOT_SAMPLES", 500)
-    for name in ("motion_cosines", "cross_talk", "flatness_and_gain"):
-        monkeypatch.setattr(metrics, name, functools.partial(getattr(metrics, name), anchors=30))
-    monkeypatch.setattr(metrics, "context_averaged", functools.partial(metrics.context_averaged, contexts=2))
-    monkeypatch.setattr(metrics, "call_times", functools.partial(metrics.call_times, calls=10))
+pytestmark = pytest.mark.usefixtures("light_evaluation")
 
 
 def play(side: str = "right") -> Recording:

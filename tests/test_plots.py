@@ -148,7 +148,7 @@ def test_motion_is_shown_as_an_angle():
     assert sum(patch.get_height() for patch in wrong.patches) == 18.0
 
 
-def test_call_times_are_in_microseconds(rng):
+def test_call_times_are_in_microseconds():
     """Median and 99th percentile are written."""
     figure = distribution_plots.call_times({"quick": np.full(100, 15e-6), "slow": np.full(100, 0.012)})
     drawn(figure)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from retargeting_toy import toy_human, toy_kinematics, toy_samples
-from test_gloves_scripts import script
+from script_modules import load_script
 
 from geort_drake.errors import CheckpointError, RecordingError, TrainingError
 from geort_drake.evaluation.pipeline import train_checkpoint
@@ -69,7 +69,7 @@ def test_folding_is_calling_the_map_afterwards(hand, person, kind, rng):
     np.testing.assert_allclose(after(person[:50]), before(maps(person[:50])), atol=1e-9)
 
 
-def test_the_map_between_two_people_is_found(hand, person):
+def test_the_map_between_two_people_is_found(person):
     """Of a hand that is the trained one, stretched and moved, every fingertip lands where it was trained."""
     person = person + np.array([[0.0, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.2, 0.0]])  # too far apart to pinch
     maps = fit_affine(space_of(person), other(person), NAMES)
@@ -81,7 +81,7 @@ def test_the_map_between_two_people_is_found(hand, person):
     assert (stretched < 1.3).all()
 
 
-def test_pinches_tie_the_fingers(hand, person, rng, monkeypatch):
+def test_pinches_tie_the_fingers(person, rng, monkeypatch):
     """Where two tips of the new person meet, the map keeps them nearer to each other than without ties."""
     rows = rng.permutation(len(person))[:600]
 
@@ -132,7 +132,7 @@ def test_fine_tuning_goes_down_the_losses(hand, person):
     assert not np.array_equal(arrays["weight1"], start["weight1"])
 
 
-def test_weights_of_another_hand_are_refused(hand, person):
+def test_weights_of_another_hand_are_refused(hand):
     """With the array's name and both shapes."""
     generator = torch.Generator().manual_seed(0)
     arrays = CoupledNetwork(hand, torch.zeros(3, 3), torch.ones(3, 3), 8, 6, generator).arrays()
@@ -174,7 +174,7 @@ def test_the_script_writes_an_ordinary_checkpoint(trained):
     hand = dataclasses.replace(hand, p_HK=1.1 * hand.p_HK)
     hand.save(trained / "hand.npz")
     arguments = [str(trained / "old"), str(trained / "hand.npz"), str(trained / "new"), "--steps", "10"]
-    script("refit_retargeter.py").main(arguments)
+    load_script("refit_retargeter.py").main(arguments)
     old, new = load_checkpoint(trained / "old"), load_checkpoint(trained / "new")
     retarget = load_retargeter(trained / "new")
     q = retarget(hand.p_HK[:30])
@@ -197,7 +197,7 @@ def test_a_checkpoint_that_does_not_know_its_places_is_refused(trained):
     )  # fmt: skip
     synthesize_play(5, 12.0, 30.0).save(trained / "short.npz")
     with pytest.raises(CheckpointError, match="does not say where training saw"):
-        script("refit_retargeter.py").main(
+        load_script("refit_retargeter.py").main(
             [str(trained / "blind"), str(trained / "short.npz"), str(trained / "x")]
         )
 

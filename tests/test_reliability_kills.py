@@ -35,7 +35,7 @@ def test_a_killed_program_goes_on(known, name, by_clock, tmp_path):
     assert kills.kill(kills.WORKS[name], known(name), tmp_path / "kill", rng, by_clock) == []
 
 
-@pytest.mark.parametrize("name", ["data generation", "training"])
+@pytest.mark.parametrize("name", ["data generation", "training", "teleoperation"])
 def test_a_program_whose_files_may_not_grow_says_so(known, name, tmp_path):
     """The file's name and the reason; earlier results stay, and no draft is left."""
     assert kills.full_disk(kills.WORKS[name], known(name), tmp_path / "limited", 6_000) == []
@@ -68,7 +68,7 @@ def test_a_line_that_did_not_fit_is_dropped_and_the_log_goes_on(tmp_path):
     whole = read_records(path)
     with TrialLog(path) as log:
         assert log.torn and log.records == whole and len(whole) == 7
-        log.append({"method": "hold", "object": "cube", "seed": -1, "error": "x"})
+        log.append({"method": "hold", "object": "cube", "seed": -1, "error": "x", "traceback": ""})
     assert len(read_records(path)) == 8
 
 

@@ -1,7 +1,7 @@
 """Long and hard use: faulty frames without end, and very many updates."""
 
 import pytest
-from faults.frames import FAULTS, fuzz_call, fuzz_system
+from faults.frames import FAULTS, WRIST_FAULTS, fuzz_arm, fuzz_call, fuzz_system
 from faults.soak import soak
 
 
@@ -19,6 +19,15 @@ def test_the_python_call_refuses_what_is_not_finite_and_keeps_the_limits():
     result = fuzz_call(10_000, 0)
     assert result["violations"] == 0
     assert result["refused"] > 100
+
+
+def test_no_faulty_wrist_breaks_the_arms_limits():
+    """Position, speed and acceleration; and an arm that is held stands still."""
+    result = fuzz_arm(4_000, 0)
+    assert result["violations"] == 0, result
+    assert set(result["faults"]) == set(WRIST_FAULTS)
+    assert result["held"] > 400
+    assert result["speed_when_held"] == 0.0
 
 
 @pytest.mark.parametrize("count", [3_000])

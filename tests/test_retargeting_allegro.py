@@ -1,18 +1,17 @@
 """From a recording to an evaluated checkpoint, on the Allegro hand."""
 
-import functools
-import importlib.util
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from script_modules import load_script
 
 import geort_drake
 from geort_drake import files
 from geort_drake.errors import CheckpointError, UnknownNameError
-from geort_drake.evaluation import checkpoint_cache, metrics
+from geort_drake.evaluation import checkpoint_cache
 from geort_drake.evaluation.metrics import evaluate
 from geort_drake.evaluation.pipeline import train_checkpoint
 from geort_drake.gloves.play import synthesize_play
@@ -23,7 +22,6 @@ from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.retargeter import load_retargeter
 
-SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "train_retargeter.py"
 QUICK = {
     "steps": 120, "points": 64, "targets": 128, "pinches": 32, "frames": 32, "hidden": 32,
     "classifier_steps": 100, "refreshes": 2, "refresh_steps": 20, "refresh_samples": 200,
@@ -138,22 +136,9 @@ def test_names_that_do_not_exist_are_refused_before_any_work(play, tmp_path):
 
 
 @pytest.fixture
-def light(monkeypatch):
-    """An evaluation with few samples, where the plumbing is what is tested."""
-    monkeypatch.setattr(metrics, "ROBOT_SAMPLES", 500)
-    for name in ("motion_cosines", "cross_talk", "flatness_and_gain"):
-        monkeypatch.setattr(metrics, name, functools.partial(getattr(metrics, name), anchors=30))
-    monkeypatch.setattr(metrics, "context_averaged", functools.partial(metrics.context_averaged, contexts=2))
-    monkeypatch.setattr(metrics, "call_times", functools.partial(metrics.call_times, calls=50))
-
-
-@pytest.fixture
-def script(light):
+def script(light_evaluation):
     """scripts/train_retargeter.py as a module."""
-    spec = importlib.util.spec_from_file_location("train_retargeter", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_script("train_retargeter.py")
 
 
 def test_the_script_trains_and_prints_the_metrics(script, play, tmp_path, capsys):
@@ -169,7 +154,7 @@ def test_the_script_trains_and_prints_the_metrics(script, play, tmp_path, capsys
     assert load_checkpoint(output).config["training"]["steps"] == 10
 
 
-def test_the_script_knows_every_methods_settings(script, play, tmp_path, capsys):
+def test_the_script_knows_every_methods_settings(script, play, tmp_path):
     """A preset, what takes precedence over it, and the settings of geort_coupled."""
     play.save(tmp_path / "play.npz")
     arguments = ["--recording", str(tmp_path / "play.npz"), "--robot_samples", "2000", "--quiet"]
@@ -232,7 +217,8 @@ def test_a_diverging_training_leaves_a_usable_checkpoint(script, play, tmp_path,
     assert (tmp_path / "run" / "metrics.json").is_file()
 
 
-def test_the_cache_tells_settings_methods_and_code_apart(light, play, monkeypatch, tmp_path):
+@pytest.mark.usefixtures("light_evaluation")
+def test_the_cache_tells_settings_methods_and_code_apart(play, monkeypatch, tmp_path):
     """Equal requests share a checkpoint; other settings, another method or other code do not."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     trained = []
@@ -260,7 +246,8 @@ def test_the_cache_tells_settings_methods_and_code_apart(light, play, monkeypatc
         cached(speed=1)
 
 
-def test_the_cache_repeats_what_training_warned_of(light, play, monkeypatch, tmp_path):
+@pytest.mark.usefixtures("light_evaluation")
+def test_the_cache_repeats_what_training_warned_of(play, monkeypatch, tmp_path):
     """A checkpoint that stopped early is not handed out in silence the second time."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 

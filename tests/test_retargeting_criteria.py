@@ -71,7 +71,7 @@ def test_chamfer_of_identical_clouds_is_zero(rng):
     assert float(chamfer_loss(cloud, shuffled)) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_chamfer_of_a_small_translation_is_twice_its_square(rng):
+def test_chamfer_of_a_small_translation_is_twice_its_square():
     """Points farther apart than the translation keep their partners, in both directions."""
     grid = torch.tensor(np.stack(np.meshgrid(*[np.arange(4.0)] * 3), -1).reshape(1, -1, 3))
     shift = torch.tensor([0.1, -0.2, 0.05])

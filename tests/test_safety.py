@@ -14,6 +14,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import HandError
 from geort_drake.gloves.recording import Recording
+from geort_drake.systems.action_correction import PeriodicCorrection
 from geort_drake.systems.glove_checks import (
     FROZEN,
     HELD_CLOCK,
@@ -107,6 +108,14 @@ def test_joint_limits_that_make_no_sense_are_refused():
         JointLimits(np.zeros(2), np.ones(2), speed=0.0)
     with pytest.raises(HandError, match="acceleration must be positive"):
         JointLimits(np.zeros(2), np.ones(2), acceleration=np.array([1.0, -1.0]))
+    for value in (np.inf, np.nan, 1e300, 1e-300):
+        with pytest.raises(HandError, match="acceleration must be positive and finite, from 1e-06 to 1e"):
+            JointLimits(np.zeros(2), np.ones(2), acceleration=value)
+        with pytest.raises(HandError, match="speed must be positive and finite"):
+            JointLimits(np.zeros(2), np.ones(2), speed=value)
+    for value in (np.inf, np.nan, 1.7e308):
+        with pytest.raises(HandError, match="upper must be finite and within ±100 rad"):
+            JointLimits(np.zeros(2), np.array([1.0, value]))
 
 
 # -- what a good glove sends
@@ -268,5 +277,38 @@ def test_checks_that_make_no_sense_are_refused():
     """The message names the field."""
     with pytest.raises(ValueError, match=r"checks\.settle_time must be finite and not negative"):
         Bench(checks=dc.replace(AT_ONCE, settle_time=-1.0))
-    with pytest.raises(ValueError, match="cutoff must be"):
-        Bench(cutoff=np.inf)
+    for value in (np.inf, np.nan, -1.0, 1e-300):
+        with pytest.raises(ValueError, match="cutoff must be 0, or from"):
+            Bench(cutoff=value)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, 1e-300])
+def test_periods_and_latencies_that_make_no_sense_are_refused(value):
+    """Also where commands are corrected."""
+    with pytest.raises(ValueError, match=r"period must be from 1e-05 to 10 s, not"):
+        Bench(period=value)
+    if not 0.0 <= value < 1.0:
+        with pytest.raises(ValueError, match=r"latency must be from 0 to 10 s, not"):
+            Bench(latency=value)
+    with pytest.raises(ValueError, match="period must be from"):
+        PeriodicCorrection(["a"], {"a": 0.0}, JointLimits(np.zeros(1), np.ones(1)), value)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    period=st.sampled_from([1e-5, 0.01, 10.0]),
+    speed=st.sampled_from([1e-6, 7.0, 1e12]),
+    acceleration=st.sampled_from([1e-6, 700.0, 1e12]),
+    cutoff=st.sampled_from([0.0, 1e-3, 1e6]),
+    latency=st.sampled_from([0.0, 1e-300, 10.0]),
+)
+def test_the_output_is_finite_at_the_ends_of_what_is_accepted(period, speed, acceleration, cutoff, latency):
+    """Neither overflow nor a division by nothing gets into a command."""
+    limits = JointLimits(np.full(16, -100.0), np.full(16, 100.0), speed, acceleration)
+    bench = Bench(lambda p: np.full(16, 1e308 * np.sign(p[8, 0] - 0.02)), period, limits=limits,
+                  cutoff=cutoff, latency=latency, checks=dc.replace(AT_ONCE, max_speed=1e9))  # fmt: skip
+    bench.period = bench.system.period
+    for keypoints in PLAY.p_HK[:200:4]:
+        q, v, _ = bench.tick(keypoints)
+        assert np.isfinite([*q, *v, bench.system.delay]).all()
+        assert (np.abs(q) <= 100.0).all() and (np.abs(v) <= speed * (1 + 1e-9)).all()

@@ -19,6 +19,7 @@ from geort_drake.simulation.scenario import (
     default_scenario_file,
     dump_scenario,
     load_scenario,
+    names_object,
     object_names,
 )
 from geort_drake.simulation.world import add_object, add_robot
@@ -102,6 +103,20 @@ def test_text_is_merged_over_the_file():
     assert load_scenario(SCENARIOS, "OneOfEverything", text, hand="leap_right").hand == "leap_right"
 
 
+def test_a_scenario_says_whether_it_names_its_object(tmp_path):
+    """In the file, in the text, or in what the file merges into it; another field of the object does not."""
+    file = tmp_path / "own.scenarios.yaml"
+    file.write_text(
+        "Base: &base {object: {name: cube}}\nNamed: {<<: *base, timeout: 3}\nBare: {object: {yaw: 0.1}}\n"
+    )
+    assert load_scenario(file, "Named").object.name == "cube"
+    assert names_object(file, "Named") and names_object(file, "Base")
+    assert not names_object(file, "Bare")
+    assert names_object(file, "Bare", "{object: {name: bottle}}")
+    assert not names_object(file, "Bare", "{timeout: 3}")
+    assert not names_object()
+
+
 def test_loading_leaves_the_defaults_alone():
     """Neither the schema's defaults nor an earlier result change when another scenario is read."""
     before = yaml_dump_typed(Scenario())
@@ -150,7 +165,7 @@ def test_a_dumped_scenario_reads_back_the_same(tmp_path, file, name):
         (
             "{retargeting: {latency: -0.001}}",
             ScenarioError,
-            r"retargeting\.latency must be finite and not neg",
+            r"retargeting\.latency must be from 0 to 10 s",
         ),
         ("{operator: {visual_delay: 0.175}}", ScenarioError, r"visual_delay \(0\.175\) must be a multiple"),
         ("{operator: {tremor: -1}}", ScenarioError, r"operator\.tremor must be finite and not negative"),

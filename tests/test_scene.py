@@ -23,7 +23,7 @@ def nominal_scene() -> Scene:
 
 
 def test_the_placement_is_the_seeds_and_within_its_ranges():
-    """Position, yaw and mass stay in the ranges and fill them; one seed gives one placement."""
+    """Position, yaw, mass and friction stay in the ranges and fill them; one seed gives one placement."""
     scenario = scenario_with("cylinder")
     config = scenario.object
     placements = [draw_placement(scenario, -0.05, np.random.default_rng(seed)) for seed in range(300)]
@@ -34,17 +34,18 @@ def test_the_placement_is_the_seeds_and_within_its_ranges():
     np.testing.assert_allclose(p[:, 2], config.support_height + 0.05, atol=1e-12)
     yaw = np.array([np.arctan2(*placement.X_WO.rotation().matrix()[[1, 0], 0]) for placement in placements])
     assert 0.9 * config.yaw_range < np.abs(yaw).max() <= config.yaw_range
-    factor = np.array([placement.mass_factor for placement in placements])
-    assert 0.9 * config.mass_range < np.abs(factor - 1).max() <= config.mass_range
-    assert {placement.friction_factor for placement in placements} == {1.0}
+    for name, largest in (("mass_factor", config.mass_range), ("friction_factor", config.friction_range)):
+        factor = np.array([getattr(placement, name) for placement in placements])
+        assert 0.9 * largest < np.abs(factor - 1).max() <= largest == 0.2
     again = draw_placement(scenario, -0.05, np.random.default_rng(7))
     np.testing.assert_array_equal(again.X_WO.GetAsMatrix4(), placements[7].X_WO.GetAsMatrix4())
+    assert again.friction_factor == placements[7].friction_factor
 
 
 def test_the_centre_of_a_placement_can_be_chosen():
     """Without ranges the placement is the centre; friction has draws of its own and changes no other."""
     text = "{object: {yaw: 0.3, mass_factor: 2.0, friction_factor: 0.5, %s}}"
-    ranges = "position_range: 0, yaw_range: 0, mass_range: 0"
+    ranges = "position_range: 0, yaw_range: 0, mass_range: 0, friction_range: 0"
     exact = draw_placement(scenario_with("cube", text % ranges), -0.05, np.random.default_rng(3))
     p, R = exact.X_WO.translation(), exact.X_WO.rotation().matrix()
     np.testing.assert_allclose(p[:2], scenario_with("cube").object.position)
@@ -65,6 +66,7 @@ def test_the_centre_of_a_placement_can_be_chosen():
 def test_friction_and_stiffness_are_scaled_in_the_plant():
     """The object's coefficients and the hand's gains, and nobody else's."""
     text = "{hand_stiffness_factor: 4.0, object: {friction_factor: 0.5}}"
+    # Both have the same seed, and so the same draw of friction on top.
     scaled, nominal = scene_of(scenario_with("cylinder", text)), nominal_scene()
 
     def coefficients(scene: Scene) -> dict[str, float]:
@@ -84,7 +86,10 @@ def test_friction_and_stiffness_are_scaled_in_the_plant():
     before, after = coefficients(nominal), coefficients(scaled)
     changed = {name: after[name] / before[name] for name in before if after[name] != before[name]}
     assert set(changed) == {name for name in before if name.startswith("cylinder::")} != set()
-    assert set(changed.values()) == {0.5}
+    np.testing.assert_allclose(list(changed.values()), 0.5)
+    drawn, model = nominal.placement.friction_factor, 0.8
+    assert drawn != 1.0
+    np.testing.assert_allclose([before[name] for name in changed], drawn * model)
     indices = nominal.plant.GetJointActuatorIndices(nominal.hand)
     of_hand = {nominal.plant.get_joint_actuator(index).name() for index in indices}
     stiff = gains(scaled)

@@ -1,6 +1,5 @@
 """Bad input to the scripts: one clear message, exit code 2, no traceback, and nothing written."""
 
-import importlib.util
 import json
 import shlex
 import shutil
@@ -10,15 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from script_modules import SCRIPTS, load_script
 
 from geort_drake.console import run_main
 from geort_drake.evaluation import pipeline
 from geort_drake.evaluation.pipeline import train_checkpoint
 from geort_drake.files import sha256_of
 from geort_drake.gloves.play import synthesize_play
+from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.simulation.grasp_planner import GraspPlanner
 
-SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 QUICK = {
     "steps": 5, "points": 16, "targets": 32, "pinches": 8, "frames": 8, "hidden": 8,
     "classifier_steps": 5, "refreshes": 0,
@@ -133,7 +133,7 @@ def refused(tmp_path, recordings, checkpoints, scenarios, monkeypatch, capsys):
             arguments = arguments.replace(f"{short}/", f"{folder}/")
         monkeypatch.setattr(sys, "argv", [script, *shlex.split(arguments)])
         with pytest.raises(SystemExit) as stopped:
-            run_main(_script(script).main)
+            run_main(load_script(script).main)
         said = capsys.readouterr()
         assert stopped.value.code == 2, said.err
         assert said.out == ""
@@ -144,13 +144,6 @@ def refused(tmp_path, recordings, checkpoints, scenarios, monkeypatch, capsys):
         return " ".join(said.err.split())
 
     return run
-
-
-def _script(name: str):
-    spec = importlib.util.spec_from_file_location(name.removesuffix(".py"), SCRIPTS / name)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 READERS = {
@@ -367,10 +360,18 @@ def test_a_refusal_reaches_the_shell(script, arguments, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_grasps_are_labelled_with_what_their_checkpoint_is(checkpoints):
+    """Not with the method that would have been trained."""
+    said = load_script("simulate_grasp.py").describe(load_checkpoint(checkpoints / "good"))
+    assert said["method"] == "geort"
+    assert said["hand"] == "allegro_right"
+    assert said["retargeting_call_us"] > 0
+
+
 def test_every_script_answers_help(capsys):
     """--help prints the usage and exits with 0, for every script there is."""
     for path in sorted(SCRIPTS.glob("*.py")):
         with pytest.raises(SystemExit) as stopped:
-            _script(path.name).main(["--help"])
+            load_script(path.name).main(["--help"])
         assert stopped.value.code == 0
         assert capsys.readouterr().out.startswith("usage:")

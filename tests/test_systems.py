@@ -247,15 +247,16 @@ def test_action_correction_passes_on_and_can_be_overridden():
 
 
 def test_clutch_moves_the_hand_by_what_the_wrist_moved_and_survives_a_gap():
-    """Translation and rotation are relative to the engagement; a gap causes no jump."""
+    """Translation and rotation are relative to the engagement; after a gap, to where the arm was held."""
     X_WB0 = RigidTransform(RotationMatrix.MakeXRotation(0.5), [0.4, 0.1, 0.3])
     clutch = Clutch(X_WB0, 0.01)
     simulator = Simulator(clutch)
     context = simulator.get_mutable_context()
 
-    def at(X_WH, valid, until):
+    def at(X_WH, valid, until, commanded=X_WB0):
         clutch.GetInputPort("wrist_pose").FixValue(context, AbstractValue.Make(X_WH))
         clutch.GetInputPort("valid").FixValue(context, [valid])
+        clutch.GetInputPort("commanded_pose").FixValue(context, AbstractValue.Make(commanded))
         simulator.AdvanceTo(until)
         return RigidTransform(clutch.GetOutputPort("hand_pose").Eval(context))
 
@@ -267,15 +268,19 @@ def test_clutch_moves_the_hand_by_what_the_wrist_moved_and_survives_a_gap():
     np.testing.assert_allclose(target.translation(), X_WB0.translation() + [0.1, 0, -0.05], atol=1e-12)
     np.testing.assert_allclose(target.rotation().matrix(), (turn @ X_WB0.rotation()).matrix(), atol=1e-12)
     far = RigidTransform([9, 9, 9])
-    np.testing.assert_allclose(at(far, 0.0, 0.025).GetAsMatrix4(), target.GetAsMatrix4(), atol=1e-12)
-    np.testing.assert_allclose(at(far, 1.0, 0.035).GetAsMatrix4(), target.GetAsMatrix4(), atol=1e-12)
+    # The arm has not come all the way to the target, and is held where it is.
+    held = RigidTransform(target.rotation(), target.translation() - [0.02, 0, 0])
+    for valid, until in ((0.0, 0.025), (1.0, 0.035)):
+        np.testing.assert_allclose(
+            at(far, valid, until, held).GetAsMatrix4(), held.GetAsMatrix4(), atol=1e-12
+        )
 
 
 # -- GraspMonitor
 
 
-def run_monitor(heights, contacts, period=0.1, x=None, hand_heights=None, **config):
-    """Feeds one height, contact vector, place x and hand per period; returns the outcome after the last."""
+def run_monitor(heights, contacts, period=0.1, x=None, hand_heights=None, self_contacts=None, **config):
+    """Feeds one height, contact vector, place x, hand and self-contact per period; the outcome after them."""
     monitor = GraspMonitor(
         2, lambda X_WO: X_WO.translation()[2] - 0.02, 0.1, GraspMonitorConfig(period=period, **config)
     )
@@ -285,6 +290,7 @@ def run_monitor(heights, contacts, period=0.1, x=None, hand_heights=None, **conf
         pose = pose_to_vector(RigidTransform([0.5 if x is None else x[step], 0, 0.12 + height]))
         monitor.GetInputPort("object_pose").FixValue(context, pose)
         monitor.GetInputPort("contact").FixValue(context, contact)
+        monitor.GetInputPort("self_contact").FixValue(context, self_contacts[step] if self_contacts else 0.0)
         above = height if hand_heights is None else hand_heights[step]
         X_WB = RigidTransform(RotationMatrix.MakeXRotation(1.0), [0.4, 0.1, 0.3 + above])
         monitor.GetInputPort("hand_pose").FixValue(context, pose_to_vector(X_WB))
@@ -348,6 +354,56 @@ def test_monitor_measures_the_slip_of_the_last_lift():
     )
     assert again.slip == pytest.approx(0.03)
     assert np.isnan(run_monitor([0.0, 0.0], [[1, 1]] * 2).slip)
+
+
+LOOK = 0.01  # s
+
+
+@pytest.mark.parametrize(("loose", "drops"), [(1, 0), (10, 0), (11, 1), (40, 1)])
+def test_monitor_takes_no_short_loss_of_contact_for_a_drop(loose, drops):
+    """Aloft, fewer than two fingers for 0.1 s are one drop; the slip goes on through a shorter loss."""
+    heights = [0.0] + [0.05] * (20 + loose)
+    touched = [[1, 1]] * 11 + [[1, 0]] * loose + [[1, 1]] * 10
+    # The hand moves by 10 mm before the loss and by 5 mm after it.
+    hands = [0.05] * 6 + [0.06] * (5 + loose) + [0.065] * 10
+    outcome = run_monitor(heights, touched, period=LOOK, hand_heights=hands)
+    assert outcome.drops == drops
+    assert outcome.slip == pytest.approx(0.0 if drops else 0.015)
+    longer = run_monitor(heights, touched, period=LOOK, hand_heights=hands, drop_time=0.5)
+    assert longer.drops == 0
+
+
+def test_monitor_counts_a_fall_back_to_the_support_as_one_drop():
+    """Also while fingers still touch, and once, however long it lies there."""
+    heights = [0.0, 0.05, 0.05] + [0.0] * 30 + [0.05] * 5
+    outcome = run_monitor(heights, [[1, 1]] * len(heights), period=LOOK)
+    assert outcome.drops == 1 and outcome.phase == GraspPhase.LIFT
+    # What has not been lifted cannot be dropped.
+    assert run_monitor([0.0] * 30, [[1, 1]] * 10 + [[0, 0]] * 20, period=LOOK).drops == 0
+
+
+@pytest.mark.parametrize(
+    ("heights", "contacts", "last"),
+    [
+        ([0.0, 0.0, -0.1], [[0, 0]] * 3, "REACH"),
+        # Grasped at first, but what threw it was one finger.
+        ([0.0, 0.0, 0.0, 0.0, -0.1], [[1, 1], [0, 0], [1, 0], [0, 0], [0, 0]], "TOUCH"),
+        ([0.0, 0.05, 0.0, -0.1], [[1, 1], [1, 1], [0, 0], [0, 0]], "LIFT"),
+        ([0.0, 0.15, 0.0, -0.1], [[1, 1], [1, 1], [0, 0], [1, 1]], "HOLD"),
+    ],
+)
+def test_monitor_remembers_the_last_phase_with_a_touch(heights, contacts, last):
+    """Not the furthest one, and not the throw itself."""
+    outcome = run_monitor(heights, contacts)
+    assert outcome.phase == GraspPhase.THROWN
+    assert outcome.last_touched == GraspPhase[last]
+
+
+def test_monitor_adds_up_the_time_in_self_contact():
+    """From look to look, wherever the object is."""
+    outcome = run_monitor([0.0] * 6, [[0, 0]] * 6, self_contacts=[1, 0, 1, 1, 0, 1])
+    assert outcome.self_contact_time == pytest.approx(0.3)
+    assert run_monitor([0.0] * 6, [[0, 0]] * 6).self_contact_time == 0
 
 
 def test_monitor_adds_up_the_time_in_each_phase():

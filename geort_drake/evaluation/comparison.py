@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -225,7 +226,7 @@ def _base_keypoint(keypoint: int) -> int:
     return next(finger[0] for finger in FINGER_KEYPOINTS.values() if keypoint in finger)
 
 
-def _finite(value):
+def _finite(value: Any) -> Any:
     """The same with None for numbers that JSON cannot hold."""
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}

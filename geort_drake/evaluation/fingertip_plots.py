@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
+from geort_drake.colours import FINGER_COLOURS
 from geort_drake.evaluation.plot_style import WIDTH, legend_below
 from geort_drake.retargeting.map_figures import ROBOT_VOXEL
 
@@ -46,10 +47,10 @@ def fingertips(
         for row, (view, (across, up)) in enumerate(VIEWS.items()):
             ax = figure.add_subplot(grid[2 * band + row, column])
             for finger, voxels in enumerate(reachable if name != "human" else ()):
-                _shade(ax, voxels[:, [across, up]], f"C{finger}")
+                _shade(ax, voxels[:, [across, up]], FINGER_COLOURS[finger_names[finger]])
             for finger, finger_name in enumerate(finger_names):
                 x, y = 1000 * points[:, finger, across], 1000 * points[:, finger, up]
-                ax.scatter(x, y, s=1.5, linewidths=0, color=f"C{finger}", label=finger_name)
+                ax.scatter(x, y, s=1.5, linewidths=0, color=FINGER_COLOURS[finger_name], label=finger_name)
             ax.set(aspect="equal", xlim=(low[across], high[across]), ylim=(low[up], high[up]))
             ax.set_xlabel(f"{'xyz'[across]} / mm")
             if row == 0:

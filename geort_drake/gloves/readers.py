@@ -118,6 +118,8 @@ def _recording(
 def _wrist_poses(p_WK: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """X_WH (T, 7) as the keypoints give it; without rotation in frames that are not valid."""
     R_WH, p_WH = wrist_pose(p_WK)
+    if not len(p_WH):
+        return np.empty((0, 7))  # SciPy 1.15 makes no rotations of nothing
     # Of a hand that is larger than numbers can say, nothing is left.
     turned = valid & (np.linalg.det(np.nan_to_num(R_WH)) > 0.5)
     R_WH = np.where(turned[:, None, None], R_WH, np.eye(3))

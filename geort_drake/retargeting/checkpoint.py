@@ -10,11 +10,11 @@ metrics.json          the evaluation, where one was made
 
 import csv
 import json
-import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from safetensors.numpy import load_file, save
@@ -22,6 +22,7 @@ from safetensors.numpy import load_file, save
 from geort_drake.errors import CheckpointError
 from geort_drake.files import atomic_directory, sha256_of
 from geort_drake.gloves.keypoints import KEYPOINT_COUNT
+from geort_drake.joint_ranges import MAX_ANGLE
 from geort_drake.retargeting.trained_space import TrainedSpace
 
 FORMAT = 1
@@ -41,6 +42,17 @@ UNITS = {"human_points": "m, wrist frame H", "joint_angles": "rad"}
 
 _CONFIG_FIELDS = ("format", "method", "finger_names", "joint_names", "human_keypoints", "sha256")
 _HAND_FIELDS = ("name", "joint_names", "finger_names", "lower", "upper", "model_sha256")
+
+
+class TrainedHand(Protocol):
+    """What of a hand model a checkpoint is for."""
+
+    @property
+    def joint_names(self) -> Sequence[str]: ...
+    @property
+    def finger_names(self) -> Sequence[str]: ...
+    @property
+    def digest(self) -> str: ...
 
 
 @dataclass(frozen=True)
@@ -64,7 +76,7 @@ class Checkpoint:
             return None
         return TrainedSpace(self.arrays[TRAINED_POINTS], self.config["human_keypoints"])
 
-    def check_hand(self, hand) -> None:
+    def check_hand(self, hand: TrainedHand) -> None:
         """Raises CheckpointError unless trained for `hand` (joint_names, finger_names, digest)."""
         comparisons = {
             "joints": (tuple(hand.joint_names), tuple(self.hand["joint_names"])),
@@ -225,19 +237,32 @@ def _is_keypoint(number: object) -> bool:
     return isinstance(number, int) and not isinstance(number, bool) and 0 <= number < KEYPOINT_COUNT
 
 
+def _is_angle(limit: object) -> bool:
+    # Compared as they are: an integer may be too large for a float.
+    return isinstance(limit, int | float) and not isinstance(limit, bool) and abs(limit) <= MAX_ANGLE
+
+
 def _check_hand(path: Path, hand: Mapping) -> None:
     """Looks whether the hand has its texts, and every joint a lower limit below its upper one."""
     for field in ("name", "model_sha256"):
         if not isinstance(hand[field], str):
             raise CheckpointError(f"{path}: {field} must be a text, not {hand[field]!r:.60}")
-    lower, upper = hand["lower"], hand["upper"]
-    joints = len(hand["joint_names"])
-    good = all(isinstance(limits, list) and len(limits) == joints for limits in (lower, upper))
-    good = good and all(isinstance(limit, int | float) and math.isfinite(limit) for limit in [*lower, *upper])
-    if not (good and all(low < high for low, high in zip(lower, upper, strict=True))):
-        raise CheckpointError(
-            f"{path}: lower and upper must be finite numbers, one of each per joint, lower below upper"
-        )
+    joints = hand["joint_names"]
+    for field in ("lower", "upper"):
+        limits = hand[field]
+        if not (isinstance(limits, list) and len(limits) == len(joints)):
+            raise CheckpointError(
+                f"{path}: {field} must be a list of {len(joints)} numbers, not {limits!r:.60}"
+            )
+        for joint, limit in zip(joints, limits, strict=True):
+            if not _is_angle(limit):
+                raise CheckpointError(
+                    f"{path}: {field} of '{joint}' must be a number within ±{MAX_ANGLE:g} rad, not "
+                    f"{limit!r:.60}"
+                )
+    for joint, low, high in zip(joints, hand["lower"], hand["upper"], strict=True):
+        if not low < high:
+            raise CheckpointError(f"{path}: lower of '{joint}' must be below upper, {high:g}; it is {low:g}")
 
 
 def _read_json(path: Path, fields: Sequence[str]) -> dict:
@@ -258,5 +283,5 @@ def _write_json(path: Path, content: Mapping) -> None:
     path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def _listed(value) -> str:
+def _listed(value: object) -> str:
     return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)

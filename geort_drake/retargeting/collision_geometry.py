@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 
 from geort_drake.retargeting.kinematics import HandKinematics
 
@@ -45,7 +46,7 @@ class CollisionGaps:
     """Computes gaps between the shapes of a hand for joint angles in torch, in float32."""
 
     def __init__(self, kinematics: HandKinematics, shapes: CollisionShapes, device: torch.device):
-        def constant(array):
+        def constant(array: ArrayLike) -> torch.Tensor:
             return torch.tensor(np.asarray(array), dtype=torch.float32, device=device)
 
         kinematics, coupling = kinematics.uncoupled()

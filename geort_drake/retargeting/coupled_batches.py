@@ -4,9 +4,9 @@ Nearest frames and near collisions change slowly, so they are looked for once fo
 copy of the map and in a thread of its own. What is found is some steps old when it is used.
 """
 
-import copy
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 
@@ -14,6 +14,10 @@ from geort_drake.retargeting.collision_geometry import CollisionGaps
 from geort_drake.retargeting.coupled_coverage import CoverageTargets
 from geort_drake.retargeting.coupled_hands import TrainingHands
 from geort_drake.retargeting.coupled_network import CoupledNetwork
+from geort_drake.retargeting.descent import Background
+
+if TYPE_CHECKING:
+    from geort_drake.retargeting.coupled_training import CoupledConfig
 
 CROWDED_FROM = 0.1  # of the descent; nothing is known of collisions before the map has a shape
 CROWDED = 600  # how many hands are looked through for near collisions at a time
@@ -56,35 +60,31 @@ class Batch:
     crowd: Crowd | None
 
 
-class Batches:
+class Batches(Background):
     """Prepares batches, `assign_every` at a time; used as a context manager."""
 
-    def __init__(self, hands: TrainingHands, space: CoverageTargets, gaps: CollisionGaps | None, config):
-        """`gaps` is None where collisions are not avoided; `config` is a `CoupledConfig`."""
+    def __init__(
+        self,
+        hands: TrainingHands,
+        space: CoverageTargets,
+        gaps: CollisionGaps | None,
+        config: "CoupledConfig",
+    ):
+        """`gaps` is None where collisions are not avoided."""
         self._hands, self._space, self._gaps, self._config = hands, space, gaps, config
         self._crowded = hands.frames[:0]
         self._ready: list[Batch] = []
         self._coming: Future | None = None
 
-    def __enter__(self) -> "Batches":
-        self._beside = ThreadPoolExecutor(1)
-        return self
-
-    def __exit__(self, *_) -> None:
-        self._beside.shutdown(cancel_futures=True)
-
     def next(self, network: CoupledNetwork, progress: float) -> Batch | None:
         """The next batch for a map that is `progress` (0 to 1) through; None if it was not finite."""
         if not self._ready:
-            found = (self._coming or self._start(network, progress)).result()
-            self._coming = self._start(network, progress)
+            found = (self._coming or self._start(self._prepare, network, progress)).result()
+            self._coming = self._start(self._prepare, network, progress)
             if found is None:
                 return None
             self._ready = found[::-1]
         return self._ready.pop()
-
-    def _start(self, network: CoupledNetwork, progress: float) -> Future:
-        return self._beside.submit(self._prepare, copy.deepcopy(network), progress)
 
     @torch.no_grad()
     def _prepare(self, network: CoupledNetwork, progress: float) -> list[Batch] | None:

@@ -4,6 +4,9 @@ A recording holds a few minutes of what a person does. A map that was asked abou
 follows them closely and strays from the next ones, so a share of the hands is moved off the recording.
 """
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 import numpy as np
 import torch
 
@@ -11,6 +14,9 @@ from geort_drake.retargeting.clouds import first_in_voxels
 from geort_drake.retargeting.coupled_losses import pair_distances
 from geort_drake.retargeting.criteria import pinch_weights
 from geort_drake.retargeting.human_data import HumanData
+
+if TYPE_CHECKING:
+    from geort_drake.retargeting.coupled_training import CoupledConfig
 
 STEP_LAGS = (1, 2, 3, 4)  # frames
 STEP_RANGE = (0.001, 0.03)  # m; shorter real steps are noise, longer ones gaps in the recording
@@ -27,8 +33,15 @@ class TrainingHands:
         pinch_frames: how many frames hold a pinch.
     """
 
-    def __init__(self, p_HF: np.ndarray, finger_names, config, generator: torch.Generator, device):
-        """Takes the successive fingertips (T, F, 3) of a recording, m, and a `CoupledConfig`.
+    def __init__(
+        self,
+        p_HF: np.ndarray,
+        finger_names: Sequence[str],
+        config: "CoupledConfig",
+        generator: torch.Generator,
+        device: torch.device,
+    ):
+        """Takes the successive fingertips (T, F, 3) of a recording, m.
 
         Raises:
             TrainingError: on unusable input, see `HumanData`.
@@ -125,7 +138,7 @@ class TrainingHands:
             weights[row, pair] = 1.0
         return hands, weights
 
-    def normal(self, shape) -> torch.Tensor:
+    def normal(self, shape: Sequence[int]) -> torch.Tensor:
         """Standard normal numbers."""
         return torch.randn(shape, generator=self._generator).to(self._device)
 

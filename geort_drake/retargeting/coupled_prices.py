@@ -1,11 +1,12 @@
 """Weights of losses that follow from the figures which the map should have."""
 
-import copy
 import math
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 
 from torch import nn
+
+from geort_drake.retargeting.descent import Background
 
 FROM = 0.8  # of the descent; before, the learning rate keeps the map from what it will be
 EVERY = 80  # steps between measurements
@@ -13,7 +14,7 @@ RATE = 0.7  # per measurement and relative error
 LEAST = 0.7  # of a factor
 
 
-class Prices:
+class Prices(Background):
     """Factors of some losses' weights, which rise while a figure is worse than wanted and fall while better.
 
     Motion can be given up for coverage at a nearly constant rate, so a map whose weights are a few per cent
@@ -36,20 +37,14 @@ class Prices:
         self._most, self._errors = most, errors
         self._coming: Future | None = None
 
-    def __enter__(self) -> "Prices":
-        self._beside = ThreadPoolExecutor(1)
-        return self
-
-    def __exit__(self, *_) -> None:
-        self._beside.shutdown(cancel_futures=True)
-
-    def follow(self, network: nn.Module, step: int, progress: float) -> None:
-        """Brings the factors up to date for a step of a map that is `progress` (0 to 1) through."""
-        if progress < FROM or step % EVERY:
+    def follow(self, network: nn.Module, step: int, steps: int) -> None:
+        """Brings the factors up to date for a step of `steps`."""
+        if step / steps < FROM or step % EVERY:
             return
         if self._coming is not None:
             for name, error in self._coming.result().items():
                 if math.isfinite(error):
                     factor = self.factors[name] * math.exp(RATE * error)
                     self.factors[name] = min(max(factor, LEAST), self._most[name])
-        self._coming = self._beside.submit(self._errors, copy.deepcopy(network))
+        if step + EVERY < steps:
+            self._coming = self._start(self._errors, network)

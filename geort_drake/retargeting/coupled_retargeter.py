@@ -1,6 +1,6 @@
 """The trained map of `geort_coupled` in NumPy alone."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -10,31 +10,13 @@ from geort_drake.retargeting.retargeter import Retargeter, _aligned, _array
 class CoupledRetargeter(Retargeter):
     """Per-finger networks plus one residual network of all fingertips, added before the tanh.
 
-    Call, attributes and errors are those of `Retargeter`; the Jacobian is full, as every joint depends
-    on every fingertip.
+    Arguments, call, attributes and errors are those of `Retargeter`; the Jacobian is full, as every joint
+    depends on every fingertip. `arrays` also holds residual_weight0 (3F, r), residual_bias0 (r,),
+    residual_weight1 (r, r), residual_bias1 (r,), residual_weight2 (r, F·k) and residual_bias2 (F·k,).
     """
 
-    def __init__(
-        self,
-        arrays: Mapping[str, np.ndarray],
-        finger_names: Sequence[str],
-        joint_names: Sequence[str],
-        human_keypoints: Sequence[int],
-        lower: np.ndarray,
-        upper: np.ndarray,
-    ):
-        """Builds the map from its weights.
-
-        Args:
-            arrays: those of `Retargeter`, and residual_weight0 (3F, r), residual_bias0 (r,),
-                residual_weight1 (r, r), residual_bias1 (r,), residual_weight2 (r, F·k),
-                residual_bias2 (F·k,).
-            finger_names, joint_names, human_keypoints, lower, upper: as in `Retargeter`.
-
-        Raises:
-            CheckpointError: an array is missing, of a wrong shape or not finite.
-        """
-        super().__init__(arrays, finger_names, joint_names, human_keypoints, lower, upper)
+    def _set_weights(self, arrays: Mapping[str, np.ndarray]) -> None:
+        super()._set_weights(arrays)
         inputs, outputs = 3 * len(self.finger_names), arrays["bias2"].size
         width = _array(arrays, "residual_weight0", (inputs, -1)).shape[1]
         shapes = ((inputs, width), (width, width), (width, outputs))

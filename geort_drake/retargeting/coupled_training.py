@@ -93,7 +93,6 @@ def train_coupled(
     seed: int = 0,
     device: str = "cpu",
     report: Report | None = None,
-    collides_beyond_tips=None,
     shapes: CollisionShapes | None = None,
 ) -> TrainingResult:
     """Trains a map in which fingers see each other, without paired data.
@@ -106,7 +105,6 @@ def train_coupled(
         seed: fixes the initial weights and every draw.
         device: "cpu" or "cuda".
         report: see `Report`.
-        collides_beyond_tips: not used, as collisions come from `shapes`.
         shapes: the hand's collision geometry; without it collisions are not avoided.
 
     Raises:
@@ -131,7 +129,16 @@ def train_coupled(
 class CoupledTraining:
     """The state of one training run; its network may be given weights before `train` moves them."""
 
-    def __init__(self, p_HF, kinematics, samples, config: CoupledConfig, seed, device, shapes):
+    def __init__(
+        self,
+        p_HF: np.ndarray,
+        kinematics: HandKinematics,
+        samples: RobotSamples,
+        config: CoupledConfig,
+        seed: int,
+        device: torch.device,
+        shapes: CollisionShapes | None,
+    ):
         self.config, self.kinematics = config, kinematics
         generator = torch.Generator().manual_seed(seed)
         self.hands = TrainingHands(p_HF, kinematics.finger_names, config, generator, device)
@@ -189,7 +196,7 @@ class CoupledTraining:
             return torch.tensor(math.nan), {}
         row = self._row(batch, self._answers(batch))
         scale = {"collision": COLLIDE_EVERY * min(max((progress - 0.15) / 0.25, 0.0), 1.0)}
-        self.prices.follow(self.network, step, progress)
+        self.prices.follow(self.network, step, config.steps)
         scale |= self.prices.factors | {"context": self.prices.factors["coverage"]}
         total = sum(
             scale.get(name, 1.0) * getattr(config, f"{name}_weight") * value for name, value in row.items()

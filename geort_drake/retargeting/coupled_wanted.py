@@ -1,6 +1,7 @@
 """By how much a map of `geort_coupled` is worse than it should be, measured while it is trained."""
 
 import functools
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -16,6 +17,9 @@ from geort_drake.retargeting.map_figures import (
     robot_voxels,
 )
 
+if TYPE_CHECKING:
+    from geort_drake.retargeting.coupled_training import CoupledConfig
+
 FRAMES = 10_000  # a longer recording is thinned
 ANCHORS = 2000  # hands per finger at which motion preservation is measured
 TALKING = 1000  # the same for cross-talk
@@ -27,8 +31,8 @@ class Shortfalls:
     Motion comes first: coverage is too high where motion preservation is too low.
     """
 
-    def __init__(self, frames: torch.Tensor, kinematics: HandKinematics, config, seed: int):
-        """Takes real frames (T, F, 3), m, and a `CoupledConfig`."""
+    def __init__(self, frames: torch.Tensor, kinematics: HandKinematics, config: "CoupledConfig", seed: int):
+        """Takes real frames (T, F, 3), m."""
         self._frames = frames[:: len(frames) // FRAMES + 1].cpu().numpy()
         self._kinematics, self._config, self._seed = kinematics, config, seed
         self._device = frames.device

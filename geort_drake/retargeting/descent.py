@@ -5,8 +5,10 @@ import copy
 import math
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any, Self
 
 import torch
 from torch import nn
@@ -14,7 +16,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from geort_drake.errors import TrainingError, UnknownNameError
 
-# Called as report(steps done, steps, row of losses, network as it is now) about a hundred times.
+# Called as report(steps done, steps, row of losses, network as it is now) at each row of `Descent.history`.
 Report = Callable[[int, int, dict[str, float], nn.Module], None]
 
 
@@ -22,7 +24,9 @@ Report = Callable[[int, int, dict[str, float], nn.Module], None]
 class Descent:
     """How a descent went."""
 
-    history: list[dict[str, float]]  # about a hundred rows: step, total, each loss, seconds
+    # About a hundred rows at equal distances, and after 1, 2, 4, ... steps at first: step, total, each loss,
+    # seconds.
+    history: list[dict[str, float]]
     seconds: float  # wall time
     stopped_at: int | None  # the step at which the loss or the weights stopped being finite
 
@@ -81,7 +85,8 @@ def descend(
         optimiser.step()
         if average is not None and 2 * step >= steps:
             average.update_parameters(network)
-        if step % interval == 0 or step == steps - 1:
+        doubled = step < interval and (step + 1) & step == 0
+        if step % interval == 0 or doubled or step == steps - 1:
             values = {name: float(value.detach()) for name, value in row.items()}
             values = {"step": step, "total": float(total.detach()), **values}
             values["seconds"] = round(time.perf_counter() - started, 3)
@@ -118,7 +123,7 @@ def descend(
 
 
 @contextlib.contextmanager
-def one_thread():
+def one_thread() -> Iterator[None]:
     """Lets torch use one CPU thread.
 
     The products are too small to gain from a second one, and waiting for each other costs threads far
@@ -130,6 +135,21 @@ def one_thread():
         yield
     finally:
         torch.set_num_threads(threads)
+
+
+class Background:
+    """Base class of what is computed in a thread beside the descent; used as a context manager."""
+
+    def __enter__(self) -> Self:
+        self._thread = ThreadPoolExecutor(1)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._thread.shutdown(cancel_futures=True)
+
+    def _start(self, function: Callable, network: nn.Module, *arguments: Any) -> Future:
+        """Calls function(network, *arguments) with the network as it is now."""
+        return self._thread.submit(function, copy.deepcopy(network), *arguments)
 
 
 def device_of(name: str) -> torch.device:

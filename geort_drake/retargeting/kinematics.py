@@ -38,7 +38,7 @@ class FingerChain:
     all_joint_names: tuple[str, ...] = ()
     coupling: np.ndarray = None  # type: ignore[assignment]  # never None afterwards
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "all_joint_names", tuple(self.all_joint_names or self.joint_names))
         k, m = len(self.joint_names), len(self.all_joint_names)
         if self.coupling is None:
@@ -83,7 +83,7 @@ class HandKinematics:
     p_BW: np.ndarray = field(default_factory=lambda: np.zeros(3))
     _constants: dict = field(default_factory=dict, init=False, repr=False, compare=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "fingers", tuple(self.fingers))
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
         n = len(self.joint_names)
@@ -178,7 +178,7 @@ class HandKinematics:
         hand = HandKinematics(tuple(fingers), tuple(names), lower, upper, self.tip_radius, self.p_BW)
         return hand, matrix
 
-    def _groups(self, dtype: torch.dtype, device: torch.device):
+    def _groups(self, dtype: torch.dtype, device: torch.device) -> tuple[list["_EqualChains"], torch.Tensor]:
         key = (dtype, device)
         if key not in self._constants:
             by_length: dict[tuple[int, int], list[int]] = {}
@@ -208,7 +208,7 @@ class _EqualChains:
         # Rodrigues: R_PJ Rot(a, θ) = R_PJ + sin θ · R_PJ K + (1 − cos θ) · R_PJ K²
         stacked = np.concatenate([R, R @ K, R @ K @ K], axis=-2)  # (G, k, 9, 3)
 
-        def constant(array):
+        def constant(array: np.ndarray) -> torch.Tensor:
             return torch.tensor(np.ascontiguousarray(array), dtype=dtype, device=device)
 
         m = X.shape[1]

@@ -6,13 +6,18 @@ q = retarget(p_HF)
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from geort_drake.errors import CheckpointError, UnknownNameError
-from geort_drake.retargeting.checkpoint import load_checkpoint
+from geort_drake.joint_ranges import MAX_ANGLE
+from geort_drake.retargeting.checkpoint import TrainedHand, load_checkpoint
 from geort_drake.retargeting.human_points import HumanPoints
 from geort_drake.retargeting.trained_space import TrainedSpace
+
+# Trained weights stay below 100; products of much larger ones may overflow.
+_MAX_WEIGHT = 1e6
 
 
 class Retargeter:
@@ -49,11 +54,21 @@ class Retargeter:
             lower, upper: (n,) joint limits, rad.
 
         Raises:
-            CheckpointError: an array is missing, of a wrong shape or not finite.
+            CheckpointError: an array is missing, of a wrong shape, not finite or beyond ±1e6; or a joint
+                limit is not finite or beyond ±100 rad.
         """
         self.finger_names, self.joint_names = tuple(finger_names), tuple(joint_names)
         self.lower, self.upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
+        for name, limits in (("lower", self.lower), ("upper", self.upper)):
+            if not (np.abs(limits) <= MAX_ANGLE).all():
+                raise CheckpointError(f"{name} must be finite and within ±{MAX_ANGLE:g} rad, it is {limits}")
         self._fingertips = HumanPoints(finger_names, human_keypoints)
+        self._centre = 0.5 * (self.lower + self.upper)
+        # Rounding must not carry a saturated output past its limit.
+        self._half_range = 0.5 * (self.upper - self.lower) * (1.0 - 1e-12)
+        self._set_weights(arrays)
+
+    def _set_weights(self, arrays: Mapping[str, np.ndarray]) -> None:
         fingers = len(self.finger_names)
         hidden = _array(arrays, "weight0", (fingers, 3, -1)).shape[2]
         outputs = fingers * _array(arrays, "weight2", (fingers, hidden, -1)).shape[2]
@@ -76,9 +91,6 @@ class Retargeter:
         self._bias1 = 0.5 * _array(arrays, "bias1", (fingers, 1, hidden)).ravel()
         self._weight2 = _aligned(_block_diagonal(arrays["weight2"])[:, self._columns])
         self._bias2 = _array(arrays, "bias2", (fingers, 1, outputs // fingers)).ravel()[self._columns]
-        self._centre = 0.5 * (self.lower + self.upper)
-        # Rounding must not carry a saturated output past its limit.
-        self._half_range = 0.5 * (self.upper - self.lower) * (1.0 - 1e-12)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Joint angles in rad for human hands.
@@ -163,7 +175,7 @@ class Retargeter:
         return (chain @ weight2).reshape(len(self._weight0), -1)
 
 
-def load_retargeter(path: str | os.PathLike, hand=None) -> Retargeter:
+def load_retargeter(path: str | os.PathLike, hand: TrainedHand | None = None) -> Retargeter:
     """Loads a checkpoint directory written by training.
 
     Args:
@@ -193,7 +205,7 @@ def load_retargeter(path: str | os.PathLike, hand=None) -> Retargeter:
     return retargeter
 
 
-def _coupled(*arguments) -> Retargeter:
+def _coupled(*arguments: Any) -> Retargeter:
     # Imported here because it builds on this module.
     from geort_drake.retargeting.coupled_retargeter import CoupledRetargeter
 
@@ -245,13 +257,19 @@ def _aligned(array: np.ndarray) -> np.ndarray:
 
 
 def _array(arrays: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """The named array, checked; −1 in `shape` stands for any size."""
+    """The named array, checked; −1 in `shape` stands for any size but 0."""
     if name not in arrays:
         raise CheckpointError(f"weights: '{name}' is missing; there are {', '.join(sorted(arrays))}")
     value = arrays[name]
     fits = value.ndim == len(shape) and all(
-        wanted in (-1, given) for wanted, given in zip(shape, value.shape, strict=True)
+        wanted == given or (wanted == -1 and given > 0)
+        for wanted, given in zip(shape, value.shape, strict=True)
     )
-    if not fits or not np.isfinite(value).all():
-        raise CheckpointError(f"weights: '{name}' must be finite and of shape {shape}, it has {value.shape}")
+    if not fits or value.dtype.kind not in "fiu" or not np.isfinite(value).all():
+        raise CheckpointError(
+            f"weights: '{name}' must be finite and of shape {shape}, it has {value.shape} of {value.dtype}"
+        )
+    farthest = max(float(value.min()), float(value.max()), key=abs)
+    if abs(farthest) > _MAX_WEIGHT:
+        raise CheckpointError(f"weights: '{name}' must be within ±{_MAX_WEIGHT:g}, it has {farthest:g}")
     return value

@@ -28,7 +28,7 @@ class Soap(torch.optim.Optimizer):
         super().__init__(parameters, defaults | {"weight_decay": weight_decay, "refresh": refresh})
 
     @torch.no_grad()
-    def step(self, closure=None):
+    def step(self, closure: object = None) -> None:  # type: ignore[override]
         """One step along the gradients; `closure` is not supported."""
         if closure is not None:
             raise ValueError("Soap takes no closure")

@@ -116,7 +116,7 @@ class TrainingResult:
     pinch_frames: int = 0
 
 
-# How every method is trained: with the arguments of `train_geort`, and perhaps others.
+# How every method is trained: with the arguments of `train_geort` up to `report`, and perhaps others.
 Trainer = Callable[..., TrainingResult]
 
 
@@ -159,7 +159,16 @@ def train_geort(
 class _Run:
     """The state of one training run."""
 
-    def __init__(self, p_HF, kinematics, samples, config, seed, device, oracle):
+    def __init__(
+        self,
+        p_HF: np.ndarray,
+        kinematics: HandKinematics,
+        samples: RobotSamples,
+        config: TrainingConfig,
+        seed: int,
+        device: torch.device,
+        oracle: Callable[[np.ndarray], np.ndarray] | None,
+    ):
         self.config, self.kinematics, self.device, self.oracle = config, kinematics, device, oracle
         self.unit = config.length_unit
         # One stream for all draws, on the CPU so that it does not depend on the device.
@@ -284,6 +293,7 @@ class _Run:
 
     def _refresh_classifier(self) -> None:
         """Labels what the retargeter puts out now, and its surroundings, and learns from it too."""
+        assert self.oracle is not None  # or there are no refreshes
         started = time.perf_counter()
         with torch.no_grad():
             q = self.network(self._hands(self.config.refresh_samples))

@@ -57,9 +57,10 @@ class GraspDiagram:
     operator: SimulatedOperator | None
     recorder: "RerunRecorder | None"
     wrist_to_arm: WristToArm
+    fixed_base: bool
 
     def initialize(self, root: Context) -> None:
-        """Prepares a context of the diagram: the object's drawn mass, and where the arm's commands start.
+        """Prepares a context of the diagram: the object's drawn mass, and an arm that is to stay.
 
         Call it before simulating.
         """
@@ -68,7 +69,9 @@ class GraspDiagram:
         M = body.CalcSpatialInertiaInBodyFrame(context)
         scaled = SpatialInertia(factor * M.get_mass(), M.get_com(), M.get_unit_inertia())
         body.SetSpatialInertiaInBodyFrame(context, scaled)
-        self.wrist_to_arm.initialize(root)
+        if self.fixed_base:
+            for index in self.plant.GetJointIndices(self.plant.GetModelInstanceByName(ARM)):
+                self.plant.get_joint(index).Lock(context)
 
 
 def make_grasp_diagram(
@@ -111,7 +114,8 @@ def make_grasp_diagram(
 
     # What can be seen of the scene.
     view = builder.AddNamedSystem(
-        "scene_view", SceneView(plant, description, hand, scene.object_body.index())
+        "scene_view",
+        SceneView(plant, description, hand, scene.object_body.index(), scene.scene_graph.model_inspector()),
     )
     builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
     builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
@@ -119,6 +123,7 @@ def make_grasp_diagram(
     # The human: an operator who sees the scene late, or a recording.
     source: LeafSystem
     operator = None
+    seen: dict[str, OutputPort] = {}
     if isinstance(human, Recording):
         source = builder.AddNamedSystem("glove_replay", GloveReplay(human))
     else:
@@ -134,10 +139,10 @@ def make_grasp_diagram(
             ),
         )
         for name in ("fingertips", "hand_pose", "object_pose", "contact"):
-            seen = _delayed(builder, view.GetOutputPort(name), scenario)
+            seen[name] = late = _delayed(builder, view.GetOutputPort(name), scenario)
             if in_mirror and name != "contact":
-                seen = _mirrored(builder, name, seen)
-            builder.Connect(seen, operator.GetInputPort(name))
+                late = _mirrored(builder, name, late)
+            builder.Connect(late, operator.GetInputPort(name))
     # The hand as it is in the world.
     hand_source: LeafSystem = source
     if in_mirror:
@@ -176,7 +181,7 @@ def make_grasp_diagram(
     builder.Connect(source.GetOutputPort("valid"), retargeting.GetInputPort("valid"))
     builder.Connect(retargeting.GetOutputPort("desired_state"), correction.GetInputPort("desired_state"))
     builder.Connect(actuated_state(builder, plant, hand), correction.GetInputPort("hand_state"))
-    builder.Connect(correction.get_output_port(), plant.get_desired_state_input_port(hand))
+    builder.Connect(correction.GetOutputPort("desired_state"), plant.get_desired_state_input_port(hand))
 
     # Wrist: tracker pose → differential inverse kinematics → the arm's PD controllers.
     wrist_to_arm = builder.AddNamedSystem(
@@ -197,7 +202,7 @@ def make_grasp_diagram(
             scenario.monitor,
         ),
     )
-    for name in ("object_pose", "hand_pose", "contact"):
+    for name in ("object_pose", "hand_pose", "contact", "self_contact"):
         builder.Connect(view.GetOutputPort(name), monitor.GetInputPort(name))
     glove_recorder = builder.AddNamedSystem("glove_recorder", GloveRecorder(scenario.operator.period))
     for name in ("keypoints", "wrist_pose", "valid"):
@@ -214,9 +219,13 @@ def make_grasp_diagram(
             rerun_path,
             scenario,
             description,
+            scene.object_body,
             monitor,
+            view,
+            seen,
             source,
             hand_source,
+            retargeting,
             correction,
             wrist_to_arm,
             # The person's hand is drawn beside the robot's, towards the camera.
@@ -239,6 +248,7 @@ def make_grasp_diagram(
         operator=operator,
         recorder=recorder,
         wrist_to_arm=wrist_to_arm,
+        fixed_base=scenario.fixed_base,
     )
 
 

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import yaml
-from pydrake.geometry import Box, Ellipsoid, Sphere
+from pydrake.geometry import Box, Ellipsoid, Shape, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.errors import UnknownNameError
@@ -160,14 +160,16 @@ def yaw_candidates(shape: ObjectShape) -> tuple[list[float], float]:
     return [math.radians(a) for a in range(-180, 180, 30)], 0.0
 
 
-def _radius_at(shape, z: float) -> float:
+def _radius_at(shape: Shape, z: float) -> float:
     """Radius of a round shape at the height z over its centre."""
     if hasattr(shape, "length"):
         return shape.radius()
     return math.sqrt(max(shape.radius() ** 2 - z**2, 0.0))
 
 
-def _on_box(half: np.ndarray, X_OG: RigidTransform, direction: np.ndarray, yaw: float):
+def _on_box(
+    half: np.ndarray, X_OG: RigidTransform, direction: np.ndarray, yaw: float
+) -> tuple[np.ndarray, np.ndarray]:
     """The side of a box that faces along the grasp's axis, and the point on it under `direction`."""
     axis = np.array([math.cos(yaw), math.sin(yaw), 0.0])
     side = axis if direction @ axis > 0 else -axis

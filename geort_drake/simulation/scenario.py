@@ -19,6 +19,7 @@ from geort_drake.operators.config import OperatorConfig
 from geort_drake.resources import diagrams_dir, models_dir
 from geort_drake.systems.action_correction import CorrectionConfig
 from geort_drake.systems.grasp_monitor import GraspMonitorConfig
+from geort_drake.systems.update_timing import check_timing
 from geort_drake.systems.wrist_to_arm import WristToArmConfig
 
 MIN_TIME_STEP = 1e-5  # s
@@ -43,7 +44,7 @@ class ObjectConfig:
     yaw_range: float = 0.35
     # Mass and friction are scaled further by factors drawn between 1 - this and 1 + this.
     mass_range: float = 0.2
-    friction_range: float = 0.0
+    friction_range: float = 0.2
 
 
 @dc.dataclass
@@ -73,7 +74,7 @@ class RecordingConfig:
 class Scenario:
     """One grasp trial: the world, the person, and the chain between them."""
 
-    # Seed of the placement and of the person's noise.
+    # Seed of the object's placement, mass and friction, and of the person's noise.
     random_seed: int = 0
     # The trial fails when it is not over by then, s.
     timeout: float = 25.0
@@ -93,6 +94,9 @@ class Scenario:
     # Factor on the proportional gains of the hand's controllers; the derivative gains go with its root,
     # which leaves the damping ratio as it is.
     hand_stiffness_factor: float = 1.0
+    # Whether the arm stays where it starts, so that the hand is on a fixed base: for replays, which then need
+    # no wrist poses.
+    fixed_base: bool = False
     # Joint positions of the arm at the start, by name, rad; and with a left hand, where these differ.
     arm_posture: dict[str, float] = dc.field(default_factory=dict)
     left_arm_posture: dict[str, float] = dc.field(default_factory=dict)
@@ -140,12 +144,10 @@ class Scenario:
             AddMultibodyPlant(self.plant_config, DiagramBuilder())
         except RuntimeError as error:
             raise ScenarioError(f"scenario field plant_config: {error}") from error
-        for name in ("latency", "cutoff"):
-            value = getattr(self.retargeting, name)
-            if not (math.isfinite(value) and value >= 0):
-                raise ScenarioError(
-                    f"scenario field retargeting.{name} must be finite and not negative, not {value}"
-                )
+        try:
+            check_timing(self.retargeting.period, self.retargeting.latency, self.retargeting.cutoff)
+        except ValueError as error:
+            raise ScenarioError(f"scenario field retargeting.{error}") from error
         if self.random_seed < 0:
             raise ScenarioError(f"scenario field random_seed must be 0 or more, not {self.random_seed}")
         if len(self.object.position) != 2 or not all(map(math.isfinite, self.object.position)):
@@ -235,6 +237,27 @@ def load_scenario(
     scenario.hand = hand or scenario.hand
     scenario.validate()
     return scenario
+
+
+def names_object(file: str | os.PathLike | None = None, name: str = "Grasp", text: str | None = None) -> bool:
+    """Whether the scenario, or the text merged into it, says what to grasp.
+
+    The arguments are those of `load_scenario`, which has taken them before.
+    """
+    path = Path(file) if file is not None else default_scenario_file()
+    scenarios = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
+    given = (_field(scenarios, name), yaml.compose(text or "", Loader=yaml.SafeLoader))
+    return any(_field(_field(fields, "object"), "name") is not None for fields in given)
+
+
+def _field(node: yaml.Node | None, name: str) -> yaml.Node | None:
+    """A field of a mapping, which may come from another one that is merged into it by `<<`."""
+    if isinstance(node, yaml.SequenceNode):
+        return next(filter(None, (_field(mapping, name) for mapping in node.value)), None)
+    if not isinstance(node, yaml.MappingNode):
+        return None
+    fields = {key.value: value for key, value in node.value}
+    return fields[name] if name in fields else _field(fields.get("<<"), name)
 
 
 def _check_unique(root: yaml.Node | None, source: str) -> None:

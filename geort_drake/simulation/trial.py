@@ -26,8 +26,13 @@ class TrialResult:
     object: str
     seed: int
     success: bool
-    # "success", or "thrown: PHASE" or "timeout: PHASE" with the phase it failed in.
+    # "success"; or "timeout: PHASE" with the monitor's phase at the end; or "thrown: PHASE" with the last one
+    # before the throw in which a finger touched the object: touch, grasp, lift or hold, or reach where none
+    # ever did, as when the palm knocked it over.
     outcome: str
+    # What the simulated operator was doing at the end, which tells an object thrown while approaching from
+    # one thrown while closing; None in a replay.
+    operator_phase: str | None
     # Start to the beginning of the hold; None without success.
     completion_time: float | None
     # Whether the first closing succeeded; None in a replay, where nobody decides.
@@ -37,9 +42,13 @@ class TrialResult:
     # First entry of each phase of the monitor, and the time spent in it.
     phase_times: dict[str, float]
     phase_durations: dict[str, float]
+    # How often a lifted object fell back to its support or was let go of, see `GraspMonitor`.
     drops: int
     # Furthest way of the object in the hand during the last lift, m; None where nothing was lifted.
     slip: float | None
+    # Share of the time for which two links of the hand touched each other, fingertip on fingertip not
+    # counted: looked at whenever the monitor looks, in the plant's contact results (see `SceneView`).
+    self_contact: float
     peak_force: float
     peak_height: float
     wall_time: float
@@ -104,13 +113,16 @@ def run_trial(
 def _result(
     scenario: Scenario, parts: GraspDiagram, outcome: GraspOutcome, root: Context, wall_time: float
 ) -> TrialResult:
-    attempts = None
+    attempts = operator_phase = None
     if parts.operator is not None:
-        attempts = parts.operator.attempt(parts.operator.GetMyContextFromRoot(root))
+        context = parts.operator.GetMyContextFromRoot(root)
+        attempts = parts.operator.attempt(context)
+        operator_phase = parts.operator.phase(context).name.lower()
+    simulated_time = root.get_time()
     if outcome.success:
         text = "success"
     elif outcome.phase == GraspPhase.THROWN:
-        text = f"thrown: {_phase_before_throw(outcome)}"
+        text = f"thrown: {outcome.last_touched.name.lower()}"
     else:
         text = f"timeout: {outcome.phase.name.lower()}"
     return TrialResult(
@@ -118,21 +130,17 @@ def _result(
         seed=scenario.random_seed,
         success=outcome.success,
         outcome=text,
+        operator_phase=operator_phase,
         completion_time=outcome.completion_time if outcome.success else None,
         first_attempt=None if attempts is None else outcome.success and attempts == 1,
         attempts=attempts,
-        simulated_time=root.get_time(),
+        simulated_time=simulated_time,
         phase_times=outcome.times,
         phase_durations={name: round(spent, 6) for name, spent in outcome.durations.items()},
         drops=outcome.drops,
         slip=None if math.isnan(outcome.slip) else outcome.slip,
+        self_contact=outcome.self_contact_time / simulated_time if simulated_time else 0.0,
         peak_force=outcome.peak_force,
         peak_height=outcome.peak_height,
         wall_time=wall_time,
     )
-
-
-def _phase_before_throw(outcome: GraspOutcome) -> str:
-    """The furthest phase reached before the object was lost."""
-    reached = [GraspPhase[name] for name in outcome.times if name != GraspPhase.THROWN.name]
-    return max(reached).name.lower()

@@ -3,7 +3,7 @@
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from geort_drake.gloves.recording import Recording
 from geort_drake.systems.poses import vector_to_pose
@@ -45,13 +45,13 @@ class GloveReplay(LeafSystem):
         due = np.searchsorted(self._t, context.get_time() + _TIME_TOLERANCE, side="right") - 1
         return max(0, int(due))
 
-    def _calc_keypoints(self, context: Context, output) -> None:
+    def _calc_keypoints(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._keypoints[self._sample(context)])
 
-    def _calc_wrist_pose(self, context: Context, output) -> None:
+    def _calc_wrist_pose(self, context: Context, output: AbstractValue) -> None:
         output.set_value(self._wrist_poses[self._sample(context) if len(self._wrist_poses) > 1 else 0])
 
-    def _calc_valid(self, context: Context, output) -> None:
+    def _calc_valid(self, context: Context, output: BasicVector) -> None:
         output.SetAtIndex(0, self._valid[self._sample(context)])
 
 

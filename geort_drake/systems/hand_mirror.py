@@ -3,7 +3,7 @@
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from geort_drake.gloves.keypoints import mirrored
 from geort_drake.systems.poses import mirrored_pose
@@ -20,7 +20,7 @@ class HandMirror(LeafSystem):
         wrist_pose (abstract RigidTransform): the same reflected in the xz-plane of W.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__()
         self._keypoints = self.DeclareVectorInputPort("keypoints", 63)
         self._wrist_pose = self.DeclareAbstractInputPort("wrist_pose", AbstractValue.Make(RigidTransform()))
@@ -32,9 +32,9 @@ class HandMirror(LeafSystem):
             {self._wrist_pose.ticket()},
         )
 
-    def _calc_keypoints(self, context: Context, output) -> None:
+    def _calc_keypoints(self, context: Context, output: BasicVector) -> None:
         p_HK = np.reshape(self._keypoints.Eval(context), (21, 3))
         output.SetFromVector(mirrored(p_HK).ravel())
 
-    def _calc_wrist_pose(self, context: Context, output) -> None:
+    def _calc_wrist_pose(self, context: Context, output: AbstractValue) -> None:
         output.set_value(mirrored_pose(self._wrist_pose.Eval(context)))

@@ -7,9 +7,12 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 
 from geort_drake.errors import HandError
+from geort_drake.joint_ranges import MAX_ANGLE
 
 # From rest to full speed in one update at 100 Hz: what a controller at that rate may ask anyway.
 DEFAULT_ACCELERATION = 700.0  # rad/s²
+# What no motor has is a mistake, and its squares may overflow.
+_RATES = (1e-6, 1e12)  # rad/s and rad/s²
 
 
 @dc.dataclass(frozen=True)
@@ -17,12 +20,12 @@ class JointLimits:
     """Bounds of n joints.
 
     Attributes:
-        lower, upper: (n,) positions, rad.
+        lower, upper: (n,) positions within ±100, rad.
         speed: (n,), rad/s; given as a number, it is every joint's.
         acceleration: (n,), rad/s²; likewise.
 
     Raises:
-        HandError: a lower limit is not below its upper one, or speed or acceleration is not positive.
+        HandError: a limit is not finite or out of range, or a lower one is not below its upper one.
     """
 
     lower: np.ndarray
@@ -39,13 +42,22 @@ class JointLimits:
         values = np.broadcast_arrays(*(np.asarray(getattr(self, name), dtype=float) for name in names))
         for name, value in zip(names, values, strict=True):
             object.__setattr__(self, name, value.copy())
+        for name in ("lower", "upper"):
+            if not (np.abs(value := getattr(self, name)) <= MAX_ANGLE).all():
+                raise HandError(
+                    f"joint limits: {name} must be finite and within ±{MAX_ANGLE:g} rad; given: {value}"
+                )
         if not (self.lower < self.upper).all():
             raise HandError(
                 f"joint limits: lower ones must be below upper ones; given: {self.lower} and {self.upper}"
             )
         for name in ("speed", "acceleration"):
-            if not (getattr(self, name) > 0).all():
-                raise HandError(f"joint limits: {name} must be positive, not {getattr(self, name)}")
+            value = getattr(self, name)
+            if not ((_RATES[0] <= value) & (value <= _RATES[1])).all():
+                raise HandError(
+                    f"joint limits: {name} must be positive and finite, from {_RATES[0]:g} to {_RATES[1]:g}; "
+                    f"given: {value}"
+                )
 
     @classmethod
     def of_plant(

@@ -1,11 +1,12 @@
 """The bare retargeter as a system that Drake can differentiate."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.systems.framework import BasicVector_, Context, LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
+from pydrake.systems.scalar_conversion import SystemScalarConverter, TemplateSystem
 
 from geort_drake.errors import HandError, UnknownNameError
 from geort_drake.gloves.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
@@ -13,7 +14,7 @@ from geort_drake.retargeting.retargeter import Retargeter
 
 
 @TemplateSystem.define("RetargetingMap_", T_list=[float, AutoDiffXd])
-def RetargetingMap_(T):
+def RetargetingMap_(T: type) -> type:
     """See `RetargetingMap`."""
 
     class Impl(LeafSystem_[T]):
@@ -43,8 +44,8 @@ def RetargetingMap_(T):
             retarget: Retargeter,
             actuated_joints: Sequence[str] | None = None,
             human_keypoints: Sequence[int] | None = None,
-            converter=None,
-        ):
+            converter: SystemScalarConverter | None = None,
+        ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
             joints = list(retarget.joint_names)
             wanted = joints if actuated_joints is None else list(actuated_joints)
@@ -65,7 +66,7 @@ def RetargetingMap_(T):
                 "positions", len(joints), self._calc, {self.all_input_ports_ticket()}
             )
 
-        def _construct_copy(self, other, converter=None):
+        def _construct_copy(self, other: Any, converter: SystemScalarConverter | None = None) -> None:
             retarget, actuated_joints, human_keypoints = other._arguments
             Impl._construct(self, retarget, actuated_joints, human_keypoints, converter)
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem
 
 from geort_drake.errors import HandError
 from geort_drake.retargeting.trained_space import TrainedSpace
@@ -26,6 +26,7 @@ from geort_drake.systems.glove_checks import (
 )
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.unchanging import Unchanging
+from geort_drake.systems.update_timing import check_timing, low_pass_share
 
 TRACKING = "tracking"
 LIMITED = "limited: a joint is at a limit of its position, speed or acceleration"
@@ -104,10 +105,10 @@ class RetargetingSystem(LeafSystem):
         actuated_joints: the plant's actuated joints of the hand, in actuator order; each must be one
             of `joint_names`.
         initial_positions: joint name → rad, the targets before the first update.
-        period: time between updates, s; no less than `latency` in effect.
+        period: time between updates, s, from 1e-5 to 10; no less than `latency` in effect.
         limits: of the targets, in the order of `actuated_joints`. None takes the positions of the
             retargeter's `lower` and `upper`, and the defaults of `JointLimits`.
-        latency: time from the keypoints to their joint targets, s.
+        latency: time from the keypoints to their joint targets, s, at most 10.
         checks: which input is followed.
         cutoff: of a first-order low-pass on the targets, Hz; 0 is without. `delay` tells what it costs.
         trained_space: where training saw the fingertips. None takes the retargeter's `trained_space`;
@@ -116,7 +117,7 @@ class RetargetingSystem(LeafSystem):
     Raises:
         HandError: the plant's joints and the retargeter's are not the same set, there are no joint
             limits, or an initial position is outside them.
-        ValueError: a value of `checks` or the cutoff cannot work.
+        ValueError: a value of `checks`, or the period, latency or cutoff cannot work.
     """
 
     def __init__(
@@ -140,14 +141,13 @@ class RetargetingSystem(LeafSystem):
             )
         self._checks = checks or GloveChecks()
         self._checks.validate()
-        if not (math.isfinite(cutoff) and cutoff >= 0):
-            raise ValueError(f"cutoff must be finite and not negative, not {cutoff}")
+        check_timing(period, latency, cutoff)
         self._retarget = retarget
         self._to_plant = np.array([list(joint_names).index(name) for name in actuated_joints])
         self._trained_space = trained_space or getattr(retarget, "trained_space", None)
         self._limits = limits or self._limits_of(retarget)
         self.period = period = max(period, latency)
-        self._blend = 1.0 - math.exp(-2.0 * math.pi * cutoff * period) if cutoff > 0 else 1.0
+        self._blend = low_pass_share(cutoff, period)
         self.delay = latency + period * (1.0 - self._blend) / self._blend
         self._n = n = len(actuated_joints)
         self._zeros = np.zeros(n)
@@ -190,13 +190,13 @@ class RetargetingSystem(LeafSystem):
             raise HandError("the joint limits are not known: give `limits`, as the retargeter has none")
         return JointLimits(lower[self._to_plant], upper[self._to_plant])
 
-    def _give_out(self, context: Context, discrete_state) -> EventStatus:
+    def _give_out(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         discrete_state.get_mutable_vector(self._given_out).SetFromVector(
             context.get_discrete_state(0).value()
         )
         return EventStatus.Succeeded()
 
-    def _update(self, context: Context, discrete_state) -> EventStatus:
+    def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         if self._busy:
             self._give_out(context, discrete_state)
         n, period, time = self._n, self.period, context.get_time()
@@ -292,7 +292,7 @@ class RetargetingSystem(LeafSystem):
             return OUTSIDE
         return TRACKING if reached else LIMITED
 
-    def _calc_status(self, context: Context, output) -> None:
+    def _calc_status(self, context: Context, output: AbstractValue) -> None:
         memory = context.get_discrete_state(self._memory).value()[self._n :]
         code, since, excess = memory[63:66].tolist()
         followed = None if math.isnan(excess) else memory[:63].reshape(21, 3).copy()

@@ -4,7 +4,7 @@ import dataclasses as dc
 from collections.abc import Sequence
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, EventStatus
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus
 from scipy.optimize import nnls
 
 from geort_drake.errors import HandError
@@ -125,7 +125,7 @@ class SelfCollisionGuard(PeriodicCorrection):
         else:
             output.SetFromVector(np.concatenate([q, (q - clear) / self._period]))
 
-    def _update(self, context: Context, discrete_state) -> EventStatus:
+    def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         output = self.get_output_port().Eval(context)
         discrete_state.get_mutable_vector(self._positions).SetFromVector(output[: len(output) // 2])
         return EventStatus.Succeeded()

@@ -5,7 +5,7 @@ import dataclasses as dc
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.operators.behavior import GraspingPerson
@@ -103,7 +103,7 @@ class SimulatedOperator(LeafSystem):
     def _state(self, context: Context) -> OperatorState:
         return context.get_abstract_state(0).get_value().state
 
-    def _decide(self, context: Context, state) -> EventStatus:
+    def _decide(self, context: Context, state: State) -> EventStatus:
         before = self._state(context)
         if context.get_time() < self._first_sight:
             return EventStatus.DidNothing()

@@ -1,5 +1,7 @@
 """Values that a context may share with its copies."""
 
+from typing import Self
+
 
 class Unchanging:
     """Of a class whose instances nobody changes once made; a copy is the same object.
@@ -8,8 +10,8 @@ class Unchanging:
     Python objects with `copy.deepcopy`, which takes longer than what most systems compute.
     """
 
-    def __copy__(self):
+    def __copy__(self) -> Self:
         return self
 
-    def __deepcopy__(self, memo):
+    def __deepcopy__(self, memo: dict) -> Self:
         return self

@@ -224,7 +224,7 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str]] = {
     ".npy of objects": (objects, "holds pickled objects, which are never read"),
     ".npy with a shape below zero": (
         with_bytes("hand.npy", npy_header((-4, 21, 3)) + bytes(504)),
-        f"{NUMPY}|must hold numbers",
+        f"{NUMPY}|must hold numbers|at least 2 frames",
     ),
     ".npy of records": (
         with_bytes("hand.npy", npy_header((2,), [("a", "<f8"), ("b", "<f8")]) + bytes(32)),

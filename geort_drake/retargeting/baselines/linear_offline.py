@@ -4,8 +4,6 @@ The network is GeoRT's, so that the two differ in what they learn alone: here, t
 is where the person's is, seen from the wrist and scaled. Everything hangs on the scale.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 import torch
 
@@ -28,26 +26,32 @@ def train_linear_offline(
     seed: int = 0,
     device: str = "cpu",
     report: Report | None = None,
-    collides_beyond_tips: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> TrainingResult:
     """Trains per-finger networks to minimise mean |α v_H − v_R|² + ε |(q − mid) / half range|².
 
     v are the vectors from the wrist to each fingertip, in `length_unit`. Called as `train_geort` is;
     of its settings it uses steps, points, learning_rate, hidden, length_unit and human_voxel. Robot
-    samples and collision labels are not needed.
+    samples are not needed.
 
     Raises:
         TrainingError: on unusable input or settings, or when the loss is not finite from the start;
             see `descend` for later.
     """
-    del robot_samples, collides_beyond_tips
+    del robot_samples
     config = config or TrainingConfig()
     config.validate()
     with one_thread():
         return _train(p_HF, kinematics, config, seed, device_of(device), report)
 
 
-def _train(p_HF, kinematics, config, seed, device, report) -> TrainingResult:
+def _train(
+    p_HF: np.ndarray,
+    kinematics: HandKinematics,
+    config: TrainingConfig,
+    seed: int,
+    device: torch.device,
+    report: Report | None,
+) -> TrainingResult:
     generator = torch.Generator().manual_seed(seed)
     human = HumanData(p_HF, kinematics.finger_names, config.human_voxel)
     clouds = [torch.tensor(cloud, dtype=torch.float32, device=device) for cloud in human.clouds]

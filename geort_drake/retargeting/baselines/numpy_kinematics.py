@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geort_drake.errors import HandError
 
@@ -134,7 +135,7 @@ class NumpyKinematics:
         return p[..., 0], J if self._coupling is None else J @ self._coupling
 
 
-def _array(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
+def _array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     array = np.asarray(value, dtype=float)
     if array.shape != shape or not np.isfinite(array).all():
         raise HandError(f"kinematics: {name} must be finite and of shape {shape}, it has {array.shape}")

@@ -6,6 +6,7 @@ joint angles of the frame before and are pulled towards them, so what they answe
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -14,6 +15,9 @@ from geort_drake.errors import GeortError, HandError
 from geort_drake.retargeting.baselines.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.baselines.task_vectors import WRIST, TaskVectors
 from geort_drake.retargeting.human_points import HumanPoints
+
+if TYPE_CHECKING:
+    from geort_drake.retargeting.kinematics import HandKinematics
 
 # Metrics ask for many frames at once; more than this side by side would not fit the cache.
 CHUNK = 1024
@@ -75,7 +79,7 @@ class VectorOnline:
 
     def __init__(
         self,
-        kinematics,
+        kinematics: "HandKinematics | NumpyKinematics",
         config: VectorConfig | None = None,
         human_keypoints: Sequence[int] | None = None,
     ):
@@ -220,7 +224,7 @@ class DexPilotOnline(VectorOnline):
         self._deciding = np.array([(others.index(a), others.index(b)) for a, b in between], dtype=int)
         return pinches + between + super()._pairs()
 
-    def _targets(self, p_HF, projected):
+    def _targets(self, p_HF: np.ndarray, projected: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         config, fingers = self.config, len(self.finger_names)
         pinches, pairs = fingers - 1, len(self._vectors.pairs) - fingers
         human = self._vectors.human(p_HF)

@@ -1,12 +1,17 @@
 """The baselines by name."""
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from geort_drake.errors import GeortError, UnknownNameError
+from geort_drake.retargeting.baselines.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.baselines.online import DexPilotOnline, VectorOnline
 from geort_drake.retargeting.baselines.trivial import Hold, NearestNeighbour
+
+if TYPE_CHECKING:
+    from geort_drake.retargeting.kinematics import HandKinematics
 
 ONLINE: dict[str, type[VectorOnline]] = {"vector_online": VectorOnline, "dexpilot_online": DexPilotOnline}
 # Those that need no training. `linear_offline` is trained and saved like GeoRT is.
@@ -15,11 +20,11 @@ BASELINES = ("hold", "nearest_neighbour", *ONLINE)
 
 def make_baseline(
     name: str,
-    kinematics,
+    kinematics: "HandKinematics | NumpyKinematics",
     human_keypoints: Sequence[int] | None = None,
     frames: np.ndarray | None = None,
     seed: int = 0,
-    **settings,
+    **settings: Any,
 ) -> Callable[[np.ndarray], np.ndarray]:
     """A retargeter that needs no training, called as `Retargeter` is.
 

@@ -111,7 +111,9 @@ class TaskVectors:
             rows, loss, gradient, H = rows[going], loss[going], gradient[going], H[going]
         return q
 
-    def _terms(self, q, targets, weights, previous) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _terms(
+        self, q: np.ndarray, targets: np.ndarray, weights: np.ndarray, previous: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Loss (N,), gradient (N, n) and Gauss–Newton Hessian (N, n, n)."""
         tips, J = self.kinematics.fingertips_and_jacobians(q)
         count, fingers, _, n = J.shape

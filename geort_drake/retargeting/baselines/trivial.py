@@ -1,6 +1,7 @@
 """What needs no thought at all; a method that does not beat these has learned nothing."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -10,11 +11,16 @@ from geort_drake.retargeting.baselines.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.baselines.online import VectorOnline
 from geort_drake.retargeting.human_points import HumanPoints
 
+if TYPE_CHECKING:
+    from geort_drake.retargeting.kinematics import HandKinematics
+
 
 class Hold:
     """Keeps the joints in the middle of their ranges, whatever the person does."""
 
-    def __init__(self, kinematics, human_keypoints: Sequence[int] | None = None):
+    def __init__(
+        self, kinematics: "HandKinematics | NumpyKinematics", human_keypoints: Sequence[int] | None = None
+    ):
         hand = NumpyKinematics.of(kinematics)
         self.finger_names, self.joint_names = hand.finger_names, hand.joint_names
         self.lower, self.upper = hand.lower, hand.upper
@@ -34,7 +40,7 @@ class NearestNeighbour(Hold):
 
     def __init__(
         self,
-        kinematics,
+        kinematics: "HandKinematics | NumpyKinematics",
         frames: np.ndarray,
         count: int = 300,
         seed: int = 0,
