@@ -155,7 +155,7 @@ READERS = {
 UNREADABLE = {
     "missing.npy": ["missing.npy: no such file"],
     "wrong_shape.npy": ["wrong_shape.npy", "shape (T, 21, 3)", "(1800, 20, 3)"],
-    "millimetres.npy": ["millimetres.npy", "60 to 110 mm", "millimetres", "in metres"],
+    "millimetres.npy": ["millimetres.npy", "60 to 110 mm", "millimetres", "--unit mm"],
     "mirrored.npy": ["mirrored.npy", "bend backwards", "left hand", "side 'left'"],
     "nan.npy": ["nan.npy", "360 of 1800 frames", "first is frame 100", "one in ten"],
     "pickled.npy": ["pickled.npy", "never read"],

@@ -19,10 +19,8 @@ from geort_drake.systems._rerun_writer import STEPS, Property, Writer, file_writ
 
 APPLICATION = "geort_drake_training"
 _TEXT = """\
-**{method}** learns to move the {hand} from a recording of a person's hand. Nobody shows it which robot pose
-belongs to which human one.
-
-Lattices lie flat among the person's fingertips; the map carries them over.
+**{method}** learns to move the {hand}; nobody shows it which robot pose belongs to which human one. Lattices
+lie flat among the person's fingertips; the map carries them over.
 
 | | the map should | look at |
 |---|---|---|
