@@ -33,7 +33,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 from faults import disks, kills  # noqa: E402
 from faults.corpus import CASES  # noqa: E402
-from faults.frames import fuzz_call, fuzz_system  # noqa: E402
+from faults.frames import fuzz_arm, fuzz_call, fuzz_system  # noqa: E402
 from faults.guided import fuzz_guided, require_atheris  # noqa: E402
 from faults.mutations import fuzz  # noqa: E402
 from faults.refusals import faults_of  # noqa: E402
@@ -183,12 +183,19 @@ def disk(counts: dict, seed: int, folder: Path, report: Report) -> dict:
 
 
 def frames(counts: dict, seed: int, folder: Path, report: Report) -> dict:
-    """Faulty frames through the system, and through the Python call."""
-    system, call = fuzz_system(counts["frames"], seed), fuzz_call(counts["frames"], seed)
+    """Faulty frames through the system and the Python call, and faulty poses of a wrist to the arm."""
+    results = {
+        "system": fuzz_system(counts["frames"], seed),
+        "call": fuzz_call(counts["frames"], seed),
+        "arm": fuzz_arm(counts["frames"], seed),
+    }
     report(1, 1)
-    failures = [f"the {name} broke a guarantee {result['violations']} times: {result}"
-                for name, result in (("system", system), ("call", call)) if result["violations"]]  # fmt: skip
-    return {"system": system, "call": call, "failures": failures}
+    failures = [
+        f"the {name} broke a guarantee {result['violations']} times: {result}"
+        for name, result in results.items()
+        if result["violations"] or result.get("speed_when_held")
+    ]
+    return {**results, "failures": failures}
 
 
 def updates(counts: dict, seed: int, folder: Path, report: Report) -> dict:
@@ -264,12 +271,14 @@ def table(figures: dict[str, dict]) -> str:
             )
         )
     if part := figures.get("frames"):
-        system, call = part["system"], part["call"]
-        spoilt = sum(system["faults"].values())
+        system, call, arm = part["system"], part["call"], part["arm"]
+        spoilt, jumps = (sum(of["faults"].values()) for of in (system, arm))
         rows += [
             ("frames through `RetargetingSystem`", f"{system['frames']:,}, {spoilt:,} with a fault",
              f"{system['violations']} violations"),
             ("the same to `Retargeter`", f"{call['frames']:,}", f"{call['violations']} violations"),
+            ("wrist poses through `WristToArm`, live", f"{arm['frames']:,}, {jumps:,} with a fault",
+             f"{arm['violations']} violations"),
         ]  # fmt: skip
     if part := figures.get("updates"):
         for name, result in part["of"].items():

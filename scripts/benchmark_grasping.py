@@ -59,7 +59,7 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         type=at_least(1),
         help="trials per method and object, each with its own seed (default: 30)",
     )
-    add("--quick", action="store_true", help="a small benchmark of some five minutes on two cores")
+    add("--quick", action="store_true", help="a small benchmark of two to five minutes on two cores")
     add(
         "--jobs",
         type=at_least(1),
