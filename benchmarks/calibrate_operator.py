@@ -9,6 +9,7 @@ python benchmarks/calibrate_operator.py --json calibration.json
 import copy
 import datetime
 import itertools
+import logging
 import statistics
 import sys
 from collections.abc import Sequence
@@ -51,6 +52,8 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
     from geort_drake.simulation.scenario import load_scenario
     from geort_drake.simulation.trial import run_trial
 
+    # Drake tells the same things in every trial.
+    logging.getLogger("drake").setLevel(logging.ERROR)
     scenario = copy.deepcopy(load_scenario(text=scenario_text))
     scenario.object.name, scenario.random_seed = object_name, seed
     description = load_hand(scenario.hand)
