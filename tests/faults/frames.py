@@ -76,6 +76,19 @@ WRIST_FAULTS: dict[str, WristFault] = {
 }
 
 
+def _counted(count: int, spoilt: Counter[str], held: int, broken: Counter[str]) -> dict:
+    """What `count` frames came to, of which those without a fault stand under the empty name."""
+    faults = {name: spoilt[name] for name in sorted(spoilt) if name}
+    return {
+        "frames": count,
+        "sound": spoilt[""],
+        "faults": faults,
+        "held": held,
+        "violations": sum(broken.values()),
+        "broken": dict(broken),
+    }
+
+
 def fuzz_arm(count: int, seed: int) -> dict:
     """Drives the arm through `count` poses of a wrist, two thirds of them spoilt in episodes.
 
@@ -105,16 +118,7 @@ def fuzz_arm(count: int, seed: int) -> dict:
         held += in_a_row > 0
         if in_a_row > 35:
             creeping = max(creeping, float(np.abs(v).max()))
-    sound = spoilt.pop("", 0)
-    return {
-        "frames": count,
-        "sound": sound,
-        "faults": dict(sorted(spoilt.items())),
-        "held": held,
-        "violations": sum(broken.values()),
-        "broken": dict(broken),
-        "speed_when_held": creeping,
-    }
+    return {**_counted(count, spoilt, held, broken), "speed_when_held": creeping}
 
 
 def faulty_frames(count: int, rng: np.random.Generator) -> Iterator[tuple[Frame, str]]:
@@ -163,15 +167,7 @@ def fuzz_system(count: int, seed: int) -> dict:
             spoilt[fault] += 1
             held += status.state.startswith("held")
         done += left
-    sound = spoilt.pop("", 0)
-    return {
-        "frames": count,
-        "sound": sound,
-        "faults": dict(sorted(spoilt.items())),
-        "held": held,
-        "violations": sum(broken.values()),
-        "broken": dict(broken),
-    }
+    return _counted(count, spoilt, held, broken)
 
 
 def fuzz_call(count: int, seed: int) -> dict:
