@@ -145,11 +145,12 @@ def test_collision_shapes_lie_where_drake_has_them(coupled, rng):
             body = plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
             X_BS = plant.EvalBodyPoseInWorld(context, body) @ inspector.GetPoseInFrame(geometry)
             np.testing.assert_allclose(p_BS[row, number], X_BS.translation(), atol=1e-6)
-    clearance = HandClearance(coupled)
-    near = clearance.near(q[0], 0.05, 0.05)
+    clearance = HandClearance(coupled, 0.05)
+    near = clearance.near(q[0])
     step = 1e-6 * rng.normal(size=q[0].size)
-    moved = clearance.near(q[0] + step, 0.05, 0.05)
-    both, here, there = np.intersect1d(near.rows, moved.rows, return_indices=True)
+    moved = clearance.near(q[0] + step)
+    both = [pair for pair in near.pairs if pair in moved.pairs]
+    here, there = ([found.pairs.index(pair) for pair in both] for found in (near, moved))
     change = moved.gap[there] - near.gap[here]
     assert len(both) > 5
     # Between two edges the gradient is approximate, so most of them is what can be asked for.
@@ -317,7 +318,7 @@ def test_a_floor_in_the_file_is_not_part_of_the_hand(tmp_path):
     hand = HandModel(propose(model).description)
     assert not hand.collides(hand.default_position)
     assert len(collision_shapes(hand).joint) == len(collision_shapes(plain).joint)
-    assert len(HandClearance(hand).pairs) == len(HandClearance(plain).pairs)
+    assert len(HandClearance(hand, 0.002).pairs) == len(HandClearance(plain, 0.002).pairs)
 
 
 def test_what_moves_several_fingers_is_held(tmp_path):

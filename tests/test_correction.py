@@ -31,8 +31,8 @@ CLEARANCE = 0.002
 
 
 @cache
-def clearance() -> HandClearance:
-    return HandClearance(allegro())
+def clearance(distance: float = CLEARANCE) -> HandClearance:
+    return HandClearance(allegro(), distance)
 
 
 def plant_order() -> list[str]:
@@ -73,36 +73,33 @@ def true_distances(q: np.ndarray) -> dict[frozenset, float]:
 
 def test_gaps_are_lower_bounds_of_drakes_distances(rng):
     """No pair is missed, no gap is larger than the distance, and few are smaller by over a millimetre."""
-    hand, ours = allegro(), clearance()
-    pairs = [frozenset(pair) for pair in ours.pairs]
-    slack = []
-    for q in rng.uniform(hand.lower, hand.upper, (20, 16)):
-        near = ours.near(q, 0.01, 0.01)
-        gaps = {} if near is None else {pairs[row]: gap for row, gap in zip(near.rows, near.gap, strict=True)}
+    hand, slack = allegro(), []
+    for q in rng.uniform(hand.lower, hand.upper, (120, 16)):
+        near = clearance().near(q)
+        gaps = dict(zip(map(frozenset, near.pairs), near.gap, strict=True))
         for pair, distance in true_distances(q).items():
-            assert gaps[pair] < distance + 1e-6
-            if distance > 0:
-                slack.append(distance - gaps[pair])
+            if distance < CLEARANCE:
+                assert gaps[pair] < distance + 1e-6
+                if distance > 0:
+                    slack.append(distance - gaps[pair])
     assert len(slack) > 50
-    assert np.percentile(slack, 95) < 1e-3
+    assert np.percentile(slack, 90) < 1e-3
 
 
 def test_the_gradient_opens_the_gap(rng):
     """A step along a gap's gradient widens it by what the gradient says."""
-    hand, ours = allegro(), clearance()
-    ratios = []
+    hand, ours, ratios = allegro(), clearance(0.004), []
     for q in rng.uniform(hand.lower, hand.upper, (40, 16)):
-        near = ours.near(q, 0.004, 0.004)
-        if near is None:
-            continue
-        step = 1e-4 * near.gradient[0] / (near.gradient[0] @ near.gradient[0])
-        after = ours.near(q + step, 0.1, 0.1)
-        (again,) = np.flatnonzero(after.rows == near.rows[0])
-        ratios.append((after.gap[again] - near.gap[0]) / 1e-4)
-    assert len(ratios) > 10
-    # Between two edges it is approximate.
-    np.testing.assert_allclose(ratios, 1.0, atol=0.6)
-    assert np.median(np.abs(np.array(ratios) - 1.0)) < 0.02
+        near = ours.near(q)
+        for pair, gap, gradient in zip(near.pairs, near.gap, near.gradient, strict=True):
+            if gap < 0.0035:
+                step = 1e-4 * gradient / (gradient @ gradient)
+                after = ours.near(q + step)
+                ratios.append((after.gap[after.pairs.index(pair)] - gap) / 1e-4)
+    assert len(ratios) > 100
+    # Between two edges it is approximate, and where the nearest features change it is another after the step.
+    error = np.abs(np.array(ratios) - 1.0)
+    assert np.median(error) < 0.002 and np.percentile(error, 97) < 0.6
 
 
 def test_what_is_built_close_along_a_finger_is_left_out():
@@ -146,7 +143,7 @@ def test_the_guard_keeps_random_walks_clear(rng):
         q = system.guarded(wanted, clear)
         assert (lower <= q).all() and (q <= upper).all()
         assert np.abs(q - clear).max() <= 7.0 * 0.01 + 1e-12
-        assert clearance().near(q[back], CLEARANCE, CLEARANCE) is None
+        assert not clearance().near(q[back]).pairs
         if step % 20 == 0:
             assert min(true_distances(q[back]).values(), default=1.0) >= CLEARANCE - 1e-6
         changed += not np.array_equal(q, np.clip(wanted, clear - 0.07, clear + 0.07))
@@ -172,7 +169,7 @@ def pinching_position() -> np.ndarray:
         q = hand.default_position
         q[:8] = rng.uniform(hand.lower[:8], hand.upper[:8])
         p_BF = hand.fingertips(q)
-        if np.linalg.norm(p_BF[0] - p_BF[1]) < 0.023 and clearance().near(q, CLEARANCE, CLEARANCE) is None:
+        if np.linalg.norm(p_BF[0] - p_BF[1]) < 0.023 and not clearance().near(q).pairs:
             return q
 
 
@@ -189,9 +186,10 @@ def test_the_guard_refuses_a_start_that_is_not_clear():
     """The message says how much is missing, and where."""
     hand = allegro()
     q = np.clip(np.full(16, 1.4), hand.lower, hand.upper)
-    assert clearance().near(q, CLEARANCE, CLEARANCE) is not None
+    assert clearance().near(q).pairs
     with pytest.raises(
-        HandError, match=r"must start with 2 mm between its parts; .* it has -?\d+\.\d mm between 'link_"
+        HandError,
+        match=r"must start with 2 mm between its parts; .* it has -?\d+\.\d mm between '\w+' and 'link_",
     ):
         SelfCollisionGuard(
             hand, hand.joint_names, dict(zip(hand.joint_names, q, strict=True)),
@@ -219,7 +217,7 @@ def test_the_guard_in_a_diagram_walks_towards_a_command_and_stays_clear():
         simulator.AdvanceTo(0.01 * step + 0.005)
         desired = system.get_output_port().Eval(context).copy()
         q, v = desired[:16], desired[16:]
-        assert clearance().near(q[back], CLEARANCE, CLEARANCE) is None
+        assert not clearance().near(q[back]).pairs
         if step:
             np.testing.assert_allclose(v, (q - before) / 0.01, atol=1e-9)
         before = q

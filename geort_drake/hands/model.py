@@ -40,6 +40,7 @@ class HandModel:
 
     Attributes:
         plant, scene_graph, diagram: the hand in Drake, finalized and built.
+        instance: the hand's model instance in `plant`.
         couplings: the joints that follow.
         digest: SHA-256 over the description, the model, what it includes and its collision meshes; equal
             hands in other places, or on other arms, have the same.
@@ -58,8 +59,8 @@ class HandModel:
         builder = DiagramBuilder()
         # Joint actuators with controller gains need a discrete plant; its time step is never taken.
         self.plant, self.scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.001)
-        self._instance = add_hand_model(self.plant, description)
-        files = model_files(self.plant, self.scene_graph.model_inspector(), self._instance, path)
+        self.instance = add_hand_model(self.plant, description)
+        files = model_files(self.plant, self.scene_graph.model_inspector(), self.instance, path)
         self.digest = _digest(description, digest_of_contents(files))
         self._base = self._frame(description.base_frame, "base_frame")
         self._mount = self._frame(description.mount.frame or description.base_frame, "mount.frame")
@@ -72,7 +73,7 @@ class HandModel:
             for name in finger.joints
         ]
         self._check_default_positions()
-        self.lower, self.upper = position_limits(self.plant, description, self._instance, self._source)
+        self.lower, self.upper = position_limits(self.plant, description, self.instance, self._source)
         self.plant.Finalize()
         self.diagram = builder.Build()
 
@@ -140,9 +141,7 @@ class HandModel:
         Each is its depth in m, the two links' names in alphabetical order, and whether tip meets tip.
         """
         (row,) = self._rows(np.asarray(q)[None])
-        context = self.plant.GetMyMutableContextFromRoot(self._contact_context)
-        self._set_positions(context, row)
-        pairs = self._query(context).ComputePointPairPenetration()
+        pairs = self._query(row, self._contact_context).ComputePointPairPenetration()
         found = []
         for pair in pairs:
             link_a, link_b = sorted((self._link(pair.id_A), self._link(pair.id_B)))
@@ -152,6 +151,14 @@ class HandModel:
     def are_tips(self, geometry_a: GeometryId, geometry_b: GeometryId) -> bool:
         """Whether both collision geometries belong to fingertips."""
         return geometry_a in self._tip_geometries and geometry_b in self._tip_geometries
+
+    def contact_context(self) -> Context:
+        """A context of `diagram` of one's own for `query`, in which tips of fingers do not collide."""
+        return self._beyond_tips_context.Clone()
+
+    def query(self, q: np.ndarray, root_context: Context) -> QueryObject:
+        """Drake's geometry at finite joint positions q (n,), rad, which are set in a context of `diagram`."""
+        return self._query(self.couplings.followed_by(q[None])[0], root_context)
 
     @property
     def p_BW(self) -> np.ndarray:
@@ -191,16 +198,16 @@ class HandModel:
         positions[self._order] = row
         self.plant.SetPositions(context, positions)
 
-    def _query(self, context: Context) -> QueryObject:
+    def _query(self, row: np.ndarray, root_context: Context) -> QueryObject:
+        context = self.plant.GetMyMutableContextFromRoot(root_context)
+        self._set_positions(context, row)
         return self.plant.get_geometry_query_input_port().Eval(context)
 
     def _has_collisions(self, q: np.ndarray, root_context: Context) -> np.ndarray:
         rows = self._rows(q)
-        context = self.plant.GetMyMutableContextFromRoot(root_context)
         hits = np.empty(len(rows), dtype=bool)
         for i, row in enumerate(rows):
-            self._set_positions(context, row)
-            hits[i] = self._query(context).HasCollisions()
+            hits[i] = self._query(row, root_context).HasCollisions()
         return hits if np.ndim(q) == 2 else hits[0]
 
     def _forget_visuals(self) -> None:
@@ -227,16 +234,16 @@ class HandModel:
         return self.plant.GetBodyFromFrameId(frame).name()
 
     def _frame(self, name: str, field: str) -> Frame:
-        if not self.plant.HasFrameNamed(name, self._instance):
-            frames = [self.plant.get_frame(i).name() for i in self.plant.GetFrameIndices(self._instance)]
+        if not self.plant.HasFrameNamed(name, self.instance):
+            frames = [self.plant.get_frame(i).name() for i in self.plant.GetFrameIndices(self.instance)]
             raise self._unknown(field, "frame or link", name, [frame for frame in frames if frame])
-        return self.plant.GetFrameByName(name, self._instance)
+        return self.plant.GetFrameByName(name, self.instance)
 
     def _joint(self, name: str, field: str, limited: bool = True) -> RevoluteJoint:
-        movable = joint_names(self.plant, self._instance, RevoluteJoint)
+        movable = joint_names(self.plant, self.instance, RevoluteJoint)
         if name not in movable:
             raise self._unknown(field, "revolute joint", name, movable)
-        joint = self.plant.GetJointByName(name, self._instance)
+        joint = self.plant.GetJointByName(name, self.instance)
         low, high = joint.position_lower_limit(), joint.position_upper_limit()
         if limited and not -MAX_ANGLE <= low <= high <= MAX_ANGLE:
             given = f"it has [{low:g}, {high:g}]" if np.isfinite([low, high]).all() else "it has none"

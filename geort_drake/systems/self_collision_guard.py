@@ -1,6 +1,5 @@
 """Keeps commanded configurations of the hand clear of self-collision."""
 
-import dataclasses as dc
 from collections.abc import Sequence
 
 import numpy as np
@@ -8,13 +7,12 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Even
 from scipy.optimize import nnls
 
 from geort_drake.errors import HandError
-from geort_drake.hands.clearance import HandClearance, Near
+from geort_drake.hands.clearance import HandClearance
 from geort_drake.hands.model import HandModel
 from geort_drake.systems.action_correction import PeriodicCorrection
 from geort_drake.systems.joint_limits import JointLimits
 
 _SLACK = 2e-4  # m; a correction aims this much farther than it must
-_HEED = 2e-3  # m; and sees to it that pairs with this much more than they must have do not meet
 _CORRECTIONS = 4
 
 
@@ -60,12 +58,11 @@ class SelfCollisionGuard(PeriodicCorrection):
                 f"{', '.join(sorted(actuated_joints))}"
             )
         super().__init__(actuated_joints, initial_positions, limits, period)
-        self._to_hand = np.array([list(actuated_joints).index(name) for name in hand.joint_names])
-        self._to_plant = np.argsort(self._to_hand)
-        self._hand_clearance, self._clearance = HandClearance(hand), clearance
-        if (near := self._near(self._q_start)) is not None:
+        self._hand_clearance, self._clearance = HandClearance(hand, clearance, actuated_joints), clearance
+        self._reach = limits.speed * period
+        if (near := self._hand_clearance.near(self._q_start)).pairs:
             closest = int(near.gap.argmin())
-            first, second = self._hand_clearance.links(near.rows[closest])
+            first, second = self._hand_clearance.links(near.pairs[closest])
             raise HandError(
                 f"the hand must start with {1e3 * clearance:g} mm between its parts; at the initial "
                 f"positions it has {1e3 * near.gap[closest]:.1f} mm between '{first}' and '{second}' (a mesh "
@@ -77,40 +74,35 @@ class SelfCollisionGuard(PeriodicCorrection):
         """Clear positions near those wanted, (n,) each, in one step from `clear` ones; actuator order."""
         if not np.isfinite(wanted).all():
             return clear
-        reach = self._limits.speed * self._period
-        low = np.maximum(self._limits.lower, clear - reach)
-        high = np.minimum(self._limits.upper, clear + reach)
+        low = np.maximum(self._limits.lower, clear - self._reach)
+        high = np.minimum(self._limits.upper, clear + self._reach)
         target = np.minimum(np.maximum(wanted, low), high)
-        q, near = target, self._near(target)
-        first = near
+        q, near = target, self._hand_clearance.near(target)
+        conflict, J, openings = near, np.empty((0, len(q))), np.empty(0)
         for _ in range(_CORRECTIONS):
-            if near is None:
+            if not near.pairs:
                 return q
-            change = _least_change(near.gradient, self._clearance + _SLACK - near.gap)
+            # From the target; what was found on the way counts, too.
+            J = np.concatenate([J, near.gradient])
+            opening = self._clearance + _SLACK - near.gap + near.gradient @ (q - target)
+            openings = np.concatenate([openings, opening])
+            change = _least_change(J, openings, low - target, high - target)
             if change is None:
                 break
-            q = np.minimum(np.maximum(q + change, low), high)
-            near = self._near(q)
-        if near is None:
+            q = np.minimum(np.maximum(target + change, low), high)
+            near = self._hand_clearance.near(q)
+        if not near.pairs:
             return q
         # Fingers in conflict stay, and then those that would run into them.
-        stay, near = np.zeros(len(q), dtype=bool), first
-        while near is not None:
-            meeting = near.joints[near.gap < self._clearance].any(axis=0)
+        stay = np.zeros(len(q), dtype=bool)
+        while conflict.pairs:
+            meeting = conflict.joints.any(axis=0)
             if not (meeting & ~stay).any():
                 return clear
             stay |= meeting
             q = np.where(stay, clear, target)
-            near = self._near(q)
+            conflict = self._hand_clearance.near(q)
         return q
-
-    def _near(self, q: np.ndarray) -> Near | None:
-        near = self._hand_clearance.near(q[self._to_hand], self._clearance, self._clearance + _HEED)
-        if near is None:
-            return None
-        return dc.replace(
-            near, gradient=near.gradient[:, self._to_plant], joints=near.joints[:, self._to_plant]
-        )
 
     def _depends_on(self) -> set:
         return super()._depends_on() | {self.input_port_ticket(self._desired.get_index())}
@@ -131,13 +123,27 @@ class SelfCollisionGuard(PeriodicCorrection):
         return EventStatus.Succeeded()
 
 
-def _least_change(J: np.ndarray, opening: np.ndarray) -> np.ndarray | None:
-    """The shortest x (n,) with J x ≥ opening (K,), or None if there is none.
+def _least_change(J: np.ndarray, opening: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray | None:
+    """The shortest x (n,) with J x ≥ opening (K,) that is in [low, high] where the shortest of all is not.
+
+    None if there is none.
+    """
+    x = _shortest(J, opening)
+    if x is None or not ((under := x < low) | (over := x > high)).any():
+        return x
+    eye = np.eye(len(low))
+    return _shortest(
+        np.concatenate([J, eye[under], -eye[over]]), np.concatenate([opening, low[under], -high[over]])
+    )
+
+
+def _shortest(A: np.ndarray, b: np.ndarray) -> np.ndarray | None:
+    """The shortest x (n,) with A x ≥ b (K,), K > 0, or None if there is none.
 
     Least-distance programming by non-negative least squares: Lawson and Hanson 1974, "Solving Least
     Squares Problems", chapter 23.
     """
-    E = np.vstack([J.T, opening])
+    E = np.concatenate([A.T, b[None]])
     f = np.zeros(len(E))
     f[-1] = 1.0
     try:
