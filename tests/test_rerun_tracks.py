@@ -176,6 +176,7 @@ def test_what_is_derived_is_computed_when_it_is_written(tmp_path):
     ("options", "message"),
     [
         (lambda w: {"period": 0.0}, "period must be positive"),
+        (lambda w: {"view_from": (0, 0, 0)}, "view_from must be three numbers"),
         (
             lambda w: {"signals": {"q": SignalSpec(constant(w.builder, [1, 2]), ["a"])}},
             "'q'.*size 2.*wanted 1",

@@ -137,6 +137,8 @@ def add_grasp_recorder(
         },
         states=states,
         close_ups=_close_ups(plant, description, object_body, fingertips),
+        # From the thumb's side, from where nothing hides what the hand holds.
+        view_from=(0.62, 0.62 if description.side == "left" else -0.62, 0.48),
         properties={**_facts(scenario, description, retargeting), **properties},
     )
 

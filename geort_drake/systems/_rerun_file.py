@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue
 
 from geort_drake.gloves.keypoints import FINGER_NAMES
@@ -23,7 +24,7 @@ from geort_drake.systems._rerun_scene import WORLD, Scene, as_of_glass, entity_p
 from geort_drake.systems._rerun_tracks import PoseTrack, SignalTrack, StateTrack, Track
 from geort_drake.systems._rerun_writer import LiveSink, LiveWriter, Property, Writer, file_writer
 
-_VIEW_DIRECTION = np.array([0.62, -0.62, 0.48])  # from the scene to the eye: front left, from above
+VIEW_FROM = (0.62, -0.62, 0.48)  # from the scene to the eye: front left, from above
 _BATCH_S = 0.1  # wall time between two batches for those who look on
 _READ_AT_ONCE = 64  # samples
 T = TypeVar("T", bound=Track)
@@ -70,6 +71,7 @@ class Recording:
         properties: Mapping[str, Property],
         blueprint: rrb.Blueprint | None,
         close_ups: Sequence[CloseUpView] = (),
+        view_from: ArrayLike = VIEW_FROM,
     ):
         self.path = None if path is None else Path(path)
         self.scene = scene
@@ -82,6 +84,7 @@ class Recording:
         self._recording_id = recording_id
         self._blueprint = blueprint
         self._close_ups = list(close_ups)
+        self._view_from = np.asarray(view_from, float) / np.linalg.norm(view_from)
         self._live: LiveWriter | None = None
         self._unread: list[Sequence[tuple | None]] = []  # the newest samples, of which there are no rows yet
         self._sent = 0  # how many samples the viewers have got
@@ -268,7 +271,7 @@ class Recording:
         low, high = np.percentile(cloud, [2, 98], axis=0) if len(cloud) else np.zeros((2, 3))
         target = (low + high) / 2
         distance = 0.17 + 0.78 * float(np.linalg.norm(high - low))
-        return target, target + distance * _VIEW_DIRECTION
+        return target, target + distance * self._view_from
 
     def _of(self, kind: type[T]) -> list[T]:
         return [track for track in self.tracks if isinstance(track, kind)]

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import rerun.blueprint as rrb
+from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue
 from pydrake.geometry import Role, SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
@@ -29,7 +30,7 @@ from pydrake.systems.framework import (
 
 from geort_drake.errors import ScenarioError
 from geort_drake.systems._rerun_blueprint import grasp_blueprint
-from geort_drake.systems._rerun_file import Recording
+from geort_drake.systems._rerun_file import VIEW_FROM, Recording
 from geort_drake.systems._rerun_inputs import Inputs, check_connectable, follow, ports_of_plant
 from geort_drake.systems._rerun_scene import describe_scene
 from geort_drake.systems._rerun_specs import (
@@ -184,6 +185,7 @@ def add_rerun_recorder(
     states: Mapping[str, StateSpec] | None = None,
     cameras: Mapping[str, CameraSpec] | None = None,
     close_ups: Mapping[str, CloseUpSpec] | None = None,
+    view_from: ArrayLike = VIEW_FROM,
     properties: Mapping[str, Property] | None = None,
     blueprint: rrb.Blueprint | None = None,
     plant_ports: Mapping[str, OutputPort] | None = None,
@@ -209,6 +211,7 @@ def add_rerun_recorder(
         states: entity path to states, under /.
         cameras: entity path to camera, under /world.
         close_ups: name to one more view of the scene, in the default layout.
+        view_from: direction in W from the scene to the eye, in the default layout.
         properties: what the recording is about, such as {"method": "geort", "seed": 3}.
         blueprint: layout; by default `grasp_blueprint` for what is recorded.
         plant_ports: where the plant is in a diagram inside the builder's: the ports by which that one exports
@@ -216,8 +219,8 @@ def add_rerun_recorder(
 
     Raises:
         ScenarioError: the plant is not finalized, or is in another diagram and its ports are not given; the
-            period is not positive; a port does not fit, or is in another diagram; or there is more than one
-            file. Nothing has been added to the builder then.
+            period is not positive, or `view_from` no direction; a port does not fit, or is in another
+            diagram; or there is more than one file. Nothing has been added to the builder then.
     """
     path, sinks = _targets(path_or_viewer)
     where = path or "live recording"
@@ -227,6 +230,8 @@ def add_rerun_recorder(
         )
     if not period > 0:
         raise ScenarioError(f"{where}: period must be positive, s; given {period}")
+    if np.shape(view_from) != (3,) or not 0 < np.linalg.norm(view_from) < np.inf:
+        raise ScenarioError(f"{where}: view_from must be three numbers, not all 0; given {view_from!r}")
     names = ["body_poses", *(["contact_results"] if contact else [])]
     ports = ports_of_plant(where, builder, plant, names, plant_ports)
     views = [follow(name, spec, hands or {}) for name, spec in (close_ups or {}).items()]
@@ -255,6 +260,7 @@ def add_rerun_recorder(
         properties=properties or {},
         blueprint=blueprint,
         close_ups=views,
+        view_from=view_from,
     )
     recorder = RerunRecorder(recording, inputs.sources, period)
     recorder.set_name("rerun_recorder")
