@@ -269,7 +269,7 @@ def finish(arguments: argparse.Namespace, summary: dict) -> int:
 def results_table(summary: dict) -> Table:
     """One row a method."""
     table = Table(title="Grasps")
-    for heading in ("method", "at once", "95 %", "success", "mean time", "against the first"):
+    for heading in ("method", "at once", "95 %", "success", "mean time", "points"):
         table.add_column(heading, justify="left" if heading == "method" else "right", no_wrap=True)
     for name, entry in summary["methods"].items():
         of = entry["overall"]
@@ -284,9 +284,12 @@ def results_table(summary: dict) -> Table:
             f"{100 * once['low']:.0f}–{100 * once['high']:.0f} %",
             f"{100 * success['rate']:.0f} %",
             f"{of['completion_time_s']['restricted_mean']['mean']:.1f} s",
-            "–" if against.get("mean") is None else f"{100 * against['mean']:+.0f} points",
+            "–" if against.get("mean") is None else f"{100 * against['mean']:+.0f}",
         )
-    table.caption = "at once: lifted and held at the first closing; mean time: failures count as the timeout"
+    table.caption = (
+        "at once: lifted and held at the first closing, and in points against the first method; "
+        "mean time: failures count as the timeout"
+    )
     return table
 
 
