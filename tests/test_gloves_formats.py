@@ -285,6 +285,39 @@ class Harmful:
         return open, (str(self.path), "w")
 
 
+class Reduced:
+    """What pickles as a call, and the state that its result is given."""
+
+    def __init__(self, call, arguments, state):
+        self.reduced = call, arguments, state
+
+    def __reduce__(self):
+        return self.reduced
+
+
+REBUILT = (np.zeros(0).__reduce__()[0], (np.ndarray, (0,), b"b"))
+
+
+@pytest.mark.parametrize(
+    "contents",
+    [
+        Reduced(np.dtype, ("f4", False, True), (3, "<", None, -1, -1, 0)),
+        Reduced(np.dtype, ("V8", False, True), (3, "|", None, ("a",), {"a": 1}, 8, 1, 0)),
+        Reduced(*REBUILT, (1, (4,), np.dtype(object), False, [1, 2])),
+        Reduced(*REBUILT, (1, (2, 10**9), np.dtype("f8"), False, b"\0" * 16)),
+        Reduced(*REBUILT, (1, (-1,), np.dtype("f8"), False, b"")),
+        Reduced(np.float64(0).__reduce__()[0], (np.dtype(object), b"\0" * 8), None),
+    ],
+    ids=["type cut off", "fields", "too few objects", "too large", "negative shape", "object from bytes"],
+)
+def test_pickles_that_mislead_numpy_are_refused(tmp_path, contents):
+    """Some of them end the process where NumPy itself unpickles them."""
+    path = tmp_path / "x.pkl"
+    path.write_bytes(pickle.dumps(contents))
+    with pytest.raises(RecordingError, match=r"x\.pkl: not a readable pickle"):
+        load_plain(path)
+
+
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
 def test_pickles_of_every_protocol_are_read_without_running_anything(tmp_path, protocol):
     """Plain data is read whichever way it was pickled; what asks for a function is refused by its name."""

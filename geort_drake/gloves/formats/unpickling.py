@@ -1,6 +1,12 @@
-"""Unpickling of plain data alone: NumPy arrays and Python's own containers, and nothing that runs code."""
+"""Unpickling of plain data alone: NumPy arrays and Python's own containers, and nothing that runs code.
 
+NumPy takes for true what a pickle says of an array or its type, and ends the process where that is wrong. So
+its own functions are not called: what stands for them here looks first.
+"""
+
+import math
 import pickle
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,17 +14,6 @@ from typing import Any
 import numpy as np
 
 from geort_drake.errors import RecordingError
-
-# What NumPy's own pickles of arrays and scalars name, in its versions 1 and 2. Other containers, numbers
-# and texts need no name in a pickle.
-_MODULES = ("numpy.core.multiarray", "numpy._core.multiarray")
-_ALLOWED = {
-    ("numpy", "ndarray"),
-    ("numpy", "dtype"),
-    ("numpy.core.numeric", "_frombuffer"),
-    ("numpy._core.numeric", "_frombuffer"),
-    *((module, name) for module in _MODULES for name in ("_reconstruct", "scalar")),
-}
 
 
 class _Refused(Exception):
@@ -32,13 +27,79 @@ def _latin1(text: str, encoding: str) -> bytes:
     return text.encode("latin1")
 
 
+class _Type:
+    """A NumPy type of numbers, texts or objects; NumPy's own is `made`."""
+
+    def __init__(self, code: str, *_: object):
+        if not re.fullmatch(r"b1|[iufc][0-9]{1,2}|[SU][0-9]{1,6}|O8", code):
+            raise ValueError(f"arrays of type {code!r:.40} are not read")
+        self.made = np.dtype(code)
+
+    def __setstate__(self, state: tuple) -> None:
+        _, order, *structure = state
+        if order not in ("<", ">", "=", "|") or any(part is not None for part in structure[:3]):
+            raise ValueError("the type of an array is not one of numbers or texts")
+        self.made = self.made.newbyteorder(order)
+
+
+class _Array(np.ndarray):
+    """An array that is empty until its state is set."""
+
+    def __new__(cls, *_: object) -> "_Array":
+        return super().__new__(cls, 0)
+
+    def __setstate__(self, state: tuple) -> None:  # type: ignore[override]
+        version, shape, kind, by_column, content = state
+        if isinstance(content, str):
+            content = content.encode("latin1")
+        held = len(content) if kind.made.hasobject else len(content) // kind.made.itemsize
+        if type(content) is not (list if kind.made.hasobject else bytes) or held != _size(shape):
+            raise ValueError(f"an array of shape {shape!r:.40} does not hold what it says")
+        super().__setstate__((version, shape, kind.made, bool(by_column), content))  # type: ignore[arg-type]
+
+
+def _size(shape: tuple) -> int:
+    if type(shape) is not tuple or not all(type(n) is int and n >= 0 for n in shape):
+        raise ValueError(f"an array cannot have the shape {shape!r:.40}")
+    return math.prod(shape)
+
+
+def _scalar(kind: _Type, content: bytes | str) -> Any:
+    if kind.made.hasobject:
+        raise ValueError("a number cannot be an object")
+    content = content.encode("latin1") if isinstance(content, str) else content
+    return np.frombuffer(content, kind.made, 1)[0]
+
+
+def _from_buffer(content: bytes, kind: _Type, shape: tuple, order: str, *_: object) -> np.ndarray:
+    if kind.made.hasobject:
+        raise ValueError("a buffer cannot hold objects")
+    return np.frombuffer(content, kind.made, _size(shape)).reshape(shape, order="F" if order == "F" else "C")
+
+
+# What NumPy's pickles of arrays and scalars name, in its versions 1 and 2, and what stands for it. Other
+# containers, numbers and texts need no name in a pickle.
+_STANDING = {
+    ("numpy", "ndarray"): _Array,
+    ("numpy", "dtype"): _Type,
+    ("_codecs", "encode"): _latin1,
+    **{
+        (module.format(core), name): ours
+        for core in ("core", "_core")
+        for module, name, ours in (
+            ("numpy.{}.multiarray", "_reconstruct", _Array),
+            ("numpy.{}.multiarray", "scalar", _scalar),
+            ("numpy.{}.numeric", "_frombuffer", _from_buffer),
+        )
+    },
+}
+
+
 class _PlainUnpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Callable:
-        if (module, name) == ("_codecs", "encode"):
-            return _latin1
-        if (module, name) not in _ALLOWED:
+        if (module, name) not in _STANDING:
             raise _Refused(f"{module}.{name}")
-        return super().find_class(module, name)
+        return _STANDING[module, name]
 
     def persistent_load(self, pid: Any) -> Any:
         raise _Refused(f"persistent id {pid!r:.40}")
