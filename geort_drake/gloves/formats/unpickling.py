@@ -45,7 +45,9 @@ class _Type:
 class _Array(np.ndarray):
     """An array that is empty until its state is set."""
 
-    def __new__(cls, *_: object) -> "_Array":
+    def __new__(cls, _: object = None, shape: tuple = (), *more: object) -> "_Array":
+        if shape != (0,):
+            raise ValueError(f"an array of shape {shape!r:.40} is asked for without numbers")
         return super().__new__(cls, 0)
 
     def __setstate__(self, state: tuple) -> None:  # type: ignore[override]
