@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import geort_drake
 from geort_drake.console import console
-from geort_drake.files import require_writable, write_text
+from geort_drake.files import finite_json, require_writable, write_text
 
 if TYPE_CHECKING:
     from geort_drake.simulation.scenario import Scenario
@@ -31,7 +31,7 @@ METHOD_SUMMARIES = {
     "vector_online": "AnyTeleop's vectors, optimised at every frame",
     "dexpilot_online": "DexPilot's vectors, optimised at every frame",
     "nearest_neighbour": "the nearest of 300 stored hands",
-    "hold": "ignores the person",
+    "hold": "ignores the person's fingers",
 }
 # Those that learn; the others need no training.
 TRAINED_METHODS = ("geort_coupled", "geort", "linear_offline")
@@ -101,7 +101,7 @@ def write_json(target: Path | None, content: Any, done: bool = True) -> None:
     """
     if target is None or (target == STDOUT and not done):
         return
-    text = json.dumps(_finite(content), indent=2, allow_nan=False)
+    text = json.dumps(finite_json(content), indent=2, allow_nan=False)
     if target == STDOUT:
         print(text)
     else:
@@ -203,14 +203,6 @@ def _json_file(text: str) -> Path:
             f"{text}: the name must end with .json; to print on stdout, give --json last"
         )
     return Path(text)
-
-
-def _finite(content: Any) -> Any:
-    if isinstance(content, dict):
-        return {key: _finite(value) for key, value in content.items()}
-    if isinstance(content, list | tuple):
-        return [_finite(value) for value in content]
-    return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
 def _program(name: str) -> str:

@@ -285,6 +285,15 @@ class Harmful:
         return open, (str(self.path), "w")
 
 
+def test_what_was_unpickled_can_go_to_another_process(tmp_path):
+    """An array arrives there as NumPy's own."""
+    path = tmp_path / "x.pkl"
+    path.write_bytes(pickle.dumps({"a": np.arange(6.0).reshape(2, 3)}))
+    again = pickle.loads(pickle.dumps(load_plain(path)))["a"]  # noqa: S301 (our own)
+    assert type(again) is np.ndarray
+    np.testing.assert_array_equal(again, np.arange(6.0).reshape(2, 3))
+
+
 class Reduced:
     """What pickles as a call, and the state that its result is given."""
 

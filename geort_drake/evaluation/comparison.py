@@ -1,10 +1,8 @@
 """Several retargeting methods judged on one hand, with the same people, protocols and metrics."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -21,6 +19,7 @@ from geort_drake.evaluation.metrics import (
 )
 from geort_drake.evaluation.protocols import HELD_OUT, SAME_PERSON, Case, Protocol
 from geort_drake.evaluation.related_metrics import aligned_motion_preservation, workspace
+from geort_drake.files import finite_json
 from geort_drake.gloves.keypoints import FINGER_KEYPOINTS
 from geort_drake.gloves.recording import Recording
 from geort_drake.hands.canonical import canonical_kinematics
@@ -192,7 +191,7 @@ class Comparison:
             "motion_preservation": aligned_motion_preservation(p_HL, p_BL),
             "workspace": workspace(space.p_BF, p_BF) if protocol.with_coverage else None,
         }
-        return Judged(_finite(metrics), settled is not None, frames, distributions)
+        return Judged(finite_json(metrics), settled is not None, frames, distributions)
 
     def _retargeter(self, name: str, protocol: Protocol, case: Case, seed: int) -> Callable:
         if name in BASELINES:
@@ -224,10 +223,3 @@ class Comparison:
 def _base_keypoint(keypoint: int) -> int:
     """The knuckle at which the finger of this keypoint begins."""
     return next(finger[0] for finger in FINGER_KEYPOINTS.values() if keypoint in finger)
-
-
-def _finite(value: Any) -> Any:
-    """The same with None for numbers that JSON cannot hold."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -105,13 +105,6 @@ class HandClearance:
         pairs = list(zip(first, second, strict=True))
         return Near(pairs, gap, (between * along) @ self._coupling, between @ self._coupling != 0)
 
-    def links(self, pair: tuple[GeometryId, GeometryId]) -> tuple[str, str]:
-        """Names of the links that the geometries of a pair belong to."""
-        return self._body(pair[0]).name(), self._body(pair[1]).name()
-
-    def _body(self, geometry: GeometryId) -> RigidBody:
-        return self._plant.GetBodyFromFrameId(self._inspector.GetFrameId(geometry))
-
     def _read_chains(self) -> None:
         """Which joints move which geometry, and the links at which the velocities of all can be read."""
         inboard = inboard_joints(self._plant)

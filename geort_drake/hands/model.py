@@ -144,7 +144,7 @@ class HandModel:
         pairs = self._query(row, self._contact_context).ComputePointPairPenetration()
         found = []
         for pair in pairs:
-            link_a, link_b = sorted((self._link(pair.id_A), self._link(pair.id_B)))
+            link_a, link_b = sorted((self.link_of(pair.id_A), self.link_of(pair.id_B)))
             found.append((pair.depth, link_a, link_b, self.are_tips(pair.id_A, pair.id_B)))
         return sorted(found, key=lambda contact: (-contact[0], *contact[1:3]))
 
@@ -229,7 +229,8 @@ class HandModel:
             for geometry in tip_geometries(self.plant, inspector, frame.body())
         }
 
-    def _link(self, geometry: GeometryId) -> str:
+    def link_of(self, geometry: GeometryId) -> str:
+        """Name of the link that a geometry belongs to."""
         frame = self.scene_graph.model_inspector().GetFrameId(geometry)
         return self.plant.GetBodyFromFrameId(frame).name()
 

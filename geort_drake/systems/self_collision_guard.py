@@ -62,7 +62,7 @@ class SelfCollisionGuard(PeriodicCorrection):
         self._reach = limits.speed * period
         if (near := self._hand_clearance.near(self._q_start)).pairs:
             closest = int(near.gap.argmin())
-            first, second = self._hand_clearance.links(near.pairs[closest])
+            first, second = map(hand.link_of, near.pairs[closest])
             raise HandError(
                 f"the hand must start with {1e3 * clearance:g} mm between its parts; at the initial "
                 f"positions it has {1e3 * near.gap[closest]:.1f} mm between '{first}' and '{second}' (a mesh "

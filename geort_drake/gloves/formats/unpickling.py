@@ -9,7 +9,7 @@ import pickle
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsIndex
 
 import numpy as np
 
@@ -58,6 +58,9 @@ class _Array(np.ndarray):
         if type(content) is not (list if kind.made.hasobject else bytes) or held != _size(shape):
             raise ValueError(f"an array of shape {shape!r:.40} does not hold what it says")
         super().__setstate__((version, shape, kind.made, bool(by_column), content))  # type: ignore[arg-type]
+
+    def __reduce_ex__(self, protocol: SupportsIndex) -> Any:
+        return np.asarray(self).__reduce_ex__(protocol)  # a copy in another process is NumPy's own
 
 
 def _size(shape: tuple) -> int:
