@@ -68,6 +68,9 @@ class RecordingConfig:
 
     # Time between recorded frames, s.
     period: float = 0.02
+    # Draw Panda and right Allegro in the meshes of Drake's public models (`drake_models`), which Drake
+    # downloads where ROS_PACKAGE_PATH names no copy of them.
+    public_meshes: bool = False
 
 
 @dc.dataclass
