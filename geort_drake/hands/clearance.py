@@ -34,6 +34,7 @@ from geort_drake.hands.model import HandModel
 
 # Pairs whose distance depends on so few joints are tried on a grid of this many angles per joint.
 _FEW, _GRID = 2, 13
+_UP, _DOWN = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 class Near(NamedTuple):
@@ -43,13 +44,11 @@ class Near(NamedTuple):
         pairs: K pairs of geometries.
         gap: (K,) lower bound of the distance, m; negative where they may overlap.
         gradient: (K, n) of the gap with respect to q, m/rad; between two edges it is approximate.
-        joints: (K, n) which joints the gap depends on.
     """
 
     pairs: list[tuple[GeometryId, GeometryId]]
     gap: np.ndarray
     gradient: np.ndarray
-    joints: np.ndarray
 
 
 class HandClearance:
@@ -92,18 +91,25 @@ class HandClearance:
         """The pairs with a gap below the clearance at joint positions q (n,), rad."""
         found = self._hand.query(q[self._to_hand], self._root).ComputePointPairPenetration()
         if not found:
-            return Near([], np.empty(0), *np.empty((2, 0, len(q))))
-        first, second = [pair.id_A for pair in found], [pair.id_B for pair in found]
+            return Near([], np.empty(0), np.empty((0, len(q))))
+        pairs = [(pair.id_A, pair.id_B) for pair in found]
         gap = np.array([self._clearance - pair.depth for pair in found])
-        n = np.concatenate([pair.nhat_BA_W for pair in found]).reshape(-1, 3)
-        x = np.concatenate([pair.p_WCa for pair in found]).reshape(-1, 3)
-        # 1 for a joint that moves the first against the second, −1 for the other way round.
-        between = self._moves[[self._row[id] for id in first]] - self._moves[[self._row[id] for id in second]]
+        n, x = np.concatenate([pair.nhat_BA_W for pair in found] + [pair.p_WCa for pair in found]).reshape(
+            2, -1, 3
+        )
         turn, drift = self._joint_velocities()
         # n · (ω × x + u) = ω · (x × n) + n · u
         along = _cross(x, n) @ turn + n @ drift
-        pairs = list(zip(first, second, strict=True))
-        return Near(pairs, gap, (between * along) @ self._coupling, between @ self._coupling != 0)
+        return Near(pairs, gap, (self._between(pairs) * along) @ self._coupling)
+
+    def joints_between(self, pairs: Sequence[tuple[GeometryId, GeometryId]]) -> np.ndarray:
+        """(K, n): which joints of q the gaps of K pairs depend on."""
+        return self._between(pairs) @ self._coupling != 0
+
+    def _between(self, pairs: Sequence[tuple[GeometryId, GeometryId]]) -> np.ndarray:
+        """(K, N): 1 for a joint that moves the first against the second, −1 for the other way round."""
+        first, second = [self._row[id] for id, _ in pairs], [self._row[id] for _, id in pairs]
+        return self._moves.take(first, 0) - self._moves.take(second, 0)
 
     def _read_chains(self) -> None:
         """Which joints move which geometry, and the links at which the velocities of all can be read."""
@@ -200,9 +206,8 @@ class HandClearance:
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Row by row, (K, 3); `np.cross` takes twice as long for few rows."""
-    up, down = [1, 2, 0], [2, 0, 1]
-    return a[:, up] * b[:, down] - a[:, down] * b[:, up]
+    """Row by row, (K, 3); `np.cross` takes several times as long for few rows."""
+    return a.take(_UP, 1) * b.take(_DOWN, 1) - a.take(_DOWN, 1) * b.take(_UP, 1)
 
 
 def _enlarged(shape: Shape, name: str, by: float) -> tuple[RigidTransform, Shape]:

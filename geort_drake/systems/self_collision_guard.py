@@ -77,26 +77,26 @@ class SelfCollisionGuard(PeriodicCorrection):
         low = np.maximum(self._limits.lower, clear - self._reach)
         high = np.minimum(self._limits.upper, clear + self._reach)
         target = np.minimum(np.maximum(wanted, low), high)
-        q, near = target, self._hand_clearance.near(target)
-        conflict, J, openings = near, np.empty((0, len(q))), np.empty(0)
+        q, conflict = target, self._hand_clearance.near(target)
+        if not conflict.pairs:
+            return q
+        J, openings = conflict.gradient, self._clearance + _SLACK - conflict.gap
         for _ in range(_CORRECTIONS):
-            if not near.pairs:
-                return q
-            # From the target; what was found on the way counts, too.
-            J = np.concatenate([J, near.gradient])
-            opening = self._clearance + _SLACK - near.gap + near.gradient @ (q - target)
-            openings = np.concatenate([openings, opening])
             change = _least_change(J, openings, low - target, high - target)
             if change is None:
                 break
             q = np.minimum(np.maximum(target + change, low), high)
             near = self._hand_clearance.near(q)
-        if not near.pairs:
-            return q
+            if not near.pairs:
+                return q
+            # What was found on the way counts, too, as seen from the target.
+            J = np.concatenate([J, near.gradient])
+            opening = self._clearance + _SLACK - near.gap + near.gradient @ (q - target)
+            openings = np.concatenate([openings, opening])
         # Fingers in conflict stay, and then those that would run into them.
         stay = np.zeros(len(q), dtype=bool)
         while conflict.pairs:
-            meeting = conflict.joints.any(axis=0)
+            meeting = self._hand_clearance.joints_between(conflict.pairs).any(axis=0)
             if not (meeting & ~stay).any():
                 return clear
             stay |= meeting
