@@ -43,7 +43,7 @@ class CoupledConfig(TrainingConfig):
     direction_weight: float = 3.15
     track_weight: float = 6.2
     coverage_weight: float = 1.59
-    context_weight: float = 1.95
+    context_weight: float = 2.05
     cross_talk_weight: float = 3.95
     flatness_weight: float = 0.73
     response_weight: float = 0.91
@@ -56,14 +56,14 @@ class CoupledConfig(TrainingConfig):
     far_coverage_wanted: float = 0.945  # at 15 mm
     cross_talk_wanted: float = 0.0478
     response_band: float = 0.6  # of log gain around its median
-    pinch_wanted: float = 0.011  # m; between a touch (two tip radii) and fingertips in one place
+    pinch_wanted: float = 0.0105  # m; between a touch (two tip radii) and fingertips in one place
     pinch_scale: float = 0.008  # m
     pinch_reach: float = 0.030  # m; fingertips nearer than this are moved together to make up pinches
     pinch_spread: float = 0.005  # m; of the points at which made-up pinches meet
     strange_pinch_share: float = 0.8  # of made-up pinches: other fingers are from another instant
     strange_hand_share: float = 0.4  # of moved hands: other fingers are from instants of their own
     spread: float = 0.006  # m; standard deviation by which the fingertips of some hands are displaced
-    spread_share: float = 0.15  # which part of the moved hands and of the steps that is
+    spread_share: float = 0.3  # which part of the moved hands and of the steps that is
     jitter: float = 0.004  # m; of the frames that must not collide
     collision_margin: float = 0.001  # m
     collision_scale: float = 0.005  # m
