@@ -18,6 +18,7 @@ from geort_drake.gloves.keypoints import mirrored
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.operators.grasp_goal import GraspGoal
+from geort_drake.simulation import recording
 from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
 from geort_drake.simulation.grasp_contacts import GRIPS, grip_contacts, palm_contact
 from geort_drake.simulation.grasp_planner import GraspPlanner
@@ -26,6 +27,7 @@ from geort_drake.simulation.scenario import load_scenario
 from geort_drake.simulation.world import HAND, add_object, add_robot
 from geort_drake.systems.hand_mirror import HandMirror
 from geort_drake.systems.poses import mirrored_pose
+from geort_drake.systems.rerun_recorder import add_rerun_recorder
 
 M = np.diag([1.0, -1.0, 1.0, 1.0])
 
@@ -159,6 +161,22 @@ def test_a_left_hands_simulation_is_the_right_ones_in_the_mirror():
     np.testing.assert_allclose(angles[1], angles[0], atol=0.02)
     # Both persons are described as right hands.
     np.testing.assert_allclose(gloves[1], gloves[0], atol=2e-3)
+
+
+def test_a_left_hand_is_recorded_from_the_other_side(tmp_path, monkeypatch):
+    """From its thumb's side, where the right hand's thumb would be in the mirror."""
+    seen = {}
+
+    def record(*parts, view_from, **options):
+        seen[options["properties"]["hand"]] = view_from
+        return add_rerun_recorder(*parts, view_from=view_from, **options)
+
+    monkeypatch.setattr(recording, "add_rerun_recorder", record)
+    person, _ = person_and_rest()
+    for name, goal in (("allegro_right", reach_goal()), ("allegro_left", reach_goal().mirrored())):
+        scenario = load_scenario(hand=name)
+        make_grasp_diagram(scenario, copy.copy(centred_map()), (person, goal), tmp_path / f"{name}.rrd")
+    np.testing.assert_allclose(seen["allegro_left"], np.diag(M)[:3] * seen["allegro_right"])
 
 
 @pytest.mark.parametrize("name", ["allegro_left", "leap_right"])

@@ -141,6 +141,26 @@ def inside(world):
     return outer, outer.AddNamedSystem("robot", world.builder.Build())
 
 
+@pytest.mark.parametrize("view_from", [(0.0, 2.0, 0.0), (-1.0, 1.0, 0.5)])
+def test_the_scene_is_seen_from_where_it_is_asked_for(tmp_path, laid_out, view_from):
+    """From that direction, at a distance that takes the motion in."""
+    world = World().finalize()
+    world.record(tmp_path / "v.rrd", view_from=view_from)
+    with world.recorder:
+        world.simulator.AdvanceTo(0.1)
+    sight = np.subtract(laid_out["eye"], laid_out["target"])
+    np.testing.assert_allclose(
+        sight / np.linalg.norm(sight), view_from / np.linalg.norm(view_from), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("view_from", [(0, 0, 0), (1, 0), (np.nan, 1, 0)])
+def test_a_direction_that_is_none_is_refused(tmp_path, view_from):
+    """And named."""
+    with pytest.raises(ScenarioError, match="view_from must be three numbers, not all 0"):
+        World().finalize().record(tmp_path / "v.rrd", view_from=view_from)
+
+
 def test_a_plant_inside_another_diagram_is_recorded_by_exported_ports(tmp_path):
     """Without them the error says how to export, before anything is added."""
     world = World(height=2.0).finalize()
