@@ -149,6 +149,15 @@ def test_an_affine_map_is_flat_and_its_gain_ratio_follows_from_its_scales(frames
     assert metrics.gain_ratio(gains) == pytest.approx(expected, rel=0.03)
 
 
+def test_a_map_that_leaves_many_steps_unanswered_has_no_gain_ratio(rng):
+    """One finger is enough; a few steps are not."""
+    gains = rng.uniform(0.5, 1.0, (3, 100))
+    gains[1, :3] = 0.0
+    assert metrics.gain_ratio(gains) < 2.0
+    gains[1, :8] = 1e-12
+    assert metrics.gain_ratio(gains) is None
+
+
 def test_flatness_of_a_parabola_is_its_second_over_first_difference(rng):
     """For x ↦ k x² the first difference is k (2xd + d²) and the second 2 k d², per axis."""
     frames = rng.uniform(-0.04, 0.04, (3000, 1, 3))

@@ -35,6 +35,7 @@ from geort_drake.retargeting.map_figures import (
 
 MIN_FRAMES = 10
 SMALL_STEP = 0.002  # m, at which flatness and gain are measured
+UNANSWERED = 1e-6  # a gain so small is rounding
 
 
 @dataclass(frozen=True)
@@ -207,10 +208,13 @@ def flatness_and_gain(
     return float(np.mean(flats)), np.stack(gains)
 
 
-def gain_ratio(gains: np.ndarray) -> float:
-    """95th over 5th percentile of the gain (F, anchors), averaged over fingers."""
+def gain_ratio(gains: np.ndarray) -> float | None:
+    """95th over 5th percentile of the gain (F, anchors), averaged over fingers.
+
+    None where a finger does not answer a twentieth of the steps.
+    """
     low, high = np.percentile(gains, (5, 95), axis=1)
-    return float((high / np.maximum(low, 1e-9)).mean())
+    return float((high / low).mean()) if low.min() > UNANSWERED else None
 
 
 def smoothness(q: np.ndarray, rate_hz: float) -> dict[str, float]:
