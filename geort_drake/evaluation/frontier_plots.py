@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
-from matplotlib.ticker import PercentFormatter
+from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from geort_drake.evaluation.metric_table import Metric
 from geort_drake.evaluation.plot_style import MARKERS, WIDTH, legend_below
@@ -102,5 +102,6 @@ def _label(ax: Axes, x: Metric, y: Metric) -> None:
     for axis, metric in ((ax.xaxis, x), (ax.yaxis, y)):
         axis.set_label_text(f"{metric.heading} →" if metric.better == "higher" else f"← {metric.heading}")
         if metric.form.endswith("%}"):
+            axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
             axis.set_major_formatter(PercentFormatter(1.0))
     ax.margins(0.08)
