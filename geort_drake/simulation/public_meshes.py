@@ -3,7 +3,6 @@
 Only what is seen changes; the shapes that collide stay our own.
 """
 
-import warnings
 from pathlib import PurePosixPath
 
 from pydrake.geometry import GeometryInstance, Role, SceneGraph
@@ -44,9 +43,7 @@ def wear_public_meshes(
     builder = DiagramBuilder()
     public, public_scene = AddMultibodyPlantSceneGraph(builder, 0.0)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of its physics
-            (public_model,) = _parser(public).AddModels(url=f"package://{PACKAGE}/{file}")
+        (public_model,) = _parser(public).AddModels(url=f"package://{PACKAGE}/{file}")
     except RuntimeError as error:
         raise ScenarioError(
             f"{_FIELD}: {PACKAGE}/{file} cannot be had: leave the field out, or let "
