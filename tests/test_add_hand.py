@@ -131,7 +131,7 @@ def test_what_follows_keeps_its_limits(coupled):
 def test_collision_shapes_lie_where_drake_has_them(coupled, rng):
     """Those of links that follow, too; and the gaps' gradient is that of the gaps."""
     shapes = collision_shapes(coupled)
-    gaps = CollisionGaps(coupled.kinematics(), shapes, torch.device("cpu"))
+    gaps = CollisionGaps(coupled.kinematics(), shapes)
     q = rng.uniform(coupled.lower, coupled.upper, (3, len(coupled.joint_names)))
     _, p_BS = gaps.poses(torch.tensor(q, dtype=torch.float32))
     plant, inspector = coupled.plant, coupled.scene_graph.model_inspector()

@@ -1,15 +1,17 @@
 """What each step of `geort_coupled` is asked about, on the toy hand."""
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
 from retargeting_toy import toy_human, toy_kinematics, toy_samples
 
+from geort_drake.retargeting.beside import Beside
 from geort_drake.retargeting.clouds import voxel_centres
 from geort_drake.retargeting.collision_geometry import CollisionGaps, CollisionShapes
-from geort_drake.retargeting.coupled_batches import COLLIDE_EVERY, Batches
+from geort_drake.retargeting.coupled_batches import COLLIDE_EVERY, Batches, BatchMaker
 from geort_drake.retargeting.coupled_coverage import CoverageTargets
 from geort_drake.retargeting.coupled_hands import TrainingHands
 from geort_drake.retargeting.coupled_network import CoupledNetwork
@@ -35,50 +37,55 @@ def spheres(radius: float) -> CollisionShapes:
 
 def parts(hand, config=CONFIG, shapes=None, seed=0):
     """Batches of a person's hands, the network they are for, and the gaps between the shapes."""
+    maker, network, gaps = maker_of(hand, config, shapes, seed)
+    beside = Beside({"batches": maker}, process=False)
+    return Batches(partial(beside.start, "batches"), CPU), network, gaps
+
+
+def maker_of(hand, config=CONFIG, shapes=None, seed=0):
+    """What prepares these batches, the network and the gaps."""
     generator = torch.Generator().manual_seed(seed)
-    hands = TrainingHands(toy_human(hand), hand.finger_names, config, generator, CPU)
+    hands = TrainingHands(toy_human(hand), hand.finger_names, config, generator)
     with torch.no_grad():
         p_BF = hand.fingertips(torch.tensor(toy_samples(hand).q).float()).numpy()
     voxels = [voxel_centres(p_BF[:, i], config.robot_voxel) for i in range(3)]
     space = CoverageTargets(hands.frames, hand, voxels, config.human_voxel, seed)
-    gaps = None if shapes is None else CollisionGaps(hand, shapes, CPU)
+    gaps = None if shapes is None else CollisionGaps(hand, shapes)
     network = CoupledNetwork(hand, hands.mean, hands.scale, 16, 16, generator)
-    return Batches(hands, space, gaps, config), network, gaps
+    return BatchMaker(hands, space, gaps, config), network, gaps
 
 
 def test_every_step_has_its_share_of_everything(hand):
     """Sizes are those of the config, in the first preparation and in the next."""
     batches, network, _ = parts(hand)
-    with batches:
-        for batch in [batches.next(network, 0.5) for _ in range(6)]:
-            assert batch.moved.shape == (3, 6, 3, 3)
-            assert batch.d.shape == (3, 6, 3)
-            assert batch.before.shape == batch.after.shape == (8, 3, 3)
-            assert batch.pinching.shape == (14, 3, 3)
-            assert batch.weights.shape == (14, 2)
-            assert batch.targets.shape == (3, 5, 3)
-            assert batch.covering.shape == (3, 5, 3, 3)
-            assert batch.context_targets.shape == (3, 4, 3)
-            assert batch.contexts.shape == (3, 4, 3, 3, 3)
-            assert batch.crowd is None
+    for batch in [batches.next(network, 0.5) for _ in range(6)]:
+        assert batch.moved.shape == (3, 6, 3, 3)
+        assert batch.d.shape == (3, 6, 3)
+        assert batch.before.shape == batch.after.shape == (8, 3, 3)
+        assert batch.pinching.shape == (14, 3, 3)
+        assert batch.weights.shape == (14, 2)
+        assert batch.targets.shape == (3, 5, 3)
+        assert batch.covering.shape == (3, 5, 3, 3)
+        assert batch.context_targets.shape == (3, 4, 3)
+        assert batch.contexts.shape == (3, 4, 3, 3, 3)
+        assert batch.crowd is None
 
 
 def test_hands_of_one_kind_are_spread_over_the_steps(hand):
     """A share of the moved hands takes its other fingers from anywhere: the same share in every step."""
     human = torch.tensor(toy_human(hand)).float()
     batches, network, _ = parts(hand, dataclasses.replace(CONFIG, strange_hand_share=0.5, spread_share=0.0))
-    with batches:
-        for batch in [batches.next(network, 0.5) for _ in range(4)]:
-            hands = batch.moved.reshape(-1, 1, 9)
-            recorded = (hands == human.flatten(1)).all(-1).any(1)
-            assert (recorded.reshape(3, 6).sum(1) == 3).all()
+    for batch in [batches.next(network, 0.5) for _ in range(4)]:
+        hands = batch.moved.reshape(-1, 1, 9)
+        recorded = (hands == human.flatten(1)).all(-1).any(1)
+        assert (recorded.reshape(3, 6).sum(1) == 3).all()
 
 
 def test_covering_hands_are_the_nearest_of_the_recording(hand):
     """Among all frames none comes nearer to a target, while the map stays what it is."""
     batches, network, _ = parts(hand)
     human = torch.tensor(toy_human(hand)).float()
-    with batches, torch.no_grad():
+    with torch.no_grad():
         batch = batches.next(network, 0.5)
         tips = hand.fingertips(network(human))
         for finger in range(3):
@@ -93,7 +100,7 @@ def test_a_crowd_knows_what_is_near(hand):
     """In every second step, three quarters at least of hands that nearly collide, with all their pairs."""
     batches, network, gaps = parts(hand, shapes=spheres(0.05))
     margin = CONFIG.collision_margin
-    with batches, torch.no_grad():
+    with torch.no_grad():
         for step in range(8):
             crowd = batches.next(network, 0.5).crowd
             if step % CONFIG.assign_every % COLLIDE_EVERY:
@@ -109,29 +116,28 @@ def test_a_crowd_knows_what_is_near(hand):
 def test_crowds_are_left_out_at_the_beginning_and_where_nothing_is_near(hand):
     """At first nothing is looked for; later a crowd without a near pair is just not near."""
     batches, network, _ = parts(hand, shapes=spheres(0.05))
-    with batches:
-        assert batches.next(network, 0.0).crowd is None
+    assert batches.next(network, 0.0).crowd is None
     batches, network, _ = parts(hand, shapes=spheres(1e-4))
-    with batches:
-        crowd = batches.next(network, 0.5).crowd
-        assert len(crowd.hands) == CONFIG.collisions
-        assert len(crowd.row) == 0
+    crowd = batches.next(network, 0.5).crowd
+    assert len(crowd.hands) == CONFIG.collisions
+    assert len(crowd.row) == 0
 
 
 def test_a_map_that_is_not_finite_gets_no_batch(hand):
     """Its nearest frames cannot be searched for."""
     batches, network, _ = parts(hand)
-    with batches, torch.no_grad():
+    with torch.no_grad():
         network.mlp.biases[0].fill_(float("nan"))
         assert batches.next(network, 0.5) is None
 
 
 def test_the_seed_decides_every_batch(hand):
-    """Two runs are the same, in one thread or another."""
+    """Two runs are the same to the last bit, prepared in a process beside this one or here."""
     runs = []
-    for _ in range(2):
-        batches, network, _ = parts(hand, shapes=spheres(0.05), seed=5)
-        with batches:
+    for process in (False, True):
+        maker, network, _ = maker_of(hand, shapes=spheres(0.05), seed=5)
+        with Beside({"batches": maker}, process) as beside:
+            batches = Batches(partial(beside.start, "batches"), CPU)
             runs.append([batches.next(network, 0.5) for _ in range(9)])
     for first, second in zip(*runs, strict=True):
         for field in ("moved", "after", "pinching", "covering", "contexts"):

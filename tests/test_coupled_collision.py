@@ -58,7 +58,7 @@ def test_gradient_of_the_loss_equals_finite_differences():
     shapes = CollisionShapes(
         np.array([2, 5]), X, np.zeros((2, 3)), np.array([0.02, 0.02]), np.array([[0, 1]])
     )
-    gaps = CollisionGaps(hand, shapes, CPU)
+    gaps = CollisionGaps(hand, shapes)
     q = torch.tensor([[0.0, 0.3, 0.5, 0.05, 0.4, 0.5]], requires_grad=True)
     near = torch.tensor([0]), torch.tensor([0])
     loss = gaps.loss(q, *near, 0.001, 0.005)
@@ -78,7 +78,7 @@ def test_no_pair_near_costs_nothing():
     hand = toy_kinematics(("thumb", "index"))
     nothing = np.zeros((0, 2), dtype=int)
     shapes = CollisionShapes(np.array([-1]), np.eye(4)[None], np.ones((1, 3)), np.zeros(1), nothing)
-    gaps = CollisionGaps(hand, shapes, CPU)
+    gaps = CollisionGaps(hand, shapes)
     q = torch.zeros(3, 6)
     row, pair, _ = gaps.near(q, 0.005)
     assert float(gaps.loss(q, row, pair, 0.001, 0.005)) == 0.0
@@ -91,7 +91,7 @@ def test_gaps_agree_with_drake(name):
     hand = HandModel(load_hand(name))
     q = np.random.default_rng(0).uniform(hand.lower, hand.upper, (1500, 16))
     shapes = collision_shapes(hand)
-    gaps = CollisionGaps(hand.kinematics(), shapes, CPU)
+    gaps = CollisionGaps(hand.kinematics(), shapes)
     before = len(gaps.pairs)
     least = gaps.least(torch.tensor(q).float(), 0.002).numpy()
     label = hand.collides_beyond_tips(q)
@@ -106,6 +106,6 @@ def test_shapes_mirror_with_the_kinematics(allegro):
     """The mirrored hand is as far from touching itself at the same q."""
     q = torch.tensor(np.random.default_rng(1).uniform(allegro.lower, allegro.upper, (100, 16))).float()
     shapes, kinematics = collision_shapes(allegro), allegro.kinematics()
-    a = CollisionGaps(kinematics, shapes, CPU).least(q, 0.01)
-    b = CollisionGaps(kinematics.mirrored(), shapes.mirrored(), CPU).least(q, 0.01)
+    a = CollisionGaps(kinematics, shapes).least(q, 0.01)
+    b = CollisionGaps(kinematics.mirrored(), shapes.mirrored()).least(q, 0.01)
     torch.testing.assert_close(a, b, atol=1e-5, rtol=0)

@@ -21,7 +21,7 @@ def human():
 
 def hands_of(human, config=RECORDED, seed=0) -> TrainingHands:
     generator = torch.Generator().manual_seed(seed)
-    return TrainingHands(human, NAMES, config, generator, torch.device("cpu"))
+    return TrainingHands(human, NAMES, config, generator)
 
 
 def rows_of(tips: torch.Tensor, recorded: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ the direction from the first box to the second's centre. It is negative if and o
 overlap, exact for a sphere, and never more than the true distance.
 """
 
+import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,9 +46,9 @@ class CollisionShapes:
 class CollisionGaps:
     """Computes gaps between the shapes of a hand for joint angles in torch, in float32."""
 
-    def __init__(self, kinematics: HandKinematics, shapes: CollisionShapes, device: torch.device):
+    def __init__(self, kinematics: HandKinematics, shapes: CollisionShapes):
         def constant(array: ArrayLike) -> torch.Tensor:
-            return torch.tensor(np.asarray(array), dtype=torch.float32, device=device)
+            return torch.tensor(np.asarray(array), dtype=torch.float32)
 
         kinematics, coupling = kinematics.uncoupled()
         self._coupling = constant(coupling.T) if coupling.shape[0] > coupling.shape[1] else None
@@ -65,17 +66,25 @@ class CollisionGaps:
         K -= np.swapaxes(K, -1, -2)
         self._offset, self._turn = constant(X[..., :3, 3]), constant(X[..., :3, :3])
         self._K, self._K2 = constant(K), constant(K @ K)
-        self._index = torch.tensor(index, device=device)
+        self._index = torch.tensor(index)
         # Frames are numbered finger by finger, base to tip; the last one is the hand base.
         number = {-1: len(chains) * k}
         for row, chain in enumerate(chains):
             number.update({joint: row * k + j for j, joint in enumerate(chain.joint_indices)})
         frames = [number[int(joint)] for joint in shapes.joint]
-        self._frame = torch.tensor(frames, dtype=torch.long, device=device)
+        self._frame = torch.tensor(frames, dtype=torch.long)
         self._R_JS, self._p_JS = constant(shapes.X_JS[:, :3, :3]), constant(shapes.X_JS[:, :3, 3])
         self._half, self._radius = constant(shapes.half), constant(shapes.radius)
         self._reach = torch.linalg.vector_norm(self._half, dim=1) + self._radius
-        self.pairs = torch.tensor(np.asarray(shapes.pairs).reshape(-1, 2), device=device)
+        self.pairs = torch.tensor(np.asarray(shapes.pairs).reshape(-1, 2))
+
+    def to(self, device: torch.device) -> "CollisionGaps":
+        """The same on another device."""
+        moved = copy.copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, torch.Tensor):
+                setattr(moved, name, value.to(device))
+        return moved
 
     def keep_pairs_that_meet(self, q: torch.Tensor, margin: float) -> None:
         """Drops pairs that come nowhere closer than `margin` (m) in samples q (N, n)."""

@@ -1,20 +1,21 @@
 """What each step of `geort_coupled`'s descent is asked: drawn and searched for beside the descent.
 
 Nearest frames and near collisions change slowly, so they are looked for once for several steps, with a
-copy of the map and in a thread of its own. What is found is some steps old when it is used.
+copy of the map and beside the descent. What is found is some steps old when it is used.
 """
 
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
 
+from geort_drake.retargeting.beside import result_of
 from geort_drake.retargeting.collision_geometry import CollisionGaps
 from geort_drake.retargeting.coupled_coverage import CoverageTargets
 from geort_drake.retargeting.coupled_hands import TrainingHands
 from geort_drake.retargeting.coupled_network import CoupledNetwork
-from geort_drake.retargeting.descent import Background
 
 if TYPE_CHECKING:
     from geort_drake.retargeting.coupled_training import CoupledConfig
@@ -40,28 +41,77 @@ class Batch:
 
     Attributes:
         moved, d: hands (F, N, F, 3) and the displacement (F, N, 3) of the first axis' finger.
-        before, after: (M, F, 3) hands of recorded steps.
-        pinching, weights: hands (N, F, 3), and how much each pair (N, P) should meet.
         targets, covering: voxels (F, N, 3), and the hands (F, N, F, 3) that come nearest to them.
         context_targets, contexts: the same (F, N, 3), and hands (F, N, AVERAGED, F, 3).
+        before, after: (M, F, 3) hands of recorded steps.
+        pinching, weights: hands (N, F, 3), and how much each pair (N, P) should meet.
         crowd: what nearly collides; None in steps that do not look at it.
     """
 
     moved: torch.Tensor
     d: torch.Tensor
-    before: torch.Tensor
-    after: torch.Tensor
-    pinching: torch.Tensor
-    weights: torch.Tensor
     targets: torch.Tensor
     covering: torch.Tensor
     context_targets: torch.Tensor
     contexts: torch.Tensor
+    before: torch.Tensor
+    after: torch.Tensor
+    pinching: torch.Tensor
+    weights: torch.Tensor
     crowd: Crowd | None
 
 
-class Batches(Background):
-    """Prepares batches, `assign_every` at a time; used as a context manager."""
+@dataclass(frozen=True)
+class Prepared:
+    """Several batches: what is of each finger by itself, what is of whole hands, and each one's crowd."""
+
+    apart: tuple[torch.Tensor, ...]
+    whole: tuple[torch.Tensor, ...]
+    crowds: list[Crowd | None]
+
+    def to(self, device: torch.device) -> "Prepared":
+        """The same on another device."""
+        crowds = [
+            crowd and Crowd(crowd.hands.to(device), crowd.row.to(device), crowd.pair.to(device))
+            for crowd in self.crowds
+        ]
+        apart, whole = ([tensor.to(device) for tensor in part] for part in (self.apart, self.whole))
+        return Prepared(tuple(apart), tuple(whole), crowds)
+
+    def batches(self) -> list[Batch]:
+        """One for each crowd."""
+        steps = len(self.crowds)
+        # Every steps-th, as hands that were treated alike follow each other.
+        apart = ([stack[:, step::steps] for stack in self.apart] for step in range(steps))
+        whole = ([stack[step::steps] for stack in self.whole] for step in range(steps))
+        return [
+            Batch(*some, *others, crowd)  # type: ignore[arg-type, call-arg]  # lists of any length
+            for some, others, crowd in zip(apart, whole, self.crowds, strict=True)
+        ]
+
+
+class Batches:
+    """Hands out batches, `assign_every` prepared at a time."""
+
+    def __init__(self, prepare: Callable[[CoupledNetwork, float], Future], device: torch.device):
+        """`prepare` begins to call a `BatchMaker`; `device` is where the batches are wanted."""
+        self._prepare, self._device = prepare, device
+        self._ready: list[Batch] = []
+        self._coming: Future | None = None
+
+    def next(self, network: CoupledNetwork, progress: float) -> Batch | None:
+        """The next batch for a map that is `progress` (0 to 1) through; None if it was not finite."""
+        if not self._ready:
+            found = result_of(self._coming or self._prepare(network, progress))
+            self._coming = self._prepare(network, progress)
+            if found is None:
+                return None
+            self._ready = found.to(self._device).batches()[::-1]
+        return self._ready.pop()
+
+
+class BatchMaker:
+    """Prepares `assign_every` batches at each call."""
 
     def __init__(
         self,
@@ -73,21 +123,10 @@ class Batches(Background):
         """`gaps` is None where collisions are not avoided."""
         self._hands, self._space, self._gaps, self._config = hands, space, gaps, config
         self._crowded = hands.frames[:0]
-        self._ready: list[Batch] = []
-        self._coming: Future | None = None
-
-    def next(self, network: CoupledNetwork, progress: float) -> Batch | None:
-        """The next batch for a map that is `progress` (0 to 1) through; None if it was not finite."""
-        if not self._ready:
-            found = (self._coming or self._start(self._prepare, network, progress)).result()
-            self._coming = self._start(self._prepare, network, progress)
-            if found is None:
-                return None
-            self._ready = found[::-1]
-        return self._ready.pop()
 
     @torch.no_grad()
-    def _prepare(self, network: CoupledNetwork, progress: float) -> list[Batch] | None:
+    def __call__(self, network: CoupledNetwork, progress: float) -> Prepared | None:
+        """Of a map that is `progress` (0 to 1) through; None if it is not finite."""
         config, hands, steps = self._config, self._hands, self._config.assign_every
         if not torch.isfinite(network(hands.recorded(CROWDED))).all():
             return None
@@ -102,23 +141,8 @@ class Batches(Background):
             crowds = self._crowds(network, self._gaps)
         before, after = hands.steps(steps * config.frames)
         pinching, weights = hands.pinches(steps * config.pinches)
-        # Every steps-th, as hands that were treated alike follow each other.
-        return [
-            Batch(
-                moved[:, step::steps],
-                d[:, step::steps],
-                before[step::steps],
-                after[step::steps],
-                pinching[step::steps],
-                weights[step::steps],
-                targets[:, step::steps],
-                covering[:, step::steps],
-                context_targets[:, step::steps],
-                contexts[:, step::steps],
-                crowds[step],
-            )
-            for step in range(steps)
-        ]
+        apart = (moved, d, targets, covering, context_targets, contexts)
+        return Prepared(apart, (before, after, pinching, weights), crowds)
 
     def _crowds(self, network: CoupledNetwork, gaps: CollisionGaps) -> list[Crowd | None]:
         """For each step jittered hands, three quarters of them such in which something nearly touches."""

@@ -38,7 +38,7 @@ class CoverageTargets:
         self._generator, self._rng = torch.Generator().manual_seed(seed), np.random.default_rng(seed)
         self._kinematics = kinematics
         self._fingers = [replace(kinematics, fingers=(finger,)) for finger in kinematics.fingers]
-        tips = frames.cpu().numpy()
+        tips = frames.numpy()
         rows = [at_most(ANCHORS, tips[:, i], human_voxel) for i in range(len(voxels))]
         kept = np.unique(np.concatenate(rows)) if len(tips) > FRAMES else np.arange(len(tips))
         self._rows = torch.tensor(kept)
@@ -83,8 +83,8 @@ class CoverageTargets:
         for voxels, reached in zip(self._voxels, points, strict=True):
             chosen = voxels[self._rng.integers(len(voxels), size=count)]
             targets.append(chosen)
-            rows.append(cKDTree(reached.cpu().numpy()).query(chosen)[1])
-        places = torch.tensor(np.stack(targets), dtype=torch.float32, device=self._frames.device)
+            rows.append(cKDTree(reached.numpy()).query(chosen)[1])
+        places = torch.tensor(np.stack(targets), dtype=torch.float32)
         return places, torch.tensor(np.stack(rows))
 
     def _in_contexts(self, finger: int, rows: torch.Tensor) -> torch.Tensor:

@@ -39,14 +39,13 @@ class TrainingHands:
         finger_names: Sequence[str],
         config: "CoupledConfig",
         generator: torch.Generator,
-        device: torch.device,
     ):
         """Takes the successive fingertips (T, F, 3) of a recording, m.
 
         Raises:
             TrainingError: on unusable input, see `HumanData`.
         """
-        self._config, self._generator, self._device = config, generator, device
+        self._config, self._generator = config, generator
         human = HumanData(p_HF, finger_names, config.human_voxel)
         if config.pinch_weight > 0:
             human.check_pinches(config.pinch_threshold)
@@ -68,10 +67,10 @@ class TrainingHands:
             steps.append(np.stack([start, start + lag], axis=1))
         self._steps = torch.tensor(np.concatenate(steps))
         self._weights = pinch_weights(self.frames, self.pairs, config.pinch_threshold, config.other_pinches)
-        self._pinching = torch.nonzero(self._weights.sum(1).cpu() > 0)[:, 0]
+        self._pinching = torch.nonzero(self._weights.sum(1) > 0)[:, 0]
         self.pinch_frames = len(self._pinching)
         distance = pair_distances(self.frames, self.pairs)
-        self._near, self._near_pair = torch.nonzero(distance.cpu() < config.pinch_reach, as_tuple=True)
+        self._near, self._near_pair = torch.nonzero(distance < config.pinch_reach, as_tuple=True)
 
     def recorded(self, count: int) -> torch.Tensor:
         """(count, F, 3) real instants."""
@@ -93,10 +92,10 @@ class TrainingHands:
         hands = self._displaced(self.frames[rows].flatten(0, 1)).reshape(fingers, count, fingers, 3)
         strange = int(self._config.strange_hand_share * count)
         others = self.recombined(fingers * strange).reshape(fingers, strange, fingers, 3)
-        own = torch.eye(fingers, dtype=torch.bool, device=self._device)[:, None, :, None]
+        own = torch.eye(fingers, dtype=torch.bool)[:, None, :, None]
         hands[:, :strange] = torch.where(own, hands[:, :strange], others)
         d = self.normal((fingers, count, 3))
-        length = torch.rand((fingers, count, 1), generator=self._generator).to(self._device)
+        length = torch.rand((fingers, count, 1), generator=self._generator)
         return hands, d / d.norm(dim=-1, keepdim=True) * (0.001 + 0.01 * length)
 
     def steps(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -131,7 +130,7 @@ class TrainingHands:
             middle = 0.5 * (near[row, first] + near[row, second])
             middle = middle + config.pinch_spread * self.normal(middle.shape)
             half = 0.5 * (near[row, second] - near[row, first])
-            kept = torch.rand((len(some), 1), generator=self._generator).to(self._device)
+            kept = torch.rand((len(some), 1), generator=self._generator)
             kept = 0.5 * config.pinch_threshold * kept / (half.norm(dim=-1, keepdim=True) + 1e-9)
             half = half * kept.clamp(max=1.0)
             hands[row, first], hands[row, second] = middle - half, middle + half
@@ -140,12 +139,12 @@ class TrainingHands:
 
     def normal(self, shape: Sequence[int]) -> torch.Tensor:
         """Standard normal numbers."""
-        return torch.randn(shape, generator=self._generator).to(self._device)
+        return torch.randn(shape, generator=self._generator)
 
     def _displaced(self, hands: torch.Tensor) -> torch.Tensor:
         """A copy in which every fingertip of a share of the hands (N, F, 3) is displaced."""
         config = self._config
-        which = torch.rand((len(hands), 1, 1), generator=self._generator).to(self._device)
+        which = torch.rand((len(hands), 1, 1), generator=self._generator)
         offset = config.spread * self.normal(hands.shape)
         return hands + torch.where(which < config.spread_share, offset, 0.0)
 
@@ -154,4 +153,4 @@ class TrainingHands:
         return torch.randint(max(length, 1), (count if length else 0,), generator=self._generator)
 
     def _tensor(self, array: np.ndarray) -> torch.Tensor:
-        return torch.tensor(array, dtype=torch.float32, device=self._device)
+        return torch.tensor(array, dtype=torch.float32)

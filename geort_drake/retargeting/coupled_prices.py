@@ -6,7 +6,7 @@ from concurrent.futures import Future
 
 from torch import nn
 
-from geort_drake.retargeting.descent import Background
+from geort_drake.retargeting.beside import result_of
 
 FROM = 0.8  # of the descent; before, the learning rate keeps the map from what it will be
 EVERY = 80  # steps between measurements
@@ -14,27 +14,27 @@ RATE = 0.7  # per measurement and relative error
 LEAST = 0.7  # of a factor
 
 
-class Prices(Background):
+class Prices:
     """Factors of some losses' weights, which rise while a figure is worse than wanted and fall while better.
 
     Motion can be given up for coverage at a nearly constant rate, so a map whose weights are a few per cent
     off goes far along that line, and the right weights differ from one recording to the next. Fixed is
     therefore what should come out, and the weights find themselves: gradient ascent on the multipliers of a
     constrained problem (Platt and Barr 1987, "Constrained differential optimization"). Figures are measured
-    beside the descent, with a copy of the map, and count when the next measurement begins. Used as a
-    context manager.
+    beside the descent, with a copy of the map, and count when the next measurement begins.
 
     Attributes:
         factors: name → factor.
     """
 
-    def __init__(self, most: Mapping[str, float], errors: Callable[[nn.Module], dict[str, float]]):
+    def __init__(self, most: Mapping[str, float], measure: Callable[[nn.Module], Future]):
         """Takes a name and the greatest factor of each loss.
 
-        `errors` gives by how much of it each figure is worse than wanted, negative where it is better.
+        `measure` begins to find by how much of it each figure is worse than wanted, negative where it is
+        better.
         """
         self.factors = dict.fromkeys(most, 1.0)
-        self._most, self._errors = most, errors
+        self._most, self._measure = most, measure
         self._coming: Future | None = None
 
     def follow(self, network: nn.Module, step: int, steps: int) -> None:
@@ -42,9 +42,9 @@ class Prices(Background):
         if step / steps < FROM or step % EVERY:
             return
         if self._coming is not None:
-            for name, error in self._coming.result().items():
+            for name, error in result_of(self._coming).items():
                 if math.isfinite(error):
                     factor = self.factors[name] * math.exp(RATE * error)
                     self.factors[name] = min(max(factor, LEAST), self._most[name])
         if step + EVERY < steps:
-            self._coming = self._start(self._errors, network)
+            self._coming = self._measure(network)

@@ -1,16 +1,19 @@
 """Trains `geort_coupled`; docs/derivations.md says where it departs from the paper, and why."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
 
 from geort_drake.errors import TrainingError
 from geort_drake.retargeting import coupled_losses as losses
+from geort_drake.retargeting.beside import Beside, core_to_spare
 from geort_drake.retargeting.clouds import voxel_centres
 from geort_drake.retargeting.collision_geometry import CollisionGaps, CollisionShapes
-from geort_drake.retargeting.coupled_batches import COLLIDE_EVERY, Batch, Batches
+from geort_drake.retargeting.coupled_batches import COLLIDE_EVERY, Batch, Batches, BatchMaker
 from geort_drake.retargeting.coupled_coverage import AVERAGED, CoverageTargets
 from geort_drake.retargeting.coupled_hands import STEP_RANGE, TrainingHands
 from geort_drake.retargeting.coupled_network import CoupledNetwork
@@ -24,6 +27,7 @@ from geort_drake.retargeting.soap import Soap
 from geort_drake.retargeting.training import TrainingConfig, TrainingResult
 
 TIP_MARGIN = 0.002  # m; apart fingertips are kept this far from touching
+WORTH_A_PROCESS = 300  # steps
 
 
 @dataclass(frozen=True)
@@ -141,20 +145,22 @@ class CoupledTraining:
     ):
         self.config, self.kinematics = config, kinematics
         generator = torch.Generator().manual_seed(seed)
-        self.hands = TrainingHands(p_HF, kinematics.finger_names, config, generator, device)
-        q = torch.tensor(np.asarray(samples.q), dtype=torch.float32, device=device)
+        self.hands = TrainingHands(p_HF, kinematics.finger_names, config, generator)
+        q = torch.tensor(np.asarray(samples.q), dtype=torch.float32)
         with torch.no_grad():
-            p_BF = kinematics.fingertips(q).cpu().numpy()
+            p_BF = kinematics.fingertips(q).numpy()
         voxels = [voxel_centres(p_BF[:, i], config.robot_voxel) for i in range(p_BF.shape[1])]
         space = CoverageTargets(self.hands.frames, kinematics, voxels, config.human_voxel, seed)
-        self.gaps = None
+        gaps = None
         if shapes is not None and config.collision_weight > 0:
-            self.gaps = CollisionGaps(kinematics, shapes, device)
-            self.gaps.keep_pairs_that_meet(q[:4000], config.collision_margin)
-        self.batches = Batches(self.hands, space, self.gaps, config)
-        shortfalls = Shortfalls(self.hands.frames, kinematics, config, seed)
-        # Hardly more of coverage: a part of a recording has less to cover with, and would pay in motion.
-        self.prices = Prices({"coverage": 1.1, "cross_talk": 1.4}, shortfalls)
+            gaps = CollisionGaps(kinematics, shapes)
+            gaps.keep_pairs_that_meet(q[:4000], config.collision_margin)
+        self.device, self.gaps = device, gaps and gaps.to(device)
+        # What is asked beside the descent; all of it is on the CPU.
+        self.asked: dict[str, Callable] = {
+            "batches": BatchMaker(self.hands, space, gaps, config),
+            "shortfalls": Shortfalls(self.hands.frames, kinematics, config, seed),
+        }
         mean, scale = self.hands.mean, self.hands.scale
         self.network = CoupledNetwork(
             kinematics, mean, scale, config.hidden, config.residual_hidden, generator
@@ -167,7 +173,12 @@ class CoupledTraining:
             {"params": [*self.network.mlp.parameters()], "weight_decay": config.weight_decay},
             {"params": [*self.network.residual.parameters()], "weight_decay": config.residual_decay},
         ]
-        with self.batches, self.prices:
+        # A process starts in the time of some hundred steps.
+        process = config.steps >= WORTH_A_PROCESS and core_to_spare()
+        with Beside(self.asked, process) as beside:
+            self.batches = Batches(partial(beside.start, "batches"), self.device)
+            # Hardly more of coverage: a part of a recording has less to cover with, and would pay in motion.
+            self.prices = Prices({"coverage": 1.1, "cross_talk": 1.4}, partial(beside.start, "shortfalls"))
             descent = descend(
                 self.network,
                 self._losses,

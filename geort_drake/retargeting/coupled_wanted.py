@@ -33,16 +33,15 @@ class Shortfalls:
 
     def __init__(self, frames: torch.Tensor, kinematics: HandKinematics, config: "CoupledConfig", seed: int):
         """Takes real frames (T, F, 3), m."""
-        self._frames = frames[:: len(frames) // FRAMES + 1].cpu().numpy()
+        self._frames = frames[:: len(frames) // FRAMES + 1].numpy()
         self._kinematics, self._config, self._seed = kinematics, config, seed
-        self._device = frames.device
 
     def __call__(self, network: nn.Module) -> dict[str, float]:
         """By the name of the figure, positive where there is too little coverage, or too much cross-talk."""
 
         def g(p_HF: np.ndarray) -> np.ndarray:
-            hands = torch.tensor(p_HF, dtype=torch.float32, device=self._device)
-            return self._kinematics.fingertips(network(hands)).cpu().numpy()
+            hands = torch.tensor(p_HF, dtype=torch.float32)
+            return self._kinematics.fingertips(network(hands)).numpy()
 
         config, frames, rng = self._config, self._frames, np.random.default_rng(self._seed)
         with torch.no_grad():
@@ -64,5 +63,5 @@ class Shortfalls:
         hand = self._kinematics
         rng = np.random.default_rng(self._seed)
         q = rng.uniform(hand.lower, hand.upper, (ROBOT_SAMPLES, len(hand.joint_names)))
-        tips = hand.fingertips(torch.tensor(q, dtype=torch.float32, device=self._device))
-        return robot_voxels(tips.cpu().numpy())
+        tips = hand.fingertips(torch.tensor(q, dtype=torch.float32))
+        return robot_voxels(tips.numpy())

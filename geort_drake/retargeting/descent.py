@@ -6,9 +6,7 @@ import math
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Self
 
 import torch
 from torch import nn
@@ -135,21 +133,6 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(threads)
-
-
-class Background:
-    """Base class of what is computed in a thread beside the descent; used as a context manager."""
-
-    def __enter__(self) -> Self:
-        self._thread = ThreadPoolExecutor(1)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._thread.shutdown(cancel_futures=True)
-
-    def _start(self, function: Callable, network: nn.Module, *arguments: Any) -> Future:
-        """Calls function(network, *arguments) with the network as it is now."""
-        return self._thread.submit(function, copy.deepcopy(network), *arguments)
 
 
 def device_of(name: str) -> torch.device:
