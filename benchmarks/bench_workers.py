@@ -1,0 +1,126 @@
+"""Times the grasp benchmark's trials in one worker and in several.
+
+python benchmarks/bench_workers.py --retargeter runs/allegro_right --json workers.json
+
+Each number of workers runs the same trials in turns, every time in new processes; results must be equal.
+  trials/min      of the whole turn, the workers' start included
+  once begun      of the trials alone: their mean time against the number of workers
+  start           from the beginning of the turn to that of the last worker's first trial
+  memory          the largest of a worker's, at its largest
+"""
+
+import argparse
+import os
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import joblib
+import numpy as np
+from joblib.externals.loky import get_reusable_executor
+from rich.table import Table
+from side_by_side import parse, parser, write_json
+
+from geort_drake.console import console, run_main
+from geort_drake.errors import GeortError
+from geort_drake.evaluation.grasp_benchmark import open_benchmark
+from geort_drake.evaluation.grasp_trial import simulate
+from geort_drake.evaluation.workers import run_trials
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.simulation.scenario import load_scenario
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    made = parser(__doc__)
+    made.set_defaults(seconds=1.0)
+    made.add_argument("--retargeter", default="hold", help="method or checkpoint (default: %(default)s)")
+    made.add_argument("--object", default="cylinder", help="what to grasp (default: %(default)s)")
+    made.add_argument("--trials", type=int, default=16, help="of a turn (default: %(default)s)")
+    arguments = parse(made, argv)
+    cores = joblib.cpu_count()
+    numbers = sorted({1, *(n for n in (2, 4, 8, 16, 32) if n < cores), cores})
+    turns: dict[int, list[dict]] = {number: [] for number in numbers}
+    wanted = None
+    with tempfile.TemporaryDirectory() as folder:
+        benchmark = open_benchmark(
+            Path(folder) / "benchmark",
+            load_scenario(),
+            synthesize_play(seed=0),
+            [arguments.retargeter],
+            [arguments.object],
+            arguments.trials,
+        )
+        goals = dict(benchmark.goals([arguments.object], 1, "loky"))
+        keys = benchmark.keys(benchmark.methods, [arguments.object], arguments.trials)
+        tasks = [benchmark.arguments(key, goals[key.object]) for key in keys]
+        end = time.perf_counter() + arguments.seconds
+        while not turns[1] or time.perf_counter() < end:
+            for number in numbers:
+                figures, results = turn(tasks, number)
+                turns[number].append(figures)
+                wanted = wanted or results
+                if results != wanted:
+                    raise GeortError(f"results of {number} workers differ from those of one")
+    report(turns, arguments)
+    return 0
+
+
+def turn(tasks: Sequence[tuple], workers: int) -> tuple[dict, list[dict]]:
+    """Figures of one turn, and the trials' results."""
+    started = time.time()
+    done = list(run_trials(measured, ((task,) for task in tasks), workers, ordered=True))
+    ended = time.time()
+    get_reusable_executor().shutdown()  # the next turn starts its own
+    first = {process: begun for _, process, begun, _, _ in reversed(done)}
+    if len(first) != workers:
+        raise GeortError(f"{len(first)} of {workers} workers took part: ask for more --trials")
+    took = [end - begun for _, _, begun, end, _ in done]
+    figures = {
+        "per_minute": 60 * len(tasks) / (ended - started),
+        "per_minute_once_begun": 60 * workers / float(np.mean(took)),
+        "start_s": max(first.values()) - started,
+        "memory_mib": max(memory for *_, memory in done),
+    }
+    return figures, [{**result, "wall_time": None} for result, *_ in done]
+
+
+def measured(task: tuple) -> tuple[dict, int, float, float, float]:
+    """The result of a trial, its process, when it began and ended, and that process's memory so far, MiB."""
+    begun = time.time()
+    result = simulate(*task)
+    unit = 2**20 if sys.platform == "darwin" else 2**10
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+    return result, os.getpid(), begun, time.time(), memory
+
+
+def report(turns: dict[int, list[dict]], arguments: argparse.Namespace) -> None:
+    """A table of medians over the turns, and the same as JSON."""
+    table = Table(title=f"trials with the {arguments.object}, {arguments.retargeter}")
+    for heading in ("workers", "trials/min", "over one", "once begun", "over one", "start", "memory"):
+        table.add_column(heading, justify="right")
+    rows = {}
+    for number, found in turns.items():
+        row = {name: float(np.median([each[name] for each in found])) for name in found[0]}
+        for name in ("per_minute", "per_minute_once_begun"):
+            ratios = [each[name] / one[name] for each, one in zip(found, turns[1], strict=True)]
+            row[f"{name}_ratio"] = float(np.median(ratios))
+        rows[number] = row
+        table.add_row(
+            str(number),
+            f"{row['per_minute']:.1f}",
+            f"{row['per_minute_ratio']:.2f}",
+            f"{row['per_minute_once_begun']:.1f}",
+            f"{row['per_minute_once_begun_ratio']:.2f}",
+            f"{row['start_s']:.1f} s",
+            f"{row['memory_mib']:.0f} MiB",
+        )
+    console.print(table)
+    if arguments.json:
+        write_json(arguments.json, results=rows, trials=arguments.trials, turns=len(turns[1]))
+
+
+if __name__ == "__main__":
+    run_main(main)
