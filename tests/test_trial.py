@@ -279,6 +279,10 @@ def test_the_recording_shows_what_fingertips_are_asked_for_and_how_hard_joints_w
     begun = np.array([len(points) > 0 for points in seen])
     np.testing.assert_array_equal(begun, np.array(times) >= scenario.operator.visual_delay - 1e-9)
     assert {"/world/fingertips/commanded", "/world/object/path", "/world/seen/object"} <= entities(path)
+    (body,) = (e for e in entities(path) if e.startswith("/world/") and e.endswith("/cylinder"))
+    places = read(path, body, "Transform3D:translation")[1]
+    trail = read(path, "/world/object/path", "Points3D:positions")[1]
+    np.testing.assert_allclose(np.ravel(trail), np.ravel(places), atol=1e-6)
 
     def said(name):
         return read(path, "/__properties/run", name)[1][0].item()

@@ -221,7 +221,6 @@ def make_grasp_diagram(
             description,
             scene.object_body,
             monitor,
-            view,
             seen,
             source,
             hand_source,

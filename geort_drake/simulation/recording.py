@@ -33,7 +33,6 @@ from geort_drake.systems.rerun_recorder import (
     add_rerun_recorder,
 )
 from geort_drake.systems.retargeting_system import RetargetingSystem
-from geort_drake.systems.scene_view import SceneView
 from geort_drake.systems.simulated_operator import SimulatedOperator
 
 # Tabs of the plots.
@@ -52,7 +51,6 @@ def add_grasp_recorder(
     description: HandDescription,
     object_body: RigidBody,
     monitor: GraspMonitor,
-    view: SceneView,
     seen: Mapping[str, OutputPort],
     source: LeafSystem,
     hand_source: LeafSystem,
@@ -65,8 +63,7 @@ def add_grasp_recorder(
     """Adds a recorder of robot, object, human hand, contact forces, joints, phases and delays.
 
     Args:
-        view: what is seen of the scene, at once.
-        seen: the same ports by name as the operator gets them, late; empty where nobody looks.
+        seen: what the operator gets of a `SceneView`'s ports, late, by name; empty where nobody looks.
         source: the operator or the replay.
         hand_source: where the keypoints and the wrist of the hand are that is drawn.
         correction: the system whose output the hand is asked for.
@@ -139,9 +136,7 @@ def add_grasp_recorder(
                 color=[(*color, 130) for color in colors],
                 derive=lambda states: fingertips(states[:, :n]).reshape(len(states), -1),
             ),
-            "object/path": PointsSpec(
-                view.GetOutputPort("object_pose"), radius=0.002, color=_PATH, trail=math.inf, derive=_position
-            ),
+            "object/path": _path(plant, object_body),
             **_what_is_seen(scenario, seen),
         },
         states=states,
@@ -208,6 +203,15 @@ def _delays(
         derive=lambda rows: np.tile(values, (len(rows), 1)),
     )  # fmt: skip
     return {"delays/assumed": spec}
+
+
+def _path(plant: MultibodyPlant, body: RigidBody) -> PointsSpec:
+    """Where a free body has been: of the plant's state, as nothing needs to be computed for it."""
+    model = body.model_instance()
+    names = plant.GetPositionNames(model, add_model_instance_prefix=False)
+    xyz = [names.index(f"{body.name()}_{axis}") for axis in "xyz"]
+    state = plant.get_state_output_port(model)
+    return PointsSpec(state, radius=0.002, color=_PATH, trail=math.inf, derive=lambda x: x[:, xyz])
 
 
 def _what_is_seen(scenario: Scenario, seen: Mapping[str, OutputPort]) -> dict[str, PointsSpec]:
