@@ -2,7 +2,8 @@
 
 python benchmarks/bench_workers.py --retargeter runs/allegro_right --json workers.json
 
-Each number of workers runs the same trials in turns, every time in new processes; results must be equal.
+Each number of workers runs the same trials in turns; results must be equal. One worker is this process
+itself, several are new processes in every turn.
   trials/min      of the whole turn, the workers' start included
   once begun      of the trials alone: their mean time against the number of workers
   start           from the beginning of the turn to that of the last worker's first trial
@@ -12,7 +13,6 @@ Each number of workers runs the same trials in turns, every time in new processe
 import argparse
 import os
 import resource
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -91,9 +91,16 @@ def measured(task: tuple) -> tuple[dict, int, float, float, float]:
     """The result of a trial, its process, when it began and ended, and that process's memory so far, MiB."""
     begun = time.time()
     result = simulate(*task)
-    unit = 2**20 if sys.platform == "darwin" else 2**10
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
-    return result, os.getpid(), begun, time.time(), memory
+    return result, os.getpid(), begun, time.time(), _memory()
+
+
+def _memory() -> float:
+    """The largest that this process ever was, MiB."""
+    status = Path("/proc/self/status")
+    if status.exists():  # for Linux, what `getrusage` tells a process begins with the size of its parent
+        (line,) = (line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
+        return int(line.split()[1]) / 2**10
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
 
 def report(turns: dict[int, list[dict]], arguments: argparse.Namespace) -> None:

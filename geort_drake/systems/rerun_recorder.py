@@ -6,9 +6,10 @@ columns, in batches.
 """
 
 import atexit
+import functools
 import os
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from pydrake.systems.framework import (
     Context,
     DiagramBuilder,
     EventStatus,
-    InputPort,
+    InputPortIndex,
     LeafSystem,
     OutputPort,
     PortDataType,
@@ -89,12 +90,14 @@ class RerunRecorder(LeafSystem):
     def __init__(self, recording: Recording, sources: Mapping[str, OutputPort], period: float):
         super().__init__()
         self._recording = recording
-        self._inputs = {}
+        # Of each port, what copies its value, which then goes on holding when the simulation does.
+        self._copies: dict[str, Callable[[Context], Any]] = {}
         for name, source in sources.items():
             if source.get_data_type() == PortDataType.kVectorValued:
-                self._inputs[name] = self.DeclareVectorInputPort(name, source.size())
+                self._copies[name] = self.DeclareVectorInputPort(name, source.size()).Eval
             else:
-                self._inputs[name] = self.DeclareAbstractInputPort(name, source.Allocate())
+                index = self.DeclareAbstractInputPort(name, source.Allocate()).get_index()
+                self._copies[name] = functools.partial(self._clone, index)
         self.DeclarePeriodicPublishEvent(period, 0.0, self._sample)
         self.DeclareForcedPublishEvent(self._sample)
         # Drake never lets go of systems written in Python, but it does of the contexts they run in.
@@ -149,16 +152,13 @@ class RerunRecorder(LeafSystem):
                 continue
             for name in track.ports:
                 if name not in copies:
-                    copies[name] = self._copy(context, self._inputs[name])
+                    copies[name] = self._copies[name](context)
             sample.append(tuple(copies[name] for name in track.ports))
         self._recording.append(time, sample)
         return EventStatus.Succeeded()
 
-    def _copy(self, context: Context, port: InputPort) -> np.ndarray | AbstractValue:
-        """The value of a port, which goes on holding when the simulation does."""
-        if port.get_data_type() == PortDataType.kVectorValued:
-            return port.Eval(context)
-        return self.EvalAbstractInput(context, port.get_index()).Clone()
+    def _clone(self, index: InputPortIndex, context: Context) -> AbstractValue:
+        return self.EvalAbstractInput(context, index).Clone()
 
 
 class _Token:
