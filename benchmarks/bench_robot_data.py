@@ -11,10 +11,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-import joblib
 import numpy as np
 from rich.table import Table
-from side_by_side import parse, parser, write_json
+from side_by_side import parse, parser, worker_counts, write_json
 
 from geort_drake.console import console, run_main
 from geort_drake.errors import GeortError
@@ -30,8 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     made.add_argument("--count", type=int, default=100_000, help="postures (default: %(default)s)")
     arguments = parse(made, argv)
     hand = HandModel(load_hand(arguments.hand))
-    cores = joblib.cpu_count()
-    numbers = sorted({1, *(n for n in (2, 4, 8, 16, 32) if n < cores), cores})
+    numbers = worker_counts()
     times: dict[int, list[float]] = {number: [] for number in numbers}
     busy: list[float] = []
     wanted = None

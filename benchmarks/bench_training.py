@@ -99,7 +99,7 @@ def public_batch(tips: np.ndarray) -> Callable[[], None]:
 
     Where fingertips go is a network's answer too; what it says does not matter here, so it is not trained.
     """
-    torch.manual_seed(0)
+    generator = torch.Generator().manual_seed(0)
     networks = Published(tips).networks.train()
     nn = torch.nn
     kinematics = nn.ModuleList(
@@ -107,17 +107,17 @@ def public_batch(tips: np.ndarray) -> Callable[[], None]:
         for _ in networks
     ).requires_grad_(False)
     clouds = [torch.tensor(tips[:, i]).float() for i in range(len(networks))]
-    targets = [torch.randn(100_000, 3) * 0.05 for _ in networks]
+    targets = [torch.randn(100_000, 3, generator=generator) * 0.05 for _ in networks]
     optimiser = torch.optim.Adam(networks.parameters(), lr=1e-4)
 
     def drawn(cloud: torch.Tensor) -> torch.Tensor:
-        return cloud[torch.randint(len(cloud), (POINTS,))]
+        return cloud[torch.randint(len(cloud), (POINTS,), generator=generator)]
 
     def step() -> None:
         total = torch.zeros(())
         human, robot = [], []
         for cloud, target, network, fk in zip(clouds, targets, networks, kinematics, strict=True):
-            x, d = drawn(cloud), 0.004 * torch.randn(POINTS, 3)
+            x, d = drawn(cloud), 0.004 * torch.randn(POINTS, 3, generator=generator)
             here, ahead, behind = fk(network(x)), fk(network(x + d)), fk(network(x - d))
             moved = torch.nn.functional.cosine_similarity(ahead - here, d, dim=1)
             squares = (drawn(target)[:, None] - here[None]).square().sum(-1)

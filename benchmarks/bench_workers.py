@@ -18,11 +18,10 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-import joblib
 import numpy as np
 from joblib.externals.loky import get_reusable_executor
 from rich.table import Table
-from side_by_side import parse, parser, write_json
+from side_by_side import parse, parser, worker_counts, write_json
 
 from geort_drake.console import console, run_main
 from geort_drake.errors import GeortError
@@ -40,8 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     made.add_argument("--object", default="cylinder", help="what to grasp (default: %(default)s)")
     made.add_argument("--trials", type=int, default=16, help="of a turn (default: %(default)s)")
     arguments = parse(made, argv)
-    cores = joblib.cpu_count()
-    numbers = sorted({1, *(n for n in (2, 4, 8, 16, 32) if n < cores), cores})
+    numbers = worker_counts()
     turns: dict[int, list[dict]] = {number: [] for number in numbers}
     wanted = None
     with tempfile.TemporaryDirectory() as folder:

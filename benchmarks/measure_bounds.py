@@ -3,8 +3,9 @@
 python benchmarks/measure_bounds.py --recording human_alex.npy --hands allegro_right leap_right
 
 A map that preserves every direction of motion is x → s x + t; one that is flat and keeps directions to a
-mean cosine of 0.97 is x → A x + t with some stretch in A. For both the best s, A and t are searched for,
-whether or not the robot's joints can put its fingertips there; coverage is that of evaluate_retargeting.py.
+mean cosine of 0.97 is x → A x + t with some stretch in A. Good s, A and t are searched for, which proves no
+bound, whether or not the robot's joints can put its fingertips there; coverage is that of
+evaluate_retargeting.py. Maps that bend may cover more.
 """
 
 from collections.abc import Sequence

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import joblib
 import numpy as np
 from rich.table import Table
 
@@ -40,6 +41,12 @@ def parse(made: argparse.ArgumentParser, argv) -> argparse.Namespace:
     if arguments.json:
         require_writable(arguments.json)
     return arguments
+
+
+def worker_counts() -> list[int]:
+    """1, 2, 4, ... as far as there are cores, and one per core."""
+    cores = joblib.cpu_count()
+    return sorted({1, *(n for n in (2, 4, 8, 16, 32) if n < cores), cores})
 
 
 def measure(functions: Mapping[str, Callable[[], object]], seconds: float) -> dict[str, dict]:

@@ -1,10 +1,18 @@
-"""Worker processes that end with the process that started them."""
+"""Worker processes: how many, and that they end with the process that started them."""
 
+import multiprocessing
 import os
 import threading
 import time
 
+import joblib
+
 _WATCH_PERIOD = 1.0  # s
+
+
+def usable_cores() -> int:
+    """How many processes may share the work of this one, itself included: a worker starts no others."""
+    return 1 if multiprocessing.parent_process() is not None else joblib.cpu_count()
 
 
 def end_with(starter: int) -> None:

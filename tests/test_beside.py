@@ -70,10 +70,26 @@ def test_a_process_ends_with_its_descent():
     pytest.fail("the process is still there")
 
 
-def test_a_process_that_ends_too_early_is_named():
-    """Nobody waits for it for ever."""
-    with (
-        Beside({"die": die}, process=True) as beside,
-        pytest.raises(TrainingError, match="prepares the batches of training ended"),
-    ):
-        result_of(beside.start("die", nn.Linear(1, 1)))
+ENDED = "prepares the batches of training ended"
+
+
+def test_a_process_that_ends_during_a_call_is_named():
+    """Nobody waits for it for ever, and the next call says so too."""
+    network = nn.Linear(1, 1)
+    with Beside({"die": die}, process=True) as beside:
+        with pytest.raises(TrainingError, match=ENDED):
+            result_of(beside.start("die", network))
+        with pytest.raises(TrainingError, match=ENDED):
+            beside.start("die", network)
+
+
+def test_a_process_that_ends_between_calls_is_named():
+    """By the next call, when it begins or when its result is asked for."""
+    network = nn.Linear(1, 1)
+    with Beside({"sum": Summed()}, process=True) as beside:
+        number, _ = result_of(beside.start("sum", network, 1.0))
+        os.kill(number, signal.SIGKILL)
+        with pytest.raises(TrainingError, match=ENDED):
+            for _ in range(100):
+                result_of(beside.start("sum", network, 1.0))
+                time.sleep(0.1)

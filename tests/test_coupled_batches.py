@@ -123,6 +123,20 @@ def test_crowds_are_left_out_at_the_beginning_and_where_nothing_is_near(hand):
     assert len(crowd.row) == 0
 
 
+def test_batches_come_to_the_device_that_wants_them(hand):
+    """They are prepared on the CPU, wherever the map is trained; so do the gaps between the shapes."""
+    elsewhere = torch.device("meta")
+    maker, network, gaps = maker_of(hand, shapes=spheres(0.05))
+    batch = Batches(partial(Beside({"batches": maker}, process=False).start, "batches"), elsewhere).next(
+        network, 0.5
+    )
+    tensors = [value for value in vars(batch).values() if isinstance(value, torch.Tensor)]
+    tensors += [*vars(batch.crowd).values()]
+    moved = [value for value in vars(gaps.to(elsewhere)).values() if isinstance(value, torch.Tensor)]
+    assert {value.device for value in tensors + moved} == {elsewhere}
+    assert gaps.pairs.device == CPU
+
+
 def test_a_map_that_is_not_finite_gets_no_batch(hand):
     """Its nearest frames cannot be searched for."""
     batches, network, _ = parts(hand)

@@ -8,6 +8,8 @@ import torch
 from retargeting_toy import toy_human, toy_kinematics, toy_samples
 
 from geort_drake.errors import CheckpointError, TrainingError
+from geort_drake.retargeting import coupled_training
+from geort_drake.retargeting.beside import Beside
 from geort_drake.retargeting.checkpoint import save_checkpoint
 from geort_drake.retargeting.collision_geometry import CollisionShapes
 from geort_drake.retargeting.coupled_network import CoupledNetwork
@@ -141,6 +143,26 @@ def test_the_seed_alone_decides_the_weights(hand, human):
     for name in runs[0]:
         np.testing.assert_array_equal(runs[0][name], runs[1][name])
     assert np.abs(runs[0]["residual_weight0"] - runs[2]["residual_weight0"]).max() > 1e-3
+
+
+def test_a_process_that_prepares_batches_changes_no_weight(hand, human, monkeypatch):
+    """With a second core or without, to the last bit; only longer trainings start one."""
+    started = []
+
+    class Watched(Beside):
+        def __init__(self, functions, process):
+            started.append(process)
+            super().__init__(functions, process)
+
+    monkeypatch.setattr(coupled_training, "Beside", Watched)
+    networks = []
+    for cores in (1, 2):
+        monkeypatch.setattr(coupled_training, "usable_cores", lambda cores=cores: cores)
+        networks.append(quick(hand, human, steps=coupled_training.WORTH_A_PROCESS).network.state_dict())
+    for name, weights in networks[0].items():
+        torch.testing.assert_close(weights, networks[1][name], atol=0, rtol=0)
+    quick(hand, human, steps=2)
+    assert started == [False, True, False]
 
 
 def test_a_checkpoint_gives_back_the_same_map(hand, human, tmp_path):

@@ -1,27 +1,20 @@
 """Work on the parts of a whole, in this process and in others beside it."""
 
-import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
-import joblib
 from joblib.externals.loky import ProcessPoolExecutor
 
-from geort_drake.processes import end_with
+from geort_drake.processes import end_with, usable_cores
 
 Part = TypeVar("Part")
 Result = TypeVar("Result")
 
 
 def worthwhile_processes(parts: int, parts_in_start: int) -> int:
-    """One process per core, but no more than pay, as each starts in the time of some parts.
-
-    A process that is a worker itself starts no others.
-    """
-    if multiprocessing.parent_process() is not None:
-        return 1
-    return max(1, min(joblib.cpu_count(), parts // (2 * parts_in_start)))
+    """One process per core, but no more than pay, as each starts in the time of some parts."""
+    return max(1, min(usable_cores(), parts // (2 * parts_in_start)))
 
 
 def shared_work(

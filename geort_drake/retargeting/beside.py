@@ -1,25 +1,19 @@
 """What a descent asks about the map as it is, in a process of its own or here."""
 
+import contextlib
 import copy
-import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, Future
 from typing import Any, Self
 
-import joblib
 import torch
 from joblib.externals.loky import ProcessPoolExecutor
 from torch import nn
 
 from geort_drake.errors import TrainingError
 from geort_drake.processes import end_with
-
-
-def core_to_spare() -> bool:
-    """Whether a second process would have a core; a worker among others has none to spare."""
-    return multiprocessing.parent_process() is None and joblib.cpu_count() > 1
 
 
 class Beside:
@@ -46,10 +40,15 @@ class Beside:
             self._pool.shutdown()
 
     def start(self, name: str, network: nn.Module, *arguments: Any) -> Future:
-        """Begins to call a function of a copy, on the CPU, of the network as it is now."""
+        """Begins to call a function of a copy, on the CPU, of the network as it is now.
+
+        Raises:
+            TrainingError: the process ended.
+        """
         now = copy.deepcopy(network).cpu()
         if self._pool is not None:
-            return self._pool.submit(_call, name, now, *arguments)
+            with _process_named():
+                return self._pool.submit(_call, name, now, *arguments)
         future: Future = Future()
         future.set_result(self._functions[name](now, *arguments))
         return future
@@ -61,8 +60,14 @@ def result_of(future: Future) -> Any:
     Raises:
         TrainingError: its process ended.
     """
-    try:
+    with _process_named():
         return future.result()
+
+
+@contextlib.contextmanager
+def _process_named() -> Iterator[None]:
+    try:
+        yield
     except BrokenExecutor as error:
         raise TrainingError(
             "the process that prepares the batches of training ended, perhaps for want of memory"

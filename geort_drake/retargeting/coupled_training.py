@@ -9,8 +9,9 @@ import numpy as np
 import torch
 
 from geort_drake.errors import TrainingError
+from geort_drake.processes import usable_cores
 from geort_drake.retargeting import coupled_losses as losses
-from geort_drake.retargeting.beside import Beside, core_to_spare
+from geort_drake.retargeting.beside import Beside
 from geort_drake.retargeting.clouds import voxel_centres
 from geort_drake.retargeting.collision_geometry import CollisionGaps, CollisionShapes
 from geort_drake.retargeting.coupled_batches import COLLIDE_EVERY, Batch, Batches, BatchMaker
@@ -174,7 +175,7 @@ class CoupledTraining:
             {"params": [*self.network.residual.parameters()], "weight_decay": config.residual_decay},
         ]
         # A process starts in the time of some hundred steps.
-        process = config.steps >= WORTH_A_PROCESS and core_to_spare()
+        process = config.steps >= WORTH_A_PROCESS and usable_cores() > 1
         with Beside(self.asked, process) as beside:
             self.batches = Batches(partial(beside.start, "batches"), self.device)
             # Hardly more of coverage: a part of a recording has less to cover with, and would pay in motion.
