@@ -7,12 +7,15 @@ time of the thread. The speeds are of turns, and of all of them together. Rows:
   everything on   arm, hand, object, contact, operator, retargeting, inverse kinematics, monitor, recording
   no recording    the same without the Rerun recorder; the ratios are over it
   1 ms            everything on at half the step, which is another trial as physics goes
+  replay          the motion of that trial's hand and wrist played back, everything else on, at both steps:
+                  what the robot and its teleoperation cost without the simulated person
 The shares are from a further simulation whose Python systems are timed, each without what it calls for from
 others; what remains is Drake's: dynamics, contact, and the framework.
 """
 
 import argparse
 import inspect
+import itertools
 import tempfile
 import time
 from collections import defaultdict
@@ -29,15 +32,19 @@ from geort_drake.console import console, run_main
 from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.play import synthesize_play
+from geort_drake.gloves.recording import Recording
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
 from geort_drake.simulation.grasp_planner import GraspPlanner
 from geort_drake.simulation.scenario import Scenario, load_scenario
+from geort_drake.simulation.trial import run_trial
 
 TURN = 0.25  # simulated s
 RECORDED, PLAIN, FINER = "everything on", "no recording", "everything on, 1 ms"
+REPLAYED, REPLAYED_FINER = "replay", "replay, 1 ms"
+FINE = 0.001  # s
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -51,21 +58,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     made.add_argument("--json", type=Path, help="write the figures to this file")
     arguments = parse(made, argv)
-    make = _maker(arguments)
+    make = Maker(arguments.object, arguments.retargeter)
     with tempfile.TemporaryDirectory() as folder:
+        paths = (Path(folder) / f"{number}.rrd" for number in itertools.count())
+        session = make.session()
         trials = {
-            RECORDED: make(rerun_path=Path(folder) / "a.rrd"),
+            RECORDED: make(rerun_path=next(paths)),
             PLAIN: make(),
-            FINER: make(step=0.001, rerun_path=Path(folder) / "b.rrd"),
+            FINER: make(FINE, next(paths)),
+            REPLAYED: make(rerun_path=next(paths), session=session),
+            REPLAYED_FINER: make(FINE, next(paths), session),
         }
         _advance(trials, arguments.seconds)
         started = time.thread_time()
         trials[RECORDED].parts.recorder.close()
         writing = time.thread_time() - started
-        trials[FINER].parts.recorder.close()
+        for name in (FINER, REPLAYED, REPLAYED_FINER):
+            trials[name].parts.recorder.close()
         # Last, because it changes the systems' classes.
         kinds = {type(system) for system in _systems(trials[RECORDED].parts.diagram)}
-        shares = _shares(kinds, lambda: make(rerun_path=Path(folder) / "c.rrd"), arguments.seconds)
+        shares = _shares(kinds, lambda: make(rerun_path=next(paths)), arguments.seconds)
     _report(trials, shares, writing, arguments.json)
     return 0
 
@@ -94,18 +106,26 @@ class Trial:
         self.phases.append(self.parts.monitor.outcome(context).phase.name)
 
 
-def _maker(arguments: argparse.Namespace) -> Callable[..., Trial]:
-    """What makes the simulations, all of the same trial: makes one from a step, s, and a recording's path."""
-    scenario = _scenario(arguments.object)
-    play = synthesize_play(seed=0)
-    checkpoint = arguments.retargeter or cached_checkpoint(scenario.hand, play)[0]
-    retarget = load_retargeter(checkpoint, HandModel(load_hand(scenario.hand)))
-    human = HumanHand.fit(play), GraspPlanner(scenario, load_hand(scenario.hand)).plan()
+class Maker:
+    """Makes simulations, all of the same trial."""
 
-    def make(step: float = 0.002, rerun_path: Path | None = None) -> Trial:
-        return Trial(make_grasp_diagram(_scenario(arguments.object, step), retarget, human, rerun_path))
+    def __init__(self, object_name: str, retargeter: Path | None):
+        self._object = object_name
+        scenario, play = _scenario(object_name), synthesize_play(seed=0)
+        checkpoint = retargeter or cached_checkpoint(scenario.hand, play)[0]
+        description = load_hand(scenario.hand)
+        self._retarget = load_retargeter(checkpoint, HandModel(description))
+        self._human = HumanHand.fit(play), GraspPlanner(scenario, description).plan()
 
-    return make
+    def __call__(
+        self, step: float = 0.002, rerun_path: Path | None = None, session: Recording | None = None
+    ) -> Trial:
+        human = session or self._human
+        return Trial(make_grasp_diagram(_scenario(self._object, step), self._retarget, human, rerun_path))
+
+    def session(self) -> Recording:
+        """What the person's hand does in the trial."""
+        return run_trial(_scenario(self._object), self._retarget, self._human)[1]
 
 
 def _scenario(name: str, step: float = 0.002) -> Scenario:

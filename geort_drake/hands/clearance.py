@@ -6,8 +6,10 @@ that distance apart. Boxes become larger boxes, which hold what is near their ed
 given here is never more than the true distance, and may be less.
 """
 
-from collections.abc import Sequence
+import heapq
+from collections.abc import Iterable, Sequence
 from itertools import product
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -87,28 +89,34 @@ class HandClearance:
         self._root = self._enlarged_hand()
         self._context = self._plant.GetMyContextFromRoot(self._root)
 
-    def near(self, q: np.ndarray) -> Near:
-        """The pairs with a gap below the clearance at joint positions q (n,), rad."""
+    def near(self, q: np.ndarray, most: int | None = None) -> Near:
+        """The pairs, or the nearest `most`, with a gap below the clearance at joint positions q (n,), rad."""
         found = self._hand.query(q[self._to_hand], self._root).ComputePointPairPenetration()
         if not found:
             return Near([], np.empty(0), np.empty((0, len(q))))
+        if most is not None and len(found) > most:
+            found = heapq.nlargest(most, found, key=attrgetter("depth"))
         pairs = [(pair.id_A, pair.id_B) for pair in found]
         gap = np.array([self._clearance - pair.depth for pair in found])
         n, x = np.concatenate([pair.nhat_BA_W for pair in found] + [pair.p_WCa for pair in found]).reshape(
             2, -1, 3
         )
-        turn, drift = self._joint_velocities()
+        first, second = self._rows(pairs)
+        turn, drift = self._joint_velocities({end for row in (*first, *second) for end in self._ends_of[row]})
         # n · (ω × x + u) = ω · (x × n) + n · u
         along = _cross(x, n) @ turn + n @ drift
-        return Near(pairs, gap, (self._between(pairs) * along) @ self._coupling)
+        return Near(pairs, gap, (self._between(first, second) * along) @ self._coupling)
 
     def joints_between(self, pairs: Sequence[tuple[GeometryId, GeometryId]]) -> np.ndarray:
         """(K, n): which joints of q the gaps of K pairs depend on."""
-        return self._between(pairs) @ self._coupling != 0
+        return self._between(*self._rows(pairs)) @ self._coupling != 0
 
-    def _between(self, pairs: Sequence[tuple[GeometryId, GeometryId]]) -> np.ndarray:
+    def _rows(self, pairs: Sequence[tuple[GeometryId, GeometryId]]) -> tuple[list[int], list[int]]:
+        """The geometries' numbers, of the first of each pair and of the second."""
+        return [self._row[id] for id, _ in pairs], [self._row[id] for _, id in pairs]
+
+    def _between(self, first: Sequence[int], second: Sequence[int]) -> np.ndarray:
         """(K, N): 1 for a joint that moves the first against the second, −1 for the other way round."""
-        first, second = [self._row[id] for id, _ in pairs], [self._row[id] for _, id in pairs]
         return self._moves.take(first, 0) - self._moves.take(second, 0)
 
     def _read_chains(self) -> None:
@@ -131,25 +139,31 @@ class HandClearance:
         self._row = {geometry: row for row, (geometry, _) in enumerate(geometries)}
         self._moves = np.array([moves for _, moves in geometries])
         self._ends: list[RigidBody] = []
-        self._columns = np.full(len(names), -1)
+        self._columns, end_of = np.full(len(names), -1), np.full(len(names), -1)
         for index in sorted(movers, key=lambda index: -movers[index].sum()):
             rows = np.flatnonzero((movers[index] > 0) & (self._columns < 0))
             if len(rows):
                 starts = [plant.GetJointByName(names[row]).velocity_start() for row in rows]
                 self._columns[rows] = len(self._ends) * plant.num_velocities() + np.array(starts)
+                end_of[rows] = len(self._ends)
                 self._ends.append(plant.get_body(index))
+        self._ends_of = [{int(end) for end in end_of[moves > 0]} for moves in self._moves]
 
-    def _joint_velocities(self) -> tuple[np.ndarray, np.ndarray]:
-        """(3, N) each: joint axes ω, and the velocities u of the base's origin as if a joint carried it."""
-        world, J = self._plant.world_frame(), []
-        for body in self._ends:
-            p_BW = self._plant.EvalBodyPoseInWorld(self._context, body).inverse().translation()
-            J.append(
-                self._plant.CalcJacobianSpatialVelocity(
-                    self._context, JacobianWrtVariable.kV, body.body_frame(), p_BW, world, world
-                )
+    def _joint_velocities(self, ends: Iterable[int]) -> tuple[np.ndarray, np.ndarray]:
+        """(3, N) each: joint axes ω, and the velocities u of the base's origin as if a joint carried it.
+
+        They are zero for joints that are read at other links than those of these numbers.
+        """
+        plant, world = self._plant, self._plant.world_frame()
+        n = plant.num_velocities()
+        J = np.zeros((6, len(self._ends) * n))
+        for end in ends:
+            body = self._ends[end]
+            p_BW = plant.EvalBodyPoseInWorld(self._context, body).inverse().translation()
+            J[:, end * n : (end + 1) * n] = plant.CalcJacobianSpatialVelocity(
+                self._context, JacobianWrtVariable.kV, body.body_frame(), p_BW, world, world
             )
-        turn_and_drift = np.concatenate(J, axis=1)[:, self._columns]
+        turn_and_drift = J[:, self._columns]
         return turn_and_drift[:3], turn_and_drift[3:]
 
     def _pairs(self) -> list[tuple[GeometryId, GeometryId]]:

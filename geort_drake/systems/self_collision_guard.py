@@ -14,6 +14,7 @@ from geort_drake.systems.joint_limits import JointLimits
 
 _SLACK = 2e-4  # m; a correction aims this much farther than it must
 _CORRECTIONS = 4
+_PAIRS = 6  # a look takes in the nearest; fingers side by side have twenty, most of which open with these
 
 
 class SelfCollisionGuard(PeriodicCorrection):
@@ -77,7 +78,7 @@ class SelfCollisionGuard(PeriodicCorrection):
         low = np.maximum(self._limits.lower, clear - self._reach)
         high = np.minimum(self._limits.upper, clear + self._reach)
         target = np.minimum(np.maximum(wanted, low), high)
-        q, conflict = target, self._hand_clearance.near(target)
+        q, conflict = target, self._hand_clearance.near(target, _PAIRS)
         if not conflict.pairs:
             return q
         J, openings = conflict.gradient, self._clearance + _SLACK - conflict.gap
@@ -86,7 +87,7 @@ class SelfCollisionGuard(PeriodicCorrection):
             if change is None:
                 break
             q = np.minimum(np.maximum(target + change, low), high)
-            near = self._hand_clearance.near(q)
+            near = self._hand_clearance.near(q, _PAIRS)
             if not near.pairs:
                 return q
             # What was found on the way counts, too, as seen from the target.
@@ -101,7 +102,7 @@ class SelfCollisionGuard(PeriodicCorrection):
                 return clear
             stay |= meeting
             q = np.where(stay, clear, target)
-            conflict = self._hand_clearance.near(q)
+            conflict = self._hand_clearance.near(q, _PAIRS)
         return q
 
     def _depends_on(self) -> set:
