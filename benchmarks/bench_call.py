@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from compare_dex_retargeting import TYPES, _settings, _urdf
 from side_by_side import measure, parse, parser, report
-from untrained import FINGERS, FORMS, dense_layers, untrained
+from untrained import FINGERS, add_retargeter_options, dense_layers, untrained
 
 from geort_drake.console import console, run_main
 from geort_drake.gloves.play import synthesize_play
@@ -36,7 +36,7 @@ HAND = "allegro_right"
 
 def main(argv: Sequence[str] | None = None) -> int:
     made = parser(__doc__)
-    made.add_argument("--method", choices=FORMS, default=FORMS[0], help="(default: %(default)s)")
+    add_retargeter_options(made)
     made.add_argument("--recording", type=Path, help="of a right hand (default: synthetic play at 30 Hz)")
     made.add_argument("--scaling", action="store_true", help="grow the hand and the batch")
     arguments = parse(made, argv)
@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.scaling:
         grow(arguments, hands)
         return 0
-    retarget = untrained(arguments.method)
+    retarget = untrained(arguments.method, backend=arguments.backend)
     description = load_hand(HAND)
     tips = hands[:, description.human_keypoints]
     published = Published(tips)
@@ -63,7 +63,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         **dex_retargeting(description, hands),
     }
     results = measure(functions, arguments.seconds)
-    report(f"one call of {arguments.method}", results, "call", arguments.json)
+    report(f"one call of {arguments.method}, {arguments.backend}", results, "call", arguments.json)
     return 0
 
 
@@ -150,10 +150,13 @@ def grow(arguments: argparse.Namespace, hands: np.ndarray) -> None:
     """Hands of two to five fingers, and batches; ratios are over the Allegro hand's size, alone."""
     names = list(FINGERS)
     functions = {
-        f"{count} fingers": over(untrained(arguments.method, count), hands[:, list(FINGERS.values())[:count]])
+        f"{count} fingers": over(
+            untrained(arguments.method, count, backend=arguments.backend),
+            hands[:, list(FINGERS.values())[:count]],
+        )
         for count in (4, 2, 3, len(names))
     }
-    retarget = untrained(arguments.method)
+    retarget = untrained(arguments.method, backend=arguments.backend)
     for size in (10, 100, 1000, 5000):
         functions[f"batch of {size:,}"] = lambda batch=hands[:size]: retarget(batch)
     results = measure(functions, arguments.seconds)

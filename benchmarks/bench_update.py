@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from pydrake.systems.framework import Context, EventStatus, LeafSystem
 from side_by_side import measure, parse, parser, report
-from untrained import FINGERS, FORMS, untrained
+from untrained import FINGERS, add_retargeter_options, untrained
 
 from geort_drake.console import run_main
 from geort_drake.gloves.play import synthesize_play
@@ -27,9 +27,9 @@ PERIOD = 0.01
 
 def main(argv: Sequence[str] | None = None) -> int:
     made = parser(__doc__)
-    made.add_argument("--method", choices=FORMS, default=FORMS[0], help="(default: %(default)s)")
+    add_retargeter_options(made)
     arguments = parse(made, argv)
-    retarget = untrained(arguments.method)
+    retarget = untrained(arguments.method, backend=arguments.backend)
     hands = synthesize_play(seed=0, duration_s=60.0, rate_hz=1 / PERIOD).p_HK.astype(float)
     keypoints = [FINGERS[name] for name in retarget.finger_names]
     retarget.trained_space = TrainedSpace(trained_points(hands[:, keypoints]), keypoints)
@@ -43,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "ports alone": updates(Idle(system), hands),
     }
     results = measure(functions, arguments.seconds)
-    report(f"one update with {arguments.method}", results, "call", arguments.json)
+    report(f"one update with {arguments.method}, {arguments.backend}", results, "call", arguments.json)
     return 0
 
 

@@ -3,10 +3,12 @@
 A library of the benchmarks, no program.
 """
 
+import argparse
+
 import numpy as np
 
 from geort_drake.retargeting.coupled_training import CoupledConfig
-from geort_drake.retargeting.retargeter import METHODS, Retargeter
+from geort_drake.retargeting.retargeter import BACKENDS, METHODS, Retargeter
 from geort_drake.retargeting.training import TrainingConfig
 
 FINGERS = {"thumb": 4, "index": 8, "middle": 12, "ring": 16, "little": 20}  # name → keypoint
@@ -39,13 +41,26 @@ def untrained_arrays(method: str, fingers: int, joints: int, seed: int = 0) -> d
     return arrays | {"columns": np.arange(fingers * joints)}
 
 
-def untrained(method: str, fingers: int = 4, joints: int = 4, seed: int = 0) -> Retargeter:
+def untrained(
+    method: str, fingers: int = 4, joints: int = 4, seed: int = 0, backend: str = BACKENDS[0]
+) -> Retargeter:
     """A retargeter of `untrained_arrays`; the default is the Allegro hand's size."""
     n = fingers * joints
     names, keypoints = list(FINGERS)[:fingers], list(FINGERS.values())[:fingers]
     arrays = untrained_arrays(method, fingers, joints, seed)
-    return METHODS[method](
+    made = METHODS[method](
         arrays, names, [f"joint_{j}" for j in range(n)], keypoints, -np.ones(n), np.ones(n)
+    )
+    if backend == "numba":
+        made.compile()
+    return made
+
+
+def add_retargeter_options(parser: argparse.ArgumentParser) -> None:
+    """--method and --backend, as `untrained` takes them."""
+    parser.add_argument("--method", choices=FORMS, default=FORMS[0], help="(default: %(default)s)")
+    parser.add_argument(
+        "--backend", choices=BACKENDS, default=BACKENDS[0], help="of calls (default: %(default)s)"
     )
 
 

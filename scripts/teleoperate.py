@@ -34,6 +34,12 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         type=Path,
         help="directory of the checkpoint (default: one trained on synthetic play, now or before)",
     )
+    add(
+        "--backend",
+        default="numpy",
+        choices=["numpy", "numba"],
+        help="what computes the retargeting (default: %(default)s; numba takes half the time)",
+    )
     add("--glove_id", help="serial number of the MANUS glove, where a bridge sends several")
     add("--engage", default="key", choices=["key", "now"], help="engage with Enter, or at once")
     add("--relax_after", type=float, default=5.0, help="s that a lost hand is held, before it relaxes")
@@ -109,7 +115,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     checkpoint = arguments.retargeter
     if checkpoint is None:
         checkpoint, _ = cached_checkpoint(scenario.hand, synthesize_play(seed=0, side=side))
-    retarget = load_retargeter(checkpoint, HandModel(description))
+    retarget = load_retargeter(checkpoint, HandModel(description), arguments.backend)
     model = RobotModel(scenario, description)
     recorder = None
     if arguments.record:

@@ -10,7 +10,11 @@ from geort_drake.gloves.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
 
 
 class HumanPoints:
-    """Takes the fingertips of whole hands, and refuses what is no hand; every retargeter's first step."""
+    """Takes the fingertips of whole hands, and refuses what is no hand; every retargeter's first step.
+
+    Attributes:
+        keypoints: (F,) numbers of the keypoints that are the fingertips.
+    """
 
     def __init__(self, finger_names: Sequence[str], human_keypoints: Sequence[int] | None = None):
         """`human_keypoints` are the fingers' tips; None goes by the names.
@@ -24,7 +28,7 @@ class HumanPoints:
                     raise UnknownNameError("finger", name, TIP_KEYPOINT)
             human_keypoints = [TIP_KEYPOINT[name] for name in finger_names]
         self._finger_names = tuple(finger_names)
-        self._keypoints = np.array(human_keypoints, dtype=int)
+        self.keypoints = np.array(human_keypoints, dtype=int)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Fingertips (F, 3) or (N, F, 3) of fingertips or whole hands (21, 3) or (N, 21, 3), m.
@@ -34,7 +38,7 @@ class HumanPoints:
             GeortError: a coordinate is not finite.
         """
         points = np.asarray(points, dtype=float)
-        fingers = len(self._keypoints)
+        fingers = len(self.keypoints)
         if (
             points.ndim not in (2, 3)
             or points.shape[-1] != 3
@@ -46,7 +50,7 @@ class HumanPoints:
                 f"(N, {KEYPOINT_COUNT}, 3); they have shape {points.shape}"
             )
         if points.shape[-2] != fingers:
-            points = points.take(self._keypoints, axis=-2)
+            points = points.take(self.keypoints, axis=-2)
         # The sum of squares, the quickest of sums, is finite if and only if every term is (lengths in metres
         # do not overflow).
         if not math.isfinite(np.vdot(points, points)):
