@@ -6,7 +6,6 @@ that distance apart. Boxes become larger boxes, which hold what is near their ed
 given here is never more than the true distance, and may be less.
 """
 
-import heapq
 from collections.abc import Iterable, Sequence
 from itertools import product
 from operator import attrgetter
@@ -95,16 +94,16 @@ class HandClearance:
         if not found:
             return Near([], np.empty(0), np.empty((0, len(q))))
         if most is not None and len(found) > most:
-            found = heapq.nlargest(most, found, key=attrgetter("depth"))
+            found = sorted(found, key=attrgetter("depth"), reverse=True)[:most]
         pairs = [(pair.id_A, pair.id_B) for pair in found]
         gap = np.array([self._clearance - pair.depth for pair in found])
         n, x = np.concatenate([pair.nhat_BA_W for pair in found] + [pair.p_WCa for pair in found]).reshape(
             2, -1, 3
         )
         first, second = self._rows(pairs)
-        turn, drift = self._joint_velocities({end for row in (*first, *second) for end in self._ends_of[row]})
+        motion = self._joint_velocities({end for row in (*first, *second) for end in self._ends_of[row]})
         # n · (ω × x + u) = ω · (x × n) + n · u
-        along = _cross(x, n) @ turn + n @ drift
+        along = np.concatenate([_cross(x, n), n], axis=1) @ motion
         return Near(pairs, gap, (self._between(first, second) * along) @ self._coupling)
 
     def joints_between(self, pairs: Sequence[tuple[GeometryId, GeometryId]]) -> np.ndarray:
@@ -113,7 +112,8 @@ class HandClearance:
 
     def _rows(self, pairs: Sequence[tuple[GeometryId, GeometryId]]) -> tuple[list[int], list[int]]:
         """The geometries' numbers, of the first of each pair and of the second."""
-        return [self._row[id] for id, _ in pairs], [self._row[id] for _, id in pairs]
+        row = self._row
+        return [row[id.get_value()] for id, _ in pairs], [row[id.get_value()] for _, id in pairs]
 
     def _between(self, first: Sequence[int], second: Sequence[int]) -> np.ndarray:
         """(K, N): 1 for a joint that moves the first against the second, −1 for the other way round."""
@@ -136,7 +136,9 @@ class HandClearance:
             for index in movers
             for geometry in plant.GetCollisionGeometriesForBody(plant.get_body(index))
         ]
-        self._row = {geometry: row for row, (geometry, _) in enumerate(geometries)}
+        self._geometries = [geometry for geometry, _ in geometries]
+        # By number, as an identifier's hash takes longer.
+        self._row = {geometry.get_value(): row for row, (geometry, _) in enumerate(geometries)}
         self._moves = np.array([moves for _, moves in geometries])
         self._ends: list[RigidBody] = []
         self._columns, end_of = np.full(len(names), -1), np.full(len(names), -1)
@@ -149,8 +151,8 @@ class HandClearance:
                 self._ends.append(plant.get_body(index))
         self._ends_of = [{int(end) for end in end_of[moves > 0]} for moves in self._moves]
 
-    def _joint_velocities(self, ends: Iterable[int]) -> tuple[np.ndarray, np.ndarray]:
-        """(3, N) each: joint axes ω, and the velocities u of the base's origin as if a joint carried it.
+    def _joint_velocities(self, ends: Iterable[int]) -> np.ndarray:
+        """(6, N): joint axes ω, and under them velocities u of the base's origin as if a joint carried it.
 
         They are zero for joints that are read at other links than those of these numbers.
         """
@@ -163,17 +165,16 @@ class HandClearance:
             J[:, end * n : (end + 1) * n] = plant.CalcJacobianSpatialVelocity(
                 self._context, JacobianWrtVariable.kV, body.body_frame(), p_BW, world, world
             )
-        turn_and_drift = J[:, self._columns]
-        return turn_and_drift[:3], turn_and_drift[3:]
+        return J.take(self._columns, 1)
 
     def _pairs(self) -> list[tuple[GeometryId, GeometryId]]:
         root = self._hand.contact_context()
         pairs: list[tuple[GeometryId, GeometryId]] = []
         by_joints: dict[tuple[int, ...], list[tuple[GeometryId, GeometryId]]] = {}
         for pair in self._candidates(root):
-            if not self._row.keys() >= set(pair):  # a floor, for example
+            if not set(self._geometries) >= set(pair):  # a floor, for example
                 continue
-            first, second = (self._moves[self._row[geometry]] for geometry in pair)
+            first, second = (self._moves[self._row[geometry.get_value()]] for geometry in pair)
             between = self._coupling[first != second].any(axis=0)[self._to_hand]
             one_chain = (first <= second).all() or (first >= second).all()
             if one_chain and between.sum() <= _FEW:
@@ -205,7 +206,7 @@ class HandClearance:
         """A context in which all geometries are larger by half of the clearance."""
         root, scene_graph = self._hand.contact_context(), self._hand.scene_graph
         context = scene_graph.GetMyMutableContextFromRoot(root)
-        for geometry in self._row:
+        for geometry in self._geometries:
             shape, name = self._inspector.GetShape(geometry), self._inspector.GetName(geometry)
             X_GS, larger = _enlarged(shape, name, 0.5 * self._clearance)
             X_FS = self._inspector.GetPoseInFrame(geometry) @ X_GS

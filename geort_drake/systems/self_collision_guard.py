@@ -14,7 +14,7 @@ from geort_drake.systems.joint_limits import JointLimits
 
 _SLACK = 2e-4  # m; a correction aims this much farther than it must
 _CORRECTIONS = 4
-_PAIRS = 6  # a look takes in the nearest; fingers side by side have twenty, most of which open with these
+_PAIRS = 4  # a look takes in the nearest; fingers side by side have twenty, most of which open with these
 
 
 class SelfCollisionGuard(PeriodicCorrection):
