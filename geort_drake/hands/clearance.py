@@ -26,7 +26,7 @@ from pydrake.geometry import (
     Sphere,
 )
 from pydrake.math import RigidTransform
-from pydrake.multibody.tree import BodyIndex, JacobianWrtVariable, RigidBody
+from pydrake.multibody.tree import BodyIndex, Frame, JacobianWrtVariable, RigidBody
 from pydrake.systems.framework import Context
 
 from geort_drake.errors import HandError
@@ -140,15 +140,17 @@ class HandClearance:
         # By number, as an identifier's hash takes longer.
         self._row = {geometry.get_value(): row for row, (geometry, _) in enumerate(geometries)}
         self._moves = np.array([moves for _, moves in geometries])
-        self._ends: list[RigidBody] = []
+        self._world, self._num_velocities = plant.world_frame(), plant.num_velocities()
+        self._ends: list[tuple[RigidBody, Frame]] = []
         self._columns, end_of = np.full(len(names), -1), np.full(len(names), -1)
         for index in sorted(movers, key=lambda index: -movers[index].sum()):
             rows = np.flatnonzero((movers[index] > 0) & (self._columns < 0))
             if len(rows):
                 starts = [plant.GetJointByName(names[row]).velocity_start() for row in rows]
-                self._columns[rows] = len(self._ends) * plant.num_velocities() + np.array(starts)
+                self._columns[rows] = len(self._ends) * self._num_velocities + np.array(starts)
                 end_of[rows] = len(self._ends)
-                self._ends.append(plant.get_body(index))
+                body = plant.get_body(index)
+                self._ends.append((body, body.body_frame()))
         self._ends_of = [{int(end) for end in end_of[moves > 0]} for moves in self._moves]
 
     def _joint_velocities(self, ends: Iterable[int]) -> np.ndarray:
@@ -156,14 +158,13 @@ class HandClearance:
 
         They are zero for joints that are read at other links than those of these numbers.
         """
-        plant, world = self._plant, self._plant.world_frame()
-        n = plant.num_velocities()
+        plant, context, world, n = self._plant, self._context, self._world, self._num_velocities
         J = np.zeros((6, len(self._ends) * n))
         for end in ends:
-            body = self._ends[end]
-            p_BW = plant.EvalBodyPoseInWorld(self._context, body).inverse().translation()
+            body, frame = self._ends[end]
+            p_BW = plant.EvalBodyPoseInWorld(context, body).inverse().translation()
             J[:, end * n : (end + 1) * n] = plant.CalcJacobianSpatialVelocity(
-                self._context, JacobianWrtVariable.kV, body.body_frame(), p_BW, world, world
+                context, JacobianWrtVariable.kV, frame, p_BW, world, world
             )
         return J.take(self._columns, 1)
 

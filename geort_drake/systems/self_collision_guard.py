@@ -1,5 +1,6 @@
 """Keeps commanded configurations of the hand clear of self-collision."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -73,7 +74,7 @@ class SelfCollisionGuard(PeriodicCorrection):
 
     def guarded(self, wanted: np.ndarray, clear: np.ndarray) -> np.ndarray:
         """Clear positions near those wanted, (n,) each, in one step from `clear` ones; actuator order."""
-        if not np.isfinite(wanted).all():
+        if not math.isfinite(wanted.dot(wanted)):
             return clear
         low = np.maximum(self._limits.lower, clear - self._reach)
         high = np.minimum(self._limits.upper, clear + self._reach)
