@@ -134,5 +134,5 @@ def test_without_numba_the_error_says_how_to_get_it(monkeypatch):
     plain = retargeter(4, 8, 4, 4)
     monkeypatch.delitem(sys.modules, "geort_drake.retargeting.compiled")
     monkeypatch.setitem(sys.modules, "numba", None)
-    with pytest.raises(GeortError, match=r"pip install 'geort-drake\[numba\]'"):
+    with pytest.raises(GeortError, match="pip install numba"):
         plain.compile()

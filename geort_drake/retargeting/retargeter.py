@@ -136,7 +136,7 @@ class Retargeter:
             from geort_drake.retargeting.compiled import Layers, OneHand
         except ImportError as error:
             raise GeortError(
-                f"the backend 'numba' needs the package numba: pip install 'geort-drake[numba]' ({error})"
+                f"the backend 'numba' needs the package numba: pip install numba ({error})"
             ) from error
         layers = Layers(
             bias0=self._bias0,
