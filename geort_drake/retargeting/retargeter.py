@@ -130,11 +130,11 @@ class Retargeter:
         """Has calls for one hand computed by numba, in half the time and equal to 1e-12 rad.
 
         Raises:
-            GeortError: numba is not installed.
+            GeortError: numba is not installed, or cannot keep what it compiles.
         """
         try:
             from geort_drake.retargeting.compiled import Layers, OneHand
-        except ImportError as error:
+        except (ImportError, RuntimeError) as error:  # the latter where it finds no place for its cache
             raise GeortError(
                 f"the backend 'numba' needs the package numba: pip install numba ({error})"
             ) from error
