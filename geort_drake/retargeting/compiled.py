@@ -8,13 +8,16 @@ import numpy as np
 from numba import njit, types
 
 from geort_drake.gloves.keypoints import KEYPOINT_COUNT
-from geort_drake.retargeting.retargeter import _aligned
+from geort_drake.retargeting.aligned import aligned
 
-_LINE = 8  # numbers in a cache line, at the start of which products take a fifth less time
+_LINE = 8  # numbers in a cache line
 # Sums may be reordered and fused, and numbers that are not finite count.
 _FREEDOM = {"reassoc", "contract", "arcp", "nsz"}
-_POINTS = [types.Array(types.float64, 2, "C", readonly=readonly) for readonly in (False, True)]
-_SIGNATURES = [types.float64[::1](points, types.int64[::1], types.float64[::1]) for points in _POINTS]
+# As read-only arrays, which others are taken for.
+_POINTS, _PLAN, _WEIGHTS = (
+    types.Array(kind, dimensions, "C", readonly=True)
+    for kind, dimensions in ((types.float64, 2), (types.int64, 1), (types.float64, 1))
+)
 
 
 class Layers(NamedTuple):
@@ -49,7 +52,7 @@ class OneHand:
         self._fingertips = np.array([*sizes, *range(fingers)], dtype=np.int64)
         self._keypoints = np.array([*sizes, *human_keypoints], dtype=np.int64)
         parts = (*layers[:5], layers.weight2.T, *layers[6:])
-        self._weights = _aligned(np.concatenate([_padded(part) for part in parts]))
+        self._weights = aligned(np.concatenate([_padded(part) for part in parts]))
 
     def __call__(self, points: np.ndarray) -> np.ndarray | None:
         """Joint angles (n,), rad, of fingertips p_HF (F, 3) or keypoints p_HK (21, 3), m."""
@@ -148,7 +151,7 @@ def _split(weights: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
     return weights[:size], weights[(size + _LINE - 1) // _LINE * _LINE :]
 
 
-@njit(_SIGNATURES, fastmath=_FREEDOM, error_model="numpy", cache=True)
+@njit(types.float64[::1](_POINTS, _PLAN, _WEIGHTS), fastmath=_FREEDOM, error_model="numpy", cache=True)
 def _angles(points: np.ndarray, plan: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Joint angles of the fingertips in rows plan[3:] of points; none where a coordinate is not finite."""
     width, shared, joints = plan[0], plan[1], plan[2]

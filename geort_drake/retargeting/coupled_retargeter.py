@@ -4,7 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from geort_drake.retargeting.retargeter import Retargeter, _aligned, _array
+from geort_drake.retargeting.aligned import aligned
+from geort_drake.retargeting.retargeter import Retargeter, _array
 
 
 class CoupledRetargeter(Retargeter):
@@ -26,11 +27,11 @@ class CoupledRetargeter(Retargeter):
         )
         # The residual's hidden units stand behind those of the fingers.
         self._shared = slice(self._own.stop, self._own.stop + width)
-        self._weight0 = _aligned(np.hstack([self._weight0, 0.5 * w0]))
+        self._weight0 = aligned(np.hstack([self._weight0, 0.5 * w0]))
         self._bias0 = np.concatenate([self._bias0, 0.5 * b0])
-        self._residual_weight1 = _aligned(0.5 * w1)
+        self._residual_weight1 = aligned(0.5 * w1)
         self._bias1 = np.concatenate([self._bias1, 0.5 * b1])
-        self._weight2 = _aligned(np.vstack([self._weight2, w2[:, self._columns]]))
+        self._weight2 = aligned(np.vstack([self._weight2, w2[:, self._columns]]))
         self._bias2 = self._bias2 + b2[self._columns]
 
     def _between(self, h: np.ndarray, u: np.ndarray) -> None:
