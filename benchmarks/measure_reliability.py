@@ -34,6 +34,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 from faults import disks, kills  # noqa: E402
 from faults.corpus import CASES  # noqa: E402
 from faults.frames import fuzz_arm, fuzz_call, fuzz_system  # noqa: E402
+from faults.guard import fuzz_guard  # noqa: E402
 from faults.guided import fuzz_guided, require_atheris  # noqa: E402
 from faults.mutations import fuzz  # noqa: E402
 from faults.refusals import faults_of  # noqa: E402
@@ -42,11 +43,12 @@ from faults.soak import soak  # noqa: E402
 Report = Callable[[int, int], None]  # called with what is done, and of how much
 
 FULL = {
-    "inputs": None, "files": 10_000, "guided": 20_000, "kills": 25, "frames": 10_000, "updates": 1_000_000,
-    "trials": 3,
+    "inputs": None, "files": 10_000, "guided": 20_000, "kills": 25, "frames": 10_000, "commands": 100_000,
+    "updates": 1_000_000, "trials": 3,
 }  # fmt: skip
 QUICK = {
-    "inputs": 20, "files": 400, "guided": 400, "kills": 5, "frames": 1_000, "updates": 5_000, "trials": 1,
+    "inputs": 20, "files": 400, "guided": 400, "kills": 5, "frames": 1_000, "commands": 1_000,
+    "updates": 5_000, "trials": 1,
 }  # fmt: skip
 GROWTH_MB, SLOW_DOWN = 10.0, 0.05
 
@@ -187,6 +189,7 @@ def frames(counts: dict, seed: int, folder: Path, report: Report) -> dict:
     results = {
         "system": fuzz_system(counts["frames"], seed),
         "call": fuzz_call(counts["frames"], seed),
+        "compiled": fuzz_call(counts["frames"], seed, "numba"),
         "arm": fuzz_arm(counts["frames"], seed),
     }
     report(1, 1)
@@ -196,6 +199,13 @@ def frames(counts: dict, seed: int, folder: Path, report: Report) -> dict:
         if result["violations"] or result.get("speed_when_held")
     ]
     return {**results, "failures": failures}
+
+
+def guard(counts: dict, seed: int, folder: Path, report: Report) -> dict:
+    """Commands that fold the hand into itself, through the guard."""
+    result = fuzz_guard(counts["commands"], seed)
+    report(1, 1)
+    return {**result, "failures": [f"the guard: {result}"] if result["violations"] else []}
 
 
 def updates(counts: dict, seed: int, folder: Path, report: Report) -> dict:
@@ -235,6 +245,7 @@ PARTS: dict[str, Callable[[dict, int, Path, Report], dict]] = {
     "kills": killed,
     "disk": disk,
     "frames": frames,
+    "guard": guard,
     "updates": updates,
     "trials": trials,
 }
@@ -271,15 +282,24 @@ def table(figures: dict[str, dict]) -> str:
             )
         )
     if part := figures.get("frames"):
-        system, call, arm = part["system"], part["call"], part["arm"]
+        system, call, compiled, arm = (part[name] for name in ("system", "call", "compiled", "arm"))
         spoilt, jumps = (sum(of["faults"].values()) for of in (system, arm))
         rows += [
             ("frames through `RetargetingSystem`", f"{system['frames']:,}, {spoilt:,} with a fault",
              f"{system['violations']} violations"),
             ("the same to `Retargeter`", f"{call['frames']:,}", f"{call['violations']} violations"),
+            ("the same, compiled by numba", f"{compiled['frames']:,}",
+             f"{compiled['violations']} violations"),
             ("wrist poses through `WristToArm`, live", f"{arm['frames']:,}, {jumps:,} with a fault",
              f"{arm['violations']} violations"),
         ]  # fmt: skip
+    if part := figures.get("guard"):
+        rows.append((
+            "commands to `SelfCollisionGuard`",
+            f"{part['steps']:,}, {sum(part['corrected'].values()):,} not followed",
+            f"{part['violations']} violations; {part['us_passed_on']:.0f} µs a step, "
+            f"{part['us_corrected']:.0f} µs where it corrects (medians)",
+        ))  # fmt: skip
     if part := figures.get("updates"):
         for name, result in part["of"].items():
             rows.append((

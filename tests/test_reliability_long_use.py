@@ -2,7 +2,10 @@
 
 import pytest
 from faults.frames import FAULTS, WRIST_FAULTS, fuzz_arm, fuzz_call, fuzz_system
+from faults.guard import COMMANDS, fuzz_guard
 from faults.soak import soak
+
+from geort_drake.retargeting.retargeter import BACKENDS
 
 
 def test_no_faulty_frame_breaks_a_guarantee():
@@ -14,11 +17,22 @@ def test_no_faulty_frame_breaks_a_guarantee():
     assert result["frames"] == 10_000 == result["sound"] + sum(result["faults"].values())
 
 
-def test_the_python_call_refuses_what_is_not_finite_and_keeps_the_limits():
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_the_python_call_refuses_what_is_not_finite_and_keeps_the_limits(backend):
     """Nothing else comes out of it."""
-    result = fuzz_call(10_000, 0)
+    if backend == "numba":
+        pytest.importorskip("numba")
+    result = fuzz_call(10_000, 0, backend)
     assert result["violations"] == 0
     assert result["refused"] > 100
+
+
+def test_no_command_gets_past_the_guard():
+    """Whatever is commanded, the hand is clear of itself, within its limits, and no faster than they say."""
+    result = fuzz_guard(2_000, 0)
+    assert result["violations"] == 0, result
+    assert set(result["commands"]) == set(COMMANDS)
+    assert all(result["corrected"][kind] > 50 for kind in COMMANDS)
 
 
 def test_no_faulty_wrist_breaks_the_arms_limits():

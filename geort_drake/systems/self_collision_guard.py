@@ -1,6 +1,5 @@
 """Keeps commanded configurations of the hand clear of self-collision."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -61,7 +60,7 @@ class SelfCollisionGuard(PeriodicCorrection):
             )
         super().__init__(actuated_joints, initial_positions, limits, period)
         self._hand_clearance, self._clearance = HandClearance(hand, clearance, actuated_joints), clearance
-        self._reach = limits.speed * period
+        self._reach, self._zeros = limits.speed * period, np.zeros(len(actuated_joints))
         if (near := self._hand_clearance.near(self._q_start)).pairs:
             closest = int(near.gap.argmin())
             first, second = map(hand.link_of, near.pairs[closest])
@@ -74,7 +73,7 @@ class SelfCollisionGuard(PeriodicCorrection):
 
     def guarded(self, wanted: np.ndarray, clear: np.ndarray) -> np.ndarray:
         """Clear positions near those wanted, (n,) each, in one step from `clear` ones; actuator order."""
-        if not math.isfinite(wanted.dot(wanted)):
+        if wanted.dot(self._zeros) != 0.0:  # a zero times NaN or infinity is NaN
             return clear
         low = np.maximum(self._limits.lower, clear - self._reach)
         high = np.minimum(self._limits.upper, clear + self._reach)

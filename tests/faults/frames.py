@@ -170,10 +170,12 @@ def fuzz_system(count: int, seed: int) -> dict:
     return _counted(count, spoilt, held, broken)
 
 
-def fuzz_call(count: int, seed: int) -> dict:
+def fuzz_call(count: int, seed: int, backend: str = "numpy") -> dict:
     """Calls a retargeter with `count` faulty frames: within the limits, or refused as not finite."""
     rng = np.random.default_rng(seed)
     retarget = smooth_retargeter()
+    if backend == "numba":
+        retarget.compile()
     refused = violations = 0
     for (keypoints, _, _), _ in faulty_frames(count, rng):
         points = keypoints if rng.random() < 0.5 else keypoints[list(TIPS)]
