@@ -26,6 +26,7 @@ from geort_drake.live.lcm_inbox import LcmInbox
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.transports import open_receiver, open_sender, wait_for
 from geort_drake.retargeting.checkpoint import save_checkpoint
+from geort_drake.retargeting.retargeter import BACKENDS
 
 # Machines that are busy take long to start three programs; nothing below waits so long if all is well.
 PATIENCE_S = 300.0
@@ -168,11 +169,14 @@ def test_the_loop_runs_over_loopback(desk, tmp_path, lcm_url):
 
 
 @pytest.mark.slow
-def test_a_replay_drives_the_simulation(desk, tmp_path):
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_replay_drives_the_simulation(desk, tmp_path, backend):
     """In one process; Enter engages and disengages, and what the glove gave is kept as a recording."""
+    if backend == "numba":
+        pytest.importorskip("numba")
     with program(
         tmp_path, "teleoperate", "--glove", str(desk / "hand.npz"), "--retargeter", str(desk / "checkpoint"),
-        "--record", str(tmp_path / "kept.npz"), "--json", stdin=subprocess.PIPE,
+        "--record", str(tmp_path / "kept.npz"), "--json", "--backend", backend, stdin=subprocess.PIPE,
     ) as teleoperation:  # fmt: skip
         # The first Enter is there before the loop begins, so only the second one disengages.
         for state in ("tracking", "disengaged: held"):

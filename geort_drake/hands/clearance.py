@@ -173,7 +173,7 @@ class HandClearance:
         pairs: list[tuple[GeometryId, GeometryId]] = []
         by_joints: dict[tuple[int, ...], list[tuple[GeometryId, GeometryId]]] = {}
         for pair in self._candidates(root):
-            if not set(self._geometries) >= set(pair):  # a floor, for example
+            if not self._row.keys() >= {geometry.get_value() for geometry in pair}:  # a floor, for example
                 continue
             first, second = (self._moves[self._row[geometry.get_value()]] for geometry in pair)
             between = self._coupling[first != second].any(axis=0)[self._to_hand]

@@ -51,7 +51,8 @@ class OneHand:
         sizes = (width, len(layers.shared), len(layers.bias2))
         self._fingertips = np.array([*sizes, *range(fingers)], dtype=np.int64)
         self._keypoints = np.array([*sizes, *human_keypoints], dtype=np.int64)
-        parts = (*layers[:5], layers.weight2.T, *layers[6:])
+        # `_angles` reads them in this order.
+        parts = layers._replace(weight2=layers.weight2.T)
         self._weights = aligned(np.concatenate([_padded(part) for part in parts]))
 
     def __call__(self, points: np.ndarray) -> np.ndarray | None:

@@ -1,4 +1,4 @@
-"""The trained map from human fingertips to robot joints, in NumPy alone.
+"""The trained map from human fingertips to robot joints: in NumPy alone, or for one hand compiled by numba.
 
 retarget = load_retargeter("runs/allegro_right")
 q = retarget(p_HF)
