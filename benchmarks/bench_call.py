@@ -103,15 +103,16 @@ class Published:
     def __init__(self, tips: np.ndarray):
         """`tips` (T, 4, 3) in m are frames that set the statistics of the normalisation."""
         nn = torch.nn
-        torch.manual_seed(0)
-        self.networks = nn.ModuleList(
-            nn.Sequential(
-                nn.Linear(3, 128), nn.LeakyReLU(), nn.BatchNorm1d(128),
-                nn.Linear(128, 128), nn.LeakyReLU(), nn.BatchNorm1d(128),
-                nn.Linear(128, 4), nn.Tanh(),
-            )
-            for _ in range(4)
-        )  # fmt: skip
+        with torch.random.fork_rng(devices=[]):  # layers take their weights from no other generator
+            torch.manual_seed(0)
+            self.networks = nn.ModuleList(
+                nn.Sequential(
+                    nn.Linear(3, 128), nn.LeakyReLU(), nn.BatchNorm1d(128),
+                    nn.Linear(128, 128), nn.LeakyReLU(), nn.BatchNorm1d(128),
+                    nn.Linear(128, 4), nn.Tanh(),
+                )
+                for _ in range(4)
+            )  # fmt: skip
         with torch.no_grad():
             for i, network in enumerate(self.networks):
                 network(torch.tensor(tips[:, i]).float())
