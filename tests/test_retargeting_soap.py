@@ -12,7 +12,7 @@ def descended(optimiser_of, start, loss, steps):
     for step in range(steps):
         for group in optimiser.param_groups:
             group["lr"] = 0.05 * (1.0 - step / steps)
-        optimiser.zero_grad()
+        parameter.grad = None
         loss(parameter).backward()
         optimiser.step()
     return parameter.detach()
@@ -73,7 +73,27 @@ def test_a_parameter_without_a_slope_only_decays():
     assert ((0.9 < end) & (end < 1.0)).all()
 
 
-def test_a_closure_is_refused():
-    """Nothing here evaluates a loss twice."""
-    with pytest.raises(ValueError, match="no closure"):
-        Soap([torch.nn.Parameter(torch.ones(2, 2))], lr=0.1).step(lambda: 0.0)
+def test_a_parameter_without_a_gradient_is_refused():
+    """It would decay, or stay, and either would be a surprise."""
+    with pytest.raises(ValueError, match="every parameter has a gradient"):
+        Soap([torch.nn.Parameter(torch.ones(2, 2))], lr=0.1).step()
+
+
+def test_gradients_are_clipped_together():
+    """A gradient a thousand times too long moves as one of the greatest length does, in all groups."""
+
+    def ends(factor):
+        parameters = [torch.nn.Parameter(torch.ones(2, 3, 4)), torch.nn.Parameter(torch.ones(1, 4))]
+        soap = Soap([{"params": [p], "weight_decay": 0.0} for p in parameters], lr=0.1, eps=1.0, clip=0.5)
+        generator = torch.Generator().manual_seed(0)
+        for _ in range(3):
+            gradients = [torch.randn(p.shape, generator=generator) for p in parameters]
+            length = torch.cat([g.flatten() for g in gradients]).norm()
+            for parameter, gradient in zip(parameters, gradients, strict=True):
+                parameter.grad = factor * 0.5 / length * gradient
+            soap.step()
+        return [p.detach() for p in parameters]
+
+    for clipped, longest, shorter in zip(ends(1000.0), ends(1.0), ends(0.5), strict=True):
+        torch.testing.assert_close(clipped, longest, atol=1e-5, rtol=0)
+        assert (shorter - longest).abs().max() > 1e-3

@@ -30,7 +30,9 @@ class Beside:
         """
         self._functions, self._pool = functions, None
         if process:
-            self._pool = ProcessPoolExecutor(1, initializer=_begin, initargs=(os.getpid(), functions))
+            self._pool = ProcessPoolExecutor(1, initializer=_begin, initargs=(os.getpid(),))
+            # As a first call, which is not waited for, unlike what an initializer is given.
+            self._pool.submit(_take, functions)
 
     def __enter__(self) -> Self:
         return self
@@ -77,10 +79,13 @@ def _process_named() -> Iterator[None]:
 _functions: dict[str, Callable] = {}  # of a process that takes part
 
 
-def _begin(starter: int, functions: Mapping[str, Callable]) -> None:
+def _begin(starter: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the descent is interrupted, and ends this process
     end_with(starter)
     torch.set_num_threads(1)
+
+
+def _take(functions: Mapping[str, Callable]) -> None:
     _functions.update(functions)
 
 

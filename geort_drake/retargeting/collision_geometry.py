@@ -171,11 +171,11 @@ def box_gap(
     size = R.abs()
     faces_a = t.abs() - a - (size * b[:, None]).sum(2)
     faces_b = s.abs() - b - (size * a[:, :, None]).sum(1)
-    up, down = [1, 2, 0], [2, 0, 1]
     # Axis A_i × B_j: |t · L| and both boxes' extents along it, divided by its length sqrt(1 − R_ij²).
-    along = (t[:, down, None] * R[:, up] - t[:, up, None] * R[:, down]).abs()
-    extent = a[:, up, None] * size[:, down] + a[:, down, None] * size[:, up]
-    extent = extent + b[:, None, up] * size[:, :, down] + b[:, None, down] * size[:, :, up]
+    along = (_down(t)[:, :, None] * _up(R) - _up(t)[:, :, None] * _down(R)).abs()
+    extent = _up(a)[:, :, None] * _down(size) + _down(a)[:, :, None] * _up(size)
+    size = size.mT
+    extent = extent + (_up(b)[:, :, None] * _down(size) + _down(b)[:, :, None] * _up(size)).mT
     length = torch.sqrt(torch.clamp(1.0 - R.square(), min=1e-4))
     edges = torch.where(R.square() > 1.0 - 1e-3, -1.0, (along - extent) / length).flatten(1)
     # From the nearest point of A to B's centre; inside A this axis has no direction.
@@ -185,3 +185,13 @@ def box_gap(
     reach = (b * (axis[:, None] @ R)[:, 0].abs()).sum(1)
     towards = torch.where(distance > 1e-5, distance - reach, -1.0)
     return torch.cat([faces_a, faces_b, edges, towards[:, None]], dim=1).amax(1)
+
+
+def _up(x: torch.Tensor) -> torch.Tensor:
+    """What follows each axis of (M, 3, ...), in a circle."""
+    return x.roll(-1, 1)
+
+
+def _down(x: torch.Tensor) -> torch.Tensor:
+    """What precedes each axis of (M, 3, ...), in a circle."""
+    return x.roll(1, 1)

@@ -50,8 +50,9 @@ def uniform_response_loss(d: torch.Tensor, answer: torch.Tensor, band: float) ->
 
 def pair_distances(points: torch.Tensor, pairs: Sequence[tuple[int, int]]) -> torch.Tensor:
     """(N, P) distances of pairs of fingertips (N, F, 3); where they coincide the gradient is finite."""
-    first, second = ([pair[side] for pair in pairs] for side in (0, 1))
-    return torch.sqrt((points[:, first] - points[:, second]).square().sum(-1) + 1e-10)
+    numbers = torch.tensor([pair[side] for side in (0, 1) for pair in pairs], device=points.device)
+    first, second = points.index_select(1, numbers).chunk(2, dim=1)
+    return torch.sqrt((first - second).square().sum(-1) + 1e-10)
 
 
 def pinch_distance_loss(

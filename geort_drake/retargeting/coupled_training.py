@@ -186,9 +186,8 @@ class CoupledTraining:
                 config.steps,
                 config.learning_rate,
                 report,
-                Soap(groups, lr=config.learning_rate),
+                Soap(groups, lr=config.learning_rate, clip=2.0),
                 warm_up=50,
-                clip=2.0,
                 averaging=config.averaging,
             )
         return TrainingResult(
@@ -210,17 +209,15 @@ class CoupledTraining:
         scale = {"collision": COLLIDE_EVERY * min(max((progress - 0.15) / 0.25, 0.0), 1.0)}
         self.prices.follow(self.network, step, config.steps)
         scale |= self.prices.factors | {"context": self.prices.factors["coverage"]}
-        total = sum(
-            scale.get(name, 1.0) * getattr(config, f"{name}_weight") * value for name, value in row.items()
-        )
+        weights = [scale.get(name, 1.0) * getattr(config, f"{name}_weight") for name in row]
+        total = torch.stack([*row.values()]).dot(torch.tensor(weights, device=self.device))
         return total, row
 
     def _answers(self, batch: Batch) -> "_Answers":
         fingers, n = batch.d.shape[:2]
-        each = torch.arange(fingers)
         ahead, behind = batch.moved.clone(), batch.moved.clone()
-        ahead[each, :, each] += batch.d
-        behind[each, :, each] -= batch.d
+        _of_each(ahead, 2).add_(batch.d)
+        _of_each(behind, 2).sub_(batch.d)
         # All fingers answer where they must not move, or meet; elsewhere the finger in question is enough.
         whole = [batch.moved.flatten(0, 1), ahead.flatten(0, 1), batch.before, batch.after, batch.pinching]
         whole.append(batch.crowd.hands if batch.crowd is not None else batch.before[:0])
@@ -231,8 +228,8 @@ class CoupledTraining:
         here, ahead, before, after, pinching, _, behind, reached, alike = p_BF
         here, ahead = (tips.reshape(fingers, fingers, n, 3) for tips in (here, ahead))
         return _Answers(
-            here[each, each],
-            ahead[each, each],
+            _of_each(here, 1),
+            _of_each(ahead, 1),
             behind,
             (ahead - here).permute(1, 2, 0, 3),
             before.transpose(0, 1),
@@ -307,3 +304,8 @@ class _Answers:
     reached: torch.Tensor
     averaged: torch.Tensor
     crowd: torch.Tensor
+
+
+def _of_each(x: torch.Tensor, dim: int) -> torch.Tensor:
+    """A view (F, N, 3) of x: for each number along axis 0, what has it along axis `dim` as well."""
+    return x.diagonal(dim1=0, dim2=dim).movedim(-1, 0)

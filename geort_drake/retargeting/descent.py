@@ -7,6 +7,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import torch
 from torch import nn
@@ -16,6 +17,15 @@ from geort_drake.errors import TrainingError, UnknownNameError
 
 # Called as report(steps done, steps, row of losses, network as it is now) at each row of `Descent.history`.
 Report = Callable[[int, int, dict[str, float], nn.Module], None]
+AVERAGE_EVERY = 5  # steps, between which weights hardly move
+
+
+class Optimiser(Protocol):
+    """What moves the weights: torch's optimisers, and `Soap`."""
+
+    param_groups: list[dict[str, Any]]
+
+    def step(self) -> Any: ...
 
 
 @dataclass(frozen=True)
@@ -35,9 +45,8 @@ def descend(
     steps: int,
     learning_rate: float,
     report: Report | None = None,
-    optimiser: torch.optim.Optimizer | None = None,
+    optimiser: Optimiser | None = None,
     warm_up: int = 0,
-    clip: float = math.inf,
     averaging: float = 0.0,
 ) -> Descent:
     """Minimises a loss; the learning rate falls to zero along half a cosine.
@@ -50,7 +59,6 @@ def descend(
         report: see `Report`.
         optimiser: of the network's parameters; None is Adam.
         warm_up: steps in which the learning rate rises from zero.
-        clip: the gradient's norm is kept at most this.
         averaging: share that the average of the weights keeps at each step of the second half; the
             average is what remains in the network at the end. 0: the last weights remain.
 
@@ -60,7 +68,9 @@ def descend(
             One whose last tenth is no better than its start gives a RuntimeWarning as well.
     """
     optimiser = optimiser or torch.optim.Adam(network.parameters(), lr=learning_rate)
-    average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(averaging)) if averaging else None
+    average = None
+    if averaging:
+        average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(averaging**AVERAGE_EVERY))
     history: list[dict[str, float]] = []
     interval = max(steps // 100, 1)
     good: dict | None = None
@@ -76,12 +86,10 @@ def descend(
             break
         if step % interval == 0:
             good = copy.deepcopy(network.state_dict())
-        optimiser.zero_grad(set_to_none=True)
+        network.zero_grad()
         total.backward()
-        if math.isfinite(clip):
-            nn.utils.clip_grad_norm_(network.parameters(), clip)
         optimiser.step()
-        if average is not None and 2 * step >= steps:
+        if average is not None and 2 * step >= steps and (steps - 1 - step) % AVERAGE_EVERY == 0:
             average.update_parameters(network)
         doubled = step < interval and (step + 1) & step == 0
         if step % interval == 0 or doubled or step == steps - 1:

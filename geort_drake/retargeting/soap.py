@@ -4,14 +4,21 @@ For matrices of a small network it needs about a third of Adam's steps. The laye
 along a first axis, and each finger's matrix keeps bases of its own.
 """
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import torch
 
 
-class Soap(torch.optim.Optimizer):
-    """Minimises over parameters (..., a, b); every leading index is a matrix by itself."""
+class Soap:
+    """Minimises over parameters (..., a, b); every leading index is a matrix by itself.
+
+    Used as torch's optimisers are; their base class takes a second to import what is not needed here.
+
+    Attributes:
+        param_groups: dicts of "params" and their settings, which may be changed between steps.
+    """
 
     def __init__(
         self,
@@ -22,47 +29,136 @@ class Soap(torch.optim.Optimizer):
         eps: float = 1e-8,
         weight_decay: float = 0.01,
         refresh: int = 10,
+        clip: float = math.inf,
     ):
-        """`betas` are Adam's, `basis_beta` averages what the bases are of, renewed every `refresh` steps."""
-        defaults = {"lr": lr, "betas": betas, "basis_beta": basis_beta, "eps": eps}
-        super().__init__(parameters, defaults | {"weight_decay": weight_decay, "refresh": refresh})
+        """Takes parameters, or dicts of "params" and of what is different for these.
+
+        Args:
+            lr: learning rate.
+            betas: Adam's.
+            basis_beta: averages what the bases are of.
+            eps: keeps Adam from dividing by zero.
+            weight_decay: decoupled from the gradients.
+            refresh: steps between renewals of the bases.
+            clip: the norm of all gradients together is kept at most this.
+        """
+        defaults: dict[str, Any] = {"lr": lr, "betas": betas, "basis_beta": basis_beta, "eps": eps}
+        defaults |= {"weight_decay": weight_decay, "refresh": refresh}
+        given: list[Any] = list(parameters)
+        groups = given if isinstance(given[0], dict) else [{"params": given}]
+        self.param_groups = [{**defaults, **group, "params": list(group["params"])} for group in groups]
+        self._clip = clip
+        self._states = [_State(group["params"]) for group in self.param_groups]
 
     @torch.no_grad()
-    def step(self, closure: object = None) -> None:  # type: ignore[override]
-        """One step along the gradients; `closure` is not supported."""
-        if closure is not None:
-            raise ValueError("Soap takes no closure")
-        for group in self.param_groups:
-            for parameter in group["params"]:
-                if parameter.grad is not None:
-                    self._move(parameter, parameter.grad, group)
+    def step(self) -> None:
+        """One step along the gradients.
 
-    def _move(self, parameter: torch.Tensor, gradient: torch.Tensor, group: dict) -> None:
-        state = self.state[parameter]
-        # A row, such as a layer's biases, has one basis that is worth as little as its axes: plain Adam.
-        matrix = min(gradient.shape[-2:]) > 1
-        squares = (gradient @ gradient.mT, gradient.mT @ gradient) if matrix else ()
-        if not state:
-            state["step"] = 0
-            state["squares"] = list(squares)
-            state["bases"] = [torch.linalg.eigh(square).eigenvectors for square in squares]
-            state["mean"], state["variance"] = torch.zeros_like(gradient), torch.zeros_like(gradient)
-        state["step"] += 1
-        first, second = group["betas"]
-        mean = state["mean"].lerp_(gradient, 1.0 - first)
-        if matrix:
-            left, right = state["bases"]
-            gradient, mean = left.mT @ gradient @ right, left.mT @ mean @ right
-        state["variance"].mul_(second).addcmul_(gradient, gradient, value=1.0 - second)
-        deviation = (state["variance"] / (1.0 - second ** state["step"])).sqrt_().add_(group["eps"])
-        move = mean / deviation / (1.0 - first ** state["step"])
-        if matrix:
-            move = left @ move @ right.mT
-        parameter.mul_(1.0 - group["lr"] * group["weight_decay"])
-        parameter.sub_(move, alpha=group["lr"])
-        for average, square in zip(state["squares"], squares, strict=True):
-            average.lerp_(square, 1.0 - group["basis_beta"])
-        if state["step"] % group["refresh"] == 0:
-            # A step of power iteration keeps the basis near the eigenvectors, far cheaper than finding them.
-            pairs = zip(state["squares"], state["bases"], strict=True)
-            state["bases"] = [torch.linalg.qr(square @ basis).Q for square, basis in pairs]
+        Raises:
+            ValueError: a parameter has no gradient.
+        """
+        gradients = [_flat([_gradient(parameter) for parameter in g["params"]]) for g in self.param_groups]
+        if math.isfinite(self._clip):
+            norm = torch.stack([gradient.norm() for gradient in gradients]).norm()
+            factor = (self._clip / (norm + 1e-6)).clamp(max=1.0)
+            for gradient in gradients:
+                gradient.mul_(factor)
+        for group, state, gradient in zip(self.param_groups, self._states, gradients, strict=True):
+            state.move(gradient, **group)
+
+
+class _State:
+    """What is kept of the parameters of one group.
+
+    A small network costs by the call, so what is done number by number is done to all parameters at once.
+    """
+
+    def __init__(self, parameters: Sequence[torch.Tensor]):
+        self._shapes = [(-1, *parameter.shape[-2:]) for parameter in parameters]
+        self._sizes = [parameter.numel() for parameter in parameters]
+        self._steps = 0
+        self._mean, self._variance = torch.zeros_like(_flat(parameters)), torch.zeros_like(_flat(parameters))
+        self._means = self._parts(self._mean)
+        self._bases: list[_Bases] = []
+
+    def _parts(self, flat: torch.Tensor) -> list[torch.Tensor]:
+        """Views (M, a, b) of the parameters' parts."""
+        return [part.view(shape) for part, shape in zip(flat.split(self._sizes), self._shapes, strict=True)]
+
+    def move(
+        self,
+        flat: torch.Tensor,
+        params: Sequence[torch.Tensor],
+        lr: float,
+        betas: tuple[float, float],
+        basis_beta: float,
+        eps: float,
+        weight_decay: float,
+        refresh: int,
+    ) -> None:
+        """Moves the parameters along the gradients of all of them."""
+        gradients = self._parts(flat)
+        if not self._bases:
+            self._bases = [_Bases(gradient) for gradient in gradients]
+        bases = self._bases
+        self._steps += 1
+        first, second = betas
+        self._mean.lerp_(flat, 1.0 - first)
+        turned = _flat([basis.into(gradient) for basis, gradient in zip(bases, gradients, strict=True)])
+        mean = _flat([basis.into(part) for basis, part in zip(bases, self._means, strict=True)])
+        self._variance.mul_(second).addcmul_(turned, turned, value=1.0 - second)
+        deviation = (self._variance / (1.0 - second**self._steps)).sqrt_().add_(eps)
+        moves = self._parts(mean.div_(deviation))
+        rate = lr / (1.0 - first**self._steps)
+        for parameter, gradient, basis, move in zip(params, gradients, bases, moves, strict=True):
+            parameter.mul_(1.0 - lr * weight_decay)
+            parameter.sub_(basis.out(move).view_as(parameter), alpha=rate)
+            basis.average(gradient, 1.0 - basis_beta)
+            if self._steps % refresh == 0:
+                basis.refresh()
+
+
+class _Bases:
+    """Eigenvectors of the averaged G Gᵀ and Gᵀ G of gradients G (M, a, b), a basis for either side.
+
+    A row, such as a layer's biases, has one basis that is worth as little as its axes, and gets none.
+    """
+
+    def __init__(self, gradient: torch.Tensor):
+        self._matrix = min(gradient.shape[-2:]) > 1
+        if self._matrix:
+            self._squares = [torch.bmm(gradient, gradient.mT), torch.bmm(gradient.mT, gradient)]
+            self._left, self._right = (torch.linalg.eigh(square).eigenvectors for square in self._squares)
+
+    def into(self, x: torch.Tensor) -> torch.Tensor:
+        """x (M, a, b) in the bases."""
+        return torch.bmm(torch.bmm(self._left.mT, x), self._right) if self._matrix else x
+
+    def out(self, x: torch.Tensor) -> torch.Tensor:
+        """What is x (M, a, b) in the bases."""
+        return torch.bmm(torch.bmm(self._left, x), self._right.mT) if self._matrix else x
+
+    def average(self, gradient: torch.Tensor, share: float) -> None:
+        """Takes a gradient into the averages by a share."""
+        if self._matrix:
+            for square, (a, b) in zip(
+                self._squares, ((gradient, gradient.mT), (gradient.mT, gradient)), strict=True
+            ):
+                square.baddbmm_(a, b, beta=1.0 - share, alpha=share)
+
+    def refresh(self) -> None:
+        """Follows the averages."""
+        # A step of power iteration keeps the basis near the eigenvectors, far cheaper than finding them.
+        if self._matrix:
+            bases = zip(self._squares, (self._left, self._right), strict=True)
+            self._left, self._right = (torch.linalg.qr(torch.bmm(*pair)).Q for pair in bases)
+
+
+def _gradient(parameter: torch.Tensor) -> torch.Tensor:
+    if parameter.grad is None:
+        raise ValueError("Soap takes a step where every parameter has a gradient")
+    return parameter.grad
+
+
+def _flat(tensors: Sequence[torch.Tensor]) -> torch.Tensor:
+    return torch.cat([tensor.reshape(-1) for tensor in tensors])
