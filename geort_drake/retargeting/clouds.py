@@ -10,7 +10,7 @@ def voxel_index(points: np.ndarray, size: float) -> np.ndarray:
 
 def first_in_voxels(points: np.ndarray, size: float) -> np.ndarray:
     """Rows (M,) of the points (N, 3) that are the first in their voxel of edge `size`, ascending."""
-    return np.sort(np.unique(voxel_index(points, size), axis=0, return_index=True)[1])
+    return np.sort(_first_of_each(voxel_index(points, size)))
 
 
 def voxel_thinned(points: np.ndarray, size: float) -> np.ndarray:
@@ -20,7 +20,19 @@ def voxel_thinned(points: np.ndarray, size: float) -> np.ndarray:
 
 def voxel_centres(points: np.ndarray, size: float) -> np.ndarray:
     """Centres (M, 3) of the voxels of edge `size` that points (N, 3) hit."""
-    return (np.unique(voxel_index(points, size), axis=0) + 0.5) * size
+    cells = voxel_index(points, size)
+    return (cells[_first_of_each(cells)] + 0.5) * size
+
+
+def _first_of_each(cells: np.ndarray) -> np.ndarray:
+    """Rows (M,) that are the first of their kind in (N, 3), by rising contents.
+
+    As `np.unique` along an axis finds them, which compares rows as wholes and takes several times as long.
+    """
+    order = np.lexsort(cells.T[::-1])
+    new = np.ones(len(cells), dtype=bool)
+    new[1:] = (cells[order[1:]] != cells[order[:-1]]).any(axis=1)
+    return order[new]
 
 
 def without_repeats(frames: np.ndarray) -> np.ndarray:
