@@ -46,13 +46,13 @@ def watched(parts: GraspDiagram, duration: float) -> Invariants:
     limits = np.array([actuator.effort_limit() for actuator in actuators])
     places = np.array([actuator.joint().velocity_start() for actuator in actuators])
     thing, dt = parts.object_body.index(), plant.time_step()
-    excess = lowest = before = None
+    excess = lowest = before = applied = None
 
     simulator = Simulator(parts.diagram)
     parts.initialize(simulator.get_mutable_context())
 
     def look(root) -> EventStatus:
-        nonlocal excess, lowest, before
+        nonlocal excess, lowest, before, applied
         context = plant.GetMyContextFromRoot(root)
         effort = plant.get_net_actuation_output_port().Eval(context)
         share = float((np.abs(effort) / limits).max())
@@ -66,10 +66,11 @@ def watched(parts: GraspDiagram, duration: float) -> Invariants:
         if before is None:
             excess = lowest = 0.0
         else:
-            work = float(effort @ plant.GetVelocities(context)[places]) * dt
+            work = float(applied @ plant.GetVelocities(context)[places]) * dt
             excess += energy - before - work
             lowest = min(lowest, excess)
-        before = energy
+        # The ports are not sampled: what they give now is what the motors do in the step that follows.
+        before, applied = energy, effort.copy()
         gained = excess - lowest
         seen.steps += 1
         seen.effort, seen.penetration = max(seen.effort, share), max(seen.penetration, depth)
