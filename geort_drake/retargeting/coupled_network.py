@@ -48,7 +48,7 @@ class CoupledNetwork(RetargetingNetwork):
             y = y[:, self.columns]
         return self.centre + self.half_range * torch.tanh(y)
 
-    def angles_apart(self, whole: torch.Tensor, own: torch.Tensor, some: slice | None = None) -> torch.Tensor:
+    def angles_apart(self, whole: torch.Tensor, own: torch.Tensor, some: slice = slice(None)) -> torch.Tensor:
         """Joint angles by finger, (G, N + M, k) rad, as `HandKinematics.fingertips_apart` takes them.
 
         Args:
@@ -57,17 +57,16 @@ class CoupledNetwork(RetargetingNetwork):
             some: which fingers are meant; all, G = F, by default.
         """
         groups, count, fingers, _ = own.shape
-        mine = slice(None) if some is None else some
-        row, number = torch.arange(groups), torch.arange(fingers)[mine]
+        row, number = torch.arange(groups), torch.arange(fingers)[some]
         mean, scale = self.mean[:, 0], self.scale[:, 0]
         x, x_own = (whole - mean) / scale, (own - mean) / scale
         together = torch.cat([x.flatten(1), x_own.reshape(groups * count, -1)])
         shared = self.residual(together[None])[0].reshape(len(together), fingers, -1)
         shared, shared_own = shared.split([len(whole), groups * count])
         shared_own = shared_own.reshape(groups, count, fingers, -1)[row, :, number]
-        y = self.mlp(torch.cat([x[:, mine].transpose(0, 1), x_own[row, :, number]], dim=1), some)
-        y = y + torch.cat([shared[:, mine].transpose(0, 1), shared_own], dim=1)
-        return self.stacked_centre[mine] + self.stacked_half_range[mine] * torch.tanh(y)
+        y = self.mlp(torch.cat([x[:, some].transpose(0, 1), x_own[row, :, number]], dim=1), some)
+        y = y + torch.cat([shared[:, some].transpose(0, 1), shared_own], dim=1)
+        return self.stacked_centre[some] + self.stacked_half_range[some] * torch.tanh(y)
 
     def in_order(self, angles: torch.Tensor) -> torch.Tensor:
         """Joint angles (N, n) in the order of q, for those of all fingers (F, N, k)."""

@@ -112,7 +112,7 @@ class HandKinematics:
     def fingertips(self, q: torch.Tensor) -> torch.Tensor:
         """Fingertip points p_BF, (..., F, 3) in m, for joint angles (..., n) in rad.
 
-        Differentiable, in the dtype and on the device of q; angles outside the limits are accepted.
+        Differentiable, once, in the dtype and on the device of q; angles outside the limits are accepted.
         """
         n = len(self.joint_names)
         if q.shape[-1] != n:

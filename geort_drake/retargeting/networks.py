@@ -33,11 +33,12 @@ class StackedMlp(nn.Module):
                 values = torch.empty(shape).uniform_(-bound, bound, generator=generator)
                 parameters.append(nn.Parameter(values))
 
-    def forward(self, x: torch.Tensor, some: slice | None = None) -> torch.Tensor:
+    def forward(self, x: torch.Tensor, some: slice = slice(None)) -> torch.Tensor:
         """`some`: which of the perceptrons x is for; all by default."""
         last = len(self.weights) - 1
         for number, layer in enumerate(zip(self.weights, self.biases, strict=True)):
-            weight, bias = layer if some is None else (parameter[some] for parameter in layer)
+            # Autograd copies what is sliced, all of it too.
+            weight, bias = layer if some == slice(None) else (parameter[some] for parameter in layer)
             x = torch.baddbmm(bias, x, weight)
             if number < last:
                 x = silu(x)
