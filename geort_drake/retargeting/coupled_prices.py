@@ -11,7 +11,7 @@ from geort_drake.retargeting.beside import result_of
 FROM = 0.8  # of the descent; before, the learning rate keeps the map from what it will be
 EVERY = 80  # steps between measurements
 RATE = 0.7  # per measurement and relative error
-LEAST = 0.7  # of a factor
+LEAST = 0.5  # of a factor
 
 
 class Prices:
