@@ -69,7 +69,7 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     add(
         "--steps",
         type=at_least(0),
-        help="of fine-tuning; 0 leaves it out, which takes a second (default: 400)",
+        help="of fine-tuning; 0 leaves it out, which takes a second (default: 600)",
     )
     add("--seed", type=at_least(0), default=0, help="of fine-tuning and metrics")
     add_json_option(parser, "the metrics")

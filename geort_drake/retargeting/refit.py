@@ -36,7 +36,7 @@ SHEAR_SHARE = 3.0  # weight of what an affine map does beyond stretching the axe
 PINCH_FRAMES = 2000  # at most so many are used
 
 # Of a descent that starts from a map which nearly fits.
-FINE_TUNING = CoupledConfig(steps=400, learning_rate=0.01, averaging=0.98)
+FINE_TUNING = CoupledConfig(steps=600, learning_rate=0.01, averaging=0.98)
 
 
 @dataclass(frozen=True)
