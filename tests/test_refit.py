@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from retargeting_toy import toy_human, toy_kinematics, toy_samples
-from script_modules import load_script
+from script_modules import SCRIPTS, load_script
 
 from geort_drake.errors import CheckpointError, RecordingError, TrainingError
 from geort_drake.evaluation.pipeline import train_checkpoint
@@ -18,7 +18,15 @@ from geort_drake.retargeting.coupled_network import CoupledNetwork
 from geort_drake.retargeting.coupled_retargeter import CoupledRetargeter
 from geort_drake.retargeting.coupled_training import CoupledConfig, train_coupled
 from geort_drake.retargeting.networks import RetargetingNetwork
-from geort_drake.retargeting.refit import AffineMaps, _start_from, fine_tune, fit_affine, folded, refit
+from geort_drake.retargeting.refit import (
+    FINE_TUNING,
+    AffineMaps,
+    _start_from,
+    fine_tune,
+    fit_affine,
+    folded,
+    refit,
+)
 from geort_drake.retargeting.retargeter import Retargeter, load_retargeter
 from geort_drake.retargeting.trained_space import TrainedSpace, trained_points
 
@@ -207,3 +215,11 @@ def test_the_other_side_is_refused(trained):
     left = synthesize_play(5, 12.0, 30.0, side="left")
     with pytest.raises(RecordingError, match="of a left hand, the robot's is a right hand"):
         refit_checkpoint(trained / "old", left, trained / "x")
+
+
+def test_help_and_docs_give_the_steps_that_a_refit_takes(capsys):
+    """The program's help holds the number, as reading it from the code would take a second of imports."""
+    with pytest.raises(SystemExit):
+        load_script("refit_retargeter.py").main(["--help"])
+    assert f"(default: {FINE_TUNING.steps})" in " ".join(capsys.readouterr().out.split())
+    assert f"for {FINE_TUNING.steps} more steps" in (SCRIPTS.parent / "docs" / "people.md").read_text()
