@@ -82,6 +82,49 @@ def test_made_up_pinches_meet_whatever_the_other_finger_does(human):
     assert not rows_of(strange[:, 2], human[reach, 2]).all()
 
 
+def test_postures_are_alike_however_long_they_were_held(human):
+    """Of a hand that rests for nine tenths of a recording, every draw of recorded hands has little."""
+    held = np.concatenate([human[:150], human[0] + 1e-5 * np.arange(1350)[:, None, None]])
+    held[150:, :2] = human[0, :1] + 1e-5 * np.arange(1350)[:, None, None]  # a pinch
+    drawn = {}
+    for share in (0.0, 0.5, 1.0):
+        config = dataclasses.replace(RECORDED, even_share=share, posture_radius=0.02, recorded_hand_share=1.0)
+        hands = hands_of(held, config)
+        rest = torch.tensor(held[150:].astype(np.float32))
+        drawn[share] = [
+            rows_of(some.flatten(1), rest.flatten(1).numpy()).mean()
+            for some in (
+                hands.recorded(2000),
+                hands.one_moved(500)[0].flatten(0, 1),
+                hands.pinches(500)[0][:500],
+            )
+        ]
+    assert min(drawn[0.0]) > 0.85
+    assert max(drawn[1.0][:2]) < 0.1 and drawn[1.0][2] < 0.8 * drawn[0.0][2]
+    np.testing.assert_allclose(drawn[0.5][:2], [0.45, 0.45], atol=0.1)
+
+
+def test_a_share_of_the_hands_in_which_a_finger_is_moved_pinches(human):
+    """For every finger some with the other fingers displaced, and some with strange ones."""
+    config = dataclasses.replace(RECORDED, pinching_hand_share=0.5, strange_pinch_share=0.5)
+    hands = hands_of(human, config)
+    x, _ = hands.one_moved(400)
+    near = torch.stack([(x[:, :, 0] - x[:, :, i]).norm(dim=-1) for i in (1, 2)]).amin(0)
+    assert (near[:, 200:] <= config.pinch_threshold + 1e-6).all()
+    assert (near[:, :200] <= config.pinch_threshold).float().mean() < 0.5
+    for finger in range(3):
+        whole = rows_of(x[finger, 200:, 2][:, None].flatten(1), human[:, 2])
+        assert 0.2 < whole.mean() < 0.95
+
+
+def test_a_person_without_near_fingertips_is_moved_without_pinches(human):
+    """There is nothing to make pinches of."""
+    apart = human + np.array([0.0, 0.0, 0.5]) * np.array([0, 1, 1])[:, None]
+    config = dataclasses.replace(RECORDED, pinch_weight=0.0, pinching_hand_share=0.5)
+    x, _ = hands_of(apart, config).one_moved(20)
+    assert rows_of(x.flatten(0, 1).flatten(1), apart.reshape(len(apart), -1)).all()
+
+
 def test_recombined_hands_take_each_finger_from_an_instant_of_its_own(human):
     """Every fingertip was recorded, hardly any hand was."""
     hands = hands_of(human).recombined(200)

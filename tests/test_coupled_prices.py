@@ -1,5 +1,6 @@
 """Weights that follow from the figures which a map should have."""
 
+import math
 from functools import partial
 
 import pytest
@@ -7,7 +8,7 @@ import torch
 from torch import nn
 
 from geort_drake.retargeting.beside import Beside
-from geort_drake.retargeting.coupled_prices import EVERY, FROM, LEAST, Prices
+from geort_drake.retargeting.coupled_prices import EVERY, FROM, LARGEST, RATE, Prices
 
 
 class Map(nn.Module):
@@ -18,8 +19,8 @@ class Map(nn.Module):
         self.value = nn.Parameter(torch.tensor(value))
 
 
-def prices_of(most, errors) -> Prices:
-    return Prices(most, partial(Beside({"errors": errors}, process=False).start, "errors"))
+def prices_of(limits, errors) -> Prices:
+    return Prices(limits, partial(Beside({"errors": errors}, process=False).start, "errors"))
 
 
 def follow(prices: Prices, measurements: int, network: nn.Module) -> None:
@@ -40,23 +41,32 @@ def test_a_figure_that_its_weight_can_move_becomes_what_is_wanted(right):
     def errors(network):
         return {"coverage": right / float(network.value.detach()) - 1}
 
-    prices = prices_of({"coverage": 1.3}, errors)
+    prices = prices_of({"coverage": (0.5, 1.3)}, errors)
     follow(prices, 60, Map())
     assert prices.factors == pytest.approx({"coverage": right}, rel=1e-3)
 
 
 def test_what_cannot_be_had_costs_no_more_than_is_allowed():
     """Nor does what is better than wanted lose all of its weight."""
-    errors = {"coverage": 0.5, "cross_talk": -0.5}
-    prices = prices_of({"coverage": 1.2, "cross_talk": 1.2}, lambda network: errors)
+    errors = {"coverage": 0.5, "cross_talk": -0.5, "pinch": -0.5}
+    limits = {"coverage": (0.5, 1.2), "cross_talk": (0.7, 1.2), "pinch": (1.0, 3.0)}
+    prices = prices_of(limits, lambda network: errors)
     follow(prices, 20, Map())
-    assert prices.factors == pytest.approx({"coverage": 1.2, "cross_talk": LEAST})
+    assert prices.factors == pytest.approx({"coverage": 1.2, "cross_talk": 0.7, "pinch": 1.0})
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_one_measurement_turns_no_weight_over(sign):
+    """A share that should be small is easily twenty times as large, or none."""
+    prices = prices_of({"coverage": (0.1, 9.0)}, lambda network: {"coverage": 20.0 * sign})
+    follow(prices, 1, Map())
+    assert prices.factors == pytest.approx({"coverage": math.exp(sign * RATE * LARGEST)})
 
 
 def test_nothing_is_measured_before_the_map_has_a_shape_or_too_late_to_count():
     """The first figures are far from what any map has at the end, and the last ones would change no step."""
     asked = []
-    prices = prices_of({"coverage": 1.3}, asked.append)
+    prices = prices_of({"coverage": (0.5, 1.3)}, asked.append)
     for step in range(5 * EVERY):
         prices.follow(Map(), step, 5 * EVERY)
     assert not asked
@@ -64,7 +74,7 @@ def test_nothing_is_measured_before_the_map_has_a_shape_or_too_late_to_count():
 
 def test_a_figure_that_is_not_finite_changes_no_weight():
     """A map that moves no finger has no cross-talk to speak of."""
-    prices = prices_of({"coverage": 1.3}, lambda network: {"coverage": float("nan")})
+    prices = prices_of({"coverage": (0.5, 1.3)}, lambda network: {"coverage": float("nan")})
     follow(prices, 3, Map())
     assert prices.factors == {"coverage": 1.0}
 
@@ -77,6 +87,6 @@ def test_a_measurement_is_of_the_map_as_it_was_when_it_began():
         seen.append(float(network.value.detach()))
         return {"coverage": 0.1}
 
-    prices = prices_of({"coverage": 1.3}, errors)
+    prices = prices_of({"coverage": (0.5, 1.3)}, errors)
     follow(prices, 2, Map(value=3.0))
     assert seen == [3.0, 1.0]

@@ -7,7 +7,9 @@ import pytest
 import torch
 from retargeting_toy import toy_human, toy_kinematics
 
+from geort_drake.evaluation.contact_metrics import pinch
 from geort_drake.retargeting import coupled_wanted
+from geort_drake.retargeting.coupled_hands import TrainingHands
 from geort_drake.retargeting.coupled_network import CoupledNetwork
 from geort_drake.retargeting.coupled_training import CoupledConfig
 from geort_drake.retargeting.coupled_wanted import Shortfalls
@@ -35,8 +37,13 @@ def network(hand):
     return network
 
 
-def figures(hand, network, frames) -> tuple[dict[str, float], float]:
-    """Coverage and cross-talk as an evaluation has them, but for the numbers drawn."""
+def shortfalls(hand, frames, config) -> Shortfalls:
+    hands = TrainingHands(frames, hand.finger_names, config, torch.Generator().manual_seed(0))
+    return Shortfalls(hands, hand, config, seed=0)
+
+
+def figures(hand, network, frames) -> tuple[dict[str, float], float, float]:
+    """Coverage, cross-talk and the closed pinches as an evaluation has them, but for the numbers drawn."""
 
     def g(p_HF):
         with torch.no_grad():
@@ -45,27 +52,32 @@ def figures(hand, network, frames) -> tuple[dict[str, float], float]:
     q = np.random.default_rng(7).uniform(hand.lower, hand.upper, (200_000, len(hand.joint_names)))
     voxels = robot_voxels(hand.fingertips(torch.tensor(q, dtype=torch.float32)).numpy())
     reached = coverage(voxels, list(np.moveaxis(g(frames), 1, 0)))
-    return reached, cross_talk(g, frames, np.random.default_rng(8), 4000)
+    talk = cross_talk(g, frames, np.random.default_rng(8), 4000)
+    return reached, talk, pinch(frames, g(frames), hand.finger_names, hand.tip_radius)["closed"]
 
 
 def test_a_map_that_is_as_wanted_lacks_nothing(hand, network):
     """The evaluation's figures, given as wanted, come out as no error; a worse one is its share of it."""
-    frames = toy_human(hand)
-    reached, talk = figures(hand, network, frames)
+    frames, hand = toy_human(hand), dataclasses.replace(hand, tip_radius=0.02)  # some pinches close
+    reached, talk, closed = figures(hand, network, frames)
+    assert 0 < closed < 1
     config = CoupledConfig(
         motion_wanted=-9.0,
         coverage_wanted=reached["10mm"],
         far_coverage_wanted=reached["15mm"],
         cross_talk_wanted=talk,
+        closed_wanted=closed,
     )
-    tensor = torch.tensor(frames, dtype=torch.float32)
-    errors = Shortfalls(tensor, hand, config, seed=0)(network)
-    assert errors == pytest.approx({"coverage": 0.0, "cross_talk": 0.0}, abs=0.03)
+    errors = shortfalls(hand, frames, config)(network)
+    assert errors == pytest.approx({"coverage": 0.0, "cross_talk": 0.0, "pinch": 0.0}, abs=0.03)
     config = dataclasses.replace(
-        config, far_coverage_wanted=1 - (1 - reached["15mm"]) / 1.5, cross_talk_wanted=2 * talk
+        config,
+        far_coverage_wanted=1 - (1 - reached["15mm"]) / 1.5,
+        cross_talk_wanted=2 * talk,
+        closed_wanted=1 - (1 - closed) / 4,
     )
-    errors = Shortfalls(tensor, hand, config, seed=0)(network)
-    assert errors == pytest.approx({"coverage": 0.5, "cross_talk": -0.5}, abs=0.05)
+    errors = shortfalls(hand, frames, config)(network)
+    assert errors == pytest.approx({"coverage": 0.5, "cross_talk": -0.5, "pinch": 3.0}, abs=0.05)
 
 
 def test_motion_comes_before_coverage(hand, network):
@@ -79,20 +91,26 @@ def test_motion_comes_before_coverage(hand, network):
     motion = motion_preservation(g, frames, np.random.default_rng(0))
     least = min(motion, motion_preservation_track(frames, g(frames)))
     config = CoupledConfig(motion_wanted=1 - (1 - least) / 1.2, coverage_wanted=0.99)
-    tensor = torch.tensor(frames, dtype=torch.float32)
-    assert Shortfalls(tensor, hand, config, seed=0)(network)["coverage"] == pytest.approx(-0.2, abs=0.02)
+    assert shortfalls(hand, frames, config)(network)["coverage"] == pytest.approx(-0.2, abs=0.02)
 
 
 def test_a_map_is_asked_the_same_each_time(hand, network):
     """Otherwise weights would follow the draws."""
-    shortfalls = Shortfalls(torch.tensor(toy_human(hand), dtype=torch.float32), hand, CoupledConfig(), 0)
-    assert shortfalls(network) == shortfalls(network)
+    asked = shortfalls(hand, toy_human(hand), CoupledConfig())
+    assert asked(network) == asked(network)
+
+
+def test_who_pinches_nothing_lacks_no_pinches(hand, network):
+    """There is no share of nothing."""
+    frames = toy_human(hand) + 0.1 * np.arange(len(hand.fingers))[:, None]
+    config = CoupledConfig(pinch_weight=0.0)
+    assert np.isnan(shortfalls(hand, frames, config)(network)["pinch"])
 
 
 def test_a_long_recording_is_thinned(hand, monkeypatch):
     """Evenly, so that all of it counts."""
     monkeypatch.setattr(coupled_wanted, "FRAMES", 50)
-    frames = torch.tensor(toy_human(hand), dtype=torch.float32)
-    kept = Shortfalls(frames, hand, CoupledConfig(), 0)._frames
+    frames = toy_human(hand)
+    kept = shortfalls(hand, frames, CoupledConfig())._frames
     assert 25 <= len(kept) <= 50 < len(frames)
-    np.testing.assert_array_equal(kept, frames[:: len(frames) // 50 + 1])
+    np.testing.assert_allclose(kept, frames[:: len(frames) // 50 + 1], rtol=1e-6)

@@ -6,6 +6,7 @@ import numpy as np
 
 from geort_drake.gloves.recording import PINCH_M
 from geort_drake.hands.model import HandModel
+from geort_drake.retargeting.map_figures import pinched_distances
 
 APART_DISTANCE = 0.030  # m, human fingertips farther apart do not mean to pinch
 TOO_DEEP = 0.004  # m, nearer robot fingertips fight each other
@@ -34,9 +35,6 @@ def pinch(
     others = [i for i in range(len(finger_names)) if i != thumb]
     human = np.linalg.norm(frames[:, others] - frames[:, [thumb]], axis=-1)
     robot = np.linalg.norm(p_BF[:, others] - p_BF[:, [thumb]], axis=-1)
-    nearest = human.argmin(axis=1)
-    rows = np.arange(len(human))
-    in_pinch = human[rows, nearest] < PINCH_M
     apart = human > APART_DISTANCE
 
     def figures(distance: np.ndarray) -> dict:
@@ -50,7 +48,7 @@ def pinch(
             "frames": len(distance),
         }
 
-    return figures(robot[rows, nearest][in_pinch]) | {
+    return figures(pinched_distances(human, robot, PINCH_M)) | {
         "false": float((robot[apart] <= 2 * tip_radius).mean()) if apart.any() else None,
         "all_pairs": figures(robot[human < PINCH_M]),
     }

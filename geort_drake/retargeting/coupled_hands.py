@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from geort_drake.retargeting.clouds import first_in_voxels
+from geort_drake.retargeting.clouds import first_in_voxels, rarity
 from geort_drake.retargeting.coupled_losses import pair_distances
 from geort_drake.retargeting.criteria import pinch_weights
 from geort_drake.retargeting.human_data import HumanData
@@ -57,6 +57,12 @@ class TrainingHands:
             torch.tensor(first_in_voxels(human.frames[:, i], config.human_voxel))
             for i in range(len(self.mean))
         ]
+        # How likely a frame is drawn; None for all alike.
+        self._odds = None
+        if config.even_share > 0:
+            odds = rarity(human.frames.reshape(len(human.frames), -1), config.posture_radius)
+            odds = config.even_share * odds / odds.mean() + 1.0 - config.even_share
+            self._odds = torch.tensor(odds)
         # Real steps of the recording, as numbers of frames in the order they were recorded.
         p_HF = np.asarray(p_HF, dtype=float)
         self._track = self._tensor(p_HF)
@@ -74,7 +80,7 @@ class TrainingHands:
 
     def recorded(self, count: int) -> torch.Tensor:
         """(count, F, 3) real instants."""
-        return self.frames[self.draw(len(self.frames), count)]
+        return self.frames[self._some_of(None, count)]
 
     def recombined(self, count: int) -> torch.Tensor:
         """(count, F, 3) hands, each fingertip from an instant of its own."""
@@ -85,15 +91,24 @@ class TrainingHands:
     def one_moved(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Hands (F, count, F, 3) and displacements d (F, count, 3) of the finger of the first axis, m.
 
-        In a share of the hands the other fingers are from instants of their own.
+        Shares of the hands are recorded ones, made-up pinches, and such whose other fingers are from instants
+        of their own. In the rest, recorded too, all places of the moved finger are alike.
         """
-        fingers = self.frames.shape[1]
+        config, fingers = self._config, self.frames.shape[1]
         rows = torch.stack([anchors[self.draw(len(anchors), count)] for anchors in self._anchors])
         hands = self._displaced(self.frames[rows].flatten(0, 1)).reshape(fingers, count, fingers, 3)
-        strange = int(self._config.strange_hand_share * count)
+        shares = config.strange_hand_share, config.recorded_hand_share, config.pinching_hand_share
+        strange, recorded, pinching = (int(share * count) for share in shares)
         others = self.recombined(fingers * strange).reshape(fingers, strange, fingers, 3)
         own = torch.eye(fingers, dtype=torch.bool)[:, None, :, None]
         hands[:, :strange] = torch.where(own, hands[:, :strange], others)
+        if recorded:
+            some = self._displaced(self.recorded(fingers * recorded))
+            hands[:, strange : strange + recorded] = some.reshape(fingers, recorded, fingers, 3)
+        if pinching and len(self._near):
+            some, _ = self.made_up_pinches(fingers * pinching)
+            # Those with strange fingers come first, and every finger should have its part of them.
+            hands[:, count - pinching :] = some.reshape(pinching, fingers, fingers, 3).transpose(0, 1)
         d = self.normal((fingers, count, 3))
         length = torch.rand((fingers, count, 1), generator=self._generator)
         return hands, d / d.norm(dim=-1, keepdim=True) * (0.001 + 0.01 * length)
@@ -107,7 +122,7 @@ class TrainingHands:
 
     def pinches(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Up to 2 · count hands that pinch, real and made up, and the weights (N, P) of their pairs."""
-        real = self._pinching[self.draw(len(self._pinching), count)]
+        real = self._some_of(self._pinching, count)
         hands, weights = self.made_up_pinches(count)
         return torch.cat([self.frames[real], hands]), torch.cat([self._weights[real], weights])
 
@@ -147,6 +162,16 @@ class TrainingHands:
         which = torch.rand((len(hands), 1, 1), generator=self._generator)
         offset = config.spread * self.normal(hands.shape)
         return hands + torch.where(which < config.spread_share, offset, 0.0)
+
+    def _some_of(self, rows: torch.Tensor | None, count: int) -> torch.Tensor:
+        """`count` of these frames' numbers, or of all; none where there are none."""
+        there = len(self.frames if rows is None else rows)
+        if self._odds is None or not there or not count:
+            drawn = self.draw(there, count)
+        else:
+            odds = self._odds if rows is None else self._odds[rows]
+            drawn = odds.multinomial(count, replacement=True, generator=self._generator)
+        return drawn if rows is None else rows[drawn]
 
     def draw(self, length: int, count: int) -> torch.Tensor:
         """`count` numbers below `length`; none where there is nothing to draw from."""

@@ -11,7 +11,7 @@ from geort_drake.retargeting.beside import result_of
 FROM = 0.8  # of the descent; before, the learning rate keeps the map from what it will be
 EVERY = 80  # steps between measurements
 RATE = 0.7  # per measurement and relative error
-LEAST = 0.5  # of a factor
+LARGEST = 0.5  # relative error that counts in one measurement, so that none turns a weight over
 
 
 class Prices:
@@ -27,14 +27,14 @@ class Prices:
         factors: name → factor.
     """
 
-    def __init__(self, most: Mapping[str, float], measure: Callable[[nn.Module], Future]):
-        """Takes a name and the greatest factor of each loss.
+    def __init__(self, limits: Mapping[str, tuple[float, float]], measure: Callable[[nn.Module], Future]):
+        """Takes a name and the least and the greatest factor of each loss.
 
         `measure` begins to find by how much of it each figure is worse than wanted, negative where it is
         better.
         """
-        self.factors = dict.fromkeys(most, 1.0)
-        self._most, self._measure = most, measure
+        self.factors = dict.fromkeys(limits, 1.0)
+        self._limits, self._measure = limits, measure
         self._coming: Future | None = None
 
     def follow(self, network: nn.Module, step: int, steps: int) -> None:
@@ -44,7 +44,8 @@ class Prices:
         if self._coming is not None:
             for name, error in result_of(self._coming).items():
                 if math.isfinite(error):
-                    factor = self.factors[name] * math.exp(RATE * error)
-                    self.factors[name] = min(max(factor, LEAST), self._most[name])
+                    least, most = self._limits[name]
+                    factor = self.factors[name] * math.exp(RATE * min(max(error, -LARGEST), LARGEST))
+                    self.factors[name] = min(max(factor, least), most)
         if step + EVERY < steps:
             self._coming = self._measure(network)

@@ -29,6 +29,9 @@ from geort_drake.retargeting.training import TrainingConfig, TrainingResult
 
 TIP_MARGIN = 0.003  # m; apart fingertips are kept this far from touching
 WORTH_A_PROCESS = 300  # steps
+# Of weights that follow. Hardly more of coverage: a part of a recording has less to cover with, and would
+# pay in motion. No less of pinches: those that were not seen close less well than those that were.
+FACTORS = {"coverage": (0.5, 1.1), "cross_talk": (0.5, 1.4), "pinch": (1.0, 3.0)}
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,7 @@ class CoupledConfig(TrainingConfig):
     coverage_wanted: float = 0.785  # at 10 mm
     far_coverage_wanted: float = 0.945  # at 15 mm
     cross_talk_wanted: float = 0.0352
+    closed_wanted: float = 0.9  # of pinches
     response_band: float = 0.6  # of log gain around its median
     pinch_wanted: float = 0.0105  # m; between a touch (two tip radii) and fingertips in one place
     pinch_scale: float = 0.008  # m
@@ -67,6 +71,10 @@ class CoupledConfig(TrainingConfig):
     pinch_spread: float = 0.005  # m; of the points at which made-up pinches meet
     strange_pinch_share: float = 0.8  # of made-up pinches: other fingers are from another instant
     strange_hand_share: float = 0.4  # of moved hands: other fingers are from instants of their own
+    recorded_hand_share: float = 0.0  # of moved hands: whole hands, see `even_share`
+    pinching_hand_share: float = 0.0  # of moved hands: made-up pinches
+    even_share: float = 0.0  # of recorded hands: postures are alike, however long they were held
+    posture_radius: float = 0.040  # m, over all fingertips; how near hands are the same posture
     spread: float = 0.006  # m; standard deviation by which the fingertips of some hands are displaced
     spread_share: float = 0.3  # which part of the moved hands and of the steps that is
     jitter: float = 0.004  # m; of the frames that must not collide
@@ -81,7 +89,7 @@ class CoupledConfig(TrainingConfig):
     def validate(self) -> None:
         """Raises TrainingError where a value makes no sense."""
         super().validate()
-        for name in ("motion_wanted", "coverage_wanted", "far_coverage_wanted"):
+        for name in ("motion_wanted", "coverage_wanted", "far_coverage_wanted", "closed_wanted"):
             if (value := getattr(self, name)) >= 1:
                 raise TrainingError(f"training config: {name} must be below 1, it is {value}")
         if self.cross_talk_wanted <= 0:
@@ -160,7 +168,7 @@ class CoupledTraining:
         # What is asked beside the descent; all of it is on the CPU.
         self.asked: dict[str, Callable] = {
             "batches": BatchMaker(self.hands, space, gaps, config),
-            "shortfalls": Shortfalls(self.hands.frames, kinematics, config, seed),
+            "shortfalls": Shortfalls(self.hands, kinematics, config, seed),
         }
         mean, scale = self.hands.mean, self.hands.scale
         self.network = CoupledNetwork(
@@ -178,8 +186,7 @@ class CoupledTraining:
         process = config.steps >= WORTH_A_PROCESS and usable_cores() > 1
         with Beside(self.asked, process) as beside:
             self.batches = Batches(partial(beside.start, "batches"), self.device)
-            # Hardly more of coverage: a part of a recording has less to cover with, and would pay in motion.
-            self.prices = Prices({"coverage": 1.1, "cross_talk": 1.4}, partial(beside.start, "shortfalls"))
+            self.prices = Prices(FACTORS, partial(beside.start, "shortfalls"))
             descent = descend(
                 self.network,
                 self._losses,

@@ -1,12 +1,14 @@
 """By how much a map of `geort_coupled` is worse than it should be, measured while it is trained."""
 
 import functools
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import nn
 
+from geort_drake.retargeting.coupled_hands import TrainingHands
 from geort_drake.retargeting.kinematics import HandKinematics
 from geort_drake.retargeting.map_figures import (
     ROBOT_SAMPLES,
@@ -14,6 +16,7 @@ from geort_drake.retargeting.map_figures import (
     cross_talk,
     motion_preservation,
     motion_preservation_track,
+    pinched_distances,
     robot_voxels,
 )
 
@@ -26,18 +29,22 @@ TALKING = 1000  # the same for cross-talk
 
 
 class Shortfalls:
-    """Relative errors of coverage and cross-talk over the whole recording, as an evaluation measures them.
+    """Relative errors of coverage, cross-talk and pinches on a whole recording, as an evaluation has them.
 
     Motion comes first: coverage is too high where motion preservation is too low.
     """
 
-    def __init__(self, frames: torch.Tensor, kinematics: HandKinematics, config: "CoupledConfig", seed: int):
-        """Takes real frames (T, F, 3), m."""
-        self._frames = frames[:: len(frames) // FRAMES + 1].numpy()
+    def __init__(self, hands: TrainingHands, kinematics: HandKinematics, config: "CoupledConfig", seed: int):
+        """Takes the hands of a recording."""
+        self._frames = hands.frames[:: len(hands.frames) // FRAMES + 1].numpy()
+        self._pairs = np.array(hands.pairs)
         self._kinematics, self._config, self._seed = kinematics, config, seed
 
     def __call__(self, network: nn.Module) -> dict[str, float]:
-        """By the name of the figure, positive where there is too little coverage, or too much cross-talk."""
+        """By the name of the loss, positive where coverage or closed pinches lack, or cross-talk is too much.
+
+        NaN of what the recording does not show.
+        """
 
         def g(p_HF: np.ndarray) -> np.ndarray:
             hands = torch.tensor(p_HF, dtype=torch.float32)
@@ -55,7 +62,17 @@ class Shortfalls:
         return {
             "coverage": min(max(near, far) - 1.0, 1.0 - motion),
             "cross_talk": talk / config.cross_talk_wanted - 1.0,
+            "pinch": self._open_pinches(p_BF) / (1.0 - config.closed_wanted) - 1.0,
         }
+
+    def _open_pinches(self, p_BF: np.ndarray) -> float:
+        """The share of pinches in which the robot's fingertips (T, F, 3), m, do not meet."""
+        first, second = self._pairs.T
+        human, robot = (
+            np.linalg.norm(tips[:, first] - tips[:, second], axis=-1) for tips in (self._frames, p_BF)
+        )
+        pinched = pinched_distances(human, robot, self._config.pinch_threshold)
+        return float((pinched > 2 * self._kinematics.tip_radius).mean()) if len(pinched) else math.nan
 
     @functools.cached_property
     def _voxels(self) -> list[np.ndarray]:

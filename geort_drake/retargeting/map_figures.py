@@ -1,4 +1,4 @@
-"""Motion preservation, coverage and cross-talk: what a training steers by and an evaluation reports.
+"""Motion preservation, coverage, cross-talk and pinches: what a training steers by and an evaluation reports.
 
 Functions take g = FK∘f, "where do the robot's fingertips (N, F, 3) go for human fingertips (N, F, 3)",
 in metres; randomness enters as a NumPy Generator.
@@ -83,6 +83,15 @@ def cross_talk(g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, an
         others = (motion.sum() - motion[finger]) / (fingers - 1)
         ratios.append(others / motion[finger] if motion[finger] > 0 else (np.inf if others > 0 else 0.0))
     return float(np.mean(ratios))
+
+
+def pinched_distances(human: np.ndarray, robot: np.ndarray, threshold: float) -> np.ndarray:
+    """How far apart the robot's fingertips are where a person pinches, (n,) in m.
+
+    Of each hand whose nearest pair is less than `threshold` apart, that pair; human, robot: (T, P) in m.
+    """
+    nearest, rows = human.argmin(axis=1), np.arange(len(human))
+    return robot[rows, nearest][human[rows, nearest] < threshold]
 
 
 def moved(g: FingertipMap, x: np.ndarray, finger: int, d: np.ndarray) -> np.ndarray:
