@@ -63,7 +63,7 @@ class CoupledConfig(TrainingConfig):
     coverage_wanted: float = 0.785  # at 10 mm
     far_coverage_wanted: float = 0.945  # at 15 mm
     cross_talk_wanted: float = 0.0352
-    closed_wanted: float = 0.9  # of pinches
+    closed_wanted: float = 0.5  # of pinches
     response_band: float = 0.6  # of log gain around its median
     pinch_wanted: float = 0.0105  # m; between a touch (two tip radii) and fingertips in one place
     pinch_scale: float = 0.008  # m
@@ -92,6 +92,12 @@ class CoupledConfig(TrainingConfig):
         for name in ("motion_wanted", "coverage_wanted", "far_coverage_wanted", "closed_wanted"):
             if (value := getattr(self, name)) >= 1:
                 raise TrainingError(f"training config: {name} must be below 1, it is {value}")
+        shares = ("strange_hand_share", "recorded_hand_share", "pinching_hand_share")
+        if (total := sum(getattr(self, name) for name in shares)) > 1:
+            raise TrainingError(
+                f"training config: {', '.join(shares)} are of the same hands and must not exceed 1 together, "
+                f"they are {total:g}"
+            )
         if self.cross_talk_wanted <= 0:
             raise TrainingError(
                 f"training config: cross_talk_wanted must be positive, it is {self.cross_talk_wanted}"
