@@ -7,7 +7,8 @@ import pytest
 import torch
 from retargeting_toy import toy_human, toy_kinematics
 
-from geort_drake.retargeting.coupled_hands import STEP_LAGS, STEP_RANGE, TrainingHands
+from geort_drake.retargeting import coupled_hands
+from geort_drake.retargeting.coupled_hands import STEP_LAGS, STEP_RANGE, TrainingHands, rarity
 from geort_drake.retargeting.coupled_training import CoupledConfig
 
 NAMES = ("thumb", "index", "middle")
@@ -145,3 +146,15 @@ def test_a_hand_without_near_fingertips_makes_up_no_pinches(human):
     apart = human + np.array([0.0, 0.0, 0.5]) * np.array([0, 1, 1])[:, None]
     hands, weights = hands_of(apart, dataclasses.replace(RECORDED, pinch_weight=0.0)).pinches(10)
     assert hands.shape == (0, 3, 3) and weights.shape == (0, 2)
+
+
+@pytest.mark.parametrize("counted", [5000, 300])
+def test_rare_points_weigh_more_so_that_places_weigh_alike(rng, monkeypatch, counted):
+    """In any number of dimensions, and nearly so where not all are counted."""
+    monkeypatch.setattr(coupled_hands, "COUNTED", counted)
+    points = np.concatenate([n + rng.uniform(0.0, 0.1, (count, 6)) for n, count in enumerate((900, 100, 1))])
+    odds = rarity(rng.permutation(points), 0.5)
+    order = np.sort(odds)
+    assert order[:900] == pytest.approx(np.full(900, 1001 / 900), rel=0.1)
+    assert order[900:1000] == pytest.approx(np.full(100, 1001 / 100), rel=0.4)
+    assert order[1000] > 5 * order[999]

@@ -1,9 +1,6 @@
-"""Point clouds of fingertips, and of hands: how often a place was visited should not matter."""
+"""Point clouds of fingertips, thinned so that how often a place was visited does not matter."""
 
 import numpy as np
-from scipy.spatial import cKDTree
-
-COUNTED = 5000  # points
 
 
 def voxel_index(points: np.ndarray, size: float) -> np.ndarray:
@@ -25,17 +22,6 @@ def voxel_centres(points: np.ndarray, size: float) -> np.ndarray:
     """Centres (M, 3) of the voxels of edge `size` that points (N, 3) hit."""
     cells = voxel_index(points, size)
     return (cells[_first_of_each(cells)] + 0.5) * size
-
-
-def rarity(points: np.ndarray, radius: float) -> np.ndarray:
-    """For each point (N, D), distinct ones, one over the share of all that is within `radius` of it.
-
-    Drawn with these odds, what was visited for long is no likelier than what was passed through. Of more than
-    COUNTED points some are counted, evenly.
-    """
-    some = points[:: len(points) // COUNTED + 1]
-    near = cKDTree(some).query_ball_point(points, radius, return_length=True)
-    return len(some) / np.maximum(near, 1)
 
 
 def _first_of_each(cells: np.ndarray) -> np.ndarray:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 
-from geort_drake.retargeting.clouds import first_in_voxels, rarity
+from geort_drake.retargeting.clouds import first_in_voxels
 from geort_drake.retargeting.coupled_losses import pair_distances
 from geort_drake.retargeting.criteria import pinch_weights
 from geort_drake.retargeting.human_data import HumanData
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from geort_drake.retargeting.coupled_training import CoupledConfig
 
 STEP_LAGS = (1, 2, 3, 4)  # frames
+COUNTED = 5000  # hands, among which others like a hand are counted
 STEP_RANGE = (0.001, 0.03)  # m; shorter real steps are noise, longer ones gaps in the recording
 
 
@@ -179,3 +181,14 @@ class TrainingHands:
 
     def _tensor(self, array: np.ndarray) -> torch.Tensor:
         return torch.tensor(array, dtype=torch.float32)
+
+
+def rarity(points: np.ndarray, radius: float) -> np.ndarray:
+    """For each point (N, D), distinct ones, one over the share of all that is within `radius` of it.
+
+    Drawn with these odds, what was visited for long is no likelier than what was passed through. Of more than
+    COUNTED points some are counted, evenly.
+    """
+    some = points[:: len(points) // COUNTED + 1]
+    near = cKDTree(some).query_ball_point(points, radius, return_length=True)
+    return len(some) / np.maximum(near, 1)
