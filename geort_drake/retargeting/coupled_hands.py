@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from geort_drake.retargeting.coupled_training import CoupledConfig
 
 STEP_LAGS = (1, 2, 3, 4)  # frames
-COUNTED = 5000  # hands, among which others like a hand are counted
 STEP_RANGE = (0.001, 0.03)  # m; shorter real steps are noise, longer ones gaps in the recording
+COUNTED = 5000  # hands, among which others like a hand are counted
 
 
 class TrainingHands:

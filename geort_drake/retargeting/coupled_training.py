@@ -93,7 +93,7 @@ class CoupledConfig(TrainingConfig):
             if (value := getattr(self, name)) >= 1:
                 raise TrainingError(f"training config: {name} must be below 1, it is {value}")
         shares = ("strange_hand_share", "recorded_hand_share", "pinching_hand_share")
-        if (total := sum(getattr(self, name) for name in shares)) > 1:
+        if (total := sum(getattr(self, name) for name in shares)) > 1 + 1e-9:
             raise TrainingError(
                 f"training config: {', '.join(shares)} are of the same hands and must not exceed 1 together, "
                 f"they are {total:g}"
