@@ -135,7 +135,8 @@ def _run(
 
 def _sweep(arguments: argparse.Namespace) -> int:
     """Trains what a sweep still lacks, and writes its tables and plot."""
-    runs = plan(arguments.methods, arguments.seeds, arguments.sweep, arguments.set)
+    hand = load_hand(arguments.hand)
+    runs = plan(arguments.methods, arguments.seeds, arguments.sweep, arguments.set, hand)
     ground = Ground.of(arguments.hand, arguments.recording, runs[0].common)
     sweep = Sweep(runs, ground, arguments.output)
     failed = []

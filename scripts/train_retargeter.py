@@ -170,13 +170,14 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
     """Fields of the method's config out of --preset, --set, --steps and --fk, the later ones first."""
     method = arguments.method
-    config = training_config(method)
+    hand = load_hand(arguments.hand)
+    config = training_config(method, hand=hand)
     if arguments.preset is not None and method != "geort":
         raise TrainingError(f"--preset {arguments.preset} is a preset of geort, not of {method}")
     settings = dict(PRESETS[arguments.preset]) if arguments.preset else {}
     settings |= parse_settings(arguments.set, config, method)
     settings |= {name: value for name in ("steps", "fk") if (value := getattr(arguments, name)) is not None}
-    training_config(method, settings)
+    training_config(method, settings, hand)
     return settings
 
 

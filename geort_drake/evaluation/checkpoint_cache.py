@@ -46,8 +46,8 @@ def cached_checkpoint(
     Raises:
         HandError, RecordingError, TrainingError, UnknownNameError: see `train_checkpoint`.
     """
-    config = training_config(method, settings)
     hand = HandModel(load_hand(hand_name))
+    config = training_config(method, settings, hand.description)
     facts = {
         "hand": hand.digest,
         "recording": recording.digest,

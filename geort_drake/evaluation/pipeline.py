@@ -7,10 +7,11 @@ import time
 import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from geort_drake.errors import RecordingError, UnknownNameError
+from geort_drake.errors import GeortError, HandError, RecordingError, UnknownNameError
 from geort_drake.evaluation.metrics import evaluate
 from geort_drake.evaluation.training_bars import TrainingBars
 from geort_drake.evaluation.versions import git_state, versions
@@ -19,7 +20,7 @@ from geort_drake.gloves.range_of_motion import narrow_motions
 from geort_drake.gloves.readers import read_recording
 from geort_drake.gloves.recording import Recording
 from geort_drake.hands.canonical import canonical_kinematics, canonical_shapes
-from geort_drake.hands.description import load_hand
+from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.samples import robot_data
 from geort_drake.retargeting.baselines.linear_offline import train_linear_offline
@@ -29,7 +30,7 @@ from geort_drake.retargeting.descent import Report
 from geort_drake.retargeting.retargeter import METHODS as RETARGETERS
 from geort_drake.retargeting.trained_space import trained_points
 from geort_drake.retargeting.training import Trainer, TrainingConfig, train_geort
-from geort_drake.settings import check_names
+from geort_drake.settings import check_names, parse_settings
 
 DEFAULT_METHOD = "geort_coupled"
 # Name of a retargeting method → the function that trains it, and the settings it has.
@@ -49,19 +50,40 @@ LABELLED = frozenset({"geort"})
 SHAPED = frozenset({"geort_coupled"})
 
 
-def training_config(method: str, settings: Mapping | None = None) -> TrainingConfig:
-    """The configuration of a method, with `settings` in place of its defaults.
+def training_config(
+    method: str, settings: Mapping | None = None, hand: HandDescription | None = None
+) -> TrainingConfig:
+    """The configuration of a method: its defaults, then what the hand's description sets, then `settings`.
 
     Raises:
         UnknownNameError: no such method or setting; the message lists those there are.
+        HandError: the description's settings are unusable.
         TrainingError: a value makes no sense.
     """
     if method not in METHODS:
         raise UnknownNameError("retargeting method", method, METHODS)
     check_names(settings or {}, CONFIGS[method], method)
-    config = CONFIGS[method](**(settings or {}))
+    config = CONFIGS[method](**{**(hand_settings(hand, method) if hand else {}), **(settings or {})})
     config.validate()
     return config
+
+
+def hand_settings(hand: HandDescription, method: str) -> dict[str, Any]:
+    """The settings of a method that a hand's description has in place of defaults.
+
+    Raises:
+        HandError: they are of no method, or none of the method's, or not of its type.
+    """
+    try:
+        for name in hand.training:
+            if name not in METHODS:
+                raise UnknownNameError("retargeting method", name, METHODS)
+        texts = [f"{name}={value:.15g}" for name, value in hand.training.get(method, {}).items()]
+        settings = parse_settings(texts, CONFIGS[method], method)
+        CONFIGS[method](**settings).validate()
+    except GeortError as error:
+        raise HandError(f"hand '{hand.name}': training: {error}") from error
+    return settings
 
 
 def train_checkpoint(
@@ -86,7 +108,7 @@ def train_checkpoint(
         seed: of everything random: robot samples, synthetic play, training and metrics.
         device: "cpu" or "cuda".
         show_progress: draw progress bars on stderr.
-        settings: fields of the method's config that differ from its defaults; see `CONFIGS`.
+        settings: fields of the method's config that differ from its defaults and the hand's; see `CONFIGS`.
         robot_samples: how many joint positions of the robot are sampled.
         report: see `Report`.
 
@@ -98,9 +120,9 @@ def train_checkpoint(
         HandError, RecordingError, TrainingError, UnknownNameError: something asked for is unusable.
         CheckpointError: `output` exists and is not a checkpoint.
     """
-    config = training_config(method, settings)
-    check_replaceable(output)
     description = load_hand(hand_name)
+    config = training_config(method, settings, description)
+    check_replaceable(output)
     hand = HandModel(description)
     kinematics = canonical_kinematics(hand)
     timings: dict[str, float] = {}

@@ -23,10 +23,12 @@ from geort_drake.retargeting.checkpoint import (
     load_checkpoint,
     save_checkpoint,
 )
+from geort_drake.retargeting.coupled_training import CoupledConfig
 from geort_drake.retargeting.descent import Report
 from geort_drake.retargeting.refit import FINE_TUNING, Tune, fine_tune, refit
 from geort_drake.retargeting.retargeter import METHODS as RETARGETERS
 from geort_drake.retargeting.trained_space import trained_points
+from geort_drake.settings import settings_of
 
 FINE_TUNED_METHOD = "geort_coupled"
 
@@ -78,7 +80,11 @@ def refit_checkpoint(
     tuned = steps > 0 and method == FINE_TUNED_METHOD
     tune: Tune | None = None
     if tuned:
-        config = dataclasses.replace(FINE_TUNING, steps=steps)
+        # What was wanted of the map still is; other versions may have had other settings.
+        known = settings_of(CoupledConfig)
+        wanted = {name: value for name, value in old.config["training"].items() if name in known}
+        wanted |= {name: getattr(FINE_TUNING, name) for name in ("learning_rate", "averaging")}
+        config = dataclasses.replace(FINE_TUNING, **wanted | {"steps": steps})
         # Those of the training, as they are kept.
         sampled = old.provenance.get("robot_data", {})
         kept = {key: sampled[key] for key in ("count", "seed") if key in sampled}

@@ -17,11 +17,11 @@ from joblib import delayed
 
 from geort_drake.errors import CheckpointError, GeortError, OutputError
 from geort_drake.evaluation.checkpoint_cache import TRAINING_CODE
-from geort_drake.evaluation.pipeline import train_checkpoint, training_config
+from geort_drake.evaluation.pipeline import hand_settings, train_checkpoint, training_config
 from geort_drake.evaluation.workers import workers
 from geort_drake.files import digest_of, require_writable, write_text
 from geort_drake.gloves.readers import read_recording
-from geort_drake.hands.description import load_hand
+from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.checkpoint import METRICS, PROVENANCE, load_checkpoint
 from geort_drake.retargeting.training import TrainingConfig
@@ -39,6 +39,7 @@ class Run:
     seed: int
     common: Mapping[str, Any] = field(default_factory=dict)  # settings of all runs
     change: tuple[str, float] | None = None  # the setting that differs, and its value
+    of_hand: Mapping[str, Any] = field(default_factory=dict)  # settings that the hand's description has
 
     @property
     def name(self) -> str:
@@ -54,7 +55,7 @@ class Run:
     @property
     def settings(self) -> dict[str, Any]:
         """What of it differs from the method's defaults, by name."""
-        return {**self.common, **dict([self.change] if self.change else [])}
+        return {**self.of_hand, **self.common, **dict([self.change] if self.change else [])}
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,11 @@ class Ground:
 
 
 def plan(
-    methods: Sequence[str], seeds: Sequence[int], changes: Sequence[str] = (), common: Sequence[str] = ()
+    methods: Sequence[str],
+    seeds: Sequence[int],
+    changes: Sequence[str] = (),
+    common: Sequence[str] = (),
+    hand: HandDescription | None = None,
 ) -> list[Run]:
     """The runs of a sweep, the default ones first.
 
@@ -94,22 +99,24 @@ def plan(
         seeds: every change is tried with each of them.
         changes: texts NAME=V1,V2,…; without any, every `*_weight` at 0, half and double its value.
         common: texts NAME=VALUE, settings of all runs.
+        hand: its own settings are defaults as well.
 
     Raises:
         UnknownNameError: no such method, or a method has no such setting.
-        GeortError: a text is malformed or a value makes no sense.
+        GeortError: a text is malformed or a value makes no sense, of the hand's settings too.
     """
     runs = []
     for method in methods:
-        default = training_config(method)
+        default = training_config(method, hand=hand)
         shared = parse_settings(common, default, method)
-        config = training_config(method, shared)
+        config = training_config(method, shared, hand)
         tried: list[tuple[str, float] | None] = [None]
         for name, value in _changes(method, config, changes):
-            training_config(method, {**shared, name: value})
+            training_config(method, {**shared, name: value}, hand)
             if value != getattr(config, name) and (name, value) not in tried:
                 tried.append((name, value))
-        runs += [Run(method, seed, shared, change) for change in tried for seed in dict.fromkeys(seeds)]
+        own = hand_settings(hand, method) if hand else {}
+        runs += [Run(method, seed, shared, change, own) for change in tried for seed in dict.fromkeys(seeds)]
     return runs
 
 

@@ -104,6 +104,8 @@ class HandDescription:
     ignored_collisions: list[list[str]] = dc.field(default_factory=list)
     actuation: ActuationDescription = dc.field(default_factory=ActuationDescription)
     mount: MountDescription = dc.field(default_factory=MountDescription)
+    # Settings of training that suit this hand better than a method's defaults: method, name, number.
+    training: dict[str, dict[str, float]] = dc.field(default_factory=dict)
 
     @property
     def joint_names(self) -> list[str]:

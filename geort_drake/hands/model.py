@@ -273,9 +273,9 @@ def tip_geometries(
 
 
 def _digest(description: HandDescription, model_sha256: str) -> str:
-    """SHA-256 over what decides the hand's behaviour, which is neither its file's place nor its arm."""
+    """SHA-256 over what decides the hand's behaviour, which its place, its arm and its training do not."""
     facts = dc.asdict(description) | {"model": model_sha256}
-    del facts["mount"], facts["actuation"]
+    del facts["mount"], facts["actuation"], facts["training"]
     # What a hand does without is no part of it, so that older checkpoints still fit theirs.
     for name in ("base_pose", "couplings", "ignored_collisions"):
         if getattr(description, name) == getattr(HandDescription(), name):

@@ -1,0 +1,89 @@
+"""Settings of training that a hand's description has."""
+
+import json
+
+import pytest
+import yaml
+from script_modules import load_script
+
+from geort_drake.errors import HandError
+from geort_drake.evaluation.pipeline import CONFIGS, training_config
+from geort_drake.evaluation.sweep import plan
+from geort_drake.gloves.play import synthesize_play
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.resources import models_dir
+
+OWN = {"geort": {"steps": 6, "coverage_weight": 3.5}, "geort_coupled": {"closed_wanted": 0.99}}
+
+
+@pytest.fixture
+def described(tmp_path):
+    """Writes a description of the Allegro with these settings, and returns its path."""
+
+    def write(training):
+        facts = yaml.safe_load((models_dir() / "hands" / "allegro_right.yaml").read_text())
+        path = tmp_path / "mine.yaml"
+        path.write_text(yaml.safe_dump(facts | {"training": training}))
+        return path
+
+    return write
+
+
+def test_they_replace_defaults_and_give_way_to_what_is_asked_for(described):
+    """Of the method in question alone, and with the type that the setting has."""
+    hand = load_hand(described(OWN))
+    assert training_config("geort", hand=hand) == CONFIGS["geort"](steps=6, coverage_weight=3.5)
+    assert isinstance(training_config("geort", hand=hand).steps, int)
+    assert training_config("geort", {"steps": 9}, hand).steps == 9
+    assert training_config("linear_offline", hand=hand) == CONFIGS["linear_offline"]()
+    assert training_config("geort_coupled", hand=hand).closed_wanted == 0.99
+
+
+def test_checkpoints_fit_the_hand_whatever_its_settings(described):
+    """They say how to train, not what the hand is."""
+    assert HandModel(load_hand(described(OWN))).digest == HandModel(load_hand("allegro_right")).digest
+
+
+def test_a_sweep_goes_around_them(described):
+    """Weights are halved from the hand's value; --set still comes first."""
+    hand = load_hand(described(OWN))
+    runs = plan(["geort"], [0], ["coverage_weight=3.5,7"], ["steps=8"], hand)
+    assert [run.change for run in runs] == [None, ("coverage_weight", 7.0)]
+    assert [run.config.steps for run in runs] == [8, 8]
+    assert [run.config.coverage_weight for run in runs] == [3.5, 7.0]
+    halved = [run.config.coverage_weight for run in plan(["geort"], [0], hand=hand)]
+    assert halved[:4] == [3.5, 0.0, 1.75, 7.0]
+
+
+def test_the_training_script_uses_and_keeps_them(described, tmp_path):
+    """A checkpoint says what it was trained with."""
+    synthesize_play(5, 12.0, 30.0).save(tmp_path / "play.npz")
+    train = load_script("train_retargeter.py").main
+    command = ["--hand", str(described(OWN)), "--recording", str(tmp_path / "play.npz"), "--method", "geort"]
+    rest = ["--robot_samples", "2000", "--set", "classifier_steps=5", "--quiet"]
+    assert train([*command, *rest, "--output", str(tmp_path / "map")]) == 0
+    training = json.loads((tmp_path / "map" / "config.json").read_text())["training"]
+    assert (training["steps"], training["coverage_weight"], training["classifier_steps"]) == (6, 3.5, 5)
+
+
+@pytest.mark.parametrize(
+    ("training", "message"),
+    [
+        ({"geort_couple": {}}, "training: unknown retargeting method 'geort_couple'.*geort_coupled"),
+        ({"geort": {"step": 1}}, "training: unknown setting of geort 'step'.*steps"),
+        ({"geort": {"steps": 1.5}}, "training: setting steps of geort: wants int, not '1.5'"),
+        ({"geort": {"coverage_weight": -1}}, "training: .*coverage_weight must be zero or positive"),
+        ({"geort": {"coverage_weight": float("nan")}}, "training: .*coverage_weight must be"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_with_the_hand_and_the_field(described, training, message):
+    """Before anything is trained."""
+    with pytest.raises(HandError, match=f"hand 'allegro_right': {message}"):
+        training_config("geort", hand=load_hand(described(training)))
+
+
+def test_what_is_no_number_is_refused_with_the_file(described):
+    """By the loader of descriptions."""
+    with pytest.raises(HandError, match=r"mine\.yaml is malformed.*'many'"):
+        load_hand(described({"geort": {"steps": "many"}}))
