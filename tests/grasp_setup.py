@@ -14,6 +14,8 @@ from geort_drake.simulation.grasp_planner import GraspPlanner
 from geort_drake.simulation.scenario import Scenario, load_scenario
 
 GAIN = 1.5
+# Of a scenario: too short to grasp anything, long enough to run through every part.
+TOO_SHORT = "{timeout: 0.3}"
 
 
 @cache
@@ -55,3 +57,8 @@ def scenario_with(object_name: str = "cylinder", text: str = "{}") -> Scenario:
     scenario = load_scenario(text=text)
     scenario.object.name = object_name
     return scenario
+
+
+def judged(record: dict) -> dict:
+    """A benchmark's line without the time that the trial took."""
+    return {name: value for name, value in record.items() if name != "wall_time"}

@@ -1,17 +1,15 @@
-"""The grasp benchmark: going on after an interruption, errors, backends and the report."""
+"""The grasp benchmark: going on after an interruption, errors, pairing and the report."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 import yaml
-from grasp_setup import person_and_rest, planned_goal
+from grasp_setup import TOO_SHORT, judged, person_and_rest, planned_goal
 from script_modules import load_script
 
-from geort_drake.errors import BenchmarkError, GeortError, OutputError, TrainingError, UnknownNameError
-from geort_drake.evaluation import grasp_benchmark, grasp_methods, grasp_trial, trial_sources, workers
+from geort_drake.errors import BenchmarkError, OutputError, TrainingError, UnknownNameError
+from geort_drake.evaluation import grasp_benchmark, grasp_methods, grasp_trial
 from geort_drake.evaluation.grasp_benchmark import keep_error, open_benchmark
 from geort_drake.evaluation.grasp_config import read_config
 from geort_drake.evaluation.grasp_methods import measure_latency, names_of
@@ -23,9 +21,6 @@ from geort_drake.simulation.diagram import make_grasp_diagram
 from geort_drake.simulation.scenario import load_scenario
 from geort_drake.simulation.trial import run_trial
 
-# Too short to grasp anything, long enough to run through every part.
-SHORT = "{timeout: 0.3}"
-
 
 @pytest.fixture(scope="module")
 def play():
@@ -36,7 +31,9 @@ def play():
 def benchmark(tmp_path_factory, play):
     """One object, a method without and one with a memory."""
     folder = tmp_path_factory.mktemp("benchmark")
-    return open_benchmark(folder, load_scenario(text=SHORT), play, ["hold", "vector_online"], ["cylinder"], 2)
+    return open_benchmark(
+        folder, load_scenario(text=TOO_SHORT), play, ["hold", "vector_online"], ["cylinder"], 2
+    )
 
 
 @pytest.fixture
@@ -51,13 +48,8 @@ def script(monkeypatch, play):
 def arguments(folder, *more: str) -> list[str]:
     return [
         "--output", str(folder), "--methods", "hold", "nearest_neighbour", "--objects", "cylinder",
-        "--jobs", "1", "--scenario_text", SHORT, "--trials", "2", *more,
+        "--jobs", "1", "--scenario_text", TOO_SHORT, "--trials", "2", *more,
     ]  # fmt: skip
-
-
-def judged(record: dict) -> dict:
-    """A line without the time that the trial took."""
-    return {name: value for name, value in record.items() if name != "wall_time"}
 
 
 # -- running, and going on
@@ -213,13 +205,13 @@ def test_another_configuration_is_refused_by_the_name_of_its_field(benchmark, pl
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     fresh = (["hold"], ["cylinder"], 2)
     other_play = synthesize_play(seed=1, duration_s=60)
-    assert open_benchmark(folder, load_scenario(text=SHORT), play, *fresh).config == benchmark.config
+    assert open_benchmark(folder, load_scenario(text=TOO_SHORT), play, *fresh).config == benchmark.config
     for field, scenario, recording, options in (
         ("scenario.timeout: 0.3, not 0.4", "{timeout: 0.4}", play, {}),
         ("scenario.operator.visual_delay", "{timeout: 0.3, operator: {visual_delay: 0.2}}", play, {}),
-        ("recording_sha256", SHORT, other_play, {}),
-        ("training_seed: 0, not 3", SHORT, play, {"seed": 3}),
-        ("latency: measured, not zero", SHORT, play, {"zero_latency": True}),
+        ("recording_sha256", TOO_SHORT, other_play, {}),
+        ("training_seed: 0, not 3", TOO_SHORT, play, {"seed": 3}),
+        ("latency: measured, not zero", TOO_SHORT, play, {"zero_latency": True}),
     ):
         with pytest.raises(BenchmarkError, match=f"begun with another {field}"):
             open_benchmark(folder, load_scenario(text=scenario), recording, *fresh, **options)
@@ -230,10 +222,10 @@ def test_results_without_their_configuration_are_not_taken_over(tmp_path, play):
     """They might be anything's."""
     (tmp_path / "trials.jsonl").write_text('{"method": "hold", "object": "cylinder", "seed": 0}\n')
     with pytest.raises(BenchmarkError, match=r"holds trials without their config\.json"):
-        open_benchmark(tmp_path, load_scenario(text=SHORT), play, ["hold"], ["cylinder"], 1)
+        open_benchmark(tmp_path, load_scenario(text=TOO_SHORT), play, ["hold"], ["cylinder"], 1)
     (tmp_path / "config.json").write_text('{"settings"')
     with pytest.raises(BenchmarkError, match=r"config\.json: not a benchmark's configuration"):
-        open_benchmark(tmp_path, load_scenario(text=SHORT), play, ["hold"], ["cylinder"], 1)
+        open_benchmark(tmp_path, load_scenario(text=TOO_SHORT), play, ["hold"], ["cylinder"], 1)
 
 
 @pytest.mark.parametrize(
@@ -354,7 +346,7 @@ def test_every_method_has_its_measured_latency_unless_none_is_wanted(benchmark, 
     assert stored["vector_online"]["latency_s"] > stored["hold"]["latency_s"] > 0
     assert benchmark.methods["vector_online"].latency == stored["vector_online"]["latency_s"]
     zero = open_benchmark(
-        tmp_path, load_scenario(text=SHORT), play, ["hold"], ["cylinder"], 1, zero_latency=True
+        tmp_path, load_scenario(text=TOO_SHORT), play, ["hold"], ["cylinder"], 1, zero_latency=True
     )
     assert zero.config["methods"]["hold"]["latency_s"] == 0 and zero.methods["hold"].latency == 0
     key, text, *rest = benchmark.arguments(TrialKey("vector_online", "cylinder", 0), planned_goal("cylinder"))
@@ -363,127 +355,6 @@ def test_every_method_has_its_measured_latency_unless_none_is_wanted(benchmark, 
     slow = grasp_trial.simulate(key, longer, retarget, 0.1, human)
     quick = grasp_trial.simulate(key, longer, retarget, 0.0, human)
     assert judged(slow) != judged(quick)
-
-
-# -- workers
-
-
-def run_all(benchmark, jobs: int, backend: str = "loky") -> list[dict]:
-    """Every trial's line in order, and without the time it took."""
-    goals = {"cylinder": planned_goal("cylinder")}
-    keys = benchmark.keys(["hold", "vector_online"], ["cylinder"], 2)
-    return sorted(map(judged, benchmark.run(keys, goals, jobs, backend)), key=key_of)
-
-
-def test_processes_give_what_one_process_gives(benchmark):
-    """Bit by bit, also for a method that remembers its last answer."""
-    alone = run_all(benchmark, 1)
-    assert [key_of(record) for record in alone] == [
-        TrialKey(method, "cylinder", seed) for method in ("hold", "vector_online") for seed in (0, 1)
-    ]
-    assert not any("error" in record for record in alone)
-    assert run_all(benchmark, 2) == alone
-
-
-@pytest.fixture(scope="module")
-def grasping(tmp_path_factory, play):
-    """One trial, long enough for a whole grasp by a method with a memory: the benchmark, goals and keys."""
-    scenario = load_scenario(text="{timeout: 9.0, monitor: {hold_time: 0.5}}")
-    folder = tmp_path_factory.mktemp("grasping")
-    made = open_benchmark(folder, scenario, play, ["vector_online"], ["cylinder"], 1, zero_latency=True)
-    return made, made.keys(["vector_online"], ["cylinder"], 1), {"cylinder": planned_goal("cylinder")}
-
-
-@pytest.fixture(scope="module")
-def grasped(grasping):
-    """Its line, from this process."""
-    made, keys, goals = grasping
-    (record,) = made.run(keys, goals, 1, "loky")
-    # In contact, small differences would grow.
-    assert {"TOUCH", "GRASP", "LIFT"} <= record["phase_times"].keys() and record["peak_force"] > 0.1
-    return judged(record)
-
-
-def test_a_whole_grasp_is_the_same_in_another_process(grasping, grasped):
-    """With all its contacts, to the last bit."""
-    made, keys, goals = grasping
-    (record,) = made.run(keys, goals, 2, "loky")
-    assert judged(record) == grasped
-
-
-def test_a_ray_cluster_gives_what_one_process_gives(benchmark, grasping, grasped, monkeypatch):
-    """On a local cluster of two workers that the test starts; a whole grasp, too."""
-    ray = pytest.importorskip("ray")
-    # The workers find the tests' own modules, and this package where it is not installed.
-    environment = {"env_vars": {"PYTHONPATH": ":".join(map(str, sys.path)), "OMP_NUM_THREADS": "1"}}
-    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    ray.init(num_cpus=2, include_dashboard=False, runtime_env=environment, log_to_driver=False)
-    try:
-        assert run_all(benchmark, 2, "ray") == run_all(benchmark, 1)
-        made, keys, goals = grasping
-        assert [judged(record) for record in made.run(keys, goals, 2, "ray")] == [grasped]
-        with pytest.raises(BenchmarkError, match="--jobs 3: the Ray cluster has 2 CPUs"):
-            run_all(benchmark, 3, "ray")
-    finally:
-        ray.shutdown()
-
-
-def test_without_ray_the_backend_says_what_to_install(benchmark, monkeypatch):
-    """The extra's name is in the message."""
-    monkeypatch.setitem(sys.modules, "ray.util.joblib.ray_backend", None)
-    with pytest.raises(GeortError, match=r"pip install 'geort-drake\[ray\]'"):
-        run_all(benchmark, 2, "ray")
-
-
-def test_a_worker_that_dies_leaves_a_message_that_helps(benchmark, monkeypatch):
-    """What is finished is kept, and one can go on."""
-    monkeypatch.setattr(grasp_benchmark, "simulate", _die)
-    with pytest.raises(BenchmarkError, match=r"a worker process ended.*run the same command again"):
-        run_all(benchmark, 2)
-
-
-def test_a_worker_that_loaded_other_code_is_named(benchmark, monkeypatch):
-    """As one that begins after the code was changed does; with what to do about it."""
-    monkeypatch.setattr(workers, "code_digest", lambda: "of before")
-    with pytest.raises(
-        BenchmarkError, match=r"code_sha256: a worker on .* not of before; what is finished is kept"
-    ):
-        run_all(benchmark, 2)
-
-
-def test_the_digest_covers_what_a_worker_loads_and_no_training():
-    """Every module of a worker that can change a trial, and those that are imported later."""
-    code = (
-        "import sys, geort_drake.evaluation.grasp_trial, geort_drake.retargeting.baselines.registry; "
-        "print(*[m.__file__ for n, m in sys.modules.items() if n.startswith('geort_drake.') and m.__file__])"
-    )
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    covered = {str(path) for path in trial_sources.trial_sources()}
-    rooms = ("/gloves/", "/hands/", "/operators/", "/retargeting/", "/simulation/", "/systems/")
-    needed = {
-        path for path in loaded.split() if any(room in path for room in rooms) and "__init__" not in path
-    }
-    assert len(needed) > 30 and needed <= covered
-    names = {path.rpartition("/")[2] for path in covered}
-    assert "coupled_retargeter.py" in names  # imported where a checkpoint asks for it
-    assert not any("rerun" in name for name in names)
-    assert not names & {"training.py", "descent.py", "coupled_training.py", "coupled_losses.py", "play.py"}
-
-
-def _die(*_):
-    import os
-
-    os._exit(1)
-
-
-def test_a_worker_loads_neither_torch_nor_what_draws():
-    """They would cost every worker seconds and memory."""
-    code = (
-        "import sys, geort_drake.evaluation.grasp_trial; "
-        "print([name for name in ('torch', 'matplotlib', 'rerun') if name in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
 
 
 def test_seeds_are_paired_across_methods(benchmark):

@@ -195,6 +195,19 @@ def test_the_script_writes_an_ordinary_checkpoint(trained):
     assert new.config["joint_names"] == old.config["joint_names"]
 
 
+def test_a_refit_wants_what_its_checkpoint_was_trained_for(trained, monkeypatch):
+    """But for the descent itself, which starts from a map that nearly fits."""
+    given = {}
+
+    def tune(arrays, *, config, **_):
+        given["config"] = config
+        return arrays, []
+
+    monkeypatch.setattr("geort_drake.evaluation.refitting.fine_tune", tune)
+    refit_checkpoint(trained / "old", synthesize_play(5, 12.0, 30.0), trained / "again", steps=10)
+    assert given["config"] == dataclasses.replace(FINE_TUNING, **SMALL, steps=10)
+
+
 def test_a_checkpoint_that_does_not_know_its_places_is_refused(trained):
     """As those of version 0.1."""
     old = load_checkpoint(trained / "old")
