@@ -39,6 +39,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     notes: list[str] = []
     if given.suffix in (".yaml", ".yml"):
         path, description = given, load_hand(given)
+        if description.training:
+            # Only here, as it loads PyTorch.
+            from geort_drake.evaluation.pipeline import DEFAULT_METHOD, training_config
+
+            training_config(DEFAULT_METHOD, hand=description)
     else:
         name = arguments.name or "".join(c if c.isalnum() else "_" for c in given.stem)
         path = arguments.output or models_dir() / "hands" / f"{name}.yaml"

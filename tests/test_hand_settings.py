@@ -74,6 +74,7 @@ def test_the_training_script_uses_and_keeps_them(described, tmp_path):
         ({"geort": {"step": 1}}, "training: unknown setting of geort 'step'.*steps"),
         ({"geort": {"steps": 1.5}}, "training: setting steps of geort: wants int, not '1.5'"),
         ({"geort": {"coverage_weight": -1}}, "training: .*coverage_weight must be zero or positive"),
+        ({"linear_offline": {"steps": 0}}, "training: .*steps must be"),
         ({"geort": {"coverage_weight": float("nan")}}, "training: .*coverage_weight must be"),
     ],
 )
@@ -81,6 +82,14 @@ def test_what_makes_no_sense_is_refused_with_the_hand_and_the_field(described, t
     """Before anything is trained."""
     with pytest.raises(HandError, match=f"hand 'allegro_right': {message}"):
         training_config("geort", hand=load_hand(described(training)))
+
+
+def test_the_check_of_a_description_covers_them(described):
+    """Where corrections are checked, whichever method they are for."""
+    check = load_script("add_hand.py").main
+    check([str(described(OWN))])
+    with pytest.raises(HandError, match="training: unknown setting of linear_offline 'closed_wanted'"):
+        check([str(described({"linear_offline": {"closed_wanted": 0.9}}))])
 
 
 def test_what_is_no_number_is_refused_with_the_file(described):

@@ -72,18 +72,19 @@ def hand_settings(hand: HandDescription, method: str) -> dict[str, Any]:
     """The settings of a method that a hand's description has in place of defaults.
 
     Raises:
-        HandError: they are of no method, or none of the method's, or not of its type.
+        HandError: those of any method are of no method, or none of the method's, or make no sense.
     """
+    settings = {}
     try:
-        for name in hand.training:
-            if name not in METHODS:
-                raise UnknownNameError("retargeting method", name, METHODS)
-        texts = [f"{name}={value:.15g}" for name, value in hand.training.get(method, {}).items()]
-        settings = parse_settings(texts, CONFIGS[method], method)
-        CONFIGS[method](**settings).validate()
+        for of, numbers in hand.training.items():
+            if of not in METHODS:
+                raise UnknownNameError("retargeting method", of, METHODS)
+            texts = [f"{name}={number:.15g}" for name, number in numbers.items()]
+            settings[of] = parse_settings(texts, CONFIGS[of], of)
+            CONFIGS[of](**settings[of]).validate()
     except GeortError as error:
         raise HandError(f"hand '{hand.name}': training: {error}") from error
-    return settings
+    return settings.get(method, {})
 
 
 def train_checkpoint(
