@@ -56,15 +56,17 @@ def test_a_sweep_goes_around_them(described):
     assert halved[:4] == [3.5, 0.0, 1.75, 7.0]
 
 
+@pytest.mark.usefixtures("light_evaluation")
 def test_the_training_script_uses_and_keeps_them(described, tmp_path):
     """A checkpoint says what it was trained with."""
     synthesize_play(5, 12.0, 30.0).save(tmp_path / "play.npz")
     train = load_script("train_retargeter.py").main
-    command = ["--hand", str(described(OWN)), "--recording", str(tmp_path / "play.npz"), "--method", "geort"]
-    rest = ["--robot_samples", "2000", "--set", "classifier_steps=5", "--quiet"]
+    hand = described({"linear_offline": {"steps": 6, "hidden": 9}})
+    command = ["--hand", str(hand), "--recording", str(tmp_path / "play.npz"), "--method", "linear_offline"]
+    rest = ["--robot_samples", "2000", "--set", "points=5", "--quiet"]
     assert train([*command, *rest, "--output", str(tmp_path / "map")]) == 0
     training = json.loads((tmp_path / "map" / "config.json").read_text())["training"]
-    assert (training["steps"], training["coverage_weight"], training["classifier_steps"]) == (6, 3.5, 5)
+    assert (training["steps"], training["hidden"], training["points"]) == (6, 9, 5)
 
 
 @pytest.mark.parametrize(
