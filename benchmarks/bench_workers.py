@@ -2,8 +2,7 @@
 
 python benchmarks/bench_workers.py --retargeter runs/allegro_right --json workers.json
 
-Each number of workers runs the same trials in turns; results must be equal. One worker is this process
-itself, several are new processes in every turn.
+Each number of workers runs the same trials in turns, in new processes; results must be equal.
   trials/min      of the whole turn, the workers' start included
   once begun      of the trials alone: their mean time against the number of workers
   start           from the beginning of the turn to that of the last worker's first trial

@@ -1,14 +1,18 @@
 """A benchmark's workers: processes here and a Ray cluster give what one process gives."""
 
+import os
 import subprocess
 import sys
+import time
 
+import numpy as np
 import pytest
 from grasp_setup import TOO_SHORT, judged, planned_goal
 
 from geort_drake.errors import BenchmarkError, GeortError
 from geort_drake.evaluation import grasp_benchmark, trial_sources, workers
 from geort_drake.evaluation.grasp_benchmark import open_benchmark
+from geort_drake.evaluation.grasp_trial import simulate
 from geort_drake.evaluation.trial_log import TrialKey, key_of
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.simulation.scenario import load_scenario
@@ -33,14 +37,28 @@ def run_all(benchmark, jobs: int, backend: str = "loky") -> list[dict]:
     return sorted(map(judged, benchmark.run(keys, goals, jobs, backend)), key=key_of)
 
 
-def test_processes_give_what_one_process_gives(benchmark):
+@pytest.fixture(scope="module")
+def alone(benchmark) -> list[dict]:
+    """The same lines, of trials simulated in this process."""
+    goal = planned_goal("cylinder")
+    keys = benchmark.keys(["hold", "vector_online"], ["cylinder"], 2)
+    return sorted((judged(simulate(*benchmark.arguments(key, goal))) for key in keys), key=key_of)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_processes_give_what_one_process_gives(benchmark, alone, jobs):
     """Bit by bit, also for a method that remembers its last answer."""
-    alone = run_all(benchmark, 1)
     assert [key_of(record) for record in alone] == [
         TrialKey(method, "cylinder", seed) for method in ("hold", "vector_online") for seed in (0, 1)
     ]
     assert not any("error" in record for record in alone)
-    assert run_all(benchmark, 2) == alone
+    assert run_all(benchmark, jobs) == alone
+
+
+def test_a_single_job_has_a_process_that_is_renewed():
+    """Drake never frees a diagram with systems in Python, so what simulates trials keeps growing."""
+    used = list(workers.run_trials(_grow, ((),) * 8, 1))
+    assert os.getpid() not in used and len(set(used)) > 1 and sorted(used, key=used.index) == used
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +74,7 @@ def grasping(tmp_path_factory, play):
 def grasped(grasping):
     """Its line, from this process."""
     made, keys, goals = grasping
-    (record,) = made.run(keys, goals, 1, "loky")
+    record = simulate(*made.arguments(keys[0], goals["cylinder"]))
     # In contact, small differences would grow.
     assert {"TOUCH", "GRASP", "LIFT"} <= record["phase_times"].keys() and record["peak_force"] > 0.1
     return judged(record)
@@ -69,7 +87,7 @@ def test_a_whole_grasp_is_the_same_in_another_process(grasping, grasped):
     assert judged(record) == grasped
 
 
-def test_a_ray_cluster_gives_what_one_process_gives(benchmark, grasping, grasped, monkeypatch):
+def test_a_ray_cluster_gives_what_one_process_gives(benchmark, alone, grasping, grasped, monkeypatch):
     """On a local cluster of two workers that the test starts; a whole grasp, too."""
     ray = pytest.importorskip("ray")
     # The workers find the tests' own modules, and this package where it is not installed.
@@ -77,7 +95,7 @@ def test_a_ray_cluster_gives_what_one_process_gives(benchmark, grasping, grasped
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     ray.init(num_cpus=2, include_dashboard=False, runtime_env=environment, log_to_driver=False)
     try:
-        assert run_all(benchmark, 2, "ray") == run_all(benchmark, 1)
+        assert run_all(benchmark, 2, "ray") == alone
         made, keys, goals = grasping
         assert [judged(record) for record in made.run(keys, goals, 2, "ray")] == [grasped]
         with pytest.raises(BenchmarkError, match="--jobs 3: the Ray cluster has 2 CPUs"):
@@ -128,9 +146,17 @@ def test_the_digest_covers_what_a_worker_loads_and_no_training():
     assert not names & {"training.py", "descent.py", "coupled_training.py", "coupled_losses.py", "play.py"}
 
 
-def _die(*_):
-    import os
+_grown = []
 
+
+def _grow() -> int:
+    """Keeps 100 MB, and waits for as long as loky does between its looks at memory; its process."""
+    _grown.append(np.ones(12_500_000))
+    time.sleep(1)
+    return os.getpid()
+
+
+def _die(*_):
     os._exit(1)
 
 
