@@ -98,6 +98,8 @@ def test_a_ray_cluster_gives_what_one_process_gives(benchmark, alone, grasping, 
         assert run_all(benchmark, 2, "ray") == alone
         made, keys, goals = grasping
         assert [judged(record) for record in made.run(keys, goals, 2, "ray")] == [grasped]
+        tasks = 2 * workers.RENEWED_AFTER + 1
+        assert len(set(workers.run_trials(os.getpid, ((),) * tasks, 2, "ray"))) > 2
         with pytest.raises(BenchmarkError, match="--jobs 3: the Ray cluster has 2 CPUs"):
             run_all(benchmark, 3, "ray")
     finally:

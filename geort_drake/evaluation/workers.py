@@ -16,6 +16,8 @@ from geort_drake.errors import BenchmarkError, GeortError
 from geort_drake.evaluation.trial_sources import code_digest
 from geort_drake.processes import end_with
 
+RENEWED_AFTER = 25  # tasks of a worker on a cluster; see `run_trials`
+
 
 @contextlib.contextmanager
 def workers(jobs: int, backend: str = "loky") -> Iterator[Callable[..., Parallel]]:
@@ -31,8 +33,10 @@ def workers(jobs: int, backend: str = "loky") -> Iterator[Callable[..., Parallel
     """
     require_workers(jobs, backend)
     options: dict = {"inner_max_num_threads": 1, "initializer": end_with, "initargs": (os.getpid(),)}
+    if backend == "ray":
+        options = {"maxtasksperchild": RENEWED_AFTER}
     try:
-        with parallel_config(backend=backend, n_jobs=jobs, **({} if backend == "ray" else options)):
+        with parallel_config(backend=backend, n_jobs=jobs, **options):
             # Tasks are long and their arguments small: one at a time, and none mapped into files.
             yield functools.partial(Parallel, batch_size=1, max_nbytes=None)
     except BrokenExecutor as error:
@@ -49,7 +53,7 @@ def run_trials(
 
     Drake 1.51 never frees a diagram with systems written in Python (RobotLocomotion/drake#24162), and a trial
     leaves 12 MB behind. So a single job has a process of its own, too: loky ends those that have grown by
-    300 MB and starts others.
+    300 MB and starts others. On a cluster they are renewed by the number of their trials.
 
     Args:
         function, arguments: what is called.
@@ -64,7 +68,7 @@ def run_trials(
     try:
         with workers(jobs, backend) as parallel, warnings.catch_warnings():
             warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
-            if jobs == 1 and backend == "loky":
+            if jobs == 1:
                 yield from _one_by_one(tasks)
             else:
                 make = parallel(return_as="generator" if ordered else "generator_unordered")
