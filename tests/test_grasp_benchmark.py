@@ -158,27 +158,32 @@ def test_trials_objects_and_methods_can_be_added(script, tmp_path):
 
 def test_a_trial_that_raises_is_recorded_and_stops_no_other(script, tmp_path, monkeypatch):
     """Its traceback is in a file and the exit status is 1, until it has been repeated and comes to an end."""
-    run_trial = grasp_trial.run_trial
-
-    def failing(scenario, *rest):
-        if scenario.random_seed == 1:
-            raise ArithmeticError("the <map> has failed")
-        return run_trial(scenario, *rest)
-
     with monkeypatch.context() as patch:
-        patch.setattr(grasp_trial, "run_trial", failing)
+        patch.setattr(grasp_benchmark, "simulate", _simulate_one_that_fails)
         assert script.main(arguments(tmp_path)) == 1
     records = {key_of(record): record for record in read_records(tmp_path / "trials.jsonl")}
     assert len(records) == 4
     record = records[TrialKey("hold", "cylinder", 1)]
     assert record["error"] == "ArithmeticError: the <map> has failed"
-    assert "in failing" in (tmp_path / record["traceback"]).read_text()
+    assert "in _failing" in (tmp_path / record["traceback"]).read_text()
     assert "error" not in records[TrialKey("hold", "cylinder", 0)]
     assert "ArithmeticError: the &lt;map&gt; has failed" in (tmp_path / "report.html").read_text()
     assert script.main(arguments(tmp_path)) == 0
     assert "ArithmeticError" not in (tmp_path / "report.html").read_text()
     lines = (tmp_path / "trials.jsonl").read_text().splitlines()
     assert len(lines) == 6  # two raised; the others were not repeated
+
+
+def _simulate_one_that_fails(key, *arguments):
+    """In a worker, where nothing is patched."""
+    with pytest.MonkeyPatch.context() as patch:
+        if key.seed == 1:
+            patch.setattr(grasp_trial, "run_trial", _failing)
+        return grasp_trial.simulate(key, *arguments)
+
+
+def _failing(*_):
+    raise ArithmeticError("the <map> has failed")
 
 
 def test_a_hand_given_as_a_file_is_the_one_that_is_trained(tmp_path, play, monkeypatch):

@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from grasp_setup import centred_map, person_and_rest, scenario_with
+from grasp_setup import allegro, person_and_rest, scenario_with
 from script_modules import load_script
 
 from geort_drake.errors import BenchmarkError, RecordingError, ScenarioError
@@ -14,6 +14,7 @@ from geort_drake.evaluation.replay import as_recorded, summarize_replay
 from geort_drake.evaluation.trial_log import read_records
 from geort_drake.gloves.recording import Recording
 from geort_drake.operators.finger_motion import FingerMotion
+from geort_drake.retargeting.baselines.trivial import Hold
 from geort_drake.simulation.scene import draw_placement
 
 
@@ -80,9 +81,9 @@ def test_the_summary_pools_sessions_and_begins_without_a_change():
 
 @pytest.fixture
 def script(monkeypatch, tmp_path):
-    """The script, with a known map in place of a checkpoint."""
+    """The script, with a method that needs no training in place of a checkpoint."""
     module = load_script("evaluate_replay.py")
-    monkeypatch.setattr(replay, "load_retargeter", lambda *_: centred_map())
+    monkeypatch.setattr(replay, "load_retargeter", lambda *_: Hold(allegro().kinematics()))
     (tmp_path / "map").mkdir()
     (tmp_path / "map" / replay.WEIGHTS).write_bytes(b"a known map")
     return module
