@@ -113,20 +113,6 @@ def test_a_crowd_knows_what_is_near(hand):
             assert (least < 2 * margin + 1e-6).sum() >= 9
 
 
-@pytest.mark.parametrize("spread", [0.0, 0.02])
-def test_hands_that_nobody_recorded_are_in_a_crowd(hand, spread):
-    """Each fingertip is where it once was, or near it, beside others that it was never beside."""
-    strange = dataclasses.replace(CONFIG, strange_crowd_share=0.875, strange_crowd_spread=spread)
-    maker, network, _ = maker_of(hand, strange, spheres(0.05))
-    with torch.no_grad():
-        maker(network, 0.5)
-    crowd, frames = maker._crowded, maker._hands.frames
-    apart = torch.stack([torch.cdist(crowd[:, i], frames[:, i]).amin(1) for i in range(3)])
-    together = torch.cdist(crowd.flatten(1), frames.flatten(1)).amin(1)
-    assert (together > 1e-3).float().mean() > 0.8
-    assert (apart.amax(0) < 5e-4).float().mean() > 0.8 if spread == 0 else apart.median() > 0.002
-
-
 def test_crowds_are_left_out_at_the_beginning_and_where_nothing_is_near(hand):
     """At first nothing is looked for; later a crowd without a near pair is just not near."""
     batches, network, _ = parts(hand, shapes=spheres(0.05))

@@ -224,8 +224,6 @@ def test_settings_of_another_method_are_refused(hand, human):
         quick(hand, human, far_coverage_wanted=1.0)
     with pytest.raises(TrainingError, match=r"must not exceed 1 together, they are 1\.1"):
         quick(hand, human, strange_hand_share=0.4, recorded_hand_share=0.7)
-    with pytest.raises(TrainingError, match=r"strange_crowd_share must be at most 0\.875.*, it is 0\.9"):
-        CoupledConfig(strange_crowd_share=0.9).validate()
     with pytest.raises(TrainingError, match="cross_talk_wanted must be positive, it is 0"):
         quick(hand, human, cross_talk_wanted=0.0)
 

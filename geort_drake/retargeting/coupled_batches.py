@@ -149,11 +149,7 @@ class BatchMaker:
         config, hands, steps = self._config, self._hands, self._config.assign_every
         margin = config.collision_margin
         pinches, _ = hands.made_up_pinches(CROWDED // 8)
-        count = int(config.strange_crowd_share * CROWDED)
-        recorded, strange = hands.recorded(CROWDED - CROWDED // 8 - count), hands.recombined(count)
-        if config.strange_crowd_spread > 0:
-            strange = strange + config.strange_crowd_spread * hands.normal(strange.shape)
-        candidates = torch.cat([recorded, pinches, strange])
+        candidates = torch.cat([hands.recorded(3 * CROWDED // 4), pinches, hands.recombined(CROWDED // 8)])
         touching = candidates[gaps.least(network(candidates), 3 * margin) < 2 * margin]
         self._crowded = torch.cat([touching, self._crowded])[:REMEMBERED]
         asked = range(0, steps, COLLIDE_EVERY)

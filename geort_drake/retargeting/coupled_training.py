@@ -77,8 +77,6 @@ class CoupledConfig(TrainingConfig):
     posture_radius: float = 0.040  # m, over all fingertips; how near hands are the same posture
     spread: float = 0.006  # m; standard deviation by which the fingertips of some hands are displaced
     spread_share: float = 0.3  # which part of the moved hands and of the steps that is
-    strange_crowd_share: float = 0.125  # of hands looked through for collisions: as `strange_hand_share`
-    strange_crowd_spread: float = 0.0  # m; standard deviation by which their fingertips are displaced
     jitter: float = 0.004  # m; of the frames that must not collide
     collision_margin: float = 0.001  # m
     collision_scale: float = 0.005  # m
@@ -99,11 +97,6 @@ class CoupledConfig(TrainingConfig):
             raise TrainingError(
                 f"training config: {', '.join(shares)} are of the same hands and must not exceed 1 together, "
                 f"they are {total:g}"
-            )
-        if self.strange_crowd_share > 7 / 8:
-            raise TrainingError(
-                "training config: strange_crowd_share must be at most 0.875, the rest being made-up pinches, "
-                f"it is {self.strange_crowd_share:g}"
             )
         if self.cross_talk_wanted <= 0:
             raise TrainingError(
