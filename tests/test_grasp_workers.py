@@ -113,11 +113,12 @@ def test_without_ray_the_backend_says_what_to_install(benchmark, monkeypatch):
         run_all(benchmark, 2, "ray")
 
 
-def test_a_worker_that_dies_leaves_a_message_that_helps(benchmark, monkeypatch):
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_worker_that_dies_leaves_a_message_that_helps(benchmark, monkeypatch, jobs):
     """What is finished is kept, and one can go on."""
     monkeypatch.setattr(grasp_benchmark, "simulate", _die)
     with pytest.raises(BenchmarkError, match=r"a worker process ended.*run the same command again"):
-        run_all(benchmark, 2)
+        run_all(benchmark, jobs)
 
 
 def test_a_worker_that_loaded_other_code_is_named(benchmark, monkeypatch):
