@@ -22,6 +22,7 @@ from geort_drake.simulation.grasp_contacts import (
     grip_contacts,
     grip_of,
     palm_contact,
+    rooms_beside,
     vertical_extent,
     yaw_candidates,
 )
@@ -143,15 +144,15 @@ def query_of(plant: MultibodyPlant, root) -> QueryObject:
 
 @pytest.mark.parametrize("name", object_names())
 def test_contacts_lie_on_the_surface_and_point_inwards(name):
-    """At every yaw and height tried, a fingertip at its contact touches the object within 2 mm."""
+    """At every yaw, height and room tried, a fingertip at its contact touches the object within 2 mm."""
     thing, grip = ObjectAlone(name), grip_of(name)
     yaws, symmetry = yaw_candidates(thing.shape)
     assert symmetry in (0.0, math.pi / 2, math.pi)
     heights = contact_heights(thing.shape, grip, TIP_RADIUS)
     assert heights and yaws
     bottom, _ = vertical_extent(thing.shape)
-    for height, yaw in itertools.product(heights, yaws):
-        contacts = grip_contacts(thing.shape, yaw, height, grip)
+    for height, yaw, beside in itertools.product(heights, yaws, rooms_beside(thing.shape, grip)):
+        contacts = grip_contacts(thing.shape, yaw, height, grip, beside=beside)
         assert [contact.part for contact in contacts] == list(GRIPS[grip].fingers)
         for contact in (*contacts, palm_contact(thing.shape, yaw, height)):
             assert np.linalg.norm(contact.n_O) == pytest.approx(1)
@@ -198,6 +199,23 @@ def test_heights_where_the_fingers_find_no_room_are_left_out():
     ball = ObjectShape(((Sphere(0.01), RigidTransform()),))
     assert contact_heights(ball, "pinch", 0.01) == [0.5]
     assert contact_heights(ball, "pinch", 0.011) == []
+
+
+def test_fingers_beside_each_other_get_more_room_on_flat_sides_that_have_it():
+    """Two fingers on a wide box, not on a narrow one nor on a can; a finger alone needs none."""
+
+    def apart(shape: ObjectShape, grip: str) -> list[float]:
+        found = []
+        for beside in rooms_beside(shape, grip):
+            _, *fingers = grip_contacts(shape, 0.0, grip=grip, beside=beside)
+            found.append(float(np.ptp([finger.p_OC[1] for finger in fingers])))
+        return found
+
+    wide, narrow = (ObjectShape(((Box(0.03, width, 0.1), RigidTransform()),)) for width in (0.05, 0.03))
+    can = ObjectShape(((Cylinder(0.03, 0.1), RigidTransform()),))
+    assert apart(wide, "tripod") == sorted(set(apart(wide, "tripod")))
+    assert min(apart(wide, "tripod")) > 0.024 and 0.03 < max(apart(wide, "tripod")) < 0.05
+    assert len(apart(narrow, "tripod")) == len(apart(can, "tripod")) == len(apart(wide, "pinch")) == 1
 
 
 def test_every_object_has_a_grip_and_an_unlisted_one_is_refused_by_name():

@@ -12,8 +12,9 @@ from geort_drake.errors import UnknownNameError
 from geort_drake.resources import models_dir
 from geort_drake.simulation.object_shape import ObjectShape, half_extents
 
-# Fingers that take part in a grip beside each other keep at least this far apart, m.
-_BESIDE = 0.014
+# Fingers beside each other touch a flat side at least this far from its middle, m. Thick fingers need more
+# room than thin ones: where no grasp is found, the next is tried.
+_BESIDE = (0.014, 0.017, 0.02)
 # A contact keeps this far from the edges of the surface it lies on, m.
 _EDGE = 0.003
 
@@ -76,7 +77,12 @@ class Contact:
 
 
 def grip_contacts(
-    shape: ObjectShape, yaw: float, height: float = 0.5, grip: str = "tripod", side: str = "right"
+    shape: ObjectShape,
+    yaw: float,
+    height: float = 0.5,
+    grip: str = "tripod",
+    side: str = "right",
+    beside: float = _BESIDE[0],
 ) -> list[Contact]:
     """The contacts of a grip around the vertical at `yaw`, on the object's main part.
 
@@ -85,11 +91,12 @@ def grip_contacts(
         height: of the grip, as a share of the object's height.
         grip: one of `GRIPS`.
         side: of the hand.
+        beside: one of `rooms_beside`.
     """
     bottom, top = vertical_extent(shape)
     z = bottom + height * (top - bottom)
     return [
-        _contact(shape, finger, yaw, _turned(angle, side), z + raised)
+        _contact(shape, finger, yaw, _turned(angle, side), z + raised, beside)
         for finger, (angle, raised) in GRIPS[grip].fingers.items()
     ]
 
@@ -106,11 +113,13 @@ def _turned(angle: float, side: str) -> float:
     return -angle if side == "left" else angle
 
 
-def _contact(shape: ObjectShape, part: str, yaw: float, angle: float, z: float) -> Contact:
+def _contact(
+    shape: ObjectShape, part: str, yaw: float, angle: float, z: float, beside: float = _BESIDE[0]
+) -> Contact:
     main, X_OG = shape.main
     direction = np.array([math.cos(yaw + angle), math.sin(yaw + angle), 0.0])
     if isinstance(main, Box):
-        p, outward = _on_box(main.size() / 2, X_OG, direction, yaw)
+        p, outward = _on_box(main.size() / 2, X_OG, direction, yaw, beside)
     else:
         p, outward = direction * _radius_at(main, z - X_OG.translation()[2]), direction
         p = p + X_OG.translation() * [1, 1, 0]
@@ -148,6 +157,20 @@ def contact_heights(shape: ObjectShape, grip: str, lowest: float) -> list[float]
     return fitting
 
 
+def rooms_beside(shape: ObjectShape, grip: str) -> tuple[float, ...]:
+    """Least distances from the middle of a flat side to try for fingers beside each other, best first, m.
+
+    One where it makes no difference: on round objects, and for a finger alone.
+    """
+    main, _ = shape.main
+    alone = all(math.isclose(math.sin(angle), 0, abs_tol=1e-9) for angle, _ in GRIPS[grip].fingers.values())
+    if alone or not isinstance(main, Box):
+        return _BESIDE[:1]
+    # Boxes are grasped across their shorter side, see `yaw_candidates`.
+    widest = max(main.width(), main.depth()) / 2 - _EDGE
+    return _BESIDE[:1] + tuple(room for room in _BESIDE[1:] if room <= widest)
+
+
 def yaw_candidates(shape: ObjectShape) -> tuple[list[float], float]:
     """Yaws to try for the grasp's axis, and the object's own yaw symmetry (0: full)."""
     main, _ = shape.main
@@ -168,7 +191,7 @@ def _radius_at(shape: Shape, z: float) -> float:
 
 
 def _on_box(
-    half: np.ndarray, X_OG: RigidTransform, direction: np.ndarray, yaw: float
+    half: np.ndarray, X_OG: RigidTransform, direction: np.ndarray, yaw: float, beside: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """The side of a box that faces along the grasp's axis, and the point on it under `direction`."""
     axis = np.array([math.cos(yaw), math.sin(yaw), 0.0])
@@ -178,5 +201,5 @@ def _on_box(
     width = float(np.abs(lateral) @ half)
     # Neighbouring fingertips need room beside each other even on a narrow side.
     offset = float(np.clip(depth * (direction @ lateral) / abs(direction @ axis), -width, width))
-    offset = 0.0 if abs(direction @ lateral) < 1e-9 else math.copysign(max(abs(offset), _BESIDE), offset)
+    offset = 0.0 if abs(direction @ lateral) < 1e-9 else math.copysign(max(abs(offset), beside), offset)
     return X_OG.translation() + depth * side + offset * lateral, side
