@@ -102,6 +102,32 @@ def test_gaps_agree_with_drake(name):
     np.testing.assert_array_equal(after < 0, least < 0)
 
 
+def test_parts_of_one_chain_are_allowed_to_be_nearer(leap):
+    """Links of one finger, and of a finger and the palm, count as 4 mm further apart; fingertips do not."""
+    q = torch.tensor(np.random.default_rng(2).uniform(leap.lower, leap.upper, (20, 16))).float()
+    shapes, kinematics = collision_shapes(leap), leap.kinematics()
+    row, pair, gap = CollisionGaps(kinematics, shapes).near(q, 0.05)
+    again, same_pair, allowed = CollisionGaps(kinematics, shapes, allowance=0.004).near(q, 0.05)
+    assert row.equal(again) and pair.equal(same_pair)
+    finger_of = {j: (name, j == joints[-1]) for name, joints in finger_joints(leap).items() for j in joints}
+    seen = set()
+    for number, more in zip(pair.tolist(), (allowed - gap).tolist(), strict=True):
+        a, b = (finger_of.get(int(shapes.joint[side]), ("palm", False)) for side in shapes.pairs[number])
+        one_chain = a[0] == b[0] or "palm" in (a[0], b[0])
+        tip = a[1] or b[1]
+        seen.add((one_chain, tip))
+        assert more == pytest.approx(0.004 if one_chain and not tip else 0.0, abs=1e-6), (a, b)
+    assert len(seen) == 4
+
+
+def finger_joints(hand: HandModel) -> dict[str, list[int]]:
+    """Numbers of each finger's joints, base to tip."""
+    return {
+        finger.name: [hand.joint_names.index(joint) for joint in finger.joints]
+        for finger in hand.description.fingers
+    }
+
+
 def test_shapes_mirror_with_the_kinematics(allegro):
     """The mirrored hand is as far from touching itself at the same q."""
     q = torch.tensor(np.random.default_rng(1).uniform(allegro.lower, allegro.upper, (100, 16))).float()

@@ -44,9 +44,15 @@ class CollisionShapes:
 
 
 class CollisionGaps:
-    """Computes gaps between the shapes of a hand for joint angles in torch, in float32."""
+    """Computes gaps between the shapes of a hand for joint angles in torch, in float32.
 
-    def __init__(self, kinematics: HandKinematics, shapes: CollisionShapes):
+    Args:
+        kinematics, shapes: of one hand.
+        allowance: by how much parts of one chain count as further apart than they are, m: two links of a
+            finger, or one and what is fixed to the base. Not those of fingertips, which reach far.
+    """
+
+    def __init__(self, kinematics: HandKinematics, shapes: CollisionShapes, allowance: float = 0.0):
         def constant(array: ArrayLike) -> torch.Tensor:
             return torch.tensor(np.asarray(array), dtype=torch.float32)
 
@@ -76,7 +82,14 @@ class CollisionGaps:
         self._R_JS, self._p_JS = constant(shapes.X_JS[:, :3, :3]), constant(shapes.X_JS[:, :3, 3])
         self._half, self._radius = constant(shapes.half), constant(shapes.radius)
         self._reach = torch.linalg.vector_norm(self._half, dim=1) + self._radius
-        self.pairs = torch.tensor(np.asarray(shapes.pairs).reshape(-1, 2))
+        pairs = np.asarray(shapes.pairs, dtype=int).reshape(-1, 2)
+        self.pairs = torch.tensor(pairs)
+        finger = {joint: row for row, chain in enumerate(chains) for joint in chain.joint_indices}
+        tips = {chain.joint_indices[-1] for chain in chains}
+        a, b = (np.array([finger.get(int(joint), -1) for joint in shapes.joint[side]]) for side in pairs.T)
+        of_tip = np.isin(shapes.joint, list(tips))[pairs].any(axis=1)
+        in_chain = ((a == b) | (a < 0) | (b < 0)) & ~of_tip
+        self._allowance = constant(allowance * in_chain)
 
     def to(self, device: torch.device) -> "CollisionGaps":
         """The same on another device."""
@@ -93,7 +106,7 @@ class CollisionGaps:
             for part in q.split(_CHUNK):
                 _, pair, gap = self.near(part, margin)
                 met[pair[gap < margin]] = True
-        self.pairs = self.pairs[met]
+        self.pairs, self._allowance = self.pairs[met], self._allowance[met]
 
     def poses(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """R_BS (N, S, 3, 3) and p_BS (N, S, 3) of the shapes for q (N, n)."""
@@ -148,11 +161,11 @@ class CollisionGaps:
         return torch.relu(margin - gap).sum() / (scale * len(q))
 
     def _gaps(self, R: torch.Tensor, p: torch.Tensor, row: torch.Tensor, pair: torch.Tensor) -> torch.Tensor:
-        """(M,) gaps of the pairs numbered `pair` at the poses of `row`, m."""
+        """(M,) gaps of the pairs numbered `pair` at the poses of `row`, with their allowances, m."""
         a, b = self.pairs[pair].T
         R_A, R_B, p_AB = R[row, a], R[row, b], p[row, b] - p[row, a]
         gap = box_gap(R_A, R_B, p_AB, self._half[a], self._half[b])
-        return gap - self._radius[a] - self._radius[b]
+        return gap - self._radius[a] - self._radius[b] + self._allowance[pair]
 
 
 def box_gap(

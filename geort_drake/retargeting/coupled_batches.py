@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 CROWDED_FROM = 0.1  # of the descent; nothing is known of collisions before the map has a shape
 CROWDED = 600  # how many hands are looked through for near collisions at a time
 REMEMBERED = 2000  # how many of those that nearly collided are kept
+NEARLY = 0.001  # m beyond the margin, within which a hand nearly collides
 COLLIDE_EVERY = 2  # steps; collisions cost a third of a step, and need not be in each
 
 
@@ -150,7 +151,7 @@ class BatchMaker:
         margin = config.collision_margin
         pinches, _ = hands.made_up_pinches(CROWDED // 8)
         candidates = torch.cat([hands.recorded(3 * CROWDED // 4), pinches, hands.recombined(CROWDED // 8)])
-        touching = candidates[gaps.least(network(candidates), 3 * margin) < 2 * margin]
+        touching = candidates[gaps.least(network(candidates), margin + 2 * NEARLY) < margin + NEARLY]
         self._crowded = torch.cat([touching, self._crowded])[:REMEMBERED]
         asked = range(0, steps, COLLIDE_EVERY)
         active = self._crowded[hands.draw(len(self._crowded), len(asked) * (3 * config.collisions // 4))]
@@ -160,7 +161,7 @@ class BatchMaker:
         crowds: list[Crowd | None] = [None] * steps
         for number, step in enumerate(asked):
             some = crowded[number :: len(asked)]
-            row, pair, gap = gaps.near(network(some), 3 * margin)
-            near = gap < 3 * margin
+            row, pair, gap = gaps.near(network(some), margin + 2 * NEARLY)
+            near = gap < margin + 2 * NEARLY
             crowds[step] = Crowd(some, row[near], pair[near])
         return crowds

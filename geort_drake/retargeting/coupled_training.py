@@ -79,6 +79,7 @@ class CoupledConfig(TrainingConfig):
     spread_share: float = 0.3  # which part of the moved hands and of the steps that is
     jitter: float = 0.004  # m; of the frames that must not collide
     collision_margin: float = 0.001  # m
+    chain_margin: float = 0.001  # m; of a finger's own links, and of them and the palm, where it is less
     collision_scale: float = 0.005  # m
     robot_voxel: float = 0.005
     assign_every: int = 10  # steps between searches for the frames nearest to the robot's voxels
@@ -168,7 +169,8 @@ class CoupledTraining:
         space = CoverageTargets(self.hands.frames, kinematics, voxels, config.human_voxel, seed)
         gaps = None
         if shapes is not None and config.collision_weight > 0:
-            gaps = CollisionGaps(kinematics, shapes)
+            allowance = max(config.collision_margin - config.chain_margin, 0.0)
+            gaps = CollisionGaps(kinematics, shapes, allowance)
             gaps.keep_pairs_that_meet(q[:4000], config.collision_margin)
         self.device, self.gaps = device, gaps and gaps.to(device)
         # What is asked beside the descent; all of it is on the CPU.
