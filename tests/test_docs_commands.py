@@ -150,6 +150,7 @@ class Desk:
             "my.yaml": self.edited_scenario,
             "runs/allegro_right": lambda path: train("allegro_right", play(0), path),
             "runs/allegro_right_other": lambda path: train("allegro_right", play(2), path),
+            "runs/allegro_left": lambda path: train("allegro_left", play(0).mirrored(), path),
             "runs/leap_right": lambda path: train("leap_right", play(0), path),
             "runs/grasp": lambda path: self.run(
                 "python scripts/simulate_grasp.py --objects cylinder --retargeter runs/allegro_right"
