@@ -132,11 +132,11 @@ class GraspPlanner:
     def _places(self, beside: float) -> list["_Place"]:
         """Where fingertips and palm can reach, the most promising first.
 
-        Args:
-            beside: one of `rooms_beside`.
-
         Ranked by inverse kinematics without collisions, which takes a hundredth of the time with them and
         is hardly ever less comfortable.
+
+        Args:
+            beside: one of `rooms_beside`.
         """
         robot, side = self._kinematics, self._description.side
         shape = robot.shape
