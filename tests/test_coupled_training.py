@@ -249,6 +249,21 @@ def test_training_avoids_collisions_of_the_given_shapes(hand, human):
     assert having < 0.3 * without
 
 
+def test_a_margin_within_a_chain_is_its_own(hand, human):
+    """Two spheres 3 mm apart, on the palm and the index: too near by one margin, not by the other."""
+    X = np.tile(np.eye(4), (2, 1, 1))
+    X[1, :3, 3] = hand.fingers[1].X_PJ[0][:3, 3] - [0.0, 0.0, 0.013]
+    shapes = CollisionShapes(np.array([3, -1]), X, np.zeros((2, 3)), np.full(2, 0.005), np.array([[0, 1]]))
+
+    def collision(chain_margin: float) -> float:
+        config = dataclasses.replace(QUICK, steps=40, collision_margin=0.005, chain_margin=chain_margin)
+        result = train_coupled(human, hand, toy_samples(hand), config, shapes=shapes)
+        return max(row["collision"] for row in result.history)
+
+    assert collision(0.005) > 0.1
+    assert collision(0.001) == 0.0
+
+
 def test_context_coverage_is_optional(hand, human):
     """Its weight at zero leaves it out."""
     assert quick(hand, human, steps=30, context_weight=0.0).history[-1]["context"] == 0.0

@@ -105,7 +105,8 @@ def palm_contact(shape: ObjectShape, yaw: float, height: float, side: str = "rig
     """Where the palm shall touch in a power grasp, for arguments as in `grip_contacts`."""
     bottom, top = vertical_extent(shape)
     # Across the grip's axis: the side the object shows there is found as for a grip turned that way.
-    return _contact(shape, "palm", yaw + _turned(-math.pi / 2, side), 0.0, bottom + height * (top - bottom))
+    z = bottom + height * (top - bottom)
+    return _contact(shape, "palm", yaw + _turned(-math.pi / 2, side), 0.0, z, beside=0.0)
 
 
 def _turned(angle: float, side: str) -> float:
@@ -113,9 +114,7 @@ def _turned(angle: float, side: str) -> float:
     return -angle if side == "left" else angle
 
 
-def _contact(
-    shape: ObjectShape, part: str, yaw: float, angle: float, z: float, beside: float = _BESIDE[0]
-) -> Contact:
+def _contact(shape: ObjectShape, part: str, yaw: float, angle: float, z: float, beside: float) -> Contact:
     main, X_OG = shape.main
     direction = np.array([math.cos(yaw + angle), math.sin(yaw + angle), 0.0])
     if isinstance(main, Box):
