@@ -83,6 +83,24 @@ def test_made_up_pinches_meet_whatever_the_other_finger_does(human):
     assert not rows_of(strange[:, 2], human[reach, 2]).all()
 
 
+def test_made_up_pinches_are_apart_in_recorded_directions_or_displaced_ones(human):
+    """The offset between the tips turns with its spread, and is no longer than in any pinch."""
+    recorded = (human[:, 1] - human[:, 0])[np.linalg.norm(human[:, 1] - human[:, 0], axis=-1) < 0.03]
+    recorded = torch.tensor(recorded / np.linalg.norm(recorded, axis=-1, keepdims=True)).float()
+    turned = {}
+    for spread in (0.0, 0.006, 0.06):
+        config = dataclasses.replace(RECORDED, pinch_offset_spread=spread)
+        hands, weights = hands_of(human, config).made_up_pinches(2000)
+        offset = (hands[:, 1] - hands[:, 0])[weights[:, 0] == 1]
+        length = offset.norm(dim=-1, keepdim=True)
+        assert length.max() <= config.pinch_threshold + 1e-6 and length.std() > 0.002
+        cosine = (offset / length) @ recorded.T
+        turned[spread] = cosine[length[:, 0] > 0.001].max(dim=1).values.quantile(0.05).item()
+        print(spread, turned)
+    assert turned[0.0] > 0.9999
+    assert 0.0 < turned[0.06] < turned[0.006] < 0.99
+
+
 def test_postures_are_alike_however_long_they_were_held(human):
     """Of a hand that rests for nine tenths of a recording, every draw of recorded hands has little."""
     held = np.concatenate([human[:150], human[0] + 1e-5 * np.arange(1350)[:, None, None]])

@@ -131,8 +131,8 @@ class TrainingHands:
     def made_up_pinches(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Hands (N, F, 3) of which a pair of fingertips was drawn together, and weights (N, P).
 
-        They are left as far apart as in any pinch, and the other fingers are displaced, or from another
-        instant: the pair should meet whatever they do.
+        They are left as far apart as in any pinch, in a recorded direction or near one, and the other fingers
+        are displaced, or from another instant: the pair should meet whatever they do.
         """
         config = self._config
         some = self.draw(len(self._near), count)
@@ -147,6 +147,8 @@ class TrainingHands:
             middle = 0.5 * (near[row, first] + near[row, second])
             middle = middle + config.pinch_spread * self.normal(middle.shape)
             half = 0.5 * (near[row, second] - near[row, first])
+            if config.pinch_offset_spread > 0:  # no draw where it is off
+                half = half + 0.5 * config.pinch_offset_spread * self.normal(half.shape)
             kept = torch.rand((len(some), 1), generator=self._generator)
             kept = 0.5 * config.pinch_threshold * kept / (half.norm(dim=-1, keepdim=True) + 1e-9)
             half = half * kept.clamp(max=1.0)

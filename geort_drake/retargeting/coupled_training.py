@@ -69,6 +69,7 @@ class CoupledConfig(TrainingConfig):
     pinch_scale: float = 0.008  # m
     pinch_reach: float = 0.030  # m; fingertips nearer than this are moved together to make up pinches
     pinch_spread: float = 0.005  # m; of the points at which made-up pinches meet
+    pinch_offset_spread: float = 0.0  # m; of the offset between their tips, else as recorded
     strange_pinch_share: float = 0.8  # of made-up pinches: other fingers are from another instant
     strange_hand_share: float = 0.4  # of moved hands: other fingers are from instants of their own
     recorded_hand_share: float = 0.0  # of moved hands: whole hands, see `even_share`

@@ -31,6 +31,7 @@ from geort_drake.retargeting.pretraining import (
 FORWARD_KINEMATICS = ("exact", "neural")
 RESAMPLING = ("frames", "independent")
 _CHOICES = {"fk": ("forward kinematics", FORWARD_KINEMATICS), "resampling": ("resampling", RESAMPLING)}
+_MAY_BE_ZERO = ("refreshes", "other_pinches", "pinch_offset_spread")  # besides weights and shares
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class TrainingConfig:
                 if not 0 <= value <= 1:
                     raise TrainingError(f"training config: {item.name} must be from 0 to 1, it is {value}")
                 continue
-            may_be_zero = item.name.endswith("_weight") or item.name in ("refreshes", "other_pinches")
+            may_be_zero = item.name.endswith("_weight") or item.name in _MAY_BE_ZERO
             if not math.isfinite(value) or value < 0 or (value == 0 and not may_be_zero):
                 wanted = "zero or positive" if may_be_zero else "positive"
                 raise TrainingError(f"training config: {item.name} must be {wanted}, it is {value}")
