@@ -18,7 +18,7 @@ from geort_drake.files import require_writable
 from geort_drake.hands.checks import examine
 from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.hands.description_file import write_description
-from geort_drake.hands.meshes import convert_meshes, unreadable_meshes
+from geort_drake.hands.meshes import convert_model, what_drake_misreads
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.proposal import propose
 from geort_drake.resources import models_dir
@@ -51,12 +51,9 @@ def main(argv: Sequence[str] | None = None) -> None:
             raise OutputError(f"{path} exists; choose another --output, or give --overwrite")
         require_writable(path)
         model = given
-        if unreadable := unreadable_meshes(given):
-            model = convert_meshes(given, path.with_name(f"{path.stem}_model"))
-            notes.append(
-                f"Drake does not read {len(unreadable)} of the meshes, such as {unreadable[0].name}; their "
-                f"convex hulls, and a model with these, are in {model.parent.name}"
-            )
+        if misread := what_drake_misreads(given):
+            model = convert_model(given, path.with_name(f"{path.stem}_model"))
+            notes += [f"{what}; a model that has it right is in {model.parent.name}" for what in misread]
         proposal = propose(model, name, arguments.palm)
         description = proposal.description
         notes += proposal.notes

@@ -18,6 +18,7 @@ from script_modules import load_script
 
 from geort_drake.errors import HandError, OutputError
 from geort_drake.evaluation.pipeline import train_checkpoint
+from geort_drake.gloves.keypoints import FINGER_NAMES
 from geort_drake.gloves.play import synthesize_play
 from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.checks import examine
@@ -26,6 +27,7 @@ from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.couplings import read_couplings
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.description_file import write_description
+from geort_drake.hands.finger_names import fingers_by_name
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.proposal import propose
 from geort_drake.retargeting.baselines.numpy_kinematics import NumpyKinematics
@@ -72,6 +74,20 @@ def test_fingers_base_and_side_are_found(spec, tmp_path):
     assert np.rad2deg(turned) < 4.0
     followers = [coupling.joint for coupling in description.couplings]
     assert followers == [joint_name(spec, f, 3) for f in range(1, spec.fingers)] * spec.mimic
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["thumb", "index", "middle", "ring", "pinky"],
+        ["rh_THJ5", "rh_FFJ4", "rh_MFJ4", "rh_RFJ4", "rh_LFJ4"],
+        ["th_cmc", "if_mcp", "mf_mcp", "rf_mcp", "lf_mcp"],
+    ],
+)
+def test_fingers_are_known_by_what_models_call_them(names):
+    """In words, and in two letters of either way; a word that only holds them tells nothing."""
+    assert fingers_by_name([[name] for name in names]) == list(FINGER_NAMES)
+    assert fingers_by_name([[names[0]], ["shift_j0"]]) is None
 
 
 @pytest.mark.parametrize("kind", ["urdf", "sdf", "xml"])

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 
 from geort_drake.errors import HandError
 from geort_drake.hands.clearance import HandClearance
-from geort_drake.hands.meshes import convert_meshes, unreadable_meshes
+from geort_drake.hands.meshes import convert_model, unreadable_meshes
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.proposal import propose
 from geort_drake.hands.tip_points import surface_points
@@ -41,7 +41,8 @@ def _ascii_stl() -> bytes:
 
 def _glb() -> bytes:
     """With y up, twice as large, and a node that makes up for the size and for half a turn about y."""
-    points = CORNERS @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]).T  # (x, y, z) -> (x, z, -y)
+    # (x, y, z) -> (x, z, -y)
+    points = _triangles().reshape(-1, 3) @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]).T
     points = 2.0 * points * [-1, 1, -1]
     binary = points.astype("<f4").tobytes()
     scene = {
@@ -59,7 +60,37 @@ def _glb() -> bytes:
     return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks) + len(binary)) + chunks + binary
 
 
-MESHES = {"palm.stl": _binary_stl, "text.STL": _ascii_stl, "palm.glb": _glb}
+def _ply() -> bytes:
+    faces = "".join(f"3 {3 * i} {3 * i + 1} {3 * i + 2}\n" for i in range(len(_triangles())))
+    rows = "".join(f"{x:g} {y:g} {z:g}\n" for x, y, z in _triangles().reshape(-1, 3))
+    head = f"element vertex {3 * len(_triangles())}\nproperty float x\nproperty float y\nproperty float z\n"
+    head += f"element face {len(_triangles())}\nproperty list uchar int vertex_indices\n"
+    return f"ply\nformat ascii 1.0\n{head}end_header\n{rows}{faces}".encode()
+
+
+def _dae() -> bytes:
+    """In centimetres, with an axis up that does not count, and a node that makes up for half the size."""
+    corners = " ".join(f"{x:g}" for x in 50.0 * _triangles().ravel())
+    count = 3 * len(_triangles())
+    numbers = " ".join(map(str, range(count)))
+    return f"""<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit name="centimeter" meter="0.01"/><up_axis>Y_UP</up_axis></asset>
+<library_geometries><geometry id="g"><mesh>
+<source id="s"><float_array id="a" count="{3 * count}">{corners}</float_array><technique_common>
+<accessor source="#a" count="{count}" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
+<param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#s"/></vertices>
+<triangles count="{count // 3}"><input semantic="VERTEX" source="#v" offset="0"/><p>{numbers}</p></triangles>
+</mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="c"><node><scale>2 2 2</scale><instance_geometry url="#g"/></node>
+</visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#c"/></scene></COLLADA>""".encode()
+
+
+MESHES = {
+    "palm.stl": _binary_stl, "text.STL": _ascii_stl, "palm.glb": _glb, "palm.ply": _ply, "palm.dae": _dae,
+}  # fmt: skip
 
 
 def _with_mesh(tmp_path, kind: str, name: str):
@@ -84,10 +115,10 @@ def _with_mesh(tmp_path, kind: str, name: str):
 @pytest.mark.parametrize("name", MESHES)
 @pytest.mark.parametrize("kind", ["urdf", "xml"])
 def test_a_mesh_becomes_its_hull_in_its_place(kind, name, tmp_path):
-    """From STL of both kinds and from binary glTF, whose y is up, in URDF and in MJCF."""
+    """From STL of both kinds, binary glTF, whose y is up, PLY, and COLLADA in its unit."""
     model = _with_mesh(tmp_path, kind, name)
     assert [mesh.name for mesh in unreadable_meshes(model)] == [name]
-    copy = convert_meshes(model, tmp_path / "copy")
+    copy = convert_model(model, tmp_path / "copy")
     assert unreadable_meshes(copy) == []
     hand = HandModel(propose(copy).description)
     inspector = hand.scene_graph.model_inspector()
@@ -101,7 +132,7 @@ def test_a_mesh_becomes_its_hull_in_its_place(kind, name, tmp_path):
 def test_the_guard_takes_a_mesh_for_the_box_around_it(tmp_path, rng):
     """This mesh is a box, so all gaps are those of the same hand with a box, but for rounding."""
     plain = HandModel(propose(write_hand(tmp_path, HandSpec(4, "urdf", mimic=False))).description)
-    model = convert_meshes(_with_mesh(tmp_path, "urdf", "palm.stl"), tmp_path / "copy")
+    model = convert_model(_with_mesh(tmp_path, "urdf", "palm.stl"), tmp_path / "copy")
     meshed = HandModel(propose(model).description)
     ours, wanted = HandClearance(meshed, 0.1), HandClearance(plain, 0.1)
 
@@ -133,6 +164,6 @@ def test_a_mesh_that_cannot_be_read_is_named(content, said, tmp_path):
     else:
         mesh.write_bytes(content)
     with pytest.raises(HandError, match=said) as error:
-        convert_meshes(model, tmp_path / "copy")
+        convert_model(model, tmp_path / "copy")
     assert str(mesh) in str(error.value)
     assert not (tmp_path / "copy").exists()

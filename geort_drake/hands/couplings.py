@@ -9,6 +9,7 @@ import numpy as np
 
 from geort_drake.errors import HandError
 from geort_drake.hands.description import CouplingDescription, HandDescription
+from geort_drake.hands.mjcf import tendon_couplings
 
 
 @dc.dataclass(frozen=True)
@@ -60,7 +61,7 @@ def root(couplings: list[CouplingDescription], coupling: CouplingDescription) ->
 
 
 def read_couplings(path: Path) -> list[CouplingDescription]:
-    """The linear couplings of a model file: URDF's and SDF's `mimic`, MJCF's equality of two joints.
+    """The linear couplings of a model file: URDF's and SDF's `mimic`, MJCF's equalities and fixed tendons.
 
     Drake's parser keeps those of URDF and the SDF element `drake:mimic` to itself and ignores the others.
 
@@ -71,7 +72,10 @@ def read_couplings(path: Path) -> list[CouplingDescription]:
     try:
         if tree.tag == "mujoco":
             found = [_of_equality(path, joint) for joint in tree.iterfind(".//equality/joint")]
-            return [coupling for coupling in found if coupling is not None]
+            equal = [coupling for coupling in found if coupling is not None]
+            known = {coupling.joint for coupling in equal}
+            tendons = [some.coupling for some in tendon_couplings(tree)]
+            return equal + [coupling for coupling in tendons if coupling.joint not in known]
         return [
             _of_mimic(mimic, joint.get("name", ""))
             for joint in tree.iter("joint")

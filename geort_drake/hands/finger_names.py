@@ -7,10 +7,10 @@ import numpy as np
 
 from geort_drake.gloves.keypoints import FINGER_NAMES
 
-# What models call fingers; two letters are Shadow's way.
+# What models call fingers; two letters are the way of Shadow and others.
 _WORDS = {
     "thumb": r"thumb|pollex|(?<![a-z])th(?![a-z])|(?<![a-z])thj",
-    "index": r"index|fore|point(?!_)|(?<![a-z])ff",
+    "index": r"index|fore|point(?!_)|(?<![a-z])ff|(?<![a-z])if(?![a-z])",
     "middle": r"middle|long|(?<![a-z])mf",
     "ring": r"(?<![a-z])ring|(?<![a-z])rf",
     "little": r"little|pinky|pinkie|small|(?<![a-z])lf",

@@ -1,11 +1,10 @@
-"""Copies of models whose meshes Drake cannot read, with these meshes' convex hulls as .obj files.
+"""Copies of models that Drake does not read as they are meant: of their meshes, or of MJCF's defaults.
 
-Only convex hulls count in collisions anyway, and the tips of fingers are read off them.
+Meshes become their convex hulls as .obj files. Only convex hulls count in collisions anyway, and the tips of
+fingers are read off them.
 """
 
-import json
 import re
-import struct
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -14,11 +13,12 @@ import numpy as np
 from geort_drake.errors import HandError
 from geort_drake.files import atomic_directory, write_text
 from geort_drake.hands.couplings import model_tree
+from geort_drake.hands.mjcf import hand_down_defaults
 
 _READABLE = (".obj", ".vtk", ".gltf")
-_CONVERTIBLE = (".stl", ".glb")
+_CONVERTIBLE = (".stl", ".glb", ".ply", ".dae")
 # A glTF file has y up; z is up where it is used.
-_Z_UP = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
+_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])
 
 
 def unreadable_meshes(model: Path) -> list[Path]:
@@ -32,10 +32,32 @@ def unreadable_meshes(model: Path) -> list[Path]:
     return [mesh for mesh in dict.fromkeys(meshes) if mesh.suffix.lower() not in _READABLE]
 
 
-def convert_meshes(model: Path, folder: Path) -> Path:
+def what_drake_misreads(model: Path) -> list[str]:
+    """Sentences on what Drake does not read of a model, or not as it is meant; `convert_model` mends it.
+
+    Raises:
+        HandError: the model is no XML.
+    """
+    said = []
+    if meshes := unreadable_meshes(model):
+        said.append(
+            f"Drake does not read {len(meshes)} of the meshes, such as {meshes[0].name}, so convex hulls replace "
+            "them"
+        )
+    tree = model_tree(model)
+    if tree.tag == "mujoco" and (classes := hand_down_defaults(tree)):
+        named = ", ".join(f"'{name}'" for name in classes[:3]) + (", ..." if len(classes) > 3 else "")
+        said.append(
+            f"Drake does not hand defaults down to the classes {named}, which leaves joints without axes or "
+            "limits, or shapes without sizes"
+        )
+    return said
+
+
+def convert_model(model: Path, folder: Path) -> Path:
     """Writes a copy of a model, whole, into a folder of its own, and returns the copy.
 
-    In an MJCF model the included files become part of it.
+    In an MJCF model the included files become part of it, and defaults are written out.
 
     Raises:
         HandError: a mesh is missing, damaged, or of a kind that is not converted.
@@ -46,6 +68,7 @@ def convert_meshes(model: Path, folder: Path) -> Path:
         if tree.tag == "mujoco":
             # Drake wants a name, MuJoCo does not.
             tree.set("model", tree.get("model") or model.stem)
+            hand_down_defaults(tree)
         for element, name in _elements(tree):
             mesh = _mesh_file(model, tree, name)
             if mesh.suffix.lower() in _READABLE:
@@ -107,7 +130,7 @@ def resolved(model: Path, name: str) -> Path:
 
 
 def _hull_obj(mesh: Path) -> str:
-    """The convex hull of a mesh as an OBJ file, in the mesh's unit."""
+    """The convex hull of a mesh as an OBJ file, in the mesh's unit; COLLADA names its own."""
     if not mesh.is_file():
         raise HandError(f"the mesh file {mesh} is missing")
     suffix = mesh.suffix.lower()
@@ -116,71 +139,18 @@ def _hull_obj(mesh: Path) -> str:
             f"{mesh}: Drake reads {', '.join(_READABLE)}, and {', '.join(_CONVERTIBLE)} are converted; "
             "convert this mesh to .obj"
         )
-    # Few hands need it, and its import takes as long as Drake's.
-    from scipy.spatial import ConvexHull, QhullError
+    import trimesh  # few hands need it
 
     try:
-        points = (_stl_points if suffix == ".stl" else _glb_points)(mesh.read_bytes())
-        hull = ConvexHull(points)
-    except (ValueError, KeyError, IndexError, TypeError, struct.error, QhullError) as error:
+        scene = trimesh.load_scene(mesh, file_type=suffix[1:])
+        hull = scene.convex_hull
+        # As ROS has it, a file's unit counts, and which axis it calls up does not.
+        unit = trimesh.units.unit_conversion(scene.units or "meters", "meters") if suffix == ".dae" else 1.0
+    except Exception as error:  # each format has its own kinds
         raise HandError(f"{mesh}: not a readable {suffix} mesh with a volume: {error}") from error
-    number = {int(vertex): row for row, vertex in enumerate(hull.vertices, start=1)}
-    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in points[hull.vertices]]
-    centre = points[hull.vertices].mean(axis=0)
-    for face in hull.simplices:
-        a, b, c = points[face]
-        outwards = np.cross(b - a, c - a) @ (a - centre) > 0
-        i, j, k = (number[int(vertex)] for vertex in (face if outwards else face[::-1]))
-        lines.append(f"f {i} {j} {k}")
-    return "\n".join(lines) + "\n"
-
-
-def _stl_points(data: bytes) -> np.ndarray:
-    """(N, 3) vertices of a binary or ASCII STL file."""
-    if data[:5] == b"solid" and b"facet" in data[:2000]:
-        rows = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", data)
-        return np.array([[float(value) for value in row] for row in rows])
-    (count,) = struct.unpack_from("<I", data, 80)
-    triangle = np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("attribute", "<u2")])
-    return np.frombuffer(data, triangle, count, 84)["vertices"].reshape(-1, 3).astype(float)
-
-
-def _glb_points(data: bytes) -> np.ndarray:
-    """(N, 3) vertices of all meshes of a binary glTF 2.0 file, z up."""
-    (length,) = struct.unpack_from("<I", data, 12)
-    scene = json.loads(data[20 : 20 + length])
-    start = 28 + length
-    points: list[np.ndarray] = []
-
-    def visit(number: int, X: np.ndarray) -> None:
-        node = scene["nodes"][number]
-        X = X @ _node_transform(node)
-        mesh = scene["meshes"][node["mesh"]] if "mesh" in node else {"primitives": []}
-        for primitive in mesh["primitives"]:
-            accessor = scene["accessors"][primitive["attributes"]["POSITION"]]
-            view = scene["bufferViews"][accessor["bufferView"]]
-            offset = start + view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-            stride = view.get("byteStride", 12)
-            rows = np.ndarray((accessor["count"], 3), "<f4", data, offset, (stride, 4))
-            points.append(rows @ X[:3, :3].T + X[:3, 3])
-        for child in node.get("children", []):
-            visit(child, X)
-
-    for number in scene["scenes"][scene.get("scene", 0)]["nodes"]:
-        visit(number, np.eye(4))
-    return np.concatenate(points).astype(float) @ _Z_UP.T
-
-
-def _node_transform(node: dict) -> np.ndarray:
-    if "matrix" in node:
-        return np.array(node["matrix"], dtype=float).reshape(4, 4).T
-    x, y, z, w = node.get("rotation", [0.0, 0.0, 0.0, 1.0])
-    X = np.eye(4)
-    X[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    X[:3, :3] *= node.get("scale", [1.0, 1.0, 1.0])
-    X[:3, 3] = node.get("translation", [0.0, 0.0, 0.0])
-    return X
+    hull.apply_scale(unit)
+    if suffix == ".glb":
+        hull.apply_transform(_Z_UP)
+    return trimesh.exchange.obj.export_obj(
+        hull, include_normals=False, include_color=False, include_texture=False, digits=9, header=None
+    )

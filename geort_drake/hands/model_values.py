@@ -9,6 +9,7 @@ from pathlib import Path
 
 from geort_drake.errors import HandError
 from geort_drake.hands.couplings import model_tree
+from geort_drake.hands.mjcf import hand_down_defaults
 
 _MOMENTS, _PRODUCTS = ("ixx", "iyy", "izz"), ("ixy", "ixz", "iyz")
 _MODELS = (".sdf", ".urdf", ".xml", ".mjcf")
@@ -28,12 +29,18 @@ def check_model_values(files: Iterable[Path], source: str) -> None:
 
     Raises:
         HandError: a mass, a moment of inertia or a size is negative or not finite, or a vertex or a product
-            of inertia is not finite.
+            of inertia is not finite, or defaults of MJCF do not reach what takes them.
     """
     for file in files:
         if file.suffix.lower() in _MODELS:
-            for name, wanted, given in _wrong_values(model_tree(file)):
+            tree = model_tree(file)
+            for name, wanted, given in _wrong_values(tree):
                 raise HandError(f"{source}: {name} in {file.name} must be {wanted}; given: {given[:60]}")
+            if tree.tag == "mujoco" and (classes := hand_down_defaults(tree)):
+                raise HandError(
+                    f"{source}: in {file.name} the classes {', '.join(classes)} take defaults that Drake "
+                    "does not hand down to them; wanted: the copy that add_hand.py writes, which has them"
+                )
         elif file.suffix.lower() == ".obj" and (found := _NO_VERTEX.search(file.read_bytes())):
             line = found[0].decode(errors="replace").strip()
             raise HandError(

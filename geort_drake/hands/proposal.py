@@ -8,6 +8,7 @@ import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
 from geort_drake.gloves.keypoints import FINGER_NAMES, TIP_KEYPOINT
+from geort_drake.hands.couplings import model_tree
 from geort_drake.hands.description import (
     ActuationDescription,
     BasePoseDescription,
@@ -21,6 +22,7 @@ from geort_drake.hands.finger_names import (
     side_by_name,
     thumb_by_place,
 )
+from geort_drake.hands.mjcf import remarks
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.resting import free_posture, resting_contacts
 from geort_drake.hands.structure import Chain, HandStructure, read_structure
@@ -107,6 +109,7 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
                 f"radius {1e3 * finger.tip.radius:.1f} mm"
             )
     notes += _held_notes(structure.held)
+    notes += remarks(model_tree(structure.path))
     palm_link = structure.palm[0]
     X_RP = structure.plant.EvalBodyPoseInWorld(structure.plant.CreateDefaultContext(), palm_link)
     X_PB = X_RP.inverse() @ X_RB
@@ -282,11 +285,14 @@ def _actuation(structure: HandStructure, notes: list[str]) -> ActuationDescripti
     plant = structure.plant
     actuators = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices(structure.hand)]
     ready = {actuator.joint().name() for actuator in actuators if actuator.has_controller()}
-    if ready.issuperset(joint for chain in structure.chains for joint in chain.joints):
+    joints = [joint for chain in structure.chains for joint in chain.joints]
+    without = [f"'{joint}'" for joint in joints if joint not in ready]
+    if not without:
         return ActuationDescription()
+    some = f"{len(without)} of {len(joints)} joints, such as {without[0]}, have" if ready else "the model has"
     notes.append(
-        f"the model has no position controllers; under actuation, put your hand's gains for "
-        f"{_GAINS.stiffness:g} N·m/rad, {_GAINS.damping:g} N·m·s/rad and {_GAINS.effort_limit:g} N·m"
+        f"{some} no position controllers; under actuation, put your hand's gains "
+        f"for {_GAINS.stiffness:g} N·m/rad, {_GAINS.damping:g} N·m·s/rad and {_GAINS.effort_limit:g} N·m"
     )
     return _GAINS
 
