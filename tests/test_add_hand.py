@@ -30,6 +30,7 @@ from geort_drake.hands.description_file import write_description
 from geort_drake.hands.finger_names import fingers_by_name
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.proposal import propose
+from geort_drake.hands.structure import read_structure
 from geort_drake.retargeting.baselines.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.collision_geometry import CollisionGaps
 from geort_drake.retargeting.retargeter import load_retargeter
@@ -142,6 +143,23 @@ def test_what_follows_keeps_its_limits(coupled):
     assert low.upper[leader] == pytest.approx(0.7)
     with pytest.raises(HandError, match="'index_j3', which follows 'index_j2', would leave its limits"):
         HandModel(dc.replace(text, couplings=[dc.replace(c, offset=9.0) for c in text.couplings]))
+
+
+def test_a_leader_is_tried_only_where_its_follower_keeps_its_limits(tmp_path):
+    """Else fingers that close to one side seem to bend to both, and the hand is turned around."""
+    model = write_hand(tmp_path, HandSpec(4))
+    text = model.read_text().replace('lower="0.0"', 'lower="-3"')
+    for name in ("index_j3", "middle_j3", "ring_j3"):
+        head, tail = text.split(f'<joint name="{name}"')
+        text = f'{head}<joint name="{name}"' + tail.replace('lower="-3"', 'lower="0"', 1)
+    model.write_text(text, encoding="utf-8")
+    structure = read_structure(model)
+    (index,) = (chain for chain in structure.chains if "index_j2" in chain.joints)
+    low, high = structure.limits(index)
+    number = index.joints.index("index_j2")
+    assert (low[number], high[number]) == (pytest.approx(-0.1 / 0.8), 1.5)  # 0 = 0.8 q + 0.1
+    assert low[index.joints.index("index_j1")] == -3
+    assert structure.postures(index, np.random.default_rng(0))[:, number].min() >= low[number]
 
 
 def test_collision_shapes_lie_where_drake_has_them(coupled, rng):

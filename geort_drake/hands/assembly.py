@@ -23,7 +23,7 @@ from pydrake.multibody.tree import (
 )
 
 from geort_drake.errors import HandError
-from geort_drake.hands.couplings import JointCouplings, root
+from geort_drake.hands.couplings import JointCouplings, leaders_range, root
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model_files import model_files
 from geort_drake.hands.model_values import check_model_values
@@ -97,7 +97,7 @@ def position_limits(
     for row, name in enumerate(couplings.names):
         leader, follower = couplings.leaders[row], plant.GetJointByName(name, hand)
         ends = np.array([follower.position_lower_limits()[0], follower.position_upper_limits()[0]])
-        low, high = np.sort((ends - couplings.offset[row]) / couplings.ratio[row, leader])
+        low, high = leaders_range(ends, couplings.ratio[row, leader], couplings.offset[row])
         lower[leader], upper[leader] = max(lower[leader], low), min(upper[leader], high)
         if not lower[leader] < upper[leader]:
             raise HandError(

@@ -60,6 +60,11 @@ def root(couplings: list[CouplingDescription], coupling: CouplingDescription) ->
     return leader, ratio, offset
 
 
+def leaders_range(ends: np.ndarray, ratio: float, offset: float) -> np.ndarray:
+    """(2,) the angles of a leader, rad, at which its follower is within its own limits `ends` (2,)."""
+    return np.sort((ends - offset) / ratio)
+
+
 def read_couplings(path: Path) -> list[CouplingDescription]:
     """The linear couplings of a model file: URDF's and SDF's `mimic`, MJCF's equalities and fixed tendons.
 

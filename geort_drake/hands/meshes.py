@@ -41,8 +41,8 @@ def what_drake_misreads(model: Path) -> list[str]:
     said = []
     if meshes := unreadable_meshes(model):
         said.append(
-            f"Drake does not read {len(meshes)} of the meshes, such as {meshes[0].name}, so convex hulls replace "
-            "them"
+            f"Drake does not read {len(meshes)} of the meshes, such as {meshes[0].name}, so convex hulls "
+            "stand in for them"
         )
     tree = model_tree(model)
     if tree.tag == "mujoco" and (classes := hand_down_defaults(tree)):

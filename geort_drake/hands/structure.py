@@ -11,7 +11,7 @@ from pydrake.systems.framework import Context, DiagramBuilder
 
 from geort_drake.errors import HandError
 from geort_drake.hands.assembly import free_from_world, parse_model
-from geort_drake.hands.couplings import read_couplings, root
+from geort_drake.hands.couplings import leaders_range, read_couplings, root
 from geort_drake.hands.description import CouplingDescription
 from geort_drake.hands.link_tree import LinkTree
 
@@ -65,10 +65,21 @@ class HandStructure:
         return rng.uniform(low, high, (count, len(chain.joints)))
 
     def limits(self, chain: Chain) -> tuple[np.ndarray, np.ndarray]:
-        """(k,) lower and upper limits of a chain's own joints, rad."""
-        joints = [self.plant.GetJointByName(name, self.hand) for name in chain.joints]
-        low = [joint.position_lower_limit() for joint in joints]
-        return np.array(low), np.array([joint.position_upper_limit() for joint in joints])
+        """(k,) lower and upper limits of a chain's own joints, rad, within which followers keep theirs."""
+        low, high = np.array([self._ends(name) for name in chain.joints]).T
+        for coupling in self.couplings:
+            leader, ratio, offset = root(self.couplings, coupling)
+            if leader in chain.joints and ratio:
+                number = chain.joints.index(leader)
+                a, b = leaders_range(self._ends(coupling.joint), ratio, offset)
+                # A coupling that leaves nothing is refused with the description.
+                if max(low[number], a) < min(high[number], b):
+                    low[number], high[number] = max(low[number], a), min(high[number], b)
+        return low, high
+
+    def _ends(self, joint: str) -> np.ndarray:
+        found = self.plant.GetJointByName(joint, self.hand)
+        return np.array([found.position_lower_limit(), found.position_upper_limit()])
 
     def set_angles(self, context: Context, chain: Chain, angles: np.ndarray) -> None:
         """Moves a chain, and what follows it, to angles (k,) of its own joints, rad."""
