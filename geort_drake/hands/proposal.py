@@ -102,12 +102,11 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
     notes: list[str] = []
     fingers = [_finger(structure, chain) for chain in structure.chains]
     names, X_RB, side = _arrange(structure, fingers, notes)
+    guessed: dict[str, list[str]] = {}
     for finger, label in zip(fingers, names, strict=True):
         if not finger.tip.source.startswith("a sphere"):
-            notes.append(
-                f"the tip of the {label} finger was taken from {finger.tip.source}: "
-                f"radius {1e3 * finger.tip.radius:.1f} mm"
-            )
+            guessed.setdefault(finger.tip.source, []).append(f"{label} {1e3 * finger.tip.radius:.1f} mm")
+    notes += [f"tips and their radii were taken from {what}: {', '.join(of)}" for what, of in guessed.items()]
     notes += _held_notes(structure.held)
     notes += remarks(model_tree(structure.path))
     palm_link = structure.palm[0]
