@@ -18,6 +18,7 @@ from geort_drake.files import require_writable
 from geort_drake.hands.checks import examine
 from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.hands.description_file import write_description
+from geort_drake.hands.hulls import add_hulls
 from geort_drake.hands.meshes import convert_model, what_drake_misreads
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.proposal import propose
@@ -51,9 +52,13 @@ def main(argv: Sequence[str] | None = None) -> None:
             raise OutputError(f"{path} exists; choose another --output, or give --overwrite")
         require_writable(path)
         model = given
-        if misread := what_drake_misreads(given):
+        misread = what_drake_misreads(given)
+        if misread or arguments.hulls:
             model = convert_model(given, path.with_name(f"{path.stem}_model"))
             notes += [f"{what}; a model that has it right is in {model.parent.name}" for what in misread]
+        if arguments.hulls:
+            links = ", ".join(add_hulls(model))
+            notes.append(f"links that were given the convex hull of what is drawn: {links or 'none'}")
         proposal = propose(model, name, arguments.palm)
         description = proposal.description
         notes += proposal.notes
@@ -118,6 +123,11 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--output", type=Path, metavar="FILE", help="description to write (default: models/hands/NAME.yaml)"
     )
     parser.add_argument("--overwrite", action="store_true", help="replace the description if it exists")
+    parser.add_argument(
+        "--hulls",
+        action="store_true",
+        help="give links without collision geometry the convex hull of what is drawn of them, in a copy",
+    )
     parser.add_argument("--rrd", type=Path, metavar="FILE", help="Rerun recording of the hand to write")
     add_json_option(parser, "what was found")
     arguments = parser.parse_args(argv)

@@ -104,13 +104,16 @@ def _collisions(hand: HandModel) -> list[str]:
     plant, inspector = hand.plant, hand.scene_graph.model_inspector()
     if inspector.NumGeometriesWithRole(Role.kProximity) == 0:
         return [
-            "the model has no collision geometry: self-collision is not avoided and nothing can be grasped"
+            "the model has no collision geometry: self-collision is not avoided and nothing can be grasped; "
+            "add_hand.py --hulls makes some of what is drawn"
         ]
     said = []
 
     def shapes(link: str) -> list:
-        frame = plant.GetBodyFrameIdOrThrow(plant.GetBodyByName(link).index())
-        return [inspector.GetShape(geometry) for geometry in inspector.GetGeometries(frame, Role.kProximity)]
+        bodies = plant.GetBodiesWeldedTo(plant.GetBodyByName(link))
+        frames = [plant.GetBodyFrameIdOrThrow(body.index()) for body in bodies]
+        found = [id for frame in frames for id in inspector.GetGeometries(frame, Role.kProximity)]
+        return [inspector.GetShape(geometry) for geometry in found]
 
     bare = [finger.tip_link for finger in hand.description.fingers if not shapes(finger.tip_link)]
     if bare:

@@ -17,8 +17,9 @@ from geort_drake.hands.mjcf import hand_down_defaults
 
 _READABLE = (".obj", ".vtk", ".gltf")
 _CONVERTIBLE = (".stl", ".glb", ".ply", ".dae")
+_FLAT = 1e-6  # of the size; what is thinner has no volume
 # A glTF file has y up; z is up where it is used.
-_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])
+_Z_UP = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
 
 
 def unreadable_meshes(model: Path) -> list[Path]:
@@ -77,7 +78,7 @@ def convert_model(model: Path, folder: Path) -> Path:
                 if mesh not in written:
                     stem = re.sub(r"\W+", "_", mesh.stem)
                     written[mesh] = f"{len(written)}_{stem}.obj"
-                    write_text(draft / written[mesh], _hull_obj(mesh))
+                    write_text(draft / written[mesh], _converted(mesh))
                 target = str((folder / written[mesh]).resolve())
             _rename(tree, element, name, target)
         write_text(draft / model.name, ET.tostring(tree, encoding="unicode"))
@@ -129,7 +130,24 @@ def resolved(model: Path, name: str) -> Path:
     return (folder / name.removeprefix("file://")).resolve()
 
 
-def _hull_obj(mesh: Path) -> str:
+def hull_obj(points: np.ndarray) -> str | None:
+    """The convex hull of points (N, 3) as an OBJ file, in their unit; None where they have no volume."""
+    import trimesh  # few hands need it
+
+    spread = points - points.mean(axis=0) if len(points) else np.zeros((1, 3))
+    if np.linalg.matrix_rank(spread, tol=_FLAT * np.linalg.norm(spread)) < 3:
+        return None
+    return trimesh.exchange.obj.export_obj(
+        trimesh.convex.convex_hull(points),
+        include_normals=False,
+        include_color=False,
+        include_texture=False,
+        digits=9,
+        header=None,
+    )
+
+
+def _converted(mesh: Path) -> str:
     """The convex hull of a mesh as an OBJ file, in the mesh's unit; COLLADA names its own."""
     if not mesh.is_file():
         raise HandError(f"the mesh file {mesh} is missing")
@@ -139,18 +157,16 @@ def _hull_obj(mesh: Path) -> str:
             f"{mesh}: Drake reads {', '.join(_READABLE)}, and {', '.join(_CONVERTIBLE)} are converted; "
             "convert this mesh to .obj"
         )
-    import trimesh  # few hands need it
+    import trimesh
 
     try:
         scene = trimesh.load_scene(mesh, file_type=suffix[1:])
-        hull = scene.convex_hull
+        points = np.asarray(scene.to_mesh().vertices)
         # As ROS has it, a file's unit counts, and which axis it calls up does not.
         unit = trimesh.units.unit_conversion(scene.units or "meters", "meters") if suffix == ".dae" else 1.0
     except Exception as error:  # each format has its own kinds
-        raise HandError(f"{mesh}: not a readable {suffix} mesh with a volume: {error}") from error
-    hull.apply_scale(unit)
-    if suffix == ".glb":
-        hull.apply_transform(_Z_UP)
-    return trimesh.exchange.obj.export_obj(
-        hull, include_normals=False, include_color=False, include_texture=False, digits=9, header=None
-    )
+        raise HandError(f"{mesh}: not a readable {suffix} mesh: {error}") from error
+    text = hull_obj(unit * points @ (_Z_UP.T if suffix == ".glb" else np.eye(3)))
+    if text is None:
+        raise HandError(f"{mesh}: not a readable {suffix} mesh with a volume: it is empty or flat")
+    return text

@@ -1,0 +1,103 @@
+"""Links that touch nothing are given hulls of what is drawn of them, in every format."""
+
+import re
+
+import numpy as np
+import pytest
+from hand_family import HandSpec, write_hand
+from pydrake.geometry import Role
+from script_modules import load_script
+
+from geort_drake.hands.checks import examine
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.hulls import add_hulls
+from geort_drake.hands.model import HandModel
+from geort_drake.hands.proposal import propose
+
+# A rigid part that hangs on the index finger's last link, off its axes, and how far it reaches along them.
+PARTS = {
+    "urdf": '<link name="nail"><visual><origin xyz="0.001 0.002 0.003"/><geometry>'
+    '<box size="0.01 0.02 0.03"/></geometry></visual></link><joint name="glue" type="fixed">'
+    '<parent link="index_l3"/><child link="nail"/><origin xyz="0 0 0.02"/></joint></robot>',
+    "sdf": '<link name="nail"><pose relative_to="index_l3">0 0 0.02 0 0 0</pose><visual name="v">'
+    "<pose>0.001 0.002 0.003 0 0 0</pose><geometry><box><size>0.01 0.02 0.03</size></box></geometry></visual>"
+    '</link><joint name="glue" type="fixed"><parent>index_l3</parent><child>nail</child></joint></model>',
+}
+ENDS = {"urdf": "</robot>", "sdf": "</model>"}
+
+
+def drawn_alone(folder, kind: str):
+    """A hand of the family whose shapes are drawn and do not touch, one link with a part welded to it."""
+    model = write_hand(folder, HandSpec(3, kind, mimic=False))
+    text = model.read_text()
+    if kind == "xml":
+        text = text.replace("<geom ", '<geom contype="0" conaffinity="0" ')
+    else:
+        text = re.sub(r"(</?)collision", r"\1visual", text).replace(ENDS[kind], PARTS[kind])
+    model.write_text(text, encoding="utf-8")
+    return model
+
+
+def reach(hand: HandModel, link: str, role: Role) -> np.ndarray:
+    """(2, 3) where the shapes of a link and of what is welded to it end along its axes, m."""
+    from geort_drake.hands.tip_points import surface_points
+
+    inspector, points = hand.scene_graph.model_inspector(), []
+    owner = hand.plant.GetBodyByName(link)
+    context = hand.plant.CreateDefaultContext()
+    for body in hand.plant.GetBodiesWeldedTo(owner):
+        X_LB = body.body_frame().CalcPose(context, owner.body_frame())
+        for id in inspector.GetGeometries(hand.plant.GetBodyFrameIdOrThrow(body.index()), role):
+            points.append((X_LB @ inspector.GetPoseInFrame(id) @ surface_points(inspector, id).T).T)
+    return np.array([np.concatenate(points).min(axis=0), np.concatenate(points).max(axis=0)])
+
+
+@pytest.mark.parametrize("kind", ["urdf", "sdf", "xml"])
+def test_links_that_are_drawn_get_one_hull_each(kind, tmp_path):
+    """As large as what is drawn of them and of what is welded to them; the checks find nothing amiss then."""
+    model = drawn_alone(tmp_path, kind)
+    before = HandModel(propose(model).description)
+    assert "--hulls" in examine(before)[0]
+    given = add_hulls(model)
+    wanted = ["palm"] + [f"{f}_l{n}" for f in ("thumb", "index", "middle") for n in range(4)]
+    assert sorted(given) == sorted(set(wanted) - {"thumb_l0", "thumb_l3", "index_l0", "middle_l0"})
+    hand = HandModel(propose(model).description)
+    for link in given:
+        found, drawn = (reach(hand, link, role) for role in (Role.kProximity, Role.kIllustration))
+        np.testing.assert_allclose(found, drawn, atol=1e-6)
+    assert not any("without collision" in text or "no collision" in text for text in examine(hand))
+    assert add_hulls(model) == []
+
+
+def test_shapes_that_touch_are_left_alone(tmp_path):
+    """Of a link that has some, as of all others."""
+    model = write_hand(tmp_path, HandSpec(2))
+    before = model.read_bytes()
+    assert add_hulls(model) == []
+    assert model.read_bytes() == before
+
+
+def test_what_is_flat_gets_none(tmp_path):
+    """A mesh of one plane has no hull; the other links have theirs."""
+    model = drawn_alone(tmp_path, "urdf")
+    (tmp_path / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    text = model.read_text()
+    begin = text.index('<visual><origin xyz="', text.index('<link name="index_l2">'))
+    end = text.index("</visual>", begin)
+    flat = '<visual><geometry><mesh filename="flat.obj"/></geometry>'
+    model.write_text(text[:begin] + flat + text[end:], encoding="utf-8")
+    given = add_hulls(model)
+    assert "index_l1" in given
+    assert "index_l2" not in given
+
+
+def test_the_program_keeps_the_model_and_describes_the_copy(tmp_path):
+    """With --hulls; the model itself is left as it was."""
+    model = drawn_alone(tmp_path, "urdf")
+    before = model.read_bytes()
+    output = tmp_path / "described" / "hand.yaml"
+    output.parent.mkdir()
+    load_script("add_hand.py").main([str(model), "--hulls", "--output", str(output), "--quiet"])
+    assert model.read_bytes() == before
+    hand = HandModel(load_hand(output))
+    assert hand.scene_graph.model_inspector().NumGeometriesWithRole(Role.kProximity) == 9
