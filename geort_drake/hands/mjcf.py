@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from geort_drake.hands.description import CouplingDescription
 
-# Of what Drake takes defaults for.
+# What Drake takes defaults for.
 _WITH_DEFAULTS = ("joint", "geom", "mesh", "position", "motor", "general")
 # A tendon that leaves a joint this much play to either side holds it to the other one, rad.
 _PLAY = 0.2
@@ -39,7 +39,7 @@ def hand_down_defaults(tree: ET.Element) -> list[str]:
                     own.attrib.setdefault(key, value)
         for tag in lost:
             lacking.setdefault(tag, set()).add(default.get("class", "main"))
-        here = {tag: own for tag in _WITH_DEFAULTS if (own := default.find(tag)) is not None}
+        here = {own.tag: own for own in default if own.tag != "default"}
         for child in default.findall("default"):
             visit(child, here, lost)
 
@@ -92,6 +92,8 @@ def tendon_couplings(tree: ET.Element) -> list[TendonCoupling]:
     Raises:
         ValueError: a number is none.
     """
+    tree = copy.deepcopy(tree)
+    hand_down_defaults(tree)
     driven = {motor.get("joint") for motor in _motors(tree)}
     pulled = {motor.get("tendon") for motor in _motors(tree)}
     held = {
@@ -175,20 +177,8 @@ def _narrow_length(tree: ET.Element, tendon: _Tendon) -> float | None:
 
 
 def _setting(tree: ET.Element, tendon: ET.Element, name: str) -> str | None:
-    """A tendon's own value, else that of its class or one of those around it."""
-    if (own := tendon.get(name)) is not None:
-        return own
+    """A tendon's own value, else that of its class, in a tree whose defaults are handed down."""
     wanted = tendon.get("class", "main")
-
-    def visit(default: ET.Element, above: str | None) -> tuple[bool, str | None]:
-        node = default.find("tendon")
-        value = above if node is None else node.get(name, above)
-        if default.get("class", "main") == wanted:
-            return True, value
-        for child in default.findall("default"):
-            there, found = visit(child, value)
-            if there:
-                return True, found
-        return False, None
-
-    return next((value for there, value in (visit(d, None) for d in tree.findall("default")) if there), None)
+    defaults = (default for default in tree.iter("default") if default.get("class", "main") == wanted)
+    nodes = [tendon, *(node for default in defaults for node in default.findall("tendon"))]
+    return next((value for node in nodes if (value := node.get(name)) is not None), None)
