@@ -301,6 +301,32 @@ def test_the_hand_shifts_to_the_middle_of_what_the_fingers_lack():
         np.testing.assert_allclose(shift, wanted, atol=1e-9)
 
 
+@pytest.mark.parametrize("phase", [Phase.SURROUND, Phase.CLOSE])
+def test_a_finger_that_touches_has_arrived(phase):
+    """While the hand gathers around an object as when it closes: its finger moves the hand no further."""
+    config = OperatorConfig()
+    world = StandInWorld(1.0, config)
+    person = GraspingPerson(world.hand, world.goal, config, np.random.default_rng(0))
+    scene = world.advance(FingerMotion(world.hand).rest, RigidTransform(), lifting=False)
+    X_WB = RigidTransform(world.X_WO @ world.goal.X_OB)
+    rest = X_WB.multiply(world.goal.p_BF_open.T).T
+    state = dc.replace(person.start(RigidTransform()), phase=phase)
+
+    def shift(*touching: int) -> np.ndarray | None:
+        contact = np.isin(np.arange(4), touching) * 1.0
+        seen = dc.replace(scene, p_WF=rest, X_WB=X_WB, contact=contact)
+        state.shape_error = person._fingertip_errors(state, seen)
+        return person._hand_shift(state, seen)
+
+    some, all_others = shift(), shift(0, 1)
+    assert some is not None and all_others is not None
+    assert np.linalg.norm(some - all_others) > 1e-3  # the third finger alone pulls, and by half of its way
+    assert shift(0, 1, 2) is None
+    # A finger that has no part in the grasp goes on opening.
+    seen = dc.replace(scene, p_WF=rest + 0.01, X_WB=X_WB, contact=np.array([0.0, 0, 0, 1]))
+    assert np.linalg.norm(person._fingertip_errors(state, seen)[3]) > 0.01
+
+
 def test_the_person_does_not_repeat_what_is_done_but_not_yet_seen():
     """Own motion of the last delay counts as done: an error that it will mend moves no finger further."""
     config = OperatorConfig(**QUIET)

@@ -164,7 +164,11 @@ class GraspingPerson:
             aim = self._goal.p_OF_touch + depth * self._goal.n_OF
             touches = self._goal.touches
             wanted[touches] = X_BO.multiply(aim[touches].T).T
-        return wanted - seen.p_BF
+        error = wanted - seen.p_BF
+        if state.phase == Phase.SURROUND:
+            # A finger that touches has arrived, as when closing: a person does not push on what is felt.
+            error[self._goal.touches & (seen.contact > self._config.touch_force)] = 0
+        return error
 
     def _move_fingers(self, state: OperatorState, t: float, seen: Seen) -> None:
         config = self._config
