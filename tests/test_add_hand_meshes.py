@@ -152,6 +152,7 @@ def test_the_guard_takes_a_mesh_for_the_box_around_it(tmp_path, rng):
     [
         (b"short", "not a readable .stl mesh"),
         (b"\0" * 80 + struct.pack("<I", 9), "not a readable"),
+        (_ascii_stl().replace(b"vertex -0.022", b"vertex nan"), "not a readable .stl mesh"),
         (None, "missing"),
     ],
 )

@@ -131,10 +131,12 @@ def resolved(model: Path, name: str) -> Path:
 
 
 def hull_obj(points: np.ndarray) -> str | None:
-    """The convex hull of points (N, 3) as an OBJ file, in their unit; None where they have no volume."""
+    """The convex hull of points (N, 3) as an OBJ file, in their unit; None if it has no finite volume."""
     import trimesh  # few hands need it
 
-    spread = points - points.mean(axis=0) if len(points) else np.zeros((1, 3))
+    if not len(points) or not np.isfinite(points).all():
+        return None
+    spread = points - points.mean(axis=0)
     if np.linalg.matrix_rank(spread, tol=_FLAT * np.linalg.norm(spread)) < 3:
         return None
     return trimesh.exchange.obj.export_obj(
@@ -168,5 +170,7 @@ def _converted(mesh: Path) -> str:
         raise HandError(f"{mesh}: not a readable {suffix} mesh: {error}") from error
     text = hull_obj(unit * points @ (_Z_UP.T if suffix == ".glb" else np.eye(3)))
     if text is None:
-        raise HandError(f"{mesh}: not a readable {suffix} mesh with a volume: it is empty or flat")
+        raise HandError(
+            f"{mesh}: not a readable {suffix} mesh with a volume: it is empty, flat or not finite"
+        )
     return text
