@@ -13,6 +13,7 @@ from geort_drake.hands.description import load_hand
 from geort_drake.hands.hulls import add_hulls
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.proposal import propose
+from geort_drake.hands.tip_points import surface_points
 
 # A rigid part that hangs on the index finger's last link, off its axes, and how far it reaches along them.
 PARTS = {
@@ -40,8 +41,6 @@ def drawn_alone(folder, kind: str):
 
 def reach(hand: HandModel, link: str, role: Role) -> np.ndarray:
     """(2, 3) where the shapes of a link and of what is welded to it end along its axes, m."""
-    from geort_drake.hands.tip_points import surface_points
-
     inspector, points = hand.scene_graph.model_inspector(), []
     owner = hand.plant.GetBodyByName(link)
     context = hand.plant.CreateDefaultContext()

@@ -8,6 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hand_family import HandSpec, write_hand
+from pydrake.geometry import Role
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import HandError
 from geort_drake.hands.couplings import read_couplings
@@ -56,6 +60,30 @@ def test_classes_get_what_those_further_out_have():
 def test_only_classes_that_joints_and_shapes_take_are_named(body, lacking):
     """By their own class, or that of the bodies around them."""
     assert hand_down_defaults(tree(body, CLASSES)) == lacking
+
+
+def test_drake_reads_what_was_handed_down(tmp_path):
+    """Axis, limits, gain and size, through a class that has neither joint nor shape nor motor."""
+    model = tree(
+        '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><joint name="j" class="c"/><geom class="c"/>',
+        '<compiler angle="radian"/><default><default class="a"><joint axis="1 0 0" range="0 1"/>'
+        '<geom type="sphere" size="0.03"/><position kp="7"/>'
+        '<default class="b"><site/><default class="c"><geom rgba="1 0 0 1"/></default></default>'
+        '</default></default><actuator><position joint="j" class="c"/></actuator>',
+    )
+    assert hand_down_defaults(model) == ["c"]
+    model.set("model", "handed_down")
+    path = tmp_path / "model.xml"
+    path.write_text(ET.tostring(model, encoding="unicode"), encoding="utf-8")
+    plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), time_step=0.001)
+    Parser(plant).AddModels(path)
+    joint, inspector = plant.GetJointByName("j"), scene_graph.model_inspector()
+    np.testing.assert_allclose(joint.revolute_axis(), [1, 0, 0])
+    assert (joint.position_lower_limit(), joint.position_upper_limit()) == (0, 1)
+    (motor,) = (plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices())
+    assert motor.get_controller_gains().p == 7
+    (geometry,) = inspector.GetAllGeometryIds(Role.kProximity)
+    assert inspector.GetShape(geometry).radius() == 0.03
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import numpy as np
 from geort_drake.errors import HandError
 from geort_drake.files import atomic_directory, write_text
 from geort_drake.hands.couplings import model_tree
-from geort_drake.hands.mjcf import hand_down_defaults
+from geort_drake.hands.mjcf import hand_down_defaults, some_of
 
 _READABLE = (".obj", ".vtk", ".gltf")
 _CONVERTIBLE = (".stl", ".glb", ".ply", ".dae")
@@ -47,10 +47,10 @@ def what_drake_misreads(model: Path) -> list[str]:
         )
     tree = model_tree(model)
     if tree.tag == "mujoco" and (classes := hand_down_defaults(tree)):
-        named = ", ".join(f"'{name}'" for name in classes[:3]) + (", ..." if len(classes) > 3 else "")
+        named = some_of([f"'{name}'" for name in classes])
         said.append(
-            f"Drake does not hand defaults down to the classes {named}, which leaves joints without axes or "
-            "limits, or shapes without sizes"
+            f"Drake does not hand defaults down to the classes {named}, which leaves joints without axes, "
+            "limits or gains, or shapes without sizes"
         )
     return said
 

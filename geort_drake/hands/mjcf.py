@@ -21,7 +21,7 @@ def hand_down_defaults(tree: ET.Element) -> list[str]:
     """Writes into every class of defaults the elements that it has only from the classes around it.
 
     Drake 1.51 hands the settings of an element down to the next class only where that has such an element
-    itself, so a class in between that has none leaves those within it without axes, limits and shapes.
+    itself, so a class in between that has none leaves those within it without axes, limits, sizes and gains.
 
     Returns:
         The names of those classes that lacked something which an element of the model takes from them.
@@ -123,12 +123,12 @@ def remarks(tree: ET.Element) -> list[str]:
     known = tendon_couplings(tree)
     if assumed := [some.coupling for some in known if some.assumed]:
         rows = [f"'{c.joint}' follows '{c.follows}' by {c.ratio:g}" for c in assumed]
-        said.append(f"one motor pulls two joints; as if both were equally stiff, {_some_of(rows)}")
+        said.append(f"one motor pulls two joints; as if both were equally stiff, {some_of(rows)}")
     coupling = {some.tendon for some in known}
     pulled = dict.fromkeys(motor.get("tendon", "") for motor in _motors(tree) if motor.get("tendon"))
     if others := [f"'{name}'" for name in pulled if name not in coupling]:
         said.append(
-            f"tendons that motors pull are not read: {_some_of(others)}; their joints move each by itself, "
+            f"tendons that motors pull are not read: {some_of(others)}; their joints move each by itself, "
             "unless couplings tie them"
         )
     loops = [
@@ -140,13 +140,14 @@ def remarks(tree: ET.Element) -> list[str]:
     ]
     if loops:
         said.append(
-            f"links that close a loop are not read, so that their joints move freely: {_some_of(loops)}; a "
+            f"links that close a loop are not read, so that their joints move freely: {some_of(loops)}; a "
             "hand of chains is wanted"
         )
     return said
 
 
-def _some_of(rows: list[str]) -> str:
+def some_of(rows: list[str]) -> str:
+    """The first few of a list, and how many more there are."""
     return ", ".join(rows[:_NAMED]) + (f" and {len(rows) - _NAMED} more" if len(rows) > _NAMED else "")
 
 
