@@ -15,7 +15,7 @@ from geort_drake.hands.assembly import parse_model
 from geort_drake.hands.couplings import model_tree
 from geort_drake.hands.links import inboard_joints
 from geort_drake.hands.meshes import hull_obj
-from geort_drake.hands.tip_points import surface_points
+from geort_drake.hands.tip_points import link_points
 
 
 def add_hulls(model: Path) -> list[str]:
@@ -54,23 +54,20 @@ def add_hulls(model: Path) -> list[str]:
         carrier = next(
             (body for body in bodies if not isinstance(inboard.get(body.index()), WeldJoint)), bodies[0]
         )
-        points = []
+        if any(plant.GetCollisionGeometriesForBody(body) for body in bodies):
+            continue
+        points = [np.empty((0, 3))]
         for body in bodies:
             X_CB = body.body_frame().CalcPose(context, carrier.body_frame())
-            frame = plant.GetBodyFrameIdOrThrow(body.index())
-            if inspector.GetGeometries(frame, Role.kProximity):
-                break
-            for geometry in inspector.GetGeometries(frame, Role.kIllustration):
-                p_GP = surface_points(inspector, geometry)
-                if p_GP is not None:
-                    points.append((X_CB @ inspector.GetPoseInFrame(geometry) @ p_GP.T).T)
-        else:
-            if points and (text := hull_obj(np.concatenate(points))) is not None:
-                name = re.sub(r"\W+", "_", f"hull_{len(given)}_{carrier.name()}")
-                file = model.with_name(f"{name}.obj")
-                write_text(file, text)
-                _insert(tree, carrier.name(), name, file.resolve())
-                given.append(carrier.name())
+            points += link_points(plant, inspector, body, Role.kIllustration, X_CB)
+        text = hull_obj(np.concatenate(points))
+        if text is None:
+            continue
+        name = re.sub(r"\W+", "_", f"hull_{len(given)}_{carrier.name()}")
+        file = model.with_name(f"{name}.obj")
+        write_text(file, text)
+        _insert(tree, carrier.name(), name, file.resolve())
+        given.append(carrier.name())
     if given:
         write_text(model, ET.tostring(tree, encoding="unicode"))
     return given

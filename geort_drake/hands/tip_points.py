@@ -16,6 +16,7 @@ from pydrake.geometry import (
     Sphere,
 )
 from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RigidBody
 
 from geort_drake.hands.structure import Chain, HandStructure
@@ -133,6 +134,22 @@ def surface_points(inspector: SceneGraphInspector, geometry: GeometryId) -> np.n
     return None
 
 
+def link_points(
+    plant: MultibodyPlant,
+    inspector: SceneGraphInspector,
+    link: RigidBody,
+    role: Role,
+    X_BL: RigidTransform,
+) -> list[np.ndarray]:
+    """Points (N, 3) on the outside of each of a link's geometries of a role, in a frame B, m."""
+    points = []
+    for geometry in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(link.index()), role):
+        p_GP = surface_points(inspector, geometry)
+        if p_GP is not None:
+            points.append((X_BL @ inspector.GetPoseInFrame(geometry) @ p_GP.T).T)
+    return points
+
+
 def palm_points(structure: HandStructure, X_RB: RigidTransform) -> np.ndarray:
     """(N, 3) points of the palm's geometry in the hand base B, m; its links' origins where it has none."""
     plant, inspector = structure.plant, structure.scene_graph.model_inspector()
@@ -141,10 +158,7 @@ def palm_points(structure: HandStructure, X_RB: RigidTransform) -> np.ndarray:
         found = []
         for body in structure.palm:
             X_BL = X_RB.inverse() @ plant.EvalBodyPoseInWorld(context, body)
-            for geometry in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(body.index()), role):
-                points = surface_points(inspector, geometry)
-                if points is not None:
-                    found.append((X_BL @ inspector.GetPoseInFrame(geometry) @ points.T).T)
+            found += link_points(plant, inspector, body, role, X_BL)
         if found:
             return np.concatenate(found)
     origins = [X_RB.inverse() @ plant.EvalBodyPoseInWorld(context, b).translation() for b in structure.palm]
