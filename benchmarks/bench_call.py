@@ -24,12 +24,12 @@ from compare_dex_retargeting import TYPES, _settings, _urdf
 from side_by_side import measure, parse, parser, report
 from untrained import FINGERS, add_retargeter_options, dense_layers, untrained
 
-from geort_drake.console import console, run_main
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.readers import read_recording
+from geort_drake.cli.console import console, run_main
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.baselines.registry import ONLINE
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.readers import read_recording
+from geort_drake.retargeting.methods.registry import ONLINE
 
 HAND = "allegro_right"
 

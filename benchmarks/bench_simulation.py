@@ -28,17 +28,17 @@ from pydrake.systems.framework import Diagram
 from rich.table import Table
 from side_by_side import parse, write_json
 
-from geort_drake.console import console, run_main
-from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
-from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.recording import Recording
+from geort_drake.cli.console import console, run_main
+from geort_drake.comparison.checkpoint_cache import cached_checkpoint
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.recording import Recording
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
-from geort_drake.simulation.grasp_planner import GraspPlanner
 from geort_drake.simulation.scenario import Scenario, load_scenario
+from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.trial import run_trial
 
 TURN = 0.25  # simulated s

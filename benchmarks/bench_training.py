@@ -22,14 +22,14 @@ from bench_call import HAND, Published
 from rich.table import Table
 from side_by_side import parse, parser, write_json
 
-from geort_drake.console import console, run_main
-from geort_drake.evaluation.pipeline import train_checkpoint
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.readers import read_recording
-from geort_drake.gloves.recording import Recording
+from geort_drake.cli.console import console, run_main
+from geort_drake.comparison.pipeline import train_checkpoint
 from geort_drake.hands.description import load_hand
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.readers import read_recording
+from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import load_checkpoint
-from geort_drake.retargeting.coupled_training import CoupledConfig
+from geort_drake.retargeting.methods.coupled.training import CoupledConfig
 
 EPOCHS, BATCHES, POINTS = 50, 25, 2048
 TIMED = 5  # batches before a training, and as many after it

@@ -22,12 +22,12 @@ from joblib.externals.loky import get_reusable_executor
 from rich.table import Table
 from side_by_side import parse, parser, worker_counts, write_json
 
-from geort_drake.console import console, run_main
+from geort_drake.benchmark.folder import open_benchmark
+from geort_drake.benchmark.trial import simulate
+from geort_drake.benchmark.workers import run_trials
+from geort_drake.cli.console import console, run_main
 from geort_drake.errors import GeortError
-from geort_drake.evaluation.grasp_benchmark import open_benchmark
-from geort_drake.evaluation.grasp_trial import simulate
-from geort_drake.evaluation.workers import run_trials
-from geort_drake.gloves.play import synthesize_play
+from geort_drake.people.play import synthesize_play
 from geort_drake.simulation.scenario import load_scenario
 
 

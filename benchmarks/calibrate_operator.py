@@ -20,8 +20,8 @@ from joblib import Parallel, delayed
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from geort_drake.command_line import add_json_option, make_parser, write_json
-from geort_drake.console import console, progress_bar, run_main
+from geort_drake.cli.console import console, progress_bar, run_main
+from geort_drake.cli.options import add_json_option, make_parser, write_json
 
 # The maps are shared with the tests.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
@@ -44,12 +44,12 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
     """One grasp through one map."""
     from affine_map import AffineMap
 
-    from geort_drake.gloves.human_hand import HumanHand
-    from geort_drake.gloves.play import synthesize_play
     from geort_drake.hands.description import load_hand
     from geort_drake.hands.model import HandModel
-    from geort_drake.simulation.grasp_planner import GraspPlanner
+    from geort_drake.people.human_hand import HumanHand
+    from geort_drake.people.play import synthesize_play
     from geort_drake.simulation.scenario import load_scenario
+    from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
     from geort_drake.simulation.trial import run_trial
 
     # Drake tells the same things in every trial.

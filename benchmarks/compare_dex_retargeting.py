@@ -19,14 +19,14 @@ import numpy as np
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from geort_drake.console import console, progress_bar, run_main
+from geort_drake.cli.console import console, progress_bar, run_main
+from geort_drake.comparison.metrics import pinch
 from geort_drake.errors import GeortError
-from geort_drake.evaluation.metrics import pinch
 from geort_drake.files import require_writable, write_text
-from geort_drake.gloves.readers import read_recording
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.baselines.registry import ONLINE
+from geort_drake.people.readers import read_recording
+from geort_drake.retargeting.methods.registry import ONLINE
 
 TYPES = {"vector_online": "vector", "dexpilot_online": "dexpilot"}
 

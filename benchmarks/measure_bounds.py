@@ -19,14 +19,14 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from side_by_side import parse, parser, write_json
 
-from geort_drake.console import console, run_main
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.readers import read_recording
+from geort_drake.cli.console import console, run_main
 from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.readers import read_recording
 from geort_drake.retargeting.clouds import voxel_thinned
-from geort_drake.retargeting.map_figures import ROBOT_SAMPLES, robot_voxels
+from geort_drake.retargeting.training.map_figures import ROBOT_SAMPLES, robot_voxels
 
 NEAR = 0.010  # m
 COSINE = 0.97

@@ -16,16 +16,16 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from geort_drake.console import run_main
-from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
-from geort_drake.evaluation.contact_metrics import pinch, self_collision
-from geort_drake.evaluation.metrics import motion_preservation_track
+from geort_drake.cli.console import run_main
+from geort_drake.comparison.checkpoint_cache import cached_checkpoint
+from geort_drake.comparison.contact_metrics import pinch, self_collision
+from geort_drake.comparison.metrics import motion_preservation_track
 from geort_drake.files import write_text
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.readers import read_recording
 from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.readers import read_recording
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.self_collision_guard import SelfCollisionGuard

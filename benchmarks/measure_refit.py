@@ -16,17 +16,17 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from geort_drake.console import console, run_main
-from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
-from geort_drake.evaluation.metrics import RobotSpace, evaluate_frames, robot_space
-from geort_drake.evaluation.refitting import refit_checkpoint
+from geort_drake.cli.console import console, run_main
+from geort_drake.comparison.checkpoint_cache import cached_checkpoint
+from geort_drake.comparison.metrics import RobotSpace, evaluate_frames, robot_space
+from geort_drake.comparison.refitting import refit_checkpoint
 from geort_drake.files import write_text
-from geort_drake.gloves.readers import read_recording
-from geort_drake.gloves.recording import Recording
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
+from geort_drake.people.readers import read_recording
+from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import load_checkpoint
-from geort_drake.retargeting.refit import FINE_TUNING
+from geort_drake.retargeting.methods.coupled.refit import FINE_TUNING
 from geort_drake.retargeting.retargeter import load_retargeter
 
 BLOCK_S = 7.0

@@ -7,9 +7,9 @@ import argparse
 
 import numpy as np
 
-from geort_drake.retargeting.coupled_training import CoupledConfig
+from geort_drake.retargeting.methods.coupled.training import CoupledConfig
+from geort_drake.retargeting.methods.geort import TrainingConfig
 from geort_drake.retargeting.retargeter import BACKENDS, METHODS, Retargeter
-from geort_drake.retargeting.training import TrainingConfig
 
 FINGERS = {"thumb": 4, "index": 8, "middle": 12, "ring": 16, "little": 20}  # name → keypoint
 FORMS = ("geort_coupled", "geort")

@@ -7,11 +7,11 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from geort_drake.gloves.readers import read_recording
-    from geort_drake.gloves.recording import Recording
+    from geort_drake.people.readers import read_recording
+    from geort_drake.people.recording import Recording
+    from geort_drake.rerun.recorder import add_rerun_recorder
     from geort_drake.retargeting.retargeter import Retargeter, load_retargeter
     from geort_drake.systems.glove_replay import GloveReplay
-    from geort_drake.systems.rerun_recorder import add_rerun_recorder
     from geort_drake.systems.retargeting_system import RetargetingSystem
 
 __version__ = "0.1.0"
@@ -28,12 +28,12 @@ __all__ = [
 
 _HOMES = {
     "GloveReplay": "systems.glove_replay",
-    "Recording": "gloves.recording",
+    "Recording": "people.recording",
     "Retargeter": "retargeting.retargeter",
     "RetargetingSystem": "systems.retargeting_system",
-    "add_rerun_recorder": "systems.rerun_recorder",
+    "add_rerun_recorder": "rerun.recorder",
     "load_retargeter": "retargeting.retargeter",
-    "read_recording": "gloves.readers",
+    "read_recording": "people.readers",
 }
 
 

@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from geort_drake.command_line import add_json_option, check_outputs, command, make_parser, write_json
-from geort_drake.console import console, run_main
+from geort_drake.cli.console import console, run_main
+from geort_drake.cli.options import add_json_option, check_outputs, command, make_parser, write_json
 from geort_drake.errors import OutputError
 from geort_drake.files import require_writable
-from geort_drake.hands.checks import examine
 from geort_drake.hands.description import HandDescription, load_hand
-from geort_drake.hands.description_file import write_description
-from geort_drake.hands.hulls import add_hulls
+from geort_drake.hands.importers.checks import examine
+from geort_drake.hands.importers.description_file import write_description
+from geort_drake.hands.importers.hulls import add_hulls
+from geort_drake.hands.importers.proposal import propose
 from geort_drake.hands.meshes import convert_model, what_drake_misreads
 from geort_drake.hands.model import HandModel
-from geort_drake.hands.proposal import propose
 from geort_drake.resources import models_dir
 
 EPILOG = """\
@@ -42,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         path, description = given, load_hand(given)
         if description.training:
             # Only here, as it loads PyTorch.
-            from geort_drake.evaluation.pipeline import DEFAULT_METHOD, training_config
+            from geort_drake.comparison.pipeline import DEFAULT_METHOD, training_config
 
             training_config(DEFAULT_METHOD, hand=description)
     else:
@@ -74,7 +74,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         console.print("the checks found nothing to correct")
     if arguments.rrd is not None:
         # Only here, so that a check does not load Rerun.
-        from geort_drake.hands.hand_view import record_hand
+        from geort_drake.rerun.hand_view import record_hand
 
         record_hand(hand, arguments.rrd)
     write_json(arguments.json, {"description": str(path), "notes": notes, "to_correct": found})

@@ -11,7 +11,8 @@ from pathlib import Path
 
 from rich.table import Table
 
-from geort_drake.command_line import (
+from geort_drake.cli.console import console, progress_bar, run_main, warn
+from geort_drake.cli.options import (
     METHOD_SUMMARIES,
     add_json_option,
     add_scenario_options,
@@ -22,10 +23,9 @@ from geort_drake.command_line import (
     scenario_of,
     write_json,
 )
-from geort_drake.console import console, progress_bar, run_main, warn
 from geort_drake.errors import BenchmarkError, UnknownNameError
 from geort_drake.files import require_writable
-from geort_drake.gloves.recording import SIDES
+from geort_drake.people.recording import SIDES
 
 # The first one is what the others are compared with.
 METHODS = tuple(METHOD_SUMMARIES)
@@ -104,7 +104,7 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse_arguments(argv)
     # Imported after parsing, so that --help answers at once.
-    from geort_drake.evaluation.grasp_report import write_report
+    from geort_drake.benchmark.report import write_report
 
     if arguments.report:
         return finish(arguments, write_report(arguments.output))
@@ -117,12 +117,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def run(arguments: argparse.Namespace) -> None:
     """Runs what is left of the benchmark."""
-    from geort_drake.evaluation.grasp_benchmark import keep_error, open_benchmark
-    from geort_drake.evaluation.grasp_config import TRIALS
-    from geort_drake.evaluation.grasp_methods import names_of
-    from geort_drake.evaluation.sensitivity import PARAMETERS, make_conditions, parse_values
-    from geort_drake.evaluation.trial_log import TrialLog, key_of
-    from geort_drake.evaluation.workers import require_workers
+    from geort_drake.benchmark.config import TRIALS
+    from geort_drake.benchmark.folder import keep_error, open_benchmark
+    from geort_drake.benchmark.methods import names_of
+    from geort_drake.benchmark.sensitivity import PARAMETERS, make_conditions, parse_values
+    from geort_drake.benchmark.trial_log import TrialLog, key_of
+    from geort_drake.benchmark.workers import require_workers
     from geort_drake.hands.description import load_hand
     from geort_drake.simulation.scenario import object_names
 
@@ -179,8 +179,8 @@ def run(arguments: argparse.Namespace) -> None:
 
 def read_person(path: Path | None, side: str, seed: int):
     """The recording of the person who teleoperates, and what the configuration says of it."""
-    from geort_drake.gloves.play import synthesize_play
-    from geort_drake.gloves.readers import read_recording
+    from geort_drake.people.play import synthesize_play
+    from geort_drake.people.readers import read_recording
 
     if path is None:
         return synthesize_play(seed=seed, side=side), {"recording": None, "side": side}
@@ -189,14 +189,14 @@ def read_person(path: Path | None, side: str, seed: int):
 
 def watch(folder: Path, method: str, thing: str, seed: int, condition: str = "") -> int:
     """Simulates a finished trial again, with a recording; 1 when it did not come out the same."""
-    from geort_drake.evaluation.grasp_benchmark import open_benchmark
-    from geort_drake.evaluation.grasp_config import METHODS as KEPT
-    from geort_drake.evaluation.grasp_config import SCENARIO, TRIALS, read_config
-    from geort_drake.evaluation.grasp_report import rerun_path, write_report
-    from geort_drake.evaluation.grasp_trial import simulate
-    from geort_drake.evaluation.sensitivity import PARAMETERS, make_conditions, parse_values
-    from geort_drake.evaluation.trial_log import TrialKey, key_of, read_records
-    from geort_drake.evaluation.trial_sources import code_digest
+    from geort_drake.benchmark.config import METHODS as KEPT
+    from geort_drake.benchmark.config import SCENARIO, TRIALS, read_config
+    from geort_drake.benchmark.folder import open_benchmark
+    from geort_drake.benchmark.report import rerun_path, write_report
+    from geort_drake.benchmark.sensitivity import PARAMETERS, make_conditions, parse_values
+    from geort_drake.benchmark.trial import simulate
+    from geort_drake.benchmark.trial_log import TrialKey, key_of, read_records
+    from geort_drake.benchmark.trial_sources import code_digest
     from geort_drake.simulation.scenario import load_scenario
 
     config = read_config(folder)

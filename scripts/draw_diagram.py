@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from geort_drake.command_line import add_scenario_options, make_parser, scenario_of
-from geort_drake.console import console, run_main
+from geort_drake.cli.console import console, run_main
+from geort_drake.cli.options import add_scenario_options, make_parser, scenario_of
 from geort_drake.errors import GeortError
 from geort_drake.files import write_text
 
@@ -71,10 +71,10 @@ def build(scenario, rerun_path: Path):
     """The scenario's diagram with stand-ins for what it is fed with: none of it changes the picture."""
     from pydrake.math import RigidTransform
 
-    from geort_drake.gloves.human_hand import HumanHand
     from geort_drake.hands.description import load_hand
-    from geort_drake.operators.grasp_goal import GraspGoal
+    from geort_drake.people.human_hand import HumanHand
     from geort_drake.simulation.diagram import make_grasp_diagram
+    from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
     description = load_hand(scenario.hand)
     fingers = len(description.fingers)

@@ -12,7 +12,8 @@ from pathlib import Path
 
 from rich.table import Table
 
-from geort_drake.command_line import (
+from geort_drake.cli.console import console, progress_bar, run_main, warn
+from geort_drake.cli.options import (
     add_json_option,
     add_scenario_options,
     at_least,
@@ -20,9 +21,8 @@ from geort_drake.command_line import (
     scenario_of,
     write_json,
 )
-from geort_drake.console import console, progress_bar, run_main, warn
 from geort_drake.files import require_writable
-from geort_drake.gloves.recording import SIDES
+from geort_drake.people.recording import SIDES
 
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -59,11 +59,11 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse_arguments(argv)
     # Imported after parsing, so that --help answers at once.
-    from geort_drake.evaluation.grasp_benchmark import keep_error
-    from geort_drake.evaluation.grasp_config import TRIALS
-    from geort_drake.evaluation.replay import PERTURBATIONS, REPORT, Replay, write_report
-    from geort_drake.evaluation.sensitivity import parse_values
-    from geort_drake.evaluation.trial_log import TrialLog, key_of
+    from geort_drake.benchmark.config import TRIALS
+    from geort_drake.benchmark.folder import keep_error
+    from geort_drake.benchmark.replay import PERTURBATIONS, REPORT, Replay, write_report
+    from geort_drake.benchmark.sensitivity import parse_values
+    from geort_drake.benchmark.trial_log import TrialLog, key_of
 
     usual = {name: perturbation.sizes for name, perturbation in PERTURBATIONS.items()}
     scenario = scenario_of(arguments)

@@ -10,7 +10,8 @@ from pathlib import Path
 
 from rich.progress import Progress
 
-from geort_drake.command_line import (
+from geort_drake.cli.console import console, progress_bar, run_main, warn
+from geort_drake.cli.options import (
     STDOUT,
     add_json_option,
     at_least,
@@ -18,25 +19,24 @@ from geort_drake.command_line import (
     method_help,
     write_json,
 )
-from geort_drake.console import console, progress_bar, run_main, warn
-from geort_drake.evaluation.ablation import ablation
-from geort_drake.evaluation.comparison import Comparison, Outcome, check_methods, method_names
-from geort_drake.evaluation.pipeline import METHODS
-from geort_drake.evaluation.plots import write_plots, write_sweep_plot
-from geort_drake.evaluation.protocols import (
+from geort_drake.comparison.ablation import ablation
+from geort_drake.comparison.comparison import Comparison, Outcome, check_methods, method_names
+from geort_drake.comparison.pipeline import METHODS
+from geort_drake.comparison.plots import write_plots, write_sweep_plot
+from geort_drake.comparison.protocols import (
     GUARD_S,
     SAME_PERSON,
     held_out,
     other_person,
     same_person,
 )
-from geort_drake.evaluation.report import failures, report, tables
-from geort_drake.evaluation.sweep import SWEEP, Ground, Sweep, plan, read_sweep
+from geort_drake.comparison.report import failures, report, tables
+from geort_drake.comparison.sweep import SWEEP, Ground, Sweep, plan, read_sweep
 from geort_drake.files import require_writable, write_text
-from geort_drake.gloves.readers import read_recording
-from geort_drake.gloves.recording import Recording
 from geort_drake.hands.description import hand_names, load_hand
 from geort_drake.hands.model import HandModel
+from geort_drake.people.readers import read_recording
+from geort_drake.people.recording import Recording
 
 EPILOG = f"""\
 {method_help()}
@@ -162,7 +162,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
 
 def _trainer(hand_name: str, progress: Progress) -> Callable[[Recording, str, int], Path]:
     """`cached_checkpoint`, with the bars of training in place of these ones."""
-    from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
+    from geort_drake.comparison.checkpoint_cache import cached_checkpoint
 
     def train(recording: Recording, method: str, seed: int) -> Path:
         progress.stop()

@@ -8,9 +8,9 @@ import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from geort_drake.command_line import at_least, check_outputs, command, make_parser, method_help
-from geort_drake.console import console, progress_bar, run_main
-from geort_drake.evaluation.comparison import check_methods
+from geort_drake.cli.console import console, progress_bar, run_main
+from geort_drake.cli.options import at_least, check_outputs, command, make_parser, method_help
+from geort_drake.comparison.comparison import check_methods
 from geort_drake.hands.description import hand_names, load_hand
 
 EPILOG = f"""\
@@ -49,11 +49,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     check_outputs(parser, (arguments.output, ".rrd"))
     check_methods(arguments.methods)
 
-    from geort_drake.evaluation._rerun_explorer import write_exploration
-    from geort_drake.evaluation.exploration import answers, excerpt
-    from geort_drake.gloves.play import synthesize_play
-    from geort_drake.gloves.readers import read_recording
+    from geort_drake.comparison.exploration import answers, excerpt
     from geort_drake.hands.model import HandModel
+    from geort_drake.people.play import synthesize_play
+    from geort_drake.people.readers import read_recording
+    from geort_drake.rerun.explorer import write_exploration
 
     description = load_hand(arguments.hand)
     hand = HandModel(description)
@@ -86,10 +86,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _retargeter(method: str, arguments: argparse.Namespace, hand, recording) -> Callable:
-    from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
-    from geort_drake.evaluation.pipeline import METHODS
+    from geort_drake.comparison.checkpoint_cache import cached_checkpoint
+    from geort_drake.comparison.pipeline import METHODS
     from geort_drake.hands.canonical import canonical_kinematics
-    from geort_drake.retargeting.baselines.registry import BASELINES, make_baseline
+    from geort_drake.retargeting.methods.registry import BASELINES, make_baseline
     from geort_drake.retargeting.retargeter import load_retargeter
 
     if method in BASELINES:

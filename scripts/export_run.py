@@ -9,11 +9,11 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from geort_drake.command_line import add_json_option, at_least, command, make_parser, write_json
-from geort_drake.console import console, progress_bar, run_main
+from geort_drake.cli.console import console, progress_bar, run_main
+from geort_drake.cli.options import add_json_option, at_least, command, make_parser, write_json
 from geort_drake.errors import OutputError
 from geort_drake.files import require_writable
-from geort_drake.gloves.recording import SIDES
+from geort_drake.people.recording import SIDES
 
 FORMATS = ("parquet", "lerobot", "rrd")
 EPILOG = """\
@@ -27,7 +27,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     from geort_drake.export.episode import RESULTS, episode_of, read_episodes
     from geort_drake.export.lerobot import write_lerobot
     from geort_drake.export.parquet import write_parquet
-    from geort_drake.gloves.readers import read_recording
+    from geort_drake.people.readers import read_recording
 
     source, output = arguments.input, arguments.output
     is_run = (source / RESULTS).is_file()
@@ -35,7 +35,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     if arguments.format == "rrd":
         if is_run:
             raise OutputError(f"{source}: the trials of a run are Rerun recordings already: {source}/*.rrd")
-        from geort_drake.export.rerun_hand import write_hand
+        from geort_drake.rerun.hand_recording import write_hand
 
         write_hand(read_recording(source, arguments.side), output, arguments.fps or 30)
     else:

@@ -12,7 +12,8 @@ from typing import Any
 from rich.live import Live
 from rich.table import Table
 
-from geort_drake.command_line import (
+from geort_drake.cli.console import console, run_main, warn
+from geort_drake.cli.options import (
     add_json_option,
     check_outputs,
     command,
@@ -20,16 +21,15 @@ from geort_drake.command_line import (
     positive,
     write_json,
 )
-from geort_drake.console import console, run_main, warn
 from geort_drake.errors import RecordingError
-from geort_drake.gloves.coverage import coverage
-from geort_drake.gloves.formats import AUTO, FORMATS
-from geort_drake.gloves.health import examine, noted, refuse
-from geort_drake.gloves.health.anatomy import UNITS_M
-from geort_drake.gloves.health.findings import Finding, Severity
-from geort_drake.gloves.health.report import report
-from geort_drake.gloves.readers import open_recording
-from geort_drake.gloves.recording import SIDES, Recording
+from geort_drake.people.checks import examine, noted, refuse
+from geort_drake.people.checks.anatomy import UNITS_M
+from geort_drake.people.checks.findings import Finding, Severity
+from geort_drake.people.checks.report import report
+from geort_drake.people.coverage import coverage
+from geort_drake.people.formats import AUTO, FORMATS
+from geort_drake.people.readers import open_recording
+from geort_drake.people.recording import SIDES, Recording
 
 _ROBOT_SAMPLES = 4000
 _LOOK_EVERY_S = 1.0
@@ -155,10 +155,10 @@ def _coverage_table(arguments: argparse.Namespace) -> tuple[Table, bool]:
 def _draw(recording: Recording, hand_name: str, path: Path) -> None:
     import numpy as np
 
-    from geort_drake.gloves.keypoints import mirrored
-    from geort_drake.gloves.picture import draw_fingertips
     from geort_drake.hands.description import load_hand
     from geort_drake.hands.model import HandModel
+    from geort_drake.people.keypoints import mirrored
+    from geort_drake.people.picture import draw_fingertips
 
     description = load_hand(hand_name)
     hand = HandModel(description)

@@ -15,8 +15,8 @@ import numpy as np
 from PIL import Image
 from rich.progress import track
 
-from geort_drake.command_line import make_parser
-from geort_drake.console import console, run_main
+from geort_drake.cli.console import console, run_main
+from geort_drake.cli.options import make_parser
 from geort_drake.errors import GeortError
 from geort_drake.files import atomic_path, require_writable
 
@@ -124,7 +124,7 @@ def check(recording: Path) -> None:
 
 def photograph(recording: Path, picture: Path, time: float | None) -> None:
     """Writes a small .png of a recording, without the viewer's frame."""
-    from geort_drake.systems._rerun_screenshot import take_screenshot
+    from geort_drake.rerun.screenshot import take_screenshot
 
     take_screenshot(recording, picture, time=time, size=SIZE)
     with Image.open(picture) as whole:
@@ -141,7 +141,7 @@ def shrink(image: Image.Image, picture: Path) -> None:
 
 def film(recording: Path, picture: Path) -> None:
     """Writes a small moving .webp of the views of a recording's scene, as fast as it was."""
-    from geort_drake.systems._rerun_screenshot import camera
+    from geort_drake.rerun.screenshot import camera
 
     with camera(recording, SIZE) as opened:
         times = np.arange(0, opened.end, 1 / FILM_HZ)

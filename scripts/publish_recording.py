@@ -9,9 +9,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from geort_drake.command_line import make_parser
-from geort_drake.console import console, run_main, warn
-from geort_drake.gloves.recording import SIDES
+from geort_drake.cli.console import console, run_main, warn
+from geort_drake.cli.options import make_parser
+from geort_drake.people.recording import SIDES
 
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -27,10 +27,10 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse_arguments(argv)
     # Imported after parsing, so that --help answers at once.
-    from geort_drake.gloves.readers import read_recording
     from geort_drake.live.playback import play
     from geort_drake.live.real_time import stopping
     from geort_drake.live.transports import is_local, open_sender
+    from geort_drake.people.readers import read_recording
 
     recording = read_recording(arguments.recording, arguments.side)
     sender = open_sender(arguments.to)

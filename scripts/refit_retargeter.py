@@ -10,17 +10,17 @@ from pathlib import Path
 
 from rich.table import Table
 
-from geort_drake.command_line import add_json_option, at_least, command, make_parser, write_json
-from geort_drake.console import console, progress_bar, run_main
+from geort_drake.cli.console import console, progress_bar, run_main
+from geort_drake.cli.options import add_json_option, at_least, command, make_parser, write_json
 from geort_drake.files import require_writable
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     arguments = parse_arguments(argv)
     # Imported after parsing, so that --help answers at once.
-    from geort_drake.evaluation.refitting import refit_checkpoint
+    from geort_drake.comparison.refitting import refit_checkpoint
     from geort_drake.retargeting.checkpoint import METRICS, load_checkpoint
-    from geort_drake.retargeting.refit import FINE_TUNING
+    from geort_drake.retargeting.methods.coupled.refit import FINE_TUNING
 
     steps = FINE_TUNING.steps if arguments.steps is None else arguments.steps
     with progress_bar() as progress:

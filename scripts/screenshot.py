@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from geort_drake.command_line import make_parser
-from geort_drake.console import console, run_main
+from geort_drake.cli.console import console, run_main
+from geort_drake.cli.options import make_parser
 
 EPILOG = """\
 On a machine without a graphics card, Rerun's viewer draws with Mesa's software driver (Debian and Ubuntu:
@@ -27,7 +27,7 @@ def main(argv: Sequence[str] | None = None) -> int | None:
     add("--height", type=int, default=900, metavar="PX", help="of the window")
     arguments = parser.parse_args(argv)
 
-    from geort_drake.systems._rerun_screenshot import take_screenshot
+    from geort_drake.rerun.screenshot import take_screenshot
 
     size = (arguments.width, arguments.height)
     take_screenshot(arguments.recording, arguments.picture, time=arguments.time, size=size)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from rich.table import Table
 
-from geort_drake.command_line import at_least, check_outputs, command, make_parser
-from geort_drake.console import console, run_main
-from geort_drake.gloves.protocol import STEPS, demonstrate
+from geort_drake.cli.console import console, run_main
+from geort_drake.cli.options import at_least, check_outputs, command, make_parser
+from geort_drake.people.protocol import STEPS, demonstrate
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -30,7 +30,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         console.print(f"Recording: {arguments.recording}", markup=False, soft_wrap=True)
     if arguments.output is not None:
         # Imported here, as it brings Drake and Rerun, and the table needs neither.
-        from geort_drake.export.rerun_hand import write_hand
+        from geort_drake.rerun.hand_recording import write_hand
 
         write_hand(recording, arguments.output, states={"step": names})
         console.print(f"Watch it: {command('rerun', arguments.output)}", markup=False, soft_wrap=True)

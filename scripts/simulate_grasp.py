@@ -18,7 +18,8 @@ from pathlib import Path
 from rich.table import Table
 
 from geort_drake import __version__
-from geort_drake.command_line import (
+from geort_drake.cli.console import console, progress_bar, run_main
+from geort_drake.cli.options import (
     TRAINED_METHODS,
     add_json_option,
     add_scenario_options,
@@ -29,10 +30,9 @@ from geort_drake.command_line import (
     scenario_of,
     write_json,
 )
-from geort_drake.console import console, progress_bar, run_main
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.files import require_writable, write_text
-from geort_drake.gloves.recording import SIDES
+from geort_drake.people.recording import SIDES
 from geort_drake.retargeting.checkpoint import METRICS, Checkpoint, load_checkpoint
 
 # Grasped where neither --objects nor the scenario says what.
@@ -72,16 +72,16 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse_arguments(argv)
     # Imported after parsing, so that --help answers at once.
-    from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
-    from geort_drake.evaluation.pipeline import DEFAULT_METHOD, METHODS
-    from geort_drake.gloves.human_hand import HumanHand
-    from geort_drake.gloves.play import synthesize_play
-    from geort_drake.gloves.readers import read_recording
+    from geort_drake.comparison.checkpoint_cache import cached_checkpoint
+    from geort_drake.comparison.pipeline import DEFAULT_METHOD, METHODS
     from geort_drake.hands.description import load_hand
     from geort_drake.hands.model import HandModel
+    from geort_drake.people.human_hand import HumanHand
+    from geort_drake.people.play import synthesize_play
+    from geort_drake.people.readers import read_recording
     from geort_drake.retargeting.retargeter import load_retargeter
-    from geort_drake.simulation.grasp_planner import GraspPlanner
     from geort_drake.simulation.scenario import dump_scenario, names_object
+    from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
     from geort_drake.simulation.trial import run_trial
 
     # What is wrong with the request is found before anything is computed or written.

@@ -8,8 +8,8 @@ import argparse
 import math
 from collections.abc import Sequence
 
-from geort_drake.command_line import add_scenario_options, make_parser, scenario_of
-from geort_drake.console import console, run_main, warn
+from geort_drake.cli.console import console, run_main, warn
+from geort_drake.cli.options import add_scenario_options, make_parser, scenario_of
 
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:

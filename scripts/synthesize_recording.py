@@ -6,17 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
+from geort_drake.cli.console import console, run_main, warn
+from geort_drake.cli.options import at_least, check_outputs, command, make_parser, positive
 from geort_drake.colours import FINGER_COLOURS
-from geort_drake.command_line import at_least, check_outputs, command, make_parser, positive
-from geort_drake.console import console, run_main, warn
 from geort_drake.files import atomic_path
-from geort_drake.gloves.health import check_recording
-from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.gloves.keypoints import FINGER_NAMES
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.readers import read_recording
-from geort_drake.gloves.recording import SIDES, Recording
-from geort_drake.gloves.summary import fingertip_speeds, summarize
+from geort_drake.people.checks import check_recording
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.keypoints import FINGER_NAMES
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.readers import read_recording
+from geort_drake.people.recording import SIDES, Recording
+from geort_drake.people.summary import fingertip_speeds, summarize
 
 _MOST_FRAMES = 5_000_000  # half a day at 120 Hz, and two gigabytes while they are made
 

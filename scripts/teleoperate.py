@@ -12,7 +12,8 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from geort_drake.command_line import (
+from geort_drake.cli.console import console, run_main, warn
+from geort_drake.cli.options import (
     add_json_option,
     add_scenario_options,
     check_outputs,
@@ -21,7 +22,6 @@ from geort_drake.command_line import (
     scenario_of,
     write_json,
 )
-from geort_drake.console import console, run_main, warn
 
 
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -63,10 +63,7 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse_arguments(argv)
     # Imported after parsing, so that --help answers at once.
-    from geort_drake.evaluation.checkpoint_cache import cached_checkpoint
-    from geort_drake.gloves.play import synthesize_play
-    from geort_drake.gloves.readers import read_recording
-    from geort_drake.gloves.recording_parts import RecordingParts
+    from geort_drake.comparison.checkpoint_cache import cached_checkpoint
     from geort_drake.hands.description import load_hand
     from geort_drake.hands.model import HandModel
     from geort_drake.live.devices import require_hand_messages
@@ -84,6 +81,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         split_address,
     )
     from geort_drake.live.watchdog import WatchdogConfig
+    from geort_drake.people.play import synthesize_play
+    from geort_drake.people.readers import read_recording
+    from geort_drake.people.recording_parts import RecordingParts
     from geort_drake.retargeting.retargeter import load_retargeter
     from geort_drake.systems.glove_recorder import GloveRecorder
     from geort_drake.systems.glove_replay import GloveReplay

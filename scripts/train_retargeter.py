@@ -12,7 +12,8 @@ from typing import Any
 
 from rich.table import Table
 
-from geort_drake.command_line import (
+from geort_drake.cli.console import console, run_main, warn
+from geort_drake.cli.options import (
     TRAINED_METHODS,
     add_json_option,
     at_least,
@@ -22,22 +23,21 @@ from geort_drake.command_line import (
     method_help,
     write_json,
 )
-from geort_drake.console import console, run_main, warn
-from geort_drake.errors import TrainingError
-from geort_drake.evaluation.pipeline import (
+from geort_drake.comparison.pipeline import (
     CONFIGS,
     DEFAULT_METHOD,
     train_checkpoint,
     training_config,
 )
+from geort_drake.errors import TrainingError
 from geort_drake.files import require_writable
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.readers import read_recording
 from geort_drake.hands.description import hand_names, load_hand
 from geort_drake.hands.model import HandModel
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.readers import read_recording
 from geort_drake.retargeting.checkpoint import METRICS, Checkpoint, load_checkpoint
+from geort_drake.retargeting.methods.geort import FORWARD_KINEMATICS, PRESETS
 from geort_drake.retargeting.retargeter import load_retargeter
-from geort_drake.retargeting.training import FORWARD_KINEMATICS, PRESETS
 from geort_drake.settings import parse_settings, settings_of
 
 EPILOG = f"""\
@@ -64,7 +64,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         recording = read_recording(arguments.recording, load_hand(arguments.hand).side, training=True)
     recorder = None
     if arguments.rrd is not None:
-        from geort_drake.evaluation._rerun_training import TrainingRecorder
+        from geort_drake.rerun.training import TrainingRecorder
 
         description = load_hand(arguments.hand)
         if recording is None:

@@ -15,10 +15,10 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.model import HandModel
-from geort_drake.operators.grasp_goal import GraspGoal
 from geort_drake.resources import models_dir, resolve_uri
 from geort_drake.simulation.object_shape import object_shape
 from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.world import add_object, standing_pose
 
 # Times since the start, s: the fingertips are at the surface, squeezed, settled, and lifted; end of the hold.

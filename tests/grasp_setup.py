@@ -5,13 +5,13 @@ from functools import cache
 import numpy as np
 from affine_map import AffineMap
 
-from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.gloves.play import synthesize_play
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
-from geort_drake.operators.grasp_goal import GraspGoal
-from geort_drake.simulation.grasp_planner import GraspPlanner
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.play import synthesize_play
 from geort_drake.simulation.scenario import Scenario, load_scenario
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
+from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
 GAIN = 1.5
 # Of a scenario: too short to grasp anything, long enough to run through every part.

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from moving_hands import FRAMES, Hand, moving
 
-from geort_drake.gloves.health.findings import Severity
+from geort_drake.people.checks.findings import Severity
 
 ERROR, UNFIT, WARNING, ADVICE = Severity.ERROR, Severity.UNFIT, Severity.WARNING, Severity.ADVICE
 

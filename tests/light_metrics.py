@@ -4,7 +4,7 @@ import functools
 
 import pytest
 
-from geort_drake.evaluation import metrics
+from geort_drake.comparison import metrics
 
 
 def lighten(patch: pytest.MonkeyPatch) -> None:

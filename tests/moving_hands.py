@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from geort_drake.gloves.human_hand import HumanHand
+from geort_drake.people.human_hand import HumanHand
 
 FRAMES, RATE_HZ = 400, 60.0
 FINGERS = ("index", "middle", "ring", "little")

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import torch
 
-from geort_drake.retargeting.kinematics import FingerChain, HandKinematics
+from geort_drake.retargeting.training.kinematics import FingerChain, HandKinematics
 
 LINK = 0.04  # m
 

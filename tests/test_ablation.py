@@ -2,7 +2,7 @@
 
 import pytest
 
-from geort_drake.evaluation.ablation import ablation
+from geort_drake.comparison.ablation import ablation
 
 
 def run_of(method, changed, value, seed, motion, closed):

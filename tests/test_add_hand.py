@@ -16,24 +16,24 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from script_modules import load_script
 
+from geort_drake.comparison.pipeline import train_checkpoint
 from geort_drake.errors import HandError, OutputError
-from geort_drake.evaluation.pipeline import train_checkpoint
-from geort_drake.gloves.keypoints import FINGER_NAMES
-from geort_drake.gloves.play import synthesize_play
 from geort_drake.hands.assembly import add_hand_model
-from geort_drake.hands.checks import examine
 from geort_drake.hands.clearance import HandClearance
 from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.couplings import read_couplings
 from geort_drake.hands.description import load_hand
-from geort_drake.hands.description_file import write_description
-from geort_drake.hands.finger_names import fingers_by_name
+from geort_drake.hands.importers.checks import examine
+from geort_drake.hands.importers.description_file import write_description
+from geort_drake.hands.importers.finger_names import fingers_by_name
+from geort_drake.hands.importers.proposal import propose
+from geort_drake.hands.importers.structure import read_structure
 from geort_drake.hands.model import HandModel
-from geort_drake.hands.proposal import propose
-from geort_drake.hands.structure import read_structure
-from geort_drake.retargeting.baselines.numpy_kinematics import NumpyKinematics
-from geort_drake.retargeting.collision_geometry import CollisionGaps
+from geort_drake.people.keypoints import FINGER_NAMES
+from geort_drake.people.play import synthesize_play
+from geort_drake.retargeting.methods.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.retargeter import load_retargeter
+from geort_drake.retargeting.training.collision_geometry import CollisionGaps
 from geort_drake.simulation.diagram import make_grasp_diagram
 from geort_drake.simulation.scenario import load_scenario
 

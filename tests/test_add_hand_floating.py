@@ -9,9 +9,9 @@ from pydrake.systems.analysis import Simulator
 from script_modules import load_script
 
 from geort_drake.errors import ScenarioError
-from geort_drake.gloves.play import synthesize_play
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
+from geort_drake.people.play import synthesize_play
 from geort_drake.simulation.diagram import make_grasp_diagram
 from geort_drake.simulation.scenario import load_scenario
 from geort_drake.simulation.world import HAND

@@ -8,12 +8,12 @@ from hand_family import HandSpec, write_hand
 from pydrake.geometry import Role
 from script_modules import load_script
 
-from geort_drake.hands.checks import examine
 from geort_drake.hands.description import load_hand
-from geort_drake.hands.hulls import add_hulls
+from geort_drake.hands.importers.checks import examine
+from geort_drake.hands.importers.hulls import add_hulls
+from geort_drake.hands.importers.proposal import propose
+from geort_drake.hands.importers.tip_points import surface_points
 from geort_drake.hands.model import HandModel
-from geort_drake.hands.proposal import propose
-from geort_drake.hands.tip_points import surface_points
 
 # A rigid part that hangs on the index finger's last link, off its axes, and how far it reaches along them.
 PARTS = {

@@ -11,10 +11,10 @@ from scipy.spatial import ConvexHull
 
 from geort_drake.errors import HandError
 from geort_drake.hands.clearance import HandClearance
+from geort_drake.hands.importers.proposal import propose
+from geort_drake.hands.importers.tip_points import surface_points
 from geort_drake.hands.meshes import convert_model, unreadable_meshes
 from geort_drake.hands.model import HandModel
-from geort_drake.hands.proposal import propose
-from geort_drake.hands.tip_points import surface_points
 
 # A box off its mesh's origin, longer along z than along y.
 CORNERS = np.array(np.meshgrid([-0.022, -0.002], [-0.033, 0.033], [0.0, 0.08])).reshape(3, -1).T

@@ -8,7 +8,7 @@ from script_modules import load_script
 
 from geort_drake.errors import HandError, UnknownNameError
 from geort_drake.hands.description import load_hand
-from geort_drake.hands.proposal import propose
+from geort_drake.hands.importers.proposal import propose
 
 add_hand = load_script("add_hand.py")
 

@@ -10,18 +10,18 @@ from retargeting_toy import toy_human, toy_kinematics
 from scipy.optimize import minimize
 
 from geort_drake.errors import GeortError, HandError, TrainingError, UnknownNameError
-from geort_drake.retargeting.baselines.linear_offline import SCALE, train_linear_offline
-from geort_drake.retargeting.baselines.numpy_kinematics import NumpyKinematics
-from geort_drake.retargeting.baselines.online import (
+from geort_drake.retargeting.methods.geort import TrainingConfig
+from geort_drake.retargeting.methods.linear_offline import SCALE, train_linear_offline
+from geort_drake.retargeting.methods.numpy_kinematics import NumpyKinematics
+from geort_drake.retargeting.methods.online import (
     DexPilotConfig,
     DexPilotOnline,
     VectorConfig,
     VectorOnline,
 )
-from geort_drake.retargeting.baselines.registry import BASELINES, make_baseline
-from geort_drake.retargeting.baselines.trivial import NearestNeighbour
-from geort_drake.retargeting.kinematics import FingerChain, HandKinematics
-from geort_drake.retargeting.training import TrainingConfig
+from geort_drake.retargeting.methods.registry import BASELINES, make_baseline
+from geort_drake.retargeting.methods.trivial import NearestNeighbour
+from geort_drake.retargeting.training.kinematics import FingerChain, HandKinematics
 
 P_BW = np.array([0.0, 0.0, -0.095])  # of the Allegro: the palm's foot, as dex-retargeting has it
 

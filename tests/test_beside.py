@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from geort_drake.errors import TrainingError
-from geort_drake.retargeting.beside import Beside, result_of
+from geort_drake.retargeting.training.background import Beside, result_of
 
 
 class Summed:

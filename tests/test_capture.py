@@ -11,14 +11,14 @@ import pytest
 from rerun.chunk import RrdReader
 from script_modules import load_script
 
-from geort_drake.gloves.coverage import PINCHES, coverage, pinches
-from geort_drake.gloves.health import examine, verdict
-from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.gloves.keypoints import FINGER_KEYPOINTS, FINGER_NAMES
-from geort_drake.gloves.protocol import DURATION_S, STEPS, demonstrate
-from geort_drake.gloves.range_of_motion import ranges_deg
-from geort_drake.gloves.recording import Recording
-from geort_drake.gloves.summary import pinch_distances
+from geort_drake.people.checks import examine, verdict
+from geort_drake.people.coverage import PINCHES, coverage, pinches
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.keypoints import FINGER_KEYPOINTS, FINGER_NAMES
+from geort_drake.people.protocol import DURATION_S, STEPS, demonstrate
+from geort_drake.people.range_of_motion import ranges_deg
+from geort_drake.people.recording import Recording
+from geort_drake.people.summary import pinch_distances
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 from script_modules import SCRIPTS, load_script
 
-from geort_drake import command_line
-from geort_drake.command_line import (
+from geort_drake.cli import options as command_line
+from geort_drake.cli.console import console, progress_bar, warn
+from geort_drake.cli.options import (
     METHOD_SUMMARIES,
     TRAINED_METHODS,
     add_json_option,
@@ -25,7 +26,6 @@ from geort_drake.command_line import (
     scenario_of,
     write_json,
 )
-from geort_drake.console import console, progress_bar, warn
 from geort_drake.errors import OutputError
 
 
@@ -177,8 +177,8 @@ def test_every_option_of_every_script_is_explained(monkeypatch):
 
 def test_every_method_is_explained():
     """In one line each, and which of them are trained is told apart."""
-    from geort_drake.evaluation.comparison import method_names
-    from geort_drake.evaluation.pipeline import DEFAULT_METHOD, METHODS
+    from geort_drake.comparison.comparison import method_names
+    from geort_drake.comparison.pipeline import DEFAULT_METHOD, METHODS
 
     assert set(METHOD_SUMMARIES) == set(method_names())
     assert set(TRAINED_METHODS) == set(METHODS)

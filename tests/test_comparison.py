@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from script_modules import load_script
 
+from geort_drake.comparison.comparison import Comparison, Judged, Outcome
+from geort_drake.comparison.contact_metrics import pinch
+from geort_drake.comparison.metric_table import mean
+from geort_drake.comparison.metrics import Distributions, evaluate_frames, robot_space
+from geort_drake.comparison.pipeline import train_checkpoint
+from geort_drake.comparison.protocols import held_out, same_person
 from geort_drake.errors import TrainingError, UnknownNameError
-from geort_drake.evaluation.comparison import Comparison, Judged, Outcome
-from geort_drake.evaluation.contact_metrics import pinch
-from geort_drake.evaluation.metric_table import mean
-from geort_drake.evaluation.metrics import Distributions, evaluate_frames, robot_space
-from geort_drake.evaluation.pipeline import train_checkpoint
-from geort_drake.evaluation.protocols import held_out, same_person
-from geort_drake.gloves.play import synthesize_play
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.baselines.online import VectorOnline
+from geort_drake.people.play import synthesize_play
+from geort_drake.retargeting.methods.online import VectorOnline
 
 QUICK = {
     "steps": 5, "points": 16, "targets": 32, "pinches": 8, "frames": 8, "hidden": 8,
@@ -55,7 +55,7 @@ def quick(light_evaluation, tmp_path):
 @pytest.fixture
 def evaluate(play, quick, monkeypatch, tmp_path):
     """Runs the script on the play; returns its exit code and what it wrote as JSON."""
-    monkeypatch.setattr("geort_drake.evaluation.checkpoint_cache.cached_checkpoint", quick)
+    monkeypatch.setattr("geort_drake.comparison.checkpoint_cache.cached_checkpoint", quick)
     play.save(tmp_path / "hand.npz")
     synthesize_play(1, duration_s=20.0, rate_hz=30.0).save(tmp_path / "other.npz")
     monkeypatch.chdir(tmp_path)
@@ -136,7 +136,7 @@ def test_a_case_that_fails_leaves_the_others(evaluate, quick, monkeypatch, capsy
             raise TrainingError("the recording's ring tip visits only 7 places")
         return quick(hand_name, recording, method, seed)
 
-    monkeypatch.setattr("geort_drake.evaluation.checkpoint_cache.cached_checkpoint", train)
+    monkeypatch.setattr("geort_drake.comparison.checkpoint_cache.cached_checkpoint", train)
     code, report = evaluate("--methods linear_offline hold --held_out 2")
     assert code == 1
     failed, done = report["methods"]["linear_offline"]["held_out"]["outcomes"]
@@ -164,7 +164,7 @@ def test_a_stopped_run_leaves_the_methods_that_were_done(evaluate, quick, monkey
         trained.append((method, found))
         return path, found
 
-    monkeypatch.setattr("geort_drake.evaluation.checkpoint_cache.cached_checkpoint", train)
+    monkeypatch.setattr("geort_drake.comparison.checkpoint_cache.cached_checkpoint", train)
     with pytest.raises(KeyboardInterrupt):
         evaluate("--methods linear_offline geort")
     assert list(json.loads((tmp_path / "table.json").read_text("utf-8"))["methods"]) == ["linear_offline"]

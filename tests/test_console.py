@@ -4,7 +4,7 @@ import warnings
 
 import pytest
 
-from geort_drake.console import run_main
+from geort_drake.cli.console import run_main
 from geort_drake.errors import RecordingError
 
 

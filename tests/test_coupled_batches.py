@@ -8,14 +8,14 @@ import pytest
 import torch
 from retargeting_toy import toy_human, toy_kinematics, toy_samples
 
-from geort_drake.retargeting.beside import Beside
 from geort_drake.retargeting.clouds import voxel_centres
-from geort_drake.retargeting.collision_geometry import CollisionGaps, CollisionShapes
-from geort_drake.retargeting.coupled_batches import COLLIDE_EVERY, Batches, BatchMaker
-from geort_drake.retargeting.coupled_coverage import CoverageTargets
-from geort_drake.retargeting.coupled_hands import TrainingHands
-from geort_drake.retargeting.coupled_network import CoupledNetwork
-from geort_drake.retargeting.coupled_training import CoupledConfig
+from geort_drake.retargeting.methods.coupled.batches import COLLIDE_EVERY, Batches, BatchMaker
+from geort_drake.retargeting.methods.coupled.coverage import CoverageTargets
+from geort_drake.retargeting.methods.coupled.hands import TrainingHands
+from geort_drake.retargeting.methods.coupled.network import CoupledNetwork
+from geort_drake.retargeting.methods.coupled.training import CoupledConfig
+from geort_drake.retargeting.training.background import Beside
+from geort_drake.retargeting.training.collision_geometry import CollisionGaps, CollisionShapes
 
 CPU = torch.device("cpu")
 CONFIG = CoupledConfig(

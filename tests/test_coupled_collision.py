@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.collision_geometry import CollisionGaps, CollisionShapes, box_gap
+from geort_drake.retargeting.training.collision_geometry import CollisionGaps, CollisionShapes, box_gap
 
 CPU = torch.device("cpu")
 

@@ -7,9 +7,9 @@ import pytest
 import torch
 from retargeting_toy import toy_human, toy_kinematics
 
-from geort_drake.retargeting import coupled_hands
-from geort_drake.retargeting.coupled_hands import STEP_LAGS, STEP_RANGE, TrainingHands, rarity
-from geort_drake.retargeting.coupled_training import CoupledConfig
+from geort_drake.retargeting.methods.coupled import hands as coupled_hands
+from geort_drake.retargeting.methods.coupled.hands import STEP_LAGS, STEP_RANGE, TrainingHands, rarity
+from geort_drake.retargeting.methods.coupled.training import CoupledConfig
 
 NAMES = ("thumb", "index", "middle")
 RECORDED = CoupledConfig(spread_share=0.0, strange_pinch_share=0.0, strange_hand_share=0.0)

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from geort_drake.retargeting import coupled_losses as losses
+from geort_drake.retargeting.methods.coupled import losses
 
 
 def normal(*shape, seed=0):

@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import nn
 
-from geort_drake.retargeting.beside import Beside
-from geort_drake.retargeting.coupled_prices import EVERY, FROM, LARGEST, RATE, Prices
+from geort_drake.retargeting.methods.coupled.multipliers import EVERY, FROM, LARGEST, RATE, Prices
+from geort_drake.retargeting.training.background import Beside
 
 
 class Map(nn.Module):

@@ -8,16 +8,16 @@ import torch
 from retargeting_toy import toy_human, toy_kinematics, toy_samples
 
 from geort_drake.errors import CheckpointError, TrainingError
-from geort_drake.retargeting import coupled_training
-from geort_drake.retargeting.beside import Beside
 from geort_drake.retargeting.checkpoint import save_checkpoint
-from geort_drake.retargeting.collision_geometry import CollisionShapes
-from geort_drake.retargeting.coupled_network import CoupledNetwork
-from geort_drake.retargeting.coupled_retargeter import CoupledRetargeter
-from geort_drake.retargeting.coupled_training import CoupledConfig, train_coupled
-from geort_drake.retargeting.kinematics import FingerChain, HandKinematics
+from geort_drake.retargeting.methods.coupled import training as coupled_training
+from geort_drake.retargeting.methods.coupled.network import CoupledNetwork
+from geort_drake.retargeting.methods.coupled.retargeter import CoupledRetargeter
+from geort_drake.retargeting.methods.coupled.training import CoupledConfig, train_coupled
+from geort_drake.retargeting.methods.geort import TrainingConfig
 from geort_drake.retargeting.retargeter import load_retargeter
-from geort_drake.retargeting.training import TrainingConfig
+from geort_drake.retargeting.training.background import Beside
+from geort_drake.retargeting.training.collision_geometry import CollisionShapes
+from geort_drake.retargeting.training.kinematics import FingerChain, HandKinematics
 
 KEYPOINTS = [4, 8, 12]
 QUICK = CoupledConfig(

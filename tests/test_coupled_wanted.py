@@ -7,13 +7,13 @@ import pytest
 import torch
 from retargeting_toy import toy_human, toy_kinematics
 
-from geort_drake.evaluation.contact_metrics import pinch
-from geort_drake.retargeting import coupled_wanted
-from geort_drake.retargeting.coupled_hands import TrainingHands
-from geort_drake.retargeting.coupled_network import CoupledNetwork
-from geort_drake.retargeting.coupled_training import CoupledConfig
-from geort_drake.retargeting.coupled_wanted import Shortfalls
-from geort_drake.retargeting.map_figures import (
+from geort_drake.comparison.contact_metrics import pinch
+from geort_drake.retargeting.methods.coupled import violations as coupled_wanted
+from geort_drake.retargeting.methods.coupled.hands import TrainingHands
+from geort_drake.retargeting.methods.coupled.network import CoupledNetwork
+from geort_drake.retargeting.methods.coupled.training import CoupledConfig
+from geort_drake.retargeting.methods.coupled.violations import Shortfalls
+from geort_drake.retargeting.training.map_figures import (
     coverage,
     cross_talk,
     motion_preservation,

@@ -13,9 +13,9 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem, PortDataType
 
 from geort_drake.errors import HandError, ScenarioError
-from geort_drake.gloves.recording import Recording
-from geort_drake.operators.finger_motion import FingerMotion
+from geort_drake.people.recording import Recording
 from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
+from geort_drake.simulation.operators.finger_motion import FingerMotion
 from geort_drake.simulation.trial import run_trial
 from geort_drake.simulation.world import HAND
 

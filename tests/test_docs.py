@@ -16,15 +16,15 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 from script_modules import load_script
 
-from geort_drake.evaluation.pipeline import train_checkpoint
-from geort_drake.gloves.formats import FORMATS
-from geort_drake.gloves.health import examine, verdict
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.operators.config import OperatorConfig
+from geort_drake.comparison.pipeline import train_checkpoint
+from geort_drake.people.checks import examine, verdict
+from geort_drake.people.formats import FORMATS
+from geort_drake.people.play import synthesize_play
+from geort_drake.rerun import recorder as rerun_recorder
 from geort_drake.resources import models_dir
-from geort_drake.systems import rerun_recorder
+from geort_drake.simulation.operators.config import OperatorConfig
+from geort_drake.simulation.tasks.grasp.monitor import GraspMonitorConfig
 from geort_drake.systems.glove_replay import GloveReplay
-from geort_drake.systems.grasp_monitor import GraspMonitorConfig
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -56,7 +56,7 @@ def desk(tmp_path_factory):
     shutil.copy(models_dir() / "sdf" / "objects" / "sphere.sdf", folder / "robot.sdf")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
-        patch.setattr("geort_drake.evaluation.metrics.ROBOT_SAMPLES", 2_000)
+        patch.setattr("geort_drake.comparison.metrics.ROBOT_SAMPLES", 2_000)
         train_checkpoint(
             "allegro_right", play, folder / "runs" / "allegro_right", "geort",
             show_progress=False, settings=QUICK, robot_samples=2000,

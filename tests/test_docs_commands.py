@@ -23,13 +23,13 @@ from moving_hands import moving
 from script_modules import SCRIPTS, load_script
 from test_docs import PAGES, ROOT, fences
 
-from geort_drake.console import console
-from geort_drake.evaluation import checkpoint_cache, sweep
-from geort_drake.evaluation.pipeline import train_checkpoint
-from geort_drake.gloves.play import synthesize_play
+from geort_drake.cli.console import console
+from geort_drake.comparison import checkpoint_cache, sweep
+from geort_drake.comparison.pipeline import train_checkpoint
 from geort_drake.hands.description import hand_names
+from geort_drake.people.play import synthesize_play
 from geort_drake.resources import diagrams_dir
-from geort_drake.simulation.grasp_planner import GraspPlanner
+from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
 pytestmark = pytest.mark.slow
 

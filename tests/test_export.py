@@ -15,11 +15,11 @@ from geort_drake.errors import OutputError, RecordingError
 from geort_drake.export.episode import episode_of, glove_at, newest, read_episodes
 from geort_drake.export.lerobot import features_of, write_lerobot
 from geort_drake.export.parquet import write_parquet
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.recording import Recording
-from geort_drake.systems._rerun_file import Recording as RerunFile
-from geort_drake.systems._rerun_scene import Scene
-from geort_drake.systems._rerun_tracks import PoseTrack, SignalTrack, StateTrack
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.recording import Recording
+from geort_drake.rerun.file import Recording as RerunFile
+from geort_drake.rerun.scene import Scene
+from geort_drake.rerun.tracks import PoseTrack, SignalTrack, StateTrack
 
 JOINTS = ["thumb/j0", "thumb/j1", "index/j2"]
 ARM = ["shoulder", "elbow"]

@@ -33,13 +33,13 @@ from moving_hands import FRAMES, moving, random_hand
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError, UnknownNameError
-from geort_drake.gloves.formats import FORMATS
-from geort_drake.gloves.formats.unpickling import load_plain
-from geort_drake.gloves.health import examine
-from geort_drake.gloves.health.findings import Severity
-from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.gloves.readers import ASSUMED_RATE_HZ, open_recording, read_recording
-from geort_drake.gloves.recording import Recording
+from geort_drake.people.checks import examine
+from geort_drake.people.checks.findings import Severity
+from geort_drake.people.formats import FORMATS
+from geort_drake.people.formats.unpickling import load_plain
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.readers import ASSUMED_RATE_HZ, open_recording, read_recording
+from geort_drake.people.recording import Recording
 
 # Files that hold the wrist's pose in the world.
 POSED = set(WRITERS) - {"geort", "mediapipe", "mediapipe_npy", "mano_npy", "dex_retargeting"}
@@ -112,7 +112,7 @@ def test_every_format_documents_itself():
     """Each format's module says its source."""
     for name in FORMATS:
         module = "own" if name == "geort_drake" else name
-        text = __import__(f"geort_drake.gloves.formats.{module}", fromlist=[module]).__doc__
+        text = __import__(f"geort_drake.people.formats.{module}", fromlist=[module]).__doc__
         assert "Source: " in text, name
 
 

@@ -13,13 +13,13 @@ from hand_faults import ADVICE, ERROR, FAULTS, UNFIT, WARNING, hand_faults, one_
 from moving_hands import FRAMES, RATE_HZ, moving
 
 from geort_drake.errors import RecordingError
-from geort_drake.gloves.health import examine, verdict
-from geort_drake.gloves.health.order import EXCHANGES, ORDERS, fitting_order, is_right
-from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.gloves.keypoints import mirrored
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.readers import open_recording
-from geort_drake.gloves.recording import Recording
+from geort_drake.people.checks import examine, verdict
+from geort_drake.people.checks.order import EXCHANGES, ORDERS, fitting_order, is_right
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.keypoints import mirrored
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.readers import open_recording
+from geort_drake.people.recording import Recording
 
 WRONG = len(hand_faults()) + len(FILES)
 

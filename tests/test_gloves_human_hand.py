@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError
-from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.gloves.keypoints import FINGER_NAMES, bone_lengths, to_wrist_frame
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.readers import read_recording
-from geort_drake.gloves.recording import Recording
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.keypoints import FINGER_NAMES, bone_lengths, to_wrist_frame
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.readers import read_recording
+from geort_drake.people.recording import Recording
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,10 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.gloves.human_hand_sdf import human_hand_sdf
-from geort_drake.gloves.keypoints import FINGER_NAMES
-from geort_drake.gloves.play import synthesize_play
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.human_hand_sdf import human_hand_sdf
+from geort_drake.people.keypoints import FINGER_NAMES
+from geort_drake.people.play import synthesize_play
 from geort_drake.resources import models_dir
 
 MODEL = models_dir() / "sdf" / "human_right.sdf"

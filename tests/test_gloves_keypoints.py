@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from geort_drake.gloves import keypoints as kp
-from geort_drake.gloves.human_hand import HumanHand
+from geort_drake.people import keypoints as kp
+from geort_drake.people.human_hand import HumanHand
 
 
 def hand_in_H(rng, frames=5):

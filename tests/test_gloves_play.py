@@ -5,12 +5,12 @@ import time
 import numpy as np
 import pytest
 
-from geort_drake.gloves.health import check_recording
-from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.gloves.keypoints import FINGER_NAMES
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.readers import read_recording
-from geort_drake.gloves.summary import summarize
+from geort_drake.people.checks import check_recording
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.keypoints import FINGER_NAMES
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.readers import read_recording
+from geort_drake.people.summary import summarize
 
 # Statistics of two real recordings (summary.summarize): "GeoRT" is human_alex.npy of GeoRT's authors
 # (30 Hz assumed), "MANUS" is subject 000, run 010, of mimic_retargeter_lab's MANUS Metagloves Pro

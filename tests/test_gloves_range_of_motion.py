@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.range_of_motion import narrow_motions, ranges_deg
-from geort_drake.gloves.readers import read_recording
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.range_of_motion import narrow_motions, ranges_deg
+from geort_drake.people.readers import read_recording
 
 TIPS = (4, 8, 12, 16, 20)
 

@@ -7,12 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError, UnknownNameError
-from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.gloves.keypoints import bone_lengths, mirrored
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.readers import ASSUMED_RATE_HZ, read_recording
-from geort_drake.gloves.recording import PINCH_M
-from geort_drake.gloves.summary import pinch_distances
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.keypoints import bone_lengths, mirrored
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.readers import ASSUMED_RATE_HZ, read_recording
+from geort_drake.people.recording import PINCH_M
+from geort_drake.people.summary import pinch_distances
 
 RATE_HZ = 50.0
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from geort_drake.errors import RecordingError
-from geort_drake.gloves.health import check_recording
-from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.gloves.recording import PINCH_M, Recording
-from geort_drake.gloves.summary import fingertip_speeds, pinch_distances, summarize
+from geort_drake.people.checks import check_recording
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.recording import PINCH_M, Recording
+from geort_drake.people.summary import fingertip_speeds, pinch_distances, summarize
 
 
 def moving_hand(frames=400, rate_hz=100.0, open_thumb=False):

@@ -10,9 +10,9 @@ from matplotlib import pyplot as plt
 from script_modules import SCRIPTS, load_script
 
 from geort_drake.errors import RecordingError
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.readers import read_recording
-from geort_drake.gloves.recording import Recording
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.readers import read_recording
+from geort_drake.people.recording import Recording
 
 
 def run(script, *arguments):

@@ -8,14 +8,16 @@ import yaml
 from grasp_setup import TOO_SHORT, judged, person_and_rest, planned_goal
 from script_modules import load_script
 
+from geort_drake.benchmark import folder as grasp_benchmark
+from geort_drake.benchmark import methods as grasp_methods
+from geort_drake.benchmark import trial as grasp_trial
+from geort_drake.benchmark.config import read_config
+from geort_drake.benchmark.folder import keep_error, open_benchmark
+from geort_drake.benchmark.methods import measure_latency, names_of
+from geort_drake.benchmark.trial_log import TrialKey, TrialLog, key_of, read_records
 from geort_drake.errors import BenchmarkError, OutputError, TrainingError, UnknownNameError
-from geort_drake.evaluation import grasp_benchmark, grasp_methods, grasp_trial
-from geort_drake.evaluation.grasp_benchmark import keep_error, open_benchmark
-from geort_drake.evaluation.grasp_config import read_config
-from geort_drake.evaluation.grasp_methods import measure_latency, names_of
-from geort_drake.evaluation.trial_log import TrialKey, TrialLog, key_of, read_records
-from geort_drake.gloves.play import synthesize_play
 from geort_drake.hands.description import load_hand
+from geort_drake.people.play import synthesize_play
 from geort_drake.resources import models_dir
 from geort_drake.simulation.diagram import make_grasp_diagram
 from geort_drake.simulation.scenario import load_scenario

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from geort_drake.evaluation.grasp_statistics import (
+from geort_drake.benchmark.statistics import (
     completed_share,
     difference,
     figures,

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from grasp_setup import TOO_SHORT, judged, planned_goal
 
+from geort_drake.benchmark import folder as grasp_benchmark
+from geort_drake.benchmark import trial_sources, workers
+from geort_drake.benchmark.folder import open_benchmark
+from geort_drake.benchmark.trial import simulate
+from geort_drake.benchmark.trial_log import TrialKey, key_of
 from geort_drake.errors import BenchmarkError, GeortError
-from geort_drake.evaluation import grasp_benchmark, trial_sources, workers
-from geort_drake.evaluation.grasp_benchmark import open_benchmark
-from geort_drake.evaluation.grasp_trial import simulate
-from geort_drake.evaluation.trial_log import TrialKey, key_of
-from geort_drake.gloves.play import synthesize_play
+from geort_drake.people.play import synthesize_play
 from geort_drake.simulation.scenario import load_scenario
 
 
@@ -133,12 +134,12 @@ def test_a_worker_that_loaded_other_code_is_named(benchmark, monkeypatch):
 def test_the_digest_covers_what_a_worker_loads_and_no_training():
     """Every module of a worker that can change a trial, and those that are imported later."""
     code = (
-        "import sys, geort_drake.evaluation.grasp_trial, geort_drake.retargeting.baselines.registry; "
+        "import sys, geort_drake.benchmark.trial, geort_drake.retargeting.methods.registry; "
         "print(*[m.__file__ for n, m in sys.modules.items() if n.startswith('geort_drake.') and m.__file__])"
     )
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     covered = {str(path) for path in trial_sources.trial_sources()}
-    rooms = ("/gloves/", "/hands/", "/operators/", "/retargeting/", "/simulation/", "/systems/")
+    rooms = ("/people/", "/hands/", "/retargeting/", "/simulation/", "/systems/")
     needed = {
         path for path in loaded.split() if any(room in path for room in rooms) and "__init__" not in path
     }
@@ -166,7 +167,7 @@ def _die(*_):
 def test_a_worker_loads_neither_torch_nor_what_draws():
     """They would cost every worker seconds and memory."""
     code = (
-        "import sys, geort_drake.evaluation.grasp_trial; "
+        "import sys, geort_drake.benchmark.trial; "
         "print([name for name in ('torch', 'matplotlib', 'rerun') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -9,10 +9,10 @@ from model_scene import SHIPPED_HANDS
 
 from geort_drake.files import sha256_of
 from geort_drake.hands.description import load_hand
-from geort_drake.hands.description_file import write_description
+from geort_drake.hands.importers.description_file import write_description
+from geort_drake.hands.importers.proposal import propose
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.model_files import digest_of_contents, model_files
-from geort_drake.hands.proposal import propose
 from geort_drake.resources import resolve_uri
 
 _BOX = '<box size="0.02 0.044 0.08"/>'

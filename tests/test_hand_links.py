@@ -9,12 +9,12 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.description import CouplingDescription, HandDescription, load_hand
-from geort_drake.hands.description_file import write_description
+from geort_drake.hands.importers.description_file import write_description
+from geort_drake.hands.importers.proposal import propose
 from geort_drake.hands.links import finger_links, palm_links
 from geort_drake.hands.model import HandModel
-from geort_drake.hands.proposal import propose
-from geort_drake.simulation.grasp_planner import GraspPlanner
 from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.world import add_object, add_robot
 from geort_drake.systems.scene_view import SceneView
 

@@ -6,12 +6,12 @@ import pytest
 import yaml
 from script_modules import load_script
 
+from geort_drake.comparison.pipeline import CONFIGS, training_config
+from geort_drake.comparison.sweep import plan
 from geort_drake.errors import HandError
-from geort_drake.evaluation.pipeline import CONFIGS, training_config
-from geort_drake.evaluation.sweep import plan
-from geort_drake.gloves.play import synthesize_play
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
+from geort_drake.people.play import synthesize_play
 from geort_drake.resources import models_dir
 
 OWN = {"geort": {"steps": 6, "coverage_weight": 3.5}, "geort_coupled": {"closed_wanted": 0.99}}

@@ -16,8 +16,6 @@ from pydrake.lcm import DrakeLcm
 from script_modules import SCRIPTS, load_script
 
 from geort_drake.errors import HandError, LiveError, RecordingError
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.readers import read_recording
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.live.devices import ALLEGRO, PANDA, JointStatus
@@ -25,6 +23,8 @@ from geort_drake.live.joint_group import JointGroup
 from geort_drake.live.lcm_inbox import LcmInbox
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.transports import open_receiver, open_sender, wait_for
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.readers import read_recording
 from geort_drake.retargeting.checkpoint import save_checkpoint
 from geort_drake.retargeting.retargeter import BACKENDS
 

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from live_messages import manus_glove, manus_words, nodes_of, own_fields
 
 from geort_drake.errors import HandError, LiveError, MismatchError
-from geort_drake.gloves.play import synthesize_play
 from geort_drake.live.decoding import decode
 from geort_drake.live.devices import ALLEGRO, PANDA, JointStatus
 from geort_drake.live.glove_frame import MAX_BYTES, GloveFrame, encode_frame
@@ -25,6 +24,7 @@ from geort_drake.live.transports import (
     split_address,
     wait_for,
 )
+from geort_drake.people.play import synthesize_play
 
 HAND = synthesize_play(3, duration_s=1.0, rate_hz=30.0).p_HK[20].astype(float)
 

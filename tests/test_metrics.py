@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from geort_drake.comparison import metrics
+from geort_drake.comparison.metric_table import METRICS, mean, worst
+from geort_drake.comparison.related_metrics import aligned_motion_preservation, workspace
 from geort_drake.errors import RecordingError
-from geort_drake.evaluation import metrics
-from geort_drake.evaluation.metric_table import METRICS, mean, worst
-from geort_drake.evaluation.related_metrics import aligned_motion_preservation, workspace
-from geort_drake.retargeting import map_figures
 from geort_drake.retargeting.clouds import voxel_thinned
+from geort_drake.retargeting.methods.geort import map_figures
 
 NAMES = ("thumb", "index", "middle")
 

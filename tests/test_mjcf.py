@@ -15,10 +15,10 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import HandError
 from geort_drake.hands.couplings import read_couplings
+from geort_drake.hands.importers.proposal import propose
 from geort_drake.hands.meshes import convert_model, what_drake_misreads
 from geort_drake.hands.mjcf import hand_down_defaults, remarks, tendon_couplings
 from geort_drake.hands.model import HandModel
-from geort_drake.hands.proposal import propose
 
 # The fingers' hinges take axis and range from two classes further out; "inner" has a joint of its own again.
 CLASSES = """<default><joint damping="0.1"/>

@@ -13,21 +13,21 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
 
-from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.gloves.keypoints import mirrored
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
-from geort_drake.operators.grasp_goal import GraspGoal
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.keypoints import mirrored
+from geort_drake.rerun.recorder import add_rerun_recorder
 from geort_drake.simulation import recording
 from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
-from geort_drake.simulation.grasp_contacts import GRIPS, grip_contacts, palm_contact
-from geort_drake.simulation.grasp_planner import GraspPlanner
 from geort_drake.simulation.object_shape import object_shape
 from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.tasks.grasp.contacts import GRIPS, grip_contacts, palm_contact
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
+from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.world import HAND, add_object, add_robot
 from geort_drake.systems.hand_mirror import HandMirror
 from geort_drake.systems.poses import mirrored_pose
-from geort_drake.systems.rerun_recorder import add_rerun_recorder
 
 M = np.diag([1.0, -1.0, 1.0, 1.0])
 

@@ -10,15 +10,15 @@ import pytest
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from scipy.spatial.transform import Rotation
 
-from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.operators import behavior, perception
-from geort_drake.operators.behavior import GraspingPerson
-from geort_drake.operators.config import OperatorConfig
-from geort_drake.operators.finger_motion import FingerMotion
-from geort_drake.operators.grasp_goal import GraspGoal
-from geort_drake.operators.perception import judged, perceive
-from geort_drake.operators.sensed_gain import SensedGain
-from geort_drake.operators.state import Phase, Seen
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.simulation.operators import behavior, perception
+from geort_drake.simulation.operators.behavior import GraspingPerson
+from geort_drake.simulation.operators.config import OperatorConfig
+from geort_drake.simulation.operators.finger_motion import FingerMotion
+from geort_drake.simulation.operators.perception import judged, perceive
+from geort_drake.simulation.operators.sensed_gain import SensedGain
+from geort_drake.simulation.operators.state import Phase, Seen
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
 QUIET = dict.fromkeys(("visual_noise", "visual_turn_noise", "contact_noise", "motor_noise"), 0.0)
 ROBOT_FINGERS = ("thumb", "index", "middle", "ring")

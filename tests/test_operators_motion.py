@@ -7,10 +7,10 @@ from grasp_setup import allegro, centred_map, person_and_rest, workspace_centre
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from scipy.spatial.transform import Rotation
 
-from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.operators.finger_motion import FingerMotion
-from geort_drake.operators.grasp_goal import GraspGoal
-from geort_drake.operators.wrist_motion import WristMovement, minimum_jerk
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.simulation.operators.finger_motion import FingerMotion
+from geort_drake.simulation.operators.wrist_motion import WristMovement, minimum_jerk
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
 ROBOT_FINGERS = ("thumb", "index", "middle", "ring")
 # Fingers bend their last joint by two thirds of the one before; the thumb bends both alike.

@@ -6,12 +6,12 @@ import json
 import numpy as np
 import pytest
 
+from geort_drake.comparison.pipeline import train_checkpoint
 from geort_drake.errors import RecordingError
-from geort_drake.evaluation.pipeline import train_checkpoint
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.recording import Recording
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.retargeter import load_retargeter
 

@@ -15,8 +15,10 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.hands.description import load_hand
-from geort_drake.simulation.grasp_approach import GraspApproach
-from geort_drake.simulation.grasp_contacts import (
+from geort_drake.simulation.object_shape import ObjectShape, object_shape
+from geort_drake.simulation.scenario import object_names
+from geort_drake.simulation.tasks.grasp.approach import GraspApproach
+from geort_drake.simulation.tasks.grasp.contacts import (
     GRIPS,
     contact_heights,
     grip_contacts,
@@ -26,9 +28,7 @@ from geort_drake.simulation.grasp_contacts import (
     vertical_extent,
     yaw_candidates,
 )
-from geort_drake.simulation.grasp_planner import GraspPlanner
-from geort_drake.simulation.object_shape import ObjectShape, object_shape
-from geort_drake.simulation.scenario import object_names
+from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.world import HAND, add_object, add_robot
 
 TIP_RADIUS = 0.012

@@ -5,8 +5,8 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from geort_drake.evaluation import distribution_plots, fingertip_plots, frontier_plots
-from geort_drake.retargeting.map_figures import ROBOT_VOXEL, coverage, robot_voxels
+from geort_drake.comparison import distribution_plots, fingertip_plots, frontier_plots
+from geort_drake.retargeting.training.map_figures import ROBOT_VOXEL, coverage, robot_voxels
 
 NAMES = ("thumb", "index")
 

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from geort_drake.comparison.protocols import GUARD_S, held_out, other_person, same_person
 from geort_drake.errors import RecordingError
-from geort_drake.evaluation.protocols import GUARD_S, held_out, other_person, same_person
-from geort_drake.gloves.play import synthesize_play
+from geort_drake.people.play import synthesize_play
 
 
 @pytest.fixture(scope="module")

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from geort_drake.errors import OutputError, RecordingError
-from geort_drake.gloves import recording_parts
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.readers import read_recording
-from geort_drake.gloves.recording import Recording
-from geort_drake.gloves.recording_parts import RecordingParts, read_parts
+from geort_drake.people import recording_parts
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.readers import read_recording
+from geort_drake.people.recording import Recording
+from geort_drake.people.recording_parts import RecordingParts, read_parts
 
 PLAY = dc.replace(synthesize_play(4, duration_s=8.0, rate_hz=50.0), metadata={"side": "right"})
 PLAY = dc.replace(PLAY, X_WH=np.tile(np.eye(7)[0], (len(PLAY), 1)))

@@ -9,16 +9,13 @@ import torch
 from retargeting_toy import toy_human, toy_kinematics, toy_samples
 from script_modules import SCRIPTS, load_script
 
+from geort_drake.comparison.pipeline import train_checkpoint
+from geort_drake.comparison.refitting import refit_checkpoint
 from geort_drake.errors import CheckpointError, RecordingError, TrainingError
-from geort_drake.evaluation.pipeline import train_checkpoint
-from geort_drake.evaluation.refitting import refit_checkpoint
-from geort_drake.gloves.play import synthesize_play
+from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.checkpoint import load_checkpoint, save_checkpoint
-from geort_drake.retargeting.coupled_network import CoupledNetwork
-from geort_drake.retargeting.coupled_retargeter import CoupledRetargeter
-from geort_drake.retargeting.coupled_training import CoupledConfig, train_coupled
-from geort_drake.retargeting.networks import RetargetingNetwork
-from geort_drake.retargeting.refit import (
+from geort_drake.retargeting.methods.coupled.network import CoupledNetwork
+from geort_drake.retargeting.methods.coupled.refit import (
     FINE_TUNING,
     AffineMaps,
     _start_from,
@@ -27,8 +24,11 @@ from geort_drake.retargeting.refit import (
     folded,
     refit,
 )
+from geort_drake.retargeting.methods.coupled.retargeter import CoupledRetargeter
+from geort_drake.retargeting.methods.coupled.training import CoupledConfig, train_coupled
 from geort_drake.retargeting.retargeter import Retargeter, load_retargeter
 from geort_drake.retargeting.trained_space import TrainedSpace, trained_points
+from geort_drake.retargeting.training.networks import RetargetingNetwork
 
 NAMES = ("thumb", "index", "middle")
 KEYPOINTS = (4, 8, 12)
@@ -104,7 +104,7 @@ def test_pinches_tie_the_fingers(person, rng, monkeypatch):
         return np.median(np.linalg.norm(mapped[:, 0] - mapped[:, 1], axis=1))
 
     tied = apart()
-    monkeypatch.setattr("geort_drake.retargeting.refit.PINCH_SHARE", 0.0)
+    monkeypatch.setattr("geort_drake.retargeting.methods.coupled.refit.PINCH_SHARE", 0.0)
     assert tied < 0.6 * apart()
 
 
@@ -167,7 +167,7 @@ def trained(tmp_path_factory):
     folder = tmp_path_factory.mktemp("refit")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
-        patch.setattr("geort_drake.evaluation.metrics.ROBOT_SAMPLES", 2_000)
+        patch.setattr("geort_drake.comparison.metrics.ROBOT_SAMPLES", 2_000)
         play = synthesize_play(0, 60.0, 30.0)
         settings = {**SMALL, "steps": 20}
         train_checkpoint(
@@ -203,7 +203,7 @@ def test_a_refit_wants_what_its_checkpoint_was_trained_for(trained, monkeypatch)
         given["config"] = config
         return arrays, []
 
-    monkeypatch.setattr("geort_drake.evaluation.refitting.fine_tune", tune)
+    monkeypatch.setattr("geort_drake.comparison.refitting.fine_tune", tune)
     refit_checkpoint(trained / "old", synthesize_play(5, 12.0, 30.0), trained / "again", steps=10)
     assert given["config"] == dataclasses.replace(FINE_TUNING, **SMALL, steps=10)
 

@@ -8,13 +8,13 @@ import pytest
 from grasp_setup import allegro, person_and_rest, scenario_with
 from script_modules import load_script
 
+from geort_drake.benchmark import replay
+from geort_drake.benchmark.replay import as_recorded, summarize_replay
+from geort_drake.benchmark.trial_log import read_records
 from geort_drake.errors import BenchmarkError, RecordingError, ScenarioError
-from geort_drake.evaluation import replay
-from geort_drake.evaluation.replay import as_recorded, summarize_replay
-from geort_drake.evaluation.trial_log import read_records
-from geort_drake.gloves.recording import Recording
-from geort_drake.operators.finger_motion import FingerMotion
-from geort_drake.retargeting.baselines.trivial import Hold
+from geort_drake.people.recording import Recording
+from geort_drake.retargeting.methods.trivial import Hold
+from geort_drake.simulation.operators.finger_motion import FingerMotion
 from geort_drake.simulation.scene import draw_placement
 
 

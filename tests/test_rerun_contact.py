@@ -5,9 +5,9 @@ import pytest
 from rerun.chunk import RrdReader
 from rerun_world import GRAVITY, MASS, World, entities, read
 
-from geort_drake.systems import _rerun_file
-from geort_drake.systems._rerun_contact import ContactTrack
-from geort_drake.systems.rerun_recorder import ContactSpec
+from geort_drake.rerun import file as _rerun_file
+from geort_drake.rerun.contact import ContactTrack
+from geort_drake.rerun.recorder import ContactSpec
 
 
 def test_contact_arrows_appear_with_the_contact_and_vanish_with_it(tmp_path):

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from rerun_world import entities, read, rerun
 
-from geort_drake.errors import RecordingError
-from geort_drake.evaluation._rerun_explorer import write_exploration
-from geort_drake.evaluation.exploration import (
+from geort_drake.comparison.exploration import (
     answers,
     excerpt,
     find_pinches,
@@ -14,11 +12,13 @@ from geort_drake.evaluation.exploration import (
     proportional_copy,
     tips_of,
 )
-from geort_drake.gloves.keypoints import mirrored
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.recording import Recording
+from geort_drake.errors import RecordingError
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
+from geort_drake.people.keypoints import mirrored
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.recording import Recording
+from geort_drake.rerun.explorer import write_exploration
 
 NAMES = ("thumb", "index", "middle")
 

@@ -9,10 +9,10 @@ from rerun_world import World, constant, pose_source, read
 
 from geort_drake.colours import FINGER_COLOURS, rgb
 from geort_drake.errors import ScenarioError
-from geort_drake.gloves.keypoints import TIP_KEYPOINT, wrist_pose
-from geort_drake.systems import _rerun_file
-from geort_drake.systems._rerun_blueprint import Plot, grasp_blueprint
-from geort_drake.systems.rerun_recorder import (
+from geort_drake.people.keypoints import TIP_KEYPOINT, wrist_pose
+from geort_drake.rerun import file as _rerun_file
+from geort_drake.rerun.blueprint import Plot, grasp_blueprint
+from geort_drake.rerun.recorder import (
     CloseUpSpec,
     HandSpec,
     PointsSpec,

@@ -9,8 +9,8 @@ import rerun as rr
 from rerun_world import World, entities, read, rerun, steps
 
 from geort_drake.errors import ScenarioError
-from geort_drake.systems import _rerun_file
-from geort_drake.systems.rerun_recorder import StateSpec
+from geort_drake.rerun import file as _rerun_file
+from geort_drake.rerun.recorder import StateSpec
 
 
 def free_port():
@@ -89,7 +89,7 @@ def test_a_server_and_a_file_at_once(tmp_path):
 
 def test_a_viewer_that_is_not_there_costs_the_file_nothing(tmp_path, monkeypatch):
     """One forgets to start the viewer, or closes it."""
-    monkeypatch.setattr("geort_drake.systems._rerun_writer.FLUSH_TIMEOUT", 0.1)
+    monkeypatch.setattr("geort_drake.rerun.writer.FLUSH_TIMEOUT", 0.1)
     world = World().finalize()
     world.record([tmp_path / "file.rrd", f"rerun+http://127.0.0.1:{free_port()}/proxy"])
     world.simulator.AdvanceTo(0.1)

@@ -12,7 +12,7 @@ from rerun_world import World
 from script_modules import load_script
 
 from geort_drake.errors import GeortError
-from geort_drake.systems import _rerun_screenshot
+from geort_drake.rerun import screenshot as _rerun_screenshot
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -8,9 +8,9 @@ from rerun_world import GRAVITY, World, constant, pose_source, read, rerun, step
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError, ScenarioError
-from geort_drake.systems._rerun_blueprint import lanes_share
-from geort_drake.systems._rerun_screenshot import take_screenshot
-from geort_drake.systems.rerun_recorder import HandSpec, PointsSpec, SignalSpec, StateSpec
+from geort_drake.rerun.blueprint import lanes_share
+from geort_drake.rerun.recorder import HandSpec, PointsSpec, SignalSpec, StateSpec
+from geort_drake.rerun.screenshot import take_screenshot
 
 
 def test_recordings_pass_reruns_own_verification(tmp_path):

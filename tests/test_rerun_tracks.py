@@ -15,9 +15,8 @@ from rerun_world import World, constant, pose_source, read, steps
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import ScenarioError
-from geort_drake.gloves.keypoints import BONES
-from geort_drake.systems._rerun_tracks import quaternions
-from geort_drake.systems.rerun_recorder import (
+from geort_drake.people.keypoints import BONES
+from geort_drake.rerun.recorder import (
     CameraSpec,
     CloseUpSpec,
     HandSpec,
@@ -25,6 +24,7 @@ from geort_drake.systems.rerun_recorder import (
     SignalSpec,
     StateSpec,
 )
+from geort_drake.rerun.tracks import quaternions
 
 
 def test_signals_are_grouped_by_what_stands_before_the_slash(tmp_path):

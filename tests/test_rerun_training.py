@@ -5,13 +5,13 @@ import pytest
 import torch
 from rerun_world import read, rerun
 
-from geort_drake.evaluation import _rerun_training_scene as scene
-from geort_drake.evaluation._rerun_training import TrainingRecorder
-from geort_drake.gloves.play import synthesize_play
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.descent import descend
-from geort_drake.retargeting.networks import RetargetingNetwork
+from geort_drake.people.play import synthesize_play
+from geort_drake.rerun import training_scene as scene
+from geort_drake.rerun.training import TrainingRecorder
+from geort_drake.retargeting.training.descent import descend
+from geort_drake.retargeting.training.networks import RetargetingNetwork
 
 
 @pytest.fixture(scope="module")

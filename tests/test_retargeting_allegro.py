@@ -10,15 +10,15 @@ from script_modules import load_script
 
 import geort_drake
 from geort_drake import files
+from geort_drake.comparison import checkpoint_cache
+from geort_drake.comparison.metrics import evaluate
+from geort_drake.comparison.pipeline import train_checkpoint
 from geort_drake.errors import CheckpointError, UnknownNameError
-from geort_drake.evaluation import checkpoint_cache
-from geort_drake.evaluation.metrics import evaluate
-from geort_drake.evaluation.pipeline import train_checkpoint
-from geort_drake.gloves.play import synthesize_play
-from geort_drake.gloves.readers import read_recording
-from geort_drake.gloves.recording import Recording
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.readers import read_recording
+from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.retargeter import load_retargeter
 
@@ -42,7 +42,7 @@ def play():
 def own_cache(tmp_path_factory, monkeypatch):
     """Robot samples of the tests stay out of the user's cache, and few are enough."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
-    monkeypatch.setattr("geort_drake.evaluation.metrics.ROBOT_SAMPLES", 20_000)
+    monkeypatch.setattr("geort_drake.comparison.metrics.ROBOT_SAMPLES", 20_000)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def checkpoint(tmp_path_factory, play):
     """One quick training that several tests look at."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
-        patch.setattr("geort_drake.evaluation.metrics.ROBOT_SAMPLES", 20_000)
+        patch.setattr("geort_drake.comparison.metrics.ROBOT_SAMPLES", 20_000)
         output = tmp_path_factory.mktemp("runs") / "allegro"
         return train_checkpoint(
             "allegro_right",

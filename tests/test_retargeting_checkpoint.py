@@ -12,9 +12,9 @@ from retargeting_toy import toy_kinematics
 
 from geort_drake.errors import CheckpointError, GeortError, UnknownNameError
 from geort_drake.retargeting.checkpoint import REQUIRED, load_checkpoint, save_checkpoint
-from geort_drake.retargeting.kinematics import FingerChain, HandKinematics
-from geort_drake.retargeting.networks import RetargetingNetwork
 from geort_drake.retargeting.retargeter import Retargeter, load_retargeter
+from geort_drake.retargeting.training.kinematics import FingerChain, HandKinematics
+from geort_drake.retargeting.training.networks import RetargetingNetwork
 
 KEYPOINTS = (4, 8, 12)
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from geort_drake.retargeting.criteria import (
+from geort_drake.retargeting.training.criteria import (
     chamfer_loss,
     collision_loss,
     direction_loss,

@@ -10,9 +10,9 @@ import torch
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from geort_drake.retargeting import coupled_losses, criteria
-from geort_drake.retargeting.coupled_training import CoupledConfig
-from geort_drake.retargeting.training import TrainingConfig
+from geort_drake.retargeting.methods.coupled import losses as coupled_losses
+from geort_drake.retargeting.methods.coupled.training import CoupledConfig
+from geort_drake.retargeting.methods.geort import TrainingConfig, criteria
 from geort_drake.settings import settings_of
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "derivations.md"

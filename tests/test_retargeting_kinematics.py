@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from geort_drake.retargeting.kinematics import FingerChain, HandKinematics
+from geort_drake.retargeting.training.kinematics import FingerChain, HandKinematics
 
 
 def random_hand(rng, lengths=(4, 4, 3, 5)) -> HandKinematics:

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from geort_drake.retargeting.soap import Soap
+from geort_drake.retargeting.training.soap import Soap
 
 
 def descended(optimiser_of, start, loss, steps):

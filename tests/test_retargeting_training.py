@@ -10,10 +10,9 @@ import torch
 from retargeting_toy import toy_collides, toy_human, toy_kinematics, toy_samples
 
 from geort_drake.errors import GeortError, TrainingError, UnknownNameError
-from geort_drake.retargeting import criteria
-from geort_drake.retargeting.descent import descend
-from geort_drake.retargeting.pretraining import fit_classifier, fit_neural_kinematics
-from geort_drake.retargeting.training import PUBLIC_CHOICES, TrainingConfig, train_geort
+from geort_drake.retargeting.methods.geort import PUBLIC_CHOICES, TrainingConfig, criteria, train_geort
+from geort_drake.retargeting.training.descent import descend
+from geort_drake.retargeting.training.pretraining import fit_classifier, fit_neural_kinematics
 
 QUICK = TrainingConfig(
     steps=200, points=64, targets=96, pinches=32, frames=32, hidden=32,

@@ -13,7 +13,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import HandError
-from geort_drake.gloves.recording import Recording
+from geort_drake.people.recording import Recording
 from geort_drake.systems.action_correction import PeriodicCorrection
 from geort_drake.systems.glove_checks import (
     FROZEN,

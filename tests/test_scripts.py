@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from script_modules import SCRIPTS, load_script
 
-from geort_drake.console import run_main
-from geort_drake.evaluation import pipeline
-from geort_drake.evaluation.pipeline import train_checkpoint
+from geort_drake.cli.console import run_main
+from geort_drake.comparison import pipeline
+from geort_drake.comparison.pipeline import train_checkpoint
 from geort_drake.files import sha256_of
-from geort_drake.gloves.play import synthesize_play
+from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.checkpoint import load_checkpoint
-from geort_drake.simulation.grasp_planner import GraspPlanner
+from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
 QUICK = {
     "steps": 5, "points": 16, "targets": 32, "pinches": 8, "frames": 8, "hidden": 8,
@@ -60,7 +60,7 @@ def checkpoints(tmp_path_factory, play):
     folder = tmp_path_factory.mktemp("checkpoints")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
-        patch.setattr("geort_drake.evaluation.metrics.ROBOT_SAMPLES", 2_000)
+        patch.setattr("geort_drake.comparison.metrics.ROBOT_SAMPLES", 2_000)
         good = train_checkpoint(
             "allegro_right",
             play,

@@ -6,17 +6,17 @@ import pytest
 from grasp_setup import planned_goal
 from script_modules import load_script
 
-from geort_drake.errors import BenchmarkError, ScenarioError, UnknownNameError
-from geort_drake.evaluation import grasp_benchmark
-from geort_drake.evaluation.grasp_config import read_config
-from geort_drake.evaluation.sensitivity import (
+from geort_drake.benchmark import folder as grasp_benchmark
+from geort_drake.benchmark.config import read_config
+from geort_drake.benchmark.sensitivity import (
     PARAMETERS,
     make_conditions,
     parse_values,
     summarize_sensitivity,
 )
-from geort_drake.evaluation.trial_log import key_of, read_records
-from geort_drake.gloves.play import synthesize_play
+from geort_drake.benchmark.trial_log import key_of, read_records
+from geort_drake.errors import BenchmarkError, ScenarioError, UnknownNameError
+from geort_drake.people.play import synthesize_play
 from geort_drake.simulation.scenario import Scenario, dump_scenario, load_scenario
 
 USUAL = {name: parameter.values for name, parameter in PARAMETERS.items()}

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from script_modules import load_script
 
+from geort_drake.comparison import sweep as sweeping
+from geort_drake.comparison.metric_table import mean
+from geort_drake.comparison.pipeline import training_config
+from geort_drake.comparison.sweep import SWEEP, Ground, Run, Sweep, plan, read_sweep
 from geort_drake.errors import CheckpointError, GeortError, OutputError, TrainingError, UnknownNameError
-from geort_drake.evaluation import sweep as sweeping
-from geort_drake.evaluation.metric_table import mean
-from geort_drake.evaluation.pipeline import training_config
-from geort_drake.evaluation.sweep import SWEEP, Ground, Run, Sweep, plan, read_sweep
-from geort_drake.gloves.play import synthesize_play
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
+from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.checkpoint import METRICS, WEIGHTS, save_checkpoint
 
 GROUND = Ground(

@@ -10,19 +10,19 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import HandError
-from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.gloves.recording import Recording
-from geort_drake.operators.config import OperatorConfig
-from geort_drake.operators.grasp_goal import GraspGoal
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.recording import Recording
+from geort_drake.simulation.operators.config import OperatorConfig
+from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
+from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor, GraspMonitorConfig, GraspPhase
 from geort_drake.systems.action_correction import ActionCorrection
 from geort_drake.systems.glove_checks import HELD_LOST, HELD_NOT_FINITE, GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.glove_replay import GloveReplay
-from geort_drake.systems.grasp_monitor import GraspMonitor, GraspMonitorConfig, GraspPhase
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.poses import pose_to_vector, vector_to_pose
 from geort_drake.systems.retargeting_system import LIMITED, TRACKING, RetargetingSystem
-from geort_drake.systems.simulated_operator import SimulatedOperator
 from geort_drake.systems.wrist_to_arm import Clutch
 
 JOINTS = ("thumb_a", "thumb_b", "index_a")

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from grasp_setup import allegro, centred_map, person_and_rest, planned_goal, scenario_with
 
-from geort_drake.gloves.recording import Recording
-from geort_drake.operators.state import Phase
+from geort_drake.people.recording import Recording
 from geort_drake.simulation.diagram import make_grasp_diagram
+from geort_drake.simulation.operators.state import Phase
+from geort_drake.simulation.tasks.grasp.monitor import GraspOutcome, GraspPhase
 from geort_drake.simulation.trial import TrialResult, _result, run_trial
-from geort_drake.systems.grasp_monitor import GraspOutcome, GraspPhase
 
 KINDS = ("command", "measured")
 # A shorter hold than a benchmark's, to save time.
@@ -228,7 +228,7 @@ def test_a_rerun_file_is_written_and_whole_when_asked_for(tmp_path):
 def test_the_recording_says_what_hand_and_arm_were_asked_for_and_did(tmp_path):
     """All joints of both; the arm is asked to go where the wrist goes, and follows a little later."""
     # Only here, as a test below runs without Rerun.
-    from geort_drake.export._rerun_trial import read_trial
+    from geort_drake.rerun.trial_reader import read_trial
 
     hand = still_hand()
     X_WH = hand.X_WH + np.outer(hand.t, [0, 0, 0, 0, 0.2, 0, 0])
@@ -253,7 +253,7 @@ def test_the_recording_shows_what_fingertips_are_asked_for_and_how_hard_joints_w
     """Commanded fingertips by exact kinematics, torques within limits, delays, and what was simulated."""
     from rerun_world import entities, read
 
-    from geort_drake.export._rerun_trial import read_trial
+    from geort_drake.rerun.trial_reader import read_trial
 
     path = tmp_path / "trial.rrd"
     scenario = scenario_with("cylinder", "{timeout: 0.5, retargeting: {latency: 0.004}}")

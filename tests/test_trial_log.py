@@ -4,8 +4,8 @@ import json
 
 import pytest
 
+from geort_drake.benchmark.trial_log import TrialKey, TrialLog, read_records
 from geort_drake.errors import BenchmarkError
-from geort_drake.evaluation.trial_log import TrialKey, TrialLog, read_records
 
 
 def line(method="hold", thing="cylinder", seed=0) -> dict:

@@ -10,8 +10,8 @@ import numpy as np
 import yaml
 
 from geort_drake.errors import RecordingError
-from geort_drake.export._rerun_trial import read_trial
-from geort_drake.gloves.recording import Recording
+from geort_drake.people.recording import Recording
+from geort_drake.rerun.trial_reader import read_trial
 from geort_drake.simulation.world import HAND
 
 RESULTS, SCENARIO = "results.json", "scenario.yaml"

@@ -3,8 +3,8 @@ trained and measured in the mirror."""
 
 from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.collision_geometry import CollisionShapes
-from geort_drake.retargeting.kinematics import HandKinematics
+from geort_drake.retargeting.training.collision_geometry import CollisionShapes
+from geort_drake.retargeting.training.kinematics import HandKinematics
 
 
 def canonical_kinematics(hand: HandModel) -> HandKinematics:

@@ -10,7 +10,7 @@ from geort_drake.errors import HandError
 from geort_drake.hands.couplings import JointCouplings
 from geort_drake.hands.description import FingerDescription, HandDescription
 from geort_drake.hands.links import inboard_joints
-from geort_drake.retargeting.kinematics import FingerChain
+from geort_drake.retargeting.training.kinematics import FingerChain
 
 
 def finger_chain(

@@ -7,7 +7,7 @@ from scipy.spatial import ConvexHull
 from geort_drake.errors import HandError
 from geort_drake.hands.links import inboard_joints, moving_joint
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.collision_geometry import CollisionShapes
+from geort_drake.retargeting.training.collision_geometry import CollisionShapes
 
 
 def collision_shapes(hand: HandModel) -> CollisionShapes:

@@ -8,8 +8,8 @@ import numpy as np
 from pydrake.common.yaml import yaml_load_typed
 
 from geort_drake.errors import HandError, UnknownNameError
-from geort_drake.gloves.keypoints import FINGER_NAMES
-from geort_drake.gloves.recording import SIDES
+from geort_drake.people.keypoints import FINGER_NAMES
+from geort_drake.people.recording import SIDES
 from geort_drake.resources import PACKAGE_NAME, models_dir
 
 

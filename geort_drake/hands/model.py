@@ -28,7 +28,7 @@ from geort_drake.joint_ranges import MAX_ANGLE
 from geort_drake.resources import resolve_uri
 
 if TYPE_CHECKING:
-    from geort_drake.retargeting.kinematics import HandKinematics
+    from geort_drake.retargeting.training.kinematics import HandKinematics
 
 
 class HandModel:
@@ -172,7 +172,7 @@ class HandModel:
     def kinematics(self) -> "HandKinematics":
         """The fingers as serial chains for torch, read off the plant."""
         from geort_drake.hands.chains import finger_chain
-        from geort_drake.retargeting.kinematics import HandKinematics
+        from geort_drake.retargeting.training.kinematics import HandKinematics
 
         return HandKinematics(
             fingers=tuple(

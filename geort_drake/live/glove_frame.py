@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from geort_drake.errors import LiveError, MismatchError
-from geort_drake.gloves.keypoints import KEYPOINT_COUNT
-from geort_drake.gloves.recording import SIDES
+from geort_drake.people.keypoints import KEYPOINT_COUNT
+from geort_drake.people.recording import SIDES
 
 FORMAT, VERSION, UNIT = "geort_drake.glove", 1, "m"
 # Ours take 2 kB; MANUS bridges add sensors and joint angles, up to 10 kB.

@@ -10,12 +10,12 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem
 
 from geort_drake.errors import LiveError, MismatchError
-from geort_drake.gloves.health import anatomy, refuse
-from geort_drake.gloves.keypoints import FINGER_KEYPOINTS
-from geort_drake.gloves.recording import SIDES, Recording
 from geort_drake.live.decoding import decode
 from geort_drake.live.glove_frame import GloveFrame
 from geort_drake.live.transports import Receiver, wait_for
+from geort_drake.people.checks import anatomy, refuse
+from geort_drake.people.keypoints import FINGER_KEYPOINTS
+from geort_drake.people.recording import SIDES, Recording
 from geort_drake.systems.poses import vector_to_pose
 
 # How often messages are fetched, s; and how long before the loop's ticks, so that these see the newest.

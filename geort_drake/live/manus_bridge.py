@@ -17,9 +17,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import LiveError, MismatchError
-from geort_drake.gloves.formats.tracks import KEYPOINTS_OF_25
-from geort_drake.gloves.keypoints import mirrored, to_wrist_frame, wrist_pose
 from geort_drake.live.glove_frame import FARTHEST_M, GloveFrame, side_of
+from geort_drake.people.formats.tracks import KEYPOINTS_OF_25
+from geort_drake.people.keypoints import mirrored, to_wrist_frame, wrist_pose
 
 _NODES = 25
 _GLOVE = 1 + 7 * _NODES  # words of one glove in the text form

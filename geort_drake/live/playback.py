@@ -4,8 +4,8 @@ import threading
 import time
 from collections.abc import Callable
 
-from geort_drake.gloves.recording import Recording
 from geort_drake.live.glove_frame import GloveFrame, encode_frame
+from geort_drake.people.recording import Recording
 
 
 def play(

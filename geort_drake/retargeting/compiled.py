@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, types
 
-from geort_drake.gloves.keypoints import KEYPOINT_COUNT
+from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.retargeting.aligned import aligned
 
 _LINE = 8  # numbers in a cache line

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from geort_drake.errors import GeortError, UnknownNameError
-from geort_drake.gloves.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
+from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
 
 
 class HumanPoints:

@@ -247,7 +247,7 @@ def load_retargeter(
 
 def _coupled(*arguments: Any) -> Retargeter:
     # Imported here because it builds on this module.
-    from geort_drake.retargeting.coupled_retargeter import CoupledRetargeter
+    from geort_drake.retargeting.methods.coupled.retargeter import CoupledRetargeter
 
     return CoupledRetargeter(*arguments)
 

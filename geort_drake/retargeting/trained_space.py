@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from geort_drake.errors import CheckpointError
-from geort_drake.gloves.keypoints import KEYPOINT_COUNT
+from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.retargeting.clouds import voxel_thinned
 
 VOXEL = 0.006  # m; thinning of the points that are kept

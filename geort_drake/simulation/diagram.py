@@ -15,29 +15,29 @@ from pydrake.planning import RobotDiagramBuilder
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, OutputPort
 from pydrake.systems.primitives import DiscreteTimeDelay, Gain
 
-from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.gloves.recording import Recording
 from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.hands.visuals import forget_visuals
-from geort_drake.operators.grasp_goal import GraspGoal
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.recording import Recording
+from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.scene import Placement, add_scene
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
+from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor
 from geort_drake.simulation.world import ARM, HAND, actuated_joints, actuated_state, add_robot
 from geort_drake.systems.action_correction import make_correction
 from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.glove_replay import GloveReplay
-from geort_drake.systems.grasp_monitor import GraspMonitor
 from geort_drake.systems.hand_mirror import HandMirror
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.poses import POINT_MIRROR, POSE_MIRROR, mirrored_pose
 from geort_drake.systems.retargeting_system import RetargetingSystem
 from geort_drake.systems.scene_view import SceneView
-from geort_drake.systems.simulated_operator import SimulatedOperator
 from geort_drake.systems.wrist_to_arm import WristToArm
 
 if TYPE_CHECKING:
-    from geort_drake.systems.rerun_recorder import RerunRecorder
+    from geort_drake.rerun.recorder import RerunRecorder
 
 Retarget = Callable[[np.ndarray], np.ndarray]
 

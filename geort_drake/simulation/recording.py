@@ -17,12 +17,7 @@ from geort_drake.colours import FINGER_COLOURS, rgb
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.links import finger_links
 from geort_drake.hands.plant_fingertips import PlantFingertips
-from geort_drake.operators.state import Phase
-from geort_drake.simulation.public_meshes import HANDS, PANDA, wear_public_meshes
-from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.world import ARM, HAND, actuated_joints, actuated_state
-from geort_drake.systems.grasp_monitor import GraspMonitor, GraspPhase
-from geort_drake.systems.rerun_recorder import (
+from geort_drake.rerun.recorder import (
     CloseUpSpec,
     ContactSpec,
     HandSpec,
@@ -32,8 +27,13 @@ from geort_drake.systems.rerun_recorder import (
     StateSpec,
     add_rerun_recorder,
 )
+from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
+from geort_drake.simulation.operators.state import Phase
+from geort_drake.simulation.public_meshes import HANDS, PANDA, wear_public_meshes
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor, GraspPhase
+from geort_drake.simulation.world import ARM, HAND, actuated_joints, actuated_state
 from geort_drake.systems.retargeting_system import RetargetingSystem
-from geort_drake.systems.simulated_operator import SimulatedOperator
 
 # Tabs of the plots.
 _FINGERS, _ANGLES, _TORQUES, _DELAYS = "fingers", "joint angles", "joint torques", "delays"

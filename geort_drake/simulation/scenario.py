@@ -15,10 +15,10 @@ from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import ScenarioError, UnknownNameError
-from geort_drake.operators.config import OperatorConfig
 from geort_drake.resources import diagrams_dir, models_dir
+from geort_drake.simulation.operators.config import OperatorConfig
+from geort_drake.simulation.tasks.grasp.monitor import GraspMonitorConfig
 from geort_drake.systems.action_correction import CorrectionConfig
-from geort_drake.systems.grasp_monitor import GraspMonitorConfig
 from geort_drake.systems.update_timing import check_timing
 from geort_drake.systems.wrist_to_arm import WristToArmConfig
 

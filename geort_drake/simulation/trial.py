@@ -9,12 +9,12 @@ from collections.abc import Callable, Mapping
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
-from geort_drake.gloves.human_hand import HumanHand
-from geort_drake.gloves.recording import Recording
-from geort_drake.operators.grasp_goal import GraspGoal
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.recording import Recording
 from geort_drake.simulation.diagram import GraspDiagram, Retarget, make_grasp_diagram
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.systems.grasp_monitor import GraspOutcome, GraspPhase
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
+from geort_drake.simulation.tasks.grasp.monitor import GraspOutcome, GraspPhase
 
 _REPORT_PERIOD = 0.25  # simulated s
 

@@ -5,8 +5,8 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem
 
-from geort_drake.gloves.recording import Recording
-from geort_drake.gloves.recording_parts import RecordingParts
+from geort_drake.people.recording import Recording
+from geort_drake.people.recording_parts import RecordingParts
 from geort_drake.systems.poses import pose_to_vector
 
 # A part of a recording that is kept on the disk while it is made, s.

@@ -7,7 +7,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
-from geort_drake.gloves.recording import Recording
+from geort_drake.people.recording import Recording
 from geort_drake.systems.poses import vector_to_pose
 
 # A sample counts as due when its time is this close: recorded times are sums of binary fractions.

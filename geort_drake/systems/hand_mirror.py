@@ -5,7 +5,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
-from geort_drake.gloves.keypoints import mirrored
+from geort_drake.people.keypoints import mirrored
 from geort_drake.systems.poses import mirrored_pose
 
 

@@ -9,7 +9,7 @@ from pydrake.systems.framework import BasicVector_, Context, LeafSystem_
 from pydrake.systems.scalar_conversion import SystemScalarConverter, TemplateSystem
 
 from geort_drake.errors import HandError, UnknownNameError
-from geort_drake.gloves.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
+from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
 from geort_drake.retargeting.retargeter import Retargeter
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from faults.refusals import Case
-from geort_drake.evaluation.trial_log import read_records
+from geort_drake.benchmark.trial_log import read_records
 
 USAGE = "SystemExit"
 
@@ -31,7 +31,7 @@ def sweep(content: str) -> Callable[[Path], tuple]:
 
     def make(folder: Path) -> tuple:
         # Here, because it needs torch.
-        from geort_drake.evaluation.sweep import SWEEP, read_sweep
+        from geort_drake.comparison.sweep import SWEEP, read_sweep
 
         (folder / SWEEP).write_text(content)
         return read_sweep, folder

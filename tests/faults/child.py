@@ -20,11 +20,11 @@ HANGING = 120.0  # s; whoever takes longer counts as hanging, also on a busy mac
 _FORK = multiprocessing.get_context("forkserver")
 _FORK.set_forkserver_preload(
     [
-        "geort_drake.evaluation.pipeline",
-        "geort_drake.evaluation.grasp_benchmark",
-        "geort_drake.evaluation.grasp_report",
+        "geort_drake.comparison.pipeline",
+        "geort_drake.benchmark.folder",
+        "geort_drake.benchmark.report",
         "geort_drake.simulation.trial",
-        "geort_drake.systems.rerun_recorder",
+        "geort_drake.rerun.recorder",
     ]
 )
 
@@ -89,7 +89,7 @@ def script(name: str, argv: list[str]) -> int | None:
 
 
 def _run(function: Callable, arguments: tuple, folder: Path, beside: Path, limits: dict[str, int]) -> None:
-    from geort_drake.console import run_main
+    from geort_drake.cli.console import run_main
 
     os.environ["XDG_CACHE_HOME"] = str(beside / "cache")
     os.chdir(folder)

@@ -11,9 +11,9 @@ import numpy as np
 from faults.child import run
 from faults.kills import unclear
 from faults.sound import checkpoint, play
-from geort_drake.evaluation.trial_log import TrialLog
+from geort_drake.benchmark.trial_log import TrialLog
 from geort_drake.files import write_text
-from geort_drake.gloves.recording_parts import RecordingParts, read_parts
+from geort_drake.people.recording_parts import RecordingParts, read_parts
 
 
 def save_recording() -> None:

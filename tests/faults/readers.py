@@ -13,18 +13,18 @@ from live_messages import manus_glove, manus_words, nodes_of, own_fields
 from moving_hands import moving
 
 from faults.sound import checkpoint
-from geort_drake.evaluation.grasp_config import CONFIG, TRIALS, read_config
-from geort_drake.evaluation.trial_log import read_records
+from geort_drake.benchmark.config import CONFIG, TRIALS, read_config
+from geort_drake.benchmark.trial_log import read_records
 from geort_drake.files import sha256_of
-from geort_drake.gloves.health import examine
-from geort_drake.gloves.readers import open_recording
 from geort_drake.hands.description import load_hand
-from geort_drake.hands.description_file import write_description
+from geort_drake.hands.importers.description_file import write_description
+from geort_drake.hands.importers.proposal import propose
 from geort_drake.hands.model import HandModel
-from geort_drake.hands.proposal import propose
 from geort_drake.hands.samples import robot_data
 from geort_drake.live.decoding import decode
 from geort_drake.live.devices import ALLEGRO, PANDA, JointStatus
+from geort_drake.people.checks import examine
+from geort_drake.people.readers import open_recording
 from geort_drake.retargeting.checkpoint import CONFIG as CHECKPOINT_CONFIG
 from geort_drake.retargeting.checkpoint import DIGESTED
 from geort_drake.retargeting.retargeter import load_retargeter

@@ -19,9 +19,9 @@ from pydrake.systems.framework import DiagramBuilder
 
 from faults.child import script
 from faults.sound import play, smooth_retargeter
-from geort_drake.gloves.recording import Recording
-from geort_drake.gloves.recording_parts import RecordingParts, read_parts
-from geort_drake.operators.grasp_goal import GraspGoal
+from geort_drake.people.recording import Recording
+from geort_drake.people.recording_parts import RecordingParts, read_parts
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.glove_replay import GloveReplay
 
@@ -69,9 +69,9 @@ def generated(folder: Path) -> dict[str, str]:
 
 def train(seed: int) -> None:
     """A checkpoint."""
-    from geort_drake.evaluation import metrics
-    from geort_drake.evaluation.pipeline import train_checkpoint
-    from geort_drake.gloves.play import synthesize_play
+    from geort_drake.comparison import metrics
+    from geort_drake.comparison.pipeline import train_checkpoint
+    from geort_drake.people.play import synthesize_play
 
     recording = synthesize_play(0, duration_s=20.0, rate_hz=30.0)
     with mock.patch.object(metrics, "ROBOT_SAMPLES", 300):
@@ -92,7 +92,7 @@ def trained(folder: Path) -> dict[str, str]:
 
 def benchmark(seed: int, jobs: int = 1) -> None:
     """Trials of two methods over three seeds, of which `seed` decides nothing: a benchmark goes on."""
-    from geort_drake.evaluation import grasp_benchmark
+    from geort_drake.benchmark import folder as grasp_benchmark
 
     goal = _goal()
     argv = [
@@ -102,7 +102,7 @@ def benchmark(seed: int, jobs: int = 1) -> None:
     ]  # fmt: skip
     with (
         mock.patch.object(grasp_benchmark, "plan", lambda *_: goal),
-        mock.patch("geort_drake.gloves.play.synthesize_play", lambda seed, side: play()),
+        mock.patch("geort_drake.people.play.synthesize_play", lambda seed, side: play()),
     ):
         script("benchmark_grasping.py", argv)
     if jobs > 1:
@@ -111,8 +111,8 @@ def benchmark(seed: int, jobs: int = 1) -> None:
 
 
 def benchmarked(folder: Path) -> dict[str, str]:
-    from geort_drake.evaluation.grasp_config import CONFIG, TRIALS, read_config
-    from geort_drake.evaluation.trial_log import key_of, read_records
+    from geort_drake.benchmark.config import CONFIG, TRIALS, read_config
+    from geort_drake.benchmark.trial_log import key_of, read_records
 
     if (folder / CONFIG).exists():
         read_config(folder)
@@ -128,7 +128,7 @@ def benchmarked(folder: Path) -> dict[str, str]:
 
 def record(seed: int) -> None:
     """Trials with their recordings, as simulate_grasp.py writes them."""
-    from geort_drake.gloves.human_hand import HumanHand
+    from geort_drake.people.human_hand import HumanHand
     from geort_drake.simulation.scenario import load_scenario
     from geort_drake.simulation.trial import run_trial
 

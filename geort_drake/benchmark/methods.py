@@ -1,0 +1,105 @@
+"""Retargeting methods as a grasp benchmark takes them: trained where needed, loaded and timed."""
+
+import dataclasses as dc
+import shutil
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from geort_drake.comparison.checkpoint_cache import cached_checkpoint
+from geort_drake.comparison.comparison import check_methods, method_names
+from geort_drake.errors import BenchmarkError
+from geort_drake.files import atomic_directory, sha256_of
+from geort_drake.hands.canonical import canonical_kinematics
+from geort_drake.hands.model import HandModel
+from geort_drake.people.recording import Recording
+from geort_drake.retargeting.checkpoint import WEIGHTS
+from geort_drake.retargeting.methods.registry import BASELINES, make_baseline
+from geort_drake.retargeting.retargeter import load_retargeter
+from geort_drake.simulation.diagram import Retarget
+
+# Timed are the answers to so many parts of the recording, each of so many successive frames but the first.
+_PARTS, _SUCCESSIVE, _WARM_UP = 10, 40, 10
+
+
+@dc.dataclass(frozen=True)
+class Method:
+    """A method that is ready to be called; it can be sent to another process."""
+
+    retarget: Retarget
+    # Of the learned weights; None where nothing is learned.
+    weights_sha256: str | None
+    # From keypoints to joint targets, s.
+    latency: float
+
+
+def names_of(methods: Sequence[str]) -> dict[str, str]:
+    """Name → method, each once, for methods and directories of checkpoints, named after the directory.
+
+    Raises:
+        UnknownNameError: neither a method nor a checkpoint.
+        BenchmarkError: two different ones have one name.
+    """
+    check_methods(methods)
+    names: dict[str, str] = {}
+    for given in methods:
+        path = Path(given).resolve()
+        name, method = (given, given) if given in method_names() else (path.name, str(path))
+        if names.setdefault(name, method) != method:
+            raise BenchmarkError(
+                f"two methods have the name '{name}': {names[name]} and {method}; rename one directory"
+            )
+    return names
+
+
+def make_retargeter(
+    name: str, method: str, keep: Path, hand_name: str, hand: HandModel, recording: Recording, seed: int
+) -> tuple[Retarget, str | None]:
+    """A retargeter, and the digest of its weights.
+
+    Args:
+        name, method: an item of `names_of`.
+        keep: folder in which a copy of its checkpoint is kept, and found again.
+        hand_name: name or file of the robot hand's description.
+        hand: its model.
+        recording: what it is trained on, and what nearest_neighbour stores.
+        seed: of the training, and of what nearest_neighbour draws.
+
+    Raises:
+        UnknownNameError, CheckpointError, TrainingError: see `cached_checkpoint` and `load_retargeter`.
+    """
+    if method in BASELINES:
+        keypoints = hand.description.human_keypoints
+        frames = recording.fingertips(keypoints).astype(float)
+        return make_baseline(method, canonical_kinematics(hand), keypoints, frames=frames, seed=seed), None
+    kept = keep / name
+    if name != method:
+        load_retargeter(method, hand)
+        source = Path(method)
+    elif not kept.is_dir():
+        source, _ = cached_checkpoint(hand_name, recording, method, seed)
+    else:
+        source = kept
+    if not kept.is_dir():
+        with atomic_directory(kept) as draft:
+            shutil.copytree(source, draft, dirs_exist_ok=True)
+    return load_retargeter(source, hand), sha256_of(source / WEIGHTS)
+
+
+def measure_latency(retarget: Retarget, recording: Recording) -> float:
+    """Processor time of one call, s: the median over frames from all parts of a recording.
+
+    Processor time and not wall time, as what else the machine is doing is no property of the method.
+    """
+    frames = recording.p_HK[recording.valid].astype(float)
+    times = []
+    for first in np.linspace(0, max(len(frames) - _SUCCESSIVE, 0), _PARTS).astype(int):
+        for number, frame in enumerate(frames[first : first + _SUCCESSIVE]):
+            started = time.thread_time()
+            retarget(frame)
+            # Online methods take longer for a hand that has jumped.
+            if number >= _WARM_UP:
+                times.append(time.thread_time() - started)
+    return float(np.median(times))

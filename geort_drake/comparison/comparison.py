@@ -1,0 +1,225 @@
+"""Several retargeting methods judged on one hand, with the same people, protocols and metrics."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from geort_drake.comparison import pipeline
+from geort_drake.comparison.contact_metrics import pinch
+from geort_drake.comparison.metric_table import mean, worst
+from geort_drake.comparison.metrics import (
+    MIN_FRAMES,
+    Distributions,
+    RobotSpace,
+    evaluate_frames,
+    robot_space,
+)
+from geort_drake.comparison.protocols import HELD_OUT, SAME_PERSON, Case, Protocol
+from geort_drake.comparison.related_metrics import aligned_motion_preservation, workspace
+from geort_drake.errors import CheckpointError, GeortError, RecordingError, UnknownNameError
+from geort_drake.files import finite_json
+from geort_drake.hands.canonical import canonical_kinematics
+from geort_drake.hands.model import HandModel
+from geort_drake.people.keypoints import FINGER_KEYPOINTS
+from geort_drake.people.recording import Recording
+from geort_drake.retargeting.checkpoint import CONFIG, load_checkpoint
+from geort_drake.retargeting.methods.online import VectorOnline
+from geort_drake.retargeting.methods.registry import BASELINES, make_baseline
+from geort_drake.retargeting.retargeter import load_retargeter
+
+# From (recording, method, seed) to the directory of a checkpoint, trained or found.
+CheckpointSource = Callable[[Recording, str, int], Path]
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One method's figures on one recording, and what they were made of."""
+
+    metrics: dict  # of `evaluate` and, under "related", of `related_metrics`; JSON-ready
+    remembers: bool  # answers depend on earlier frames
+    p_HF: np.ndarray  # (T, F, 3) m, the scored frames
+    distributions: Distributions
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one case of a protocol with one seed: figures, or why there are none."""
+
+    case: Case
+    seed: int
+    judged: Judged | None = None
+    error: str = ""
+
+
+def method_names() -> tuple[str, ...]:
+    """Every method by name: those that are trained, then those that are not."""
+    return (*pipeline.METHODS, *BASELINES)
+
+
+def check_methods(names: Sequence[str], hand: HandModel | None = None) -> None:
+    """Checks methods before any is trained.
+
+    Args:
+        names: of methods, or directories of checkpoints.
+        hand: for which checkpoints must be made.
+
+    Raises:
+        UnknownNameError: a name is neither a method nor a checkpoint's directory.
+        CheckpointError: a checkpoint is damaged or for another hand.
+    """
+    checkpoints = [name for name in names if name not in method_names()]
+    for name in checkpoints:
+        if not (Path(name) / CONFIG).is_file():
+            raise UnknownNameError("retargeting method or checkpoint", name, method_names())
+    if hand is not None:
+        for name in checkpoints:
+            load_checkpoint(name).check_hand(hand)
+
+
+class Comparison:
+    """Judges methods one by one; what they have in common is worked out once.
+
+    A method that optimises online is scored in two ways. Figures over the recorded frames (track,
+    coverage, pinch, collision, smoothness, latency) are of its answers to them in their order, from
+    rest. Figures that ask about hands which were not recorded are of its settled answers, see
+    `VectorOnline.settled_map`.
+
+    Args:
+        hand: model of the robot hand.
+        protocols: what to train and to score on.
+        seeds: of training and metrics; everything is done once with each.
+        checkpoint_of: gives the checkpoint of a method that is trained.
+        frame_limit: score on the first so many valid frames of each recording or block only.
+    """
+
+    def __init__(
+        self,
+        hand: HandModel,
+        protocols: Sequence[Protocol],
+        seeds: Sequence[int],
+        checkpoint_of: CheckpointSource,
+        frame_limit: int | None = None,
+    ):
+        self.hand, self.protocols, self.seeds = hand, tuple(protocols), tuple(seeds)
+        self._checkpoint_of, self.frame_limit = checkpoint_of, frame_limit
+        self._keypoints = hand.description.human_keypoints
+        self._kinematics = canonical_kinematics(hand)
+        self._spaces: dict[int, RobotSpace] = {}
+
+    @property
+    def cases_per_method(self) -> int:
+        """How many cases `run` judges, all seeds counted."""
+        return len(self.seeds) * sum(len(protocol.cases) for protocol in self.protocols)
+
+    def run(self, name: str, starts: Callable[[str], None] = lambda _note: None) -> dict[str, list[Outcome]]:
+        """Judges one method under every protocol: name of the protocol → outcomes.
+
+        Args:
+            name: one of `method_names()`, or the directory of a checkpoint for this hand.
+            starts: called before each case with what it is.
+
+        A case that fails, say because a finger hardly moves in what is left to learn from, has its
+        error for an outcome; the others go on.
+        """
+        results: dict[str, list[Outcome]] = {}
+        for protocol in self.protocols:
+            results[protocol.name] = outcomes = []
+            for seed in self.seeds:
+                for case in protocol.cases:
+                    starts(f"{Path(name).name}, {case.part}, seed {seed}")
+                    try:
+                        outcomes.append(Outcome(case, seed, self._judge(name, protocol, case, seed)))
+                    except GeortError as error:
+                        outcomes.append(Outcome(case, seed, error=str(error)))
+        return results
+
+    def summary(self, outcomes: Sequence[Outcome]) -> dict[str, dict | None]:
+        """Figures of one method under one protocol, over its parts and seeds.
+
+        Returns:
+            `mean`: over seeds of the mean over parts, where figures of pinches are of all parts' frames
+            together; `worst_part` and `worst_seed`: each metric's worst part with any seed, and worst
+            seed. None where there is nothing to choose from.
+        """
+        done = [outcome.judged for outcome in outcomes if outcome.judged]
+        pooled = [
+            self._pooled(parts)
+            for seed in self.seeds
+            if (parts := [o.judged for o in outcomes if o.seed == seed and o.judged])
+        ]
+        several_parts = len({outcome.case.part for outcome in outcomes}) > 1
+        return {
+            "mean": mean(pooled) if pooled else None,
+            "worst_part": worst([judged.metrics for judged in done]) if done and several_parts else None,
+            "worst_seed": worst(pooled) if pooled and len(self.seeds) > 1 else None,
+        }
+
+    def _pooled(self, parts: Sequence[Judged]) -> dict:
+        frames = np.concatenate([part.p_HF for part in parts])
+        p_BF = np.concatenate([part.distributions.p_BF for part in parts])
+        pinches = pinch(frames, p_BF, self.hand.finger_names, self.hand.tip_radius)
+        return {**mean([part.metrics for part in parts]), "pinch": pinches}
+
+    def _judge(self, name: str, protocol: Protocol, case: Case, seed: int) -> Judged:
+        source = case.scored_on
+        frames = source.fingertips(self._keypoints)[: self.frame_limit]
+        if len(frames) < MIN_FRAMES:
+            raise RecordingError(f"{case.part}: {len(frames)} valid frames, at least {MIN_FRAMES} are needed")
+        retarget = self._retargeter(name, protocol, case, seed)
+        settled = None
+        if isinstance(retarget, VectorOnline):
+            settled = retarget.settled_map(frames)
+            retarget.reset()
+        space = self.space(seed)
+        metrics, distributions = evaluate_frames(
+            retarget,
+            self.hand,
+            frames,
+            source.rate_hz,
+            seed,
+            space if protocol.with_coverage else None,
+            settled,
+        )
+        p_BF = distributions.p_BF
+        bases = [_base_keypoint(keypoint) for keypoint in self._keypoints]
+        p_HL = np.concatenate([source.fingertips(bases)[: self.frame_limit], frames], axis=1)
+        p_BJ = np.stack([finger.X_PJ[0][:3, 3] for finger in self._kinematics.fingers])
+        p_BL = np.concatenate([np.broadcast_to(p_BJ, p_BF.shape), p_BF], axis=1)
+        metrics["related"] = {
+            "motion_preservation": aligned_motion_preservation(p_HL, p_BL),
+            "workspace": workspace(space.p_BF, p_BF) if protocol.with_coverage else None,
+        }
+        return Judged(finite_json(metrics), settled is not None, frames, distributions)
+
+    def _retargeter(self, name: str, protocol: Protocol, case: Case, seed: int) -> Callable:
+        if name in BASELINES:
+            learned = case.trained_on.fingertips(self._keypoints)
+            return make_baseline(name, self._kinematics, self._keypoints, frames=learned, seed=seed)
+        if name in pipeline.METHODS:
+            return load_retargeter(self._checkpoint_of(case.trained_on, name, seed), self.hand)
+        if protocol.name == HELD_OUT:
+            raise CheckpointError(
+                f"{name}: a checkpoint cannot be trained without the block; name its method instead"
+            )
+        known = load_checkpoint(name).provenance["recording"]["sha256"] == case.scored_on.digest
+        if protocol.name == SAME_PERSON and not known:
+            raise CheckpointError(
+                f"{name}: was trained on another recording than {case.part}; give that one as --recording, "
+                "and this one to --score_on"
+            )
+        if protocol.name != SAME_PERSON and known:
+            raise CheckpointError(f"{name}: was trained on {case.part}, so that is no other person's to it")
+        return load_retargeter(name, self.hand)
+
+    def space(self, seed: int) -> RobotSpace:
+        """The C-space of the hand."""
+        if seed not in self._spaces:
+            self._spaces[seed] = robot_space(self.hand, seed)
+        return self._spaces[seed]
+
+
+def _base_keypoint(keypoint: int) -> int:
+    """The knuckle at which the finger of this keypoint begins."""
+    return next(finger[0] for finger in FINGER_KEYPOINTS.values() if keypoint in finger)

@@ -1,0 +1,109 @@
+"""Protocols of a comparison: from which frames a method learns, and on which it is scored."""
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+from geort_drake.comparison.metrics import MIN_FRAMES
+from geort_drake.errors import RecordingError
+from geort_drake.people.recording import Recording
+
+SAME_PERSON, HELD_OUT, OTHER_PERSON = "same_person", "held_out", "other_person"
+# Hands a second apart still look alike, so frames this near to a held-out block are not learned from.
+GUARD_S = 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """One training and what it is scored on."""
+
+    part: str  # of the protocol: a file's name, or which block
+    trained_on: Recording
+    scored_on: Recording
+
+
+@dataclasses.dataclass(frozen=True)
+class Protocol:
+    """A way to compare methods.
+
+    Attributes:
+        name: SAME_PERSON, HELD_OUT or OTHER_PERSON.
+        title: what tables call it.
+        meaning: what its figures stand for, and what is left out.
+        cases: one per part.
+        with_coverage: whether the share of the robot's C-space means anything here.
+    """
+
+    name: str
+    title: str
+    meaning: str
+    cases: tuple[Case, ...]
+    with_coverage: bool = True
+
+
+def same_person(recording: Recording, name: str) -> Protocol:
+    """Scored on the frames that were learned from, as in the paper."""
+    return Protocol(
+        SAME_PERSON,
+        "same person, training recording",
+        "trained and scored on the same recording, as in the paper",
+        (Case(name, recording, recording),),
+    )
+
+
+def held_out(recording: Recording, blocks: int) -> Protocol:
+    """Scored on each of `blocks` contiguous parts of the valid frames, trained on the others.
+
+    Frames of the block, and those less than GUARD_S before or after it, are invalid in the recording
+    that is learned from. Where they are missing two successive valid frames lie apart, as where
+    tracking was lost: training takes the pair for a step only if the hand is nearly where it was.
+
+    Raises:
+        RecordingError: fewer than two blocks, or blocks too short to measure on.
+    """
+    frames = np.flatnonzero(recording.valid)
+    most = len(frames) // MIN_FRAMES
+    if not 2 <= blocks <= most:
+        raise RecordingError(
+            f"held-out blocks must be 2 to {most} for {len(frames)} valid frames (at least {MIN_FRAMES} "
+            f"each), not {blocks}"
+        )
+    cases = []
+    for number, block in enumerate(np.array_split(frames, blocks), start=1):
+        inside = np.zeros(len(recording), dtype=bool)
+        inside[block] = True
+        first, last = recording.t[block[[0, -1]]]
+        away = (recording.t < first - GUARD_S) | (recording.t > last + GUARD_S)
+        cases.append(
+            Case(
+                f"block {number} of {blocks}",
+                dataclasses.replace(recording, valid=recording.valid & away),
+                dataclasses.replace(recording, valid=inside),
+            )
+        )
+    return Protocol(
+        HELD_OUT,
+        "same person, held-out blocks",
+        f"scored on each of {blocks} contiguous blocks, trained on the rest, {GUARD_S:g} s before and after "
+        "the block left out; no coverage, as a block holds too little motion to cover the C-space",
+        tuple(cases),
+        with_coverage=False,
+    )
+
+
+def other_person(recording: Recording, others: Mapping[str, Recording]) -> Protocol:
+    """Trained on one recording, scored on others: name → recording.
+
+    Raises:
+        RecordingError: one of the others is the recording that is learned from.
+    """
+    for name, other in others.items():
+        if other.digest == recording.digest:
+            raise RecordingError(f"{name}: is the recording that methods are trained on; give another one")
+    return Protocol(
+        OTHER_PERSON,
+        "another person",
+        "trained on one person's recording, scored on another's as it is, without any calibration",
+        tuple(Case(name, recording, other) for name, other in others.items()),
+    )

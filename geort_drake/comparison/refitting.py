@@ -1,0 +1,140 @@
+"""From a checkpoint and another person's recording to an evaluated checkpoint for that person."""
+
+import dataclasses
+import os
+import time
+from functools import partial
+from pathlib import Path
+
+from geort_drake.comparison.metrics import evaluate
+from geort_drake.comparison.pipeline import training_recording
+from geort_drake.comparison.versions import versions
+from geort_drake.errors import CheckpointError, UnknownNameError
+from geort_drake.files import sha256_of
+from geort_drake.hands.canonical import canonical_kinematics, canonical_shapes
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.hands.samples import robot_data
+from geort_drake.people.recording import Recording
+from geort_drake.retargeting.checkpoint import (
+    TRAINED_POINTS,
+    WEIGHTS,
+    check_replaceable,
+    load_checkpoint,
+    save_checkpoint,
+)
+from geort_drake.retargeting.methods.coupled.refit import FINE_TUNING, Tune, fine_tune, refit
+from geort_drake.retargeting.methods.coupled.training import CoupledConfig
+from geort_drake.retargeting.retargeter import METHODS as RETARGETERS
+from geort_drake.retargeting.trained_space import trained_points
+from geort_drake.retargeting.training.descent import Report
+from geort_drake.settings import settings_of
+
+FINE_TUNED_METHOD = "geort_coupled"
+
+
+def refit_checkpoint(
+    checkpoint: str | os.PathLike,
+    recording: Recording | str | os.PathLike,
+    output: str | os.PathLike,
+    hand_name: str | os.PathLike | None = None,
+    steps: int = FINE_TUNING.steps,
+    seed: int = 0,
+    report: Report | None = None,
+) -> Path:
+    """Fits a checkpoint to another person and writes an ordinary checkpoint.
+
+    Args:
+        checkpoint: directory of the checkpoint to start from.
+        recording: about a minute of the new person's hand, or its file.
+        output: the new checkpoint's directory.
+        hand_name: name or file of the robot hand's description; None: by the checkpoint's name of it.
+        steps: of the fine-tuning; 0 leaves it out, as methods other than geort_coupled do.
+        seed: of the fine-tuning and of the metrics.
+        report: see `Report`.
+
+    Returns:
+        The new checkpoint's directory. What the fit cost is in its provenance under "timings".
+
+    Raises:
+        CheckpointError: the checkpoint is unusable, for another hand, or does not know where it was trained.
+        UnknownNameError: its method is not known to this version.
+        RecordingError, TrainingError: the recording is unusable for this.
+    """
+    check_replaceable(output)
+    old = load_checkpoint(checkpoint)
+    space = old.trained_space
+    if space is None:
+        raise CheckpointError(
+            f"{old.path}: does not say where training saw the fingertips, as checkpoints before version 0.2; "
+            "train a new one"
+        )
+    if old.config["method"] not in RETARGETERS:
+        raise UnknownNameError("retargeting method", old.config["method"], RETARGETERS)
+    hand = HandModel(load_hand(hand_name or old.hand["name"]))
+    old.check_hand(hand)
+    recording = training_recording(recording, hand.description.side)
+    p_HF = recording.fingertips(old.config["human_keypoints"])
+    started = time.perf_counter()
+    method = old.config["method"]
+    tuned = steps > 0 and method == FINE_TUNED_METHOD
+    tune: Tune | None = None
+    if tuned:
+        # What was wanted of the map still is; other versions may have had other settings.
+        known = settings_of(CoupledConfig)
+        wanted = {name: value for name, value in old.config["training"].items() if name in known}
+        wanted |= {name: getattr(FINE_TUNING, name) for name in ("learning_rate", "averaging")}
+        config = dataclasses.replace(FINE_TUNING, **wanted | {"steps": steps})
+        # Those of the training, as they are kept.
+        sampled = old.provenance.get("robot_data", {})
+        kept = {key: sampled[key] for key in ("count", "seed") if key in sampled}
+        samples = robot_data(hand, **kept, labels=False)
+        tune = partial(
+            fine_tune,
+            p_HF=p_HF,
+            kinematics=canonical_kinematics(hand),
+            samples=samples,
+            shapes=canonical_shapes(hand),
+            config=config,
+            seed=seed,
+            report=report,
+        )
+    weights = {name: array for name, array in old.arrays.items() if name != TRAINED_POINTS}
+    result = refit(weights, space, p_HF, old.config["finger_names"], tune)
+    timings = {**result.timings, "fit_s": time.perf_counter() - started}
+    provenance = {
+        **old.provenance,
+        "recording": {"sha256": recording.digest, "frames": len(p_HF), "metadata": recording.metadata},
+        "seed": seed,
+        "versions": versions(),
+        "timings": {name: round(value, 3) for name, value in timings.items()},
+        "refit": {
+            "from_weights_sha256": sha256_of(old.path / WEIGHTS),
+            "from_recording": old.provenance.get("recording"),
+            "steps": steps if tuned else 0,
+            "affine": {
+                finger: {"A": A.tolist(), "b": b.tolist(), "miss_mm": round(1e3 * float(miss), 3)}
+                for finger, A, b, miss in zip(
+                    old.config["finger_names"],
+                    result.affine.A,
+                    result.affine.b,
+                    result.affine.miss,
+                    strict=True,
+                )
+            },
+        },
+    }
+    names = old.config["finger_names"], old.config["joint_names"], old.config["human_keypoints"]
+    retarget = RETARGETERS[method](result.arrays, *names, hand.lower, hand.upper)
+    metrics = evaluate(retarget, hand, recording, seed)
+    return save_checkpoint(
+        output,
+        {**result.arrays, TRAINED_POINTS: trained_points(p_HF)},
+        method=method,
+        hand=old.hand,
+        human_keypoints=names[2],
+        training=old.config.get("training", {}),
+        provenance=provenance,
+        history=result.history,
+        metrics={"hand": old.hand["name"], "recording_sha256": recording.digest, "seed": seed, **metrics},
+    )

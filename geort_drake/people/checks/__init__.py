@@ -1,0 +1,95 @@
+"""The health of a recording: checks that catch what spoils recordings, one small function each."""
+
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator
+
+from geort_drake.errors import RecordingError
+from geort_drake.people.checks import anatomy, motion, timing
+from geort_drake.people.checks.findings import Finding, Severity
+from geort_drake.people.recording import Recording
+
+Check = Callable[[Recording], Iterator[Finding]]
+
+# In this order: what one check relies on, those before it have seen to.
+CHECKS: tuple[Check, ...] = (
+    timing.check_length,
+    timing.check_clock,
+    timing.check_lost,
+    anatomy.check_depth,
+    anatomy.check_order,
+    anatomy.check_unit,
+    anatomy.check_side,
+    timing.check_spikes,
+    anatomy.check_bones,
+    anatomy.check_frame,
+    timing.check_dropped,
+    timing.check_repeats,
+    timing.check_jumps,
+    motion.check_frozen,
+    motion.check_frames,
+    motion.check_pinches,
+    motion.check_range,
+)
+
+
+def examine(recording: Recording) -> tuple[Recording, list[Finding]]:
+    """Runs all checks, up to the first error.
+
+    Args:
+        recording: in frame H; a left hand already mirrored.
+
+    Returns:
+        The recording with frames marked invalid that mean nothing, and what was found.
+    """
+    findings: list[Finding] = []
+    for check in CHECKS:
+        for finding in check(recording):
+            findings.append(finding)
+            if finding.lost:
+                valid = recording.valid.copy()
+                valid[list(finding.lost)] = False
+                recording = dataclasses.replace(recording, valid=valid)
+        if any(finding.severity is Severity.ERROR for finding in findings):
+            break
+    return recording, findings
+
+
+def check_recording(recording: Recording, name: str = "recording", training: bool = False) -> Recording:
+    """Returns the recording with unusable frames marked invalid and `metadata["warnings"]` filled.
+
+    Args:
+        recording: in frame H; a left hand already mirrored.
+        name: what error messages call it, usually the file.
+        training: also ask for what training needs: 300 valid frames and at least one pinch.
+
+    Raises:
+        RecordingError: with the first finding that makes the recording unusable.
+    """
+    recording, findings = examine(recording)
+    refuse(name, findings, training)
+    return noted(recording, findings)
+
+
+def refuse(name: str, findings: Iterable[Finding], training: bool = False) -> None:
+    """Raises RecordingError with the first finding that forbids use, or with `training` training."""
+    fatal = (Severity.ERROR, Severity.UNFIT) if training else (Severity.ERROR,)
+    for finding in findings:
+        if finding.severity in fatal:
+            raise RecordingError(f"{name}: {finding}")
+
+
+def noted(recording: Recording, findings: Iterable[Finding]) -> Recording:
+    """The recording with its faults in `metadata["warnings"]`, each once; advice is left out."""
+    known = recording.metadata.get("warnings", [])
+    said = [str(finding) for finding in findings if finding.severity is not Severity.ADVICE]
+    return dataclasses.replace(
+        recording, metadata={**recording.metadata, "warnings": list(dict.fromkeys([*known, *said]))}
+    )
+
+
+def verdict(findings: Iterable[Finding]) -> str:
+    """ "usable", "usable with warnings" or "refused"."""
+    severities = {finding.severity for finding in findings}
+    if Severity.ERROR in severities:
+        return "refused"
+    return "usable with warnings" if severities & {Severity.UNFIT, Severity.WARNING} else "usable"

@@ -1,0 +1,187 @@
+"""Checks that keypoints are a hand: order, unit, bones, side and frame."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from geort_drake.people.checks.findings import Finding, Severity
+from geort_drake.people.checks.order import fitting_order, is_right, oddities
+from geort_drake.people.keypoints import (
+    BONES,
+    FINGER_KEYPOINTS,
+    MIDDLE_MCP,
+    WRIST,
+    bone_lengths,
+    mirrored,
+    to_wrist_frame,
+)
+from geort_drake.people.recording import SIDES, Recording
+
+UNITS_M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}
+
+_UNIT_NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres", "inch": "inches"}
+_PALM_M = (0.060, 0.110)  # wrist to middle knuckle of people from a child of ten to a large adult
+BENT = 0.02  # a mean sine of the fingers' bending beyond this tells the side
+_FRAME_M = 0.005  # a keypoint may be so far from where the definition of H puts it
+
+
+def check_depth(recording: Recording) -> Iterator[Finding]:
+    """The keypoints are not those of a flat picture."""
+    p_HK = _valid(recording)
+    if np.abs(p_HK[..., 0]).max() < 1e-3 * max(_palm(p_HK), 1e-12):
+        yield Finding(
+            "constant signal",
+            Severity.ERROR,
+            "all keypoints lie in one plane in every frame: one coordinate is constant, as of 2-D landmarks",
+            "p_HK",
+            "record 3-D landmarks, of MediaPipe its world landmarks",
+        )
+
+
+def check_order(recording: Recording) -> Iterator[Finding]:
+    """The 21 keypoints come in the order that is meant."""
+    p_HK = _valid(recording)
+    order = fitting_order(p_HK)
+    if is_right(order):
+        return
+    if order is None:
+        distance = np.median(np.linalg.norm(p_HK[:, :, None] - p_HK[:, None], axis=-1), axis=0)
+        told = f"they are no hand in any known order: {next(oddities(distance), 'bones change length')}"
+    else:
+        told = f"they are a hand in this one: {order}"
+    advice = "read it with format 'mano'" if order and "MANO" in order else "reorder them before importing"
+    yield Finding(
+        "joint order",
+        Severity.ERROR,
+        "wrong joint order: the keypoints must be the wrist, then thumb, index, middle, ring and little "
+        f"finger from base to tip; {told}",
+        "p_HK",
+        advice,
+    )
+
+
+def check_unit(recording: Recording) -> Iterator[Finding]:
+    """The hand is as large as a person's, in metres."""
+    palm = _palm(_valid(recording))
+    low, high = _PALM_M
+    if low <= palm <= high:
+        return
+    # What the reader took the file's numbers for; our own files know nothing but metres.
+    taken = recording.metadata.get("unit")
+    number = palm / UNITS_M.get(taken or "m", 1.0)
+    fits = [unit for unit in _UNIT_NAMES if unit != taken and low <= number * UNITS_M[unit] <= high]
+    given = f" with the file's lengths in {taken}" if taken not in (None, "m") else ""
+    guess = f"; it would be right if the numbers were {_UNIT_NAMES[fits[0]]}" if fits else ""
+    yield Finding(
+        "unit",
+        Severity.ERROR,
+        f"wrist to middle knuckle must be {1e3 * low:.0f} to {1e3 * high:.0f} mm, but is {palm:.4g} m{given}"
+        f"{guess}",
+        "p_HK",
+        f"import them with --unit {fits[0]}" if fits and taken else "give keypoints in metres",
+    )
+
+
+def mean_bending(p_HK: np.ndarray) -> float:
+    """Mean sine of the angle between the fingers' first and last bones in keypoints (T, 21, 3).
+
+    Fingers bend towards +x whichever pose the hand is in, so the turn from the first to the last bone is
+    about +y. In a mirror image y and z stay as they are and x = y × z changes sign.
+    """
+    first, last = (
+        np.stack([p_HK[:, k[i + 1]] - p_HK[:, k[i]] for k in list(FINGER_KEYPOINTS.values())[1:]], axis=1)
+        for i in (0, 2)
+    )
+    size = np.linalg.norm(first, axis=-1) * np.linalg.norm(last, axis=-1)
+    return float((np.cross(first, last)[..., 1] / np.maximum(size, 1e-12)).mean())
+
+
+def bent_side(p_WK: np.ndarray, side: str) -> str:
+    """The side that keypoints p_WK (T, 21, 3), of any frame and said to be of `side`, have by their bending.
+
+    That is `side` where the fingers hardly bend, or no frame is whole.
+    """
+    p_HK = to_wrist_frame(mirrored(p_WK) if side == "left" else p_WK)
+    p_HK = p_HK[np.isfinite(p_HK).all(axis=(1, 2))]
+    backwards = len(p_HK) > 0 and mean_bending(p_HK) < -BENT
+    return SIDES[1 - SIDES.index(side)] if backwards else side
+
+
+def check_side(recording: Recording) -> Iterator[Finding]:
+    """The hand is of the side that was asked for, and not in mirrored coordinates."""
+    side, bending = recording.side, mean_bending(_valid(recording))
+    if bending < -BENT:
+        other = SIDES[1 - SIDES.index(side)]
+        yield Finding(
+            "handedness",
+            Severity.ERROR,
+            f"the fingers bend backwards (mean sine {bending:.2f}), so this is a {other} hand or a "
+            f"{side} one in mirrored axes (such as Unity's, which are left-handed)",
+            "p_HK",
+            f"read it with side '{other}', and if the axes are mirrored also with --mirror",
+        )
+    elif bending < BENT:
+        yield Finding(
+            "handedness",
+            Severity.WARNING,
+            "the fingers hardly bend, so whether this is a left or a right hand cannot be checked",
+            "p_HK",
+            "make a fist while recording",
+        )
+
+
+def check_frame(recording: Recording) -> Iterator[Finding]:
+    """Keypoints are given in the wrist frame H: origin, and directions of the axes."""
+    p_HK = _valid(recording)
+    off = np.linalg.norm(to_wrist_frame(p_HK) - p_HK, axis=-1).max(axis=1)
+    if np.nanmedian(off) < _FRAME_M:
+        return
+    knuckle = np.median(p_HK[:, MIDDLE_MCP] - p_HK[:, WRIST], axis=0)
+    axis = "xyz"[int(np.argmax(np.abs(knuckle)))]
+    sign = "-" if knuckle.min() == -np.abs(knuckle).max() else "+"
+    yield Finding(
+        "axes",
+        Severity.ERROR,
+        "keypoints must be given in the wrist frame H (origin at the wrist, z to the middle knuckle, y to "
+        f"the index side), but are off by {1e3 * np.nanmedian(off):.0f} mm; the middle knuckle is towards "
+        f"{sign}{axis}, the wrist at {np.round(1e3 * np.median(p_HK[:, WRIST], axis=0)).tolist()} mm",
+        "p_HK",
+        "save other frames as (T, 21, 3) .npy, which is brought to H when it is read",
+    )
+
+
+def check_bones(recording: Recording) -> Iterator[Finding]:
+    """Bones keep their lengths, and no two keypoints coincide."""
+    length = bone_lengths(_valid(recording))
+    mean = length.mean(axis=0)
+    if mean.min() < 1e-3:
+        parent, child = BONES[int(np.argmin(mean))]
+        yield Finding(
+            "bone lengths",
+            Severity.ERROR,
+            f"keypoints {parent} and {child} coincide; 21 distinct ones are needed",
+            f"p_HK[:, {child}]",
+        )
+        return
+    spread = length.std(axis=0) / mean
+    worst = int(np.argmax(spread))
+    parent, child = BONES[worst]
+    if spread[worst] < 0.03:
+        return
+    bad = spread[worst] > 0.25
+    yield Finding(
+        "bone lengths",
+        Severity.ERROR if bad else Severity.WARNING,
+        f"bone {parent}–{child} changes its length by {100 * spread[worst]:.0f} % (standard deviation over "
+        "mean)" + (", at most 25 % is usable" if bad else ": a tracker's noise, gloves stay below 3 %"),
+        f"p_HK[:, {child}]",
+        "look whether these are 3-D keypoints in metres" if bad else "",
+    )
+
+
+def _valid(recording: Recording) -> np.ndarray:
+    return recording.p_HK[recording.valid].astype(float)
+
+
+def _palm(p_HK: np.ndarray) -> float:
+    return float(np.median(np.linalg.norm(p_HK[:, MIDDLE_MCP] - p_HK[:, WRIST], axis=-1)))

@@ -1,0 +1,319 @@
+"""A human hand as a kinematic model: 20 joints, four per finger, from angles to keypoints and back.
+
+Every finger, the thumb included, is the same chain. Its base frame B_i sits in the palm with z along
+the straight finger and x towards the side the finger closes to. A universal joint (MCP, of the thumb
+CMC) flexes about y of B_i and then abducts about the turned −x, the order of the ISB's joint
+coordinate system (Wu et al. 2005, J. Biomech. 38:981), which also fits recorded gloves: with the
+order reversed, the plane in which PIP and DIP bend would twist by 20° and more about the finger.
+Two parallel hinges follow (PIP and DIP, of the thumb MCP and IP), turned about the bone by a fixed
+twist. So a finger bends in a plane, and its forward kinematics has a short closed form.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from geort_drake.errors import RecordingError
+from geort_drake.people.keypoints import BASE_KEYPOINT, FINGER_NAMES, KEYPOINT_COUNT, bone_lengths
+from geort_drake.people.recording import Recording
+
+_JOINT_SUFFIXES = {
+    "thumb": ("cmc_abduction", "cmc_flexion", "mcp_flexion", "ip_flexion"),
+    **dict.fromkeys(FINGER_NAMES[1:], ("mcp_abduction", "mcp_flexion", "pip_flexion", "dip_flexion")),
+}
+JOINT_NAMES = tuple(f"{finger}_{suffix}" for finger in FINGER_NAMES for suffix in _JOINT_SUFFIXES[finger])
+
+_LARGEST_STEP = 0.4  # rad per iteration of the inverse kinematics
+
+# The straight thumb points 25° from z towards y; it flexes across the palm (−y) about +x.
+_THUMB_AZIMUTH = np.deg2rad(25.0)
+
+# Anatomy of an adult, finger by finger from thumb to little.
+#
+# Bases: across (y) and along (z) the palm from An et al. 1979 and Buchholz et al. 1992 (J. Biomech.
+# 25:261) as shares of hand breadth and length; the heights x, and the thumb's CMC, which those
+# papers refer to another frame, are means of two calibrated MANUS gloves as shares of breadth
+# (x, y) and length (z).
+_BASE_BREADTH = np.array([[0.167, 0.240], [0.043, 0.252], [0.0, 0.0], [0.043, -0.206], [0.097, -0.402]])
+_BASE_LENGTH = np.array([0.101, 0.447, 0.446, 0.409, 0.368])
+# Bones as shares of hand length: Buchholz et al. 1992; the proximal ones are 1.853, 1.631, 1.570
+# and 1.760 times the middle ones. The last ones reach the skin: with the base, the shares of the
+# middle finger add up to one.
+_BONE_LENGTH = np.array(
+    [
+        [0.251, 0.196, 0.158],
+        [0.265, 0.143, 0.097],
+        [0.277, 0.170, 0.108],
+        [0.259, 0.165, 0.107],
+        [0.206, 0.117, 0.093],
+    ]
+)
+# The planes in which the fingers bend converge towards the thumb by this much, and the thumb is
+# pronated by it: rounded means of the fits to two glove recordings (GeoRT's and MANUS).
+_CONVERGENCE_DEG = np.array([0.0, 3.0, 6.0, 9.0, 9.0])
+_THUMB_TWIST_DEG = 10.0
+# Limits, deg, as (lower, upper) of abduction and three flexions. Flexions: clinical norms (MCP 45
+# hyperextension to 90, PIP 0–100, DIP 0–80; thumb MCP −10–55, IP −15–80), of which active motion
+# uses 30° of MCP hyperextension and a little beyond straight in the DIP; thumb CMC −25–35 and
+# abduction −10–60 (clinical: palmar abduction 45, radial 60). Finger abduction: ranges of a MANUS
+# recording (0.5th to 99.5th percentile), which exceed clinical spreads taken with straight fingers.
+_LIMITS_DEG = np.array(
+    [
+        [(-10, 60), (-25, 35), (-10, 60), (-15, 80)],
+        [(-20, 20), (-30, 90), (0, 100), (-10, 80)],
+        [(-20, 20), (-30, 90), (0, 100), (-10, 80)],
+        [(-22, 22), (-30, 90), (0, 100), (-10, 80)],
+        [(-35, 22), (-30, 90), (0, 100), (-10, 80)],
+    ]
+)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class HumanHand:
+    """Geometry and joint limits of one hand; a right one, or a left one mirrored.
+
+    Joint order: finger by finger from the thumb, each with abduction, flexion, flexion, flexion
+    (`joint_names`). Abduction is positive towards the index side (+y), of the thumb away from the
+    palm (+x); flexion is positive. Angles in rad, lengths in m, points in the wrist frame H.
+
+    Attributes:
+        p_HB: (5, 3) the fingers' base points (thumb CMC, the other fingers' MCP).
+        R_HB: (5, 3, 3) orientation of the fingers' base frames.
+        twist: (5,) turn of the hinge axes about the first bone.
+        lengths: (5, 3) of the three bones of each finger, the last up to the tip of the pulp.
+        lower, upper: (20,) joint limits.
+    """
+
+    p_HB: np.ndarray
+    R_HB: np.ndarray
+    twist: np.ndarray
+    lengths: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+    joint_names = JOINT_NAMES
+
+    def joint_index(self, name: str) -> int:
+        """Position of a joint in the angle vector."""
+        return JOINT_NAMES.index(name)
+
+    def keypoints(self, theta: np.ndarray) -> np.ndarray:
+        """p_HK (..., 21, 3), m, at joint angles theta (..., 20), rad."""
+        theta = np.asarray(theta, dtype=float)
+        z, x, _, _, bend = self._first_bone(theta)
+        L = self.lengths
+        c, s = np.cos(bend), np.sin(bend)
+        p = np.zeros((*theta.shape[:-1], KEYPOINT_COUNT, 3))
+        chain = np.empty((*z.shape[:-1], 4, 3))
+        chain[..., 0, :] = 0.0
+        chain[..., 1, :] = L[:, :1] * z
+        chain[..., 2, :] = (
+            chain[..., 1, :] + (L[:, 1] * c[..., 0])[..., None] * z + (L[:, 1] * s[..., 0])[..., None] * x
+        )
+        chain[..., 3, :] = (
+            chain[..., 2, :] + (L[:, 2] * c[..., 1])[..., None] * z + (L[:, 2] * s[..., 1])[..., None] * x
+        )
+        p_HK = chain @ self.R_HB.transpose(0, 2, 1) + self.p_HB[:, None]
+        p[..., 1:, :] = p_HK.reshape(*p_HK.shape[:-3], 20, 3)
+        return p
+
+    def fingertips(self, theta: np.ndarray) -> np.ndarray:
+        """p_HF (..., 5, 3), m, of thumb, index, middle, ring, little at theta (..., 20), rad."""
+        z, x, _, _, bend = self._first_bone(np.asarray(theta, dtype=float))
+        along, across = self._in_plane(bend)
+        return self._in_hand(along[..., None] * z + across[..., None] * x) + self.p_HB
+
+    def fingertip_jacobians(self, theta: np.ndarray) -> np.ndarray:
+        """∂p_HF/∂θ (..., 5, 3, 4), m/rad: each tip by the four joints of its own finger."""
+        theta = np.asarray(theta, dtype=float)
+        z, x, y, sin_twist, bend = self._first_bone(theta)
+        along, across = self._in_plane(bend)
+        tip = along[..., None] * z + across[..., None] * x
+        last = self.lengths[:, 2] * np.array([np.cos(bend[..., 1]), np.sin(bend[..., 1])])
+        J = np.empty((*tip.shape, 4))
+        # Flexion turns about y of the base frame, abduction turns z towards y; the hinges turn
+        # z towards x.
+        J[..., 0] = along[..., None] * y - (across * sin_twist)[..., None] * z
+        J[..., 0, 1], J[..., 1, 1], J[..., 2, 1] = tip[..., 2], 0.0, -tip[..., 0]
+        J[..., 2] = -across[..., None] * z + (along - self.lengths[:, 0])[..., None] * x
+        J[..., 3] = -last[1][..., None] * z + last[0][..., None] * x
+        return self.R_HB @ J
+
+    def solve_fingertips(
+        self,
+        p_target: np.ndarray,
+        theta0: np.ndarray,
+        weights: Sequence[float] | np.ndarray | None = None,
+        iterations: int = 20,
+        damping_m: float = 2e-3,
+    ) -> np.ndarray:
+        """Joint angles (..., 20) within the limits that bring the tips nearest to p_target (..., 5, 3).
+
+        Damped least squares (Levenberg steps with fixed damping), every finger for itself; the
+        redundant motion stays where theta0 (..., 20) puts it.
+
+        Args:
+            weights: (5,) importance of each target; with 0 the finger stays at theta0.
+            damping_m: steps are damped where a radian moves the tip by less than this.
+        """
+        theta = np.clip(np.asarray(theta0, dtype=float), self.lower, self.upper)
+        weight = np.ones(5) if weights is None else np.asarray(weights, dtype=float)
+        lower, upper = self.lower.reshape(5, 4), self.upper.reshape(5, 4)
+        damping = damping_m**2 * np.eye(3)
+        for _ in range(iterations):
+            error = weight[:, None] * (p_target - self.fingertips(theta))
+            J = weight[:, None, None] * self.fingertip_jacobians(theta)
+            angles = theta.reshape(*theta.shape[:-1], 5, 4)
+            free = np.ones_like(angles)
+            # A joint that would leave its range is taken out, so that the others make up for it.
+            for _ in range(2):
+                Jf = J * free[..., None, :]
+                Jt = np.swapaxes(Jf, -1, -2)
+                step = (Jt @ np.linalg.solve(Jf @ Jt + damping, error[..., None]))[..., 0]
+                # Far targets and straight fingers ask for steps beyond what the derivative is good for.
+                step /= np.maximum(np.abs(step).max(axis=-1, keepdims=True) / _LARGEST_STEP, 1.0)
+                moved = angles + step
+                free = free * ((moved >= lower) & (moved <= upper))
+            theta = np.clip(moved, lower, upper).reshape(theta.shape)
+        return theta
+
+    def fit_angles(self, p_HK: np.ndarray, iterations: int = 8) -> np.ndarray:
+        """Joint angles (T, 20), rad, within the limits that reproduce keypoints p_HK (T, 21, 3), m.
+
+        The bones' directions give the angles in closed form; a few damped least-squares steps then
+        move the remaining error from the tips to the joints between.
+        """
+        p_HK = np.asarray(p_HK, dtype=float)
+        theta = np.clip(_angles(_bone_directions(p_HK), self.R_HB, self.twist), self.lower, self.upper)
+        p_HF = p_HK[..., 1:, :].reshape(*p_HK.shape[:-2], 5, 4, 3)[..., 3, :]
+        return self.solve_fingertips(p_HF, theta, iterations=iterations)
+
+    @classmethod
+    def anatomical(cls, length_m: float = 0.19, breadth_m: float = 0.085) -> "HumanHand":
+        """A hand of average adult proportions; the tables above name their sources.
+
+        Args:
+            length_m: wrist crease to the tip of the middle finger.
+            breadth_m: of the palm across the knuckles of index to little finger.
+        """
+        convergence = Rotation.from_euler("z", _CONVERGENCE_DEG[:, None], degrees=True).as_matrix()
+        return cls(
+            p_HB=np.column_stack([breadth_m * _BASE_BREADTH, length_m * _BASE_LENGTH]),
+            R_HB=_nominal_base_frames() @ convergence,
+            twist=np.deg2rad([_THUMB_TWIST_DEG, 0.0, 0.0, 0.0, 0.0]),
+            lengths=length_m * _BONE_LENGTH,
+            lower=np.deg2rad(_LIMITS_DEG[..., 0]).reshape(20),
+            upper=np.deg2rad(_LIMITS_DEG[..., 1]).reshape(20),
+        )
+
+    @classmethod
+    def fit(cls, recording: Recording) -> "HumanHand":
+        """The hand of the person recorded.
+
+        Palm and bone lengths are medians over the valid frames; the base frames and twists are those
+        in which the recorded fingers bend most nearly in a plane; joint limits are the observed
+        range (0.5th to 99.5th percentile) widened by 2°.
+
+        Raises:
+            RecordingError: fewer than ten valid frames.
+        """
+        p_HK = recording.p_HK[recording.valid].astype(float)
+        if len(p_HK) < 10:
+            raise RecordingError(f"fitting a hand needs at least 10 valid frames, {len(p_HK)} given")
+        directions = _bone_directions(p_HK)
+        some = directions[np.linspace(0, len(p_HK) - 1, min(len(p_HK), 400)).astype(int)]
+        frames = [_fit_base_frame(some[:, i], R) for i, R in enumerate(_nominal_base_frames())]
+        R_HB, twist = np.stack([R for R, _ in frames]), np.array([angle for _, angle in frames])
+        theta = _angles(directions, R_HB, twist)
+        margin = np.deg2rad(2.0)
+        return cls(
+            p_HB=np.median(p_HK[:, list(BASE_KEYPOINT.values())], axis=0),
+            R_HB=R_HB,
+            twist=twist,
+            lengths=np.median(bone_lengths(p_HK), axis=0).reshape(5, 4)[:, 1:],
+            lower=np.percentile(theta, 0.5, axis=0) - margin,
+            upper=np.percentile(theta, 99.5, axis=0) + margin,
+        )
+
+    def _first_bone(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+        """In the base frames (..., 5, 3): the first bone z, the direction x its hinges bend it to,
+        y that abduction moves it to; sin of the twist (5,); angles (..., 5, 2) of bones two and three.
+        """
+        angles = theta.reshape(*theta.shape[:-1], 5, 4)
+        c, s = np.cos(angles[..., :2]), np.sin(angles[..., :2])
+        ca, cf, sa, sf = c[..., 0], c[..., 1], s[..., 0], s[..., 1]
+        z, y, x = np.empty((3, *angles.shape[:-1], 3))
+        z[..., 0], z[..., 1], z[..., 2] = sf * ca, sa, cf * ca
+        y[..., 0], y[..., 1], y[..., 2] = -sf * sa, ca, -cf * sa
+        x[..., 0], x[..., 1], x[..., 2] = cf, 0.0, -sf
+        cos_twist, sin_twist = np.cos(self.twist), np.sin(self.twist)
+        x = cos_twist[:, None] * x + sin_twist[:, None] * y
+        return z, x, y, sin_twist, np.cumsum(angles[..., 2:], axis=-1)
+
+    def _in_plane(self, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The tip's coordinates (..., 5) along the first bone and across it, in the bending plane."""
+        L = self.lengths
+        along = L[:, 0] + (L[:, 1:] * np.cos(bend)).sum(axis=-1)
+        return along, (L[:, 1:] * np.sin(bend)).sum(axis=-1)
+
+    def _in_hand(self, p_B: np.ndarray) -> np.ndarray:
+        return (self.R_HB @ p_B[..., None])[..., 0]
+
+
+def _nominal_base_frames() -> np.ndarray:
+    c, s = np.cos(_THUMB_AZIMUTH), np.sin(_THUMB_AZIMUTH)
+    thumb = np.array([[0.0, 1.0, 0.0], [-c, 0.0, s], [s, 0.0, c]])
+    return np.stack([thumb, *[np.eye(3)] * 4])
+
+
+def _bone_directions(p_HK: np.ndarray) -> np.ndarray:
+    """Unit vectors (..., 5, 3, 3) of the three bones of each finger."""
+    chain = p_HK[..., 1:, :].reshape(*p_HK.shape[:-2], 5, 4, 3)
+    bones = np.diff(chain, axis=-2)
+    return bones / np.linalg.norm(bones, axis=-1, keepdims=True)
+
+
+def _angles(directions: np.ndarray, R_HB: np.ndarray, twist: np.ndarray) -> np.ndarray:
+    """Joint angles (..., 20) of bone directions (..., 5, 3, 3); what leaves the plane is ignored."""
+    first, middle, last = np.moveaxis(directions @ R_HB, -2, 0)
+    abduction = np.arcsin(np.clip(first[..., 1], -1.0, 1.0))
+    flexion = np.arctan2(first[..., 0], first[..., 2])
+    x = _bending_direction(abduction, flexion, twist)
+    bends = [np.arctan2(np.sum(bone * x, -1), np.sum(bone * first, -1)) for bone in (middle, last)]
+    # The last hinge is measured from the middle bone; unwrapped, as a fist may pass 180°.
+    last_bend = (bends[1] - bends[0] + np.pi) % (2 * np.pi) - np.pi
+    theta = np.stack([abduction, flexion, bends[0], last_bend], axis=-1)
+    return theta.reshape(*theta.shape[:-2], 20)
+
+
+def _bending_direction(abduction: np.ndarray, flexion: np.ndarray, twist: np.ndarray) -> np.ndarray:
+    ca, sa, cf, sf = np.cos(abduction), np.sin(abduction), np.cos(flexion), np.sin(flexion)
+    x = np.stack([cf, np.zeros_like(cf), -sf], axis=-1)
+    y = np.stack([-sf * sa, ca, -cf * sa], axis=-1)
+    return np.cos(twist)[..., None] * x + np.sin(twist)[..., None] * y
+
+
+def _fit_base_frame(directions: np.ndarray, R_nominal: np.ndarray) -> tuple[np.ndarray, float]:
+    """Base frame and twist for which the bones directions (T, 3, 3) of a finger bend in a plane."""
+
+    def frame(parameters: np.ndarray) -> np.ndarray:
+        # Turning about y alone would only shift the zero of flexion.
+        turn = np.array([parameters[0], 0.0, parameters[1]])
+        return R_nominal @ Rotation.from_rotvec(turn).as_matrix()
+
+    def out_of_plane(parameters: np.ndarray) -> np.ndarray:
+        first, middle, last = np.moveaxis(directions @ frame(parameters), -2, 0)
+        x = _bending_direction(
+            np.arcsin(np.clip(first[:, 1], -1, 1)), np.arctan2(first[:, 0], first[:, 2]), parameters[2]
+        )
+        normal = np.cross(first, x)
+        # A weak pull to the nominal frame decides what the recording leaves open.
+        return np.concatenate(
+            [np.sum(middle * normal, -1), np.sum(last * normal, -1), 0.3 * np.sqrt(len(first)) * parameters]
+        )
+
+    solution = least_squares(out_of_plane, np.zeros(3)).x
+    return frame(solution), float(solution[2])

@@ -1,0 +1,307 @@
+"""Synthetic "five minutes of play": the hand motion GeoRT asks of a person, made from a seed.
+
+The hand sweeps every finger through its range, waves, makes fists, spreads, and pinches the thumb to
+each finger at varied places. Motion is a sequence of minimum-jerk movements between postures (Flash
+& Hogan 1985, J. Neurosci. 5:1688); then come the glove's faults, jitter and slow drift. The amounts
+are chosen so that the fingertips' workspace, speed and pinches lie between those of two recordings
+of real gloves; `tests/test_gloves_play.py` holds the figures.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from geort_drake.errors import UnknownNameError
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.recording import SIDES, Recording
+
+# Angles below are in degrees, joint by joint as in HumanHand: abduction and three flexions.
+_FIST = np.array(
+    [[30, 15, 40, 45], [0, 76, 92, 56], [0, 78, 94, 56], [0, 74, 92, 56], [0, 66, 90, 54]], float
+)
+FLAT = np.array([[10, -15, 0, 0], [4, -10, 2, 1], [0, -8, 2, 1], [-3, -8, 2, 1], [-8, -8, 2, 1]], float)
+# A pinch starts here and is closed by inverse kinematics: (lower, upper) of thumb and finger.
+_PINCH_THUMB = ((10, -5, 5, 5), (40, 30, 45, 60))
+_PINCH_FINGER = ((-10, 10, 20, 10), (5, 70, 80, 50))
+
+_THUMB = 0
+# How far each finger is swept sideways while it is straight.
+_ABDUCTION = ((-5, 40), (-18, 18), (-17, 13), (-17, 14), (-28, 12))
+_RATIO = (0.4, 0.85)  # DIP over PIP flexion: textbook 2/3, gloves show this range
+_TIP_GAP_M = (0.001, 0.010)  # between the tips while pinching: glove tips lie under the skin
+_JITTER_DEG = 0.03  # per frame: about 0.05 mm at a fingertip
+_TREMOR_DEG = 0.05  # 8–12 Hz, about 0.1 mm at a fingertip (Riviere 1997: 0.05–0.13 mm)
+_DRIFT_DEG = 0.7
+_DRIFT_TIME_S = 8.0
+
+
+def synthesize_play(
+    seed: int | np.random.Generator,
+    duration_s: float = 300.0,
+    rate_hz: float = 120.0,
+    hand: HumanHand | None = None,
+    jitter: float = 1.0,
+    side: str = "right",
+) -> Recording:
+    """A recording of a hand at play; the same arguments give the same recording.
+
+    Args:
+        seed: seed or generator.
+        duration_s: length of the recording, s.
+        rate_hz: frames per second; the default is that of common gloves.
+        hand: whose hand; by default an adult's average one. Pinches it cannot reach are left out.
+        jitter: scale of jitter, tremor and drift; 0 leaves the movements alone.
+        side: of the hand; a left one, as it is described in its mirror image, moves as the right one does.
+
+    Raises:
+        UnknownNameError: there is no such side.
+        ValueError: a duration or rate that is not positive, or a negative jitter.
+    """
+    if side not in SIDES:
+        raise UnknownNameError("side", side, SIDES)
+    if duration_s <= 0 or rate_hz <= 0 or jitter < 0:
+        raise ValueError("duration_s and rate_hz must be positive and jitter not negative")
+    hand = hand or HumanHand.anatomical()
+    rng = np.random.default_rng(seed)
+    recording = record(_play(hand, duration_s, rng), hand, duration_s, rate_hz, jitter, rng)
+    metadata = {
+        "side": side,
+        "subject": "synthetic",
+        "source": "geort_drake.people.play",
+        "rate_known": True,
+        "seed": seed if isinstance(seed, int) else None,
+        "warnings": [],
+    }
+    return dataclasses.replace(recording, metadata=metadata)
+
+
+def record(
+    timeline: "Timeline",
+    hand: HumanHand,
+    duration_s: float,
+    rate_hz: float,
+    jitter: float,
+    rng: np.random.Generator,
+) -> Recording:
+    """What a glove would record of a hand on its way through a timeline, faults of the glove included."""
+    t = np.arange(max(2, round(duration_s * rate_hz))) / rate_hz
+    theta = _minimum_jerk(t, np.array(timeline.times), np.stack(timeline.postures))
+    theta = np.clip(theta + jitter * _glove_noise(len(t), rate_hz, rng), hand.lower, hand.upper)
+    return Recording(t, hand.keypoints(theta), np.ones(len(t), bool))
+
+
+class Timeline:
+    """Postures in the order they are reached, and when.
+
+    Attributes:
+        times: s.
+        postures: (20,) rad each, within the hand's limits.
+    """
+
+    def __init__(self, hand: HumanHand, start: np.ndarray):
+        self._hand = hand
+        self.times = [0.0]
+        self.postures: list[np.ndarray] = []
+        self._append(start)
+
+    @property
+    def pose(self) -> np.ndarray:
+        """(20,) the last posture, rad."""
+        return self.postures[-1]
+
+    def move(self, theta: np.ndarray, duration_s: float) -> None:
+        """Reaches theta, (20,) rad or (5, 4), after `duration_s`."""
+        self.times.append(self.times[-1] + duration_s)
+        self._append(theta)
+
+    def hold(self, duration_s: float) -> None:
+        """Stays in the last posture."""
+        self.move(self.pose, duration_s)
+
+    def _append(self, theta: np.ndarray) -> None:
+        self.postures.append(np.clip(np.reshape(theta, 20), self._hand.lower, self._hand.upper))
+
+
+def _play(hand: HumanHand, duration_s: float, rng: np.random.Generator) -> Timeline:
+    timeline = Timeline(hand, np.deg2rad(resting(rng)))
+    gestures: list[Callable] = [fists, spread, wave]
+    while timeline.times[-1] < duration_s:
+        pinches = {finger: pinch_postures(hand, finger, rng) for finger in range(1, 5)}
+        gesture_order = [gestures[i] for i in rng.permutation(3)]
+        for place, finger in enumerate(rng.permutation(5)):
+            if finger != _THUMB:
+                pinch(timeline, finger, pinches[finger], rng)
+            sweep(timeline, finger, rng)
+            if place < len(gesture_order):
+                gesture_order[place](timeline, rng)
+    return timeline
+
+
+def sweep(timeline: Timeline, finger: int, rng: np.random.Generator) -> None:
+    """One finger through its range: abducting at several flexions, then anywhere; others follow a little."""
+    rest = resting(rng)
+    targets = [*_abduction_sweeps(finger, rng), *(_anywhere(finger, rng) for _ in range(5))]
+    for target in targets:
+        theta = _around(rest, 9.0, rng)  # resting fingers never keep quite still
+        theta[finger] = target
+        if finger != _THUMB:
+            # Fingers are not independent: neighbours follow by a fifth ("enslaving",
+            # Zatsiorsky et al. 2000, Exp. Brain Res. 131:187).
+            for neighbour in {max(finger - 1, 1), min(finger + 1, 4)} - {finger}:
+                theta[neighbour, 1:] += 0.2 * (target[1:] - rest[finger, 1:])
+        timeline.move(np.deg2rad(theta), rng.uniform(0.18, 0.36))
+        if rng.random() < 0.15:
+            timeline.hold(rng.uniform(0.1, 0.3))
+
+
+def _abduction_sweeps(finger: int, rng: np.random.Generator) -> Iterable[np.ndarray]:
+    for level in rng.permutation(3):
+        target = _anywhere(finger, rng)
+        if finger == _THUMB:
+            target[1] = (-14, 3, 20)[level] + rng.uniform(-5, 5)
+            share = 1.0
+        else:
+            target[1] = (-20, 20, 60)[level] + rng.uniform(-12, 12)
+            share = _freedom(target[1])
+        for abduction in rng.permutation(_ABDUCTION[finger]):
+            yield np.array([share * abduction * rng.uniform(0.6, 1.0), *target[1:]])
+
+
+def _anywhere(finger: int, rng: np.random.Generator) -> np.ndarray:
+    if finger == _THUMB:
+        return rng.uniform((-5, -18, -5, -10), (40, 22, 38, 60))
+    proximal = rng.uniform(-28, 82)
+    # Bending the outer joints alone while the knuckle is far back is a hook; it occurs, but seldom.
+    middle = 98 * rng.beta(0.55, 0.65)
+    low, high = _ABDUCTION[finger]
+    abduction = _freedom(proximal) * rng.uniform(low, high)
+    return np.array([abduction, proximal, middle, rng.uniform(*_RATIO) * middle])
+
+
+def _freedom(flexion_deg: float) -> float:
+    """Share of its abduction a knuckle keeps: its ligaments tighten with flexion."""
+    return 1.0 - 0.8 * np.clip(flexion_deg / 90, 0.0, 1.0)
+
+
+def fists(timeline: Timeline, rng: np.random.Generator) -> None:
+    """All fingers closed and stretched, twice."""
+    for _ in range(2):
+        timeline.move(np.deg2rad(_around(_FIST, 4.0, rng)), rng.uniform(0.25, 0.5))
+        timeline.hold(rng.uniform(0.1, 0.3))
+        timeline.move(np.deg2rad(_around(FLAT, 5.0, rng)), rng.uniform(0.25, 0.5))
+
+
+def spread(timeline: Timeline, rng: np.random.Generator) -> None:
+    """All fingers apart and together, at several flexions."""
+    for flexion in rng.permutation([-15.0, 10.0, 40.0]):
+        for share in (1.0, -0.6):
+            theta = FLAT + rng.uniform(0.0, 0.25) * (_FIST - FLAT)
+            theta[1:, 1] = flexion + rng.uniform(-6, 6, 4)
+            theta[1:, 0] = share * np.array([16, 4, -12, -28]) + rng.uniform(-3, 3, 4)
+            theta[0, :2] = (rng.uniform(0, 45), -20 if share > 0 else 15)
+            timeline.move(np.deg2rad(theta), rng.uniform(0.25, 0.5))
+
+
+def wave(timeline: Timeline, rng: np.random.Generator) -> None:
+    """Flexion runs from finger to finger, back and forth."""
+    start = _around(FLAT, 4.0, rng)
+    depth = rng.uniform(0.5, 1.0)
+    for step in range(12):
+        phase = 2 * np.pi * (step / 6 - np.arange(5) / 6)
+        share = depth * 0.5 * (1 - np.cos(phase))
+        timeline.move(np.deg2rad(start + share[:, None] * (_FIST - start)), rng.uniform(0.18, 0.26))
+
+
+def pinch(timeline: Timeline, finger: int, postures: np.ndarray, rng: np.random.Generator) -> None:
+    """Approaches, touches, slides along while touching, and lets go."""
+    for touch, slide in postures:
+        opened = np.zeros((5, 4))
+        opened[_THUMB, 1:] = np.deg2rad(rng.uniform(8, 25, 3))
+        opened[finger, 1:] = np.deg2rad(rng.uniform(8, 30, 3))
+        timeline.move(touch - opened.ravel(), rng.uniform(0.3, 0.5))
+        timeline.move(touch, rng.uniform(0.25, 0.5))
+        timeline.hold(rng.uniform(0.2, 0.7))
+        timeline.move(slide, rng.uniform(0.4, 0.9))
+        timeline.hold(rng.uniform(0.1, 0.4))
+        timeline.move(slide - opened.ravel(), rng.uniform(0.25, 0.5))
+
+
+def pinch_postures(hand: HumanHand, finger: int, rng: np.random.Generator, count: int = 2) -> np.ndarray:
+    """Up to `count` pairs (n, 2, 20) of postures in which thumb and finger touch, the second slid along."""
+    tries = 4 * count
+    theta = np.deg2rad(np.stack([resting(rng) for _ in range(tries)]))
+    for i, (low, high) in ((_THUMB, _PINCH_THUMB), (finger, _PINCH_FINGER)):
+        theta[:, i] = np.deg2rad(rng.uniform(low, high, (tries, 4)))
+    gap = rng.uniform(*_TIP_GAP_M, tries)
+    touch, near = _close(hand, finger, theta.reshape(tries, 20), np.zeros(3), gap)
+    # The other fingers move on meanwhile.
+    onward = rng.normal(0.0, np.deg2rad(10.0), (tries, 5, 4)) * np.array([0.4, 1.0, 1.0, 1.0])
+    onward[:, [_THUMB, finger]] = 0.0
+    slide, still_near = _close(
+        hand, finger, touch + onward.reshape(tries, 20), rng.normal(0.0, 0.008, (tries, 3)), gap
+    )
+    kept = np.flatnonzero(near & still_near)[:count]
+    return np.stack([touch[kept], slide[kept]], axis=1)
+
+
+def _close(
+    hand: HumanHand, finger: int, theta: np.ndarray, shift: np.ndarray, gap: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Brings thumb and finger together to `gap` about their midpoint, shifted; and whether they got there."""
+    theta = np.clip(theta, hand.lower, hand.upper)
+    p_HF = hand.fingertips(theta)
+    middle = 0.5 * (p_HF[:, _THUMB] + p_HF[:, finger]) + shift
+    weights = np.isin(np.arange(5), (_THUMB, finger)).astype(float)
+    for _ in range(6):
+        p_HF = hand.fingertips(theta)
+        apart = p_HF[:, finger] - p_HF[:, _THUMB]
+        apart *= (0.5 * gap / np.maximum(np.linalg.norm(apart, axis=1), 1e-6))[:, None]
+        p_HF[:, _THUMB], p_HF[:, finger] = middle - apart, middle + apart
+        theta = hand.solve_fingertips(p_HF, theta, weights, iterations=3)
+        # Where one of the two cannot follow, the other comes to meet it.
+        p_HF = hand.fingertips(theta)
+        middle = 0.5 * (p_HF[:, _THUMB] + p_HF[:, finger])
+    reached = np.linalg.norm(p_HF[:, finger] - p_HF[:, _THUMB], axis=1) < _TIP_GAP_M[1] + 0.001
+    return theta, reached
+
+
+def _minimum_jerk(t: np.ndarray, times: np.ndarray, postures: np.ndarray) -> np.ndarray:
+    """Postures (T, 20) at times t: minimum-jerk movements from each posture to the next."""
+    i = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
+    s = ((t - times[i]) / (times[i + 1] - times[i]).clip(1e-9)).clip(0.0, 1.0)
+    share = s**3 * (10 - 15 * s + 6 * s**2)
+    return postures[i] + share[:, None] * (postures[i + 1] - postures[i])
+
+
+def _glove_noise(frames: int, rate_hz: float, rng: np.random.Generator) -> np.ndarray:
+    """Jitter, tremor and drift of the joint angles (frames, 20), rad."""
+    jitter = rng.normal(size=(frames, 20))
+    # Band-limited to 8–12 Hz in the frequency domain; a recording too slow for it has none.
+    frequency = np.fft.rfftfreq(frames, 1 / rate_hz)
+    band = (frequency > 8) & (frequency < 12)
+    tremor = np.fft.irfft(
+        np.fft.rfft(rng.normal(size=(frames, 20)), axis=0) * band[:, None], n=frames, axis=0
+    )
+    # One value per second is enough of a drift that takes eight.
+    seconds = np.arange(frames) / rate_hz
+    knots = np.arange(0.0, seconds[-1] + 4 * _DRIFT_TIME_S)
+    slow = gaussian_filter1d(rng.normal(size=(len(knots), 20)), _DRIFT_TIME_S, axis=0, mode="wrap")
+    slow *= np.sqrt(2 * np.sqrt(np.pi) * _DRIFT_TIME_S)
+    drift = np.stack([np.interp(seconds, knots, column) for column in slow.T], axis=1)
+    deviation = tremor.std(axis=0)
+    tremor = np.where(deviation > 0, tremor / np.where(deviation > 0, deviation, 1.0), 0.0)
+    return np.deg2rad(_JITTER_DEG * jitter + _TREMOR_DEG * tremor + _DRIFT_DEG * drift)
+
+
+def resting(rng: np.random.Generator) -> np.ndarray:
+    """A posture (5, 4), deg, of fingers that nothing is asked of, each somewhat open or closed."""
+    knuckles, beyond = rng.uniform(0.0, 0.6, 5), rng.uniform(0.0, 0.8, 5) ** 1.5
+    share = np.column_stack([knuckles, knuckles, beyond, beyond])
+    return _around(FLAT + share * (_FIST - FLAT), 5.0, rng)
+
+
+def _around(posture: np.ndarray, deviation_deg: float, rng: np.random.Generator) -> np.ndarray:
+    # Fingers vary less sideways than they flex.
+    return posture + rng.normal(0.0, deviation_deg, posture.shape) * np.array([0.4, 1.0, 1.0, 1.0])

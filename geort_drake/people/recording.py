@@ -1,0 +1,229 @@
+"""A recording of a human hand, and its file."""
+
+import dataclasses
+import hashlib
+import json
+import os
+import zipfile
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from geort_drake.errors import RecordingError
+from geort_drake.files import atomic_path
+from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
+
+# Raised when the meaning of p_HK changes, so that old files are recognised.
+CONVENTION = 1
+SIDES = ("left", "right")
+PINCH_M = 0.015  # a thumb–finger distance below this counts as a pinch
+# Of a file, packed and unpacked: the largest format takes 1.5 GB for an hour at 120 Hz.
+MOST_BYTES = 2 << 30
+
+# What programs take out of the metadata.
+_METADATA = {
+    "format": str,
+    "source": str,
+    "object": str,
+    "seed": int,
+    "warnings": list,
+    "rate_known": bool,
+    "recorded_side": str,
+    "wrist_position_tracked": bool,
+    "unit": str,
+    "time_field": str,
+    "time_unit": str,
+}
+
+
+# How a file's numbers were taken, which messages say; no concern of the file that is saved.
+_OF_THE_SOURCE = ("unit", "time_field", "time_unit")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Recording:
+    """Keypoints of one hand over time, in the wrist frame H (see `keypoints`).
+
+    Attributes:
+        t: (T,) time of each frame from 0, s.
+        p_HK: (T, 21, 3) float32, m. A left hand is stored as its mirror image.
+        valid: (T,) bool, False where tracking was lost; p_HK of such frames means nothing.
+        X_WH: (T, 7) wrist pose in the tracker's world as qw qx qy qz x y z, or None.
+        metadata: side, source, rate and whatever else the source said; JSON types only.
+    """
+
+    t: np.ndarray
+    p_HK: np.ndarray
+    valid: np.ndarray
+    X_WH: np.ndarray | None = None
+    metadata: dict = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        # float32 is what the file holds, so the digest survives a round trip.
+        types = {"t": np.float64, "p_HK": np.float32, "valid": np.bool_, "X_WH": np.float64}
+        for name, dtype in types.items():
+            if getattr(self, name) is None and name == "X_WH":
+                continue
+            array = np.asarray(getattr(self, name))
+            if array.dtype.kind not in "fiub":
+                raise RecordingError(f"recording: {name} must hold numbers, not {array.dtype}")
+            # Numbers beyond what float32 holds become infinite, which counts as lost.
+            with np.errstate(over="ignore"):
+                object.__setattr__(self, name, array.astype(dtype, copy=False))
+        frames = len(self.t) if self.t.ndim == 1 else -1
+        wanted = {
+            "t": (frames,),
+            "p_HK": (frames, KEYPOINT_COUNT, 3),
+            "valid": (frames,),
+            "X_WH": (frames, 7),
+        }
+        for name, shape in wanted.items():
+            value = getattr(self, name)
+            if value is not None and value.shape != shape:
+                raise RecordingError(f"recording: {name} must have shape {shape}, not {value.shape}")
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def side(self) -> str:
+        """Side of the recorded hand, "left" or "right"."""
+        return str(self.metadata.get("side", "right"))
+
+    @property
+    def duration_s(self) -> float:
+        """From the first frame to the last, s; 0 without frames."""
+        return float(self.t[-1] - self.t[0]) if len(self) else 0.0
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames per second, from the median period, which gaps in tracking do not disturb."""
+        return float(1.0 / np.median(np.diff(self.t)))
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of side, t, p_HK, valid and X_WH; the same before saving and after loading."""
+        digest = hashlib.sha256(self.side.encode())
+        for name in ("t", "p_HK", "valid", "X_WH"):
+            value = getattr(self, name)
+            digest.update(name.encode())
+            if value is not None:
+                digest.update(np.ascontiguousarray(value).tobytes())
+        return digest.hexdigest()
+
+    def fingertips(self, keypoints: Sequence[int] = tuple(TIP_KEYPOINT.values())) -> np.ndarray:
+        """p_HF (T, F, 3) float64, m: the given keypoints of the valid frames."""
+        return self.p_HK[self.valid][:, list(keypoints)].astype(float)
+
+    def mirrored(self) -> "Recording":
+        """The same motion made by the other hand: each frame's mirror image in the xz-plane of H.
+
+        Keypoints and wrist poses stay as they are, since a left hand is described by its mirror image;
+        `metadata["recorded_side"]` keeps which hand was recorded.
+        """
+        metadata = {"recorded_side": self.side, **self.metadata, "side": SIDES[1 - SIDES.index(self.side)]}
+        return dataclasses.replace(self, metadata=metadata)
+
+    def save(self, path: str | os.PathLike) -> None:
+        """Writes the recording as .npz without pickle; the file is whole or absent."""
+        if Path(path).suffix != ".npz":
+            raise RecordingError(f"{path}: a recording is saved as .npz, not '{Path(path).suffix}'")
+        arrays: dict[str, np.ndarray] = {"t": self.t, "p_HK": self.p_HK, "valid": self.valid}
+        if self.X_WH is not None:
+            arrays["X_WH"] = self.X_WH
+        kept = {key: value for key, value in self.metadata.items() if key not in _OF_THE_SOURCE}
+        metadata = {**kept, "side": self.side, "convention": CONVENTION}
+        with atomic_path(path) as draft:
+            # The stub takes every array for the argument allow_pickle.
+            np.savez_compressed(draft, **arrays, metadata=np.array(json.dumps(metadata)))  # type: ignore[arg-type]
+
+    @classmethod
+    def load(cls, path: str | os.PathLike) -> "Recording":
+        """Reads a file written by `save`, without judging its contents (see `read_recording`).
+
+        Raises:
+            RecordingError: the file is missing, is no recording or is of another convention.
+        """
+        return cls.from_arrays(str(path), load_arrays(path))
+
+    @classmethod
+    def from_arrays(cls, name: str, arrays: Mapping[str, np.ndarray]) -> "Recording":
+        """The recording whose arrays `save` wrote; errors call it `name` and are those of `load`."""
+        missing = [field for field in ("t", "p_HK", "valid", "metadata") if field not in arrays]
+        if missing:
+            raise RecordingError(f"{name}: not a recording, it lacks {', '.join(missing)}")
+        try:
+            metadata = json.loads(str(arrays["metadata"]))
+        except (ValueError, RecursionError) as error:
+            raise RecordingError(f"{name}: metadata is not JSON ({error})") from None
+        if not isinstance(metadata, dict) or metadata.get("side") not in SIDES:
+            raise RecordingError(f"{name}: metadata must name a side, one of: {', '.join(SIDES)}")
+        if metadata.get("convention") != CONVENTION:
+            raise RecordingError(
+                f"{name}: convention {metadata.get('convention')} is not the one read here, {CONVENTION}"
+            )
+        for field, kind in _METADATA.items():
+            if field in metadata and not isinstance(metadata[field], kind):
+                raise RecordingError(
+                    f"{name}: metadata {field} must be of type {kind.__name__}, not {metadata[field]!r:.40}"
+                )
+        if not all(isinstance(warning, str) for warning in metadata.get("warnings", [])):
+            raise RecordingError(f"{name}: metadata warnings must be texts")
+        try:
+            recording = cls(arrays["t"], arrays["p_HK"], arrays["valid"], arrays.get("X_WH"), metadata)
+        except RecordingError as error:
+            raise RecordingError(f"{name}: {str(error).removeprefix('recording: ')}") from None
+        if recording.X_WH is not None:
+            size = np.linalg.norm(recording.X_WH[:, :4], axis=1)
+            if np.nanmax(np.abs(size - 1.0), initial=0.0) > 1e-2:
+                frame = int(np.nanargmax(np.abs(size - 1.0)))
+                raise RecordingError(
+                    f"{name}: X_WH must hold unit quaternions and then positions, but the first four numbers "
+                    f"of frame {frame} have norm {size[frame]:.3g}"
+                )
+        return recording
+
+
+def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
+    """The arrays of an .npz file, or of an .npy file under the name "data"; never unpickles.
+
+    Raises:
+        RecordingError: no such file, not NumPy's, or larger than `MOST_BYTES`, also when unpacked.
+    """
+    path = Path(path)
+    check_file(path)
+    try:
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as archive:
+                check_size(path, sum(member.file_size for member in archive.infolist()))
+        loaded = np.load(path, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            return {"data": loaded}
+        with loaded:
+            arrays = {name: loaded[name] for name in loaded.files}
+    except RecordingError:
+        raise
+    except Exception as error:  # a corrupt archive raises nearly anything
+        reason = "it holds pickled objects, which are never read" if "pickle" in str(error) else str(error)
+        raise RecordingError(f"{path}: not a readable NumPy file: {reason}") from None
+    for name, array in arrays.items():
+        if not isinstance(array, np.ndarray):
+            raise RecordingError(f"{path}: holds {name}, which is no array")
+    return arrays
+
+
+def check_file(path: Path) -> None:
+    """Raises RecordingError unless `path` is a file of at most `MOST_BYTES`."""
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such file")
+    check_size(path, path.stat().st_size)
+
+
+def check_size(path: Path, size: int) -> None:
+    """Raises RecordingError for more than `MOST_BYTES`, from a corrupt or hostile file."""
+    if size > MOST_BYTES:
+        raise RecordingError(
+            f"{path}: holds {size / 2**30:.1f} GiB; recordings of up to {MOST_BYTES >> 30} GiB are read"
+        )

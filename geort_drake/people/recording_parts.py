@@ -1,0 +1,153 @@
+"""A recording that is kept while it is made: numbered parts in a folder beside its file, joined at the end.
+
+Where the program is killed or the disk is full, the parts that were written stay. `read_recording` finds them
+under the file's name, as long as there is no such file, or under the folder's; the next program that records
+to the same file joins them into another one first.
+"""
+
+import os
+import queue
+import shutil
+import tempfile
+import threading
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from geort_drake.errors import OutputError, RecordingError
+from geort_drake.files import writing
+from geort_drake.people.recording import Recording
+
+_SUFFIX = ".parts"
+# Parts that may wait for the disk; who records does not.
+_MOST_WAITING = 8
+
+
+class RecordingParts:
+    """Writes parts of a recording to the disk in a thread of its own, and joins them in the end.
+
+    Attributes:
+        path: of the recording that is made.
+        recovered: what an earlier session to the same path was recording when it was interrupted; None
+            where none was.
+
+    Args:
+        path: .npz; an earlier one is replaced when the recording is finished.
+        metadata: of the recording.
+
+    Raises:
+        OutputError: the disk is full, or the place may not be written to.
+        RecordingError: the path is of another kind, or an interrupted session's parts cannot be read.
+    """
+
+    def __init__(self, path: str | os.PathLike, metadata: dict):
+        self.path, self._metadata = Path(path), dict(metadata)
+        if self.path.suffix != ".npz":
+            raise RecordingError(f"{path}: a recording is saved as .npz, not '{self.path.suffix}'")
+        self._folder = _folder_of(self.path)
+        self.recovered = _recover(self.path)
+        with writing(self._folder):
+            self._folder.mkdir(parents=True, exist_ok=True)
+        self._count = 0
+        self._error: OutputError | None = None
+        self._waiting: queue.Queue[Recording | None] = queue.Queue(_MOST_WAITING)
+        self._thread = threading.Thread(target=self._write, name="recording", daemon=True)
+        self._thread.start()
+
+    def append(self, t: np.ndarray, p_HK: np.ndarray, valid: np.ndarray, X_WH: np.ndarray) -> None:
+        """Hands a part over; shapes and units are those of `Recording`, t from any time on.
+
+        Does not wait. After an error of the disk, or where it is much too slow, parts are left out: a warning
+        says so at once, and `finish` raises the error.
+        """
+        if self._error is None:
+            try:
+                self._waiting.put_nowait(Recording(t, p_HK, valid, X_WH, self._metadata))
+            except queue.Full:
+                self._fail(OutputError(f"{self._folder}: cannot be written: the disk does not keep up"))
+
+    def finish(self) -> bool:
+        """Joins the parts into the file and removes them; False where there are none, and so no file.
+
+        Raises:
+            OutputError: a part or the file could not be written. The parts that could stay.
+        """
+        self._waiting.put(None)
+        self._thread.join()
+        if self._error is not None:
+            if not self._count:
+                shutil.rmtree(self._folder, ignore_errors=True)
+            raise self._error
+        recording = read_parts(self._folder)
+        if recording is not None:
+            recording.save(self.path)
+        _remove(self._folder)
+        return recording is not None
+
+    def _write(self) -> None:
+        while (part := self._waiting.get()) is not None:
+            if self._error is None:
+                try:
+                    part.save(self._folder / f"{self._count:06d}.npz")
+                    self._count += 1
+                except OSError as error:
+                    self._fail(error if isinstance(error, OutputError) else OutputError(str(error)))
+
+    def _fail(self, error: OutputError) -> None:
+        self._error = error
+        warnings.warn(f"the recording ends here: {error}", RuntimeWarning, stacklevel=2)
+
+
+def read_parts(path: str | os.PathLike) -> Recording | None:
+    """The parts of a recording that was not finished, joined.
+
+    Args:
+        path: of the recording, or of the folder of its parts.
+
+    Returns:
+        None where there is no part, or where `path` is a recording that was finished.
+
+    Raises:
+        RecordingError: a part is no recording.
+    """
+    path = Path(path)
+    folder = path if path.suffix == _SUFFIX else _folder_of(path)
+    if path != folder and path.exists():
+        return None
+    parts = [Recording.load(part) for part in sorted(folder.glob("[0-9]*.npz"))]
+    if not parts:
+        return None
+    t, p_HK, valid = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("t", "p_HK", "valid")
+    )
+    X_WH = np.concatenate([part.X_WH for part in parts if part.X_WH is not None])
+    metadata = {key: value for key, value in parts[0].metadata.items() if key != "convention"}
+    return Recording(t - t[:1], p_HK, valid, X_WH, metadata)
+
+
+def _recover(path: Path) -> Path | None:
+    """Joins the parts that an interrupted session left into a file of their own, and returns that."""
+    folder = _folder_of(path)
+    if (recording := read_parts(folder)) is None:
+        return None
+    recovered = None
+    # Killed between the two steps of `finish`, the session has lost nothing.
+    if not (path.is_file() and Recording.load(path).digest == recording.digest):
+        names = (path.with_name(f"{path.stem}-interrupted-{number}.npz") for number in range(1, 1_000_000))
+        recovered = next(name for name in names if not name.exists())
+        recording.save(recovered)
+    _remove(folder)
+    return recovered
+
+
+def _folder_of(path: Path) -> Path:
+    return path.with_name(path.name + _SUFFIX)
+
+
+def _remove(folder: Path) -> None:
+    """Removes a folder in one step, as far as anybody who looks for it can see."""
+    with writing(folder):
+        aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-old-", dir=folder.parent))
+        os.replace(folder, aside)
+        shutil.rmtree(aside)

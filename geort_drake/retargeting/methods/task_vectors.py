@@ -1,0 +1,137 @@
+"""Eq. 1 of the GeoRT paper at run time: joint angles whose task vectors match the scaled human ones.
+
+min over q of  Σ_i w_i h(|v_R^i(q) − v*^i|) / V  +  norm_delta · |q − q_previous|²,  lower ≤ q ≤ upper
+
+with h the Huber function of PyTorch's SmoothL1 (x² / 2δ under δ, x − δ/2 above). A task vector goes
+from the wrist or a fingertip to a fingertip. The problem is small, smooth in its tails and bounded, so
+a damped Gauss–Newton method on the free joints takes a handful of steps; many frames are solved side
+by side, which is what makes it possible to measure a method that optimises.
+"""
+
+import numpy as np
+
+from geort_drake.retargeting.methods.numpy_kinematics import NumpyKinematics
+
+WRIST = -1  # origin of a task vector that starts at the wrist
+
+
+class TaskVectors:
+    """Vectors between the wrist and fingertips of a hand, and the joint angles that produce them.
+
+    Attributes:
+        pairs: V pairs (origin, tip) of finger numbers; the origin may be WRIST.
+    """
+
+    def __init__(
+        self,
+        kinematics: NumpyKinematics,
+        pairs: list[tuple[int, int]],
+        huber_delta: float,
+        norm_delta: float,
+    ):
+        """`huber_delta` in m and `norm_delta` in 1/rad² are of the equation."""
+        self.kinematics, self.pairs = kinematics, pairs
+        self._huber_delta, self._norm_delta = huber_delta, norm_delta
+        # v = difference · tips − origin
+        self._difference = np.zeros((len(pairs), len(kinematics.finger_names)))
+        self._origin = np.zeros((len(pairs), 3))
+        for row, (origin, tip) in enumerate(pairs):
+            self._difference[row, tip] = 1.0
+            if origin == WRIST:
+                self._origin[row] = kinematics.p_BW
+            else:
+                self._difference[row, origin] = -1.0
+
+    def human(self, p_HF: np.ndarray) -> np.ndarray:
+        """The person's task vectors (N, V, 3) in m for fingertips (N, F, 3) in the wrist frame."""
+        return self._difference @ p_HF
+
+    def robot(self, q: np.ndarray) -> np.ndarray:
+        """The robot's task vectors (N, V, 3) in m for joint angles (N, n)."""
+        return self._difference @ self.kinematics.fingertips(q) - self._origin
+
+    def loss(
+        self, q: np.ndarray, targets: np.ndarray, weights: np.ndarray, previous: np.ndarray | None
+    ) -> np.ndarray:
+        """The objective (N,) for q (N, n), targets (N, V, 3) and weights (N, V); see `solve`."""
+        return self._terms(q, targets, weights, previous)[0]
+
+    def gradient(
+        self, q: np.ndarray, targets: np.ndarray, weights: np.ndarray, previous: np.ndarray | None
+    ) -> np.ndarray:
+        """∂loss/∂q (N, n)."""
+        return self._terms(q, targets, weights, previous)[1]
+
+    def solve(
+        self,
+        targets: np.ndarray,
+        weights: np.ndarray,
+        start: np.ndarray,
+        previous: np.ndarray | None,
+        tolerance: float = 1e-4,
+        iterations: int = 60,
+    ) -> np.ndarray:
+        """Joint angles (N, n) that minimise the objective of N frames, each on its own.
+
+        Args:
+            targets: (N, V, 3) wanted task vectors, m.
+            weights: (N, V).
+            start: (N, n) joint angles inside the limits from which the descent starts.
+            previous: (N, n) joint angles that the regulariser pulls towards; None leaves it out.
+            tolerance: a frame is done when its next step is shorter, rad.
+            iterations: at most so many steps.
+        """
+        lower, upper = self.kinematics.lower, self.kinematics.upper
+        q = np.clip(start, lower, upper)
+        rows = np.arange(len(q))  # frames that are not done
+        damping = np.full(len(q), 1e-3)
+        loss, gradient, H = self._terms(q, targets, weights, previous)
+        for _ in range(iterations):
+            # Joints pressed against a limit do not take part.
+            free = ~(((q[rows] <= lower) & (gradient > 0)) | ((q[rows] >= upper) & (gradient < 0)))
+            # Damping relative to the mean curvature leaves redundant directions where they are.
+            scale = np.einsum("nii->n", H) / H.shape[-1] + 1e-12
+            A = H * (free[:, :, None] & free[:, None, :])
+            diagonal = np.einsum("nii->ni", A)
+            diagonal += np.where(free, (damping[rows] * scale)[:, None], 1.0)
+            step = np.linalg.solve(A, -(gradient * free)[..., None])[..., 0]
+            trial = np.clip(q[rows] + step, lower, upper)
+            of = None if previous is None else previous[rows]
+            new = self._terms(trial, targets[rows], weights[rows], of)
+            better = new[0] <= loss
+            moved = np.abs(trial - q[rows]).max(axis=1)
+            q[rows[better]] = trial[better]
+            damping[rows] = np.clip(damping[rows] * np.where(better, 0.2, 10.0), 1e-6, 1e6)
+            loss = np.where(better, new[0], loss)
+            gradient = np.where(better[:, None], new[1], gradient)
+            H = np.where(better[:, None, None], new[2], H)
+            going = moved > tolerance
+            if not going.any():
+                break
+            rows, loss, gradient, H = rows[going], loss[going], gradient[going], H[going]
+        return q
+
+    def _terms(
+        self, q: np.ndarray, targets: np.ndarray, weights: np.ndarray, previous: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Loss (N,), gradient (N, n) and Gauss–Newton Hessian (N, n, n)."""
+        tips, J = self.kinematics.fingertips_and_jacobians(q)
+        count, fingers, _, n = J.shape
+        residual = self._difference @ tips - self._origin - targets
+        J = (self._difference @ J.reshape(count, fingers, 3 * n)).reshape(count, -1, n)
+        distance = np.sqrt((residual**2).sum(-1))
+        delta = self._huber_delta
+        huber = np.where(distance < delta, 0.5 * distance**2 / delta, distance - 0.5 * delta)
+        weights = weights / len(self.pairs)
+        loss = (weights * huber).sum(-1)
+        # h'(d)/d: the weight with which a squared residual has the same slope
+        w = np.repeat(weights / np.maximum(distance, delta), 3, axis=-1)
+        weighted = J * w[..., None]
+        gradient = (residual.reshape(count, 1, -1) @ weighted)[:, 0]
+        H = np.swapaxes(J, -1, -2) @ weighted
+        if previous is not None:
+            away = q - previous
+            loss = loss + self._norm_delta * (away**2).sum(-1)
+            gradient = gradient + 2.0 * self._norm_delta * away
+            H += 2.0 * self._norm_delta * np.eye(n)
+        return loss, gradient, H

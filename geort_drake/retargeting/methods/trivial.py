@@ -1,0 +1,67 @@
+"""What needs no thought at all; a method that does not beat these has learned nothing."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from geort_drake.errors import GeortError
+from geort_drake.retargeting.human_points import HumanPoints
+from geort_drake.retargeting.methods.numpy_kinematics import NumpyKinematics
+from geort_drake.retargeting.methods.online import VectorOnline
+
+if TYPE_CHECKING:
+    from geort_drake.retargeting.training.kinematics import HandKinematics
+
+
+class Hold:
+    """Keeps the joints in the middle of their ranges, whatever the person does."""
+
+    def __init__(
+        self, kinematics: "HandKinematics | NumpyKinematics", human_keypoints: Sequence[int] | None = None
+    ):
+        hand = NumpyKinematics.of(kinematics)
+        self.finger_names, self.joint_names = hand.finger_names, hand.joint_names
+        self.lower, self.upper = hand.lower, hand.upper
+        self._points = HumanPoints(self.finger_names, human_keypoints)
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Joint angles (n,) or (N, n) in rad; `points` as for `VectorOnline`."""
+        batch = self._points(points).shape[:-2]
+        return np.broadcast_to(0.5 * (self.lower + self.upper), (*batch, len(self.joint_names))).copy()
+
+
+class NearestNeighbour(Hold):
+    """Answers with the stored hand whose fingertips are nearest in the mean square.
+
+    The stored hands are frames of a recording, mapped by `VectorOnline` at rest.
+    """
+
+    def __init__(
+        self,
+        kinematics: "HandKinematics | NumpyKinematics",
+        frames: np.ndarray,
+        count: int = 300,
+        seed: int = 0,
+        human_keypoints: Sequence[int] | None = None,
+    ):
+        """Stores `count` of the fingertips `frames` (T, F, 3), m, drawn by `seed`.
+
+        Raises:
+            GeortError: there are no frames, or a coordinate is not finite.
+        """
+        super().__init__(kinematics, human_keypoints)
+        frames = self._points(frames)
+        if frames.ndim != 3 or len(frames) == 0:
+            raise GeortError("nearest_neighbour needs recorded frames (T, F, 3) to store")
+        rows = np.random.default_rng(seed).permutation(len(frames))[:count]
+        stored = frames[np.sort(rows)]
+        self._q = VectorOnline(kinematics, human_keypoints=human_keypoints).settle(stored)
+        self._tree = cKDTree(stored.reshape(len(stored), -1))
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Joint angles (n,) or (N, n) in rad; `points` as for `VectorOnline`."""
+        p_HF = self._points(points)
+        _, nearest = self._tree.query(p_HF.reshape(*p_HF.shape[:-2], -1))
+        return self._q[nearest].copy()

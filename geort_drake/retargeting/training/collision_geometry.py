@@ -1,0 +1,210 @@
+"""How far apart the parts of a hand are, from their shapes, batched and differentiable in torch.
+
+Parts are boxes and spheres. Between two of them the gap is the largest separation over the face normals
+and edge products of the boxes (the separating-axis theorem: Gottschalk et al. 1996, "OBBTree") and over
+the direction from the first box to the second's centre. It is negative if and only if they
+overlap, exact for a sphere, and never more than the true distance.
+"""
+
+import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+
+from geort_drake.retargeting.training.kinematics import HandKinematics
+
+_CHUNK = 1000
+
+
+@dataclass(frozen=True)
+class CollisionShapes:
+    """The S collision shapes of a hand as plain arrays.
+
+    Attributes:
+        joint: (S,) number of the joint that moves the shape, among those of `HandKinematics.uncoupled()`;
+            −1 where it is fixed to the base B.
+        X_JS: (S, 4, 4) pose of the shape S in its joint's moving frame J, or in B, m.
+        half: (S, 3) half edges of a box, m; zero for a sphere.
+        radius: (S,) of a sphere, m; zero for a box.
+        pairs: (P, 2) shapes that must not touch; where only one is a sphere, it comes second.
+    """
+
+    joint: np.ndarray
+    X_JS: np.ndarray
+    half: np.ndarray
+    radius: np.ndarray
+    pairs: np.ndarray
+
+    def mirrored(self) -> "CollisionShapes":
+        """The shapes of the hand whose kinematics are `HandKinematics.mirrored()`."""
+        M = np.diag([1.0, -1.0, 1.0, 1.0])
+        return replace(self, X_JS=M @ self.X_JS @ M)
+
+
+class CollisionGaps:
+    """Computes gaps between the shapes of a hand for joint angles in torch, in float32.
+
+    Args:
+        kinematics, shapes: of one hand.
+        allowance: by how much parts of one chain count as further apart than they are, m: two links of a
+            finger, or one and what is fixed to the base. Not those of fingertips, which reach far.
+    """
+
+    def __init__(self, kinematics: HandKinematics, shapes: CollisionShapes, allowance: float = 0.0):
+        def constant(array: ArrayLike) -> torch.Tensor:
+            return torch.tensor(np.asarray(array), dtype=torch.float32)
+
+        kinematics, coupling = kinematics.uncoupled()
+        self._coupling = constant(coupling.T) if coupling.shape[0] > coupling.shape[1] else None
+        chains = kinematics.fingers
+        k = max(len(chain.joint_names) for chain in chains)
+        X = np.tile(np.eye(4), (len(chains), k, 1, 1))
+        axes, index = np.zeros((len(chains), k, 3)), np.zeros((len(chains), k), dtype=int)
+        for row, chain in enumerate(chains):
+            count = len(chain.joint_names)
+            # A missing joint turns about no axis at all.
+            X[row, :count], axes[row, :count] = chain.X_PJ, chain.axes
+            index[row, :count] = chain.joint_indices
+        K = np.zeros((*axes.shape, 3))
+        K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -axes[..., 2], axes[..., 1], -axes[..., 0]
+        K -= np.swapaxes(K, -1, -2)
+        self._offset, self._turn = constant(X[..., :3, 3]), constant(X[..., :3, :3])
+        self._K, self._K2 = constant(K), constant(K @ K)
+        self._index = torch.tensor(index)
+        # Frames are numbered finger by finger, base to tip; the last one is the hand base.
+        number = {-1: len(chains) * k}
+        for row, chain in enumerate(chains):
+            number.update({joint: row * k + j for j, joint in enumerate(chain.joint_indices)})
+        frames = [number[int(joint)] for joint in shapes.joint]
+        self._frame = torch.tensor(frames, dtype=torch.long)
+        self._R_JS, self._p_JS = constant(shapes.X_JS[:, :3, :3]), constant(shapes.X_JS[:, :3, 3])
+        self._half, self._radius = constant(shapes.half), constant(shapes.radius)
+        self._reach = torch.linalg.vector_norm(self._half, dim=1) + self._radius
+        pairs = np.asarray(shapes.pairs, dtype=int).reshape(-1, 2)
+        self.pairs = torch.tensor(pairs)
+        finger = {joint: row for row, chain in enumerate(chains) for joint in chain.joint_indices}
+        tips = {chain.joint_indices[-1] for chain in chains}
+        a, b = (np.array([finger.get(int(joint), -1) for joint in shapes.joint[side]]) for side in pairs.T)
+        of_tip = np.isin(shapes.joint, list(tips))[pairs].any(axis=1)
+        in_chain = ((a == b) | (a < 0) | (b < 0)) & ~of_tip
+        self._allowance = constant(allowance * in_chain)
+
+    def to(self, device: torch.device) -> "CollisionGaps":
+        """The same on another device."""
+        moved = copy.copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, torch.Tensor):
+                setattr(moved, name, value.to(device))
+        return moved
+
+    def keep_pairs_that_meet(self, q: torch.Tensor, margin: float) -> None:
+        """Drops pairs that come nowhere closer than `margin` (m) in samples q (N, n)."""
+        met = torch.zeros(len(self.pairs), dtype=torch.bool, device=q.device)
+        with torch.no_grad():
+            for part in q.split(_CHUNK):
+                _, pair, gap = self.near(part, margin)
+                met[pair[gap < margin]] = True
+        self.pairs, self._allowance = self.pairs[met], self._allowance[met]
+
+    def poses(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """R_BS (N, S, 3, 3) and p_BS (N, S, 3) of the shapes for q (N, n)."""
+        N, (fingers, k) = len(q), self._index.shape
+        if self._coupling is not None:
+            q = q @ self._coupling
+        theta = q[:, self._index.reshape(-1)].reshape(N, fingers, k, 1, 1)
+        eye = torch.eye(3, device=q.device)
+        turned = self._turn @ (eye + torch.sin(theta) * self._K + (1 - torch.cos(theta)) * self._K2)
+        R, p = [turned[:, :, 0]], [self._offset[:, 0].expand(N, -1, -1)]
+        for j in range(1, k):
+            p.append(p[-1] + (R[-1] @ self._offset[:, j, :, None])[..., 0])
+            R.append(R[-1] @ turned[:, :, j])
+        base = eye.expand(N, 1, 3, 3)
+        R_BJ = torch.cat([torch.stack(R, dim=2).reshape(N, -1, 3, 3), base], dim=1)[:, self._frame]
+        p_BJ = torch.cat([torch.stack(p, dim=2).reshape(N, -1, 3), q.new_zeros(N, 1, 3)], dim=1)
+        p_BJ = p_BJ[:, self._frame]
+        return R_BJ @ self._R_JS, p_BJ + (R_BJ @ self._p_JS[..., None])[..., 0]
+
+    def near(self, q: torch.Tensor, margin: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Every pair of shapes that may be closer than `margin` (m): row of q, pair, and gap (M,) in m."""
+        R, p = self.poses(q)
+        a, b = self.pairs.T
+        with torch.no_grad():
+            reach = self._reach[a] + self._reach[b] + margin
+            row, pair = torch.nonzero((p[:, a] - p[:, b]).square().sum(-1) < reach**2, as_tuple=True)
+        return row, pair, self._gaps(R, p, row, pair)
+
+    def least(self, q: torch.Tensor, margin: float) -> torch.Tensor:
+        """(N,) the smallest gap at q (N, n), at most `margin`, m."""
+        result = []
+        with torch.no_grad():
+            for part in q.split(_CHUNK):
+                row, _, gap = self.near(part, margin)
+                least = torch.full((len(part),), margin, device=q.device)
+                result.append(least.scatter_reduce(0, row, gap, "amin"))
+        return torch.cat(result)
+
+    def loss(
+        self, q: torch.Tensor, row: torch.Tensor, pair: torch.Tensor, margin: float, scale: float
+    ) -> torch.Tensor:
+        """Mean over q (N, n) of the sum of max(0, margin − gap) / scale over some pairs; lengths in m.
+
+        Args:
+            row, pair: (M,) numbers of q and of the pair of shapes, as `near` gives them.
+        """
+        # Few of the pairs that may touch do, and only those need to be followed by autograd.
+        rows, row = torch.unique(row, return_inverse=True)
+        if len(rows) == 0:
+            return 0.0 * q.sum()
+        gap = self._gaps(*self.poses(q[rows]), row, pair)
+        return torch.relu(margin - gap).sum() / (scale * len(q))
+
+    def _gaps(self, R: torch.Tensor, p: torch.Tensor, row: torch.Tensor, pair: torch.Tensor) -> torch.Tensor:
+        """(M,) gaps of the pairs numbered `pair` at the poses of `row`, with their allowances, m."""
+        a, b = self.pairs[pair].T
+        R_A, R_B, p_AB = R[row, a], R[row, b], p[row, b] - p[row, a]
+        gap = box_gap(R_A, R_B, p_AB, self._half[a], self._half[b])
+        return gap - self._radius[a] - self._radius[b] + self._allowance[pair]
+
+
+def box_gap(
+    R_A: torch.Tensor, R_B: torch.Tensor, p_AB: torch.Tensor, a: torch.Tensor, b: torch.Tensor
+) -> torch.Tensor:
+    """(M,) largest separation of boxes of half edges a, b (M, 3); see the module.
+
+    Args:
+        R_A, R_B: (M, 3, 3) orientations of the boxes.
+        p_AB: (M, 3) from the centre of the first to that of the second, in the frame of the R's.
+        a, b: (M, 3) half edges, zero for a point.
+    """
+    R = R_A.transpose(1, 2) @ R_B
+    t = (R_A * p_AB[:, :, None]).sum(1)  # in the frame of A
+    s = (R_B * p_AB[:, :, None]).sum(1)  # in the frame of B
+    size = R.abs()
+    faces_a = t.abs() - a - (size * b[:, None]).sum(2)
+    faces_b = s.abs() - b - (size * a[:, :, None]).sum(1)
+    # Axis A_i × B_j: |t · L| and both boxes' extents along it, divided by its length sqrt(1 − R_ij²).
+    along = (_down(t)[:, :, None] * _up(R) - _up(t)[:, :, None] * _down(R)).abs()
+    extent = _up(a)[:, :, None] * _down(size) + _down(a)[:, :, None] * _up(size)
+    size = size.mT
+    extent = extent + (_up(b)[:, :, None] * _down(size) + _down(b)[:, :, None] * _up(size)).mT
+    length = torch.sqrt(torch.clamp(1.0 - R.square(), min=1e-4))
+    edges = torch.where(R.square() > 1.0 - 1e-3, -1.0, (along - extent) / length).flatten(1)
+    # From the nearest point of A to B's centre; inside A this axis has no direction.
+    outside = t - torch.minimum(torch.maximum(t, -a), a)
+    distance = torch.sqrt(outside.square().sum(1) + 1e-12)
+    axis = outside / distance[:, None]
+    reach = (b * (axis[:, None] @ R)[:, 0].abs()).sum(1)
+    towards = torch.where(distance > 1e-5, distance - reach, -1.0)
+    return torch.cat([faces_a, faces_b, edges, towards[:, None]], dim=1).amax(1)
+
+
+def _up(x: torch.Tensor) -> torch.Tensor:
+    """What follows each axis of (M, 3, ...), in a circle."""
+    return x.roll(-1, 1)
+
+
+def _down(x: torch.Tensor) -> torch.Tensor:
+    """What precedes each axis of (M, 3, ...), in a circle."""
+    return x.roll(1, 1)

@@ -1,0 +1,160 @@
+"""What GeoRT learns from the robot alone: neural forward kinematics and the collision classifier."""
+
+import math
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch.nn.functional import binary_cross_entropy_with_logits
+
+from geort_drake.errors import TrainingError
+from geort_drake.retargeting.training.kinematics import HandKinematics
+from geort_drake.retargeting.training.networks import CollisionClassifier, NeuralKinematics
+
+HELD_OUT = 0.1  # share of the robot samples that is never trained on
+
+
+class RobotSamples(Protocol):
+    """Joint angles of a robot hand and whether it collides there.
+
+    q (N, n) rad; collides_beyond_tips (N,) bool: any contact but those between two fingertips, which
+    a pinch needs; None where nobody asks. Where the fingertips are follows from the kinematics.
+    """
+
+    @property
+    def q(self) -> np.ndarray: ...
+
+    @property
+    def collides_beyond_tips(self) -> np.ndarray | None: ...
+
+
+def check_robot_samples(samples: RobotSamples, kinematics: HandKinematics, labels: bool) -> None:
+    """Raises TrainingError if shapes disagree with the hand or values are not finite; `labels`: theirs."""
+    count = len(samples.q)
+    shapes: dict[str, tuple[int, ...]] = {"q": (count, len(kinematics.joint_names))}
+    if labels:
+        shapes["collides_beyond_tips"] = (count,)
+    for name, wanted in shapes.items():
+        value = np.asarray(getattr(samples, name))
+        if value.shape != wanted or not np.isfinite(value).all():
+            raise TrainingError(
+                f"robot samples: {name} must be finite and of shape {wanted}; it has shape {value.shape}"
+            )
+    if count < 1000:
+        raise TrainingError(f"robot samples: at least 1000 are needed, {count} were given")
+
+
+def fit_neural_kinematics(
+    kinematics: HandKinematics,
+    samples: RobotSamples,
+    generator: torch.Generator,
+    device: torch.device,
+    steps: int = 4000,
+    batch: int = 512,
+    hidden: int = 128,
+) -> tuple[NeuralKinematics, dict[str, float]]:
+    """Fits fingertips to joint angles by least squares.
+
+    Returns:
+        The frozen network, and the distances from held-out samples: mean_mm, p95_mm, max_mm.
+    """
+    q_exact = torch.tensor(np.asarray(samples.q), dtype=torch.float64)
+    q, p = q_exact.float(), kinematics.fingertips(q_exact).float()
+    held_out = int(len(q) * HELD_OUT)
+    model = NeuralKinematics(kinematics, p, hidden, generator).to(device)
+    q, p = q.to(device), p.to(device)
+    unit = model.scale.mean()
+
+    def loss(rows: torch.Tensor) -> torch.Tensor:
+        return ((model.fingertips(q[rows]) - p[rows]) / unit).square().sum(-1).mean()
+
+    _descend(model, loss, held_out, len(q), generator, device, steps, batch, 5e-3)
+    with torch.no_grad():
+        error = torch.linalg.vector_norm(model.fingertips(q[:held_out]) - p[:held_out], dim=-1)
+    millimetres = 1000.0 * error.cpu().double().numpy().ravel()
+    return model, {
+        "mean_mm": float(millimetres.mean()),
+        "p95_mm": float(np.percentile(millimetres, 95)),
+        "max_mm": float(millimetres.max()),
+    }
+
+
+def fit_classifier(
+    kinematics: HandKinematics,
+    samples: RobotSamples,
+    generator: torch.Generator,
+    device: torch.device,
+    steps: int = 2000,
+    batch: int = 1024,
+    hidden: int = 128,
+) -> tuple[CollisionClassifier, dict[str, float]]:
+    """Fits the probability that joint angles collide by cross-entropy.
+
+    Returns:
+        The frozen network, and held-out figures: accuracy, precision, recall, positive_share.
+    """
+    q = torch.tensor(np.asarray(samples.q), dtype=torch.float32, device=device)
+    label = torch.tensor(np.asarray(samples.collides_beyond_tips), dtype=torch.float32, device=device)
+    held_out = int(len(q) * HELD_OUT)
+    model = CollisionClassifier(kinematics, hidden, generator).to(device)
+
+    def loss(rows: torch.Tensor) -> torch.Tensor:
+        return binary_cross_entropy_with_logits(model(q[rows]), label[rows])
+
+    _descend(model, loss, held_out, len(q), generator, device, steps, batch, 5e-3)
+    with torch.no_grad():
+        positive, truth = model(q[:held_out]) > 0, label[:held_out] > 0.5
+    hits = int((positive & truth).sum())
+    return model, {
+        "accuracy": float((positive == truth).float().mean()),
+        "precision": hits / max(int(positive.sum()), 1),
+        "recall": hits / max(int(truth.sum()), 1),
+        "positive_share": float(truth.float().mean()),
+    }
+
+
+def refit_classifier(
+    model: CollisionClassifier,
+    uniform: tuple[torch.Tensor, torch.Tensor],
+    own: tuple[torch.Tensor, torch.Tensor],
+    generator: torch.Generator,
+    steps: int,
+    batch: int = 512,
+) -> None:
+    """Continues the fit on half uniform and half `own` samples, each a pair (q, label), in place."""
+    device = own[0].device
+
+    def loss(_rows: torch.Tensor) -> torch.Tensor:
+        parts = []
+        for q, label in (uniform, own):
+            rows = torch.randint(len(q), (batch,), generator=generator).to(device)
+            parts.append(binary_cross_entropy_with_logits(model(q[rows]), label[rows]))
+        return 0.5 * (parts[0] + parts[1])
+
+    _descend(model, loss, 0, 1, generator, device, steps, 1, 2e-3)
+
+
+def _descend(
+    model: torch.nn.Module,
+    loss: Callable[[torch.Tensor], torch.Tensor],
+    first: int,
+    last: int,
+    generator: torch.Generator,
+    device: torch.device,
+    steps: int,
+    batch: int,
+    rate: float,
+) -> None:
+    """Adam with a cosine schedule over random rows in [first, last); freezes the model at the end."""
+    model.requires_grad_(True)
+    optimiser = torch.optim.Adam(model.parameters(), lr=rate)
+    for step in range(steps):
+        for group in optimiser.param_groups:
+            group["lr"] = rate * 0.5 * (1.0 + math.cos(math.pi * step / steps))
+        rows = torch.randint(first, last, (batch,), generator=generator).to(device)
+        value = loss(rows)
+        optimiser.zero_grad(set_to_none=True)
+        value.backward()
+        optimiser.step()
+    model.requires_grad_(False)

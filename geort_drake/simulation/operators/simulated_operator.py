@@ -1,0 +1,121 @@
+"""The simulated person as a system that stands where a glove and a tracker stand."""
+
+import dataclasses as dc
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.simulation.operators.behavior import GraspingPerson
+from geort_drake.simulation.operators.config import OperatorConfig
+from geort_drake.simulation.operators.state import OperatorState, Phase, Seen
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
+from geort_drake.systems.poses import vector_to_pose
+from geort_drake.systems.unchanging import Unchanging
+
+
+@dc.dataclass(frozen=True)
+class _Memory(Unchanging):
+    # `GraspingPerson.step` leaves the state that it is given alone.
+    state: OperatorState
+
+
+class SimulatedOperator(LeafSystem):
+    """A person who grasps through the robot, by moving a human hand and wrist and nothing else.
+
+    Its inputs are meant to come through delays (`OperatorConfig.visual_delay`); `GraspingPerson`
+    decides, once every `OperatorConfig.period`.
+
+    Input ports (F robot fingers in the goal's order):
+        fingertips (3F): p_WF of the robot, m.
+        hand_pose (7): X_WB of the robot's hand base, qw qx qy qz x y z.
+        object_pose (7): X_WO, qw qx qy qz x y z.
+        contact (F): force between each finger and the object, N.
+    Output ports:
+        keypoints (63): p_HK of the own hand, keypoint-major, m, wrist frame H.
+        wrist_pose (abstract RigidTransform): X_WH of the tracker on the own wrist.
+        valid (1): always 1.
+        phase (1): `Phase` as a number.
+        attempt (1): how many times the hand has gone for the object, from 1.
+
+    State: what the person remembers, an `OperatorState`. The noise is drawn from a generator seeded in the
+    constructor, so one system serves one simulation.
+    """
+
+    def __init__(
+        self,
+        hand: HumanHand,
+        goal: GraspGoal,
+        config: OperatorConfig,
+        X_WH_start: RigidTransform,
+        seed: int,
+    ):
+        super().__init__()
+        config.validate()
+        rng = np.random.default_rng(seed)
+        self._hand = hand
+        self._tremor = config.tremor / np.sqrt(3)
+        self._tremor_rng = np.random.default_rng(rng.integers(2**63))
+        self._person = GraspingPerson(hand, goal, config, rng)
+        num_fingers = len(goal.finger_names)
+        self._fingertips = self.DeclareVectorInputPort("fingertips", 3 * num_fingers)
+        self._hand_pose = self.DeclareVectorInputPort("hand_pose", 7)
+        self._object_pose = self.DeclareVectorInputPort("object_pose", 7)
+        self._contact = self.DeclareVectorInputPort("contact", num_fingers)
+        # The delays' outputs are zero until their first sample has come through.
+        self._first_sight = config.visual_delay - 0.5 * config.period
+        start = self._person.start(X_WH_start)
+        state = self.DeclareAbstractState(AbstractValue.Make(_Memory(start)))
+        # The keypoints are kept beside the state because the tremor must be drawn once per decision.
+        self._keypoints = self.DeclareDiscreteState(hand.keypoints(start.theta).ravel())
+        ticket = {self.abstract_state_ticket(state)}
+        self.DeclareStateOutputPort("keypoints", self._keypoints)
+        self.DeclareAbstractOutputPort(
+            "wrist_pose",
+            lambda: AbstractValue.Make(RigidTransform()),
+            lambda context, output: output.set_value(self._state(context).X_WH),
+            ticket,
+        )
+        self.DeclareVectorOutputPort(
+            "valid", 1, lambda context, output: output.SetAtIndex(0, 1.0), {self.nothing_ticket()}
+        )
+        self.DeclareVectorOutputPort(
+            "phase",
+            1,
+            lambda context, output: output.SetAtIndex(0, float(self._state(context).phase)),
+            ticket,
+        )
+        self.DeclareVectorOutputPort(
+            "attempt", 1, lambda context, output: output.SetAtIndex(0, self._state(context).attempt), ticket
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(config.period, 0.0, self._decide)
+
+    def phase(self, context: Context) -> Phase:
+        """What the person is doing."""
+        return self._state(context).phase
+
+    def attempt(self, context: Context) -> int:
+        """How many times the hand has gone for the object, from 1."""
+        return self._state(context).attempt
+
+    def _state(self, context: Context) -> OperatorState:
+        return context.get_abstract_state(0).get_value().state
+
+    def _decide(self, context: Context, state: State) -> EventStatus:
+        before = self._state(context)
+        if context.get_time() < self._first_sight:
+            return EventStatus.DidNothing()
+        scene = Seen(
+            p_WF=self._fingertips.Eval(context).reshape(-1, 3),
+            X_WB=vector_to_pose(self._hand_pose.Eval(context)),
+            X_WO=vector_to_pose(self._object_pose.Eval(context)),
+            contact=self._contact.Eval(context).copy(),
+        )
+        after = self._person.step(before, context.get_time(), scene)
+        state.get_mutable_abstract_state(0).set_value(_Memory(after))
+        keypoints = self._hand.keypoints(after.theta)
+        keypoints[1:] += self._tremor_rng.normal(0, self._tremor, (20, 3))
+        state.get_mutable_discrete_state(self._keypoints).set_value(keypoints.ravel())
+        return EventStatus.Succeeded()

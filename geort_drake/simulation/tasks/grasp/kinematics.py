@@ -1,0 +1,257 @@
+"""Inverse kinematics of a grasp: arm and hand in a plant in which the object stands still."""
+
+import numpy as np
+from pydrake.geometry import (
+    CollisionFilterDeclaration,
+    Convex,
+    GeometrySet,
+    Mesh,
+    Role,
+    SceneGraph,
+    Shape,
+)
+from pydrake.math import RigidTransform
+from pydrake.multibody.inverse_kinematics import InverseKinematics
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.tree import RigidBody
+from pydrake.solvers import SnoptSolver, SolverOptions
+from pydrake.systems.framework import DiagramBuilder
+
+from geort_drake.hands.couplings import followers
+from geort_drake.hands.description import FingerDescription, HandDescription
+from geort_drake.hands.links import palm_links
+from geort_drake.hands.model import tip_geometries
+from geort_drake.simulation.object_shape import ObjectShape, half_extents, object_shape
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.tasks.grasp.contacts import Contact
+from geort_drake.simulation.world import ARM, HAND, add_object, add_robot, standing_pose
+
+# Clearance of everything but the grasping fingertips from each other and from the object, m. Some of the
+# hand's own links never come further apart than a few millimetres.
+_CLEARANCE = 0.002
+# Further room between the hand and what the object stands on, m: a hand that is not quite where or how it
+# should be must not meet it. Fingertips are kept above it by the choice of contacts.
+_GROUND_CLEARANCE = 0.006
+# How well the fingertips are placed, m: while they touch, and while they are open.
+_TOLERANCE, _OPEN_TOLERANCE = 0.001, 0.008
+# The palm's gap to an object that shall lie in it before the fingers close; where on the palm the object
+# shall lie, sideways and along the fingers; all in B, m. How far the palm may lean, rad.
+_PALM_GAP = (0.002, 0.006)
+_PALM_Y = (-0.015, 0.015)
+_PALM_Z = (-0.06, 0.0)
+_PALM_TILT = 0.25
+# Part of its range that a grasping joint keeps from either limit, to have room to squeeze.
+_LIMIT_MARGIN = 0.1
+# Weight of the arm's joints in the discomfort of a posture; a grasping finger's joints weigh 1, those of
+# the other fingers more, as they stay out of the way.
+_ARM_WEIGHT = 0.5
+_IDLE_WEIGHT = 10.0
+
+
+class GraspKinematics:
+    """The scenario's robot and object, and postures in which fingertips meet given contacts.
+
+    Args:
+        fingers: names of the fingers that grasp; only their tips may touch the object.
+
+    Frames: W the world, O the object, B the hand base, F a fingertip point. The object stands at the
+    scenario's position with zero yaw.
+    """
+
+    def __init__(self, scenario: Scenario, description: HandDescription, fingers: list[str]):
+        self._description = description
+        self._grasping = [finger for finger in description.fingers if finger.name in fingers]
+        builder = DiagramBuilder()
+        plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+        add_robot(plant, scenario, description)
+        self._object = add_object(plant, scenario.object.name)
+        self.shape: ObjectShape = object_shape(plant, scene_graph.model_inspector(), self._object)
+        # The object is sunk into its support, which keeps the hand that much further above it.
+        bottom = self.shape.lowest_point(RigidTransform())
+        self._X_WO = standing_pose(scenario, bottom + _GROUND_CLEARANCE, 0, 0, 0)
+        plant.WeldFrames(plant.world_frame(), self._object.body_frame(), self._X_WO)
+        plant.Finalize()
+        self._plant = plant
+        self._arm, self._hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
+        self._base = plant.GetFrameByName(description.base_frame, self._hand)
+        self._palm_front = self._find_palm_front(scene_graph)
+        self._let_tips_touch(scene_graph)
+        self._diagram = builder.Build()
+        self._context = self._diagram.CreateDefaultContext()
+        self._plant_context = plant.GetMyMutableContextFromRoot(self._context)
+        # Solving leaves its last iterate in the context, so the default posture is kept apart.
+        self.q_default = plant.GetPositions(self._plant_context).copy()
+
+    def touch(
+        self, contacts: list[Contact], palm: Contact | None, guess: np.ndarray, collisions: bool = True
+    ) -> tuple[float, np.ndarray] | None:
+        """The most comfortable posture near `guess` in which the fingertips touch; None if there is none.
+
+        Args:
+            contacts: one for each grasping finger.
+            palm: where the palm shall lie close, if it shall.
+            guess: positions of the plant to start from.
+            collisions: without them, a hundred times faster, the object and the robot may overlap.
+
+        Returns:
+            The posture's discomfort, and the positions of the plant.
+        """
+        ik = self._program(contacts, 0.0, _TOLERANCE)
+        low, high = self._plant.GetPositionLowerLimits(), self._plant.GetPositionUpperLimits()
+        if palm is not None:
+            self._put_palm(ik, palm)
+        if collisions:
+            ik.AddMinimumDistanceLowerBoundConstraint(_CLEARANCE, 0.02)
+        for finger in self._grasping:
+            for name in finger.joints:
+                index = self._plant.GetJointByName(name, self._hand).position_start()
+                margin = _LIMIT_MARGIN * (high[index] - low[index])
+                ik.get_mutable_prog().AddBoundingBoxConstraint(
+                    low[index] + margin, high[index] - margin, ik.q()[index]
+                )
+        result = SnoptSolver().Solve(ik.prog(), np.clip(guess, low, high), _options())
+        if not result.is_success():
+            return None
+        return result.get_optimal_cost(), result.GetSolution(ik.q())
+
+    def open(self, contacts: list[Contact], opening: float, q_touch: np.ndarray) -> np.ndarray | None:
+        """Positions with the fingertips `opening` off the contacts, the arm as at q_touch; None if none."""
+        ik = self._program(contacts, opening, _OPEN_TOLERANCE)
+        ik.AddMinimumDistanceLowerBoundConstraint(_CLEARANCE, 0.02)
+        arm = self._arm_positions()
+        ik.get_mutable_prog().AddBoundingBoxConstraint(q_touch[arm], q_touch[arm], ik.q()[arm])
+        result = SnoptSolver().Solve(ik.prog(), q_touch, _options())
+        return result.GetSolution(ik.q()) if result.is_success() else None
+
+    def open_wide(self, q_touch: np.ndarray) -> np.ndarray | None:
+        """Positions with the hand in its default posture, the arm as at q_touch; None if that collides."""
+        q, arm = self.q_default.copy(), self._arm_positions()
+        q[arm] = q_touch[arm]
+        self._plant.SetPositions(self._plant_context, q)
+        query = self._plant.get_geometry_query_input_port().Eval(self._plant_context)
+        return None if query.HasCollisions() else q
+
+    def hand_pose(self, q: np.ndarray) -> RigidTransform:
+        """X_OB of the hand base at the plant's positions q."""
+        self._plant.SetPositions(self._plant_context, q)
+        return self._X_WO.inverse() @ self._base.CalcPoseInWorld(self._plant_context)
+
+    def fingertips(self, q: np.ndarray) -> np.ndarray:
+        """p_OF (F, 3) of all fingertip points at the plant's positions q, m."""
+        self._plant.SetPositions(self._plant_context, q)
+        p_WF = [
+            self._tip_body(finger).EvalPoseInWorld(self._plant_context) @ np.asarray(finger.tip_point, float)
+            for finger in self._description.fingers
+        ]
+        return self._X_WO.inverse().multiply(np.array(p_WF).T).T
+
+    def joint_positions(self, q: np.ndarray) -> dict[str, float]:
+        """The plant's positions q by joint name, rad."""
+        joints = map(self._plant.get_joint, self._plant.GetJointIndices())
+        return {joint.name(): q[joint.position_start()] for joint in joints if joint.num_positions()}
+
+    def _arm_positions(self) -> list[int]:
+        joints = map(self._plant.get_joint, self._plant.GetJointIndices(self._arm))
+        return [joint.position_start() for joint in joints if joint.num_positions()]
+
+    def _program(self, contacts: list[Contact], opening: float, tolerance: float) -> InverseKinematics:
+        """Fingertips `opening` off their contacts, as near as can be to a comfortable posture."""
+        plant = self._plant
+        ik = InverseKinematics(plant, self._plant_context)
+        by_finger = {contact.part: contact for contact in contacts}
+        for finger in self._grasping:
+            contact = by_finger[finger.name]
+            p_OF = contact.p_OC - contact.n_O * (finger.tip_radius + opening)
+            ik.AddPositionConstraint(
+                self._tip_body(finger).body_frame(),
+                np.asarray(finger.tip_point, float),
+                self._object.body_frame(),
+                # Not lower, as there may be no room.
+                p_OF - np.array([tolerance, tolerance, 0.0]),
+                p_OF + tolerance,
+            )
+        q_nominal = self.q_default.copy()
+        low, high = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
+        weight = np.full(len(q_nominal), _ARM_WEIGHT)
+        for finger in self._description.fingers:
+            for name in finger.joints:
+                index = plant.GetJointByName(name, self._hand).position_start()
+                weight[index] = 1.0 if finger in self._grasping else _IDLE_WEIGHT
+                if finger in self._grasping:  # a grasping joint is most useful in its middle range
+                    q_nominal[index] = 0.5 * (low[index] + high[index])
+        for follower, leader, ratio, offset in followers(self._description):
+            place, leading = (
+                plant.GetJointByName(name, self._hand).position_start() for name in (follower, leader)
+            )
+            weight[place] = 0.0  # its leader's angle counts
+            ik.get_mutable_prog().AddLinearEqualityConstraint(
+                ik.q()[place] - ratio * ik.q()[leading] == offset
+            )
+        ik.get_mutable_prog().AddQuadraticErrorCost(np.diag(weight), q_nominal, ik.q())
+        return ik
+
+    def _put_palm(self, ik: InverseKinematics, palm: Contact) -> None:
+        """The palm faces the object at the contact, index finger up."""
+        low, high = zip(_PALM_GAP, _PALM_Y, _PALM_Z, strict=True)
+        front = np.array([self._palm_front, 0.0, 0.0])
+        ik.AddPositionConstraint(
+            self._object.body_frame(), palm.p_OC, self._base, front + np.array(low), front + np.array(high)
+        )
+        to_index = [0, -1.0 if self._description.side == "left" else 1.0, 0]
+        for v_O, v_B in ((palm.n_O, [1.0, 0, 0]), ([0, 0, 1.0], to_index)):
+            ik.AddAngleBetweenVectorsConstraint(
+                self._object.body_frame(), np.asarray(v_O), self._base, np.asarray(v_B), 0.0, _PALM_TILT
+            )
+
+    def _find_palm_front(self, scene_graph: SceneGraph) -> float:
+        """The largest x in B of the palm's collision geometry, m."""
+        inspector, context = scene_graph.model_inspector(), self._plant.CreateDefaultContext()
+        fronts = []
+        for body in palm_links(self._plant, self._description, self._hand):
+            X_BL = self._plant.CalcRelativeTransform(context, self._base, body.body_frame())
+            for geometry in self._geometries(scene_graph, body):
+                X_BG = X_BL @ inspector.GetPoseInFrame(geometry)
+                fronts.append(_largest_x(inspector.GetShape(geometry), X_BG))
+        return max(fronts, default=0.0)
+
+    def _let_tips_touch(self, scene_graph: SceneGraph) -> None:
+        """Grasping fingertips touch each other, the object and, nearly, what it stands on."""
+        tips = [
+            geometry
+            for finger in self._grasping
+            for geometry in tip_geometries(self._plant, scene_graph.model_inspector(), self._tip_body(finger))
+        ]
+        # What is welded to the world: the object and its support.
+        still = [
+            geometry
+            for body in self._plant.GetBodiesWeldedTo(self._plant.world_body())
+            for geometry in self._geometries(scene_graph, body)
+        ]
+        declaration = CollisionFilterDeclaration()
+        declaration.ExcludeWithin(GeometrySet(tips))
+        declaration.ExcludeBetween(GeometrySet(tips), GeometrySet(still))
+        scene_graph.collision_filter_manager().Apply(declaration)
+
+    def _geometries(self, scene_graph: SceneGraph, body: RigidBody) -> list:
+        frame = self._plant.GetBodyFrameIdOrThrow(body.index())
+        return list(scene_graph.model_inspector().GetGeometries(frame, Role.kProximity))
+
+    def _tip_body(self, finger: FingerDescription) -> RigidBody:
+        return self._plant.GetBodyByName(finger.tip_link, self._hand)
+
+
+def _largest_x(shape: Shape, X_BG: RigidTransform) -> float:
+    """Of a geometry G in B, m: of the box around a primitive, and of a mesh's convex hull."""
+    if isinstance(shape, Convex | Mesh):
+        hull = shape.GetConvexHull()
+        vertices = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
+        return float(X_BG.multiply(vertices.T)[0].max())
+    return float(X_BG.translation()[0] + np.abs(X_BG.rotation().matrix()[0]) @ half_extents(shape))
+
+
+def _options() -> SolverOptions:
+    # A solution takes some 30 iterations; a start that needs many more rarely leads to one.
+    options = SolverOptions()
+    options.SetOption(SnoptSolver.id(), "Major iterations limit", 60)
+    options.SetOption(SnoptSolver.id(), "Iterations limit", 1000)
+    return options
