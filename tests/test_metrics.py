@@ -14,7 +14,7 @@ from geort_drake.comparison.metric_table import METRICS, mean, worst
 from geort_drake.comparison.related_metrics import aligned_motion_preservation, workspace
 from geort_drake.errors import RecordingError
 from geort_drake.retargeting.clouds import voxel_thinned
-from geort_drake.retargeting.methods.geort import map_figures
+from geort_drake.retargeting.training import map_figures
 
 NAMES = ("thumb", "index", "middle")
 
