@@ -15,7 +15,7 @@ from geort_drake.people.play import synthesize_play
 from geort_drake.simulation.diagram import make_grasp_diagram
 from geort_drake.simulation.scenario import load_scenario
 from geort_drake.simulation.world import HAND
-from geort_drake.systems.poses import pose_to_vector
+from geort_drake.systems.port_values import pose_to_vector
 
 
 class _Still:

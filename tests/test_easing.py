@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from geort_drake.systems.easing import Easing
+from geort_drake.systems.glove_checks import Easing
 
 
 def test_input_is_followed_once_it_has_been_good_for_long_enough():

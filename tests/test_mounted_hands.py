@@ -27,7 +27,7 @@ from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.world import HAND, add_object, add_robot
 from geort_drake.systems.hand_mirror import HandMirror
-from geort_drake.systems.poses import mirrored_pose
+from geort_drake.systems.port_values import mirrored_pose
 
 M = np.diag([1.0, -1.0, 1.0, 1.0])
 

@@ -17,13 +17,13 @@ from geort_drake.simulation.operators.simulated_operator import SimulatedOperato
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor, GraspMonitorConfig, GraspPhase
 from geort_drake.systems.action_correction import ActionCorrection
+from geort_drake.systems.clutch import Clutch
 from geort_drake.systems.glove_checks import HELD_LOST, HELD_NOT_FINITE, GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.glove_replay import GloveReplay
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.poses import pose_to_vector, vector_to_pose
+from geort_drake.systems.port_values import pose_to_vector, vector_to_pose
 from geort_drake.systems.retargeting_system import LIMITED, TRACKING, RetargetingSystem
-from geort_drake.systems.wrist_to_arm import Clutch
 
 JOINTS = ("thumb_a", "thumb_b", "index_a")
 
@@ -215,7 +215,7 @@ def test_retargeting_refuses_a_plant_with_other_joints():
 def test_retargeting_needs_joint_limits_and_a_start_within_them():
     """They come from `limits` or from the retargeter; the message says what is missing or outside."""
     start = dict.fromkeys(JOINTS, 0.5)
-    with pytest.raises(HandError, match="joint limits are not known"):
+    with pytest.raises(HandError, match="joint limits are unknown"):
         RetargetingSystem(first_three, JOINTS, JOINTS, start)
 
     def limited(keypoints):

@@ -16,7 +16,7 @@ from geort_drake.live.transports import Receiver, wait_for
 from geort_drake.people.checks import anatomy, refuse
 from geort_drake.people.keypoints import FINGER_KEYPOINTS
 from geort_drake.people.recording import SIDES, Recording
-from geort_drake.systems.poses import vector_to_pose
+from geort_drake.systems.port_values import vector_to_pose
 
 # How often messages are fetched, s; and how long before the loop's ticks, so that these see the newest.
 POLL_PERIOD, _AHEAD = 0.002, 1e-4

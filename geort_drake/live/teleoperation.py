@@ -15,11 +15,12 @@ from geort_drake.live.watchdog import EngageSwitch, Watchdog, WatchdogConfig
 from geort_drake.simulation.diagram import Retarget
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import ARM, HAND, add_robot
-from geort_drake.systems.action_correction import ActionCorrection, make_correction
+from geort_drake.systems.action_correction import ActionCorrection
 from geort_drake.systems.glove_checks import HELD_LOST
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.hand_mirror import HandMirror
 from geort_drake.systems.joint_limits import JointLimits
+from geort_drake.systems.make_correction import make_correction
 from geort_drake.systems.retargeting_system import RetargetingSystem
 from geort_drake.systems.wrist_checks import WristChecks
 from geort_drake.systems.wrist_to_arm import WristToArm

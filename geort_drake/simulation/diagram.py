@@ -25,13 +25,13 @@ from geort_drake.simulation.scene import Placement, add_scene
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor
 from geort_drake.simulation.world import ARM, HAND, actuated_joints, actuated_state, add_robot
-from geort_drake.systems.action_correction import make_correction
 from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.glove_replay import GloveReplay
 from geort_drake.systems.hand_mirror import HandMirror
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.poses import POINT_MIRROR, POSE_MIRROR, mirrored_pose
+from geort_drake.systems.make_correction import make_correction
+from geort_drake.systems.port_values import POINT_MIRROR, POSE_MIRROR, mirrored_pose
 from geort_drake.systems.retargeting_system import RetargetingSystem
 from geort_drake.systems.scene_view import SceneView
 from geort_drake.systems.wrist_to_arm import WristToArm

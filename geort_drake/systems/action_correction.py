@@ -1,4 +1,4 @@
-"""The seam between retargeting and the hand, where a controller may correct what is asked of it."""
+"""The place between retargeting and the hand where a controller may correct the command."""
 
 import dataclasses as dc
 import math
@@ -7,8 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem
 
-from geort_drake.hands.description import HandDescription
-from geort_drake.hands.model import HandModel
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.update_timing import check_timing
 
@@ -17,12 +15,11 @@ CORRECTIONS = ("none", "guard", "policy")
 
 @dc.dataclass
 class CorrectionConfig:
-    """What stands between retargeting and the hand."""
+    """Which correction stands between retargeting and the hand."""
 
-    # none passes commands on; guard keeps the hand clear of itself (SelfCollisionGuard); policy asks the
-    # model in `policy` (PolicyCorrection).
+    # none: commands pass unchanged; guard: `SelfCollisionGuard`; policy: `PolicyCorrection`.
     kind: str = "none"
-    # Least distance between the hand's parts that the guard allows, m.
+    # Least distance between parts of the hand that the guard allows, m.
     clearance: float = 0.002
     # TorchScript (.pt) or ONNX (.onnx) file of the policy.
     policy: str = ""
@@ -38,32 +35,31 @@ class CorrectionConfig:
 
 
 class ActionCorrection(LeafSystem):
-    """Passes the desired state on; a subclass overrides `correct`.
+    """Passes the desired state on; override `correct` for a correction of your own.
 
-    It stands where DexterityGen puts its foundation controller (Yin et al. 2025, section IV): a policy
-    that sees the hand and turns coarse targets into safe, dexterous ones. `NoCorrection`,
-    `SelfCollisionGuard` and `PolicyCorrection` have the same ports; they override `_calc` in place of
-    `correct`, and say in `_depends_on` what their output is made of.
+    DexterityGen has its foundation controller in this place (Yin et al. 2025, section IV): a policy that
+    sees the hand and turns coarse targets into safe, dexterous ones. `NoCorrection`, `SelfCollisionGuard`
+    and `PolicyCorrection` have the same ports; they override `_calc` instead of `correct`.
 
     Input ports:
         desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.
         hand_state (2n): the hand's measured positions and velocities, same order.
     Output port:
-        desired_state (2n): what the hand is asked for, same order.
+        desired_state (2n): the command to the hand, same order.
     """
 
     def __init__(self, num_joints: int):
         super().__init__()
         self._desired = self.DeclareVectorInputPort("desired_state", 2 * num_joints)
         self._measured = self.DeclareVectorInputPort("hand_state", 2 * num_joints)
-        self.DeclareVectorOutputPort("desired_state", 2 * num_joints, self._calc, self._depends_on())
+        self.DeclareVectorOutputPort("desired_state", 2 * num_joints, self._calc, self._prerequisites())
 
     def correct(self, desired_state: np.ndarray, hand_state: np.ndarray) -> np.ndarray:
         """Returns the corrected desired state (2n,); the base class changes nothing."""
         return desired_state
 
-    def _depends_on(self) -> set:
-        """The tickets of what the output has to be computed anew for."""
+    def _prerequisites(self) -> set:
+        """Returns the dependency tickets of the output port."""
         return {self.all_sources_ticket()}
 
     def _calc(self, context: Context, output: BasicVector) -> None:
@@ -71,26 +67,26 @@ class ActionCorrection(LeafSystem):
 
 
 class NoCorrection(ActionCorrection):
-    """Passes commands on without a look at the hand, so not anew at each step of the plant.
+    """Passes commands on, without evaluating the hand's state at each step of the plant.
 
     Input ports:
         desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.
-        hand_state (2n): not read; every correction has it.
+        hand_state (2n): not read.
     Output port:
-        desired_state (2n): the same as comes in.
+        desired_state (2n): the input of that name.
     """
 
-    def _depends_on(self) -> set:
-        return {self.input_port_ticket(self._desired.get_index())}
+    def _prerequisites(self) -> set:
+        return {self._desired.ticket()}
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._desired.Eval(context))
 
 
 class PeriodicCorrection(ActionCorrection):
-    """Sets up what corrects at a fixed period and remembers positions; a subclass adds `_update`.
+    """Base of corrections that update at a fixed period and remember positions; override `_update`.
 
-    State: n positions (rad), the initial ones at first.
+    State: n positions (rad), initially `initial_positions`.
 
     Args:
         actuated_joints: joints in actuator order.
@@ -99,7 +95,7 @@ class PeriodicCorrection(ActionCorrection):
         period: time between updates, s, from 1e-5 to 10.
 
     Raises:
-        ValueError: the period is none of these.
+        ValueError: the period is out of range.
     """
 
     def __init__(
@@ -116,36 +112,8 @@ class PeriodicCorrection(ActionCorrection):
         self._positions = self.DeclareDiscreteState(self._q_start)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
 
-    def _depends_on(self) -> set:
+    def _prerequisites(self) -> set:
         return {self.xd_ticket()}
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         raise NotImplementedError
-
-
-def make_correction(
-    config: CorrectionConfig,
-    description: HandDescription,
-    actuated_joints: Sequence[str],
-    initial_positions: dict[str, float],
-    limits: JointLimits,
-    period: float,
-) -> ActionCorrection:
-    """The correction that `config` asks for; the arguments are those of `SelfCollisionGuard`.
-
-    Raises:
-        HandError: the guard cannot keep this hand clear; see there.
-        PolicyError: the policy cannot be run.
-    """
-    # Only here, because these modules build on this one.
-    if config.kind == "guard":
-        from geort_drake.systems.self_collision_guard import SelfCollisionGuard
-
-        hand = HandModel(description)
-        return SelfCollisionGuard(hand, actuated_joints, initial_positions, limits, period, config.clearance)
-    if config.kind == "policy":
-        from geort_drake.systems.policy_correction import PolicyCorrection, load_policy
-
-        policy = load_policy(config.policy, len(actuated_joints))
-        return PolicyCorrection(policy, actuated_joints, initial_positions, limits, period)
-    return NoCorrection(len(actuated_joints))

@@ -1,4 +1,4 @@
-"""How the arm's commanded joints move: as the inverse kinematics asks, or to a stop, where they are held."""
+"""Integrates the arm's joint velocities into commanded positions, or brakes and holds."""
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -14,24 +14,24 @@ class ArmMotion(LeafSystem):
     """Integrates joint velocities while the wrist is followed; else brakes the joints and holds them.
 
     Input ports:
-        velocity (m): of the plant's active joints, rad/s.
+        velocity (m): velocities of the plant's active joints, rad/s.
         valid (1): 1 follow, 0 hold.
     Output ports:
         arm_desired_state (2na): the arm's commanded joint positions (rad), then velocities (rad/s).
-        positions (nq): of all joints of the plant, rad, the arm's as commanded.
+        positions (nq): positions of all joints of the plant, rad, the arm's as commanded.
         hand_pose (abstract RigidTransform): X_WB at these positions.
 
-    State: what `arm_desired_state` and `positions` give.
+    State: the values of `arm_desired_state` and `positions`.
 
     Args:
         plant: robot and surroundings.
-        positions: (nq,) rad, where it starts; joints that are not active stay there.
-        active: (nq,) bool, the joints that velocities come for.
-        arm: (na,) the arm's joints among all; each is active.
+        positions: (nq,) initial positions, rad; joints that are not active stay there.
+        active: (nq,) bool, the joints of the `velocity` input.
+        arm: (na,) position indices of the arm's joints; each is active.
         hand_frame: B.
-        limits: of the arm's joints. A stop keeps them all; so does following where `limited`, else it is
-            what the velocities make of it.
-        period: between updates, s.
+        limits: of the arm's joints; always kept while braking.
+        period: time between updates, s.
+        limited: whether following keeps the limits, too.
     """
 
     def __init__(

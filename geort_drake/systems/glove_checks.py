@@ -1,46 +1,46 @@
-"""Whether a glove's keypoints can be followed, judged from one update to the next."""
+"""Decides from update to update whether a glove's keypoints can be followed, and how fast after a hold."""
 
 import dataclasses as dc
 import math
 
 import numpy as np
 
-# States of the retargeting that the input decides.
+# Reasons why the input is not followed; states of `RetargetingSystem`.
 HELD_LOST = "held: the glove lost the hand"
 HELD_NOT_FINITE = "held: a keypoint or a joint target is not finite"
 HELD_OUT_OF_RANGE = "held: a keypoint is farther from the wrist than a hand reaches"
 HELD_STALE = "held: no newer keypoints arrived in time"
 HELD_CLOCK = "held: the glove's clock ran backwards"
 HELD_JUMPED = "held: a keypoint moved faster than a hand can"
-# Followed all the same, as there is nothing to follow; what comes after it is eased.
+# Frozen input is still followed. Whatever comes after it is eased.
 FROZEN = "frozen: the keypoints have not changed for too long"
 
-# Gloves send at least 25 times a second, so a longer gap allows no farther jump, s.
+# s; gloves send at least 25 times a second, so a longer gap allows no larger jump.
 _LONGEST_GAP = 0.04
+# s; sums of periods are rounded.
+_TIME_TOLERANCE = 1e-9
 
 
 @dc.dataclass
 class GloveChecks:
-    """Which input is followed, and how following begins."""
+    """Thresholds of the checks on a glove's keypoints, and times of easing."""
 
-    # A coordinate of a keypoint beyond this is no hand's, m: from the wrist to a tall man's middle
-    # fingertip it is 0.22 m.
+    # Largest coordinate of a keypoint, m; wrist to middle fingertip is 0.22 m for a tall man.
     reach: float = 0.3
-    # A coordinate that changes faster is no motion, m/s: fastest in recorded glove play are 1.3 to 4.0 m/s.
+    # Largest speed of a coordinate, m/s; recorded glove play peaks at 1.3 to 4.0 m/s.
     max_speed: float = 5.0
-    # Keypoints equal to the last bit for so long are no live hand's, s.
+    # Keypoints that stay bitwise equal for this long are frozen, s.
     frozen_after: float = 0.5
-    # Oldest keypoints that are followed where their time is known, s.
+    # Largest age of keypoints whose measurement time is known, s.
     stale_after: float = 0.2
-    # The input must be good for so long before it is followed, s.
+    # The input must be good for this long before it is followed, s.
     settle_time: float = 0.03
-    # Then the joints' speed limit grows from zero to full over the time that the hand was held, at most
-    # this, s.
+    # Then the joints' speed limit grows from zero to full over the duration of the hold, at most this, s.
     ease_time: float = 0.5
-    # Whether the start counts as the end of a long hold; if not, the first keypoints are followed at once.
+    # Whether the start counts as the end of a long hold; otherwise the first keypoints are followed at once.
     ease_at_start: bool = True
-    # A fingertip farther from all places of its training is reported, m. The same person's new motions
-    # stay within 0.01 m, another person's hand is 0.03 to 0.05 m away.
+    # A fingertip farther than this from its training data is reported, m. New motions of the same person stay
+    # within 0.01 m; another person's hand is 0.03 to 0.05 m away.
     trained_tolerance: float = 0.02
 
     def validate(self) -> None:
@@ -53,13 +53,13 @@ class GloveChecks:
 
 @dc.dataclass(slots=True)
 class GloveMemory:
-    """What is known of the input so far: the last usable keypoints, and when they came (s)."""
+    """The last usable keypoints and when they came, s."""
 
-    keypoints: np.ndarray  # (63,), NaN before the first
+    keypoints: np.ndarray  # (63,) m; NaN before the first
     changed: float
-    stamp: float  # of the glove's clock, NaN before the first
+    stamp: float  # on the glove's clock; NaN before the first
     stamped: float
-    moved: float = math.nan  # how far a coordinate is from where it was at the update before, m
+    moved: float = math.nan  # largest change of a coordinate since the update before, m
 
 
 def judge(
@@ -71,12 +71,13 @@ def judge(
     valid: bool,
     stamp: float | None,
 ) -> str | None:
-    """What is wrong with the keypoints (63,) now, or None; brings `memory` up to date.
+    """Returns what is wrong with the keypoints (63,), or None; updates `memory`.
 
     Args:
-        time: of this update, s; period: since the one before, s.
-        valid: whether the glove says that it tracks the hand.
-        stamp: time on the glove's clock at which the keypoints were measured, s; None where unknown.
+        time: of this update, s.
+        period: time since the update before, s.
+        valid: whether the glove tracks the hand.
+        stamp: when the keypoints were measured, s on the glove's clock; None if unknown.
     """
     fault = None
     if stamp is not None:
@@ -90,7 +91,7 @@ def judge(
             fault = HELD_STALE
     if not valid:
         return HELD_LOST
-    farthest = _largest(keypoints)  # NaN where a keypoint is
+    farthest = _largest(keypoints)  # NaN if any coordinate is
     if not farthest <= checks.reach:
         return HELD_OUT_OF_RANGE if math.isfinite(farthest) else HELD_NOT_FINITE
     memory.moved = moved = _largest(keypoints - memory.keypoints)
@@ -105,6 +106,65 @@ def judge(
 
 
 def _largest(x: np.ndarray) -> float:
-    """The largest |x|; NaN where there is one. (`max` takes five times as long as `argmax`.)"""
+    """Returns the largest |x|, or NaN if there is one. (`argmax` is five times as fast as `max`.)"""
     size = np.abs(x)
     return size.item(size.argmax())
+
+
+@dc.dataclass(slots=True)
+class Easing:
+    """Tracks whether the hand follows, is held, or follows again at limited speed.
+
+    Input is followed once it has been good for the settling time. After a hold, the usable share of the
+    joints' speed limit grows from zero to one over the duration of the hold.
+
+    Attributes, in s:
+        good_since: NaN while the input is bad.
+        held_since: NaN while the hand follows.
+        eased_from: start of the last easing.
+        duration: of the easing; 0 if none is under way.
+    """
+
+    good_since: float
+    held_since: float
+    eased_from: float = 0.0
+    duration: float = 0.0
+
+    @classmethod
+    def at_start(cls, ease: bool) -> "Easing":
+        """Starts at the end of a long hold, or else following."""
+        return cls(math.nan, -math.inf) if ease else cls(-math.inf, math.nan)
+
+    def follows(self) -> bool:
+        """Whether the hand followed at the last update, or counts as if it had."""
+        return math.isnan(self.held_since)
+
+    def settled(self, time: float, settle_time: float) -> bool:
+        """Whether input that is good at `time` has been good for `settle_time`; both in s."""
+        if math.isnan(self.good_since):
+            self.good_since = time
+        return time - self.good_since >= settle_time - _TIME_TOLERANCE
+
+    def hold(self, time: float, good: bool) -> None:
+        """Holds the hand at `time`, s; `good` input only has to settle."""
+        if not good:
+            self.good_since = math.nan
+        if math.isnan(self.held_since):
+            self.held_since = time
+
+    def follow(self, time: float, period: float, longest: float) -> float:
+        """Follows, and ends a hold by an easing of at most `longest`; all times in s.
+
+        Returns:
+            The share of the speed limit that may be used from `time` to `time + period`.
+        """
+        if not math.isnan(self.held_since):
+            self.duration, self.eased_from = min(longest, time - self.held_since), time
+            self.held_since = math.nan
+        if self.duration > 0.0:
+            return min((time - self.eased_from + period) / self.duration, 1.0)
+        return 1.0
+
+    def end(self) -> None:
+        """Ends the easing."""
+        self.duration = 0.0

@@ -1,4 +1,4 @@
-"""Keeps what a glove and a tracker gave, as a recording that can be played again."""
+"""Records the ports of a glove and a tracker as a recording that can be replayed."""
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -7,10 +7,9 @@ from pydrake.systems.framework import Context, DiscreteValues, EventStatus, Leaf
 
 from geort_drake.people.recording import Recording
 from geort_drake.people.recording_parts import RecordingParts
-from geort_drake.systems.poses import pose_to_vector
+from geort_drake.systems.port_values import pose_to_vector
 
-# A part of a recording that is kept on the disk while it is made, s.
-_PART_S = 5.0
+_PART_S = 5.0  # s; length of a part
 
 
 class GloveRecorder(LeafSystem):
@@ -21,13 +20,13 @@ class GloveRecorder(LeafSystem):
         wrist_pose (abstract RigidTransform): X_WH.
         valid (1): 1 tracked, 0 lost.
 
-    It samples in its update, not in a publish, so that it keeps what the other systems act on at the
-    same instant.
+    It samples in an update event, not a publish event, so it records what other systems act on at the same
+    time.
 
     Args:
-        period: between samples, s.
-        parts: where samples go every `part` seconds, so that memory stays bounded and a kill loses little;
-            without it, all are kept until `recording` is asked for.
+        period: time between samples, s.
+        parts: files that take the samples every `part` seconds, so that memory stays bounded and a crash
+            loses little. Without it, samples stay in memory until `recording` is called.
     """
 
     def __init__(self, period: float, parts: RecordingParts | None = None, part: float = _PART_S):
@@ -40,29 +39,29 @@ class GloveRecorder(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._sample)
 
     def _sample(self, context: Context, _state: DiscreteValues) -> EventStatus:
-        # Copies, because ports are written over.
+        # Copies, because port values are overwritten.
         keypoints = self._keypoints.Eval(context).reshape(21, 3).copy()
         X_WH = RigidTransform(self._wrist.Eval(context))
         valid = bool(self._valid.Eval(context)[0] > 0.5)
         self._samples.append((context.get_time(), keypoints, X_WH, valid))
         if self._parts is not None and len(self._samples) >= self._part_samples:
-            self._hand_over(self._parts)
+            self._write(self._parts)
         return EventStatus.Succeeded()
 
     def recording(self, metadata: dict | None = None) -> Recording:
-        """What was sampled so far, as a `Recording` with tracker poses; only without `parts`."""
+        """Returns the samples so far, with tracker poses; only without `parts`."""
         t, p_HK, valid, X_WH = self._arrays()
         return Recording(t - t[0], p_HK, valid, X_WH, dict(metadata or {}))
 
     def finish(self) -> bool:
-        """Joins the parts to a file, as `RecordingParts.finish`, whose result and errors these are."""
+        """Joins the parts to a file; returns and raises what `RecordingParts.finish` does."""
         if self._parts is None:
-            raise ValueError("this recorder keeps no parts; ask for its recording")
+            raise ValueError("this recorder has no parts; call `recording` instead")
         if self._samples:
-            self._hand_over(self._parts)
+            self._write(self._parts)
         return self._parts.finish()
 
-    def _hand_over(self, parts: RecordingParts) -> None:
+    def _write(self, parts: RecordingParts) -> None:
         parts.append(*self._arrays())
         self._samples.clear()
 

@@ -1,4 +1,4 @@
-"""Between the world and the mirror in which a left hand is described as a right one."""
+"""Reflects a human hand, because left hands are computed as right hands in a mirror."""
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -6,18 +6,18 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from geort_drake.people.keypoints import mirrored
-from geort_drake.systems.poses import mirrored_pose
+from geort_drake.systems.port_values import mirrored_pose
 
 
 class HandMirror(LeafSystem):
-    """A left hand as it is, from its description as a right hand in the mirrored world; or back.
+    """Reflects keypoints in the xz-plane of H and the wrist's pose in the xz-plane of W.
 
     Input ports:
         keypoints (63): p_HK, keypoint-major, m.
         wrist_pose (abstract RigidTransform): X_WH.
     Output ports:
-        keypoints (63): the same with y negated.
-        wrist_pose (abstract RigidTransform): the same reflected in the xz-plane of W.
+        keypoints (63): the reflected keypoints, same order.
+        wrist_pose (abstract RigidTransform): the reflected pose.
     """
 
     def __init__(self) -> None:

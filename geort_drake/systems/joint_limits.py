@@ -1,4 +1,4 @@
-"""What a joint may be asked for: bounds on position, speed and acceleration, and the step that keeps them."""
+"""Limits of joint positions, speeds and accelerations, and a step towards a target that keeps them."""
 
 import dataclasses as dc
 
@@ -9,20 +9,20 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from geort_drake.errors import HandError
 from geort_drake.joint_ranges import MAX_ANGLE
 
-# From rest to full speed in one update at 100 Hz: what a controller at that rate may ask anyway.
-DEFAULT_ACCELERATION = 700.0  # rad/s²
-# What no motor has is a mistake, and its squares may overflow.
-_RATES = (1e-6, 1e12)  # rad/s and rad/s²
+# rad/s²; from rest to 7 rad/s in one update at 100 Hz, as a position controller at that rate could ask.
+DEFAULT_ACCELERATION = 700.0
+# rad/s and rad/s²; beyond these squares may overflow, and no motor reaches them.
+_RATES = (1e-6, 1e12)
 
 
 @dc.dataclass(frozen=True)
 class JointLimits:
-    """Bounds of n joints.
+    """Limits of n joints.
 
     Attributes:
-        lower, upper: (n,) positions within ±100, rad.
-        speed: (n,), rad/s; given as a number, it is every joint's.
-        acceleration: (n,), rad/s²; likewise.
+        lower, upper: (n,) positions, rad, within ±100.
+        speed: (n,) rad/s, or a number for all joints.
+        acceleration: (n,) rad/s², or a number for all joints.
 
     Raises:
         HandError: a limit is not finite or out of range, or a lower one is not below its upper one.
@@ -32,7 +32,7 @@ class JointLimits:
     upper: np.ndarray
     speed: np.ndarray | float = 7.0
     acceleration: np.ndarray | float = DEFAULT_ACCELERATION
-    # Period → what `_free` made of it.
+    # Results of `_free` by period.
     _made: dict[float, tuple[np.ndarray, ...]] = dc.field(
         init=False, repr=False, compare=False, default_factory=dict
     )
@@ -67,7 +67,7 @@ class JointLimits:
         speed: float = np.inf,
         acceleration: float = DEFAULT_ACCELERATION,
     ) -> "JointLimits":
-        """Those of a model's actuated joints, in actuator order; `speed` (rad/s) bounds them further."""
+        """Returns the limits of a model's actuated joints, in actuator order, and at most `speed`, rad/s."""
         joints = [plant.get_joint_actuator(index).joint() for index in plant.GetJointActuatorIndices(model)]
         speeds = np.array([joint.velocity_upper_limit() for joint in joints])
         return cls(
@@ -86,26 +86,26 @@ class JointLimits:
         period: float,
         share: float = 1.0,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and velocities one period on, as near to `target` as the limits allow.
+        """Returns positions and velocities after a period, as near to `target` as the limits allow.
 
         Speed is (q' − q) / period and acceleration (v' − v) / period. A joint that does not lag reaches
-        its target exactly; one that lags catches up as fast as it can still brake in time. If q and v
-        keep the limits and were made by this function, so do the results, whatever the targets are.
+        its target exactly; one that lags catches up as fast as it can still brake in time. Results of this
+        function keep the limits, whatever the targets are, if q and v do.
 
         Args:
-            q, v: (n,) positions (rad) and velocities (rad/s) of this moment; v = 0 at the start.
-            target, target_before: (n,) finite targets of the next moment and of this one, rad.
+            q, v: (n,) present positions (rad) and velocities (rad/s); v = 0 at the start.
+            target, target_before: (n,) finite targets after the period and now, rad.
             period: s.
-            share: of the speed limit that may be used; where v is above it already, the joint slows down.
+            share: usable share of the speed limit; a joint that is faster slows down.
         """
-        wanted, lag = (target - q) / period, target_before - q
-        # Most steps need nothing of what follows. A joint at v stops within v²/2a, so where that is
-        # inside the position limits, no later step will have to leave them.
+        speed, lag = (target - q) / period, target_before - q
+        # The fast way: a target within all limits is reached. A joint at v stops within v²/2a; if that is
+        # inside the position limits, no later step has to leave them.
         low, high, stretch = self._free(period)
-        values = np.array([wanted, wanted - v, lag, target + wanted * np.abs(wanted) * stretch])
+        values = np.array([speed, speed - v, lag, target + speed * np.abs(speed) * stretch])
         if share == 1.0 and np.count_nonzero((low <= values) & (values <= high)) == values.size:
-            return target, wanted
-        gain = self.acceleration * period  # of speed in one period
+            return target, speed
+        gain = self.acceleration * period  # largest change of speed
         distance = np.array([np.abs(lag), self.upper - q, q - self.lower])
         to_target, to_upper, to_lower = self._braking_speed(distance, period)
         speed = np.minimum(np.maximum((target - target_before) / period, -self.speed), self.speed)
@@ -114,13 +114,13 @@ class JointLimits:
         high = np.minimum(np.minimum(v + gain, most), to_upper)
         low = np.maximum(np.maximum(v - gain, -most), -to_lower)
         v = np.minimum(np.maximum(speed, low), high)
-        # Clipped once more, because of rounding.
+        # Clipped again because of rounding.
         return np.minimum(np.maximum(q + v * period, self.lower), self.upper), v
 
     def _free(self, period: float) -> tuple[np.ndarray, ...]:
-        """Lowest and highest (4, n) velocity, change of it, lag and stopping place of a free step; 1/2a (n,).
+        """Returns bounds (4, n) of speed, its change, lag and stopping place for the fast way; and 1/2a (n,).
 
-        They are kept, because making them takes as long as a step.
+        They are cached, because computing them takes as long as a step.
         """
         if period not in self._made:
             gain = self.acceleration * period
@@ -130,10 +130,10 @@ class JointLimits:
         return self._made[period]
 
     def _braking_speed(self, distance: np.ndarray, period: float) -> np.ndarray:
-        """The highest speed from which braking ends within `distance` (..., n), the coming step included.
+        """Returns the highest speed that allows to brake within `distance` (..., n), the next step included.
 
-        With speeds in units of a·period and distances in units of a·period², a step at x and then at
-        x − 1, x − 2, … covers (m + 1) x − m (m + 1) / 2, where m is x rounded down.
+        With speeds in units of a·period and distances in units of a·period², steps at x, x − 1, x − 2, …
+        cover (m + 1) x − m (m + 1) / 2, where m is x rounded down.
         """
         unit = self.acceleration * period * period
         d = np.maximum(distance, 0.0) / unit

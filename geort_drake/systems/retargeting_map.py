@@ -1,4 +1,4 @@
-"""The bare retargeter as a system that Drake can differentiate."""
+"""Runs a retargeter as a memoryless system that Drake can differentiate."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -18,20 +18,20 @@ def RetargetingMap_(T: type) -> type:
     """See `RetargetingMap`."""
 
     class Impl(LeafSystem_[T]):
-        """Keypoints to joint positions without memory, checks or limits, for optimisation and analysis.
+        """Maps keypoints to joint positions without memory, checks or limits, for optimisation and analysis.
 
-        `RetargetingSystem` holds, eases and limits by means of a discrete state, through which no gradient
-        leads; this system has direct feedthrough, and with `ToAutoDiffXd()` also the exact derivative.
+        `RetargetingSystem` has a discrete state, so no gradient passes through it. This system has direct
+        feedthrough, and after `ToAutoDiffXd()` also the exact derivative.
 
         Input port:
-            keypoints (63): p_HK, the 21 keypoints one after the other, m, wrist frame H.
+            keypoints (63): p_HK, keypoint-major, m, wrist frame H.
         Output port:
             positions (n): joint positions, rad, in the order of `actuated_joints`.
 
         Args:
             retarget: a `Retargeter`.
-            actuated_joints: the joints of the output; None takes the retargeter's order.
-            human_keypoints: keypoint (0 to 20) of each of the retargeter's fingers; None goes by the
+            actuated_joints: the retargeter's joints in the order of the output; None keeps its order.
+            human_keypoints: keypoint (0 to 20) of each of the retargeter's fingers; None takes those of the
                 fingers' names.
 
         Raises:
@@ -48,18 +48,17 @@ def RetargetingMap_(T: type) -> type:
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
             joints = list(retarget.joint_names)
-            wanted = joints if actuated_joints is None else list(actuated_joints)
-            if sorted(joints) != sorted(wanted):
+            ordered = joints if actuated_joints is None else list(actuated_joints)
+            if sorted(joints) != sorted(ordered):
                 raise HandError(
-                    f"the retargeter moves {', '.join(sorted(joints))}; "
-                    f"wanted are {', '.join(sorted(wanted))}"
+                    f"the retargeter moves {', '.join(sorted(joints))}; given: {', '.join(sorted(ordered))}"
                 )
             for name in retarget.finger_names if human_keypoints is None else ():
                 if name not in TIP_KEYPOINT:
                     raise UnknownNameError("finger", name, TIP_KEYPOINT)
             self._arguments = (retarget, actuated_joints, human_keypoints)
             self._retarget = retarget
-            self._order = np.array([joints.index(name) for name in wanted])
+            self._order = np.array([joints.index(name) for name in ordered])
             self._tips = np.array(human_keypoints or [TIP_KEYPOINT[name] for name in retarget.finger_names])
             self._keypoints = self.DeclareVectorInputPort("keypoints", 3 * KEYPOINT_COUNT)
             self.DeclareVectorOutputPort(

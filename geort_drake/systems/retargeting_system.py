@@ -1,4 +1,4 @@
-"""The retargeter as a system: human keypoints in, joint targets for the hand's PD controllers out."""
+"""Runs a retargeter as a system: human keypoints in, targets for the hand's joint controllers out."""
 
 import dataclasses as dc
 import functools
@@ -11,7 +11,6 @@ from pydrake.systems.framework import Context, DiscreteValues, EventStatus, Leaf
 
 from geort_drake.errors import HandError
 from geort_drake.retargeting.trained_space import TrainedSpace
-from geort_drake.systems.easing import Easing
 from geort_drake.systems.glove_checks import (
     FROZEN,
     HELD_CLOCK,
@@ -20,12 +19,13 @@ from geort_drake.systems.glove_checks import (
     HELD_NOT_FINITE,
     HELD_OUT_OF_RANGE,
     HELD_STALE,
+    Easing,
     GloveChecks,
     GloveMemory,
     judge,
 )
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.unchanging import Unchanging
+from geort_drake.systems.port_values import Immutable
 from geort_drake.systems.update_timing import check_timing, low_pass_share
 
 TRACKING = "tracking"
@@ -47,27 +47,27 @@ STATES = (
     HELD_JUMPED,
     FROZEN,
 )
-# A point moves at most so many times as far as any of its coordinates.
+# A point moves at most this many times as far as any of its coordinates.
 _DIAGONAL = math.sqrt(3.0)
 _ROUNDING = 1e-9  # m; of distances
 
 
 @dc.dataclass(frozen=True)
-class RetargetingStatus(Unchanging):
-    """What the system does with its input, and since which time (s)."""
+class RetargetingStatus(Immutable):
+    """What the system does with its input, and since when (s)."""
 
     state: str = SETTLING
     since: float = 0.0
-    # What `distance` is measured from: (21, 3) m in H, None while the input is not followed.
+    # Keypoints (21, 3), m in H, that `distance` is measured from; None while the input is not followed.
     p_HK: np.ndarray | None = dc.field(default=None, repr=False, compare=False)
     trained_space: TrainedSpace | None = dc.field(default=None, repr=False, compare=False)
 
     @functools.cached_property
     def distance(self) -> float:
-        """How far a fingertip is from all places it had in training, the farthest one's, m.
+        """Largest distance of a fingertip from its places in training, m.
 
-        NaN where that is not known, and while the input is not followed. Measured when it is first asked for,
-        because that takes longer than the rest of a status.
+        NaN if these are unknown, and while the input is not followed. It is measured on first use, because
+        that takes longer than the rest of a status.
         """
         if self.p_HK is None or self.trained_space is None:
             return math.nan
@@ -75,48 +75,47 @@ class RetargetingStatus(Unchanging):
 
 
 class RetargetingSystem(LeafSystem):
-    """Retargets at a fixed period; its targets are finite and keep the limits, whatever comes in.
+    """Retargets at a fixed period; its output is finite and keeps the limits for any input.
 
-    Input that cannot be followed is answered by braking to a stop and holding; when it is good again, the
-    hand follows with growing speed (docs/safety.md). A retargeter takes its time: what it makes of the
-    keypoints comes out `latency` later. One that takes longer than the period is called again as soon as
-    it is done, with the keypoints of that moment.
+    While the input cannot be followed, the joints brake and hold. Then the hand follows again with growing
+    speed (docs/safety.md). The joint targets of some keypoints come out `latency` later. A retargeter that
+    takes longer than the period is called again as soon as it is done, with the keypoints of that time.
 
     Input ports:
-        keypoints (63): p_HK, the 21 keypoints one after the other, m, wrist frame H.
+        keypoints (63): p_HK, keypoint-major, m, wrist frame H.
         valid (1): 1 tracked, 0 lost.
-        stamp (1), need not be connected: when the keypoints were measured, s, on the glove's clock.
+        stamp (1), optional: when the keypoints were measured, s, on the glove's clock.
     Output ports:
         desired_state (2n): joint positions (rad), then velocities (rad/s), in the order of
-            `actuated_joints`, which is the plant's actuator order of the hand.
+            `actuated_joints`.
         status (abstract RetargetingStatus): what was held or limited, and since when.
+
+    There is no direct feedthrough.
 
     Attributes:
         period: time between updates, s.
-        delay: from the keypoints to what is made of them, s: `latency`, and that of the low-pass for slow
-            motion.
+        delay: from keypoints to their joint targets, s: the latency plus the low-pass's for slow motion.
 
-    State: the 2n desired values last computed; what is remembered of status and input; and with a latency
-    the 2n desired values last given out (discrete, so there is no direct feedthrough).
+    State: the last computed desired state (2n); memory of targets, input and status; and, with a latency, the
+    desired state (2n) of the output port.
 
     Args:
-        retarget: maps keypoints (21, 3) in H to joint positions (n,) in `joint_names` order.
+        retarget: maps keypoints (21, 3), m in H, to joint positions (n,), rad, in the order of `joint_names`.
         joint_names: the retargeter's joints.
-        actuated_joints: the plant's actuated joints of the hand, in actuator order; each must be one
-            of `joint_names`.
+        actuated_joints: the same joints in the plant's actuator order.
         initial_positions: joint name → rad, the targets before the first update.
-        period: time between updates, s, from 1e-5 to 10; no less than `latency` in effect.
-        limits: of the targets, in the order of `actuated_joints`. None takes the positions of the
-            retargeter's `lower` and `upper`, and the defaults of `JointLimits`.
-        latency: time from the keypoints to their joint targets, s, at most 10.
-        checks: which input is followed.
-        cutoff: of a first-order low-pass on the targets, Hz; 0 is without. `delay` tells what it costs.
-        trained_space: where training saw the fingertips. None takes the retargeter's `trained_space`;
-            where it has none either, nothing is reported about it.
+        period: time between updates, s, from 1e-5 to 10; a longer `latency` takes its place.
+        limits: of the targets, in the order of `actuated_joints`. None takes the retargeter's `lower` and
+            `upper`, and the default speed and acceleration of `JointLimits`.
+        latency: time from keypoints to their joint targets, s, at most 10.
+        checks: thresholds of the input checks.
+        cutoff: of a first-order low-pass on the targets, Hz; 0 for none.
+        trained_space: places of the fingertips in training. None takes the retargeter's `trained_space`; if
+            it has none either, the state is never `OUTSIDE`.
 
     Raises:
-        HandError: the plant's joints and the retargeter's are not the same set, there are no joint
-            limits, or an initial position is outside them.
+        HandError: plant and retargeter have different joints, the joint limits are unknown, or an initial
+            position is outside them.
         ValueError: a value of `checks`, or the period, latency or cutoff cannot work.
     """
 
@@ -166,41 +165,39 @@ class RetargetingSystem(LeafSystem):
         easing = Easing.at_start(self._checks.ease_at_start)
         numbers = [STATES.index(SETTLING), 0.0, math.nan, 0.0, math.nan, 0.0, *dc.astuple(easing)]
         self._memory = self.DeclareDiscreteState(np.concatenate([q0, np.full(63, math.nan), numbers]))
-        # With a latency, what is given out is kept apart from what is computed meanwhile.
-        self._given_out = desired
+        # With a latency, the output is kept apart from what is computed meanwhile.
+        self._output = desired
         if latency > 0:
-            self._given_out = self.DeclareDiscreteState(np.concatenate([q0, np.zeros(n)]))
-        self.DeclareStateOutputPort("desired_state", self._given_out)
+            self._output = self.DeclareDiscreteState(np.concatenate([q0, np.zeros(n)]))
+        self.DeclareStateOutputPort("desired_state", self._output)
         self.DeclareAbstractOutputPort(
             "status",
             lambda: AbstractValue.Make(RetargetingStatus()),
             self._calc_status,
             {self.discrete_state_ticket(self._memory)},
         )
-        # Two events due at once would be at the mercy of rounding, so one that is busy all the time gives
-        # out its last result when it takes up the next.
+        # The order of two simultaneous events would depend on rounding, so with a latency of one period the
+        # update itself outputs the last result.
         self._busy = latency > period - 1e-9
         if latency > 0 and not self._busy:
-            self.DeclarePeriodicDiscreteUpdateEvent(period, latency, self._give_out)
+            self.DeclarePeriodicDiscreteUpdateEvent(period, latency, self._output_result)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
 
     def _limits_of(self, retarget: Callable) -> JointLimits:
         lower, upper = getattr(retarget, "lower", None), getattr(retarget, "upper", None)
         if lower is None or upper is None:
-            raise HandError("the joint limits are not known: give `limits`, as the retargeter has none")
+            raise HandError("the joint limits are unknown: give `limits`, as the retargeter has none")
         return JointLimits(lower[self._to_plant], upper[self._to_plant])
 
-    def _give_out(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
-        discrete_state.get_mutable_vector(self._given_out).SetFromVector(
-            context.get_discrete_state(0).value()
-        )
+    def _output_result(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
+        discrete_state.get_mutable_vector(self._output).SetFromVector(context.get_discrete_state(0).value())
         return EventStatus.Succeeded()
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         if self._busy:
-            self._give_out(context, discrete_state)
+            self._output_result(context, discrete_state)
         n, period, time = self._n, self.period, context.get_time()
-        # What is to be written begins as what is there.
+        # These start as copies of the present values.
         desired = discrete_state.get_mutable_value(0)
         memory = discrete_state.get_mutable_value(self._memory)
         q, v, target = desired[:n], desired[n:], memory[:n]
@@ -208,16 +205,16 @@ class RetargetingSystem(LeafSystem):
         glove, easing = GloveMemory(memory[n : n + 63], *numbers[:3]), Easing(*numbers[3:])
         before = STATES[int(code)]
 
-        state, wanted, excess = self._wanted(context, time, glove, easing, before, since, excess)
-        if wanted is None:
+        state, q_new, excess = self._retargeted(context, time, glove, easing, before, since, excess)
+        if q_new is None:
             easing.hold(time, good=state == SETTLING)
             q, v = self._limits.step(q, v, q, q, period)
             target = q
         else:
-            # The low-pass goes on from where the hand was held; without one, nothing lags behind.
-            last = target if easing.follows() or self._blend < 1.0 else wanted
+            # After a hold, the low-pass continues from the held positions; without one, nothing lags.
+            last = target if easing.follows() or self._blend < 1.0 else q_new
             share = easing.follow(time, period, self._checks.ease_time)
-            target = wanted if self._blend == 1.0 else last + self._blend * (wanted - last)
+            target = q_new if self._blend == 1.0 else last + self._blend * (q_new - last)
             q, v = self._limits.step(q, v, target, last, period, share)
             reached = q is target or np.array_equal(q, target)
             if reached or share == 1.0:
@@ -232,11 +229,11 @@ class RetargetingSystem(LeafSystem):
             *(code, since, excess, glove.changed, glove.stamp, glove.stamped),
             *(easing.good_since, easing.held_since, easing.eased_from, easing.duration),
         ]
-        # The velocity target keeps the joint's damping from acting against a wanted motion.
+        # With a velocity target, the joint's damping does not resist the commanded motion.
         desired[:n], desired[n:] = q, v
         return EventStatus.Succeeded()
 
-    def _wanted(
+    def _retargeted(
         self,
         context: Context,
         time: float,
@@ -246,10 +243,15 @@ class RetargetingSystem(LeafSystem):
         since: float,
         excess: float,
     ) -> tuple[str | None, np.ndarray | None, float]:
-        """The state that the input decides, if any; what it asks of the joints (n,) rad, None to hold them;
-        and the fingertips' `_excess`, NaN where nothing is asked.
+        """Checks and retargets the input.
 
-        `before` is the state until now, `since` when it began, `excess` that of the last update.
+        Args:
+            before, since: the state until now, and when it began, s.
+            excess: of the last update; see `_excess`.
+
+        Returns:
+            The state, if the input decides it; the joint positions (n,), rad, or None to hold; and the new
+            excess, NaN while the input is not followed.
         """
         keypoints = self._keypoints_port.Eval(context)
         valid = self._valid_port.Eval(context)[0] >= 0.5
@@ -258,24 +260,23 @@ class RetargetingSystem(LeafSystem):
         fault = judge(self._checks, glove, time, self.period, keypoints, valid, stamp)
         frozen = fault == FROZEN and easing.follows()
         if before == FROZEN and not frozen and easing.follows():
-            easing.hold(since, good=True)  # what comes after frozen input is eased as after a hold
+            easing.hold(since, good=True)  # what follows frozen input is eased as after a hold
         if fault is not None and not frozen:
             return fault, None, math.nan
         if not easing.settled(time, self._checks.settle_time):
             return SETTLING, None, math.nan
         points = keypoints.reshape(21, 3)
-        wanted = self._retarget(points).take(self._to_plant)
+        q = self._retarget(points).take(self._to_plant)
         excess = self._excess(points, excess, glove.moved)
-        if wanted.dot(self._zeros) != 0.0:  # a zero times NaN or infinity is NaN
+        if q.dot(self._zeros) != 0.0:  # zero times NaN or infinity is NaN
             return HELD_NOT_FINITE, None, excess
-        wanted = np.minimum(np.maximum(wanted, self._limits.lower), self._limits.upper)
-        return fault, wanted, excess
+        return fault, np.minimum(np.maximum(q, self._limits.lower), self._limits.upper), excess
 
     def _excess(self, points: np.ndarray, before: float, moved: float) -> float:
-        """How much farther from training a fingertip is than tolerated, m: right in sign, at most in size.
+        """Returns a bound on a fingertip's distance from training beyond the tolerance, m; its sign is exact.
 
-        A distance changes by no more than the fingertip moves. So it is measured only where coordinates that
-        `moved` by so much may have changed the sign since `before`, which this returned at the last update.
+        A distance changes by no more than the fingertip moves. So it is measured only if the sign may have
+        changed since the last result, `before`, when coordinates have moved by up to `moved`.
         """
         if self._trained_space is None:
             return math.nan
@@ -285,7 +286,7 @@ class RetargetingSystem(LeafSystem):
         return float(self._trained_space.distances(points).max()) - self._checks.trained_tolerance
 
     def _following(self, easing: Easing, excess: float, reached: bool) -> str:
-        """The state of a hand that follows good input."""
+        """Returns the state of a hand that follows good input."""
         if easing.duration > 0.0:
             return EASING
         if excess > 0.0:

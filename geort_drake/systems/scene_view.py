@@ -1,4 +1,4 @@
-"""What can be seen of a grasp: fingertips, hand, object, and what touches what."""
+"""Reads fingertips, hand, object and contacts off a plant."""
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -11,11 +11,11 @@ from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.links import finger_links
 from geort_drake.hands.model import tip_geometries
-from geort_drake.systems.poses import pose_to_vector
+from geort_drake.systems.port_values import pose_to_vector
 
 
 class SceneView(LeafSystem):
-    """Reads the quantities an onlooker sees off the plant's outputs.
+    """Computes what an onlooker sees of a grasp from the plant's outputs.
 
     Input ports:
         body_poses (abstract list of RigidTransform): the plant's port of that name.
@@ -26,11 +26,11 @@ class SceneView(LeafSystem):
         object_pose (7): X_WO of the object, qw qx qy qz x y z.
         contact (F): magnitude of the largest contact force, normal and friction, between one of a
             finger's links and the object, N.
-        self_contact (1): 1 while two links of the hand touch each other, else 0. Fingertip on fingertip does
-            not count (see `tip_geometries`), nor do links between which contact is filtered out: neighbours
-            along a finger, and the description's `ignored_collisions`.
+        self_contact (1): 1 while two links of the hand touch each other, else 0. Contacts between fingertips
+            do not count (see `tip_geometries`). Neighbours along a finger and the description's
+            `ignored_collisions` are filtered out.
 
-    Contacts are the plant's point contacts.
+    Only point contacts are read.
 
     Args:
         plant: finalized.
@@ -54,7 +54,7 @@ class SceneView(LeafSystem):
         self._tip_links = [
             int(plant.GetBodyByName(finger.tip_link, hand).index()) for finger in description.fingers
         ]
-        # Homogeneous columns: one product for all fingers takes a third of the time of one each.
+        # Homogeneous columns: one product for all fingers takes a third of the time of one product each.
         self._tip_points = np.array([[*finger.tip_point, 1.0] for finger in description.fingers])[:, :, None]
         self._finger_of_body = {
             int(body.index()): number
@@ -71,7 +71,7 @@ class SceneView(LeafSystem):
         self._contacts = self.DeclareAbstractInputPort(
             "contact_results", AbstractValue.Make(ContactResults())
         )
-        # Kept for three ports, because reading the list of all poses takes longer than the rest.
+        # Cached for three ports, because reading the list of all poses takes longer than the rest.
         places = self.DeclareCacheEntry(
             "fingertips, hand_pose, object_pose",
             ValueProducer(lambda: AbstractValue.Make({}), self._calc_places),

@@ -1,4 +1,4 @@
-"""Keeps commanded configurations of the hand clear of self-collision."""
+"""Keeps commanded positions of the hand clear of self-collision."""
 
 from collections.abc import Sequence
 
@@ -12,22 +12,26 @@ from geort_drake.hands.model import HandModel
 from geort_drake.systems.action_correction import PeriodicCorrection
 from geort_drake.systems.joint_limits import JointLimits
 
-_SLACK = 2e-4  # m; a correction aims this much farther than it must
-_CORRECTIONS = 4
-_PAIRS = 4  # a look takes in the nearest; fingers side by side have twenty, most of which open with these
+_SLACK = 2e-4  # m; a correction aims for this much more than the clearance
+_ITERATIONS = 4
+# Nearest pairs that are opened at once; fingers side by side have twenty, most of which open with these.
+_PAIRS = 4
 
 
 class SelfCollisionGuard(PeriodicCorrection):
-    """Passes on what is clear, and what is not as nearly as it can be made clear.
+    """Passes clear commands on, and moves others to near positions that are clear.
 
-    What comes out always was found clear: between all parts of the hand that `HandClearance` looks at, the
-    distance at the commanded positions is at least `clearance`; and it is within the joint limits and no
-    farther from the configuration before than the joints' speed allows. Where no correction is found, the
-    fingers in conflict keep their last positions, or all do. Acceleration is not limited: fingers stop at
-    once before they meet. Nothing is said about where the hand really is, nor about what lies between two
-    commanded configurations, which are at most speed · period apart.
+    The output was always found clear: the distance between all parts of the hand that `HandClearance` watches
+    is at least `clearance`. It is within the joint limits, and no farther from the last output than the
+    joints' speed allows. If no correction is found, the fingers in conflict, or all fingers, keep their last
+    positions. Acceleration is not limited: fingers stop at once before they meet. Nothing is guaranteed for
+    the hand's measured positions, nor between two commanded ones, which are at most speed · period apart.
 
-    Its ports are those of `ActionCorrection`; `hand_state` is not read.
+    Input ports:
+        desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.
+        hand_state (2n): not read.
+    Output port:
+        desired_state (2n): the command to the hand, same order.
 
     State: the positions commanded at the last update, which are clear.
 
@@ -36,12 +40,12 @@ class SelfCollisionGuard(PeriodicCorrection):
         actuated_joints: its joints in actuator order.
         initial_positions: joint name → rad, the command before the first update.
         limits: of the joints, in the order of `actuated_joints`.
-        period: time between updates, s; that of the commands.
+        period: time between updates of the command, s.
         clearance: m.
 
     Raises:
-        HandError: the joints are not the hand's, its collision geometry is of a kind that cannot be dealt
-            with, or the hand is not clear at the initial positions.
+        HandError: the joints are not the hand's, its collision geometry is of an unsupported kind, or the
+            hand is not clear at the initial positions.
     """
 
     def __init__(
@@ -55,7 +59,7 @@ class SelfCollisionGuard(PeriodicCorrection):
     ):
         if set(hand.joint_names) != set(actuated_joints):
             raise HandError(
-                f"the hand's joints are {', '.join(sorted(hand.joint_names))}; given are "
+                f"the hand's joints are {', '.join(sorted(hand.joint_names))}; given: "
                 f"{', '.join(sorted(actuated_joints))}"
             )
         super().__init__(actuated_joints, initial_positions, limits, period)
@@ -71,18 +75,18 @@ class SelfCollisionGuard(PeriodicCorrection):
                 "list the two under ignored_collisions"
             )
 
-    def guarded(self, wanted: np.ndarray, clear: np.ndarray) -> np.ndarray:
-        """Clear positions near those wanted, (n,) each, in one step from `clear` ones; actuator order."""
-        if wanted.dot(self._zeros) != 0.0:  # a zero times NaN or infinity is NaN
+    def guarded(self, command: np.ndarray, clear: np.ndarray) -> np.ndarray:
+        """Returns clear positions near `command` that are one step from `clear`; (n,) rad, actuator order."""
+        if command.dot(self._zeros) != 0.0:  # zero times NaN or infinity is NaN
             return clear
         low = np.maximum(self._limits.lower, clear - self._reach)
         high = np.minimum(self._limits.upper, clear + self._reach)
-        target = np.minimum(np.maximum(wanted, low), high)
+        target = np.minimum(np.maximum(command, low), high)
         q, conflict = target, self._hand_clearance.near(target, _PAIRS)
         if not conflict.pairs:
             return q
         J, openings = conflict.gradient, self._clearance + _SLACK - conflict.gap
-        for _ in range(_CORRECTIONS):
+        for _ in range(_ITERATIONS):
             change = _least_change(J, openings, low - target, high - target)
             if change is None:
                 break
@@ -90,11 +94,11 @@ class SelfCollisionGuard(PeriodicCorrection):
             near = self._hand_clearance.near(q, _PAIRS)
             if not near.pairs:
                 return q
-            # What was found on the way counts, too, as seen from the target.
+            # Pairs that come near on the way are added, linearised at the target.
             J = np.concatenate([J, near.gradient])
             opening = self._clearance + _SLACK - near.gap + near.gradient @ (q - target)
             openings = np.concatenate([openings, opening])
-        # Fingers in conflict stay, and then those that would run into them.
+        # Fingers in conflict stay, then also those that would run into them.
         stay = np.zeros(len(q), dtype=bool)
         while conflict.pairs:
             meeting = self._hand_clearance.joints_between(conflict.pairs).any(axis=0)
@@ -105,8 +109,8 @@ class SelfCollisionGuard(PeriodicCorrection):
             conflict = self._hand_clearance.near(q, _PAIRS)
         return q
 
-    def _depends_on(self) -> set:
-        return super()._depends_on() | {self.input_port_ticket(self._desired.get_index())}
+    def _prerequisites(self) -> set:
+        return super()._prerequisites() | {self._desired.ticket()}
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         desired = self._desired.Eval(context)
@@ -125,9 +129,9 @@ class SelfCollisionGuard(PeriodicCorrection):
 
 
 def _least_change(J: np.ndarray, opening: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray | None:
-    """The shortest x (n,) with J x ≥ opening (K,) that is in [low, high] where the shortest of all is not.
+    """Returns the shortest x (n,) with J x ≥ opening (K,), or None if there is none.
 
-    None if there is none.
+    Bounds in [low, high] are added where the shortest x violates them.
     """
     x = _shortest(J, opening)
     if x is None or not ((under := x < low) | (over := x > high)).any():
@@ -139,7 +143,7 @@ def _least_change(J: np.ndarray, opening: np.ndarray, low: np.ndarray, high: np.
 
 
 def _shortest(A: np.ndarray, b: np.ndarray) -> np.ndarray | None:
-    """The shortest x (n,) with A x ≥ b (K,), K > 0, or None if there is none.
+    """Returns the shortest x (n,) with A x ≥ b (K,), K > 0, or None if there is none.
 
     Least-distance programming by non-negative least squares: Lawson and Hanson 1974, "Solving Least
     Squares Problems", chapter 23.

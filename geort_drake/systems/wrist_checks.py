@@ -1,4 +1,4 @@
-"""Whether a tracker's wrist pose can be followed, judged from one update to the next."""
+"""Decides from update to update whether a tracker's wrist pose can be followed."""
 
 import dataclasses as dc
 import math
@@ -8,40 +8,40 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem
 
-from geort_drake.systems.poses import pose_to_vector
+from geort_drake.systems.port_values import pose_to_vector
 
 WRIST_JUMPED = "held: the wrist moved faster than a wrist can"
 WRIST_NOT_FINITE = "held: the wrist's pose is not finite"
 _STATES = ("", WRIST_JUMPED, WRIST_NOT_FINITE)
 
-# Trackers send at least 25 times a second, so a longer gap allows no farther jump, s.
+# s; trackers send at least 25 times a second, so a longer gap allows no larger jump.
 _LONGEST_GAP = 0.04
-_TIME_TOLERANCE = 1e-9  # s; sums of periods round
+_TIME_TOLERANCE = 1e-9  # s; sums of periods are rounded
 
 
 @dc.dataclass
 class WristLimits:
-    """What a wrist can do. A throw is faster; an arm that moves the hand at 0.6 m/s does not follow that."""
+    """Fastest motion of a wrist that is followed. A throw is faster, but the arm could not follow it."""
 
     max_speed: float = 3.0  # m/s
-    max_rotation_speed: float = 20.0  # rad/s; 8 at most in a recording of MANUS, 118 Hz
-    settle_time: float = 0.1  # the pose must be good for so long before it is followed again, s
+    max_rotation_speed: float = 20.0  # rad/s; a MANUS recording at 118 Hz peaks at 8
+    settle_time: float = 0.1  # the pose must be good for this long before it is followed again, s
 
 
 class WristChecks(LeafSystem):
-    """Says that the wrist is lost where its pose is not finite or moves as no wrist does.
+    """Marks the wrist as lost while its pose is not finite or moves faster than a wrist can.
 
-    A pose that has jumped is held against where it jumped to, so a tracker that stays there is followed again
-    after the settling time; whoever follows takes only the motion from then on (`Clutch`).
+    After a jump, poses are compared with the new place. A tracker that stays there is followed again after
+    the settling time; `Clutch` takes only the motion from then on.
 
     Input ports:
         wrist_pose (abstract RigidTransform): X_WH.
         valid (1): 1 followed, 0 lost.
     Output ports:
-        valid (1): 1 where it is, and the pose can be followed.
-        state (abstract str): why the pose cannot be followed, or empty; whatever the input `valid` is.
+        valid (1): 1 if the input `valid` is and the pose can be followed.
+        state (abstract str): why the pose cannot be followed, or empty, regardless of the input `valid`.
 
-    State: the last pose as qw qx qy qz x y z, when it came (s), when it was bad last (s), and the number of
+    State: the last pose as qw qx qy qz x y z, when it changed (s), when it was last bad (s), and the index of
     the state.
     """
 
@@ -51,18 +51,15 @@ class WristChecks(LeafSystem):
         self._wrist = self.DeclareAbstractInputPort("wrist_pose", AbstractValue.Make(RigidTransform()))
         self._valid = self.DeclareVectorInputPort("valid", 1)
         self._memory = self.DeclareDiscreteState(np.array([*[math.nan] * 7, 0.0, -math.inf, 0.0]))
-        # Computed from the pose of the moment, so that nobody acts on one before it is judged.
+        # Computed from the present pose, so that nobody acts on a pose before it is checked.
         self.DeclareVectorOutputPort("valid", 1, self._calc_valid)
         self.DeclareAbstractOutputPort("state", lambda: AbstractValue.Make(""), self._calc_state)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
 
     def _judge(self, context: Context) -> tuple[np.ndarray, str]:
-        """The memory after this moment, and the state."""
-        memory, limits, time = (
-            context.get_discrete_state(self._memory).value(),
-            self._limits,
-            context.get_time(),
-        )
+        """Returns the memory after this time, and the state."""
+        limits, time = self._limits, context.get_time()
+        memory = context.get_discrete_state(self._memory).value()
         last, (changed, bad_since, code) = memory[:7], memory[7:].tolist()
         X_WH = self._wrist.Eval(context)
         if not np.isfinite(X_WH.GetAsMatrix34()).all():
@@ -72,10 +69,10 @@ class WristChecks(LeafSystem):
             code = 0
         if not np.array_equal(pose, last):
             gap = max(min(time - changed, _LONGEST_GAP), self._period)
-            # |q · q'| is the cosine of half the angle. Before the first pose, all is NaN, which is no fault.
+            # |q · q'| is the cosine of half the angle. Before the first pose all is NaN, which is no fault.
             turn = 2.0 * math.acos(min(abs(float(pose[:4] @ last[:4])), 1.0))
-            way = float(np.linalg.norm(pose[4:] - last[4:]))
-            if way > limits.max_speed * gap or turn > limits.max_rotation_speed * gap:
+            distance = float(np.linalg.norm(pose[4:] - last[4:]))
+            if distance > limits.max_speed * gap or turn > limits.max_rotation_speed * gap:
                 code, bad_since = _STATES.index(WRIST_JUMPED), time
             changed = time
         return np.array([*pose, changed, bad_since, code]), _STATES[int(code)]

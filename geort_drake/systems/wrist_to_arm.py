@@ -1,4 +1,4 @@
-"""From the tracker on a person's wrist to the arm that carries the robot hand."""
+"""Moves the arm that carries the robot hand as a tracked wrist moves."""
 
 import dataclasses as dc
 import math
@@ -13,12 +13,12 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, ModelInstanceIndex
 from pydrake.planning import DofMask, RobotDiagram, SceneGraphCollisionChecker
 from pydrake.planning import JointLimits as PlanningLimits
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import BusCreator, ConstantVectorSource
 
 from geort_drake.systems.arm_motion import ArmMotion
+from geort_drake.systems.clutch import Clutch
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.unchanging import Unchanging
 
 
 @dc.dataclass
@@ -27,14 +27,14 @@ class WristToArmConfig:
 
     # Period of the differential inverse kinematics, s.
     period: float = 0.01
-    # Share of the pose error that one period takes back; below 1 it smooths the tracker's noise.
+    # Share of the pose error that is corrected in one period; below 1 it smooths the tracker's noise.
     pose_gain: float = 0.3
     # Largest commanded speed of the hand, m/s and rad/s.
     max_translation_speed: float = 0.6
     max_rotation_speed: float = 2.5
-    # Share of the arm's joint speed limits that is used.
+    # Usable share of the arm's joint speed limits.
     joint_speed_share: float = 0.9
-    # Gain of the pull towards the starting posture in the arm's null space, 1/s.
+    # Gain towards the starting posture in the arm's null space, 1/s.
     posture_gain: float = 0.5
 
     def validate(self) -> None:
@@ -49,77 +49,24 @@ class WristToArmConfig:
             )
 
 
-class Clutch(LeafSystem):
-    """Moves the robot hand by what the wrist has moved since the clutch engaged.
-
-    The person and the robot need not start at the same place: translation and rotation since the first
-    valid sample are added to where the hand was then, both measured in W.
-
-    Input ports:
-        wrist_pose (abstract RigidTransform): X_WH.
-        valid (1): 1 tracked, 0 lost. While lost, the target is where the hand is commanded to be, and the
-            wrist's motion is taken on from there, so that a gap never makes the arm jump.
-        commanded_pose (abstract RigidTransform): X_WB that the arm is commanded to have.
-    Output port:
-        hand_pose (abstract RigidTransform): X_WB, where the hand shall be.
-    """
-
-    def __init__(self, X_WB_start: RigidTransform, period: float):
-        super().__init__()
-        self._wrist = self.DeclareAbstractInputPort("wrist_pose", AbstractValue.Make(RigidTransform()))
-        self._valid = self.DeclareVectorInputPort("valid", 1)
-        self._commanded = self.DeclareAbstractInputPort(
-            "commanded_pose", AbstractValue.Make(RigidTransform())
-        )
-        self._target = self.DeclareAbstractState(AbstractValue.Make(X_WB_start))
-        # None until engaged, else the wrist's and the hand's pose at that moment.
-        self._engaged = self.DeclareAbstractState(AbstractValue.Make(_Engagement()))
-        self.DeclareStateOutputPort("hand_pose", self._target)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
-
-    def _update(self, context: Context, state: State) -> EventStatus:
-        engaged = context.get_abstract_state(self._engaged).get_value()
-        if self._valid.Eval(context)[0] < 0.5:
-            state.get_mutable_abstract_state(self._engaged).set_value(_Engagement())
-            X_WB = RigidTransform(self._commanded.Eval(context))
-            state.get_mutable_abstract_state(self._target).set_value(X_WB)
-            return EventStatus.Succeeded()
-        X_WH = self._wrist.Eval(context)
-        if engaged.X_WH is None:
-            # Copies, because ports and states are written over.
-            X_WB = RigidTransform(self._commanded.Eval(context))
-            engaged = _Engagement(RigidTransform(X_WH), X_WB)
-            state.get_mutable_abstract_state(self._engaged).set_value(engaged)
-        p_WB = engaged.X_WB.translation() + X_WH.translation() - engaged.X_WH.translation()
-        R_WB = X_WH.rotation() @ engaged.X_WH.rotation().inverse() @ engaged.X_WB.rotation()
-        state.get_mutable_abstract_state(self._target).set_value(RigidTransform(R_WB, p_WB))
-        return EventStatus.Succeeded()
-
-
-@dc.dataclass(frozen=True)
-class _Engagement(Unchanging):
-    X_WH: RigidTransform | None = None
-    X_WB: RigidTransform | None = None
-
-
 class WristToArm(Diagram):
-    """From the tracker's wrist pose to the arm's desired state.
+    """Turns the tracker's wrist pose into the arm's desired state.
 
     Input ports:
         wrist_pose (abstract RigidTransform): X_WH of the tracker.
-        valid (1): 1 tracked, 0 lost: the arm brakes within its limits, and is held.
+        valid (1): 1 tracked, 0 lost: the arm brakes within its limits and holds.
     Output port:
         arm_desired_state (2·na): the arm's joint positions (rad), then velocities (rad/s), plant order.
 
-    Inside: `Clutch` → Drake's DifferentialInverseKinematicsSystem, which keeps to the arm's position
-    and speed limits → `ArmMotion`, which starts at the robot's default positions.
+    It consists of `Clutch`, Drake's DifferentialInverseKinematicsSystem, which keeps the arm's position and
+    speed limits, and `ArmMotion`, which starts at the robot's default positions.
 
     Args:
         robot: robot and surroundings; its default positions are the start and the nominal posture.
         arm: the model in `robot` whose joints move; everything else stays at its default.
-        hand_frame: the frame of `robot` that follows the wrist, the hand base B.
-        limit_acceleration: whether the joints' accelerations, too, keep the model's limits while the wrist is
-            followed; whoever drives a robot wants that.
+        hand_frame: the frame B of `robot` that follows the wrist.
+        limit_acceleration: whether the joints also keep the model's acceleration limits while they follow, as
+            a real robot needs.
     """
 
     def __init__(
@@ -141,8 +88,8 @@ class WristToArm(Diagram):
         active = np.zeros(len(q_start), bool)
         active[arm_dofs] = True
         if idle_dof is not None:
-            # OSQP prints a line to stdout for every solution that meets no limit (OSQP issue 785). A
-            # joint that is asked to move but held at zero speed keeps one limit met, at no effect.
+            # OSQP prints a line to stdout for every solution without an active limit (OSQP issue 785). A
+            # joint that should move but has zero speed keeps one limit active, without other effect.
             active[idle_dof] = True
             speed[idle_dof] = 0.0
             q_nominal[idle_dof] += 1.0
@@ -165,9 +112,9 @@ class WristToArm(Diagram):
 
         builder = DiagramBuilder()
         clutch = builder.AddNamedSystem("clutch", Clutch(hand_frame.CalcPoseInWorld(context), config.period))
-        # Frame name → X_WB, as Drake's inverse kinematics wants it.
+        # Drake's inverse kinematics takes a bus of frame name → X_WB.
         poses = builder.AddNamedSystem("desired_poses", BusCreator())
-        wanted = poses.DeclareAbstractInputPort(
+        target = poses.DeclareAbstractInputPort(
             hand_frame.scoped_name().get_full(), AbstractValue.Make(RigidTransform())
         )
         builder.AddNamedSystem("differential_inverse_kinematics", inverse_kinematics)
@@ -185,7 +132,7 @@ class WristToArm(Diagram):
                 limit_acceleration,
             ),
         )
-        builder.Connect(clutch.get_output_port(), wanted)
+        builder.Connect(clutch.get_output_port(), target)
         builder.Connect(poses.get_output_port(), inverse_kinematics.GetInputPort("desired_cartesian_poses"))
         builder.Connect(nominal.get_output_port(), inverse_kinematics.GetInputPort("nominal_posture"))
         builder.Connect(motion.GetOutputPort("positions"), inverse_kinematics.GetInputPort("position"))
@@ -199,7 +146,7 @@ class WristToArm(Diagram):
 
 
 def _dofs(plant: MultibodyPlant, arm: ModelInstanceIndex) -> tuple[np.ndarray, int | None]:
-    """Positions of the arm's joints in the plant, and one position that is not the arm's, if any."""
+    """Returns the position indices of the arm's joints, and one that is not the arm's, if any."""
     is_arm = np.zeros(plant.num_positions(), bool)
     for index in plant.GetJointIndices(arm):
         joint = plant.get_joint(index)
@@ -211,7 +158,7 @@ def _dofs(plant: MultibodyPlant, arm: ModelInstanceIndex) -> tuple[np.ndarray, i
 def _arm_limits(
     config: WristToArmConfig, plant: MultibodyPlant, arm_dofs: np.ndarray, speed: np.ndarray
 ) -> JointLimits:
-    """Of the arm's joints; from full speed to rest in one period where the model limits no acceleration."""
+    """Returns the arm's limits; without an acceleration limit, one that stops from full speed in a period."""
     speed = speed[arm_dofs]
     return JointLimits(
         plant.GetPositionLowerLimits()[arm_dofs],
@@ -224,14 +171,14 @@ def _arm_limits(
 def _recipe(
     config: WristToArmConfig, plant: MultibodyPlant, active: np.ndarray, speed: np.ndarray
 ) -> DifferentialInverseKinematicsSystem.Recipe:
-    """Follow the pose before all else, drift to the nominal posture, stay within the limits."""
+    """Follows the pose first, drifts to the nominal posture second, within the limits."""
     ik = DifferentialInverseKinematicsSystem
     recipe = ik.Recipe()
     recipe.AddIngredient(ik.LeastSquaresCost(ik.LeastSquaresCost.Config(cartesian_qp_weight=100.0)))
     recipe.AddIngredient(
         ik.JointCenteringCost(ik.JointCenteringCost.Config(posture_gain=config.posture_gain))
     )
-    # A joint slows down over the last 0.1 rad and stops 0.01 rad before its position limit.
+    # A joint slows down within 0.1 rad of its position limit and stops 0.01 rad before it.
     margins = ik.JointVelocityLimitConstraint.Config(min_margin=0.01, influence_margin=0.1)
     unlimited = np.full(int(active.sum()), np.inf)
     limits = PlanningLimits(

@@ -12,12 +12,11 @@ from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.state import OperatorState, Phase, Seen
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
-from geort_drake.systems.poses import vector_to_pose
-from geort_drake.systems.unchanging import Unchanging
+from geort_drake.systems.port_values import Immutable, vector_to_pose
 
 
 @dc.dataclass(frozen=True)
-class _Memory(Unchanging):
+class _Memory(Immutable):
     # `GraspingPerson.step` leaves the state that it is given alone.
     state: OperatorState
 

@@ -7,7 +7,7 @@ import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.people.keypoints import mirrored
-from geort_drake.systems.poses import mirrored_pose
+from geort_drake.systems.port_values import mirrored_pose
 
 
 @dc.dataclass(frozen=True)

@@ -10,7 +10,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem
 
-from geort_drake.systems.poses import vector_to_pose
+from geort_drake.systems.port_values import vector_to_pose
 
 
 class GraspPhase(enum.IntEnum):

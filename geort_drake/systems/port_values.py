@@ -1,0 +1,45 @@
+"""Values on ports and in states: poses as vectors of seven numbers, and immutable Python objects."""
+
+import math
+from typing import Self
+
+import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform, RotationMatrix
+
+# Reflection in the xz-plane of a point, and of a pose vector. A rotation's axis is an axial vector, so its
+# sign changes besides.
+POINT_MIRROR = np.array([1.0, -1.0, 1.0])
+POSE_MIRROR = np.array([1.0, -1.0, 1.0, -1.0, *POINT_MIRROR])
+
+
+class Immutable:
+    """Mixin for classes whose instances never change: a copy is the same object.
+
+    Drake copies every abstract state of a diagram twice whenever one of them is updated. It copies Python
+    objects with `copy.deepcopy`, which takes longer than what most systems compute.
+    """
+
+    def __copy__(self) -> Self:
+        return self
+
+    def __deepcopy__(self, memo: dict) -> Self:
+        return self
+
+
+def pose_to_vector(X: RigidTransform) -> np.ndarray:
+    """Returns a pose as (7,): qw qx qy qz x y z."""
+    return np.concatenate([X.rotation().ToQuaternion().wxyz(), X.translation()])
+
+
+def vector_to_pose(values: np.ndarray) -> RigidTransform:
+    """Returns the pose of qw qx qy qz x y z, (7,); the quaternion is normalised."""
+    values = np.asarray(values, float)
+    quaternion = values[:4]
+    unit = quaternion / math.sqrt(quaternion.dot(quaternion))
+    return RigidTransform(RotationMatrix(Quaternion(unit)), values[4:])
+
+
+def mirrored_pose(X: RigidTransform) -> RigidTransform:
+    """Returns the relative pose of the two frames after both are reflected in their xz-planes."""
+    return vector_to_pose(POSE_MIRROR * pose_to_vector(X))
