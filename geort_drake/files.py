@@ -12,12 +12,26 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from geort_drake.errors import OutputError
+from geort_drake.errors import GeortError, OutputError
 
 # What the system says when a disk is full or a place is not to be written to.
 _UNWRITABLE = {
     errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ENOSPC, errno.ENOTDIR, errno.EPERM, errno.EROFS,
 }  # fmt: skip
+
+_LFS_HEADER = b"version https://git-lfs."
+
+
+def is_lfs_pointer(path: str | os.PathLike) -> bool:
+    """Whether a file is the small text that Git LFS leaves in place of contents not yet fetched."""
+    with open(path, "rb") as file:
+        return file.read(len(_LFS_HEADER)) == _LFS_HEADER
+
+
+def require_fetched(path: str | os.PathLike, error: type[GeortError]) -> None:
+    """Raises `error` where `path` is a Git LFS pointer in place of the file itself."""
+    if is_lfs_pointer(path):
+        raise error(f"{path}: is a Git LFS pointer, not the file itself; fetch it with `git lfs pull`")
 
 
 @contextlib.contextmanager

@@ -233,6 +233,16 @@ def test_unreadable_files_are_refused_with_one_clear_message(play, tmp_path, kin
         read_recording(bad_file(tmp_path, play, kind))
 
 
+@pytest.mark.parametrize("suffix", ["csv", "json", "jsonl", "npy", "npz", "pkl"])
+def test_a_git_lfs_pointer_is_named_with_the_way_out(tmp_path, suffix):
+    """In place of any recording, also of one of HO-3D's pickles."""
+    path = tmp_path / f"0000.{suffix}"
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n")
+    for read in (path, tmp_path) if suffix == "pkl" else (path,):
+        with pytest.raises(RecordingError, match=rf"0000\.{suffix}: is a Git LFS pointer.*`git lfs pull`"):
+            read_recording(read)
+
+
 def test_geort_recording_has_its_known_anatomy(alex_npy):
     """GeoRT's file: 3498 frames, constant bones (index 26, 22, 20 mm), palm 92 mm, known pinches."""
     recording = read_recording(alex_npy, training=True)

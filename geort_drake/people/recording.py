@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from geort_drake.errors import RecordingError
-from geort_drake.files import atomic_path
+from geort_drake.files import atomic_path, require_fetched
 from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
 
 # Raised when the meaning of p_HK changes, so that old files are recognised.
@@ -215,10 +215,11 @@ def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
 
 
 def check_file(path: Path) -> None:
-    """Raises RecordingError unless `path` is a file of at most `MOST_BYTES`."""
+    """Raises RecordingError unless `path` is a file of at most `MOST_BYTES`, and no Git LFS pointer."""
     if not path.is_file():
         raise RecordingError(f"{path}: no such file")
     check_size(path, path.stat().st_size)
+    require_fetched(path, RecordingError)
 
 
 def check_size(path: Path, size: int) -> None:
