@@ -15,9 +15,8 @@ from geort_drake.simulation.operators import behavior, perception
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.finger_motion import FingerMotion
-from geort_drake.simulation.operators.perception import judged, perceive
-from geort_drake.simulation.operators.sensed_gain import SensedGain
-from geort_drake.simulation.operators.state import Phase, Seen
+from geort_drake.simulation.operators.perception import Seen, SensedGain, averaged, perceive
+from geort_drake.simulation.operators.state import Phase
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
 QUIET = dict.fromkeys(("visual_noise", "visual_turn_noise", "contact_noise", "motor_noise"), 0.0)
@@ -237,13 +236,13 @@ def test_what_is_judged_scatters_less_than_a_look_and_follows_a_change():
     config, rng = OperatorConfig(), np.random.default_rng(0)
     value, values = None, []
     for _ in range(3000):
-        value = judged(value, rng.normal(1.0, 1.0, 3), config)
+        value = averaged(value, rng.normal(1.0, 1.0, 3), config)
         values.append(value)
     assert np.std(values[100:]) == pytest.approx(0.23, rel=0.1)
-    value = judged(None, np.zeros(3), config)
+    value = averaged(None, np.zeros(3), config)
     np.testing.assert_array_equal(value, 0)
     for _ in range(round(5 * config.judging_time / config.period)):
-        value = judged(value, np.ones(3), config)
+        value = averaged(value, np.ones(3), config)
     np.testing.assert_allclose(value, 1.0, atol=0.01)
 
 

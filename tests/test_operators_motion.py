@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.operators.finger_motion import FingerMotion
-from geort_drake.simulation.operators.wrist_motion import WristMovement, minimum_jerk
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
+from geort_drake.simulation.wrist_motion import WristMovement, minimum_jerk
 
 ROBOT_FINGERS = ("thumb", "index", "middle", "ring")
 # Fingers bend their last joint by two thirds of the one before; the thumb bends both alike.

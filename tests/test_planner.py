@@ -21,10 +21,10 @@ from geort_drake.simulation.tasks.grasp.approach import GraspApproach
 from geort_drake.simulation.tasks.grasp.contacts import (
     GRIPS,
     contact_heights,
+    finger_offsets,
     grip_contacts,
     grip_of,
     palm_contact,
-    rooms_beside,
     vertical_extent,
     yaw_candidates,
 )
@@ -151,8 +151,8 @@ def test_contacts_lie_on_the_surface_and_point_inwards(name):
     heights = contact_heights(thing.shape, grip, TIP_RADIUS)
     assert heights and yaws
     bottom, _ = vertical_extent(thing.shape)
-    for height, yaw, beside in itertools.product(heights, yaws, rooms_beside(thing.shape, grip)):
-        contacts = grip_contacts(thing.shape, yaw, height, grip, beside=beside)
+    for height, yaw, offset in itertools.product(heights, yaws, finger_offsets(thing.shape, grip)):
+        contacts = grip_contacts(thing.shape, yaw, height, grip, offset=offset)
         assert [contact.part for contact in contacts] == list(GRIPS[grip].fingers)
         for contact in (*contacts, palm_contact(thing.shape, yaw, height)):
             assert np.linalg.norm(contact.n_O) == pytest.approx(1)
@@ -206,8 +206,8 @@ def test_fingers_beside_each_other_get_more_room_on_flat_sides_that_have_it():
 
     def apart(shape: ObjectShape, grip: str) -> list[float]:
         found = []
-        for beside in rooms_beside(shape, grip):
-            _, *fingers = grip_contacts(shape, 0.0, grip=grip, beside=beside)
+        for offset in finger_offsets(shape, grip):
+            _, *fingers = grip_contacts(shape, 0.0, grip=grip, offset=offset)
             found.append(float(np.ptp([finger.p_OC[1] for finger in fingers])))
         return found
 

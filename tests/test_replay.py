@@ -15,7 +15,7 @@ from geort_drake.errors import BenchmarkError, RecordingError, ScenarioError
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.methods.trivial import Hold
 from geort_drake.simulation.operators.finger_motion import FingerMotion
-from geort_drake.simulation.scene import draw_placement
+from geort_drake.simulation.world import draw_placement
 
 
 def session(**metadata) -> Recording:

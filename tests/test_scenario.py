@@ -10,13 +10,12 @@ from pydrake.common.yaml import yaml_dump_typed
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake.errors import GeortError, HandError, ScenarioError, UnknownNameError
+from geort_drake.errors import HandError, ScenarioError, UnknownNameError
 from geort_drake.hands.description import load_hand
 from geort_drake.resources import diagrams_dir
 from geort_drake.simulation.object_shape import object_shape
 from geort_drake.simulation.scenario import (
     Scenario,
-    default_scenario_file,
     dump_scenario,
     load_scenario,
     names_object,
@@ -144,139 +143,73 @@ def test_a_dumped_scenario_reads_back_the_same(tmp_path, file, name):
 
 
 @pytest.mark.parametrize(
-    ("text", "error", "message"),
+    ("text", "message"),
     [
-        ("{tiemout: 3}", ScenarioError, "tiemout"),
-        ("{operator: {vision: 3}}", ScenarioError, "vision"),
-        ("{timeout: soon}", ScenarioError, "text merged into scenario 'Grasp'.*soon"),
-        ("{timeout: 0}", ScenarioError, "timeout must be positive, not 0"),
-        ("{timeout: .nan}", ScenarioError, "timeout must be positive, not nan"),
-        ("{plant_config: {time_step: -0.001}}", ScenarioError, "time_step must be positive"),
-        (
-            "{retargeting: {period: 0.003}}",
-            ScenarioError,
-            r"retargeting\.period \(0\.003 s\) must be a",
-        ),
-        ("{wrist_to_arm: {period: 0.005}}", ScenarioError, r"wrist_to_arm\.period .* multiple"),
-        ("{monitor: {period: 0.0033}}", ScenarioError, r"monitor\.period .* multiple"),
-        ("{recording: {period: 0.001}}", ScenarioError, r"recording\.period .* multiple"),
-        ("{recording: {period: .inf}}", ScenarioError, r"recording\.period must be positive"),
-        ("{operator: {period: 0.005, visual_delay: 0.2}}", ScenarioError, r"operator\.period .* multiple"),
-        (
-            "{retargeting: {latency: -0.001}}",
-            ScenarioError,
-            r"retargeting\.latency must be from 0 to 10 s",
-        ),
-        ("{operator: {visual_delay: 0.175}}", ScenarioError, r"visual_delay \(0\.175\) must be a multiple"),
-        ("{operator: {tremor: -1}}", ScenarioError, r"operator\.tremor must be finite and not negative"),
-        ("{operator: {overshoot: .nan}}", ScenarioError, r"operator\.overshoot must be finite"),
-        ("{operator: {period: 0}}", ScenarioError, r"operator\.period"),
-        ("{monitor: {hold_time: 0}}", ScenarioError, r"monitor\.hold_time must be positive"),
-        ("{wrist_to_arm: {posture_gain: -1}}", ScenarioError, r"wrist_to_arm\.posture_gain must be positive"),
-        ("{retargeting: {max_joint_speed: .inf}}", ScenarioError, r"max_joint_speed must be positive"),
-        ("{object: {position: [0.5]}}", ScenarioError, r"object\.position must be \[x, y\]"),
-        ("{object: {mass_range: 1.0}}", ScenarioError, r"object\.mass_range must be in \[0, 1\)"),
-        ("{object: {mass_range: -0.1}}", ScenarioError, r"object\.mass_range must be in \[0, 1\)"),
-        ("{object: {position: [.nan, 0]}}", ScenarioError, r"object\.position must be .* not \[nan, 0"),
-        ("{object: {support_height: .nan}}", ScenarioError, r"object\.support_height must be finite"),
-        ("{object: {position_range: -0.1}}", ScenarioError, r"object\.position_range must be .* not -0\.1"),
-        ("{object: {yaw_range: .inf}}", ScenarioError, r"object\.yaw_range must be finite"),
-        ("{object: {yaw: .nan}}", ScenarioError, r"object\.yaw must be finite, not nan"),
-        ("{object: {mass_factor: 0}}", ScenarioError, r"object\.mass_factor must be positive, not 0"),
-        ("{object: {friction_factor: -1}}", ScenarioError, r"object\.friction_factor must be positive"),
-        ("{object: {friction_range: .nan}}", ScenarioError, r"object\.friction_range must be in \[0, 1\)"),
-        ("{hand_stiffness_factor: .inf}", ScenarioError, r"hand_stiffness_factor must be positive, not inf"),
-        ("{random_seed: -1}", ScenarioError, r"random_seed must be 0 or more, not -1"),
-        ("{plant_config: {contact_model: glue}}", ScenarioError, r"plant_config: .*'glue'"),
-        ("{operator: {period: .nan}}", ScenarioError, r"operator\.period must be finite"),
-        ("{operator: {squeeze_time: 0}}", ScenarioError, r"operator\.squeeze_time must be positive, not 0"),
-        ("{operator: {closing_lead: 0}}", ScenarioError, r"operator\.closing_lead must be positive, not 0"),
-        ("{monitor: {period: .nan}}", ScenarioError, r"monitor\.period must be positive and finite, not nan"),
-        (
-            "{wrist_to_arm: {period: .inf}}",
-            ScenarioError,
-            r"wrist_to_arm\.period must be positive and finite",
-        ),
-        (
-            "{wrist_to_arm: {joint_speed_share: 2}}",
-            ScenarioError,
-            r"joint_speed_share must be at most 1, not 2",
-        ),
-        ("{object: {name: teapot}}", UnknownNameError, r"unknown object 'teapot'; .*cube.*cylinder"),
-        ("{object: {name: [}", ScenarioError, "Grasp"),
+        ("{tiemout: 3}", "tiemout"),
+        ("{operator: {vision: 3}}", "vision"),
+        ("{timeout: soon}", "text merged into scenario 'Grasp'.*soon"),
+        ("{timeout: .nan}", "timeout must be positive and finite, not nan"),
+        ("{plant_config: {time_step: 1e-12}}", r"time_step must be at least 1e-05 s, not 1e-12"),
+        ("{plant_config: {contact_model: glue}}", r"plant_config: .*'glue'"),
+        ("{retargeting: {period: 0.003}}", r"retargeting\.period must be a multiple of .* not 0\.003"),
+        ("{retargeting: {latency: -0.001}}", r"retargeting\.latency must be from 0 to 10 s"),
+        ("{operator: {visual_delay: 0.175}}", r"visual_delay \(0\.175\) must be a multiple"),
+        ("{operator: {overshoot: .nan}}", r"operator\.overshoot must be finite"),
+        ("{operator: {squeeze_time: 0}}", r"operator\.squeeze_time must be positive, not 0"),
+        ("{monitor: {hold_time: 0}}", r"monitor\.hold_time must be positive"),
+        ("{wrist_to_arm: {period: .inf}}", r"wrist_to_arm\.period must be positive and finite"),
+        ("{wrist_to_arm: {joint_speed_share: 2}}", r"joint_speed_share must be at most 1, not 2"),
+        ("{correction: {kind: magic}}", r"correction\.kind must be one of none, guard, policy"),
+        ("{object: {position: [.nan, 0]}}", r"object\.position must be \[x, y\] in m, not \[nan, 0"),
+        ("{object: {mass_range: 1.0}}", r"object\.mass_range must be in \[0, 1\)"),
+        ("{object: {yaw: .nan}}", r"object\.yaw must be finite, not nan"),
+        ("{object: {yaw_range: -1}}", r"object\.yaw_range must be finite and not negative"),
+        ("{random_seed: -1}", r"random_seed must be 0 or more, not -1"),
+        ("{timeout: 5, timeout: 6}", "text merged into .* 'timeout' is given twice"),
+        ("{object: {name: [}", "Grasp"),
     ],
 )
-def test_wrong_values_are_refused_by_name(text, error, message):
-    """The message names the field and what was wanted."""
-    with pytest.raises(error, match=message):
+def test_wrong_values_are_refused_by_name(text, message):
+    """The message names the field, the rule and the value."""
+    with pytest.raises(ScenarioError, match=message):
         load_scenario(text=text)
 
 
 @pytest.mark.parametrize(
     ("contents", "message"),
     [
-        ("A: {timeout: 3\nB", "no mapping of names to scenarios"),
-        ("just words", "no mapping of names to scenarios"),
-        ("", "no mapping of names to scenarios"),
-        ("- a\n- b\n", "no mapping of names to scenarios"),
-        ("Grasp: [1, 2]\n", "Grasp"),
-        ("Grasp: {nonsense: 1}\n", "nonsense"),
+        (b"A: {timeout: 3\nB", "no mapping of names to scenarios"),
+        (b"- a\n- b\n", "no mapping of names to scenarios"),
+        (b"\xff\xfe\x00\x80", "no mapping of names to scenarios"),
+        (b"Grasp: " + b"[" * 5000 + b"]" * 5000, "no mapping of names to scenarios"),
+        (b"Grasp: [1, 2]\n", "Grasp"),
+        (b"Grasp: {nonsense: 1}\n", "nonsense"),
+        (b"Grasp:\n  timeout: 5\n  object: {yaw: 0.1, yaw: 0.2}\n", "'yaw' is given twice in .* line 3"),
     ],
 )
 def test_malformed_files_are_refused_by_name(tmp_path, contents, message):
-    """A file that is no mapping of scenarios is named, with what is wrong."""
+    """The message names the file and the fault."""
     path = tmp_path / "bad.scenarios.yaml"
-    path.write_text(contents, encoding="utf-8")
+    path.write_bytes(contents)
     with pytest.raises(ScenarioError, match=message) as caught:
         load_scenario(path)
     assert str(path) in str(caught.value)
 
 
-def test_a_missing_file_and_a_binary_one_are_refused_by_name(tmp_path):
-    """The path is in the message."""
+def test_unknown_names_are_refused_with_the_choices(tmp_path):
+    """Files, scenarios and objects."""
     with pytest.raises(ScenarioError, match=r"nowhere\.yaml does not exist"):
         load_scenario(tmp_path / "nowhere.yaml")
-    binary = tmp_path / "binary.yaml"
-    binary.write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(ScenarioError, match=r"binary\.yaml"):
-        load_scenario(binary)
-
-
-def test_what_a_loader_would_take_without_a_word_is_refused(tmp_path):
-    """A field that is given twice, in the file or in the text; lists nested too deep; steps without end."""
-    twice = tmp_path / "twice.yaml"
-    twice.write_text("Grasp:\n  timeout: 5\n  object: {yaw: 0.1, yaw: 0.2}\n")
-    with pytest.raises(
-        ScenarioError, match=r"twice\.yaml: 'yaw' is given twice in the mapping from line 3 on"
-    ):
-        load_scenario(twice)
-    with pytest.raises(ScenarioError, match=r"text merged into .* 'timeout' is given twice"):
-        load_scenario(text="{timeout: 5, timeout: 6}")
-    deep = tmp_path / "deep.yaml"
-    deep.write_text("Grasp: " + "[" * 5000 + "]" * 5000)
-    with pytest.raises(ScenarioError, match=r"deep\.yaml"):
-        load_scenario(deep)
-    with pytest.raises(ScenarioError, match=r"time_step must be at least 1e-05 s.*1e-12"):
-        load_scenario(text="plant_config: {time_step: 1e-12}")
-
-
-def test_an_unknown_scenario_lists_those_there_are():
-    """The choices are in the message."""
     with pytest.raises(UnknownNameError, match=r"'Gras'.*Defaults, OneOfEverything"):
         load_scenario(SCENARIOS, "Gras")
-    assert issubclass(UnknownNameError, GeortError)
-    assert default_scenario_file().is_file()
+    with pytest.raises(UnknownNameError, match=r"unknown object 'teapot'; .*cube.*cylinder"):
+        load_scenario(text="{object: {name: teapot}}")
 
 
 @pytest.mark.parametrize(
     ("text", "error", "message"),
     [
         ("directives: []", ScenarioError, "must add a model named 'arm'"),
-        (
-            "directives: [{add_model: {name: arm, file: 'package://geort_drake/models/sdf/panda.sdf'}}]",
-            ScenarioError,
-            "hand_parent: .*no model instance named 'adapter'",
-        ),
         (
             "directives: [{add_model: {name: arm, file: 'package://geort_drake/models/none.sdf'}}]",
             ScenarioError,
@@ -289,7 +222,7 @@ def test_an_unknown_scenario_lists_those_there_are():
     ],
 )
 def test_models_that_do_not_fit_are_refused_by_name(text, error, message):
-    """What the schema cannot know is found when the robot is built."""
+    """When the robot is built."""
     scenario = load_scenario(text=text)
     with pytest.raises(error, match=message):
         add_robot(MultibodyPlant(0.002), scenario, load_hand(scenario.hand))

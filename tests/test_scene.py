@@ -10,7 +10,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.description import load_hand
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.scene import Scene, add_scene, draw_placement
+from geort_drake.simulation.world import Scene, add_scene, draw_placement
 
 
 def scene_of(scenario: Scenario) -> Scene:

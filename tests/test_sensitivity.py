@@ -75,7 +75,7 @@ def test_a_condition_changes_what_its_name_says_and_the_nominal_value_makes_none
     }
     with pytest.raises(ScenarioError, match="visual_delay"):
         make_conditions(scenario, {"delay": [5]})
-    with pytest.raises(ScenarioError, match=r"friction_factor must be positive, not 0"):
+    with pytest.raises(ScenarioError, match=r"friction_factor must be positive and finite, not 0"):
         make_conditions(scenario, {"friction": [0]})
 
 

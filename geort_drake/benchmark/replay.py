@@ -35,7 +35,7 @@ from geort_drake.retargeting.checkpoint import WEIGHTS
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.simulation.diagram import Retarget
 from geort_drake.simulation.scenario import Scenario, dump_scenario, object_names
-from geort_drake.simulation.scene import draw_placement
+from geort_drake.simulation.world import draw_placement
 
 
 class Perturbation(NamedTuple):

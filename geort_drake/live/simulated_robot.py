@@ -7,8 +7,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from geort_drake.hands.description import HandDescription
 from geort_drake.live.joint_group import JointGroup
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.scene import add_scene
-from geort_drake.simulation.world import ARM, HAND, actuated_state
+from geort_drake.simulation.world import ARM, HAND, actuated_state, add_scene
 
 
 class SimulatedRobot(Diagram):

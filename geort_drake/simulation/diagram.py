@@ -1,4 +1,4 @@
-"""One straight function from a scenario to a diagram that can be simulated."""
+"""Builds the diagram of a grasp trial from a scenario."""
 
 import dataclasses as dc
 import math
@@ -21,10 +21,17 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
 from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.scene import Placement, add_scene
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor
-from geort_drake.simulation.world import ARM, HAND, actuated_joints, actuated_state, add_robot
+from geort_drake.simulation.world import (
+    ARM,
+    HAND,
+    Placement,
+    actuated_joints,
+    actuated_state,
+    add_robot,
+    add_scene,
+)
 from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.glove_replay import GloveReplay
@@ -44,7 +51,7 @@ Retarget = Callable[[np.ndarray], np.ndarray]
 
 @dc.dataclass(frozen=True)
 class GraspDiagram:
-    """The diagram and the parts of it that one asks for results."""
+    """The diagram, and the parts of it that hold results."""
 
     diagram: Diagram
     plant: MultibodyPlant
@@ -61,9 +68,9 @@ class GraspDiagram:
     fixed_base: bool
 
     def initialize(self, root: Context) -> None:
-        """Prepares a context of the diagram: the object's drawn mass, and an arm that is to stay.
+        """Prepares a context for simulation: sets the object's mass and locks the arm of a fixed base.
 
-        Shapes that are only seen are not in it, since the recorder has drawn them. Call it before simulating.
+        It also removes shapes that are only seen; the recorder has read them before.
         """
         forget_visuals(self.plant, self.scene_graph, root)
         context = self.plant.GetMyMutableContextFromRoot(root)
@@ -83,15 +90,15 @@ def make_grasp_diagram(
     rerun_path: str | os.PathLike | None = None,
     properties: Mapping[str, str | int | float | bool] | None = None,
 ) -> GraspDiagram:
-    """Builds glove → retargeting → hand, wrist → arm, and the plant they move.
+    """Builds the diagram: glove → retargeting → hand, wrist → arm, and the plant.
 
     Args:
         scenario: what to simulate.
-        retarget: a `Retargeter`, or anything with its `joint_names` and its call.
+        retarget: a `Retargeter`, or a callable of the same signature with `joint_names`.
         human: a hand and a goal for the simulated operator, or a glove recording with wrist poses to
             replay.
-        rerun_path: where to write the Rerun recording; none without it.
-        properties: what the Rerun recording says of itself.
+        rerun_path: file of the Rerun recording; None for no recording.
+        properties: properties of the Rerun recording.
 
     Raises:
         ScenarioError, HandError: the scenario and the models do not fit.
@@ -100,21 +107,19 @@ def make_grasp_diagram(
     description = load_hand(scenario.hand)
     builder = DiagramBuilder()
 
-    # The plant: robot, surroundings and the object, standing where the seed puts it.
+    # The plant: robot, surroundings and object.
     scene = add_scene(builder, scenario, description, rng)
     plant, arm, hand = scene.plant, scene.arm, scene.hand
 
-    # The robot without the object, as the inverse kinematics knows it.
+    # The robot without the object, for the inverse kinematics.
     robot_builder = RobotDiagramBuilder(time_step=scenario.plant_config.time_step)
     add_robot(robot_builder.plant(), scenario, description)
     robot = robot_builder.Build()
     base = robot.plant().GetFrameByName(description.base_frame, robot.plant().GetModelInstanceByName(HAND))
     X_WB_start = base.CalcPoseInWorld(robot.plant().CreateDefaultContext())
 
-    # A left hand's person is a right hand's in the mirror, and so is what that person sees.
+    # A left hand is operated by a right-handed person in a mirror, who sees the scene in the mirror.
     in_mirror = description.side == "left"
-
-    # What can be seen of the scene.
     view = builder.AddNamedSystem(
         "scene_view",
         SceneView(plant, description, hand, scene.object_body.index(), scene.scene_graph.model_inspector()),
@@ -122,7 +127,7 @@ def make_grasp_diagram(
     builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
     builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
 
-    # The human: an operator who sees the scene late, or a recording.
+    # The human: an operator who sees the scene with a delay, or a recording.
     source: LeafSystem
     operator = None
     seen: dict[str, OutputPort] = {}
@@ -145,7 +150,7 @@ def make_grasp_diagram(
             if in_mirror and name != "contact":
                 late = _mirrored(builder, name, late)
             builder.Connect(late, operator.GetInputPort(name))
-    # The hand as it is in the world.
+    # The human hand in the world, out of the mirror.
     hand_source: LeafSystem = source
     if in_mirror:
         hand_source = builder.AddNamedSystem("hand_mirror", HandMirror())
@@ -194,7 +199,7 @@ def make_grasp_diagram(
     builder.Connect(source.GetOutputPort("valid"), wrist_to_arm.GetInputPort("valid"))
     builder.Connect(wrist_to_arm.GetOutputPort("arm_desired_state"), plant.get_desired_state_input_port(arm))
 
-    # What is kept: the judgement, the glove's data, and the recording for the viewer.
+    # Results: the outcome, the glove's data, and the recording for the viewer.
     monitor = builder.AddNamedSystem(
         "grasp_monitor",
         GraspMonitor(
@@ -211,7 +216,7 @@ def make_grasp_diagram(
         builder.Connect(source.GetOutputPort(name), glove_recorder.GetInputPort(name))
     recorder = None
     if rerun_path is not None:
-        # Only here, so that simulating without a recording does not load Rerun.
+        # Imported here, so that a simulation without a recording does not load Rerun.
         from geort_drake.simulation.recording import add_grasp_recorder
 
         recorder = add_grasp_recorder(
@@ -256,8 +261,8 @@ def make_grasp_diagram(
 def _make_operator(
     scenario: Scenario, hand: HumanHand, goal: GraspGoal, X_WB_start: RigidTransform, seed: int
 ) -> SimulatedOperator:
-    # The person begins with the hand held like the robot's. The tracker's frame is parallel to W; its
-    # origin is where the wrist is at the start.
+    # The person starts with the hand oriented like the robot's. The tracker's frame is parallel to W and has
+    # its origin at the wrist's initial position.
     X_WH_start = RigidTransform(X_WB_start.rotation(), np.zeros(3))
     return SimulatedOperator(hand, goal, scenario.operator, X_WH_start, seed)
 
@@ -267,7 +272,8 @@ def _delayed(builder: DiagramBuilder, port: OutputPort, scenario: Scenario) -> O
     steps = round(config.visual_delay / config.period)
     if steps == 0:
         return port
-    # Who samples a delay's output at its own ticks gets it before the tick's update, one period older.
+    # A system that samples a delay's output at the same ticks reads it before the tick's update, so one
+    # period later.
     delay = builder.AddNamedSystem(
         f"{port.get_name()}_seen_late", DiscreteTimeDelay(config.period, steps - 1, port.size())
     )
@@ -276,7 +282,7 @@ def _delayed(builder: DiagramBuilder, port: OutputPort, scenario: Scenario) -> O
 
 
 def _mirrored(builder: DiagramBuilder, name: str, port: OutputPort) -> OutputPort:
-    """A pose of the scene, or its points, in the mirror."""
+    """Returns a port of poses or points in the mirror."""
     signs = POSE_MIRROR if name.endswith("_pose") else np.tile(POINT_MIRROR, port.size() // 3)
     mirror = builder.AddNamedSystem(f"{name}_mirrored", Gain(signs))
     builder.Connect(port, mirror.get_input_port())

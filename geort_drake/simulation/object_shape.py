@@ -1,4 +1,4 @@
-"""The shape of an object, as the planner and the monitor need it, read from its model."""
+"""The shape of an object as convex primitives, read from its model."""
 
 import dataclasses as dc
 import functools
@@ -16,17 +16,17 @@ CONVEX_PRIMITIVES = (Box, Capsule, Cylinder, Ellipsoid, Sphere)
 
 @dc.dataclass(frozen=True)
 class ObjectShape:
-    """Convex primitives fixed in the object's frame O."""
+    """Convex primitives G fixed in the object's frame O, with their poses X_OG."""
 
     parts: tuple[tuple[Shape, RigidTransform], ...]
 
     @property
     def main(self) -> tuple[Shape, RigidTransform]:
-        """The largest part by bounding volume, with its pose in O."""
+        """The largest part by bounding box, with its pose X_OG."""
         return max(self.parts, key=lambda part: float(np.prod(half_extents(part[0]))))
 
     def lowest_point(self, X_WO: RigidTransform) -> float:
-        """Height in W of the lowest point of the object at X_WO, m."""
+        """Returns the height in W of the lowest point of the object at X_WO, m."""
         R_OG, p_OG, box, disk, ellipsoid = self._sums
         down_O = X_WO.rotation().matrix()[2]  # the world's z axis in O
         down_G = down_O @ R_OG
@@ -37,10 +37,10 @@ class ObjectShape:
 
     @functools.cached_property
     def _sums(self) -> tuple[np.ndarray, ...]:
-        """Poses R_OG (N, 3, 3) and p_OG (N, 3) of the parts, and what each one is a Minkowski sum of.
+        """Poses R_OG (N, 3, 3) and p_OG (N, 3) of the parts, and the summands of their Minkowski sums.
 
-        That is a box of half sides (N, 3), a disk of radius (N,) across z, and an ellipsoid of half axes
-        (N, 3): the support of a sum is the sum of the supports.
+        These are a box of half sides (N, 3), a disk of radius (N,) across z, and an ellipsoid of half axes
+        (N, 3). The support function of a sum is the sum of the support functions.
         """
         poses = [X_OG for _, X_OG in self.parts]
         box, disk, ellipsoid = zip(*(_summands(shape) for shape, _ in self.parts), strict=True)
@@ -57,7 +57,7 @@ def object_shape(plant: MultibodyPlant, inspector: SceneGraphInspector, body: Ri
     """Reads the collision geometry of `body`.
 
     Raises:
-        ScenarioError: the body has no collision geometry, or one that is no convex primitive.
+        ScenarioError: the body has no collision geometry, or some that is no convex primitive.
     """
     frame = plant.GetBodyFrameIdOrThrow(body.index())
     parts = tuple(
@@ -75,7 +75,7 @@ def object_shape(plant: MultibodyPlant, inspector: SceneGraphInspector, body: Ri
 
 
 def half_extents(shape: Shape) -> np.ndarray:
-    """Half the sides of the box around a primitive, along its own axes, (3,) m."""
+    """Returns the half sides of the box around a primitive, along its own axes, (3,) m."""
     if isinstance(shape, Box):
         return shape.size() / 2
     if isinstance(shape, Cylinder):
@@ -88,7 +88,7 @@ def half_extents(shape: Shape) -> np.ndarray:
 
 
 def _summands(shape: Shape) -> tuple[np.ndarray, float, np.ndarray]:
-    """Half sides of a box, radius of a disk across z and half axes of an ellipsoid that add up to a shape."""
+    """Returns the half sides of a box, radius of a disk and half axes of an ellipsoid that sum to a shape."""
     nothing, half = np.zeros(3), half_extents(shape)
     if isinstance(shape, Box):
         return half, 0.0, nothing

@@ -29,7 +29,6 @@ from geort_drake.rerun.recorder import (
 )
 from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
 from geort_drake.simulation.operators.state import Phase
-from geort_drake.simulation.public_meshes import HANDS, PANDA, wear_public_meshes
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor, GraspPhase
 from geort_drake.simulation.world import ARM, HAND, actuated_joints, actuated_state
@@ -70,16 +69,8 @@ def add_grasp_recorder(
         wrist_to_arm: the system whose output the arm is asked for.
         X_WHand: where the tracker's frame stands in W, to draw the human hand beside the robot's.
         properties: what the recording says of itself beside what the scenario and the software say.
-
-    Raises:
-        ScenarioError: public meshes are wanted and cannot be had.
     """
     arm, hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
-    if scenario.recording.public_meshes:
-        if plant.HasBodyNamed("panda_link0", arm):
-            wear_public_meshes(plant, scene_graph, arm, PANDA)
-        if description.name in HANDS:
-            wear_public_meshes(plant, scene_graph, hand, HANDS[description.name])
     finger_of = {joint: finger.name for finger in description.fingers for joint in finger.joints}
     of_arm = [joint.name() for joint in actuated_joints(plant, arm)]
     of_hand = [f"{finger_of[joint.name()]}/{joint.name()}" for joint in actuated_joints(plant, hand)]

@@ -1,4 +1,4 @@
-"""What to simulate, as data: the schema of `diagrams/*.scenarios.yaml` and how it is read.
+"""Scenarios: what to simulate, as data. The schema of `diagrams/*.scenarios.yaml`, and reading it.
 
 This module must not use postponed annotations, because Drake's YAML loader reads the types.
 """
@@ -6,6 +6,7 @@ This module must not use postponed annotations, because Drake's YAML loader read
 import dataclasses as dc
 import math
 import os
+from operator import attrgetter
 from pathlib import Path
 
 import yaml
@@ -22,27 +23,61 @@ from geort_drake.systems.action_correction import CorrectionConfig
 from geort_drake.systems.update_timing import check_timing
 from geort_drake.systems.wrist_to_arm import WristToArmConfig
 
-MIN_TIME_STEP = 1e-5  # s
+# Numeric fields by what they must be.
+_RULES = (
+    (
+        "positive and finite",
+        lambda value: 0 < value < math.inf,
+        (
+            "timeout",
+            "plant_config.time_step",
+            "retargeting.period",
+            "retargeting.max_joint_speed",
+            "retargeting.max_joint_acceleration",
+            "recording.period",
+            "hand_stiffness_factor",
+            "object.mass_factor",
+            "object.friction_factor",
+        ),
+    ),
+    ("finite", math.isfinite, ("object.support_height", "object.yaw")),
+    (
+        "finite and not negative",
+        lambda value: 0 <= value < math.inf,
+        ("object.position_range", "object.yaw_range"),
+    ),
+    ("in [0, 1)", lambda value: 0 <= value < 1, ("object.mass_range", "object.friction_range")),
+    ("0 or more", lambda value: value >= 0, ("random_seed",)),
+)
+_MIN_TIME_STEP = 1e-5  # s; a trial with a shorter step would hardly end
+# These must be multiples of the plant's time step.
+_PERIODS = (
+    "retargeting.period",
+    "wrist_to_arm.period",
+    "operator.period",
+    "monitor.period",
+    "recording.period",
+)
 
 
 @dc.dataclass
 class ObjectConfig:
-    """The object to grasp, and how its placement varies with the seed."""
+    """The object to grasp, and how it varies with the seed."""
 
     # Stem of a file in models/sdf/objects.
     name: str = "cylinder"
-    # Centre of the placement in W, x and y, m; the object stands on `support_height`.
+    # Centre of the placement in W, [x, y] in m.
     position: list[float] = dc.field(default_factory=lambda: [0.5, 0.0])
-    # Height in W of what the object stands on, m.
+    # Height in W of the support, m.
     support_height: float = 0.1
-    # Yaw in W, rad, and factors on the model's mass and on its friction coefficients.
+    # Yaw in W, rad, and factors on the model's mass and friction coefficients.
     yaw: float = 0.0
     mass_factor: float = 1.0
     friction_factor: float = 1.0
-    # Largest deviation from the centre in x and y, m, and from that yaw, rad.
+    # Largest deviation in x and y, m, and in yaw, rad.
     position_range: float = 0.02
     yaw_range: float = 0.35
-    # Mass and friction are scaled further by factors drawn between 1 - this and 1 + this.
+    # Mass and friction are multiplied by further factors between 1 - this and 1 + this.
     mass_range: float = 0.2
     friction_range: float = 0.2
 
@@ -51,25 +86,25 @@ class ObjectConfig:
 class RetargetingConfig:
     """How the retargeter runs in the diagram."""
 
-    # Time between updates, s, and the speed limit of the joint targets, rad/s.
+    # Time between updates, s.
     period: float = 0.01
+    # Limits of the joint targets, rad/s and rad/s².
     max_joint_speed: float = 7.0
-    # Their acceleration limit, rad/s², and the cutoff of a low-pass on them, Hz; 0 is none.
     max_joint_acceleration: float = 700.0
+    # Cutoff of a low-pass on the joint targets, Hz; 0 for none.
     cutoff: float = 0.0
-    # How long the retargeter takes, s, rounded up to whole steps of the plant: its joint targets come so
-    # much later, and it is not called again before.
+    # Duration of a call, s, rounded up to whole steps of the plant. The joint targets come this much later,
+    # and the retargeter is not called again before.
     latency: float = 0.0
 
 
 @dc.dataclass
 class RecordingConfig:
-    """What is recorded for the Rerun viewer."""
+    """Recordings for the Rerun viewer."""
 
     # Time between recorded frames, s.
     period: float = 0.02
-    # Draw Panda and right Allegro in the meshes of Drake's public models (`drake_models`), which Drake
-    # downloads where ROS_PACKAGE_PATH names no copy of them.
+    # Without effect; kept so that scenarios of version 0.1 load.
     public_meshes: bool = False
 
 
@@ -79,10 +114,10 @@ class Scenario:
 
     # Seed of the object's placement, mass and friction, and of the person's noise.
     random_seed: int = 0
-    # The trial fails when it is not over by then, s.
+    # Largest duration of the trial, s.
     timeout: float = 25.0
-    # Plant settings; SAP with point contact, at a step that divides the other periods. Output ports that are
-    # not sampled are computed when they are read, instead of all of them at each step.
+    # Plant settings: SAP with point contact. Output ports that are not sampled are computed only when they
+    # are read.
     plant_config: MultibodyPlantConfig = dc.field(
         default_factory=lambda: MultibodyPlantConfig(
             time_step=0.002,
@@ -93,18 +128,16 @@ class Scenario:
     )
     # Arm and surroundings; the arm must be named `arm`.
     directives: list[ModelDirective] = dc.field(default_factory=list)
-    # Description of the robot hand: a stem in models/hands, or a path. Its model is added as `hand`, where
-    # the directives have not.
+    # Description of the robot hand: a stem in models/hands, or a path. Its model is added as `hand`, unless
+    # the directives add it.
     hand: str = "allegro_right"
-    # Frame of the directives' models that carries the hand, which the hand's `mount` is relative to.
+    # Frame that carries the hand; the hand's `mount` is relative to it.
     hand_parent: str = "adapter::hand_side"
-    # Factor on the proportional gains of the hand's controllers; the derivative gains go with its root,
-    # which leaves the damping ratio as it is.
+    # Factor on the proportional gains of the hand's controllers; damping ratios stay.
     hand_stiffness_factor: float = 1.0
-    # Whether the arm stays where it starts, so that the hand is on a fixed base: for replays, which then need
-    # no wrist poses.
+    # Whether the arm stays where it starts. Replays then need no wrist poses.
     fixed_base: bool = False
-    # Joint positions of the arm at the start, by name, rad; and with a left hand, where these differ.
+    # Joint positions of the arm at the start, by name, rad; and those that differ for a left hand.
     arm_posture: dict[str, float] = dc.field(default_factory=dict)
     left_arm_posture: dict[str, float] = dc.field(default_factory=dict)
     object: ObjectConfig = dc.field(default_factory=ObjectConfig)
@@ -116,30 +149,23 @@ class Scenario:
     recording: RecordingConfig = dc.field(default_factory=RecordingConfig)
 
     def validate(self) -> None:
-        """Checks what the types cannot say.
+        """Checks the values.
 
         Raises:
-            ScenarioError: naming the field, what was wanted and what was given.
-            UnknownNameError: the object's name stands for no model.
+            ScenarioError: a field is wrong; the message names it, the rule and the value.
+            UnknownNameError: there is no such object.
         """
-        for name, value in {
-            "timeout": self.timeout,
-            "plant_config.time_step": self.plant_config.time_step,
-            "retargeting.period": self.retargeting.period,
-            "retargeting.max_joint_speed": self.retargeting.max_joint_speed,
-            "retargeting.max_joint_acceleration": self.retargeting.max_joint_acceleration,
-            "recording.period": self.recording.period,
-            "hand_stiffness_factor": self.hand_stiffness_factor,
-            "object.mass_factor": self.object.mass_factor,
-            "object.friction_factor": self.object.friction_factor,
-        }.items():
-            if not (math.isfinite(value) and value > 0):
-                raise ScenarioError(f"scenario field {name} must be positive, not {value}")
-        if self.plant_config.time_step < MIN_TIME_STEP:
-            raise ScenarioError(
-                f"scenario field plant_config.time_step must be at least {MIN_TIME_STEP} s, or a trial "
-                f"would hardly end; it is {self.plant_config.time_step}"
-            )
+        for rule, holds, names in _RULES:
+            for name in names:
+                value = attrgetter(name)(self)
+                _require(holds(value), name, rule, value)
+        position = self.object.position
+        _require(
+            len(position) == 2 and all(map(math.isfinite, position)),
+            "object.position",
+            "[x, y] in m",
+            position,
+        )
         try:
             self.operator.validate()
             self.correction.validate()
@@ -148,57 +174,35 @@ class Scenario:
         except ValueError as error:
             raise ScenarioError(f"scenario field {error}") from error
         try:
-            AddMultibodyPlant(self.plant_config, DiagramBuilder())
-        except RuntimeError as error:
-            raise ScenarioError(f"scenario field plant_config: {error}") from error
-        try:
             check_timing(self.retargeting.period, self.retargeting.latency, self.retargeting.cutoff)
         except ValueError as error:
             raise ScenarioError(f"scenario field retargeting.{error}") from error
-        if self.random_seed < 0:
-            raise ScenarioError(f"scenario field random_seed must be 0 or more, not {self.random_seed}")
-        if len(self.object.position) != 2 or not all(map(math.isfinite, self.object.position)):
-            raise ScenarioError(
-                f"scenario field object.position must be [x, y] in m, not {self.object.position}"
-            )
-        for name in ("support_height", "yaw"):
-            value = getattr(self.object, name)
-            if not math.isfinite(value):
-                raise ScenarioError(f"scenario field object.{name} must be finite, not {value}")
-        for name in ("position_range", "yaw_range"):
-            value = getattr(self.object, name)
-            if not (math.isfinite(value) and value >= 0):
-                raise ScenarioError(
-                    f"scenario field object.{name} must be finite and not negative, not {value}"
-                )
-        for name in ("mass_range", "friction_range"):
-            value = getattr(self.object, name)
-            if not 0 <= value < 1:
-                raise ScenarioError(f"scenario field object.{name} must be in [0, 1), not {value}")
         step = self.plant_config.time_step
-        for name, period in {
-            "retargeting.period": self.retargeting.period,
-            "wrist_to_arm.period": self.wrist_to_arm.period,
-            "operator.period": self.operator.period,
-            "monitor.period": self.monitor.period,
-            "recording.period": self.recording.period,
-        }.items():
-            if abs(period / step - round(period / step)) > 1e-6:
-                raise ScenarioError(
-                    f"scenario field {name} ({period} s) must be a multiple of plant_config.time_step "
-                    f"({step} s)"
-                )
+        _require(step >= _MIN_TIME_STEP, "plant_config.time_step", f"at least {_MIN_TIME_STEP} s", step)
+        try:
+            AddMultibodyPlant(self.plant_config, DiagramBuilder())
+        except RuntimeError as error:
+            raise ScenarioError(f"scenario field plant_config: {error}") from error
+        for name in _PERIODS:
+            period = attrgetter(name)(self)
+            whole = abs(period / step - round(period / step)) <= 1e-6
+            _require(whole, name, f"a multiple of plant_config.time_step ({step} s)", period)
         if self.object.name not in object_names():
             raise UnknownNameError("object", self.object.name, object_names())
 
 
+def _require(holds: bool, name: str, rule: str, value: object) -> None:
+    if not holds:
+        raise ScenarioError(f"scenario field {name} must be {rule}, not {value}")
+
+
 def object_names() -> list[str]:
-    """Names of the objects that come with the package."""
+    """Returns the names of the objects that come with the package."""
     return sorted(path.stem for path in (models_dir() / "sdf" / "objects").glob("*.sdf"))
 
 
 def default_scenario_file() -> Path:
-    """The scenarios that come with the package."""
+    """Returns the file of the scenarios that come with the package."""
     return diagrams_dir() / "grasp.scenarios.yaml"
 
 
@@ -208,9 +212,9 @@ def load_scenario(
     text: str | None = None,
     hand: str | None = None,
 ) -> Scenario:
-    """Reads a scenario by name, then merges YAML `text` into it, and checks the result.
+    """Reads a scenario by name, merges YAML `text` into it, and checks the result.
 
-    Mappings merge and lists replace, as in Drake's hardware_sim. `hand` takes the place of the scenario's.
+    Mappings merge and lists replace, as in Drake's hardware_sim. `hand` replaces the scenario's.
 
     Raises:
         ScenarioError: the file is missing or malformed, or a field is unknown or wrong.
@@ -220,79 +224,68 @@ def load_scenario(
     if not path.is_file():
         raise ScenarioError(f"scenario file {path} does not exist")
     try:
-        with path.open(encoding="utf-8") as stream:
-            node = yaml.compose(stream, Loader=yaml.SafeLoader)
+        node = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         raise ScenarioError(f"scenario file {path} is no mapping of names to scenarios: {error}") from error
     if not isinstance(node, yaml.MappingNode):
         raise ScenarioError(f"scenario file {path} is no mapping of names to scenarios")
-    _check_unique(node, str(path))
+    _refuse_duplicates(node, str(path))
     choices = [key.value for key, _ in node.value]
     if name not in choices:
         raise UnknownNameError(f"scenario in {path}", name, choices)
-    source = f"scenario '{name}' in {path}"
-    try:
-        scenario = yaml_load_typed(schema=Scenario, filename=str(path), child_name=name, defaults=Scenario())
-        if text:
-            source = f"text merged into {source}"
-            _check_unique(yaml.compose(text, Loader=yaml.SafeLoader), source)
-            scenario = yaml_load_typed(schema=Scenario, data=text, defaults=scenario)
-    except ScenarioError:
-        raise
-    except Exception as error:  # Drake's loader raises many types; all mean the YAML is at fault
-        raise ScenarioError(f"{source}: {error}") from error
+    scenario = _merged(path, name, text, Scenario())
     scenario.hand = hand or scenario.hand
     scenario.validate()
     return scenario
 
 
 def names_object(file: str | os.PathLike | None = None, name: str = "Grasp", text: str | None = None) -> bool:
-    """Whether the scenario, or the text merged into it, says what to grasp.
-
-    The arguments are those of `load_scenario`, which has taken them before.
-    """
+    """Whether a scenario that `load_scenario` accepts, or the text, names an object."""
     path = Path(file) if file is not None else default_scenario_file()
-    scenarios = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
-    given = (_field(scenarios, name), yaml.compose(text or "", Loader=yaml.SafeLoader))
-    return any(_field(_field(fields, "object"), "name") is not None for fields in given)
+    return bool(_merged(path, name, text, Scenario(object=ObjectConfig(name=""))).object.name)
 
 
-def _field(node: yaml.Node | None, name: str) -> yaml.Node | None:
-    """A field of a mapping, which may come from another one that is merged into it by `<<`."""
-    if isinstance(node, yaml.SequenceNode):
-        return next(filter(None, (_field(mapping, name) for mapping in node.value)), None)
-    if not isinstance(node, yaml.MappingNode):
-        return None
-    fields = {key.value: value for key, value in node.value}
-    return fields[name] if name in fields else _field(fields.get("<<"), name)
+def _merged(path: Path, name: str, text: str | None, defaults: Scenario) -> Scenario:
+    source = f"scenario '{name}' in {path}"
+    try:
+        scenario = yaml_load_typed(schema=Scenario, filename=str(path), child_name=name, defaults=defaults)
+        if text:
+            source = f"text merged into {source}"
+            _refuse_duplicates(yaml.compose(text, Loader=yaml.SafeLoader), source)
+            scenario = yaml_load_typed(schema=Scenario, data=text, defaults=scenario)
+    except ScenarioError:
+        raise
+    except Exception as error:  # Drake's loader raises many types for faulty YAML
+        raise ScenarioError(f"{source}: {error}") from error
+    return scenario
 
 
-def _check_unique(root: yaml.Node | None, source: str) -> None:
-    """Raises ScenarioError if a field is given twice, of which YAML would take the last without a word."""
+def _refuse_duplicates(root: yaml.Node | None, source: str) -> None:
+    """Raises ScenarioError if a mapping has a key twice; YAML loaders silently take the last one."""
     waiting, seen = [root], set()
     while waiting:
         node = waiting.pop()
-        if id(node) in seen:  # an alias may stand for what holds it
+        if id(node) in seen:  # an alias may contain itself
             continue
         seen.add(id(node))
         if isinstance(node, yaml.MappingNode):
             names = [str(key.value) for key, _ in node.value]
-            twice = sorted({name for name in names if names.count(name) > 1})
-            if twice:
-                line = node.start_mark.line + 1
-                raise ScenarioError(
-                    f"{source}: '{twice[0]}' is given twice in the mapping from line {line} on"
-                )
+            for name in names:
+                if names.count(name) > 1:
+                    line = node.start_mark.line + 1
+                    raise ScenarioError(
+                        f"{source}: '{name}' is given twice in the mapping from line {line} on"
+                    )
             waiting.extend(value for _, value in node.value)
         elif isinstance(node, yaml.SequenceNode):
             waiting.extend(node.value)
 
 
 def parse_scenario(text: str) -> Scenario:
-    """The scenario that `dump_scenario` wrote."""
+    """Reads the output of `dump_scenario`."""
     return yaml_load_typed(schema=Scenario, data=text, child_name="Resolved", defaults=Scenario())
 
 
 def dump_scenario(scenario: Scenario) -> str:
-    """The whole scenario as YAML that `load_scenario` reads under the name `Resolved`."""
+    """Returns the whole scenario as YAML that `load_scenario` reads under the name `Resolved`."""
     return yaml_dump_typed(scenario, child_name="Resolved")

@@ -1,4 +1,4 @@
-"""One grasp trial from start to outcome."""
+"""Runs one grasp trial from start to outcome."""
 
 import dataclasses as dc
 import math
@@ -21,40 +21,39 @@ _REPORT_PERIOD = 0.25  # simulated s
 
 @dc.dataclass(frozen=True)
 class TrialResult:
-    """What came of one trial; times in simulated s."""
+    """Result of one trial; times in simulated s."""
 
     object: str
     seed: int
     success: bool
-    # "success"; or "timeout: PHASE" with the monitor's phase at the end; or "thrown: PHASE" with the last one
-    # before the throw in which a finger touched the object: touch, grasp, lift or hold, or reach where none
-    # ever did, as when the palm knocked it over.
+    # "success"; "timeout: PHASE" with the monitor's last phase; or "thrown: PHASE" with the last phase in
+    # which a finger touched the object (touch, grasp, lift or hold), or reach if none did, as when the palm
+    # knocked it over.
     outcome: str
-    # What the simulated operator was doing at the end, which tells an object thrown while approaching from
-    # one thrown while closing; None in a replay.
+    # The simulated operator's last phase; None in a replay. It tells whether the object was thrown while
+    # approaching or while closing.
     operator_phase: str | None
-    # Start to the beginning of the hold; None without success.
+    # Time from the start to the beginning of the hold; None without success.
     completion_time: float | None
-    # Whether the first closing succeeded; None in a replay, where nobody decides.
+    # Whether the first attempt succeeded, and the number of attempts; None in a replay.
     first_attempt: bool | None
     attempts: int | None
     simulated_time: float
-    # First entry of each phase of the monitor, and the time spent in it.
+    # By phase of the monitor: first entry, and total time.
     phase_times: dict[str, float]
     phase_durations: dict[str, float]
-    # How often a lifted object fell back to its support or was let go of, see `GraspMonitor`.
+    # Number of lifts that ended in a drop, see `GraspOutcome`.
     drops: int
-    # Furthest way of the object in the hand during the last lift, m; None where nothing was lifted.
+    # Largest displacement of the object in the hand during the last lift, m; None without a lift.
     slip: float | None
-    # Share of the time for which two links of the hand touched each other, fingertip on fingertip not
-    # counted: looked at whenever the monitor looks, in the plant's contact results (see `SceneView`).
+    # Share of the time in which two links of the hand touched each other, see `SceneView`.
     self_contact: float
     peak_force: float
     peak_height: float
     wall_time: float
 
     def to_json(self) -> dict:
-        """Plain JSON types."""
+        """Returns plain JSON types."""
         return dc.asdict(self)
 
 
@@ -73,21 +72,20 @@ def run_trial(
         report: called with the simulated time now and then, for a progress display.
 
     Returns:
-        The result, and the glove and tracker data of the trial, which `GloveReplay` can play again.
+        The result, and the glove and tracker data of the trial, which `GloveReplay` can replay.
     """
     started = time.perf_counter()
-    # Methods that continue from their last answer begin each trial afresh.
+    # Methods that continue from their last output start anew.
     if callable(reset := getattr(retarget, "reset", None)):
         reset()
-    parts = make_grasp_diagram(
-        scenario, retarget, human, rerun_path, {**(properties or {}), "seed": scenario.random_seed}
-    )
+    properties = {**(properties or {}), "seed": scenario.random_seed}
+    parts = make_grasp_diagram(scenario, retarget, human, rerun_path, properties)
     simulator = Simulator(parts.diagram)
     root = simulator.get_mutable_context()
     parts.initialize(root)
     context = parts.monitor.GetMyContextFromRoot(root)
     try:
-        # The monitor ends it when the grasp is judged.
+        # The monitor terminates the simulation when the grasp is judged.
         while not (outcome := parts.monitor.outcome(context)).over and root.get_time() < scenario.timeout:
             if report is not None:
                 report(root.get_time())
@@ -118,13 +116,13 @@ def _result(
         context = parts.operator.GetMyContextFromRoot(root)
         attempts = parts.operator.attempt(context)
         operator_phase = parts.operator.phase(context).name.lower()
-    simulated_time = root.get_time()
     if outcome.success:
         text = "success"
     elif outcome.phase == GraspPhase.THROWN:
         text = f"thrown: {outcome.last_touched.name.lower()}"
     else:
         text = f"timeout: {outcome.phase.name.lower()}"
+    simulated_time = root.get_time()
     return TrialResult(
         object=scenario.object.name,
         seed=scenario.random_seed,

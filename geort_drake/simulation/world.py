@@ -1,5 +1,6 @@
-"""Loading robot, surroundings and object into a plant, the same way for simulation and planning."""
+"""Loads a scenario's robot, surroundings and object into a plant."""
 
+import dataclasses as dc
 import math
 
 import numpy as np
@@ -11,8 +12,8 @@ from pydrake.multibody.parsing import (
     Parser,
     ProcessModelDirectives,
 )
-from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
-from pydrake.multibody.tree import Joint, JointIndex, ModelInstanceIndex, PdControllerGains, RigidBody
+from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant
+from pydrake.multibody.tree import Joint, ModelInstanceIndex, PdControllerGains, RigidBody
 from pydrake.systems.framework import DiagramBuilder, OutputPort
 from pydrake.systems.primitives import MatrixGain
 
@@ -20,9 +21,65 @@ from geort_drake.errors import HandError, ScenarioError, UnknownNameError
 from geort_drake.hands.assembly import add_hand_model, position_limits
 from geort_drake.hands.description import HandDescription
 from geort_drake.resources import PACKAGE_NAME, models_dir, resource_root
+from geort_drake.simulation.object_shape import ObjectShape, object_shape
 from geort_drake.simulation.scenario import Scenario, object_names
 
-ARM, HAND = "arm", "hand"
+ARM, HAND = "arm", "hand"  # names of model instances
+
+
+@dc.dataclass(frozen=True)
+class Placement:
+    """Pose X_WO of the object in one trial, and factors on its mass and its friction."""
+
+    X_WO: RigidTransform
+    mass_factor: float
+    friction_factor: float
+
+
+@dc.dataclass(frozen=True, eq=False)
+class Scene:
+    """A finalized plant and its parts.
+
+    Attributes:
+        arm, hand: models whose joints are driven by the plant's position controllers.
+        placement: of the object. The mass factor is not applied yet, as that needs a context.
+    """
+
+    plant: MultibodyPlant
+    scene_graph: SceneGraph
+    arm: ModelInstanceIndex
+    hand: ModelInstanceIndex
+    object_body: RigidBody
+    object_shape: ObjectShape
+    placement: Placement
+
+
+def add_scene(
+    builder: DiagramBuilder, scenario: Scenario, description: HandDescription, rng: np.random.Generator
+) -> Scene:
+    """Adds the plant of a scenario to a diagram; `rng` draws the placement.
+
+    Raises:
+        ScenarioError, HandError: the scenario and the models do not fit.
+    """
+    plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
+    add_robot(plant, scenario, description)
+    body = add_object(plant, scenario.object.name)
+    shape = object_shape(plant, scene_graph.model_inspector(), body)
+    placement = draw_placement(scenario, shape.lowest_point(RigidTransform()), rng)
+    plant.SetDefaultFloatingBaseBodyPose(body, placement.X_WO)
+    _scale_friction(plant, scene_graph, body, placement.friction_factor)
+    arm, hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
+    _scale_stiffness(plant, hand, scenario.hand_stiffness_factor)
+    # A real arm's controller compensates gravity for the arm and the hand; everything else but the object
+    # is fixed.
+    for number in range(plant.num_model_instances()):
+        if (model := ModelInstanceIndex(number)) != body.model_instance():
+            plant.set_gravity_enabled(model, False)
+    plant.Finalize()
+    _require_controllers(plant, hand, f"hand '{description.name}'")
+    _require_controllers(plant, arm, "the arm")
+    return Scene(plant, scene_graph, arm, hand, body, shape, placement)
 
 
 def add_robot(plant: MultibodyPlant, scenario: Scenario, description: HandDescription) -> None:
@@ -30,8 +87,8 @@ def add_robot(plant: MultibodyPlant, scenario: Scenario, description: HandDescri
 
     Raises:
         ScenarioError: a directive fails, the model `arm` or the frame `hand_parent` is missing, or an arm
-            posture names no joint of the arm.
-        HandError: the hand's model cannot be loaded, or lacks the frame of the mount.
+            posture names an unknown joint.
+        HandError: the hand's model cannot be loaded or lacks the frame of the mount.
     """
     parser = Parser(plant)
     parser.package_map().Add(PACKAGE_NAME, str(resource_root()))
@@ -65,62 +122,51 @@ def add_object(plant: MultibodyPlant, name: str) -> RigidBody:
     return plant.get_body(body)
 
 
+def draw_placement(scenario: Scenario, lowest_at_identity: float, rng: np.random.Generator) -> Placement:
+    """Draws the object's pose, mass and friction within the scenario's ranges.
+
+    Args:
+        lowest_at_identity: height in W of the object's lowest point at X_WO = identity, m.
+    """
+    config = scenario.object
+    dx, dy = rng.uniform(-config.position_range, config.position_range, 2)
+    yaw = config.yaw + rng.uniform(-config.yaw_range, config.yaw_range)
+    mass = config.mass_factor * (1 + rng.uniform(-config.mass_range, config.mass_range))
+    # Friction has its own generator, so that later draws do not depend on it.
+    friction = config.friction_factor * (
+        1 + rng.spawn(1)[0].uniform(-config.friction_range, config.friction_range)
+    )
+    return Placement(standing_pose(scenario, lowest_at_identity, dx, dy, yaw), mass, friction)
+
+
 def standing_pose(
-    scenario: Scenario, lowest_at_identity: float, dx: float, dy: float, yaw: float
+    scenario: Scenario, lowest_at_identity: float, dx: float = 0.0, dy: float = 0.0, yaw: float = 0.0
 ) -> RigidTransform:
-    """X_WO of the object standing on its support, moved and turned from the scenario's position."""
+    """Returns X_WO of the object on its support, moved (m) and turned (rad) from the scenario's position."""
     x, y = scenario.object.position
     z = scenario.object.support_height - lowest_at_identity
     return RigidTransform(RotationMatrix.MakeZRotation(yaw), [x + dx, y + dy, z])
 
 
-def scale_friction(plant: MultibodyPlant, scene_graph: SceneGraph, body: RigidBody, factor: float) -> None:
-    """Multiplies the friction coefficients of a body's shapes, before the plant is finalized.
-
-    At a contact of two bodies Drake takes 2 μ₁ μ₂ / (μ₁ + μ₂).
-    """
-    for geometry in plant.GetCollisionGeometriesForBody(body):
-        properties = scene_graph.model_inspector().GetProximityProperties(geometry)
-        friction = properties.GetProperty("material", "coulomb_friction")
-        scaled = CoulombFriction(factor * friction.static_friction(), factor * friction.dynamic_friction())
-        properties.UpdateProperty("material", "coulomb_friction", scaled)
-        scene_graph.AssignRole(plant.get_source_id(), geometry, properties, RoleAssign.kReplace)
-
-
-def scale_stiffness(plant: MultibodyPlant, model: ModelInstanceIndex, factor: float) -> None:
-    """Multiplies a model's proportional gains before the plant is finalized; damping ratios stay."""
-    # Before the plant is finalized it does not know yet which actuators are the model's.
-    for index in plant.GetJointActuatorIndices():
-        actuator = plant.get_joint_actuator(index)
-        if actuator.model_instance() == model and actuator.has_controller():
-            gains = actuator.get_controller_gains()
-            actuator.set_controller_gains(
-                PdControllerGains(p=factor * gains.p, d=math.sqrt(factor) * gains.d)
-            )
-
-
 def actuated_joints(plant: MultibodyPlant, model: ModelInstanceIndex) -> list[Joint]:
-    """The joints of a model that have a motor, in actuator order; the plant is finalized."""
+    """Returns the joints of a model of a finalized plant that have an actuator, in actuator order."""
     return [plant.get_joint_actuator(index).joint() for index in plant.GetJointActuatorIndices(model)]
 
 
 def actuated_state(builder: DiagramBuilder, plant: MultibodyPlant, model: ModelInstanceIndex) -> OutputPort:
-    """Positions, then velocities of a model's actuated joints; joints that follow others are left out."""
+    """Returns a port with positions, then velocities of a model's actuated joints, in actuator order."""
     joints = actuated_joints(plant, model)
-    everything = plant.get_state_output_port(model)
-    if everything.size() == 2 * len(joints):
-        return everything
-    q_start = min(plant.get_joint(index).position_start() for index in _moving(plant, model))
-    v_start = min(plant.get_joint(index).velocity_start() for index in _moving(plant, model))
+    state = plant.get_state_output_port(model)
+    if state.size() == 2 * len(joints):
+        return state
+    moving = [joint for joint in map(plant.get_joint, plant.GetJointIndices(model)) if joint.num_positions()]
+    q_start = min(joint.position_start() for joint in moving)
+    v_start = min(joint.velocity_start() for joint in moving)
     rows = [joint.position_start() - q_start for joint in joints]
     rows += [plant.num_positions(model) + joint.velocity_start() - v_start for joint in joints]
-    selector = builder.AddSystem(MatrixGain(np.eye(everything.size())[rows]))
-    builder.Connect(everything, selector.get_input_port())
+    selector = builder.AddSystem(MatrixGain(np.eye(state.size())[rows]))
+    builder.Connect(state, selector.get_input_port())
     return selector.get_output_port()
-
-
-def _moving(plant: MultibodyPlant, model: ModelInstanceIndex) -> list[JointIndex]:
-    return [index for index in plant.GetJointIndices(model) if plant.get_joint(index).num_positions()]
 
 
 def _mount_hand(plant: MultibodyPlant, scenario: Scenario, description: HandDescription) -> None:
@@ -148,9 +194,44 @@ def _set_defaults(
     names = [plant.get_joint(index).name() for index in plant.GetJointIndices(model)]
     for name, value in positions.items():
         if name not in names:
-            raise ScenarioError(f"{source} names no joint '{name}'; the joints are: {', '.join(names)}")
+            raise ScenarioError(f"{source}: no joint '{name}'; the joints are: {', '.join(names)}")
         joint = plant.GetJointByName(name, model)
         low, high = joint.position_lower_limit(), joint.position_upper_limit()
         if not low <= value <= high:
             raise HandError(f"{source}: {name} = {value} rad is outside its limits [{low}, {high}]")
         joint.set_default_positions([value])
+
+
+def _scale_friction(plant: MultibodyPlant, scene_graph: SceneGraph, body: RigidBody, factor: float) -> None:
+    """Multiplies the friction coefficients of a body's shapes; the plant is not finalized.
+
+    For a contact of two bodies Drake uses 2 μ₁ μ₂ / (μ₁ + μ₂).
+    """
+    for geometry in plant.GetCollisionGeometriesForBody(body):
+        properties = scene_graph.model_inspector().GetProximityProperties(geometry)
+        friction = properties.GetProperty("material", "coulomb_friction")
+        scaled = CoulombFriction(factor * friction.static_friction(), factor * friction.dynamic_friction())
+        properties.UpdateProperty("material", "coulomb_friction", scaled)
+        scene_graph.AssignRole(plant.get_source_id(), geometry, properties, RoleAssign.kReplace)
+
+
+def _scale_stiffness(plant: MultibodyPlant, model: ModelInstanceIndex, factor: float) -> None:
+    """Multiplies a model's proportional gains and keeps its damping ratios; the plant is not finalized."""
+    # Only a finalized plant can list the actuators of one model.
+    for index in plant.GetJointActuatorIndices():
+        actuator = plant.get_joint_actuator(index)
+        if actuator.model_instance() == model and actuator.has_controller():
+            gains = actuator.get_controller_gains()
+            actuator.set_controller_gains(
+                PdControllerGains(p=factor * gains.p, d=math.sqrt(factor) * gains.d)
+            )
+
+
+def _require_controllers(plant: MultibodyPlant, model: ModelInstanceIndex, owner: str) -> None:
+    actuators = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices(model)]
+    without = [actuator.name() for actuator in actuators if not actuator.has_controller()]
+    if without or not actuators:
+        raise HandError(
+            f"{owner} needs PD gains (drake:controller_gains) on every actuator; missing on: "
+            f"{', '.join(without) or 'all, as it has no actuator'}"
+        )

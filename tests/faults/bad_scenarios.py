@@ -51,7 +51,11 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str, str]] = {
     "two documents": (file("Grasp: {}\n---\nGrasp: {}\n"), SCENARIO, "bad.scenarios.yaml"),
     "not UTF-8": (file(b"Grasp: {hand: \xff\xfe}"), SCENARIO, "bad.scenarios.yaml"),
     "a null byte": (file(b"Grasp: {hand: a\0b}"), SCENARIO, "bad.scenarios.yaml"),
-    "a time that is infinite": (text("{timeout: .inf}"), SCENARIO, "timeout must be positive, not inf"),
+    "a time that is infinite": (
+        text("{timeout: .inf}"),
+        SCENARIO,
+        "timeout must be positive and finite, not inf",
+    ),
     "a seed that is a fraction": (text("{random_seed: 1.5}"), SCENARIO, "text merged"),
     "a step of an hour": (text("{plant_config: {time_step: 3600}}"), SCENARIO, "multiple of plant_config"),
     "a hand elsewhere": (text("{hand: ../../../../etc/passwd}"), "HandError", "passwd"),

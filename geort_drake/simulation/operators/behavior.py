@@ -1,9 +1,9 @@
-"""How a person grasps through a robot: reach, approach, close, squeeze, lift; and again if it fails.
+"""Behaviour of a person who grasps through a robot: reach, approach, close, squeeze, lift, and retry.
 
-The person sees the robot's fingertips, its hand and the object, late and noisily, and moves the own
-hand. Fingers are corrected continuously: a fingertip moves the way the robot's fingertip should move,
-in proportion to the seen error. The wrist makes minimum-jerk movements and waits to see the result.
-Nothing here knows the retargeting map.
+The person sees the robot's fingertips, its hand and the object, late and with noise, and moves the own
+hand. Fingers are corrected continuously: a fingertip moves as the robot's fingertip should move, in
+proportion to the seen error. The wrist makes minimum-jerk movements and waits to see the result. Nothing
+here knows the retargeting map.
 """
 
 import dataclasses as dc
@@ -16,21 +16,20 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.finger_motion import FingerMotion
-from geort_drake.simulation.operators.perception import judged, perceive
-from geort_drake.simulation.operators.sensed_gain import SensedGain
-from geort_drake.simulation.operators.state import OperatorState, Phase, Seen
-from geort_drake.simulation.operators.wrist_motion import WristMovement, minimum_jerk
+from geort_drake.simulation.operators.perception import Seen, SensedGain, averaged, perceive
+from geort_drake.simulation.operators.state import OperatorState, Phase
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
+from geort_drake.simulation.wrist_motion import WristMovement, minimum_jerk
 
 
 class GraspingPerson:
-    """Decides, from what is seen, how the own fingers and wrist move next.
+    """Decides from the seen scene how the own fingers and wrist move next.
 
     Args:
         hand: the person's hand.
-        goal: the grasp wanted.
+        goal: the intended grasp.
         config: the person's parameters.
-        rng: source of the noise of what is seen, felt and done.
+        rng: draws the noise of perception and motion.
     """
 
     def __init__(self, hand: HumanHand, goal: GraspGoal, config: OperatorConfig, rng: np.random.Generator):
@@ -39,32 +38,32 @@ class GraspingPerson:
         self._goal = goal
         self._config = config
         self._rng = rng
-        # Own finger that moves each robot finger; the rest go along with their neighbour.
+        # Own finger of each robot finger; the other own fingers follow their neighbour.
         self._own = np.array([FINGER_NAMES.index(name) for name in goal.finger_names])
         self._followers = [i for i in range(5) if i not in self._own]
 
     def start(self, X_WH: RigidTransform) -> OperatorState:
-        """The state before the first decision: a relaxed hand at X_WH."""
+        """Returns the state before the first decision: a relaxed hand at X_WH."""
         theta = self._motion.rest
         steps = round(self._config.visual_delay / self._config.period)
         p_HF = self._hand.fingertips(theta)
         return OperatorState(theta=theta, X_WH=X_WH, p_HF_past=(p_HF,) * max(steps, 1), sensed=SensedGain())
 
     def step(self, state: OperatorState, t: float, scene: Seen) -> OperatorState:
-        """One decision at time t, s; returns the new state and leaves the old one alone."""
+        """Returns the state after one decision at time t, s; does not change `state`."""
         past = (*state.p_HF_past[1:], self._hand.fingertips(state.theta))
         state = dc.replace(state, p_HF_past=past)
         seen = perceive(scene, self._config, self._rng)
         free = seen.contact <= self._config.touch_force
-        # The oldest own posture that is remembered was taken up when the picture was made.
+        # The oldest remembered own posture is that of the time when the picture was made.
         tips = np.stack([past[0][self._own], seen.p_BF])
-        state.fingertips = judged(state.fingertips, tips, self._config)
+        state.fingertips = averaged(state.fingertips, tips, self._config)
         own, robot = state.fingertips
         state.sensed = state.sensed.look(t, own, robot, free)
-        state.p_BO = judged(state.p_BO, seen.X_BW @ seen.X_WO.translation(), self._config)
-        state.shape_error = judged(state.shape_error, self._fingertip_errors(state, seen), self._config)
+        state.p_BO = averaged(state.p_BO, seen.X_BW @ seen.X_WO.translation(), self._config)
+        state.shape_error = averaged(state.shape_error, self._fingertip_errors(state, seen), self._config)
         self._advance_phase(state, t, seen)
-        if state.shape_error is None:  # a new phase wants the fingertips elsewhere
+        if state.shape_error is None:  # a new phase has other fingertip targets
             state.shape_error = self._fingertip_errors(state, seen)
         self._move_fingers(state, t, seen)
         self._move_wrist(state, t, seen)
@@ -74,9 +73,9 @@ class GraspingPerson:
 
     def _advance_phase(self, state: OperatorState, t: float, seen: Seen) -> None:
         config, goal = self._config, self._goal
-        # A hand that several movements have not brought nearer is as near as the arm gets it.
+        # After several movements the hand is as near as the arm can bring it.
         there = self._wrist_rests(state, t) and (
-            state.movements >= config.max_corrections or self._at(seen, self._wanted_hand_pose(state, seen))
+            state.movements >= config.max_corrections or self._at(seen, self._target_hand_pose(state, seen))
         )
         touching = (seen.contact > config.touch_force)[goal.touches]
         if state.phase in (Phase.REACH, Phase.RELEASE):
@@ -112,7 +111,7 @@ class GraspingPerson:
             state.movement, state.movements = None, 0
 
     def _shaped(self, state: OperatorState, t: float, seen: Seen, tolerance: float) -> bool:
-        """Whether the fingers are as wanted, or as near to it as fingers and hand can get them."""
+        """Whether the fingertips are at their targets, or as near as fingers and hand can bring them."""
         if self._worst_error(state) < tolerance:
             return True
         at_limit = self._fingers_at_limit(state, t)
@@ -120,7 +119,7 @@ class GraspingPerson:
         return at_limit and not (shiftable and self._hand_shift(state, seen) is not None)
 
     def _worst_error(self, state: OperatorState) -> float:
-        assert state.shape_error is not None  # every decision begins by judging it
+        assert state.shape_error is not None  # set at the start of every decision
         return float(np.linalg.norm(state.shape_error[self._goal.touches], axis=1).max())
 
     def _fingers_at_limit(self, state: OperatorState, t: float) -> bool:
@@ -130,14 +129,14 @@ class GraspingPerson:
         return t - state.best_time > self._config.patience
 
     def _hand_shift(self, state: OperatorState, seen: Seen) -> np.ndarray | None:
-        """How to move the hand, (3,) m in W, to take over what the fingers cannot reach.
+        """Returns a shift of the hand, (3,) m in W, that makes up for what the fingers cannot reach.
 
-        It is the middle of the fingertips' errors, which leaves the least for the worst of them.
+        It is the middle of the fingertips' errors, which minimises the largest error; None if it is small.
         """
         error = state.shape_error
-        assert error is not None  # every decision begins by judging it
+        assert error is not None  # set at the start of every decision
         if state.phase == Phase.CLOSE:
-            # Up to the surface, not below it; a finger that touches has arrived.
+            # Errors to the surface, not below it; a finger that touches has arrived.
             X_BO = seen.X_BW @ self._goal.object_frame(seen.X_WO)
             error = error - self._config.overshoot * (self._goal.n_OF @ X_BO.rotation().matrix().T)
             error[seen.contact > self._config.touch_force] = 0
@@ -148,25 +147,25 @@ class GraspingPerson:
         return seen.X_WB.rotation().matrix() @ middle
 
     def _slip(self, state: OperatorState) -> float:
-        """How far the object has moved in the hand since the lift began, m."""
-        assert state.p_BO is not None and state.p_BO_start is not None  # set before and on entering the lift
+        """Returns how far the object has moved in the hand since the lift began, m."""
+        assert state.p_BO is not None and state.p_BO_start is not None  # set when the lift begins
         return float(np.linalg.norm(state.p_BO - state.p_BO_start))
 
     # -- fingers
 
     def _fingertip_errors(self, state: OperatorState, seen: Seen) -> np.ndarray:
-        """Where the robot's fingertips should go from where they are seen, (F, 3) m in B."""
-        wanted = self._goal.p_BF_open.copy()
+        """Returns the vectors from the seen robot fingertips to their targets, (F, 3) m in B."""
+        target = self._goal.p_BF_open.copy()
         if state.phase in (Phase.SURROUND, Phase.CLOSE):
             X_BO = seen.X_BW @ self._goal.object_frame(seen.X_WO)
             closing = state.phase == Phase.CLOSE
             depth = self._config.overshoot if closing else -self._config.aperture
             aim = self._goal.p_OF_touch + depth * self._goal.n_OF
             touches = self._goal.touches
-            wanted[touches] = X_BO.multiply(aim[touches].T).T
-        error = wanted - seen.p_BF
+            target[touches] = X_BO.multiply(aim[touches].T).T
+        error = target - seen.p_BF
         if state.phase == Phase.SURROUND:
-            # A finger that touches has arrived, as when closing: a person does not push on what is felt.
+            # A finger that touches has arrived: a person does not push what they feel.
             error[self._goal.touches & (seen.contact > self._config.touch_force)] = 0
         return error
 
@@ -176,33 +175,33 @@ class GraspingPerson:
             self._squeeze(state, t)
             return
         p_HF = state.p_HF_past[-1]
-        # What the own fingers did since the picture was taken is taken to have moved the robot's alike
-        # (a forward model, as people have one; Miall and Wolpert 1996).
+        # The robot's fingers are assumed to have moved like the own since the picture was made: a forward
+        # model, as people have one (Miall and Wolpert 1996).
         done = (p_HF - state.p_HF_past[0])[self._own]
         error = self._fingertip_errors(state, seen) - done
-        wanted = np.zeros((5, 3))
-        wanted[self._own] = config.correction_rate * error
-        speed = np.linalg.norm(wanted, axis=1, keepdims=True)
+        target = np.zeros((5, 3))
+        target[self._own] = config.correction_rate * error
+        speed = np.linalg.norm(target, axis=1, keepdims=True)
         limit = np.full((5, 1), config.max_fingertip_speed)
         if state.phase == Phase.CLOSE:
             limit[self._own, 0] = config.closing_speed * self._closing_share(state.shape_error - done, seen)
-        wanted *= np.minimum(1.0, limit / np.maximum(speed, 1e-9))
+        target *= np.minimum(1.0, limit / np.maximum(speed, 1e-9))
         for own in self._followers:
-            wanted[own] = wanted[own - 1]
+            target[own] = target[own - 1]
         share = config.period / (config.period + config.muscle_time_constant)
-        velocity = state.finger_velocity + share * (wanted - state.finger_velocity)
+        velocity = state.finger_velocity + share * (target - state.finger_velocity)
         state.finger_velocity = velocity
         noisy = velocity * (1 + self._rng.normal(0, config.motor_noise, (5, 1)))
         state.theta = self._motion.follow(state.theta, p_HF + config.period * noisy)
 
     def _squeeze(self, state: OperatorState, t: float) -> None:
-        """Moves the touching fingertips inwards by what is sensed to be enough, and keeps them there."""
+        """Moves the touching fingertips inwards, by a depth that allows for the sensed gain."""
         config, goal = self._config, self._goal
         state.finger_velocity = np.zeros((5, 3))
         if state.phase != Phase.SQUEEZE:
             return
-        assert state.p_HF_start is not None and state.n_BF is not None  # set on entering the squeeze
-        # Own axes H and the robot hand's axes B are read as the same directions.
+        assert state.p_HF_start is not None and state.n_BF is not None  # set when the squeeze begins
+        # The axes of H and B are taken as the same directions.
         inwards = np.zeros((5, 3))
         inwards[self._own[goal.touches]] = state.n_BF[goal.touches]
         depth = config.squeeze / state.sensed.ratio
@@ -210,7 +209,7 @@ class GraspingPerson:
         state.theta = self._motion.follow(state.theta, state.p_HF_start + depth * inwards)
 
     def _closing_share(self, error: np.ndarray, seen: Seen) -> np.ndarray:
-        """Share of the closing speed for each finger: touching ones stop, leading ones wait."""
+        """Returns each finger's share of the closing speed: touching fingers stop, leading ones wait."""
         config, touches = self._config, self._goal.touches
         distance = np.linalg.norm(error, axis=1)
         touching = seen.contact > config.touch_force
@@ -221,7 +220,7 @@ class GraspingPerson:
 
     # -- wrist
 
-    def _wanted_hand_pose(self, state: OperatorState, seen: Seen) -> RigidTransform:
+    def _target_hand_pose(self, state: OperatorState, seen: Seen) -> RigidTransform:
         X_WO = self._goal.object_frame(seen.X_WO)
         before = state.phase in (Phase.REACH, Phase.RELEASE)
         return X_WO @ (self._goal.X_OB_before if before else self._goal.X_OB)
@@ -231,8 +230,8 @@ class GraspingPerson:
             return True
         return t >= state.movement.t_end + self._config.visual_delay + self._config.judging_time
 
-    def _at(self, seen: Seen, X_WB_wanted: RigidTransform) -> bool:
-        X = seen.X_BW @ X_WB_wanted
+    def _at(self, seen: Seen, X_WB_target: RigidTransform) -> bool:
+        X = seen.X_BW @ X_WB_target
         turn = X.rotation().ToAngleAxis().angle()
         return bool(
             np.linalg.norm(X.translation()) < self._config.reach_tolerance
@@ -245,14 +244,14 @@ class GraspingPerson:
             if shift is not None:
                 state.movement = self._plan_movement(state.X_WH, *shift, t)
                 state.movements += 1
-        # By then a decision has come after the movement's end, and the wrist stays where that has put it.
+        # Two periods later the last pose has been applied, and the wrist stays there.
         if state.movement is not None and t < state.movement.t_end + 2 * self._config.period:
             state.X_WH = state.movement.pose(t)
 
     def _wrist_shift(
         self, state: OperatorState, t: float, seen: Seen
     ) -> tuple[np.ndarray, RotationMatrix] | None:
-        """Translation and rotation in W that the hand still needs; None to stay."""
+        """Returns translation (m) and rotation in W of the next movement; None to stay."""
         if state.phase == Phase.LIFT:
             raised = state.movement is not None
             return None if raised else (np.array([0, 0, self._config.lift_height]), RotationMatrix())
@@ -266,11 +265,11 @@ class GraspingPerson:
                 return None
             state.best_error, state.best_time = np.inf, t
             return shift, RotationMatrix()
-        wanted = self._wanted_hand_pose(state, seen)
-        if self._at(seen, wanted):
+        target = self._target_hand_pose(state, seen)
+        if self._at(seen, target):
             return None
-        turn = wanted.rotation() @ seen.X_WB.rotation().inverse()
-        return wanted.translation() - seen.X_WB.translation(), turn
+        turn = target.rotation() @ seen.X_WB.rotation().inverse()
+        return target.translation() - seen.X_WB.translation(), turn
 
     def _plan_movement(
         self, X_WH: RigidTransform, shift: np.ndarray, turn: RotationMatrix, t: float

@@ -1,27 +1,23 @@
-"""How a person moves fingertips: along the postures that fingers take by themselves."""
+"""Inverse kinematics of a human hand along natural finger postures."""
 
 import numpy as np
 
 from geort_drake.people.human_hand import HumanHand
 
-# The outer joint of a finger bends with the one before it by this ratio: two thirds in fingers
-# (textbook value; 0.4 to 0.85 in recorded play), one in the thumb (recorded play).
+# Bend of the outer joint over that of the joint before it: two thirds in fingers (textbook; 0.4 to 0.85 in
+# recorded play), one in the thumb (recorded play).
 _COUPLING = np.array([1.0, 2 / 3, 2 / 3, 2 / 3, 2 / 3])
-# A finger is never stretched out fully: from there no small motion of its joints shortens it.
+# A straight finger is singular: no small motion of its joints shortens it.
 _LEAST_BEND = np.deg2rad(8.0)
 # Steps are damped where a radian moves the tip by less than 2 mm.
 _DAMPING = (2e-3) ** 2 * np.eye(3)
 
 
 class FingerMotion:
-    """Inverse kinematics of a human hand in three coordinates per finger.
+    """Inverse kinematics of a human hand in three coordinates per finger, within its joint limits.
 
-    The coordinates are abduction, flexion of the base joint, and the bend that both outer joints share
-    (`_COUPLING`). Three coordinates for three dimensions: every fingertip position has one posture, and
-    it is a natural one.
-
-    Args:
-        hand: the hand, whose joint limits are kept.
+    The coordinates are abduction, flexion of the base joint, and a bend shared by both outer joints
+    (`_COUPLING`), so that every fingertip position has one posture, a natural one.
     """
 
     def __init__(self, hand: HumanHand):
@@ -35,13 +31,13 @@ class FingerMotion:
 
     @property
     def rest(self) -> np.ndarray:
-        """(20,) joint angles of the hand with every coordinate in the middle of its range, rad."""
+        """(20,) joint angles with every coordinate in the middle of its range, rad."""
         return self._angles(0.5 * (self._lower + self._upper))
 
     def follow(self, theta: np.ndarray, p_HF: np.ndarray, iterations: int = 2) -> np.ndarray:
-        """Joint angles (20,) near theta that bring the fingertips to p_HF (5, 3), m, or near it.
+        """Returns joint angles (20,) near `theta` that bring the fingertips to p_HF (5, 3), m, or near it.
 
-        Damped Gauss–Newton steps; a coordinate that meets its limit stays there and the others go on.
+        Takes damped Gauss–Newton steps. A coordinate at its limit stays there and the others go on.
         """
         x = np.clip(np.asarray(theta, float).reshape(5, 4)[:, :3], self._lower, self._upper)
         for _ in range(iterations):

@@ -1,4 +1,4 @@
-"""The simulated person as a system that stands where a glove and a tracker stand."""
+"""The simulated person as a system in the place of a glove and a tracker."""
 
 import dataclasses as dc
 
@@ -10,22 +10,22 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
-from geort_drake.simulation.operators.state import OperatorState, Phase, Seen
+from geort_drake.simulation.operators.perception import Seen
+from geort_drake.simulation.operators.state import OperatorState, Phase
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.systems.port_values import Immutable, vector_to_pose
 
 
 @dc.dataclass(frozen=True)
 class _Memory(Immutable):
-    # `GraspingPerson.step` leaves the state that it is given alone.
-    state: OperatorState
+    state: OperatorState  # `GraspingPerson.step` does not change it
 
 
 class SimulatedOperator(LeafSystem):
-    """A person who grasps through the robot, by moving a human hand and wrist and nothing else.
+    """A person who grasps through the robot by moving a human hand and wrist.
 
-    Its inputs are meant to come through delays (`OperatorConfig.visual_delay`); `GraspingPerson`
-    decides, once every `OperatorConfig.period`.
+    `GraspingPerson` decides once every `OperatorConfig.period`. The inputs are meant to be delayed by
+    `OperatorConfig.visual_delay`.
 
     Input ports (F robot fingers in the goal's order):
         fingertips (3F): p_WF of the robot, m.
@@ -37,10 +37,10 @@ class SimulatedOperator(LeafSystem):
         wrist_pose (abstract RigidTransform): X_WH of the tracker on the own wrist.
         valid (1): always 1.
         phase (1): `Phase` as a number.
-        attempt (1): how many times the hand has gone for the object, from 1.
+        attempt (1): number of grasp attempts so far, from 1.
 
-    State: what the person remembers, an `OperatorState`. The noise is drawn from a generator seeded in the
-    constructor, so one system serves one simulation.
+    State: the person's memory (abstract OperatorState) and the keypoints (63). Noise comes from a generator
+    that the constructor seeds, so a system serves one simulation.
     """
 
     def __init__(
@@ -63,11 +63,11 @@ class SimulatedOperator(LeafSystem):
         self._hand_pose = self.DeclareVectorInputPort("hand_pose", 7)
         self._object_pose = self.DeclareVectorInputPort("object_pose", 7)
         self._contact = self.DeclareVectorInputPort("contact", num_fingers)
-        # The delays' outputs are zero until their first sample has come through.
+        # The delays' outputs are zero until their first sample has passed.
         self._first_sight = config.visual_delay - 0.5 * config.period
         start = self._person.start(X_WH_start)
         state = self.DeclareAbstractState(AbstractValue.Make(_Memory(start)))
-        # The keypoints are kept beside the state because the tremor must be drawn once per decision.
+        # A state, because the tremor is drawn once per decision.
         self._keypoints = self.DeclareDiscreteState(hand.keypoints(start.theta).ravel())
         ticket = {self.abstract_state_ticket(state)}
         self.DeclareStateOutputPort("keypoints", self._keypoints)
@@ -92,11 +92,11 @@ class SimulatedOperator(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(config.period, 0.0, self._decide)
 
     def phase(self, context: Context) -> Phase:
-        """What the person is doing."""
+        """Returns what the person is doing."""
         return self._state(context).phase
 
     def attempt(self, context: Context) -> int:
-        """How many times the hand has gone for the object, from 1."""
+        """Returns the number of grasp attempts so far, from 1."""
         return self._state(context).attempt
 
     def _state(self, context: Context) -> OperatorState:

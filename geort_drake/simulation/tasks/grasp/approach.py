@@ -1,4 +1,4 @@
-"""Finds a way for the open hand to its grasp that does not knock the object over."""
+"""Finds a collision-free way for the open hand to its grasp."""
 
 import itertools
 
@@ -12,29 +12,31 @@ from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.couplings import followers
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.links import palm_links
-from geort_drake.simulation.operators.wrist_motion import WristMovement
 from geort_drake.simulation.world import add_object
+from geort_drake.simulation.wrist_motion import WristMovement
 
-# Where the hand may wait before the grasp: this far back along the palm's normal and this far up, m.
+# Candidates for the waiting pose: back along the palm's normal, and up, m.
 _RETREATS = (0.08, 0.11, 0.14, 0.17)
 _RISES = (0.0, 0.05, 0.10)
-# Distance that the hand keeps from the object on its way there, m: the object is not always where it was
-# planned to be, and fingers move meanwhile.
+# Clearance between hand and object on the way to the waiting pose, m: the object varies in place, and the
+# fingers move meanwhile.
 _REACH_CLEARANCE = 0.03
-# Distance that the fingers keep on the way from there to the grasp, m, unless the grasp itself leaves less:
-# a hand that counts as open is so only within some tolerance.
+# Clearance of the fingers from there to the grasp, m, unless the grasp itself leaves less: the hand is open
+# only within a tolerance.
 _APPROACH_CLEARANCE = 0.012
-# Each way is looked at in so many places.
-_PLACES = 9
+_SAMPLES = 9  # per movement
+# Distances are measured up to this, m.
+_FARTHEST = 0.05
 
 
 class GraspApproach:
-    """A hand without its arm, and an object; the object's frame O is the world.
+    """A hand without its arm, and an object; the object's frame O is the world frame.
 
     Args:
+        description: the hand.
         object_name: the object.
-        X_OB_start: where the hand base starts.
-        q_start: joint positions by name at the start, rad.
+        X_OB_start: initial pose of the hand base.
+        q_start: initial joint positions by name, rad.
     """
 
     def __init__(
@@ -79,20 +81,20 @@ class GraspApproach:
         self._plant_context = self._plant.GetMyMutableContextFromRoot(self._context)
 
     def waiting_pose(self, X_OB: RigidTransform, q_open: dict[str, float]) -> RigidTransform | None:
-        """Where the hand can wait with open fingers before the grasp at X_OB; None if nowhere.
+        """Returns X_OB where the open hand can wait before the grasp at X_OB; None if there is none.
 
-        It is reached from the start, and the grasp from it, in straight minimum-jerk movements.
+        The straight movements from the start to it and from it to the grasp are free of collisions.
 
         Args:
             q_open: joint positions by name of the open hand, rad.
         """
-        room = self._distance(X_OB, X_OB, q_open, fingers_only=True)
-        if room <= 0:
+        clearance = self._distance(X_OB, X_OB, q_open, fingers_only=True)
+        if clearance <= 0:
             return None
         for rise, retreat in itertools.product(_RISES, _RETREATS):
             X_OB_before = RigidTransform([0, 0, rise]) @ X_OB @ RigidTransform([-retreat, 0, 0])
             approach = self._distance(X_OB_before, X_OB, q_open, fingers_only=True)
-            if approach >= min(0.9 * room, _APPROACH_CLEARANCE) and all(
+            if approach >= min(0.9 * clearance, _APPROACH_CLEARANCE) and all(
                 self._distance(self._X_OB_start, X_OB_before, q) >= _REACH_CLEARANCE
                 for q in (q_open, self._q_start)
             ):
@@ -106,14 +108,14 @@ class GraspApproach:
         q: dict[str, float],
         fingers_only: bool = False,
     ) -> float:
-        """Least distance between hand and object on the way, m, as far as that is below 50 mm."""
+        """Returns the least distance between hand and object on a movement, at most `_FARTHEST`, m."""
         movement = WristMovement(X_OB_from, X_OB_to, 0.0, 1.0)
         for name, joint in self._joints.items():
             joint.set_angle(self._plant_context, q[name])
-        # The hand base need not lie on the link that the others hang on.
+        # The hand base need not be on the root link.
         X_RootB = self._plant.CalcRelativeTransform(self._plant_context, self._root.body_frame(), self._base)
-        least = 0.05
-        for t in np.linspace(0, 1, _PLACES):
+        least = _FARTHEST
+        for t in np.linspace(0, 1, _SAMPLES):
             self._plant.SetFloatingBaseBodyPoseInWorldFrame(
                 self._plant_context, self._root, movement.pose(t) @ X_RootB.inverse()
             )

@@ -1,4 +1,4 @@
-"""Where a grip touches an object, from the object's shape alone."""
+"""Contacts of a grip on an object, from the object's shape alone."""
 
 import dataclasses as dc
 import math
@@ -12,25 +12,25 @@ from geort_drake.errors import UnknownNameError
 from geort_drake.resources import models_dir
 from geort_drake.simulation.object_shape import ObjectShape, half_extents
 
-# Fingers beside each other touch a flat side at least this far from its middle, m. Thick fingers need more
-# room than thin ones: where no grasp is found, the next is tried.
-_BESIDE = (0.014, 0.017, 0.02)
-# A contact keeps this far from the edges of the surface it lies on, m.
+# Distances of adjacent fingers from the middle of a flat side, m. Thick fingers need more: if no grasp is
+# found with one distance, the next is tried.
+_OFFSETS = (0.014, 0.017, 0.02)
+# Least distance of a contact from the edges of its surface, m.
 _EDGE = 0.003
 
 
 @dc.dataclass(frozen=True)
 class Grip:
-    """A way to hold something upright: which fingers touch, and from where around the vertical.
+    """A way to hold an upright object: the touching fingers and their directions around the vertical.
 
-    Names as in the taxonomy of grasps (Cutkosky 1989; Feix et al. 2016): pinch and tripod are precision
+    Names follow the taxonomy of grasps (Cutkosky 1989; Feix et al. 2016): pinch and tripod are precision
     grasps between fingertips; a power grasp presses the object into the palm.
     """
 
-    # Finger → its angle from the grip's axis, which runs from the thumb to the fingers, rad, and its
-    # height over the grip's, m. Angles are a right hand's; a left one's are the opposite.
+    # Finger → its angle about the vertical from the grip's axis, rad, and its height above the grip, m. The
+    # axis runs from the thumb to the fingers. Angles are a right hand's; a left hand's are opposite.
     fingers: dict[str, tuple[float, float]]
-    # Whether the object shall lie in the palm. The palm's normal then is at 90° from the grip's axis.
+    # Whether the object lies in the palm, whose normal then is at 90° from the grip's axis.
     palm: bool = False
 
 
@@ -39,7 +39,7 @@ GRIPS = {
     "tripod": Grip(
         {"thumb": (math.pi, 0.0), "index": (math.radians(28), 0.0), "middle": (math.radians(-28), 0.0)}
     ),
-    # The fingers go round the far side, so that they and the thumb press towards the palm.
+    # The fingers reach around the far side, so that they and the thumb press towards the palm.
     "power": Grip(
         {
             "thumb": (math.radians(150), 0.0),
@@ -53,10 +53,10 @@ GRIPS = {
 
 
 def grip_of(name: str) -> str:
-    """The grip, one of `GRIPS`, that an object is made for, from models/objects.yaml.
+    """Returns the name of an object's grip, one of `GRIPS`, from models/objects.yaml.
 
     Raises:
-        UnknownNameError: the object is not listed there, or with a grip that does not exist.
+        UnknownNameError: the object is not listed there, or its grip does not exist.
     """
     path = models_dir() / "objects.yaml"
     grips = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -69,7 +69,7 @@ def grip_of(name: str) -> str:
 
 @dc.dataclass(frozen=True)
 class Contact:
-    """Where a finger or the palm shall touch: a surface point and the inward normal, in O, m."""
+    """A contact of a finger or the palm: a surface point, m, and the inward unit normal, both in O."""
 
     part: str
     p_OC: np.ndarray
@@ -82,43 +82,42 @@ def grip_contacts(
     height: float = 0.5,
     grip: str = "tripod",
     side: str = "right",
-    beside: float = _BESIDE[0],
+    offset: float = _OFFSETS[0],
 ) -> list[Contact]:
-    """The contacts of a grip around the vertical at `yaw`, on the object's main part.
+    """Returns the contacts of a grip on the object's main part.
 
     Args:
-        yaw: direction of the grasp's axis from the thumb to the fingers, rad.
+        yaw: direction of the grip's axis from the thumb to the fingers, rad.
         height: of the grip, as a share of the object's height.
         grip: one of `GRIPS`.
         side: of the hand.
-        beside: one of `rooms_beside`.
+        offset: one of `finger_offsets`, m.
     """
     bottom, top = vertical_extent(shape)
     z = bottom + height * (top - bottom)
     return [
-        _contact(shape, finger, yaw, _turned(angle, side), z + raised, beside)
+        _contact(shape, finger, yaw, _turned(angle, side), z + raised, offset)
         for finger, (angle, raised) in GRIPS[grip].fingers.items()
     ]
 
 
 def palm_contact(shape: ObjectShape, yaw: float, height: float, side: str = "right") -> Contact:
-    """Where the palm shall touch in a power grasp, for arguments as in `grip_contacts`."""
+    """Returns the palm's contact in a power grasp; arguments as in `grip_contacts`."""
     bottom, top = vertical_extent(shape)
-    # Across the grip's axis: the side the object shows there is found as for a grip turned that way.
     z = bottom + height * (top - bottom)
-    return _contact(shape, "palm", yaw + _turned(-math.pi / 2, side), 0.0, z, beside=0.0)
+    return _contact(shape, "palm", yaw + _turned(-math.pi / 2, side), 0.0, z, offset=0.0)
 
 
 def _turned(angle: float, side: str) -> float:
-    """A right hand's angle around the vertical as the hand of that side has it."""
+    """Returns a right hand's angle about the vertical for a hand of that side."""
     return -angle if side == "left" else angle
 
 
-def _contact(shape: ObjectShape, part: str, yaw: float, angle: float, z: float, beside: float) -> Contact:
+def _contact(shape: ObjectShape, part: str, yaw: float, angle: float, z: float, offset: float) -> Contact:
     main, X_OG = shape.main
     direction = np.array([math.cos(yaw + angle), math.sin(yaw + angle), 0.0])
     if isinstance(main, Box):
-        p, outward = _on_box(main.size() / 2, X_OG, direction, yaw, beside)
+        p, outward = _on_box(main.size() / 2, X_OG, direction, yaw, offset)
     else:
         p, outward = direction * _radius_at(main, z - X_OG.translation()[2]), direction
         p = p + X_OG.translation() * [1, 1, 0]
@@ -126,22 +125,22 @@ def _contact(shape: ObjectShape, part: str, yaw: float, angle: float, z: float, 
 
 
 def vertical_extent(shape: ObjectShape) -> tuple[float, float]:
-    """Lowest and highest z of the upright object in O, m."""
+    """Returns the lowest and the highest z of the upright object in O, m."""
     upside_down = RigidTransform(RotationMatrix.MakeXRotation(math.pi), np.zeros(3))
     return shape.lowest_point(RigidTransform()), -shape.lowest_point(upside_down)
 
 
 def contact_heights(shape: ObjectShape, grip: str, lowest: float) -> list[float]:
-    """Heights of the grip to try, best first, as shares of the object's height.
+    """Returns heights of the grip to try, best first, as shares of the object's height.
 
-    A little above the middle is best, as the object then hangs from its contacts.
+    Just above the middle is best, as the object then hangs from its contacts.
 
     Args:
-        lowest: no contact may be nearer to the object's bottom than this, m.
+        lowest: least height of a contact above the object's bottom, m.
     """
     main, X_OG = shape.main
     if isinstance(main, Sphere | Ellipsoid):
-        shares: tuple[float, ...] = (0.5,)  # elsewhere the surface is not upright
+        shares: tuple[float, ...] = (0.5,)  # the surface is vertical only there
     else:
         shares = (0.55, 0.4, 0.75)
     bottom, top = vertical_extent(shape)
@@ -156,22 +155,22 @@ def contact_heights(shape: ObjectShape, grip: str, lowest: float) -> list[float]
     return fitting
 
 
-def rooms_beside(shape: ObjectShape, grip: str) -> tuple[float, ...]:
-    """Least distances from the middle of a flat side to try for fingers beside each other, best first, m.
+def finger_offsets(shape: ObjectShape, grip: str) -> tuple[float, ...]:
+    """Returns distances of adjacent fingers from the middle of a flat side to try, best first, m.
 
-    One where it makes no difference: on round objects, and for a finger alone.
+    There is one if it makes no difference: on round objects, and for a single finger.
     """
     main, _ = shape.main
     alone = all(math.isclose(math.sin(angle), 0, abs_tol=1e-9) for angle, _ in GRIPS[grip].fingers.values())
     if alone or not isinstance(main, Box):
-        return _BESIDE[:1]
+        return _OFFSETS[:1]
     # Boxes are grasped across their shorter side, see `yaw_candidates`.
     widest = max(main.width(), main.depth()) / 2 - _EDGE
-    return _BESIDE[:1] + tuple(room for room in _BESIDE[1:] if room <= widest)
+    return _OFFSETS[:1] + tuple(offset for offset in _OFFSETS[1:] if offset <= widest)
 
 
 def yaw_candidates(shape: ObjectShape) -> tuple[list[float], float]:
-    """Yaws to try for the grasp's axis, and the object's own yaw symmetry (0: full)."""
+    """Returns yaws of the grip's axis to try, rad, and the object's yaw symmetry, rad (0: full)."""
     main, _ = shape.main
     if isinstance(main, Box):
         square = math.isclose(main.width(), main.depth(), rel_tol=0.02)
@@ -183,22 +182,22 @@ def yaw_candidates(shape: ObjectShape) -> tuple[list[float], float]:
 
 
 def _radius_at(shape: Shape, z: float) -> float:
-    """Radius of a round shape at the height z over its centre."""
+    """Returns the radius of a round shape at the height z above its centre, m."""
     if hasattr(shape, "length"):
         return shape.radius()
     return math.sqrt(max(shape.radius() ** 2 - z**2, 0.0))
 
 
 def _on_box(
-    half: np.ndarray, X_OG: RigidTransform, direction: np.ndarray, yaw: float, beside: float
+    half: np.ndarray, X_OG: RigidTransform, direction: np.ndarray, yaw: float, least: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The side of a box that faces along the grasp's axis, and the point on it under `direction`."""
+    """Returns the contact in `direction` on a box's side across the grip's axis, and its outward normal."""
     axis = np.array([math.cos(yaw), math.sin(yaw), 0.0])
     side = axis if direction @ axis > 0 else -axis
     lateral = np.array([-math.sin(yaw), math.cos(yaw), 0.0])
     depth = float(np.abs(side) @ half)
     width = float(np.abs(lateral) @ half)
-    # Neighbouring fingertips need room beside each other even on a narrow side.
+    # Adjacent fingertips keep their distance even on a narrow side.
     offset = float(np.clip(depth * (direction @ lateral) / abs(direction @ axis), -width, width))
-    offset = 0.0 if abs(direction @ lateral) < 1e-9 else math.copysign(max(abs(offset), beside), offset)
+    offset = 0.0 if abs(direction @ lateral) < 1e-9 else math.copysign(max(abs(offset), least), offset)
     return X_OG.translation() + depth * side + offset * lateral, side

@@ -1,4 +1,4 @@
-"""Inverse kinematics of a grasp: arm and hand in a plant in which the object stands still."""
+"""Inverse kinematics of a grasp, for arm and hand in a plant with a fixed object."""
 
 import numpy as np
 from pydrake.geometry import (
@@ -26,36 +26,36 @@ from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks.grasp.contacts import Contact
 from geort_drake.simulation.world import ARM, HAND, add_object, add_robot, standing_pose
 
-# Clearance of everything but the grasping fingertips from each other and from the object, m. Some of the
-# hand's own links never come further apart than a few millimetres.
+# Clearance between all bodies except the grasping fingertips, m. Some of the hand's own links are never
+# further apart than a few millimetres.
 _CLEARANCE = 0.002
-# Further room between the hand and what the object stands on, m: a hand that is not quite where or how it
-# should be must not meet it. Fingertips are kept above it by the choice of contacts.
+# Additional clearance between the hand and the object's support, m, for a hand that misses its pose. The
+# choice of contacts keeps fingertips above the support.
 _GROUND_CLEARANCE = 0.006
-# How well the fingertips are placed, m: while they touch, and while they are open.
+# Tolerances of the fingertips' positions, m: touching, and open.
 _TOLERANCE, _OPEN_TOLERANCE = 0.001, 0.008
-# The palm's gap to an object that shall lie in it before the fingers close; where on the palm the object
-# shall lie, sideways and along the fingers; all in B, m. How far the palm may lean, rad.
+# Range of the object's contact on the palm before the fingers close: gap, sideways and along the fingers, in
+# B, m; and the palm's largest tilt, rad.
 _PALM_GAP = (0.002, 0.006)
 _PALM_Y = (-0.015, 0.015)
 _PALM_Z = (-0.06, 0.0)
 _PALM_TILT = 0.25
-# Part of its range that a grasping joint keeps from either limit, to have room to squeeze.
+# Share of its range that a grasping joint keeps from either limit, to be able to squeeze.
 _LIMIT_MARGIN = 0.1
-# Weight of the arm's joints in the discomfort of a posture; a grasping finger's joints weigh 1, those of
-# the other fingers more, as they stay out of the way.
+# Weights in the discomfort of a posture: of the arm's joints, and of joints of fingers that do not grasp. A
+# grasping finger's joints weigh 1.
 _ARM_WEIGHT = 0.5
 _IDLE_WEIGHT = 10.0
 
 
 class GraspKinematics:
-    """The scenario's robot and object, and postures in which fingertips meet given contacts.
-
-    Args:
-        fingers: names of the fingers that grasp; only their tips may touch the object.
+    """The scenario's robot and object; finds postures in which fingertips are at given contacts.
 
     Frames: W the world, O the object, B the hand base, F a fingertip point. The object stands at the
     scenario's position with zero yaw.
+
+    Args:
+        fingers: names of the grasping fingers; only their tips may touch the object.
     """
 
     def __init__(self, scenario: Scenario, description: HandDescription, fingers: list[str]):
@@ -66,9 +66,9 @@ class GraspKinematics:
         add_robot(plant, scenario, description)
         self._object = add_object(plant, scenario.object.name)
         self.shape: ObjectShape = object_shape(plant, scene_graph.model_inspector(), self._object)
-        # The object is sunk into its support, which keeps the hand that much further above it.
+        # The object is sunk into its support by the ground clearance.
         bottom = self.shape.lowest_point(RigidTransform())
-        self._X_WO = standing_pose(scenario, bottom + _GROUND_CLEARANCE, 0, 0, 0)
+        self._X_WO = standing_pose(scenario, bottom + _GROUND_CLEARANCE)
         plant.WeldFrames(plant.world_frame(), self._object.body_frame(), self._X_WO)
         plant.Finalize()
         self._plant = plant
@@ -79,22 +79,22 @@ class GraspKinematics:
         self._diagram = builder.Build()
         self._context = self._diagram.CreateDefaultContext()
         self._plant_context = plant.GetMyMutableContextFromRoot(self._context)
-        # Solving leaves its last iterate in the context, so the default posture is kept apart.
+        # Solving leaves its last iterate in the context.
         self.q_default = plant.GetPositions(self._plant_context).copy()
 
     def touch(
         self, contacts: list[Contact], palm: Contact | None, guess: np.ndarray, collisions: bool = True
     ) -> tuple[float, np.ndarray] | None:
-        """The most comfortable posture near `guess` in which the fingertips touch; None if there is none.
+        """Finds the most comfortable posture near `guess` in which the fingertips touch.
 
         Args:
             contacts: one for each grasping finger.
-            palm: where the palm shall lie close, if it shall.
+            palm: the palm's contact, or None.
             guess: positions of the plant to start from.
-            collisions: without them, a hundred times faster, the object and the robot may overlap.
+            collisions: whether to avoid collisions; without that it is a hundred times faster.
 
         Returns:
-            The posture's discomfort, and the positions of the plant.
+            The posture's discomfort and the positions of the plant; None if there is none.
         """
         ik = self._program(contacts, 0.0, _TOLERANCE)
         low, high = self._plant.GetPositionLowerLimits(), self._plant.GetPositionUpperLimits()
@@ -115,7 +115,10 @@ class GraspKinematics:
         return result.get_optimal_cost(), result.GetSolution(ik.q())
 
     def open(self, contacts: list[Contact], opening: float, q_touch: np.ndarray) -> np.ndarray | None:
-        """Positions with the fingertips `opening` off the contacts, the arm as at q_touch; None if none."""
+        """Returns positions with the fingertips `opening` (m) off the contacts and the arm as in q_touch.
+
+        None if there are none.
+        """
         ik = self._program(contacts, opening, _OPEN_TOLERANCE)
         ik.AddMinimumDistanceLowerBoundConstraint(_CLEARANCE, 0.02)
         arm = self._arm_positions()
@@ -124,7 +127,7 @@ class GraspKinematics:
         return result.GetSolution(ik.q()) if result.is_success() else None
 
     def open_wide(self, q_touch: np.ndarray) -> np.ndarray | None:
-        """Positions with the hand in its default posture, the arm as at q_touch; None if that collides."""
+        """Returns positions with the hand's default posture and the arm as in q_touch; None in collision."""
         q, arm = self.q_default.copy(), self._arm_positions()
         q[arm] = q_touch[arm]
         self._plant.SetPositions(self._plant_context, q)
@@ -132,12 +135,12 @@ class GraspKinematics:
         return None if query.HasCollisions() else q
 
     def hand_pose(self, q: np.ndarray) -> RigidTransform:
-        """X_OB of the hand base at the plant's positions q."""
+        """Returns X_OB at the plant's positions q."""
         self._plant.SetPositions(self._plant_context, q)
         return self._X_WO.inverse() @ self._base.CalcPoseInWorld(self._plant_context)
 
     def fingertips(self, q: np.ndarray) -> np.ndarray:
-        """p_OF (F, 3) of all fingertip points at the plant's positions q, m."""
+        """Returns p_OF (F, 3) of all fingertip points at the plant's positions q, m."""
         self._plant.SetPositions(self._plant_context, q)
         p_WF = [
             self._tip_body(finger).EvalPoseInWorld(self._plant_context) @ np.asarray(finger.tip_point, float)
@@ -146,7 +149,7 @@ class GraspKinematics:
         return self._X_WO.inverse().multiply(np.array(p_WF).T).T
 
     def joint_positions(self, q: np.ndarray) -> dict[str, float]:
-        """The plant's positions q by joint name, rad."""
+        """Returns the plant's positions q by joint name, rad."""
         joints = map(self._plant.get_joint, self._plant.GetJointIndices())
         return {joint.name(): q[joint.position_start()] for joint in joints if joint.num_positions()}
 
@@ -155,7 +158,7 @@ class GraspKinematics:
         return [joint.position_start() for joint in joints if joint.num_positions()]
 
     def _program(self, contacts: list[Contact], opening: float, tolerance: float) -> InverseKinematics:
-        """Fingertips `opening` off their contacts, as near as can be to a comfortable posture."""
+        """Returns a program with fingertips `opening` off their contacts and a cost of discomfort."""
         plant = self._plant
         ik = InverseKinematics(plant, self._plant_context)
         by_finger = {contact.part: contact for contact in contacts}
@@ -166,7 +169,7 @@ class GraspKinematics:
                 self._tip_body(finger).body_frame(),
                 np.asarray(finger.tip_point, float),
                 self._object.body_frame(),
-                # Not lower, as there may be no room.
+                # Not lower: the support is below.
                 p_OF - np.array([tolerance, tolerance, 0.0]),
                 p_OF + tolerance,
             )
@@ -177,13 +180,13 @@ class GraspKinematics:
             for name in finger.joints:
                 index = plant.GetJointByName(name, self._hand).position_start()
                 weight[index] = 1.0 if finger in self._grasping else _IDLE_WEIGHT
-                if finger in self._grasping:  # a grasping joint is most useful in its middle range
+                if finger in self._grasping:  # a grasping joint is best in the middle of its range
                     q_nominal[index] = 0.5 * (low[index] + high[index])
         for follower, leader, ratio, offset in followers(self._description):
             place, leading = (
                 plant.GetJointByName(name, self._hand).position_start() for name in (follower, leader)
             )
-            weight[place] = 0.0  # its leader's angle counts
+            weight[place] = 0.0  # only its leader's angle counts
             ik.get_mutable_prog().AddLinearEqualityConstraint(
                 ik.q()[place] - ratio * ik.q()[leading] == offset
             )
@@ -191,7 +194,7 @@ class GraspKinematics:
         return ik
 
     def _put_palm(self, ik: InverseKinematics, palm: Contact) -> None:
-        """The palm faces the object at the contact, index finger up."""
+        """Constrains the palm to face the object at the contact, index finger up."""
         low, high = zip(_PALM_GAP, _PALM_Y, _PALM_Z, strict=True)
         front = np.array([self._palm_front, 0.0, 0.0])
         ik.AddPositionConstraint(
@@ -204,7 +207,7 @@ class GraspKinematics:
             )
 
     def _find_palm_front(self, scene_graph: SceneGraph) -> float:
-        """The largest x in B of the palm's collision geometry, m."""
+        """Returns the largest x in B of the palm's collision geometry, m."""
         inspector, context = scene_graph.model_inspector(), self._plant.CreateDefaultContext()
         fronts = []
         for body in palm_links(self._plant, self._description, self._hand):
@@ -215,21 +218,21 @@ class GraspKinematics:
         return max(fronts, default=0.0)
 
     def _let_tips_touch(self, scene_graph: SceneGraph) -> None:
-        """Grasping fingertips touch each other, the object and, nearly, what it stands on."""
+        """Filters collisions of grasping fingertips with each other, the object and its support."""
         tips = [
             geometry
             for finger in self._grasping
             for geometry in tip_geometries(self._plant, scene_graph.model_inspector(), self._tip_body(finger))
         ]
-        # What is welded to the world: the object and its support.
-        still = [
+        # Welded to the world are the object and its support.
+        fixed = [
             geometry
             for body in self._plant.GetBodiesWeldedTo(self._plant.world_body())
             for geometry in self._geometries(scene_graph, body)
         ]
         declaration = CollisionFilterDeclaration()
         declaration.ExcludeWithin(GeometrySet(tips))
-        declaration.ExcludeBetween(GeometrySet(tips), GeometrySet(still))
+        declaration.ExcludeBetween(GeometrySet(tips), GeometrySet(fixed))
         scene_graph.collision_filter_manager().Apply(declaration)
 
     def _geometries(self, scene_graph: SceneGraph, body: RigidBody) -> list:
@@ -241,7 +244,7 @@ class GraspKinematics:
 
 
 def _largest_x(shape: Shape, X_BG: RigidTransform) -> float:
-    """Of a geometry G in B, m: of the box around a primitive, and of a mesh's convex hull."""
+    """Returns the largest x in B, m, of the box around a primitive or of a mesh's convex hull."""
     if isinstance(shape, Convex | Mesh):
         hull = shape.GetConvexHull()
         vertices = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
@@ -250,7 +253,7 @@ def _largest_x(shape: Shape, X_BG: RigidTransform) -> float:
 
 
 def _options() -> SolverOptions:
-    # A solution takes some 30 iterations; a start that needs many more rarely leads to one.
+    # A solution takes about 30 iterations; a start that needs many more rarely leads to one.
     options = SolverOptions()
     options.SetOption(SnoptSolver.id(), "Major iterations limit", 60)
     options.SetOption(SnoptSolver.id(), "Iterations limit", 1000)

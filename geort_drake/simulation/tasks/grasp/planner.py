@@ -1,8 +1,8 @@
-"""Finds where the robot hand should be and touch to grasp an object.
+"""Plans the grasp of an object: hand poses and contacts.
 
-The planner knows the object's shape and grip, the robot and the surroundings, and nothing of retargeting.
-It places contacts by the object's shape, from several yaws and at several heights, and keeps the most
-comfortable posture of arm and hand together that reaches them, free of collisions.
+The planner knows the object's shape and grip, the robot and the surroundings, but no retargeting. It places
+contacts on the object at several yaws and heights, and takes the most comfortable collision-free posture of
+arm and hand that reaches them.
 """
 
 import dataclasses as dc
@@ -13,29 +13,28 @@ from pydrake.math import RigidTransform
 
 from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import HandDescription
-from geort_drake.simulation.object_shape import ObjectShape
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks.grasp.approach import GraspApproach
 from geort_drake.simulation.tasks.grasp.contacts import (
     GRIPS,
     Contact,
     contact_heights,
+    finger_offsets,
     grip_contacts,
     grip_of,
     palm_contact,
-    rooms_beside,
     yaw_candidates,
 )
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.kinematics import GraspKinematics
 
-# Least gap between two fingertips on the object, and between a fingertip and what the object stands on, m.
+# Least gap between two fingertips, and between a fingertip and the object's support, m.
 _TIP_GAP = 0.002
-# A step down the list of heights counts like this discomfort.
+# Discomfort of each step down the list of heights.
 _HEIGHT_STEP = 0.2
-# Of so many grasps the best is taken, and so many places are tried at most.
+# The best of this many grasps is taken, and at most this many candidates are tried.
 _ENOUGH, _TRIES = 2, 15
-# How far fingertips open around their contacts, m.
+# Opening of the fingertips around their contacts, m.
 _OPENING = 0.025
 
 
@@ -69,16 +68,11 @@ class GraspPlanner:
             robot.joint_positions(robot.q_default),
         )
 
-    @property
-    def shape(self) -> ObjectShape:
-        """The object's shape."""
-        return self._kinematics.shape
-
     def plan(self) -> GraspGoal:
-        """The most comfortable grasp that was found; the same one every time.
+        """Returns the most comfortable grasp that is found; it is deterministic.
 
         Raises:
-            ScenarioError: none was found.
+            ScenarioError: no grasp is found.
         """
         robot, best = self._kinematics, self._search()
         names = tuple(finger.name for finger in self._description.fingers)
@@ -96,66 +90,63 @@ class GraspPlanner:
         )
 
     def _search(self) -> "_Grasp":
-        for beside in rooms_beside(self._kinematics.shape, self._grip):
+        for offset in finger_offsets(self._kinematics.shape, self._grip):
             found: list[_Grasp] = []
-            for place in self._places(beside)[:_TRIES]:
-                if len(found) == _ENOUGH or any(place.rank >= grasp.rank for grasp in found):
+            for candidate in self._candidates(offset)[:_TRIES]:
+                if len(found) == _ENOUGH or any(candidate.cost >= grasp.cost for grasp in found):
                     break
-                grasp = self._grasp_at(place)
+                grasp = self._grasp_from(candidate)
                 if grasp is not None:
                     found.append(grasp)
             if found:
-                return min(found, key=lambda grasp: grasp.rank)
+                return min(found, key=lambda grasp: grasp.cost)
         raise ScenarioError(
             f"the robot cannot grasp object '{self._scenario.object.name}' at "
             f"{self._scenario.object.position}: no collision-free {self._grip} grasp was found"
         )
 
-    def _grasp_at(self, place: "_Place") -> "_Grasp | None":
-        """The grasp there without collisions, with open fingers and a way to it; None if there is none."""
+    def _grasp_from(self, candidate: "_Candidate") -> "_Grasp | None":
+        """Returns a collision-free grasp with open fingers and a way to it, or None."""
         robot = self._kinematics
-        solution = robot.touch(place.contacts, place.palm, place.q)
+        solution = robot.touch(candidate.contacts, candidate.palm, candidate.q)
         if solution is None:
             return None
         discomfort, q_touch = solution
-        # To take an object into the palm, the whole hand opens; and so do fingers that cannot leave a surface
-        # straight, as three joints are needed to put a tip anywhere.
-        wide = place.palm is not None or self._fewest_joints < 3
-        q_open = robot.open_wide(q_touch) if wide else robot.open(place.contacts, _OPENING, q_touch)
+        # The whole hand opens to take an object into the palm, or if a finger has fewer than three joints
+        # and so cannot leave a surface in a straight line.
+        wide = candidate.palm is not None or self._fewest_joints < 3
+        q_open = robot.open_wide(q_touch) if wide else robot.open(candidate.contacts, _OPENING, q_touch)
         if q_open is None:
             return None
         X_OB_before = self._approach.waiting_pose(robot.hand_pose(q_touch), robot.joint_positions(q_open))
         if X_OB_before is None:
             return None
-        return _Grasp(discomfort + place.penalty, place.contacts, q_touch, q_open, X_OB_before)
+        return _Grasp(discomfort + candidate.penalty, candidate.contacts, q_touch, q_open, X_OB_before)
 
-    def _places(self, beside: float) -> list["_Place"]:
-        """Where fingertips and palm can reach, the most promising first.
+    def _candidates(self, offset: float) -> list["_Candidate"]:
+        """Returns contacts within reach, the most promising first; `offset` is one of `finger_offsets`.
 
-        Ranked by inverse kinematics without collisions, which takes a hundredth of the time with them and
-        is hardly ever less comfortable.
-
-        Args:
-            beside: one of `rooms_beside`.
+        They are sorted by inverse kinematics without collisions, which takes a hundredth of the time and
+        rarely gives another discomfort.
         """
         robot, side = self._kinematics, self._description.side
         shape = robot.shape
         lowest = max(finger.tip_radius for finger in self._description.fingers) + _TIP_GAP
-        places = []
+        candidates = []
         for step, height in enumerate(contact_heights(shape, self._grip, lowest)):
             for yaw in yaw_candidates(shape)[0]:
-                contacts = grip_contacts(shape, yaw, height, self._grip, side, beside)
+                contacts = grip_contacts(shape, yaw, height, self._grip, side, offset)
                 palm = palm_contact(shape, yaw, height, side) if GRIPS[self._grip].palm else None
-                if not self._room_for_tips(contacts):
+                if not self._tips_are_clear(contacts):
                     continue
                 relaxed = robot.touch(contacts, palm, robot.q_default, collisions=False)
                 if relaxed is not None:
                     penalty = step * _HEIGHT_STEP
-                    places.append(_Place(relaxed[0] + penalty, penalty, contacts, palm, relaxed[1]))
-        return sorted(places, key=lambda place: place.rank)
+                    candidates.append(_Candidate(relaxed[0] + penalty, penalty, contacts, palm, relaxed[1]))
+        return sorted(candidates, key=lambda candidate: candidate.cost)
 
-    def _room_for_tips(self, contacts: list[Contact]) -> bool:
-        """Whether the fingertips at these contacts would be clear of each other."""
+    def _tips_are_clear(self, contacts: list[Contact]) -> bool:
+        """Whether the fingertips at these contacts are clear of each other."""
         radius = {finger.name: finger.tip_radius for finger in self._description.fingers}
         tips = [
             (contact.p_OC - contact.n_O * radius[contact.part], radius[contact.part]) for contact in contacts
@@ -167,11 +158,11 @@ class GraspPlanner:
 
 
 @dc.dataclass(frozen=True)
-class _Place:
-    """Contacts that can be reached, if nothing is in the way."""
+class _Candidate:
+    """Contacts that can be reached if collisions are ignored."""
 
-    rank: float  # less is better
-    penalty: float  # for the height, part of the rank
+    cost: float  # discomfort and penalty
+    penalty: float  # for the height
     contacts: list[Contact]
     palm: Contact | None
     q: np.ndarray
@@ -179,9 +170,9 @@ class _Place:
 
 @dc.dataclass(frozen=True)
 class _Grasp:
-    """Postures of arm and hand that touch and that are open, and where the hand waits before."""
+    """Touching and open postures of arm and hand, and the hand's waiting pose."""
 
-    rank: float
+    cost: float
     contacts: list[Contact]
     q_touch: np.ndarray
     q_open: np.ndarray

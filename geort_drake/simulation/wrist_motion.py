@@ -1,4 +1,4 @@
-"""How a person moves the wrist: minimum-jerk movements from one rest to the next."""
+"""Minimum-jerk movements of a wrist or hand from one rest to the next."""
 
 import dataclasses as dc
 import functools
@@ -10,14 +10,19 @@ from scipy.spatial.transform import Rotation
 
 @dc.dataclass
 class WristMovement:
-    """A minimum-jerk movement of the wrist (Flash and Hogan 1985)."""
+    """A minimum-jerk movement (Flash and Hogan 1985); times in s."""
 
     X_start: RigidTransform
     X_end: RigidTransform
     t_start: float
     duration: float
 
+    @property
+    def t_end(self) -> float:
+        return self.t_start + self.duration
+
     def pose(self, t: float) -> RigidTransform:
+        """Returns the pose at time t: on a straight line, turned about one axis."""
         s = minimum_jerk((t - self.t_start) / self.duration)
         p = self.X_start.translation() + s * (self.X_end.translation() - self.X_start.translation())
         turn = Rotation.from_rotvec(self._turn * s).as_matrix()
@@ -28,12 +33,8 @@ class WristMovement:
         R_SE = self.X_start.rotation().inverse() @ self.X_end.rotation()
         return Rotation.from_matrix(R_SE.matrix()).as_rotvec()
 
-    @property
-    def t_end(self) -> float:
-        return self.t_start + self.duration
-
 
 def minimum_jerk(s: float) -> float:
-    """Progress in [0, 1] at the relative time s: 10 s³ − 15 s⁴ + 6 s⁵."""
+    """Returns the progress in [0, 1] at the relative time s: 10 s³ − 15 s⁴ + 6 s⁵."""
     s = min(max(s, 0.0), 1.0)
     return s**3 * (10 - 15 * s + 6 * s**2)
