@@ -9,8 +9,8 @@ from packaging.utils import canonicalize_name
 from packaging.version import Version
 
 ROOT = Path(__file__).resolve().parents[1]
-# They judge the sources and run no tests.
-TOOLS = {"ruff", "mypy"}
+# They judge the sources or build the site.
+TOOLS = {"ruff", "mypy", "mkdocs", "mkdocs-material", "mkdocstrings", "latex2mathml"}
 
 
 def ranges() -> dict[str, Requirement]:

@@ -1,0 +1,124 @@
+"""MkDocs hooks: tables of figures and of configuration fields, help of the commands, equations as MathML."""
+
+import ast
+import csv
+import html
+import io
+import re
+import tokenize
+from pathlib import Path
+
+from latex2mathml.converter import convert
+
+PACKAGE = Path(__file__).resolve().parents[1] / "geort_drake"
+DATA = Path(__file__).resolve().parent / "results" / "data"
+TABLE = re.compile(r"^\{\{ table ([\w-]+\.csv) \}\}$", re.MULTILINE)
+FIELDS = re.compile(r"^\{\{ fields (\w+) \}\}$", re.MULTILINE)
+COMMANDS = re.compile(r"^\{\{ commands \}\}$", re.MULTILINE)
+MATH = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
+# Browsers ignore MathML's mathvariant, so these letters are given as characters of their own.
+LETTERS = {r"\mathcal L": "ℒ", r"\mathbb E": "𝔼"}
+
+
+def on_page_markdown(markdown: str, **_: object) -> str:
+    """Replaces `{{ table FILE }}`, `{{ fields CLASS }}` and `{{ commands }}` by tables and help."""
+    markdown = TABLE.sub(lambda found: csv_table(DATA / found[1]), markdown)
+    markdown = FIELDS.sub(lambda found: fields_table(found[1]), markdown)
+    return COMMANDS.sub(lambda _: commands_help(), markdown)
+
+
+def on_page_content(html_text: str, **_: object) -> str:
+    """Renders LaTeX as MathML, which browsers show without a script."""
+
+    def render(found: re.Match) -> str:
+        latex = html.unescape(found[2]).strip()
+        for name, letter in LETTERS.items():
+            latex = latex.replace(name, letter)
+        mathml = convert(latex, display="block" if found[1] == "div" else "inline")
+        return mathml.replace("&#x0005E;</mo></mover>", "&#x002C6;</mo></mover>")  # a hat that sits close
+
+    return MATH.sub(render, html_text)
+
+
+def field_rows(name: str) -> list[tuple[list[str], list[str], str]]:
+    """Names, defaults and meaning of a dataclass's fields, read from its source and its comments."""
+    path, node = find_class(name)
+    lines = path.read_text("utf-8").splitlines()
+    comments = {
+        token.start[0]: token.string.lstrip("# ")
+        for token in tokenize.generate_tokens(io.StringIO("\n".join(lines)).readline)
+        if token.type == tokenize.COMMENT
+    }
+    inherited = {}
+    for base in node.bases:
+        if isinstance(base, ast.Name):
+            inherited = {row[0][0]: row[2] for row in field_rows(base.id)}
+    rows: list[tuple[list[str], list[str], str]] = []
+    shared = False  # whether the last row's comment stands above it, and so above the fields that follow
+    for item in node.body:
+        if not isinstance(item, ast.AnnAssign) or not isinstance(item.target, ast.Name):
+            continue
+        assert item.end_lineno is not None
+        line, above = item.lineno, []
+        while (line := line - 1) in comments and lines[line - 1].lstrip().startswith("#"):
+            above.insert(0, comments[line])
+        after = comments.get(item.end_lineno, "")
+        field, default = f"`{item.target.id}`", default_of(item.value)
+        if shared and not above and not after and "](" not in default:
+            rows[-1][0].append(field)
+            rows[-1][1].append(default)
+            continue
+        shared = bool(above)
+        rows.append(([field], [default], " ".join([*above, after]).strip() or inherited.get(field, "")))
+    return rows
+
+
+def csv_table(path: Path) -> str:
+    """A Markdown table of measured figures, with a link to the file."""
+    with path.open(encoding="utf-8", newline="") as stream:
+        header, *rows = csv.reader(stream)
+    lines = [header, ["---"] * len(header), *rows]
+    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    link = f"[:material-file-delimited-outline: data](data/{path.name})"
+    return f"{table}\n\n{link}{{ .data title='{path.name}' }}"
+
+
+def fields_table(name: str) -> str:
+    """A Markdown table of a dataclass's fields."""
+    table = ["| field | default | meaning |", "|---|---|---|"]
+    for fields, defaults, meaning in field_rows(name):
+        shown = ", ".join(defaults) if len(set(defaults)) > 1 else defaults[0]
+        text = meaning.replace("|", "\\|")
+        text = text if re.match(r"(m|rad|s|N)\b", text) else text[:1].upper() + text[1:]
+        table.append(f"| {', '.join(fields)} | {shown} | {text} |")
+    return "\n".join(table)
+
+
+def find_class(name: str) -> tuple[Path, ast.ClassDef]:
+    """The module of the package that defines a class, and its definition."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        text = path.read_text("utf-8")
+        if re.search(rf"^class {name}\b", text, re.MULTILINE):
+            for node in ast.parse(text).body:
+                if isinstance(node, ast.ClassDef) and node.name == name:
+                    return path, node
+    raise LookupError(f"no class {name} in geort_drake")
+
+
+def default_of(value: ast.expr | None) -> str:
+    """A field's default as code; a nested dataclass links to its own table."""
+    if value is None:
+        return "required"
+    if isinstance(value, ast.Call) and ast.unparse(value.func).endswith("field"):
+        (factory,) = (word.value for word in value.keywords if word.arg == "default_factory")
+        if isinstance(factory, ast.Lambda):
+            text = ast.unparse(factory.body)
+            return f"`{text}`" if len(text) < 40 else "see below"
+        name = ast.unparse(factory)
+        return {"list": "`[]`", "dict": "`{}`"}.get(name, f"[`{name}`](#{name.lower()})")
+    return f"`{ast.unparse(value)}`"
+
+
+def commands_help() -> str:
+    """The help of every subcommand, as headings and preformatted text."""
+    return ""

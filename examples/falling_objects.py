@@ -1,0 +1,35 @@
+"""Objects of Drake fall into a box; the recording shows their contact forces."""
+
+import numpy as np
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+from geort_drake import add_rerun_recorder
+from geort_drake.rerun.recorder import grasp_blueprint
+
+OBJECTS = "package://drake/examples/kuka_iiwa_arm/models/objects"
+builder = DiagramBuilder()
+plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.001)
+parser = Parser(plant)
+parser.SetAutoRenaming(True)
+parser.AddModels(url=f"{OBJECTS}/open_top_box.urdf")
+plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("bin"))
+names = ["block_for_pick_and_place", "simple_cylinder"] * 3
+falling = [parser.AddModels(url=f"{OBJECTS}/{name}.urdf")[0] for name in names]
+plant.Finalize()
+
+rng = np.random.default_rng(1)
+for number, model in enumerate(falling):
+    (body,) = (plant.get_body(index) for index in plant.GetBodyIndices(model))
+    p_WB = [*rng.uniform(-0.06, 0.06, 2), 0.2 + 0.12 * number]
+    plant.SetDefaultFloatingBaseBodyPose(body, RigidTransform(RollPitchYaw(rng.uniform(-1, 1, 3)), p_WB))
+
+# Seen from above, because the box has walls.
+layout = grasp_blueprint(eye=(0.35, -0.35, 0.85), target=(0.0, 0.0, 0.1), early=True)
+recorder = add_rerun_recorder(builder, plant, scene_graph, "objects.rrd", blueprint=layout)
+simulator = Simulator(builder.Build())
+with recorder:
+    simulator.AdvanceTo(1.0)

@@ -1,0 +1,39 @@
+"""A recording drives a robot hand in a Drake diagram of your own."""
+
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+from geort_drake import GloveReplay, RetargetingSystem, add_rerun_recorder, load_retargeter
+from geort_drake.hands.description import load_hand
+from geort_drake.people.play import synthesize_play
+from geort_drake.rerun.recorder import HandSpec
+from geort_drake.resources import resolve_uri
+
+hand = load_hand("allegro_right")
+builder = DiagramBuilder()
+plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.002)
+(model,) = Parser(plant).AddModels(str(resolve_uri(hand.model)))
+plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(hand.base_frame))
+for name, angle in hand.default_positions.items():
+    plant.GetJointByName(name).set_default_positions([angle])
+plant.set_gravity_enabled(model, False)
+plant.Finalize()
+
+# The glove's keypoints become joint targets, in the plant's actuator order.
+retarget = load_retargeter("runs/allegro_right")
+actuated = [plant.get_joint_actuator(i).joint().name() for i in plant.GetJointActuatorIndices(model)]
+replay = builder.AddSystem(GloveReplay(synthesize_play(seed=1, duration_s=5.0)))
+retargeting = builder.AddSystem(
+    RetargetingSystem(retarget, retarget.joint_names, actuated, hand.default_positions)
+)
+builder.Connect(replay.GetOutputPort("keypoints"), retargeting.GetInputPort("keypoints"))
+builder.Connect(replay.GetOutputPort("valid"), retargeting.GetInputPort("valid"))
+builder.Connect(retargeting.GetOutputPort("desired_state"), plant.get_desired_state_input_port(model))
+
+human = HandSpec(*(replay.GetOutputPort(name) for name in ("keypoints", "wrist_pose", "valid")))
+recorder = add_rerun_recorder(builder, plant, scene_graph, "play.rrd", hands={"human": human})
+simulator = Simulator(builder.Build())
+with recorder:
+    simulator.AdvanceTo(5.0)
