@@ -20,7 +20,7 @@ test-lowest:
 	$(MAKE) test VENV=.venv-lowest CONSTRAINTS=constraints-lowest.txt
 
 pictures: $(VENV)/installed
-	$(BIN)/python scripts/make_pictures.py $(ARGS)
+	$(BIN)/python studies/pictures.py $(ARGS)
 
 docs: $(VENV)/installed-docs
 	$(BIN)/mkdocs build --strict

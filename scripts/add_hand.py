@@ -42,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         path, description = given, load_hand(given)
         if description.training:
             # Only here, as it loads PyTorch.
-            from geort_drake.comparison.pipeline import DEFAULT_METHOD, training_config
+            from geort_drake.comparison.train import DEFAULT_METHOD, training_config
 
             training_config(DEFAULT_METHOD, hand=description)
     else:

@@ -4,7 +4,6 @@ python scripts/evaluate_retargeting.py --recording alex.npy --methods geort vect
 """
 
 import argparse
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -19,10 +18,8 @@ from geort_drake.cli.options import (
     method_help,
     write_json,
 )
-from geort_drake.comparison.ablation import ablation
 from geort_drake.comparison.comparison import Comparison, Outcome, check_methods, method_names
-from geort_drake.comparison.pipeline import METHODS
-from geort_drake.comparison.plots import write_plots, write_sweep_plot
+from geort_drake.comparison.plots import write_plots
 from geort_drake.comparison.protocols import (
     GUARD_S,
     SAME_PERSON,
@@ -31,8 +28,7 @@ from geort_drake.comparison.protocols import (
     same_person,
 )
 from geort_drake.comparison.report import failures, report, tables
-from geort_drake.comparison.sweep import SWEEP, Ground, Sweep, plan, read_sweep
-from geort_drake.files import require_writable, write_text
+from geort_drake.files import require_writable
 from geort_drake.hands.description import hand_names, load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.readers import read_recording
@@ -59,19 +55,12 @@ Online methods start from rest in every recording and block and answer its frame
 metric asks about hands that were not recorded, the hand is held until their answer has settled, from their
 state at the nearest frame.
 
-A sweep trains methods again and again with one setting changed, and writes tables and a plot to --output:
-  python scripts/evaluate_retargeting.py --recording alex.npy --methods geort --sweep --seeds 0 1 2 \\
-      --jobs 2 --output runs/sweep
-docs/frontier.md says what is in that folder. What is there is not trained again by the same command.
-
-Ends with code 1 if something could not be scored or trained; the rest is shown all the same.
+Ends with code 1 if something could not be scored; the rest is shown all the same.
 """
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse_arguments(argv)
-    if arguments.sweep is not None:
-        return _sweep(arguments)
     description = load_hand(arguments.hand)
     hand = HandModel(description)
     methods = arguments.methods or list(method_names())
@@ -133,36 +122,9 @@ def _run(
     return results
 
 
-def _sweep(arguments: argparse.Namespace) -> int:
-    """Trains what a sweep still lacks, and writes its tables and plot."""
-    hand = load_hand(arguments.hand)
-    runs = plan(arguments.methods, arguments.seeds, arguments.sweep, arguments.set, hand)
-    ground = Ground.of(arguments.hand, arguments.recording, runs[0].common)
-    sweep = Sweep(runs, ground, arguments.output)
-    failed = []
-    with progress_bar() as progress:
-        progress.speed_estimate_period = math.inf
-        task = progress.add_task("runs", total=len(runs), completed=len(runs) - len(sweep.missing), note="")
-        progress.advance(task, 1e-9)  # the time left is reckoned from here on
-        for record in sweep.train(arguments.jobs or 1):
-            progress.update(task, advance=1, note=record["name"])
-            if "error" in record:
-                failed.append(record["name"])
-                warn(f"{record['name']}: {record['error']}")
-    content = read_sweep(arguments.output)
-    write_text(arguments.output / "ablation.md", ablation(content))
-    plot = write_sweep_plot(arguments.output, content["runs"])
-    lines = {"Tables": arguments.output / "ablation.md", "Plot": plot, "Figures": arguments.output / SWEEP}
-    for what, path in lines.items():
-        console.print(f"{what}: {path}", markup=False, soft_wrap=True)
-    if failed:
-        console.print(f"{len(failed)} runs failed; the same command tries them again.")
-    return 1 if failed else 0
-
-
 def _trainer(hand_name: str, progress: Progress) -> Callable[[Recording, str, int], Path]:
     """`cached_checkpoint`, with the bars of training in place of these ones."""
-    from geort_drake.comparison.checkpoint_cache import cached_checkpoint
+    from geort_drake.comparison.train import cached_checkpoint
 
     def train(recording: Recording, method: str, seed: int) -> Path:
         progress.stop()
@@ -190,8 +152,7 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--methods",
         nargs="+",
         metavar="NAME",
-        help="of those below, or directories of checkpoints (default: all of them); with --sweep, any of "
-        f"{', '.join(METHODS)}",
+        help="of those below, or directories of checkpoints (default: all of them)",
     )
     parser.add_argument(
         "--seeds",
@@ -211,21 +172,6 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--plots", type=Path, metavar="FOLDER", help="write plots of the first seed, same person, here"
     )
-    group = parser.add_argument_group("sweep")
-    group.add_argument(
-        "--sweep",
-        nargs="*",
-        metavar="NAME=V1,V2",
-        help="train with other values of these settings, one at a time; without names, with every loss "
-        "weight at 0, half and double its value",
-    )
-    group.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of all runs, repeatable"
-    )
-    group.add_argument(
-        "--output", type=Path, metavar="FOLDER", help="of the sweep; one that is there goes on"
-    )
-    group.add_argument("--jobs", type=at_least(1), metavar="N", help="runs at a time (default: 1)")
     arguments = parser.parse_args(argv)
     _check(parser, arguments)
     return arguments
@@ -233,13 +179,6 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 def _check(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
     """Refuses what argparse cannot, before anything is read."""
-    sweeping, comparing = ("set", "output", "jobs"), ("held_out", "score_on", "frames", "json", "plots")
-    others = sweeping if arguments.sweep is None else comparing
-    wrong = [f"--{name}" for name in others if getattr(arguments, name)]
-    if wrong:
-        parser.error(f"{', '.join(wrong)}: {'only' if arguments.sweep is None else 'not'} with --sweep")
-    if arguments.sweep is not None and not (arguments.methods and arguments.output):
-        parser.error("--sweep needs --methods and --output")
     listed = {
         "seeds": arguments.seeds,
         "score_on": arguments.score_on or [],

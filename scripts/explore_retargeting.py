@@ -86,8 +86,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _retargeter(method: str, arguments: argparse.Namespace, hand, recording) -> Callable:
-    from geort_drake.comparison.checkpoint_cache import cached_checkpoint
-    from geort_drake.comparison.pipeline import METHODS
+    from geort_drake.comparison.train import METHODS, cached_checkpoint
     from geort_drake.hands.canonical import canonical_kinematics
     from geort_drake.retargeting.methods.registry import BASELINES, make_baseline
     from geort_drake.retargeting.retargeter import load_retargeter

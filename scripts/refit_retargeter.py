@@ -18,7 +18,7 @@ from geort_drake.files import require_writable
 def main(argv: Sequence[str] | None = None) -> None:
     arguments = parse_arguments(argv)
     # Imported after parsing, so that --help answers at once.
-    from geort_drake.comparison.refitting import refit_checkpoint
+    from geort_drake.comparison.refit import refit_checkpoint
     from geort_drake.retargeting.checkpoint import METRICS, load_checkpoint
     from geort_drake.retargeting.methods.coupled.refit import FINE_TUNING
 

@@ -72,8 +72,7 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse_arguments(argv)
     # Imported after parsing, so that --help answers at once.
-    from geort_drake.comparison.checkpoint_cache import cached_checkpoint
-    from geort_drake.comparison.pipeline import DEFAULT_METHOD, METHODS
+    from geort_drake.comparison.train import DEFAULT_METHOD, METHODS, cached_checkpoint
     from geort_drake.hands.description import load_hand
     from geort_drake.hands.model import HandModel
     from geort_drake.people.human_hand import HumanHand

@@ -23,7 +23,7 @@ from geort_drake.cli.options import (
     method_help,
     write_json,
 )
-from geort_drake.comparison.pipeline import (
+from geort_drake.comparison.train import (
     CONFIGS,
     DEFAULT_METHOD,
     train_checkpoint,

@@ -16,7 +16,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from script_modules import load_script
 
-from geort_drake.comparison.pipeline import train_checkpoint
+from geort_drake.comparison.train import train_checkpoint
 from geort_drake.errors import HandError, OutputError
 from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.clearance import HandClearance

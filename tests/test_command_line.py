@@ -178,7 +178,7 @@ def test_every_option_of_every_script_is_explained(monkeypatch):
 def test_every_method_is_explained():
     """In one line each, and which of them are trained is told apart."""
     from geort_drake.comparison.comparison import method_names
-    from geort_drake.comparison.pipeline import DEFAULT_METHOD, METHODS
+    from geort_drake.comparison.train import DEFAULT_METHOD, METHODS
 
     assert set(METHOD_SUMMARIES) == set(method_names())
     assert set(TRAINED_METHODS) == set(METHODS)

@@ -8,11 +8,10 @@ import pytest
 from script_modules import load_script
 
 from geort_drake.comparison.comparison import Comparison, Judged, Outcome
-from geort_drake.comparison.contact_metrics import pinch
 from geort_drake.comparison.metric_table import mean
-from geort_drake.comparison.metrics import Distributions, evaluate_frames, robot_space
-from geort_drake.comparison.pipeline import train_checkpoint
+from geort_drake.comparison.metrics import evaluate_frames, pinch, robot_space
 from geort_drake.comparison.protocols import held_out, same_person
+from geort_drake.comparison.train import train_checkpoint
 from geort_drake.errors import TrainingError, UnknownNameError
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
@@ -27,7 +26,7 @@ QUICK = {
 
 def judged(figures: dict, p_HF: np.ndarray, p_BF: np.ndarray) -> Judged:
     """What is known of a method that put the fingertips there."""
-    return Judged(figures, False, p_HF, Distributions(p_BF, np.ones((4, 1)), np.ones((4, 1)), np.ones(1)))
+    return Judged(figures, False, p_HF, p_BF)
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +54,7 @@ def quick(light_evaluation, tmp_path):
 @pytest.fixture
 def evaluate(play, quick, monkeypatch, tmp_path):
     """Runs the script on the play; returns its exit code and what it wrote as JSON."""
-    monkeypatch.setattr("geort_drake.comparison.checkpoint_cache.cached_checkpoint", quick)
+    monkeypatch.setattr("geort_drake.comparison.train.cached_checkpoint", quick)
     play.save(tmp_path / "hand.npz")
     synthesize_play(1, duration_s=20.0, rate_hz=30.0).save(tmp_path / "other.npz")
     monkeypatch.chdir(tmp_path)
@@ -96,14 +95,7 @@ def test_every_method_is_scored_under_every_protocol(evaluate, play, quick, tmp_
     hold = report["methods"]["hold"]["same_person"]
     assert hold["mean"]["motion_preservation"] == 0.0 and hold["mean"]["smoothness"]["max"] == 0.0
     assert not hold["outcomes"][0]["remembers"]
-    assert {path.name for path in (tmp_path / "plots").iterdir()} == {
-        "fingertips.png",
-        "frontier.png",
-        "call_times.png",
-        "coverage.png",
-        "gain.png",
-        "motion.png",
-    }
+    assert {path.name for path in (tmp_path / "plots").iterdir()} == {"fingertips.png", "frontier.png"}
     said = capsys.readouterr()
     assert said.out == "" and "Figures: table.json" in said.err
     for title in ("same person, training recording", "held-out blocks", "another person", "worst part"):
@@ -136,7 +128,7 @@ def test_a_case_that_fails_leaves_the_others(evaluate, quick, monkeypatch, capsy
             raise TrainingError("the recording's ring tip visits only 7 places")
         return quick(hand_name, recording, method, seed)
 
-    monkeypatch.setattr("geort_drake.comparison.checkpoint_cache.cached_checkpoint", train)
+    monkeypatch.setattr("geort_drake.comparison.train.cached_checkpoint", train)
     code, report = evaluate("--methods linear_offline hold --held_out 2")
     assert code == 1
     failed, done = report["methods"]["linear_offline"]["held_out"]["outcomes"]
@@ -164,7 +156,7 @@ def test_a_stopped_run_leaves_the_methods_that_were_done(evaluate, quick, monkey
         trained.append((method, found))
         return path, found
 
-    monkeypatch.setattr("geort_drake.comparison.checkpoint_cache.cached_checkpoint", train)
+    monkeypatch.setattr("geort_drake.comparison.train.cached_checkpoint", train)
     with pytest.raises(KeyboardInterrupt):
         evaluate("--methods linear_offline geort")
     assert list(json.loads((tmp_path / "table.json").read_text("utf-8"))["methods"]) == ["linear_offline"]
@@ -235,7 +227,7 @@ def test_recorded_frames_are_answered_in_their_order_from_rest(play, quick):
         for outcome in outcomes:
             frames = outcome.case.scored_on.fingertips(keypoints)[:20]
             p_BF = hand.fingertips(VectorOnline(hand.kinematics())(frames))
-            np.testing.assert_allclose(outcome.judged.distributions.p_BF, p_BF, atol=1e-12)
+            np.testing.assert_allclose(outcome.judged.p_BF, p_BF, atol=1e-12)
             assert outcome.judged.remembers and outcome.judged.metrics["motion_preservation"] > 0.5
 
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 from retargeting_toy import toy_human, toy_kinematics
 
-from geort_drake.comparison.contact_metrics import pinch
+from geort_drake.comparison.metrics import pinch
 from geort_drake.retargeting.methods.coupled import violations as coupled_wanted
 from geort_drake.retargeting.methods.coupled.hands import TrainingHands
 from geort_drake.retargeting.methods.coupled.network import CoupledNetwork

@@ -16,7 +16,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 from script_modules import load_script
 
-from geort_drake.comparison.pipeline import train_checkpoint
+from geort_drake.comparison.train import train_checkpoint
 from geort_drake.people.checks import examine, verdict
 from geort_drake.people.formats import FORMATS
 from geort_drake.people.play import synthesize_play

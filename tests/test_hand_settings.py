@@ -6,8 +6,7 @@ import pytest
 import yaml
 from script_modules import load_script
 
-from geort_drake.comparison.pipeline import CONFIGS, training_config
-from geort_drake.comparison.sweep import plan
+from geort_drake.comparison.train import CONFIGS, training_config
 from geort_drake.errors import HandError
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
@@ -43,17 +42,6 @@ def test_they_replace_defaults_and_give_way_to_what_is_asked_for(described):
 def test_checkpoints_fit_the_hand_whatever_its_settings(described):
     """They say how to train, not what the hand is."""
     assert HandModel(load_hand(described(OWN))).digest == HandModel(load_hand("allegro_right")).digest
-
-
-def test_a_sweep_goes_around_them(described):
-    """Weights are halved from the hand's value; --set still comes first."""
-    hand = load_hand(described(OWN))
-    runs = plan(["geort"], [0], ["coverage_weight=3.5,7"], ["steps=8"], hand)
-    assert [run.change for run in runs] == [None, ("coverage_weight", 7.0)]
-    assert [run.config.steps for run in runs] == [8, 8]
-    assert [run.config.coverage_weight for run in runs] == [3.5, 7.0]
-    halved = [run.config.coverage_weight for run in plan(["geort"], [0], hand=hand)]
-    assert halved[:4] == [3.5, 0.0, 1.75, 7.0]
 
 
 @pytest.mark.usefixtures("light_evaluation")

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from geort_drake.comparison.pipeline import train_checkpoint
+from geort_drake.comparison.train import train_checkpoint
 from geort_drake.errors import RecordingError
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel

@@ -9,8 +9,8 @@ import torch
 from retargeting_toy import toy_human, toy_kinematics, toy_samples
 from script_modules import SCRIPTS, load_script
 
-from geort_drake.comparison.pipeline import train_checkpoint
-from geort_drake.comparison.refitting import refit_checkpoint
+from geort_drake.comparison.refit import refit_checkpoint
+from geort_drake.comparison.train import train_checkpoint
 from geort_drake.errors import CheckpointError, RecordingError, TrainingError
 from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.checkpoint import load_checkpoint, save_checkpoint
@@ -203,7 +203,7 @@ def test_a_refit_wants_what_its_checkpoint_was_trained_for(trained, monkeypatch)
         given["config"] = config
         return arrays, []
 
-    monkeypatch.setattr("geort_drake.comparison.refitting.fine_tune", tune)
+    monkeypatch.setattr("geort_drake.comparison.refit.fine_tune", tune)
     refit_checkpoint(trained / "old", synthesize_play(5, 12.0, 30.0), trained / "again", steps=10)
     assert given["config"] == dataclasses.replace(FINE_TUNING, **SMALL, steps=10)
 

@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.fixture(scope="module")
 def pictures():
-    return load_script("make_pictures.py")
+    return load_script("../studies/pictures.py")
 
 
 def test_every_picture_of_a_recording_has_a_caption(pictures):

@@ -10,9 +10,9 @@ from script_modules import load_script
 
 import geort_drake
 from geort_drake import files
-from geort_drake.comparison import checkpoint_cache
+from geort_drake.comparison import train as comparison_train
 from geort_drake.comparison.metrics import evaluate
-from geort_drake.comparison.pipeline import train_checkpoint
+from geort_drake.comparison.train import train_checkpoint
 from geort_drake.errors import CheckpointError, UnknownNameError
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
@@ -229,17 +229,17 @@ def test_the_cache_tells_settings_methods_and_code_apart(play, monkeypatch, tmp_
             hand, recording, path, method, seed, device, False, {**QUICK, "steps": 2, **settings}, 2000
         )
 
-    monkeypatch.setattr(checkpoint_cache, "train_checkpoint", train)
+    monkeypatch.setattr(comparison_train, "train_checkpoint", train)
 
     def cached(**settings):
-        return checkpoint_cache.cached_checkpoint("allegro_right", play, "geort", settings=settings)
+        return comparison_train.cached_checkpoint("allegro_right", play, "geort", settings=settings)
 
     first, reused = cached(hidden=16)
     assert not reused
     assert cached(hidden=16) == (first, True)
     assert not cached(hidden=24)[1]
-    assert not checkpoint_cache.cached_checkpoint("allegro_right", play, "linear_offline", settings={})[1]
-    monkeypatch.setattr(checkpoint_cache, "digest_of", lambda root, paths: "other")
+    assert not comparison_train.cached_checkpoint("allegro_right", play, "linear_offline", settings={})[1]
+    monkeypatch.setattr(comparison_train, "digest_of", lambda root, paths: "other")
     assert not cached(hidden=16)[1]
     assert len(trained) == 4
     with pytest.raises(UnknownNameError, match="setting of geort 'speed'"):
@@ -256,17 +256,17 @@ def test_the_cache_repeats_what_training_warned_of(play, monkeypatch, tmp_path):
             *arguments, show_progress=False, robot_samples=2000, settings={**QUICK, "learning_rate": 1e30}
         )
 
-    monkeypatch.setattr(checkpoint_cache, "train_checkpoint", train)
+    monkeypatch.setattr(comparison_train, "train_checkpoint", train)
     for _ in range(2):
         with pytest.warns(RuntimeWarning, match="stopped being finite"):
-            checkpoint_cache.cached_checkpoint("allegro_right", play, "geort")
+            comparison_train.cached_checkpoint("allegro_right", play, "geort")
 
 
 def test_the_code_digest_covers_what_weights_depend_on(monkeypatch):
     """Training code and the hand's geometry count."""
     read = []
     monkeypatch.setattr(files, "sha256_of", lambda path: read.append(path.name) or "0")
-    files.digest_of(Path(geort_drake.__file__).parent, checkpoint_cache.TRAINING_CODE)
+    files.digest_of(Path(geort_drake.__file__).parent, comparison_train.TRAINING_CODE)
     assert {"collision_shapes.py", "samples.py", "criteria.py", "linear_offline.py"} <= set(read)
 
 

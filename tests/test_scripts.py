@@ -12,8 +12,8 @@ import pytest
 from script_modules import SCRIPTS, load_script
 
 from geort_drake.cli.console import run_main
-from geort_drake.comparison import pipeline
-from geort_drake.comparison.pipeline import train_checkpoint
+from geort_drake.comparison import train as comparison_train
+from geort_drake.comparison.train import train_checkpoint
 from geort_drake.files import sha256_of
 from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.checkpoint import load_checkpoint
@@ -119,7 +119,7 @@ def refused(tmp_path, recordings, checkpoints, scenarios, monkeypatch, capsys):
     def too_early(*_arguments, **_keywords):
         raise AssertionError("planning or training began before the input was checked")
 
-    monkeypatch.setitem(pipeline.METHODS, "geort", too_early)
+    monkeypatch.setitem(comparison_train.METHODS, "geort", too_early)
     monkeypatch.setattr(GraspPlanner, "plan", too_early)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     work = tmp_path / "work"

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from geort_drake.comparison.checkpoint_cache import cached_checkpoint
 from geort_drake.comparison.comparison import check_methods, method_names
+from geort_drake.comparison.train import cached_checkpoint
 from geort_drake.errors import BenchmarkError
 from geort_drake.files import atomic_directory, sha256_of
 from geort_drake.hands.canonical import canonical_kinematics

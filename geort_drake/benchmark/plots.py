@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from geort_drake.benchmark.statistics import Record, completed_share
-from geort_drake.comparison.plot_style import COLOURS, MARKERS, STYLE, WIDTH
+from geort_drake.comparison.plots import COLOURS, MARKERS, STYLE, WIDTH
 from geort_drake.simulation.tasks.grasp.monitor import GraspPhase
 
 

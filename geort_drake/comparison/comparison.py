@@ -1,4 +1,4 @@
-"""Several retargeting methods judged on one hand, with the same people, protocols and metrics."""
+"""Comparison of retargeting methods on one hand, with the same recordings, protocols and metrics."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -6,23 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from geort_drake.comparison import pipeline
-from geort_drake.comparison.contact_metrics import pinch
+from geort_drake.comparison import train
 from geort_drake.comparison.metric_table import mean, worst
-from geort_drake.comparison.metrics import (
-    MIN_FRAMES,
-    Distributions,
-    RobotSpace,
-    evaluate_frames,
-    robot_space,
-)
+from geort_drake.comparison.metrics import MIN_FRAMES, RobotSpace, evaluate_frames, pinch, robot_space
 from geort_drake.comparison.protocols import HELD_OUT, SAME_PERSON, Case, Protocol
-from geort_drake.comparison.related_metrics import aligned_motion_preservation, workspace
 from geort_drake.errors import CheckpointError, GeortError, RecordingError, UnknownNameError
 from geort_drake.files import finite_json
 from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.model import HandModel
-from geort_drake.people.keypoints import FINGER_KEYPOINTS
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import CONFIG, load_checkpoint
 from geort_drake.retargeting.methods.online import VectorOnline
@@ -35,17 +26,24 @@ CheckpointSource = Callable[[Recording, str, int], Path]
 
 @dataclass(frozen=True)
 class Judged:
-    """One method's figures on one recording, and what they were made of."""
+    """Metrics of one method on one recording, with the fingertips they were computed from.
 
-    metrics: dict  # of `evaluate` and, under "related", of `related_metrics`; JSON-ready
-    remembers: bool  # answers depend on earlier frames
-    p_HF: np.ndarray  # (T, F, 3) m, the scored frames
-    distributions: Distributions
+    Attributes:
+        metrics: of `evaluate_frames`; JSON-ready.
+        remembers: whether answers depend on earlier frames.
+        p_HF: (T, F, 3) human fingertips in H of the scored frames, m.
+        p_BF: (T, F, 3) robot fingertips in B, m.
+    """
+
+    metrics: dict
+    remembers: bool
+    p_HF: np.ndarray
+    p_BF: np.ndarray
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one case of a protocol with one seed: figures, or why there are none."""
+    """Result of one case of a protocol with one seed: metrics, or the error that prevented them."""
 
     case: Case
     seed: int
@@ -55,7 +53,7 @@ class Outcome:
 
 def method_names() -> tuple[str, ...]:
     """Every method by name: those that are trained, then those that are not."""
-    return (*pipeline.METHODS, *BASELINES)
+    return (*train.METHODS, *BASELINES)
 
 
 def check_methods(names: Sequence[str], hand: HandModel | None = None) -> None:
@@ -158,7 +156,7 @@ class Comparison:
 
     def _pooled(self, parts: Sequence[Judged]) -> dict:
         frames = np.concatenate([part.p_HF for part in parts])
-        p_BF = np.concatenate([part.distributions.p_BF for part in parts])
+        p_BF = np.concatenate([part.p_BF for part in parts])
         pinches = pinch(frames, p_BF, self.hand.finger_names, self.hand.tip_radius)
         return {**mean([part.metrics for part in parts]), "pinch": pinches}
 
@@ -173,7 +171,7 @@ class Comparison:
             settled = retarget.settled_map(frames)
             retarget.reset()
         space = self.space(seed)
-        metrics, distributions = evaluate_frames(
+        metrics, p_BF = evaluate_frames(
             retarget,
             self.hand,
             frames,
@@ -182,22 +180,13 @@ class Comparison:
             space if protocol.with_coverage else None,
             settled,
         )
-        p_BF = distributions.p_BF
-        bases = [_base_keypoint(keypoint) for keypoint in self._keypoints]
-        p_HL = np.concatenate([source.fingertips(bases)[: self.frame_limit], frames], axis=1)
-        p_BJ = np.stack([finger.X_PJ[0][:3, 3] for finger in self._kinematics.fingers])
-        p_BL = np.concatenate([np.broadcast_to(p_BJ, p_BF.shape), p_BF], axis=1)
-        metrics["related"] = {
-            "motion_preservation": aligned_motion_preservation(p_HL, p_BL),
-            "workspace": workspace(space.p_BF, p_BF) if protocol.with_coverage else None,
-        }
-        return Judged(finite_json(metrics), settled is not None, frames, distributions)
+        return Judged(finite_json(metrics), settled is not None, frames, p_BF)
 
     def _retargeter(self, name: str, protocol: Protocol, case: Case, seed: int) -> Callable:
         if name in BASELINES:
             learned = case.trained_on.fingertips(self._keypoints)
             return make_baseline(name, self._kinematics, self._keypoints, frames=learned, seed=seed)
-        if name in pipeline.METHODS:
+        if name in train.METHODS:
             return load_retargeter(self._checkpoint_of(case.trained_on, name, seed), self.hand)
         if protocol.name == HELD_OUT:
             raise CheckpointError(
@@ -207,7 +196,7 @@ class Comparison:
         if protocol.name == SAME_PERSON and not known:
             raise CheckpointError(
                 f"{name}: was trained on another recording than {case.part}; give that one as --recording, "
-                "and this one to --score_on"
+                "and this one to --score-on"
             )
         if protocol.name != SAME_PERSON and known:
             raise CheckpointError(f"{name}: was trained on {case.part}, so that is no other person's to it")
@@ -218,8 +207,3 @@ class Comparison:
         if seed not in self._spaces:
             self._spaces[seed] = robot_space(self.hand, seed)
         return self._spaces[seed]
-
-
-def _base_keypoint(keypoint: int) -> int:
-    """The knuckle at which the finger of this keypoint begins."""
-    return next(finger[0] for finger in FINGER_KEYPOINTS.values() if keypoint in finger)

@@ -60,7 +60,7 @@ class Pinches:
     Attributes:
         pair: (T, 2) numbers of the thumb and that finger.
         distance: (T,) of the two human tips, m.
-        asked: (T,) whether they pinch: less than 15 mm, as in `contact_metrics.pinch`.
+        asked: (T,) whether they pinch: less than 15 mm, as in `metrics.pinch`.
     """
 
     pair: np.ndarray

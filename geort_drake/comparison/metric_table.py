@@ -76,10 +76,6 @@ TABLES: dict[str, tuple[Metric, ...]] = {
         Metric("latency_us.median", "call\nµs", "{:.0f}", "lower"),
         Metric("latency_us.p99", "99 %\nµs", "{:.0f}", "lower"),
     ),
-    "as mimic_retargeter_lab defines it": (
-        Metric("related.motion_preservation", "motion\npreservation", "{:.3f}", "higher"),
-        Metric("related.workspace", "workspace\n5 mm", "{:.3f}", "higher"),
-    ),
 }
 METRICS: tuple[Metric, ...] = (
     *(metric for columns in TABLES.values() for metric in columns),

@@ -1,23 +1,21 @@
-"""How well a retargeter serves a person: motion, coverage, flatness, pinch, collision, smoothness, latency.
+"""Metrics of a retargeter: motion, coverage, flatness, pinches, self-collision, smoothness, latency.
 
-Every figure is computed through the robot's exact kinematics and averaged over fingers. The
-functions take g = FK∘f, "where do the robot's fingertips (N, F, 3) go for human fingertips
-(N, F, 3)", in metres; randomness enters as a NumPy Generator.
+All metrics use the robot's exact kinematics and are means over fingers. g = FK∘f maps human fingertips
+(N, F, 3) in H to robot fingertips (N, F, 3) in B, in metres. Random numbers come from a NumPy Generator.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from geort_drake.comparison.contact_metrics import pinch, self_collision
 from geort_drake.errors import RecordingError
 from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.model import HandModel
-from geort_drake.people.recording import Recording
+from geort_drake.people.recording import PINCH_M, Recording
 from geort_drake.retargeting.clouds import voxel_thinned
 from geort_drake.retargeting.training.map_figures import (
     HUMAN_VOXEL,
@@ -27,15 +25,19 @@ from geort_drake.retargeting.training.map_figures import (
     coverage,
     cross_talk,
     directions,
-    motion_cosines,
+    motion_preservation,
     motion_preservation_track,
     moved,
+    pinched_distances,
     robot_voxels,
 )
 
 MIN_FRAMES = 10
 SMALL_STEP = 0.002  # m, at which flatness and gain are measured
-UNANSWERED = 1e-6  # a gain so small is rounding
+UNANSWERED = 1e-6  # a smaller gain is rounding
+APART_DISTANCE = 0.030  # m; human fingertips farther apart are not meant to pinch
+TOO_DEEP = 0.004  # m; robot fingertips nearer than this press into each other
+PENETRATION = 0.002  # m; deeper penetrations count as self-collision
 
 
 @dataclass(frozen=True)
@@ -51,23 +53,6 @@ class RobotSpace:
     p_BF: np.ndarray
     reachable: list[np.ndarray]
     collision_free: list[np.ndarray]
-
-
-@dataclass(frozen=True)
-class Distributions:
-    """What figures are means and percentiles of, for plots.
-
-    Attributes:
-        p_BF: (T, F, 3) where the robot's fingertips went, m, as in `RobotSpace`.
-        cosines: (F, N) of `motion_cosines`.
-        gains: (F, N) of `flatness_and_gain`.
-        call_times: (N,) of `call_times`, s.
-    """
-
-    p_BF: np.ndarray
-    cosines: np.ndarray
-    gains: np.ndarray
-    call_times: np.ndarray
 
 
 def robot_space(hand: HandModel, seed: int = 0) -> RobotSpace:
@@ -112,16 +97,15 @@ def evaluate_frames(
     seed: int = 0,
     space: RobotSpace | None = None,
     settled: Callable | None = None,
-) -> tuple[dict, Distributions]:
-    """`evaluate` for human fingertips (T, F, 3) of successive frames at `rate_hz`.
+) -> tuple[dict, np.ndarray]:
+    """`evaluate` for human fingertips (T, F, 3), m, of successive frames at `rate_hz`.
 
-    A retargeter whose answers depend on the past answers `frames` in their order, as a batch. Where
-    hands are asked about that were not recorded (random motion, cross-talk, flatness, gain and the
-    context average), `settled` answers in its place: a map without memory. Without `space` the
-    coverages are None.
+    A retargeter with memory gets `frames` in their order, as a batch. For hands that were not recorded
+    (random motion, cross-talk, flatness, gain and the context average) `settled`, a map without memory,
+    is used instead if given. Without `space` the coverages are None.
 
     Returns:
-        The metrics, and what they were made of.
+        The metrics, and the robot's fingertips (T, F, 3) in B, m.
     """
     check_frames(frames)
     rng = np.random.default_rng([seed, 1])  # not the numbers that robot_space drew
@@ -135,9 +119,8 @@ def evaluate_frames(
     p_BF = fingertips(q)
     flat, gains = flatness_and_gain(g, frames, rng)
     collided = self_collision(hand, q)
-    cosines = motion_cosines(g, frames, rng)
     figures = {
-        "motion_preservation": float(cosines.mean()),
+        "motion_preservation": motion_preservation(g, frames, rng),
         "motion_preservation_track": motion_preservation_track(frames, p_BF),
         **_coverages(g, frames, p_BF, space),
         "cross_talk": cross_talk(g, frames, rng),
@@ -148,10 +131,9 @@ def evaluate_frames(
         "self_collision_raw": collided["any"],
         "smoothness": smoothness(q, rate_hz),
     }
-    times = call_times(retarget, frames)
-    median, p99 = np.percentile(times, (50, 99))
+    median, p99 = np.percentile(call_times(retarget, frames), (50, 99))
     figures["latency_us"] = {"median": 1e6 * float(median), "p99": 1e6 * float(p99)}
-    return figures, Distributions(p_BF, cosines, gains, times)
+    return figures, p_BF
 
 
 def _fingertips_of(hand: HandModel) -> Callable[[np.ndarray], np.ndarray]:
@@ -215,6 +197,60 @@ def gain_ratio(gains: np.ndarray) -> float | None:
     """
     low, high = np.percentile(gains, (5, 95), axis=1)
     return float((high / low).mean()) if low.min() > UNANSWERED else None
+
+
+def pinch(
+    frames: np.ndarray, p_BF: np.ndarray, finger_names: Sequence[str], tip_radius: float
+) -> dict | None:
+    """How well the robot's pinches reproduce the person's.
+
+    `closed`, `too_deep`, `mean_mm`, `p95_mm` and `frames` are of the nearest thumb–finger pair in
+    frames in which it is under 15 mm apart (None if there are none), `all_pairs` of all such pairs;
+    `false` is the share of pairs over 30 mm apart in which the robot's meet. Robot fingertips meet
+    when their spheres touch: centres at most two tip radii apart. None for a hand without a thumb.
+
+    Args:
+        frames: (T, F, 3) human fingertips, m.
+        p_BF: (T, F, 3) the robot's, m.
+        finger_names: F names.
+        tip_radius: of the robot's fingertips, m.
+    """
+    if "thumb" not in finger_names or len(finger_names) == 1:
+        return None
+    thumb = list(finger_names).index("thumb")
+    others = [i for i in range(len(finger_names)) if i != thumb]
+    human = np.linalg.norm(frames[:, others] - frames[:, [thumb]], axis=-1)
+    robot = np.linalg.norm(p_BF[:, others] - p_BF[:, [thumb]], axis=-1)
+    apart = human > APART_DISTANCE
+
+    def figures(distance: np.ndarray) -> dict:
+        if len(distance) == 0:
+            return dict.fromkeys(("closed", "too_deep", "mean_mm", "p95_mm")) | {"frames": 0}
+        return {
+            "closed": float((distance <= 2 * tip_radius).mean()),
+            "too_deep": float((distance < TOO_DEEP).mean()),
+            "mean_mm": float(1000 * distance.mean()),
+            "p95_mm": float(1000 * np.percentile(distance, 95)),
+            "frames": len(distance),
+        }
+
+    return figures(pinched_distances(human, robot, PINCH_M)) | {
+        "false": float((robot[apart] <= 2 * tip_radius).mean()) if apart.any() else None,
+        "all_pairs": figures(robot[human < PINCH_M]),
+    }
+
+
+def self_collision(hand: HandModel, q: np.ndarray) -> dict[str, float]:
+    """Shares of joint angles (T, n) that collide.
+
+    `deep` counts penetrations over 2 mm between links that are not both fingertips, `any` every contact.
+    """
+    touching = np.asarray(hand.collides(q), dtype=bool)
+    deep = [
+        any(depth > PENETRATION and not tip_tip for depth, _, _, tip_tip in hand.penetrations(row))
+        for row in q[touching]
+    ]
+    return {"deep": sum(deep) / len(q), "any": float(touching.mean())}
 
 
 def smoothness(q: np.ndarray, rate_hz: float) -> dict[str, float]:

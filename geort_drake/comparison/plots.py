@@ -1,28 +1,69 @@
-"""Plots of an evaluation, as files."""
+"""Plots of a comparison, as PNG files, and the style that all plots share."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.rcsetup import cycler
+from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from geort_drake.comparison import distribution_plots as distribution
+from geort_drake.colours import FINGER_COLOURS
 from geort_drake.comparison.comparison import Judged
-from geort_drake.comparison.fingertip_plots import fingertips
-from geort_drake.comparison.frontier_plots import frontier, sweep_frontier
+from geort_drake.comparison.metric_table import Metric
 from geort_drake.comparison.metrics import RobotSpace
-from geort_drake.comparison.plot_style import STYLE, save
+from geort_drake.files import atomic_path
+from geort_drake.retargeting.training.map_figures import ROBOT_VOXEL
+
+# The Okabe-Ito colours, which colour-blind people can tell apart; marker shapes repeat the distinction.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#777777", "#8C6D31")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p", "h", "*")
+STYLE: Any = {
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.prop_cycle": cycler(color=COLOURS),
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlesize": "medium",
+    "figure.facecolor": "white",
+    "font.size": 9,
+    "grid.alpha": 0.3,
+    "legend.frameon": False,
+}
+WIDTH = 7.0  # inches, the text width of a page
+
+_COVERAGE = Metric("coverage.10mm", "coverage at 10 mm", "{:.0%}", "higher")
+_CONTEXT_COVERAGE = Metric(
+    "coverage_context_averaged.10mm", "context-averaged coverage at 10 mm", "{:.0%}", "higher"
+)
+_MOTION = Metric("motion_preservation", "motion preservation", "{:.2f}", "higher")
+_PINCHES = Metric("pinch.closed", "pinches closed", "{:.0%}", "higher")
+_COLLISION = Metric("self_collision", "self-collision over 2 mm", "{:.1%}", "lower")
+# x and y axis of each panel of the frontier.
+FRONTIER = (
+    (_COVERAGE, _MOTION),
+    (_COVERAGE, _PINCHES),
+    (_COVERAGE, _COLLISION),
+    (_CONTEXT_COVERAGE, _MOTION),
+)
+# Title of a view of fingertips → its horizontal and vertical coordinate in B and H.
+VIEWS = {"from the side": (0, 2), "from the front": (1, 2)}
 
 
 def write_plots(
     folder: Path, results: Mapping[str, Judged], finger_names: Sequence[str], space: RobotSpace
 ) -> list[Path]:
-    """Writes the frontier, the fingertip spaces, and the distributions of motion, gain, coverage and time.
+    """Writes `frontier.png`, methods by pairs of metrics, and `fingertips.png`, where their fingertips go.
 
     Args:
-        folder: of the PNG files; made if it is not there.
-        results: name or checkpoint of a method → its figures, all on the same frames.
+        folder: of the files; made if it does not exist.
+        results: name or checkpoint of a method → its results, all on the same frames.
         finger_names: F names.
-        space: the C-space of the hand.
+        space: C-space of the hand.
 
     Returns:
         The files; none without results.
@@ -31,23 +72,107 @@ def write_plots(
     if not named:
         return []
     human = next(iter(named.values())).p_HF
-    made_of = {name: judged.distributions for name, judged in named.items()}
-    clouds = {name: each.p_BF for name, each in made_of.items()}
+    clouds = {name: judged.p_BF for name, judged in named.items()}
     with mpl.rc_context(STYLE):
         figures = {
             "frontier.png": frontier({name: judged.metrics for name, judged in named.items()}),
             "fingertips.png": fingertips(human, clouds, finger_names, space.reachable),
-            "coverage.png": distribution.coverage(space.reachable, clouds),
-            "motion.png": distribution.motion({name: each.cosines for name, each in made_of.items()}),
-            "gain.png": distribution.gain({name: each.gains for name, each in made_of.items()}),
-            "call_times.png": distribution.call_times(
-                {name: each.call_times for name, each in made_of.items()}
-            ),
         }
         return [save(figure, folder / name) for name, figure in figures.items()]
 
 
-def write_sweep_plot(folder: Path, runs: Sequence[Mapping]) -> Path:
-    """Writes the frontier of a sweep; see `sweep_frontier`."""
-    with mpl.rc_context(STYLE):
-        return save(sweep_frontier(runs), folder / "frontier.png")
+def save(figure: Figure, path: Path) -> Path:
+    """Writes a figure to a PNG file, atomically."""
+    with atomic_path(path) as draft:
+        figure.savefig(draft, dpi=200)
+    return path
+
+
+def frontier(metrics: Mapping[str, Mapping]) -> Figure:
+    """One point per method in each panel of `FRONTIER`, unless the method lacks a metric.
+
+    Args:
+        metrics: name of a method → its metrics.
+    """
+    figure = Figure(figsize=(WIDTH, 6.4), layout="constrained")
+    for axes, (x, y) in zip(figure.subplots(2, 2).flat, FRONTIER, strict=True):
+        for number, (name, values) in enumerate(metrics.items()):
+            point = [np.nan if (value := metric.of(values)) is None else value for metric in (x, y)]
+            marker = MARKERS[number % len(MARKERS)]
+            axes.plot(*point, marker, color=f"C{number}", label=name, markersize=7)
+        for axis, metric in ((axes.xaxis, x), (axes.yaxis, y)):
+            # The arrow points to better values.
+            axis.set_label_text(f"{metric.heading} →" if metric.better == "higher" else f"← {metric.heading}")
+            if metric.form.endswith("%}"):
+                axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+                axis.set_major_formatter(PercentFormatter(1.0))
+        axes.margins(0.08)
+    _legend_below(figure)
+    return figure
+
+
+def fingertips(
+    human: np.ndarray,
+    robot: Mapping[str, np.ndarray],
+    finger_names: Sequence[str],
+    reachable: Sequence[np.ndarray] = (),
+    columns: int = 4,
+) -> Figure:
+    """Where the person's fingertips were and where each method puts the robot's, in two views.
+
+    Args:
+        human: (T, F, 3) fingertips in H, m.
+        robot: name of a method → (T, F, 3) fingertips in B, m.
+        finger_names: F names.
+        reachable: per finger, (M, 3) centres of the voxels of the robot's C-space in B, m.
+        columns: clouds beside each other.
+    """
+    clouds = {"human": human, **robot}
+    bands = -(-len(clouds) // columns)
+    columns = min(columns, len(clouds))
+    every = 1000 * np.concatenate([*(points.reshape(-1, 3) for points in clouds.values()), *reachable])
+    low, high = every.min(axis=0) - 5, every.max(axis=0) + 5
+    span = high - low
+    ratios = [span[up] / span[across] for across, up in VIEWS.values()]
+    cell = WIDTH / 4 - 0.3
+    height = bands * sum(ratio * cell + 0.5 for ratio in ratios) + 0.5
+    figure = Figure(figsize=(cell * columns + 1.2, height), layout="constrained")
+    grid = figure.add_gridspec(2 * bands, columns, height_ratios=ratios * bands)
+    for number, (name, points) in enumerate(clouds.items()):
+        band, column = divmod(number, columns)
+        for row, (view, (across, up)) in enumerate(VIEWS.items()):
+            axes = figure.add_subplot(grid[2 * band + row, column])
+            for finger, voxels in enumerate(reachable if name != "human" else ()):
+                _shade(axes, voxels[:, [across, up]], FINGER_COLOURS[finger_names[finger]])
+            for finger, finger_name in enumerate(finger_names):
+                x, y = 1000 * points[:, finger, across], 1000 * points[:, finger, up]
+                axes.scatter(x, y, s=1.5, linewidths=0, color=FINGER_COLOURS[finger_name], label=finger_name)
+            axes.set(aspect="equal", xlim=(low[across], high[across]), ylim=(low[up], high[up]))
+            axes.set_xlabel(f"{'xyz'[across]} / mm")
+            if row == 0:
+                axes.set_title(name)
+            if column == 0:
+                axes.set_ylabel(f"{view}\n{'xyz'[up]} / mm")
+            else:
+                axes.tick_params(labelleft=False)
+    _legend_below(figure, markerscale=6)
+    return figure
+
+
+def _shade(axes: Axes, centres: np.ndarray, colour: str) -> None:
+    """Tints the squares of the C-space's voxels, centres (M, 2) in m."""
+    squares = np.round(centres / ROBOT_VOXEL - 0.5).astype(int)
+    corner = squares.min(axis=0)
+    width, height = squares.max(axis=0) - corner + 1
+    image = np.full((height, width), np.nan)
+    image[tuple((squares - corner).T[::-1])] = 1.0
+    left, bottom = 1000 * ROBOT_VOXEL * corner
+    extent = (left, left + 1000 * ROBOT_VOXEL * width, bottom, bottom + 1000 * ROBOT_VOXEL * height)
+    colours = ListedColormap([colour])
+    axes.imshow(image, colours, extent=extent, origin="lower", interpolation="nearest", alpha=0.18)
+
+
+def _legend_below(figure: Figure, **options: Any) -> None:
+    """One legend for all axes, with the entries of the first."""
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4), **options)

@@ -18,7 +18,7 @@ from geort_drake.people.recording import Recording
 # Name of a method → name of a protocol → outcomes.
 Results = Mapping[str, Mapping[str, Sequence[Outcome]]]
 
-FORMAT = 2  # raised when the meaning of a key changes; 1 had one protocol and one seed
+FORMAT = 3  # raised when keys change; 1 had one protocol and one seed, 2 also had `related` metrics
 
 
 def report(comparison: Comparison, results: Results, recording: Recording, name: str) -> dict:

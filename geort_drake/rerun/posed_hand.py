@@ -11,7 +11,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context
 
 from geort_drake.colours import FINGER_COLOURS, Color, rgb
-from geort_drake.comparison.contact_metrics import PENETRATION
+from geort_drake.comparison.metrics import PENETRATION
 from geort_drake.hands.model import HandModel
 from geort_drake.rerun.scene import WORLD, describe_scene, entity_path, transform
 from geort_drake.rerun.tracks import PoseTrack
@@ -65,7 +65,7 @@ class PosedHand:
     def collisions(self, q: np.ndarray) -> list[np.ndarray]:
         """For each of q (T, n), where parts are over 2 mm inside each other: (k, 3) in B, m.
 
-        Fingertips inside fingertips do not count, as in `contact_metrics.self_collision`.
+        Fingertips inside fingertips do not count, as in `metrics.self_collision`.
         """
         query = self._hand.plant.get_geometry_query_input_port()
         found = []

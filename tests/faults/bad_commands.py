@@ -26,19 +26,6 @@ def results(content: str | bytes) -> Callable[[Path], tuple]:
     return make
 
 
-def sweep(content: str) -> Callable[[Path], tuple]:
-    """Reads a sweep's table of that content."""
-
-    def make(folder: Path) -> tuple:
-        # Here, because it needs torch.
-        from geort_drake.comparison.sweep import SWEEP, read_sweep
-
-        (folder / SWEEP).write_text(content)
-        return read_sweep, folder
-
-    return make
-
-
 def configuration(content: str) -> Callable[[Path], tuple]:
     """Asks for the report of a benchmark with that configuration."""
 
@@ -136,7 +123,6 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str, str]] = {
     ),
     "results 100,000 deep": (results("[" * 100_000 + "\n"), "BenchmarkError", "line 1: not a trial"),
     "results whose seed is a list": (results(line(seed=[0])), "BenchmarkError", "line 1: not a trial"),
-    "a sweep 100,000 deep": (sweep("[" * 100_000), "OutputError", "not the table of a sweep"),
     "a configuration that is a list": (configuration("[]"), "BenchmarkError", "config.json"),
     "a configuration of nothing": (
         configuration(json.dumps(dict.fromkeys(("settings", "objects", "methods", "trials", "notes")))),

@@ -20,7 +20,7 @@ HANGING = 120.0  # s; whoever takes longer counts as hanging, also on a busy mac
 _FORK = multiprocessing.get_context("forkserver")
 _FORK.set_forkserver_preload(
     [
-        "geort_drake.comparison.pipeline",
+        "geort_drake.comparison.train",
         "geort_drake.benchmark.folder",
         "geort_drake.benchmark.report",
         "geort_drake.simulation.trial",

@@ -70,7 +70,7 @@ def generated(folder: Path) -> dict[str, str]:
 def train(seed: int) -> None:
     """A checkpoint."""
     from geort_drake.comparison import metrics
-    from geort_drake.comparison.pipeline import train_checkpoint
+    from geort_drake.comparison.train import train_checkpoint
     from geort_drake.people.play import synthesize_play
 
     recording = synthesize_play(0, duration_s=20.0, rate_hz=30.0)

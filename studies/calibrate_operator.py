@@ -3,7 +3,7 @@
 The person's parameters are chosen by looking at this table alone: maps of known gain, rotation and
 offset, objects of each grip, a few seeds. Trials run in parallel processes.
 
-python benchmarks/calibrate_operator.py --json calibration.json
+python studies/calibrate_operator.py --json calibration.json
 """
 
 import copy

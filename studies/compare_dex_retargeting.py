@@ -1,6 +1,6 @@
 """Compares our online baselines with the dex-retargeting package on a recording, frame by frame.
 
-python benchmarks/compare_dex_retargeting.py --recording alex.npy
+python studies/compare_dex_retargeting.py --recording alex.npy
 
 Needs `pip install dex-retargeting six` beside this package. Both sides get the same hand (its kinematics
 are written as URDF), the same frames in order and the same settings, without low-pass. What remains is

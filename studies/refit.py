@@ -1,9 +1,9 @@
 """How much of a map is left on another person's hand, and how much a re-fit from a minute brings back.
 
-python benchmarks/measure_refit.py ben.npz alex.npy --json refit.json
+python studies/refit.py ben.npz alex.npy --json refit.json
 
 Each recording's map is given to every other person. Of that person's recording every other block of seven
-seconds is fitted to, the rest is scored by the metrics of `geort_drake.evaluation`: the map as it is, after
+seconds is fitted to, the rest is scored by the metrics of `geort_drake.comparison`: the map as it is, after
 the affine step alone, after both steps, and the map that was trained on all of that person's own recording,
 the scored blocks included. Times are of the re-fit; measure on an idle machine.
 """
@@ -17,9 +17,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from geort_drake.cli.console import console, run_main
-from geort_drake.comparison.checkpoint_cache import cached_checkpoint
 from geort_drake.comparison.metrics import RobotSpace, evaluate_frames, robot_space
-from geort_drake.comparison.refitting import refit_checkpoint
+from geort_drake.comparison.refit import refit_checkpoint
+from geort_drake.comparison.train import cached_checkpoint
 from geort_drake.files import write_text
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from geort_drake.comparison.metrics import evaluate
-from geort_drake.comparison.pipeline import training_recording
+from geort_drake.comparison.train import training_recording
 from geort_drake.comparison.versions import versions
 from geort_drake.errors import CheckpointError, UnknownNameError
 from geort_drake.files import sha256_of

@@ -1,7 +1,7 @@
 """Puts faults into everything, and counts what came of them.
 
-python benchmarks/measure_reliability.py
-python benchmarks/measure_reliability.py --parts frames files
+python studies/reliability.py
+python studies/reliability.py --parts frames files
 
 It keeps the figures in docs/reliability.json and writes them into docs/reliability.md; with --json or --quick
 it leaves both alone. The exit status is 1 when something went wrong. Needs the test extra, and the part
@@ -20,7 +20,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-from side_by_side import machine
 
 from geort_drake.cli.console import console, progress_bar, run_main
 from geort_drake.files import require_writable, write_text
@@ -28,8 +27,8 @@ from geort_drake.files import require_writable, write_text
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, FIGURES = ROOT / "docs" / "reliability.md", ROOT / "docs" / "reliability.json"
 _MACHINE = ("date", "processor", "cores", "load_average", "python")
-# What is put in is shared with the tests, which take a share of it.
-sys.path.insert(0, str(ROOT / "tests"))
+# The faults are shared with the tests, which try a share of them.
+sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
 
 from faults import disks, kills  # noqa: E402
 from faults.corpus import CASES  # noqa: E402
@@ -39,6 +38,7 @@ from faults.guided import fuzz_guided, require_atheris  # noqa: E402
 from faults.mutations import fuzz  # noqa: E402
 from faults.refusals import faults_of  # noqa: E402
 from faults.soak import soak  # noqa: E402
+from side_by_side import machine  # noqa: E402
 
 Report = Callable[[int, int], None]  # called with what is done, and of how much
 

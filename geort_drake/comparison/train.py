@@ -1,20 +1,24 @@
-"""From a hand's name and a recording to an evaluated checkpoint."""
+"""From a robot hand and a recording to an evaluated checkpoint, cached if wanted."""
 
 import contextlib
 import dataclasses
+import hashlib
+import json
 import os
 import time
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import geort_drake
 from geort_drake.cli.training_bars import TrainingBars
 from geort_drake.comparison.metrics import evaluate
 from geort_drake.comparison.versions import git_state, versions
-from geort_drake.errors import GeortError, HandError, RecordingError, UnknownNameError
+from geort_drake.errors import CheckpointError, GeortError, HandError, RecordingError, UnknownNameError
+from geort_drake.files import digest_of
 from geort_drake.hands.canonical import canonical_kinematics, canonical_shapes
 from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.hands.model import HandModel
@@ -23,11 +27,18 @@ from geort_drake.people.play import synthesize_play
 from geort_drake.people.range_of_motion import narrow_motions
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
-from geort_drake.retargeting.checkpoint import TRAINED_POINTS, check_replaceable, save_checkpoint
+from geort_drake.resources import cache_dir
+from geort_drake.retargeting.checkpoint import (
+    TRAINED_POINTS,
+    check_replaceable,
+    load_checkpoint,
+    save_checkpoint,
+)
 from geort_drake.retargeting.methods.coupled.training import CoupledConfig, train_coupled
 from geort_drake.retargeting.methods.geort import Trainer, TrainingConfig, train_geort
 from geort_drake.retargeting.methods.linear_offline import train_linear_offline
 from geort_drake.retargeting.retargeter import METHODS as RETARGETERS
+from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.retargeting.trained_space import trained_points
 from geort_drake.retargeting.training.descent import Report
 from geort_drake.settings import check_names, parse_settings
@@ -48,6 +59,9 @@ CONFIGS: dict[str, type[TrainingConfig]] = {
 LABELLED = frozenset({"geort"})
 # Methods that take the hand's collision shapes.
 SHAPED = frozenset({"geort_coupled"})
+_PACKAGE = Path(geort_drake.__file__).parent
+# The code that decides the weights besides data and settings: training, and the hand's samples and geometry.
+TRAINING_CODE = (_PACKAGE / "retargeting", _PACKAGE / "hands")
 
 
 def training_config(
@@ -209,6 +223,59 @@ def train_checkpoint(
     for text in said:
         warnings.warn(text, RuntimeWarning, stacklevel=2)
     return path
+
+
+def cached_checkpoint(
+    hand_name: str,
+    recording: Recording,
+    method: str = DEFAULT_METHOD,
+    seed: int = 0,
+    device: str = "cpu",
+    settings: Mapping | None = None,
+    announce: Callable[[], None] | None = None,
+) -> tuple[Path, bool]:
+    """The checkpoint for a hand and a recording from the cache, trained first if it is not there.
+
+    The key covers the hand's model and description, the recording, method, seed, device, the method's
+    settings, and the code of training and hands. A damaged checkpoint is trained again. Warnings of training
+    are repeated at every use.
+
+    Args:
+        hand_name, recording, method, seed, device, settings: as in `train_checkpoint`.
+        announce: called before a training, not if the checkpoint exists.
+
+    Returns:
+        The checkpoint's directory in `cache_dir() / "retargeters"`, and whether it existed before.
+
+    Raises:
+        HandError, RecordingError, TrainingError, UnknownNameError: see `train_checkpoint`.
+    """
+    hand = HandModel(load_hand(hand_name))
+    config = training_config(method, settings, hand.description)
+    facts = {
+        "hand": hand.digest,
+        "recording": recording.digest,
+        "method": method,
+        "seed": seed,
+        "device": device,
+        "training": dataclasses.asdict(config),
+        "code": digest_of(_PACKAGE, TRAINING_CODE),
+    }
+    key = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
+    path = cache_dir() / "retargeters" / f"{hand.description.name}-{method}-{key}"
+    if path.is_dir():
+        try:
+            load_retargeter(path, hand)
+            known = load_checkpoint(path).provenance["warnings"]
+        except CheckpointError:
+            pass  # damaged: train it again
+        else:
+            for text in known:
+                warnings.warn(text, RuntimeWarning, stacklevel=2)
+            return path, True
+    if announce is not None:
+        announce()
+    return train_checkpoint(hand_name, recording, path, method, seed, device, settings=settings), False
 
 
 def training_recording(source: Recording | str | os.PathLike, side: str) -> Recording:

@@ -1,9 +1,9 @@
 """What the guard against self-collision changes, and what it costs.
 
-python benchmarks/measure_guard.py --recording hand.npy --method geort --json guard.json
+python studies/guard.py --recording hand.npy --method geort --json guard.json
 
 Every frame of a recording is held until the commands have settled, at most a third of a second, with and
-without the guard; both are scored by the metrics of `geort_drake.evaluation`. Without --recording, synthetic
+without the guard; both are scored by the metrics of `geort_drake.comparison`. Without --recording, synthetic
 play is used. Times are of one step of the guard; measure on an idle machine.
 """
 
@@ -17,9 +17,8 @@ import numpy as np
 import torch
 
 from geort_drake.cli.console import run_main
-from geort_drake.comparison.checkpoint_cache import cached_checkpoint
-from geort_drake.comparison.contact_metrics import pinch, self_collision
-from geort_drake.comparison.metrics import motion_preservation_track
+from geort_drake.comparison.metrics import motion_preservation_track, pinch, self_collision
+from geort_drake.comparison.train import cached_checkpoint
 from geort_drake.files import write_text
 from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.description import load_hand
