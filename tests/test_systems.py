@@ -1,7 +1,5 @@
 """Each system by itself: fix the inputs, advance, evaluate."""
 
-import dataclasses as dc
-
 import numpy as np
 import pytest
 from pydrake.common.value import AbstractValue
@@ -10,20 +8,16 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import HandError
-from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
-from geort_drake.simulation.operators.config import OperatorConfig
-from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
-from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor, GraspMonitorConfig, GraspPhase
 from geort_drake.systems.action_correction import ActionCorrection
 from geort_drake.systems.clutch import Clutch
-from geort_drake.systems.glove_checks import HELD_LOST, HELD_NOT_FINITE, GloveChecks
+from geort_drake.systems.glove_checks import HELD_NOT_FINITE, GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.glove_replay import GloveReplay
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.port_values import pose_to_vector, vector_to_pose
-from geort_drake.systems.retargeting_system import LIMITED, TRACKING, RetargetingSystem
+from geort_drake.systems.retargeting_system import TRACKING, RetargetingSystem
 
 JOINTS = ("thumb_a", "thumb_b", "index_a")
 
@@ -56,28 +50,17 @@ def test_pose_vectors_round_trip(rng):
 
 
 def test_replay_holds_each_sample_until_the_next():
-    """Between two samples the older one is given, as a glove's latest message would be."""
+    """Between two samples the older one is given; times are compared up to rounding."""
     recording = small_recording()
     replay = GloveReplay(recording)
     context = replay.CreateDefaultContext()
-    for time, sample in ((0.0, 0), (0.0099, 0), (0.01, 1), (0.035, 3), (9.0, 11)):
+    for time, sample in ((0.0, 0), (0.0099, 0), (0.01, 1), (0.035, 3), (0.06 - 5e-10, 6), (9.0, 11)):
         context.SetTime(time)
         keypoints = replay.GetOutputPort("keypoints").Eval(context)
         np.testing.assert_array_equal(keypoints.reshape(21, 3), recording.p_HK[sample])
         assert replay.GetOutputPort("valid").Eval(context)[0] == recording.valid[sample]
         X_WH = replay.GetOutputPort("wrist_pose").Eval(context)
         np.testing.assert_allclose(X_WH.translation(), recording.X_WH[sample, 4:])
-
-
-def test_replay_gives_a_sample_that_is_due_but_for_rounding():
-    """Six times 0.01 added up is a little more than 0.06, and the sample is due at 0.06 all the same."""
-    recording = dc.replace(small_recording(), t=np.cumsum([0.0] + [0.01] * 11))
-    assert recording.t[6] > 0.06
-    replay = GloveReplay(recording)
-    context = replay.CreateDefaultContext()
-    context.SetTime(0.06)
-    keypoints = replay.GetOutputPort("keypoints").Eval(context)
-    np.testing.assert_array_equal(keypoints.reshape(21, 3), recording.p_HK[6])
 
 
 def test_recording_a_replay_gives_the_recording_back():
@@ -120,8 +103,9 @@ def first_three(keypoints):
 
 
 def test_retargeting_orders_joints_as_the_plant_does():
-    """Values are matched by name: the plant's order differs from the retargeter's."""
+    """Values are matched by name, velocities belong to positions, and there is no direct feedthrough."""
     system, simulator, context = make_retargeting(first_three)
+    assert not system.HasAnyDirectFeedthrough()
     keypoints = np.zeros((21, 3))
     keypoints[4] = [0.1, 0.2, 0.25]
     system.GetInputPort("keypoints").FixValue(context, keypoints.ravel())
@@ -131,29 +115,6 @@ def test_retargeting_orders_joints_as_the_plant_does():
     np.testing.assert_allclose(desired[3:], np.array([0.25, 0.1, 0.2]) / 0.01)
     simulator.AdvanceTo(0.025)
     np.testing.assert_allclose(system.GetOutputPort("desired_state").Eval(context)[3:], 0, atol=1e-12)
-
-
-def test_retargeting_holds_while_the_hand_is_lost_or_not_finite():
-    """The last target stands with zero velocity, and the status says what is held and since when."""
-    system, simulator, context = make_retargeting(first_three)
-    good = np.full(63, 0.1)
-    system.GetInputPort("keypoints").FixValue(context, good)
-    simulator.AdvanceTo(0.005)
-    status = system.GetOutputPort("status")
-    assert status.Eval(context).state == TRACKING
-    system.GetInputPort("valid").FixValue(context, [0.0])
-    system.GetInputPort("keypoints").FixValue(context, np.full(63, 0.2))
-    simulator.AdvanceTo(0.035)
-    np.testing.assert_allclose(system.GetOutputPort("desired_state").Eval(context), [0.1] * 3 + [0] * 3)
-    assert status.Eval(context).state == HELD_LOST
-    assert status.Eval(context).since == pytest.approx(0.01)
-    system.GetInputPort("valid").FixValue(context, [1.0])
-    bad = good.copy()
-    bad[12] = np.nan
-    system.GetInputPort("keypoints").FixValue(context, bad)
-    simulator.AdvanceTo(0.045)
-    np.testing.assert_allclose(system.GetOutputPort("desired_state").Eval(context)[:3], 0.1)
-    assert status.Eval(context).state == HELD_NOT_FINITE
 
 
 def test_retargeting_holds_when_the_map_gives_no_number():
@@ -171,18 +132,9 @@ def test_retargeting_holds_when_the_map_gives_no_number():
         assert system.GetOutputPort("status").Eval(context).state == state
 
 
-def test_retargeting_limits_the_joints_speed():
-    """A target far away becomes a ramp at the speed limit."""
-    system, simulator, context = make_retargeting(first_three, speed=2.0)
-    system.GetInputPort("keypoints").FixValue(context, np.full(63, 0.25))
-    simulator.AdvanceTo(0.045)  # updates at 0, 10, 20, 30 and 40 ms
-    np.testing.assert_allclose(system.GetOutputPort("desired_state").Eval(context)[:3], 5 * 0.02)
-    assert system.GetOutputPort("status").Eval(context).state == LIMITED
-
-
 @pytest.mark.parametrize(
     ("latency", "updates"),
-    [(0.0, 0.01), (0.002, 0.01), (0.008, 0.01), (0.01, 0.01), (0.014, 0.014), (0.05, 0.05)],
+    [(0.0, 0.01), (0.008, 0.01), (0.01, 0.01), (0.014, 0.014)],
 )
 def test_retargeting_answers_after_its_latency_and_as_often_as_it_can(latency, updates):
     """What comes out at any time was made of the keypoints of the last update that is `latency` ago."""
@@ -200,20 +152,10 @@ def test_retargeting_answers_after_its_latency_and_as_often_as_it_can(latency, u
         np.testing.assert_allclose(q, wanted, atol=1e-9)
 
 
-def test_retargeting_has_no_direct_feedthrough():
-    """So that no loop through it is algebraic."""
-    system, _, _ = make_retargeting(first_three)
-    assert not system.HasAnyDirectFeedthrough()
-
-
-def test_retargeting_refuses_a_plant_with_other_joints():
-    """The message names both sets."""
+def test_retargeting_needs_the_plants_joints_and_limits_and_a_start_within_them():
+    """The message says what is missing or outside."""
     with pytest.raises(HandError, match=r"thumb_b.*ring_a"):
         RetargetingSystem(first_three, JOINTS, ("index_a", "thumb_a", "ring_a"), {}, 0.01)
-
-
-def test_retargeting_needs_joint_limits_and_a_start_within_them():
-    """They come from `limits` or from the retargeter; the message says what is missing or outside."""
     start = dict.fromkeys(JOINTS, 0.5)
     with pytest.raises(HandError, match="joint limits are unknown"):
         RetargetingSystem(first_three, JOINTS, JOINTS, start)
@@ -312,25 +254,13 @@ def test_monitor_needs_the_height_for_the_whole_hold():
 
 def test_monitor_does_not_count_a_dropped_or_thrown_object():
     """A drop restarts the hold; an object below its support ends the trial."""
-    heights = [0, 0.05, 0.12, 0.0, 0.12] + [0.12] * 10
-    contacts = [[1, 1], [1, 1], [1, 1], [0, 0], [1, 1]] + [[1, 1]] * 10
+    heights = [0, 0.05, 0.12, 0.0, 0.12] + [0.11] * 10
+    contacts = [[1, 1], [9, 1], [1, 1], [0, 0], [1, 1]] + [[1, 1]] * 10
     outcome = run_monitor(heights, contacts)
     assert outcome.drops == 1 and np.isclose(outcome.held_since, 0.4)
+    assert outcome.peak_force == 9 and outcome.peak_height == pytest.approx(0.12)
     fallen = run_monitor([0, 0, -0.1, 0.2], [[1, 0], [0, 0], [0, 0], [1, 1]])
     assert fallen.phase == GraspPhase.THROWN and fallen.over and not fallen.success
-
-
-def test_monitor_does_not_take_a_flying_object_for_a_lift():
-    """Without two fingers on it, an object in the air is not held."""
-    outcome = run_monitor([0.0, 0.15, 0.15], [[1, 1], [0, 0], [1, 0]])
-    assert GraspPhase.LIFT.name not in outcome.times and GraspPhase.HOLD.name not in outcome.times
-
-
-def test_monitor_keeps_the_peaks():
-    """The largest force of any finger and the greatest height stand after both have fallen again."""
-    outcome = run_monitor([0.0, 0.07, 0.02], [[1, 2], [9, 3], [1, 1]])
-    assert outcome.peak_force == 9
-    assert outcome.peak_height == pytest.approx(0.07)
 
 
 def test_monitor_ends_when_the_object_strays_out_of_the_hand():
@@ -340,6 +270,8 @@ def test_monitor_ends_when_the_object_strays_out_of_the_hand():
     assert thrown.phase == GraspPhase.THROWN and thrown.over
     carried = run_monitor([0.0, 0.05, 0.05], [[1, 1], [1, 1], [1, 1]], x=far)
     assert carried.phase == GraspPhase.LIFT
+    flying = run_monitor([0.0, 0.15, 0.15], [[1, 1], [0, 0], [1, 0]])
+    assert list(flying.times) == ["GRASP", "REACH", "TOUCH"]
 
 
 def test_monitor_measures_the_slip_of_the_last_lift():
@@ -359,7 +291,7 @@ def test_monitor_measures_the_slip_of_the_last_lift():
 LOOK = 0.01  # s
 
 
-@pytest.mark.parametrize(("loose", "drops"), [(1, 0), (10, 0), (11, 1), (40, 1)])
+@pytest.mark.parametrize(("loose", "drops"), [(10, 0), (11, 1)])
 def test_monitor_takes_no_short_loss_of_contact_for_a_drop(loose, drops):
     """Aloft, fewer than two fingers for 0.1 s are one drop; the slip goes on through a shorter loss."""
     heights = [0.0] + [0.05] * (20 + loose)
@@ -399,57 +331,9 @@ def test_monitor_remembers_the_last_phase_with_a_touch(heights, contacts, last):
     assert outcome.last_touched == GraspPhase[last]
 
 
-def test_monitor_adds_up_the_time_in_self_contact():
-    """From look to look, wherever the object is."""
-    outcome = run_monitor([0.0] * 6, [[0, 0]] * 6, self_contacts=[1, 0, 1, 1, 0, 1])
-    assert outcome.self_contact_time == pytest.approx(0.3)
-    assert run_monitor([0.0] * 6, [[0, 0]] * 6).self_contact_time == 0
-
-
-def test_monitor_adds_up_the_time_in_each_phase():
-    """The times in all phases make up the trial, also when a phase comes twice."""
+def test_monitor_adds_up_times():
+    """By phase, and in self-contact."""
     contacts = [[0, 0], [1, 0], [1, 1], [1, 0], [1, 0], [1, 0]]
-    outcome = run_monitor([0.0] * 6, contacts)
+    outcome = run_monitor([0.0] * 6, contacts, self_contacts=[1, 0, 1, 1, 0, 1])
     assert outcome.durations == pytest.approx({"REACH": 0.1, "TOUCH": 0.3, "GRASP": 0.1})
-
-
-# -- SimulatedOperator
-
-
-def test_the_operators_fingers_tremble_and_its_wrist_does_not():
-    """The keypoints differ from those of a person without tremor by its root mean square."""
-
-    def session(tremor: float) -> np.ndarray:
-        config = OperatorConfig(tremor=tremor)
-        hand = HumanHand.anatomical()
-        goal = GraspGoal(
-            finger_names=("thumb", "index", "middle"),
-            touches=np.ones(3, bool),
-            X_OB=RigidTransform([0, 0, 0.1]),
-            X_OB_before=RigidTransform([0, 0, 0.2]),
-            p_BF_open=np.full((3, 3), 0.05),
-            p_OF_touch=np.zeros((3, 3)),
-            n_OF=np.tile([1.0, 0, 0], (3, 1)),
-            yaw_symmetry=0.0,
-        )
-        system = SimulatedOperator(hand, goal, config, RigidTransform(), seed=4)
-        simulator = Simulator(system)
-        context = simulator.get_mutable_context()
-        upright = pose_to_vector(RigidTransform([0.5, 0, 0.3]))
-        for name, value in (
-            ("fingertips", np.full(9, 0.3)),
-            ("hand_pose", upright),
-            ("object_pose", upright),
-            ("contact", np.zeros(3)),
-        ):
-            system.GetInputPort(name).FixValue(context, value)
-        frames = []
-        for step in range(20, 120):
-            simulator.AdvanceTo(step * config.period + 0.005)
-            frames.append(system.GetOutputPort("keypoints").Eval(context).reshape(21, 3).copy())
-        return np.array(frames)
-
-    tremor = session(5e-4) - session(0.0)
-    np.testing.assert_array_equal(tremor[:, 0], 0)
-    rms = np.sqrt((tremor[:, 1:] ** 2).sum(axis=-1).mean())
-    assert rms == pytest.approx(5e-4, rel=0.05)
+    assert outcome.self_contact_time == pytest.approx(0.3)
