@@ -15,7 +15,7 @@ import numpy as np
 from side_by_side import measure, parse, parser, report
 from untrained import FORMS, dense_layers, untrained
 
-from geort_drake.cli.console import console, run_main
+from geort_drake.console import console, run_main
 from geort_drake.errors import GeortError
 
 

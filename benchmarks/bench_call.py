@@ -24,7 +24,7 @@ from compare_dex_retargeting import TYPES, _settings, _urdf
 from side_by_side import measure, parse, parser, report
 from untrained import FINGERS, add_retargeter_options, dense_layers, untrained
 
-from geort_drake.cli.console import console, run_main
+from geort_drake.console import console, run_main
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.play import synthesize_play

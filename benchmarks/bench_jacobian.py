@@ -9,7 +9,7 @@ import numpy as np
 from side_by_side import measure, parse, parser, report
 from untrained import FORMS, untrained
 
-from geort_drake.cli.console import console, run_main
+from geort_drake.console import console, run_main
 from geort_drake.retargeting.retargeter import Retargeter
 
 STEP = 1e-5  # m

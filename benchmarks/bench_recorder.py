@@ -24,7 +24,7 @@ from rich.table import Table
 from side_by_side import parse, parser, write_json
 
 from geort_drake import add_rerun_recorder
-from geort_drake.cli.console import console, run_main
+from geort_drake.console import console, run_main
 
 PERIOD = 1 / 60  # s
 RADIUS = 0.05  # m

@@ -15,7 +15,7 @@ import numpy as np
 from rich.table import Table
 from side_by_side import parse, parser, worker_counts, write_json
 
-from geort_drake.cli.console import console, run_main
+from geort_drake.console import console, run_main
 from geort_drake.errors import GeortError
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel

@@ -17,7 +17,7 @@ from rich.table import Table
 from side_by_side import parse, parser, write_json
 from untrained import FORMS, untrained, untrained_arrays
 
-from geort_drake.cli.console import console, run_main
+from geort_drake.console import console, run_main
 from geort_drake.retargeting.checkpoint import save_checkpoint
 
 # What a child process does: the first statement is prepared, the second is timed.

@@ -17,7 +17,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem
 from side_by_side import measure, parse, parser, report
 from untrained import FINGERS, add_retargeter_options, untrained
 
-from geort_drake.cli.console import run_main
+from geort_drake.console import run_main
 from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.trained_space import TrainedSpace, trained_points
 from geort_drake.systems.retargeting_system import RetargetingSystem

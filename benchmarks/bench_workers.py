@@ -25,7 +25,7 @@ from side_by_side import parse, parser, worker_counts, write_json
 from geort_drake.benchmark.folder import open_benchmark
 from geort_drake.benchmark.trial import simulate
 from geort_drake.benchmark.workers import run_trials
-from geort_drake.cli.console import console, run_main
+from geort_drake.console import console, run_main
 from geort_drake.errors import GeortError
 from geort_drake.people.play import synthesize_play
 from geort_drake.simulation.scenario import load_scenario

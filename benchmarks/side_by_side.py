@@ -17,7 +17,7 @@ import joblib
 import numpy as np
 from rich.table import Table
 
-from geort_drake.cli.console import console
+from geort_drake.console import console
 from geort_drake.files import require_writable, write_text
 
 BLOCK = 0.002  # s; a block is long against a switch of functions and short against other programs' turns

@@ -1,47 +1,104 @@
-"""GeoRT hand retargeting, built and judged inside a Drake simulation.
+"""GeoRT hand retargeting: human fingertips to robot joint angles, judged in a Drake simulation.
 
-The names below are loaded when they are first used, so that importing the package costs nothing.
+Retargeters:
+    load_retargeter: loads a checkpoint as a `Retargeter`; needs only NumPy.
+    Retargeter: maps 21 human keypoints to robot joint angles.
+    train_checkpoint: trains a retargeter on a recording and writes its checkpoint.
+    refit_checkpoint: fits a checkpoint to another person.
+    evaluate: computes a retargeter's metrics on a recording.
+People:
+    read_recording: reads a recording of a hand in any known format.
+    Recording: keypoints, time stamps and wrist poses of one hand.
+    synthesize_play: makes a synthetic recording of a hand at play.
+Robot hands:
+    load_hand: loads a hand's description by name or file.
+    HandModel: a hand's kinematics, geometry and limits in Drake.
+Systems for Drake diagrams:
+    RetargetingSystem: keypoints to safe joint targets.
+    GloveReplay: plays a recording.
+    WristToArm: wrist poses to arm joint targets.
+    ActionCorrection: corrects the hand's targets, by a guard or a policy.
+Rerun:
+    add_rerun_recorder: records any diagram with a plant and scene graph.
+    SignalSpec, StateSpec: vector or text ports to record as plots or lanes.
+    HandSpec, PointsSpec, ContactSpec, CameraSpec, CloseUpSpec: hands, points, contacts and views to record.
+Simulation:
+    load_scenario: loads a grasp scenario from YAML.
+    make_grasp_diagram: builds a scenario's diagram.
+    run_trial: simulates one grasp and judges it.
+
+Each name is imported when it is first used, so importing the package takes no time.
 """
 
 import importlib
-from typing import TYPE_CHECKING, Any
+
+TYPE_CHECKING = False  # as in typing, whose import would take longer than all the rest
 
 if TYPE_CHECKING:
-    from geort_drake.people.readers import read_recording
-    from geort_drake.people.recording import Recording
-    from geort_drake.rerun.recorder import add_rerun_recorder
-    from geort_drake.retargeting.retargeter import Retargeter, load_retargeter
-    from geort_drake.systems.glove_replay import GloveReplay
-    from geort_drake.systems.retargeting_system import RetargetingSystem
+    from geort_drake.comparison.metrics import evaluate as evaluate
+    from geort_drake.comparison.train import train_checkpoint as train_checkpoint
+    from geort_drake.comparison.refit import refit_checkpoint as refit_checkpoint
+    from geort_drake.hands.description import load_hand as load_hand
+    from geort_drake.hands.model import HandModel as HandModel
+    from geort_drake.people.play import synthesize_play as synthesize_play
+    from geort_drake.people.readers import read_recording as read_recording
+    from geort_drake.people.recording import Recording as Recording
+    from geort_drake.rerun.recorder import add_rerun_recorder as add_rerun_recorder
+    from geort_drake.rerun.specs import CameraSpec as CameraSpec
+    from geort_drake.rerun.specs import CloseUpSpec as CloseUpSpec
+    from geort_drake.rerun.specs import ContactSpec as ContactSpec
+    from geort_drake.rerun.specs import HandSpec as HandSpec
+    from geort_drake.rerun.specs import PointsSpec as PointsSpec
+    from geort_drake.rerun.specs import SignalSpec as SignalSpec
+    from geort_drake.rerun.specs import StateSpec as StateSpec
+    from geort_drake.retargeting.retargeter import Retargeter as Retargeter
+    from geort_drake.retargeting.retargeter import load_retargeter as load_retargeter
+    from geort_drake.simulation.diagram import make_grasp_diagram as make_grasp_diagram
+    from geort_drake.simulation.scenario import load_scenario as load_scenario
+    from geort_drake.simulation.trial import run_trial as run_trial
+    from geort_drake.systems.action_correction import ActionCorrection as ActionCorrection
+    from geort_drake.systems.glove_replay import GloveReplay as GloveReplay
+    from geort_drake.systems.retargeting_system import RetargetingSystem as RetargetingSystem
+    from geort_drake.systems.wrist_to_arm import WristToArm as WristToArm
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "GloveReplay",
-    "Recording",
-    "Retargeter",
-    "RetargetingSystem",
-    "add_rerun_recorder",
-    "load_retargeter",
-    "read_recording",
-]
-
-_HOMES = {
+# Public name → module that defines it.
+_MODULES = {
+    "ActionCorrection": "systems.action_correction",
     "GloveReplay": "systems.glove_replay",
+    "HandModel": "hands.model",
     "Recording": "people.recording",
     "Retargeter": "retargeting.retargeter",
     "RetargetingSystem": "systems.retargeting_system",
+    "WristToArm": "systems.wrist_to_arm",
+    "CameraSpec": "rerun.specs",
+    "CloseUpSpec": "rerun.specs",
+    "ContactSpec": "rerun.specs",
+    "HandSpec": "rerun.specs",
+    "PointsSpec": "rerun.specs",
+    "SignalSpec": "rerun.specs",
+    "StateSpec": "rerun.specs",
     "add_rerun_recorder": "rerun.recorder",
+    "evaluate": "comparison.metrics",
+    "load_hand": "hands.description",
     "load_retargeter": "retargeting.retargeter",
+    "load_scenario": "simulation.scenario",
+    "make_grasp_diagram": "simulation.diagram",
     "read_recording": "people.readers",
+    "refit_checkpoint": "comparison.refit",
+    "run_trial": "simulation.trial",
+    "synthesize_play": "people.play",
+    "train_checkpoint": "comparison.train",
 }
+__all__ = list(_MODULES)
 
 
-def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+def __getattr__(name: str) -> object:
+    if name in _MODULES:
+        return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)
     raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_HOMES])
+    return sorted([*globals(), *_MODULES])

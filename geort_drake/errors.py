@@ -1,7 +1,7 @@
-"""What a user can get wrong, as exceptions that say how to put it right.
+"""Exceptions raised for invalid user input.
 
-Every message names the thing (file, field, frame), what was wanted, what was given and, where
-there is a list to choose from, the list. The scripts print the message alone and exit with 2.
+A message names file, field and frame, what was expected, what was given, and the valid choices. The commands
+print the message alone and exit with code 2.
 """
 
 from collections.abc import Iterable
@@ -9,6 +9,10 @@ from collections.abc import Iterable
 
 class GeortError(Exception):
     """Base of every error that the user of the package can correct."""
+
+
+class UsageError(GeortError):
+    """Options of a command contradict each other or have unusable values."""
 
 
 class RecordingError(GeortError):
@@ -24,11 +28,11 @@ class CheckpointError(GeortError):
 
 
 class ScenarioError(GeortError):
-    """A scenario is missing, malformed or asks for something impossible."""
+    """A scenario is missing, malformed or impossible."""
 
 
 class PolicyError(GeortError):
-    """A policy that corrects commands is missing, cannot be run, or has other inputs and outputs."""
+    """A policy that corrects commands is missing, cannot be run, or has the wrong inputs or outputs."""
 
 
 class TrainingError(GeortError):
@@ -36,7 +40,7 @@ class TrainingError(GeortError):
 
 
 class BenchmarkError(GeortError):
-    """A benchmark's folder is corrupt, in use, or of another configuration."""
+    """A benchmark's folder is corrupt, in use, or made with another configuration."""
 
 
 class LiveError(GeortError):
@@ -44,15 +48,15 @@ class LiveError(GeortError):
 
 
 class MismatchError(LiveError):
-    """A glove speaks another version or unit, or is of another hand; waiting for it does not help."""
+    """A glove sends another version, unit or hand; waiting does not help."""
 
 
 class OutputError(GeortError, OSError):
-    """A file or folder cannot be written where it was asked for, or not to its end."""
+    """A file or folder cannot be written, or not completely."""
 
 
 class UnknownNameError(GeortError):
-    """A name stands for nothing; the message lists the names that do."""
+    """A name is unknown; the message lists the valid ones."""
 
     def __init__(self, kind: str, given: str, choices: Iterable[str]):
         listed = ", ".join(sorted(choices)) or "none"

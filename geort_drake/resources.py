@@ -1,4 +1,4 @@
-"""Where the models and diagrams lie, in a checkout and in an installed wheel."""
+"""Paths of the models and diagrams, in a checkout and in an installed wheel."""
 
 import os
 from pathlib import Path
@@ -13,6 +13,11 @@ def resource_root() -> Path:
     """
     package = Path(__file__).resolve().parent
     return package if (package / "models").is_dir() else package.parent
+
+
+def is_checkout() -> bool:
+    """Whether this is a checkout, whose `models/` a user may add to, and no installed wheel."""
+    return not (Path(__file__).resolve().parent / "models").is_dir()
 
 
 def models_dir() -> Path:
@@ -33,6 +38,6 @@ def resolve_uri(uri: str | os.PathLike) -> Path:
 
 
 def cache_dir() -> Path:
-    """Where reusable computed data goes: `$XDG_CACHE_HOME/geort_drake`, by default in `~/.cache`."""
+    """Directory of reusable computed data: `$XDG_CACHE_HOME/geort_drake`, by default in `~/.cache`."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / PACKAGE_NAME

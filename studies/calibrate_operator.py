@@ -20,8 +20,8 @@ from joblib import Parallel, delayed
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from geort_drake.cli.console import console, progress_bar, run_main
 from geort_drake.cli.options import add_json_option, make_parser, write_json
+from geort_drake.console import console, progress_bar, run_main
 
 # The maps are shared with the tests.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
@@ -72,7 +72,7 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = make_parser(__doc__)
+    parser = make_parser(None, __doc__)
     parser.add_argument("--objects", nargs="+", default=list(OBJECTS), metavar="OBJECT")
     parser.add_argument("--maps", nargs="+", default=list(MAPS), choices=list(MAPS), metavar="MAP")
     parser.add_argument("--seeds", type=int, default=3)

@@ -19,8 +19,8 @@ import numpy as np
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from geort_drake.cli.console import console, progress_bar, run_main
 from geort_drake.comparison.metrics import pinch
+from geort_drake.console import console, progress_bar, run_main
 from geort_drake.errors import GeortError
 from geort_drake.files import require_writable, write_text
 from geort_drake.hands.description import load_hand

@@ -15,8 +15,8 @@ import numpy as np
 from PIL import Image
 from rich.progress import track
 
-from geort_drake.cli.console import console, run_main
 from geort_drake.cli.options import make_parser
+from geort_drake.console import console, run_main
 from geort_drake.errors import GeortError
 from geort_drake.files import atomic_path, require_writable
 

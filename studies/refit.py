@@ -16,7 +16,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from geort_drake.cli.console import console, run_main
+from geort_drake.console import console, run_main
 from geort_drake.comparison.metrics import RobotSpace, evaluate_frames, robot_space
 from geort_drake.comparison.refit import refit_checkpoint
 from geort_drake.comparison.train import cached_checkpoint

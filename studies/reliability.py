@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geort_drake.cli.console import console, progress_bar, run_main
+from geort_drake.console import console, progress_bar, run_main
 from geort_drake.files import require_writable, write_text
 
 ROOT = Path(__file__).resolve().parents[1]

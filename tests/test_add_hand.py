@@ -242,7 +242,9 @@ def test_a_description_is_written_as_it_is_read(tmp_path):
     file = tmp_path / "hand.yaml"
     add_hand.main([str(model), "--name", "mine", "--output", str(file)])
     text = file.read_text(encoding="utf-8")
-    assert text.startswith("# Made by add_hand.py from hand.urdf.\n# the model has no position controllers")
+    assert text.startswith(
+        "# Made by geort-drake add-hand from hand.urdf.\n# the model has no position controllers"
+    )
     assert yaml.safe_load(text)["model"] == "hand.urdf"
     assert load_hand(file) == propose(model, "mine").description
     with pytest.raises(OutputError, match=r"hand\.yaml exists"):

@@ -86,7 +86,7 @@ def test_what_a_fixed_base_is_for_is_said(tmp_path):
     play = synthesize_play(seed=0, duration_s=2.0, rate_hz=60.0)
     play.save(tmp_path / "play.npz")
     words = ["--output", str(tmp_path / "out"), "--objects", "cube"]
-    with pytest.raises(ScenarioError, match=r"play\.npz: .* needs wrist poses .* --scenario_name Fixed"):
+    with pytest.raises(ScenarioError, match=r"play\.npz: .* needs wrist poses .* --scenario-name Fixed"):
         simulate_grasp.main([*words, "--replay", str(tmp_path / "play.npz")])
-    with pytest.raises(ScenarioError, match="scenario 'Fixed': nobody grasps from a fixed base"):
+    with pytest.raises(ScenarioError, match="scenario 'Fixed': the operator cannot grasp with a fixed base"):
         simulate_grasp.main([*words, "--scenario_name", "Fixed"])

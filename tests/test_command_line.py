@@ -1,204 +1,319 @@
-"""What the scripts' command lines share."""
+"""The command `geort-drake`: finding commands, shared options, messages, exit codes, and what it imports."""
 
 import argparse
 import json
 import re
-import shlex
+import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
-from script_modules import SCRIPTS, load_script
+from hypothesis import given
+from hypothesis import strategies as st
+from script_modules import SCRIPTS
 
-from geort_drake.cli import options as command_line
-from geort_drake.cli.console import console, progress_bar, warn
+from geort_drake.cli import COMMANDS, load_command, main, run_command
+from geort_drake.cli.check_recording import FORMATS
 from geort_drake.cli.options import (
+    DEFAULT_METHOD,
     METHOD_SUMMARIES,
+    SIDES,
     TRAINED_METHODS,
     add_json_option,
     add_scenario_options,
     at_least,
-    check_outputs,
     command,
+    finite,
     make_parser,
-    method_help,
+    output_file,
+    output_folder,
     positive,
     scenario_of,
+    view,
     write_json,
 )
-from geort_drake.errors import OutputError
+from geort_drake.console import console, progress_bar, run_main, warn
+from geort_drake.errors import OutputError, RecordingError, UsageError
+
+HEAVY = {"numpy", "rich", "torch", "pydrake", "rerun", "scipy", "matplotlib", "pyarrow", "joblib"}
 
 
-@pytest.mark.parametrize("text", ["0", "-1", "1.5", "many", "", "nan"])
-def test_a_count_that_is_none_is_refused(text):
-    """Too low, or no whole number."""
-    with pytest.raises(argparse.ArgumentTypeError, match=rf"must be .*, not '?{text}'?$"):
-        at_least(1)(text)
-    assert (at_least(1)("1"), at_least(0)("0")) == (1, 0)
+def parser_of(name: str) -> argparse.ArgumentParser:
+    parser = make_parser(name, "")
+    load_command(name).add_arguments(parser)
+    return parser
 
 
-@pytest.mark.parametrize("text", ["0", "-0.5", "inf", "nan", "long", ""])
-def test_a_measure_that_is_none_is_refused(text):
-    """Not positive, not finite, or no number."""
-    with pytest.raises(argparse.ArgumentTypeError, match=rf"must be .*, not '?{text}'?$"):
-        positive(text)
-    assert positive("1e-3") == 0.001
+# -- commands
 
 
-def test_the_options_of_a_scenario_choose_and_change_it():
-    """Without any, it is the package's; the hand and the text given take the place of the file's."""
-    parser = make_parser("What it does.\n\n  as it is laid out")
+@pytest.mark.parametrize("arguments", [["--help"], *([name, "--help"] for name in COMMANDS)])
+def test_help_imports_no_heavy_package(arguments):
+    """So it answers at once; benchmarks/bench_startup.py has the times."""
+    code = (
+        "import sys; from geort_drake.cli import main\n"
+        f"try: main({arguments})\nexcept SystemExit: pass\nprint(*sys.modules, file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("usage: geort-drake")
+    assert HEAVY & {*done.stderr.split()} == set()
+
+
+def test_the_overview_lists_every_command_in_a_line(capsys):
+    """Without arguments as well; each file in cli/ that is a command is listed."""
+    assert main([]) == main(["--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    for name in COMMANDS:
+        assert sum(line.startswith(f"  {name} ") for line in lines) == 2
+    assert all(len(line) < 110 for line in lines)
+    files = {
+        path.stem.replace("_", "-") for path in (SCRIPTS.parent / "geort_drake" / "cli").glob("[a-z]*.py")
+    }
+    assert files - {"options", "retargeters"} == set(COMMANDS)
+
+
+def test_an_unknown_command_is_refused_with_the_choices(capsys):
+    assert main(["grab"]) == 2
+    assert "unknown command 'grab'; choose one of: grasp, train" in capsys.readouterr().err
+
+
+def test_python_m_and_scripts_are_the_same_program(tmp_path):
+    """Both refuse with code 2 and one line on stderr."""
+    for program in (["-m", "geort_drake", "synthesize"], [str(SCRIPTS / "synthesize_recording.py")]):
+        words = [sys.executable, *program, "out.npy"]
+        done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert done.stderr == "error: out.npy: the name must end with .npz\n"
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_every_script_is_a_door_to_a_command():
+    """One for each command, but for convert, which shares a script with check-recording."""
+    doors = [path.read_text("utf-8") for path in SCRIPTS.glob("*.py") if path.stem != "make_pictures"]
+    called = [
+        name for text in doors for name in re.findall(r'main\(\["([\w-]+)", \*sys.argv\[1:\]\]\)', text)
+    ]
+    assert sorted([*called, "convert"]) == sorted(COMMANDS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_is_explained_and_spelled_with_dashes(name):
+    """None tells its default in another form than "(default: ...)"."""
+    for action in parser_of(name)._actions:
+        assert action.help, action.dest
+        assert re.search(r"\((\d[\d.]*|[a-z_' ]+)\)$", action.help) is None, action.help
+        assert action.help.count("(default: ") <= 1, action.help
+        assert not any("_" in option for option in action.option_strings)
+
+
+def test_facts_repeated_for_help_agree_with_their_modules():
+    """Methods, formats, sides and refit's steps, which help lists without importing them."""
+    from geort_drake.comparison.comparison import method_names
+    from geort_drake.comparison.train import DEFAULT_METHOD as DEFAULT
+    from geort_drake.comparison.train import METHODS
+    from geort_drake.people import formats, recording
+    from geort_drake.people.checks.anatomy import UNITS_M
+    from geort_drake.retargeting.methods.coupled.refit import FINE_TUNING
+    from geort_drake.retargeting.methods.geort import FORWARD_KINEMATICS, PRESETS
+
+    assert set(METHOD_SUMMARIES) == set(method_names())
+    assert set(TRAINED_METHODS) == set(METHODS) and DEFAULT_METHOD == DEFAULT
+    assert {name: entry.title for name, entry in formats.FORMATS.items()} == FORMATS
+    assert set(SIDES) == set(recording.SIDES)
+    assert parser_of("refit").get_default("steps") == FINE_TUNING.steps
+    choices = {action.dest: action.choices for action in parser_of("train")._actions}
+    assert (choices["preset"], choices["fk"]) == (list(PRESETS), list(FORWARD_KINEMATICS))
+    (unit,) = (action for action in parser_of("convert")._actions if action.dest == "unit")
+    assert unit.choices == list(UNITS_M)
+
+
+# -- options
+
+
+@given(st.integers() | st.floats() | st.text(max_size=5))
+def test_numbers_are_whole_positive_or_finite_as_asked(value):
+    """Everything else is refused by name, and NaN by all."""
+    text = str(value)
+    for kind, good in (
+        (at_least(1), lambda: int(text) >= 1),
+        (positive, lambda: float(text) > 0),
+        (finite, lambda: 0 < float(text) < float("inf")),
+    ):
+        try:
+            fine = good()
+        except ValueError:
+            fine = False
+        if fine:
+            assert kind(text) == (int(text) if text.lstrip("+-").isdecimal() else float(text))
+        else:
+            with pytest.raises(argparse.ArgumentTypeError, match="must be"):
+                kind(text)
+
+
+def test_old_spellings_of_options_are_accepted():
+    """Underscores in names, also with =; values keep theirs."""
+    parser = make_parser(None, None)
+    parser.add_argument("--held-out", type=int)
+    parser.add_argument("--set", action="append")
+    for words in (["--held_out", "3"], ["--held-out=3"], ["--held_out=3"]):
+        assert parser.parse_args([*words, "--set=a_b=c_d"]).__dict__ == {
+            "quiet": False, "held_out": 3, "set": ["a_b=c_d"],
+        }  # fmt: skip
+
+
+def test_scenario_options_choose_and_change_a_scenario():
+    """Without any, it is the package's; the given hand and text replace the file's."""
+    parser = make_parser(None, "What it does.\n\n  as it is laid out")
     add_scenario_options(parser, "{timeout: 7}")
     assert "\n  as it is laid out\n" in parser.format_help()
     usual = scenario_of(parser.parse_args([]))
-    changed = scenario_of(parser.parse_args(["--hand", "allegro_left", "--scenario_text", "{timeout: 7}"]))
+    changed = scenario_of(parser.parse_args(["--hand", "allegro_left", "--scenario-text", "{timeout: 7}"]))
     assert (usual.hand, changed.hand) == ("allegro_right", "allegro_left")
     assert usual.timeout != changed.timeout == 7
 
 
-def test_outputs_are_checked_before_the_work(tmp_path, capsys):
-    """An option that is not given is none; of the others name and place must do."""
-    parser = make_parser(None)
-    check_outputs(parser, (None, ".rrd"), (tmp_path / "new" / "a.npz", ".npz"))
+def test_outputs_are_checked_before_the_work(tmp_path):
+    """The suffix, and a place that can be written to; nothing is made."""
+    assert output_file(".npz")(str(tmp_path / "new" / "a.npz")) == tmp_path / "new" / "a.npz"
+    assert output_folder(str(tmp_path / "new")) == tmp_path / "new"
     assert list(tmp_path.iterdir()) == []
-    with pytest.raises(SystemExit):
-        check_outputs(parser, (tmp_path / "a.npy", ".npz"))
-    assert "the name must end with .npz" in capsys.readouterr().err
-    with pytest.raises(OutputError, match="not a directory"):
-        check_outputs(parser, (Path("/dev/null/a.npz"), ".npz"))
+    with pytest.raises(UsageError, match=r"the name must end with \.npz"):
+        output_file(".npz")("a.npy")
+    for check, name in ((output_file(".npz"), "a.npz"), (output_folder, "a")):
+        with pytest.raises(OutputError, match="not a directory"):
+            check(f"/dev/null/{name}")
 
 
-# -- what scripts say, and to whom
+def test_help_shows_every_default_once():
+    parser = make_parser(None, None)
+    add = parser.add_argument
+    add("--seed", type=int, default=0, help="of it")
+    add("--methods", nargs="+", default=["a", "b"], help="to try")
+    add("--rate", type=float, default=20.0, help="Hz")
+    add("--side", help="of the hand (default: the robot's)")
+    add("--set", action="append", default=[], help="more")
+    shown = " ".join(parser.format_help().split())
+    for text in (
+        "of it (default: 0)",
+        "try (default: a b)",
+        "Hz (default: 20)",
+        "hand (default: the robot's)",
+    ):
+        assert text in shown
+    assert shown.count("(default: ") == 4
+
+
+# -- outputs
 
 
 @pytest.fixture
 def loud():
-    """The console as it was, whatever a test makes of it."""
+    """Restores the console after a test."""
     yield
     console.quiet = False
 
 
-def test_a_quiet_run_says_warnings_alone(loud, capsys):
-    """Neither progress nor words; the next run, which is not quiet, says everything again."""
-    parser = make_parser(None)
+def test_a_quiet_run_prints_warnings_alone(loud, capsys):
+    """Neither progress nor words; with --json one object on stdout. The next run prints everything again."""
 
-    def run(*argv):
-        parser.parse_args(argv)
+    def words():
         with progress_bar() as progress:
             progress.add_task("training", total=1, note="")
         console.print("done")
         warn("few frames [0]")
-        return capsys.readouterr()
+        return capsys.readouterr().err
 
-    assert run("--quiet") == ("", "warning: few frames [0]\n")
-    said = run()
-    assert said.out == ""
-    assert "training" in said.err and said.err.endswith("done\nwarning: few frames [0]\n")
+    run_command("capture", ["--quiet"])
+    assert words() == "warning: few frames [0]\n"
+    run_command("capture", [])
+    said = words()
+    assert "training" in said and said.endswith("done\nwarning: few frames [0]\n")
 
 
 def test_json_goes_to_stdout_or_into_a_file(tmp_path, capsys):
-    """One object; nothing without the option; what is not finite is null; a draft is for files alone."""
-    parser = make_parser(None)
+    """One object; nothing without the option; null for what is not finite; drafts only into files."""
+    parser = make_parser(None, None)
     add_json_option(parser, "the figures")
     parser.add_argument("recording", nargs="?")
-
-    def target(*argv):
-        return parser.parse_args(argv).json
-
     file = tmp_path / "new" / "figures.json"
-    for given in (target(), target("--json"), target("--json", str(file))):
-        write_json(given, {"draft": 1}, done=False)
+    targets = [parser.parse_args(words).json for words in ([], ["--json"], ["--json", str(file)])]
+    for target in targets:
+        write_json(target, {"draft": 1}, done=False)
     assert capsys.readouterr().out == "" and json.loads(file.read_text()) == {"draft": 1}
-    figures = {"a": [1.5, float("nan")], "b": (float("inf"), "x", True)}
-    for given in (target(), target("--json"), target("--json", str(file))):
-        write_json(given, figures)
-    assert json.loads(capsys.readouterr().out) == {"a": [1.5, None], "b": [None, "x", True]}
-    assert json.loads(file.read_text()) == {"a": [1.5, None], "b": [None, "x", True]}
-
-
-def test_json_does_not_take_another_argument_for_its_file(tmp_path, capsys):
-    """A recording that stands behind it is not overwritten; a place that cannot be written to is refused."""
-    parser = make_parser(None)
-    add_json_option(parser, "the figures")
-    parser.add_argument("recording", nargs="?")
+    for target in targets:
+        write_json(target, {"a": [1.5, float("nan")], "b": (float("inf"), "x", True)})
+    finite = {"a": [1.5, None], "b": [None, "x", True]}
+    assert json.loads(capsys.readouterr().out) == json.loads(file.read_text()) == finite
+    # A recording behind --json must not be overwritten.
     with pytest.raises(SystemExit):
         parser.parse_args(["--json", "hand.npy"])
-    assert "hand.npy: the name must end with .json; to print on stdout, give --json last" in (
-        capsys.readouterr().err
-    )
-    with pytest.raises(OutputError, match="not a directory"):
-        parser.parse_args(["--json", "/dev/null/figures.json"])
+    assert "the name must end with .json; to print on stdout, give --json last" in capsys.readouterr().err
 
 
-def test_every_default_is_told_in_one_form(tmp_path, monkeypatch):
-    """Behind the help of each option that has one, unless its help says it already."""
+def test_a_printed_command_can_be_typed(tmp_path, monkeypatch):
+    """It names this Python's programs: by name if the shell finds them, by path if not, and as modules."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    for name in ("python", "rerun", "geort-drake"):
+        (folder / name).touch(0o755)
     monkeypatch.chdir(tmp_path)
-    parser = make_parser(None)
-    add = parser.add_argument
-    add("--seed", type=int, default=0, help="of it")
-    add("--methods", nargs="+", default=["a", "b"], help="to try")
-    add("--output", type=Path, default=tmp_path / "out", help="folder")
-    add("--rate", type=float, default=20.0, help="Hz")
-    add("--side", help="of the hand (default: the robot's)")
-    add("--set", action="append", default=[], help="more")
-    add("--flag", action="store_true", help="or not")
-    add("file", nargs="?", default="x", help="to read")
-    told = " ".join(parser.format_help().split())
-    for text in (
-        "of it (default: 0)",
-        "to try (default: a b)",
-        "folder (default: out)",
-        "Hz (default: 20)",
-        "of the hand (default: the robot's)",
-    ):
-        assert text in told
-    assert told.count("(default: ") == 5
-
-
-def test_every_option_of_every_script_is_explained(monkeypatch):
-    """And none tells its default in another form, such as "(0)" at the end."""
-
-    class Parsed(Exception):
-        pass
-
-    def stop(parser, *_):
-        raise Parsed(parser)
-
-    monkeypatch.setattr(command_line._Parser, "parse_args", stop)
-    for path in sorted(SCRIPTS.glob("*.py")):
-        with pytest.raises(Parsed) as stopped:
-            load_script(path.name).main([])
-        for action in stopped.value.args[0]._actions:
-            told = f"{path.name}: {action.dest}: {action.help}"
-            assert action.help, told
-            assert re.search(r"\((\d[\d.]*|[a-z_' ]+)\)$", action.help) is None, told
-            assert action.help.count("(default: ") <= 1, told
-
-
-def test_every_method_is_explained():
-    """In one line each, and which of them are trained is told apart."""
-    from geort_drake.comparison.comparison import method_names
-    from geort_drake.comparison.train import DEFAULT_METHOD, METHODS
-
-    assert set(METHOD_SUMMARIES) == set(method_names())
-    assert set(TRAINED_METHODS) == set(METHODS)
-    assert TRAINED_METHODS[0] == DEFAULT_METHOD
-    assert method_help().count("\n") == 1 + len(METHOD_SUMMARIES)
-    assert all(len(line) < 100 for line in method_help().splitlines())
-
-
-def test_a_command_can_be_typed_as_it_is_told(tmp_path, monkeypatch):
-    """Here and elsewhere it names this Python's programs, by name where the shell finds them."""
-    beside = Path(sys.executable).parent
-    monkeypatch.setenv("PATH", str(beside))
-    monkeypatch.chdir(SCRIPTS.parent)
-    assert command("simulate_grasp.py", "--output", Path("a b")) == (
-        "python scripts/simulate_grasp.py --output 'a b'"
-    )
-    assert command("rerun", "a.rrd") == "rerun a.rrd"
+    monkeypatch.setattr(sys, "executable", str(folder / "python"))
+    monkeypatch.setenv("PATH", str(folder))
+    assert command("grasp", "--output", Path("a b")) == "geort-drake grasp --output 'a b'"
+    assert view("a b", "/*.rrd") == "rerun 'a b'/*.rrd"
     monkeypatch.setenv("PATH", "/nowhere")
-    monkeypatch.chdir(tmp_path)
-    python, script, *rest = shlex.split(command("add_hand.py", "hand.yaml"))
-    assert Path(python).samefile(sys.executable)
-    assert Path(script).samefile(SCRIPTS / "add_hand.py")
-    assert rest == ["hand.yaml"]
+    assert command("grasp") == "bin/geort-drake grasp"
+    (folder / "geort-drake").unlink()
+    assert command("grasp") == "bin/python -m geort_drake grasp"
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (None, 0, ""),
+        (RecordingError("hand.npy: no frames [1]"), 2, "error: hand.npy: no frames [1]\n"),
+        (PermissionError("a.npz: not allowed"), 2, "error: a.npz: not allowed\n"),
+        (MemoryError("of 3 GB"), 2, "error: not enough memory: of 3 GB\n"),
+        (KeyboardInterrupt(), 130, "interrupted\n"),
+    ],
+)
+def test_errors_and_warnings_are_printed_as_their_text_alone(error, code, said, capsys):
+    """Nothing of the code they come from, and no markup is interpreted; exit codes tell them apart."""
+
+    def main(_):
+        warnings.simplefilter("always")
+        warnings.warn("joint [0] has moved little", stacklevel=1)
+        if error:
+            raise error
+
+    shown = warnings.showwarning
+    with pytest.raises(SystemExit) as stopped:
+        run_main(main)
+    assert stopped.value.code == code
+    assert capsys.readouterr() == ("", f"warning: joint [0] has moved little\n{said}")
+    assert warnings.showwarning is shown
+
+
+# -- the package
+
+
+def test_every_public_name_imports_and_a_wrong_one_does_not():
+    """The package's names come from their modules when first used, and its docstring explains each."""
+    import geort_drake
+
+    for name in geort_drake.__all__:
+        assert getattr(geort_drake, name).__name__ == name
+        assert re.search(rf"\b{name}\b", geort_drake.__doc__)
+    assert set(geort_drake.__all__) <= set(dir(geort_drake))
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        geort_drake.nothing  # noqa: B018
+    assert (Path(geort_drake.__file__).parent / "py.typed").is_file()
+
+
+def test_importing_the_package_loads_nothing_else():
+    """It takes under 10 ms."""
+    code = "import sys; before = {*sys.modules}; import geort_drake; print(*({*sys.modules} - before))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = {name.split(".")[0].lstrip("_") for name in done.stdout.split()}
+    assert loaded - {"geort_drake"} <= {name.lstrip("_") for name in sys.stdlib_module_names}

@@ -23,9 +23,9 @@ from moving_hands import moving
 from script_modules import SCRIPTS, load_script
 from test_docs import PAGES, ROOT, fences
 
-from geort_drake.cli.console import console
-from geort_drake.comparison import train as comparison_train
+from geort_drake.comparison import checkpoint_cache, sweep
 from geort_drake.comparison.train import train_checkpoint
+from geort_drake.console import console
 from geort_drake.hands.description import hand_names
 from geort_drake.people.play import synthesize_play
 from geort_drake.resources import diagrams_dir
@@ -52,6 +52,7 @@ SMALL = {
     "evaluate_replay.py": f"--trials 1 --jobs 1 --perturb position=5 {SHORT}",
     "evaluate_retargeting.py": "--frames 10 --seeds 0",
     "evaluate_retargeting.py if --held_out": "--frames 10 --held_out 2",
+    "evaluate_retargeting.py if --sweep": "--sweep coverage_weight=0 --seeds 0 --jobs 1",
     "explore_retargeting.py": "--duration 0.5",
     "export_run.py": "",
     "import_recording.py": "",
@@ -75,7 +76,7 @@ ELSEWHERE = {
     "--sensitivity": "test_sensitivity.py",
     "--watch": "test_capture.py",
     "draw_diagram.py": "test_draw_diagram.py",
-    "pictures.py": "test_rerun_pictures.py",
+    "make_pictures.py": "test_rerun_pictures.py",
     "screenshot.py": "test_rerun_pictures.py",
     "show_capture_protocol.py": "test_capture.py",
     "--robot lcm": "test_live_loop.py",
@@ -232,6 +233,7 @@ def desk(tmp_path_factory) -> Iterator[Desk]:
         lighten(patch)
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "docs_cache"))
         patch.setattr(comparison_train, "train_checkpoint", train)
+        patch.setattr(sweep, "train_checkpoint", train)
         patch.setattr(GraspPlanner, "plan", plan_once)
         patch.chdir(desk.folder)
         yield desk

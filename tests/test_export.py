@@ -11,7 +11,7 @@ from rerun.experimental import LeRobotReader
 from scipy.spatial.transform import Rotation
 from script_modules import load_script
 
-from geort_drake.errors import OutputError, RecordingError
+from geort_drake.errors import OutputError, RecordingError, UsageError
 from geort_drake.export.episode import episode_of, glove_at, newest, read_episodes
 from geort_drake.export.lerobot import features_of, write_lerobot
 from geort_drake.export.parquet import write_parquet
@@ -211,9 +211,9 @@ def cut(path):
     ("spoil", "message"),
     [
         (lambda f: (f / "results.json").unlink(), "results.json is missing; a run is a folder"),
-        (lambda f: (f / "results.json").write_text("{}"), "not the results of simulate_grasp.py"),
+        (lambda f: (f / "results.json").write_text("{}"), "not the results of geort-drake grasp"),
         (lambda f: (f / "results.json").write_text('{"trials": []}'), "the run has no trials"),
-        (lambda f: (f / "cube-1.rrd").unlink(), "cube-1 lacks cube-1.rrd, .* without --no_rerun"),
+        (lambda f: (f / "cube-1.rrd").unlink(), "cube-1 lacks cube-1.rrd, .* without --no-rerun"),
         (lambda f: (f / "cube-0.glove.npz").unlink(), "cube-0 lacks cube-0.glove.npz"),
         (lambda f: cut(f / "cube-0.rrd"), "cube-0.rrd: not a readable Rerun recording"),
         (lambda f: (f / "cube-0.rrd").write_text("{}"), "cube-0.rrd: not a readable Rerun recording"),
@@ -252,7 +252,7 @@ def test_the_script_exports_runs_and_recordings(run, tmp_path):
     assert pq.read_metadata(table).num_rows == 360
     with pytest.raises(OutputError, match="Rerun recordings already"):
         export([str(run), str(tmp_path / "x.rrd"), "--format", "rrd"])
-    with pytest.raises(SystemExit):
+    with pytest.raises(UsageError, match=r"must end with \.rrd"):
         export([str(hand), str(tmp_path / "x"), "--format", "rrd"])
 
 

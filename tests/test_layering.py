@@ -1,88 +1,97 @@
-"""The layers import only downward."""
+"""Rooms import only lower rooms, modules import in no cycle, and light modules stay light."""
 
 import ast
+import graphlib
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "geort_drake"
+# Each may import those before it, and every single module of geort_drake/ such as files.py.
+ROOMS = (
+    "people",
+    "retargeting",
+    "hands",
+    "systems",
+    "rerun",
+    "simulation",
+    "comparison",
+    "benchmark",
+    "export",
+    "live",
+    "cli",
+)
+PENDING = {("rerun", "comparison"), ("rerun", "export"), ("comparison", "benchmark")}
 
 
-def _imports(path: Path) -> set[str]:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    names: set[str] = set()
-    for node in ast.walk(tree):
+def imports(path: Path, outermost: bool = False) -> Iterator[str]:
+    """What a file imports: everything, or with `outermost` what runs when it is imported itself."""
+    todo: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"))]
+    while todo:
+        node = todo.pop()
         if isinstance(node, ast.Import):
-            names.update(alias.name for alias in node.names)
+            yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
-            names.add(node.module)
-    return names
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        inner = isinstance(node, ast.FunctionDef | ast.Lambda) or (
+            isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        )
+        if not (outermost and inner):
+            todo.extend(ast.iter_child_nodes(node))
 
 
-@pytest.mark.parametrize("room", ["retargeting", "people"])
-def test_numeric_rooms_import_neither_drake_nor_rerun(room):
-    """Training and glove code must run where Drake is not installed."""
-    for path in (PACKAGE / room).rglob("*.py"):
-        for name in _imports(path):
-            assert name.split(".")[0] not in {"pydrake", "rerun"}, f"{path.name} imports {name}"
-            upper = {
-                f"geort_drake.{r}"
-                for r in ("hands", "systems", "simulation", "rerun", "comparison", "benchmark", "live")
-            }
-            assert not any(name.startswith(u) for u in upper), f"{path.name} imports {name}"
-
-
-def test_live_use_stands_on_the_simulation_and_nothing_stands_on_it():
-    """Who does not drive a robot loads nothing of it; pyzmq, an extra, is imported where it is used."""
+def modules() -> dict[str, Path]:
+    """Module name → file."""
+    found = {}
     for path in PACKAGE.rglob("*.py"):
-        names = _imports(path)
-        live = path.is_relative_to(PACKAGE / "live")
-        forbidden = "geort_drake.benchmark" if live else "geort_drake.live"
-        assert not any(name.startswith(forbidden) for name in names), f"{path} imports {forbidden}"
-        assert "zmq" not in names, path
+        parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+        found[".".join(parts).removesuffix(".__init__")] = path
+    return found
 
 
-def test_only_the_bridge_imports_rerun():
-    """Rerun's names change with its versions, so they stay in one place."""
-    for path in set(PACKAGE.rglob("*.py")) - set((PACKAGE / "rerun").glob("*.py")):
-        assert not any(name.split(".")[0] == "rerun" for name in _imports(path)), path
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_imports_only_lower_rooms(room):
+    upper = {other for other in ROOMS[ROOMS.index(room) + 1 :] if (room, other) not in PENDING}
+    for path in (PACKAGE / room).rglob("*.py"):
+        used = {name.split(".")[1] for name in imports(path) if name.startswith("geort_drake.")}
+        assert not used & upper, path
+
+
+def test_no_modules_import_each_other_in_a_cycle():
+    """While they are imported, that is: not in functions, and not for types alone."""
+    known = modules()
+    graph = {}
+    for name, path in known.items():
+        used = {part for part in imports(path, outermost=True) if part.startswith("geort_drake.")}
+        graph[name] = {part if part in known else part.rpartition(".")[0] for part in used} - {name}
+    graphlib.TopologicalSorter(graph).prepare()  # raises CycleError with the cycle
 
 
 @pytest.mark.parametrize(
-    "module",
-    ["geort_drake", "geort_drake.retargeting.retargeter", "geort_drake.retargeting.methods.online"],
+    ("package", "room"), [("pydrake", "people"), ("pydrake", "retargeting"), ("rerun", ""), ("zmq", "")]
 )
-def test_what_runs_on_the_robot_loads_no_heavy_package(module):
-    """A retargeter in production needs NumPy and nothing of training or simulation."""
-    code = (
-        f"import sys, {module}; "
-        "print([n for n in ('torch', 'pydrake', 'rerun', 'matplotlib') if n in sys.modules])"
-    )
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert out.stdout.strip() == "[]"
+def test_a_package_is_kept_out_of_rooms(package, room):
+    """People and retargeting run without Drake; only the bridge imports Rerun; pyzmq is an extra."""
+    for path in (PACKAGE / room).rglob("*.py"):
+        if package != "rerun" or path.parent.name not in ("rerun",):
+            outermost = package == "zmq"
+            used = {name.split(".")[0] for name in imports(path, outermost)}
+            assert package not in used, path
+
+
+@pytest.mark.parametrize("module", ["retargeting.retargeter", "retargeting.methods.online"])
+def test_a_retargeter_needs_no_heavy_package(module):
+    """On the robot it needs NumPy and nothing of training or simulation."""
+    code = f"import sys, geort_drake.{module}; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"torch", "pydrake", "rerun", "matplotlib", "rich"} & {*done.stdout.split()}
 
 
 def test_schema_modules_do_not_postpone_annotations():
-    """Drake's YAML loader reads the types, which a future import would turn into strings."""
-    for name in (
-        "simulation/scenario.py",
-        "simulation/operators/config.py",
-        "systems/action_correction.py",
-        "simulation/tasks/grasp/monitor.py",
-        "systems/wrist_to_arm.py",
-        "hands/description.py",
-    ):
-        assert "__future__" not in _imports(PACKAGE / name), name
-
-
-def test_every_public_name_imports_and_a_wrong_one_does_not():
-    """The package's lazy names stand for what their modules define."""
-    import geort_drake
-
-    for name in geort_drake.__all__:
-        assert getattr(geort_drake, name).__name__ == name
-    assert set(geort_drake.__all__) <= set(dir(geort_drake))
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
-        geort_drake.nothing  # noqa: B018
+    """Drake's YAML loader reads types, which a future import would turn into strings."""
+    for name, path in modules().items():
+        if any(used.startswith("pydrake.common.yaml") for used in imports(path)) or name.endswith(".config"):
+            assert "__future__.annotations" not in set(imports(path)), name

@@ -75,7 +75,7 @@ def test_of_two_manus_gloves_the_wanted_one_is_taken():
     assert decode(",".join(one).encode(), "right", "bb") is None
     assert decode(dumped(manus_glove(nodes_of(HAND), glove_id=7)), "right", "8") is None
     assert decode(dumped(manus_glove(nodes_of(HAND), glove_id=8)), "right", "8") is not None
-    with pytest.raises(MismatchError, match=r"two gloves; choose one with --glove_id: aa, BB"):
+    with pytest.raises(MismatchError, match=r"two gloves; choose one with --glove-id: aa, BB"):
         decode(both, "right")
 
 

@@ -105,7 +105,7 @@ def test_a_copy_has_the_limits_that_the_model_means(classy, tmp_path):
     assert hand.joint_names == plain.joint_names
     np.testing.assert_allclose(hand.lower, plain.lower)
     np.testing.assert_allclose(hand.upper, plain.upper)
-    with pytest.raises(HandError, match=r"the classes inner take defaults that Drake.*add_hand\.py"):
+    with pytest.raises(HandError, match=r"the classes inner take defaults that Drake.*add-hand"):
         propose(classy)
 
 

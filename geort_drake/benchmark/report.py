@@ -66,7 +66,7 @@ def write_report(folder: Path) -> dict:
         "records": [_shown(folder, record) for record in records],
         "errors": errors,
         "expected": len(config["methods"]) * len(config["objects"]) * config["trials"],
-        "command": f"python scripts/benchmark_grasping.py --output {shlex.quote(str(folder))} --rrd",
+        "command": f"geort-drake benchmark --output {shlex.quote(str(folder))} --rrd",
     }
     environment = _environment()
     for name in (MARKDOWN, HTML):

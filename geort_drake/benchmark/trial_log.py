@@ -57,6 +57,11 @@ def key_of(record: dict) -> TrialKey:
     return TrialKey(record["method"], record["object"], record["seed"], record.get("condition", ""))
 
 
+def outcome_line(record: dict) -> str:
+    """The trial of a line and how it ended, for a progress display."""
+    return f"{key_of(record)}: {'error' if 'error' in record else record['outcome']}"
+
+
 def identity(key: TrialKey) -> dict:
     """The fields of a line that say which trial it is."""
     named = key._asdict()

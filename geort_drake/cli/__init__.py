@@ -1,0 +1,93 @@
+"""The command `geort-drake` and its subcommands, one module each.
+
+A subcommand's module has a docstring whose first line is its summary, `add_arguments(parser)`,
+`run(arguments)`, which returns the exit code, and sometimes `EPILOG`, the text below its options. It imports
+NumPy, Drake, PyTorch and Rerun inside `run`, so that `--help` answers at once.
+"""
+
+import importlib
+import sys
+from collections.abc import Sequence
+from types import ModuleType
+
+# In the order of `geort-drake --help`.
+COMMANDS = (
+    "grasp",
+    "train",
+    "refit",
+    "evaluate",
+    "explore",
+    "benchmark",
+    "replay",
+    "add-hand",
+    "check-recording",
+    "convert",
+    "synthesize",
+    "capture",
+    "live",
+    "publish",
+    "stand-in-robot",
+    "export",
+    "screenshot",
+    "draw-diagram",
+)
+_USAGE = "usage: geort-drake COMMAND ...\n       geort-drake COMMAND --help\n       geort-drake --version\n"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs `geort-drake` with these arguments (default: the process's).
+
+    Returns:
+        The exit code: 0 success, 1 done in part, 2 a request that the user must correct, 130 interrupted.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    first = arguments[0] if arguments else "--help"
+    if first in ("-h", "--help"):
+        print(_overview())
+        return 0
+    if first == "--version":
+        from geort_drake import __version__
+
+        print(__version__)
+        return 0
+    if first not in COMMANDS:
+        print(
+            f"{_USAGE}error: unknown command '{first}'; choose one of: {', '.join(COMMANDS)}", file=sys.stderr
+        )
+        return 2
+    if {"-h", "--help"} & {*arguments}:
+        return run_command(first, arguments[1:])  # prints the help and exits
+    from geort_drake.console import exit_code_of
+
+    return exit_code_of(lambda: run_command(first, arguments[1:]))
+
+
+def run_command(name: str, argv: Sequence[str]) -> int:
+    """Runs a subcommand in this process; returns its exit code.
+
+    Raises:
+        GeortError: the request cannot be met; `main` turns this into a message and exit code 2.
+        SystemExit: the arguments cannot be parsed, or they ask for help.
+    """
+    from geort_drake.cli.options import make_parser
+
+    command = load_command(name)
+    parser = make_parser(f"geort-drake {name}", command.__doc__, getattr(command, "EPILOG", None))
+    command.add_arguments(parser)
+    arguments = parser.parse_args(argv)
+    from geort_drake.console import console
+
+    console.quiet = arguments.quiet
+    return command.run(arguments)
+
+
+def load_command(name: str) -> ModuleType:
+    """The module of a subcommand."""
+    return importlib.import_module(f"{__name__}.{name.replace('-', '_')}")
+
+
+def _overview() -> str:
+    lines = [f"  {name:16} {(load_command(name).__doc__ or '').splitlines()[0]}" for name in COMMANDS]
+    return "\n".join(
+        [_USAGE, "GeoRT hand retargeting, judged in a Drake simulation.", "", "commands:", *lines]
+    )

@@ -1,13 +1,14 @@
-"""What the command lines of the scripts share: how their help looks, and options and checks of several.
+"""Options, checks and outputs that several commands share.
 
-Every script speaks on stderr; `--quiet` leaves warnings and errors of that. On stdout is nothing but the JSON
-that `--json` asks for. What a script says last is where its results are and how to go on with them.
+Words go to stderr, and `--quiet` leaves only warnings and errors. Stdout holds nothing but the JSON that
+`--json` asks for. A command's last lines name its results and the commands that go on from there.
 """
 
 import argparse
 import json
 import math
 import os
+import re
 import shlex
 import shutil
 import sys
@@ -15,15 +16,17 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import geort_drake
-from geort_drake.cli.console import console
+from geort_drake.errors import UsageError
 from geort_drake.files import finite_json, require_writable, write_text
+from geort_drake.resources import models_dir
 
 if TYPE_CHECKING:
+    from geort_drake.people.recording import Recording
     from geort_drake.simulation.scenario import Scenario
 
-SCRIPTS = Path(geort_drake.__file__).resolve().parents[1] / "scripts"
-# Name of a retargeting method → what --help says of it.
+# Facts of heavier modules, repeated here so that --help does not import those; tests compare them.
+DEFAULT_HAND = "allegro_right"
+SIDES = ("left", "right")
 METHOD_SUMMARIES = {
     "geort_coupled": "all five criteria, by fingers that see each other; the default",
     "geort": "the paper's: one network per finger, each on its own",
@@ -33,13 +36,13 @@ METHOD_SUMMARIES = {
     "nearest_neighbour": "the nearest of 300 stored hands",
     "hold": "ignores the person's fingers",
 }
-# Those that learn; the others need no training.
-TRAINED_METHODS = ("geort_coupled", "geort", "linear_offline")
+DEFAULT_METHOD = "geort_coupled"
+TRAINED_METHODS = ("geort_coupled", "geort", "linear_offline")  # the others need no training
 STDOUT = Path("-")
 
 
 class _Help(argparse.RawDescriptionHelpFormatter):
-    """Texts as they are laid out, and behind each option's help its default."""
+    """Texts keep their layout, and each option's help ends with its default."""
 
     def _get_help_string(self, action: argparse.Action) -> str:
         text, default = action.help or "", action.default
@@ -47,117 +50,98 @@ class _Help(argparse.RawDescriptionHelpFormatter):
         nothing = default is None or isinstance(default, bool) or default in (argparse.SUPPRESS, [], ())
         if told or nothing:
             return text
-        return f"{text} (default: {_shown(default)})".strip()
+        shown = " ".join(map(str, default)) if isinstance(default, list | tuple) else f"{default}"
+        return f"{text} (default: {shown.removesuffix('.0')})".strip()
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that obeys --quiet, and refuses a file for --json that cannot be written."""
+    """A parser that also takes options spelled with underscores, and options between the files."""
 
     def parse_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> argparse.Namespace:
-        # Options may stand between the files as well.
-        arguments = self.parse_intermixed_args(args, namespace)
-        console.quiet = arguments.quiet
-        check_outputs(self, (getattr(arguments, "json", None), ".json"))
-        return arguments
+        words = [
+            re.sub(r"^--[a-z_]+", lambda name: name[0].replace("_", "-"), word)
+            for word in (sys.argv[1:] if args is None else args)
+        ]
+        return self.parse_intermixed_args(words, namespace)
 
 
-def make_parser(description: str | None, epilog: str | None = None) -> argparse.ArgumentParser:
-    """A parser with --quiet, whose help shows both texts as they are laid out, and every option's default.
-
-    Args:
-        description: the script's docstring.
-        epilog: what stands below the options.
-    """
-    parser = _Parser(description=description, epilog=epilog, formatter_class=_Help)
-    parser.add_argument("--quiet", action="store_true", help="say nothing but warnings and errors")
+def make_parser(
+    program: str | None, description: str | None, epilog: str | None = None
+) -> argparse.ArgumentParser:
+    """A parser with --quiet, whose help keeps the layout of both texts and shows every option's default."""
+    parser = _Parser(prog=program, description=description, epilog=epilog, formatter_class=_Help)
+    parser.add_argument("--quiet", action="store_true", help="print only warnings and errors")
     return parser
 
 
-def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
-    """The option --json, which `write_json` obeys.
+# -- options
 
-    Args:
-        what: what is written, such as "the metrics".
-    """
+
+def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
+    """The option --json, for `write_json`; `what` is what is written, such as "the metrics"."""
     parser.add_argument(
         "--json",
         nargs="?",
         type=_json_file,
         const=STDOUT,
         metavar="FILE",
-        help=f"{what} as JSON: on stdout, or in FILE (.json)",
+        help=f"write {what} as JSON to stdout, or to FILE (.json)",
     )
 
 
-def write_json(target: Path | None, content: Any, done: bool = True) -> None:
-    """Writes `content` where the option --json said: to stdout, to a file, or nowhere.
-
-    Args:
-        target: what the option gave.
-        content: what JSON can hold; numbers that are not finite become null.
-        done: False where more will come, which a file is to show and stdout is not.
-    """
-    if target is None or (target == STDOUT and not done):
-        return
-    text = json.dumps(finite_json(content), indent=2, allow_nan=False)
-    if target == STDOUT:
-        print(text)
-    else:
-        write_text(target, text + "\n")
+def add_hand_option(parser: Any, default: str | None = DEFAULT_HAND, note: str = "") -> None:
+    """The option --hand; `note` says in the help what happens without it."""
+    names = ", ".join(sorted(path.stem for path in (models_dir() / "hands").glob("*.yaml")))
+    parser.add_argument(
+        "--hand", default=default, help=f"robot hand: a description's file, or one of {names}{note}"
+    )
 
 
-def method_help(names: Iterable[str] = tuple(METHOD_SUMMARIES)) -> str:
-    """A paragraph for the epilog: what each of these methods is, in a line."""
-    return "methods:\n" + "".join(f"  {name:18} {METHOD_SUMMARIES[name]}\n" for name in names)
+def add_seed_option(parser: argparse.ArgumentParser, what: str) -> None:
+    """The option --seed; `what` is what the seed decides."""
+    parser.add_argument("--seed", type=at_least(0), default=0, help=f"seed of {what}")
 
 
-def command(name: str, *words: str | os.PathLike) -> str:
-    """A command as one would type it here.
+def add_side_option(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+    """The option --side: which of the person's hands was recorded."""
+    note = "" if default else " (default: the robot hand's)"
+    parser.add_argument("--side", choices=SIDES, default=default, help=f"side of the recorded hand{note}")
 
-    Args:
-        name: a program installed beside this Python, such as "rerun", or a script's file, such as
-            "simulate_grasp.py".
-        words: its arguments.
-    """
-    if name.endswith(".py"):
-        script = SCRIPTS / name
-        start = [_program("python"), os.path.relpath(script) if script.exists() else f"scripts/{name}"]
-    else:
-        start = [_program(name)]
-    return shlex.join([*start, *map(str, words)])
+
+def add_worker_options(parser: argparse.ArgumentParser) -> None:
+    """The options --jobs and --backend of commands that run many trials."""
+    parser.add_argument(
+        "--jobs",
+        type=at_least(1),
+        default=os.cpu_count() or 1,
+        help="trials at a time (default: the number of processors)",
+    )
+    parser.add_argument(
+        "--backend", default="loky", choices=["loky", "ray"], help="processes here, or a Ray cluster"
+    )
 
 
 def add_scenario_options(parser: argparse.ArgumentParser, example: str = "{timeout: 30}") -> None:
-    """The options that choose a scenario and change it, which `scenario_of` reads.
-
-    Args:
-        example: a change that makes sense for the script, in YAML.
-    """
-    add = parser.add_argument_group("scenario").add_argument
-    add("--hand", help="robot hand, by name or file of its description (default: the scenario's)")
-    add("--scenario_file", type=Path, help="scenarios in YAML (default: diagrams/grasp.scenarios.yaml)")
-    add("--scenario_name", default="Grasp", help="which scenario of the file")
-    add("--scenario_text", help=f"YAML merged into the scenario, for example '{example}'")
+    """The options that choose and change a scenario, for `scenario_of`; `example` is a change in YAML."""
+    group = parser.add_argument_group("scenario")
+    add_hand_option(group, None, " (default: the scenario's)")
+    group.add_argument("--scenario-file", type=Path, help="scenarios in YAML (default: the package's)")
+    group.add_argument("--scenario-name", default="Grasp", help="name of the scenario in the file")
+    group.add_argument("--scenario-text", help=f"YAML merged into the scenario, for example '{example}'")
 
 
-def scenario_of(arguments: argparse.Namespace) -> "Scenario":
-    """The scenario that the options of `add_scenario_options` stand for.
+def method_help(names: Iterable[str] = tuple(METHOD_SUMMARIES)) -> str:
+    """A paragraph for a command's EPILOG: each of these methods in one line."""
+    return "methods:\n" + "".join(f"  {name:18} {METHOD_SUMMARIES[name]}\n" for name in names)
 
-    Raises:
-        ScenarioError, HandError, UnknownNameError: see `load_scenario`.
-    """
-    # Here, so that --help does not load Drake.
-    from geort_drake.simulation.scenario import load_scenario
 
-    return load_scenario(
-        arguments.scenario_file, arguments.scenario_name, arguments.scenario_text, arguments.hand
-    )
+# -- types of options
 
 
 def at_least(lowest: int) -> Callable[[str], int]:
-    """The type of an option that takes a whole number from `lowest` on."""
+    """A whole number from `lowest` on."""
 
     def whole_number(text: str) -> int:
         try:
@@ -172,51 +156,134 @@ def at_least(lowest: int) -> Callable[[str], int]:
 
 
 def positive(text: str) -> float:
-    """The type of an option that takes a positive, finite number."""
+    """A positive number, or inf."""
     try:
         value = float(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"must be a number, not '{text}'") from None
-    if not 0 < value < math.inf:
+    if not value > 0:
         raise argparse.ArgumentTypeError(f"must be positive, not {text}")
     return value
 
 
-def check_outputs(parser: argparse.ArgumentParser, *outputs: tuple[Path | None, str]) -> None:
-    """Checks, before anything is written, all files that a script will write: a path and its suffix each.
-
-    Raises:
-        OutputError: a path cannot be written. Another suffix ends the program through `parser`.
-    """
-    for path, suffix in outputs:
-        if path is None or path == STDOUT:
-            continue
-        if path.suffix != suffix:
-            parser.error(f"{path}: the name must end with {suffix}")
-        require_writable(path)
+def finite(text: str) -> float:
+    """A positive, finite number."""
+    value = positive(text)
+    if value == math.inf:
+        raise argparse.ArgumentTypeError(f"must be finite, not {text}")
+    return value
 
 
-def _json_file(text: str) -> Path:
-    # What stands behind --json may be meant for something else, and is not to be overwritten then.
-    if text != str(STDOUT) and Path(text).suffix != ".json":
-        raise argparse.ArgumentTypeError(
-            f"{text}: the name must end with .json; to print on stdout, give --json last"
-        )
+def output_file(suffix: str) -> Callable[[str], Path]:
+    """A file to write, with that suffix (else UsageError), in a writable place (else OutputError)."""
+
+    def path(text: str) -> Path:
+        if Path(text).suffix != suffix:
+            raise UsageError(f"{text}: the name must end with {suffix}")
+        require_writable(text)
+        return Path(text)
+
+    return path
+
+
+def output_folder(text: str) -> Path:
+    """A folder to write, which may exist, in a writable place (else OutputError)."""
+    require_writable(text, directory=True)
     return Path(text)
 
 
-def _program(name: str) -> str:
-    """A program beside this Python: its name where the shell finds that one, else its path."""
+def _json_file(text: str) -> Path:
+    if text == str(STDOUT):
+        return STDOUT
+    # The word after --json may be another argument, such as a recording, which must not be overwritten.
+    if Path(text).suffix != ".json":
+        raise argparse.ArgumentTypeError(
+            f"{text}: the name must end with .json; to print on stdout, give --json last"
+        )
+    return output_file(".json")(text)
+
+
+def require_distinct(option: str, values: Iterable[Any]) -> None:
+    """Raises UsageError if an option lists a value twice."""
+    values = list(map(str, values))
+    twice = sorted({value for value in values if values.count(value) > 1})
+    if twice:
+        raise UsageError(f"{option} lists {', '.join(twice)} more than once")
+
+
+# -- what options stand for
+
+
+def scenario_of(arguments: argparse.Namespace) -> "Scenario":
+    """The scenario that the options of `add_scenario_options` stand for.
+
+    Raises:
+        ScenarioError, HandError, UnknownNameError: see `load_scenario`.
+    """
+    from geort_drake.simulation.scenario import load_scenario
+
+    return load_scenario(
+        arguments.scenario_file, arguments.scenario_name, arguments.scenario_text, arguments.hand
+    )
+
+
+def recording_of(path: Path | None, side: str, seed: int) -> "Recording":
+    """A recording to train on: a file's, or five minutes of synthetic play.
+
+    Raises:
+        RecordingError: the file is unfit for training, or of the other hand.
+    """
+    from geort_drake.people.play import synthesize_play
+    from geort_drake.people.readers import read_recording
+
+    return synthesize_play(seed, side=side) if path is None else read_recording(path, side, training=True)
+
+
+# -- outputs
+
+
+def write_json(target: Path | None, content: Any, done: bool = True) -> None:
+    """Writes `content` where --json said: to stdout, to a file, or nowhere.
+
+    Args:
+        target: the option's value.
+        content: what JSON can hold; numbers that are not finite become null.
+        done: False for a draft of what comes later, which is written to a file and not to stdout.
+    """
+    if target is None or (target == STDOUT and not done):
+        return
+    text = json.dumps(finite_json(content), indent=2, allow_nan=False)
+    if target == STDOUT:
+        print(text)
+    else:
+        write_text(target, text + "\n")
+
+
+def finish(results: dict[str, Any], *commands: str) -> None:
+    """Prints a command's last lines: results with their paths, then commands to go on with."""
+    from geort_drake.console import say
+
+    for what, where in results.items():
+        say(f"{what}: {where}")
+    for line in commands:
+        say(f"next: {line}")
+
+
+def command(*words: str | os.PathLike) -> str:
+    """A `geort-drake` command as one would type it in this folder."""
+    return shlex.join([*_program("geort-drake"), *map(str, words)])
+
+
+def view(path: str | os.PathLike, pattern: str = "") -> str:
+    """A command that opens a Rerun recording, or all whose paths go on with a pattern such as "/*.rrd"."""
+    return shlex.join([*_program("rerun"), str(path)]) + pattern
+
+
+def _program(name: str) -> list[str]:
+    """A program installed beside this Python: its name where the shell finds that one, else its path."""
     beside = Path(sys.executable).with_name(name)
     found = shutil.which(name)
-    if not beside.exists() or (found and Path(found) == beside):
-        return name
-    return min(str(beside), os.path.relpath(beside), key=len)
-
-
-def _shown(default: Any) -> str:
-    if isinstance(default, list | tuple):
-        return " ".join(map(_shown, default))
-    if isinstance(default, Path) and default.is_absolute() and default.is_relative_to(Path.cwd()):
-        return str(default.relative_to(Path.cwd()))
-    return f"{default:g}" if isinstance(default, float) else str(default)
+    if beside.exists():
+        same = found is not None and Path(found) == beside
+        return [name if same else min(str(beside), os.path.relpath(beside), key=len)]
+    return [*_program("python"), "-m", "geort_drake"] if name == "geort-drake" else [name]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import geort_drake
-from geort_drake.cli.training_bars import TrainingBars
+from geort_drake.console import TrainingBars
 from geort_drake.comparison.metrics import evaluate
 from geort_drake.comparison.versions import git_state, versions
 from geort_drake.errors import CheckpointError, GeortError, HandError, RecordingError, UnknownNameError

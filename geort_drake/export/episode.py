@@ -87,7 +87,7 @@ class Episode:
 
 
 def read_episodes(path: str | os.PathLike) -> Iterator[Episode]:
-    """The trials of a run, a folder that simulate_grasp.py wrote, one after the other.
+    """The trials of a run, a folder that geort-drake grasp wrote, one after the other.
 
     Raises:
         RecordingError: the folder is no such run, or a trial lacks a file.
@@ -96,18 +96,18 @@ def read_episodes(path: str | os.PathLike) -> Iterator[Episode]:
     results = folder / RESULTS
     if not results.is_file():
         raise RecordingError(
-            f"{folder}: {RESULTS} is missing; a run is a folder that simulate_grasp.py wrote"
+            f"{folder}: {RESULTS} is missing; a run is a folder that geort-drake grasp wrote"
         )
     try:
         trials = json.loads(results.read_text(encoding="utf-8"))["trials"]
         names = [f"{trial['object']}-{trial['seed']}" for trial in trials]
         robot = yaml.safe_load((folder / SCENARIO).read_text(encoding="utf-8"))["Resolved"]["hand"]
     except (ValueError, KeyError, TypeError, OSError, RecursionError, yaml.YAMLError) as error:
-        raise RecordingError(f"{folder}: not the results of simulate_grasp.py: {error}") from error
+        raise RecordingError(f"{folder}: not the results of geort-drake grasp: {error}") from error
     if not names:
         raise RecordingError(f"{results}: the run has no trials")
     for name in names:
-        for suffix, why in ((".rrd", "commands and states; simulate without --no_rerun"), (".glove.npz", "")):
+        for suffix, why in ((".rrd", "commands and states; simulate without --no-rerun"), (".glove.npz", "")):
             if not (folder / f"{name}{suffix}").is_file():
                 raise RecordingError(
                     f"{folder}: trial {name} lacks {name}{suffix}" + (f", which holds {why}" if why else "")

@@ -39,7 +39,7 @@ def check_model_values(files: Iterable[Path], source: str) -> None:
             if tree.tag == "mujoco" and (classes := hand_down_defaults(tree)):
                 raise HandError(
                     f"{source}: in {file.name} the classes {', '.join(classes)} take defaults that Drake "
-                    "does not hand down to them; wanted: the copy that add_hand.py writes, which has them"
+                    "ignores; use the copy that geort-drake add-hand writes"
                 )
         elif file.suffix.lower() == ".obj" and (found := _NO_VERTEX.search(file.read_bytes())):
             line = found[0].decode(errors="replace").strip()

@@ -49,7 +49,7 @@ def decode_text(message: bytes, side: str, glove_id: str | None) -> GloveFrame |
     gloves = [words[start : start + _GLOVE] for start in range(0, len(words), _GLOVE)]
     if glove_id is None and len(gloves) > 1:
         ids = ", ".join(glove[0][:20] for glove in gloves)
-        raise MismatchError(f"MANUS message: there are two gloves; choose one with --glove_id: {ids}")
+        raise MismatchError(f"MANUS message: there are two gloves; choose one with --glove-id: {ids}")
     for glove in gloves:
         if glove_id is None or glove[0].strip().lower() == glove_id.lower():
             try:

@@ -169,9 +169,7 @@ def load_checkpoint(path: str | os.PathLike) -> Checkpoint:
     """
     path = Path(path)
     if not path.is_dir():
-        raise CheckpointError(
-            f"{path}: there is no such checkpoint directory; train_retargeter.py writes one"
-        )
+        raise CheckpointError(f"{path}: there is no such checkpoint directory; geort-drake train writes one")
     missing = [name for name in REQUIRED if not (path / name).is_file()]
     if missing:
         raise CheckpointError(

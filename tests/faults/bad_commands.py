@@ -1,4 +1,4 @@
-"""Command lines and folders of results that make no sense, beside those in test_scripts.py."""
+"""Command lines and folders of results that make no sense, beside those in test_command_refusals.py."""
 
 import json
 import pickle
@@ -56,7 +56,7 @@ def line(**changes: object) -> str:
 _MAKERS: dict[str, tuple[Callable[[Path], tuple], str, str]] = {
     "a recording of a million years": (
         words("synthesize_recording.py", "out.npz", "--duration", "3e13"),
-        USAGE,
+        "UsageError",
         "may be at most 5,000,000 frames",
     ),
     "a duration that is a word": (
@@ -67,9 +67,13 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str, str]] = {
     "a rate that is infinite": (
         words("synthesize_recording.py", "out.npz", "--rate", "inf"),
         USAGE,
-        "positive",
+        "finite",
     ),
-    "an output without a name": (words("synthesize_recording.py", ""), USAGE, "must end with .npz"),
+    "an output without a name": (
+        words("synthesize_recording.py", ""),
+        "UsageError",
+        "must end with .npz",
+    ),
     "an output under a file": (
         words("synthesize_recording.py", "/dev/null/out.npz"),
         "OutputError",

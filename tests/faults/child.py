@@ -89,7 +89,7 @@ def script(name: str, argv: list[str]) -> int | None:
 
 
 def _run(function: Callable, arguments: tuple, folder: Path, beside: Path, limits: dict[str, int]) -> None:
-    from geort_drake.cli.console import run_main
+    from geort_drake.console import run_main
 
     os.environ["XDG_CACHE_HOME"] = str(beside / "cache")
     os.chdir(folder)

@@ -1,23 +1,17 @@
-"""The scripts that make and import recordings, run as a user runs them."""
+"""The commands that make, check and convert recordings."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 from matplotlib import pyplot as plt
-from script_modules import SCRIPTS, load_script
+from script_modules import load_script
 
+from geort_drake.cli import run_command
 from geort_drake.errors import RecordingError
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
-
-
-def run(script, *arguments):
-    command = [sys.executable, str(SCRIPTS / script), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -27,77 +21,58 @@ def npy(tmp_path_factory):
     return path
 
 
-def test_synthesizing_writes_the_recording_of_that_seed_and_a_plot(npy, tmp_path):
-    """The file equals synthesize_play with the same arguments; the plot is a PNG of some size."""
-    output, plot = tmp_path / "play.npz", tmp_path / "play.png"
-    arguments = ["--seed", 3, "--duration", 12, "--rate", 60, "--plot", plot, "--compare", npy]
-    result = run("synthesize_recording.py", output, *arguments)
-    assert result.returncode == 0, result.stderr
-    assert Recording.load(output).digest == synthesize_play(3, 12.0, 60.0).digest
-    assert plot.read_bytes().startswith(b"\x89PNG")
-    assert plot.stat().st_size > 50_000
-
-
-def test_synthesizing_with_somebodys_hand_uses_their_bones(npy, tmp_path):
-    """With --hand_of the bones are those of that recording."""
-    result = run("synthesize_recording.py", tmp_path / "p.npz", "--duration", 5, "--hand_of", npy)
-    assert result.returncode == 0, result.stderr
+def test_synthesizing_writes_the_recording_of_that_seed(npy, tmp_path):
+    """The file equals synthesize_play with the same arguments; with --hand-of it has that person's bones."""
+    arguments = ["--seed", "3", "--duration", "12", "--rate", "60"]
+    run_command("synthesize", [str(tmp_path / "play.npz"), *arguments])
+    assert Recording.load(tmp_path / "play.npz").digest == synthesize_play(3, 12.0, 60.0).digest
+    run_command("synthesize", [str(tmp_path / "p.npz"), "--duration", "5", "--hand-of", str(npy)])
     bones = np.linalg.norm(np.diff(Recording.load(tmp_path / "p.npz").p_HK[:, 5:9], axis=1), axis=-1)
     expected = np.linalg.norm(np.diff(np.load(npy)[0, 5:9], axis=0), axis=-1)
     np.testing.assert_allclose(bones, np.tile(expected, (len(bones), 1)), atol=1e-5)
 
 
-def test_importing_converts_and_reports_the_hands_health(npy, tmp_path):
-    """The written file equals what the reader gives, and the report names rate, fingers and verdict."""
-    result = run("import_recording.py", npy, tmp_path / "hand.npz")
-    assert result.returncode == 0, result.stderr
+def test_converting_writes_a_recording_and_reports_its_health(npy, tmp_path, capsys):
+    """The file equals what the reader gives; the report has rate, fingers, verdict and what is next."""
+    run_command("convert", [str(npy), str(tmp_path / "hand.npz")])
     saved = Recording.load(tmp_path / "hand.npz")
     assert saved.digest == read_recording(npy).digest
     assert saved.metadata["warnings"] == read_recording(npy).metadata["warnings"]
-    said = " ".join(result.stderr.split())
+    captured = capsys.readouterr()
+    said = " ".join(captured.err.split())
     assert "right hand, taken for GeoRT, 21 keypoints in the wrist frame" in said
     assert "450 frames, 450 valid, 15.0 s at 30.0 Hz (assumed); wrist: none" in said
     assert "warning: no timestamps: 30 Hz assumed" in said
     assert "warning: the thumb never comes within 15 mm of:" in said
-    # What it says last is where the copy is, and how to go on with it.
-    last = result.stderr.partition("verdict: usable with warnings\n")[2].splitlines()
+    last = captured.err.partition("verdict: usable with warnings\n")[2].splitlines()
     assert last[0] == f"Recording: {tmp_path / 'hand.npz'}"
-    assert last[1].startswith("Train on it, and grasp: ")
-    assert last[1].endswith(f"simulate_grasp.py --recording {tmp_path / 'hand.npz'}")
-    assert result.stdout == ""
+    assert last[1].startswith("next: ")
+    assert last[1].endswith(f" grasp --recording {tmp_path / 'hand.npz'}")
+    assert captured.out == ""
 
 
-def test_a_recording_too_short_for_training_is_imported_with_that_verdict(npy, tmp_path):
-    """100 frames can be replayed; the verdict says why they do not train."""
-    np.save(tmp_path / "short.npy", np.load(npy)[:100])
-    result = run("import_recording.py", tmp_path / "short.npy")
-    assert result.returncode == 0, result.stderr
-    assert "verdict: usable with warnings; not fit for training" in result.stderr
-    assert "training needs at least 300" in result.stderr
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["short.npy"]
-
-
-def test_bad_input_ends_with_exit_code_2_and_one_line(npy, tmp_path):
-    """A mirrored hand is refused by name, nothing is written and there is no traceback."""
-    result = run("import_recording.py", npy, tmp_path / "hand.npz", "--side", "left")
-    assert result.returncode == 2
-    assert result.stderr.startswith("error: ")
-    assert "bend backwards" in result.stderr
-    assert "Traceback" not in result.stderr
+def test_the_old_script_checks_one_file_and_converts_to_a_second(npy, tmp_path):
+    """Options may stand between both."""
+    script = load_script("import_recording.py").main
+    script([str(npy)])
     assert list(tmp_path.iterdir()) == []
-
-
-def test_options_may_stand_between_input_and_output(npy, tmp_path):
-    """As the usage line has them."""
-    main = load_script("import_recording.py").main
-    main([str(npy), "--side", "right", str(tmp_path / "hand.npz"), "--rate", "60"])
+    script([str(npy), "--side", "right", str(tmp_path / "hand.npz"), "--rate", "60"])
     assert Recording.load(tmp_path / "hand.npz").rate_hz == pytest.approx(60.0)
+
+
+def test_a_recording_too_short_for_training_can_be_replayed(npy, tmp_path, capsys):
+    """The verdict says why it does not train."""
+    np.save(tmp_path / "short.npy", np.load(npy)[:100])
+    run_command("check-recording", [str(tmp_path / "short.npy")])
+    said = capsys.readouterr().err
+    assert "verdict: usable with warnings; not fit for training" in said
+    assert "training needs at least 300" in said
+    assert "next:" not in said
 
 
 def test_a_recording_is_mirrored_for_a_hand_of_the_other_side(npy, tmp_path, capsys):
     """The other hand makes the same motion: stored in the mirror, the keypoints are the same."""
-    main = load_script("import_recording.py").main
-    main([str(npy), str(tmp_path / "left.npz"), "--mirror", "--json"])
+    run_command("convert", [str(npy), str(tmp_path / "left.npz"), "--mirror", "--json"])
     out = capsys.readouterr()
     report = json.loads(out.out)
     assert (report["side"], report["recorded_side"]) == ("left", "right")
@@ -114,8 +89,7 @@ def test_a_recording_is_mirrored_for_a_hand_of_the_other_side(npy, tmp_path, cap
 
 def test_the_report_is_also_given_as_json(npy, tmp_path, capsys):
     """One object on stdout: verdict, findings with place and advice, figures; also of what is refused."""
-    main = load_script("import_recording.py").main
-    main([str(npy), "--json", "--rate", "60"])
+    run_command("check-recording", [str(npy), "--json", "--rate", "60"])
     report = json.loads(capsys.readouterr().out)
     assert report["verdict"] in ("usable", "usable with warnings")
     assert report["fit_for_training"] is True
@@ -136,7 +110,7 @@ def test_the_report_is_also_given_as_json(npy, tmp_path, capsys):
         (tmp_path, "file", "no .pkl files"),
     ):
         with pytest.raises(RecordingError, match=told):
-            main([str(path), "--json"])
+            run_command("check-recording", [str(path), "--json"])
         report = json.loads(capsys.readouterr().out)
         assert report["verdict"] == "refused"
         assert report["fit_for_training"] is False
@@ -146,7 +120,7 @@ def test_the_report_is_also_given_as_json(npy, tmp_path, capsys):
 
 def test_the_picture_shows_both_hands_on_any_background(npy, tmp_path):
     """A PNG with a transparent background, coloured and grey points."""
-    load_script("import_recording.py").main([str(npy), "--picture", str(tmp_path / "tips.png")])
+    run_command("check-recording", [str(npy), "--picture", str(tmp_path / "tips.png")])
     pixels = plt.imread(tmp_path / "tips.png")
     assert pixels.shape[2] == 4
     assert pixels[0, 0, 3] == 0.0
@@ -156,12 +130,3 @@ def test_the_picture_shows_both_hands_on_any_background(npy, tmp_path):
     assert (~grey).any()
     # Nothing that is to be read is nearly black or nearly white.
     assert 0.1 < np.median(opaque[grey]) < 0.9
-
-
-@pytest.mark.parametrize("script", ["import_recording.py", "synthesize_recording.py"])
-def test_help_names_every_option(script):
-    """--help exits with 0 and explains the arguments."""
-    result = run(script, "--help")
-    assert result.returncode == 0
-    assert "usage:" in result.stdout
-    assert "--side" in result.stdout

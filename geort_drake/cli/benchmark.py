@@ -1,0 +1,275 @@
+"""Compare retargeting methods by grasping in simulation.
+
+Every method grasps every object, over paired seeds. All methods get the same simulated person, objects,
+placements and noise. Finished trials are kept, so an interrupted benchmark continues with the same command,
+and methods, objects and trials can be added.
+"""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from geort_drake.cli.options import (
+    METHOD_SUMMARIES,
+    add_json_option,
+    add_scenario_options,
+    add_seed_option,
+    add_side_option,
+    add_worker_options,
+    at_least,
+    finish,
+    method_help,
+    output_folder,
+    recording_of,
+    scenario_of,
+    view,
+    write_json,
+)
+from geort_drake.errors import BenchmarkError, UnknownNameError, UsageError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from geort_drake.people.recording import Recording
+
+# The others are compared with the first.
+METHODS = tuple(METHOD_SUMMARIES)
+# Methods that need no training beyond that of `geort-drake grasp`.
+QUICK = {
+    "methods": ("geort_coupled", "vector_online", "dexpilot_online", "nearest_neighbour", "hold"),
+    "objects": ("cylinder", "sphere", "cube"),
+    "trials": 2,
+}
+EPILOG = f"""\
+{method_help(METHODS)}
+The folder given by --output gets trials.jsonl (one line per trial, as it finishes), summary.json, report.html
+and report.md. Exit code 1 if a trial raised an error.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--output", type=output_folder, default="runs/benchmark", help="folder for the results")
+    add(
+        "--methods",
+        nargs="+",
+        metavar="NAME",
+        help="of those below, or directories of checkpoints; the first is the reference (default: all)",
+    )
+    add("--objects", nargs="+", metavar="NAME", help="what to grasp (default: every object)")
+    add(
+        "--trials",
+        type=at_least(1),
+        help="trials per method and object, each with its own seed (default: 30)",
+    )
+    add("--quick", action="store_true", help="a small benchmark of two to five minutes on two cores")
+    add_worker_options(parser)
+    add("--zero-latency", action="store_true", help="let every method answer without delay")
+    add("--recording", type=Path, help="the person's glove recording (default: synthetic play)")
+    add(
+        "--sensitivity",
+        nargs="*",
+        metavar="NAME=V1,V2",
+        help="also run the trials with one assumption changed: delay (ms), gain (1/s), and factors on "
+        "noise, stiffness and friction; a NAME alone takes its usual values, no NAME takes all",
+    )
+    add_side_option(parser)
+    add_seed_option(parser, "training and synthetic play")
+    add(
+        "--rrd",
+        nargs="+",
+        metavar=("METHOD", "OBJECT SEED CONDITION"),
+        help="repeat one finished trial of --output, check it, and write its Rerun recording; CONDITION is "
+        "one of --sensitivity, such as delay=100, and may be left out",
+    )
+    add("--report", action="store_true", help="only write the report of --output again")
+    add_json_option(parser, "the summary")
+    add_scenario_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from geort_drake.benchmark.report import write_report
+
+    if arguments.rrd:
+        if len(arguments.rrd) not in (3, 4):
+            raise UsageError(f"--rrd: give METHOD OBJECT SEED [CONDITION], not {' '.join(arguments.rrd)}")
+        method, thing, seed, *condition = arguments.rrd
+        if not seed.isdecimal():
+            raise UsageError(f"--rrd: SEED must be a whole number, not {seed}")
+    if arguments.rrd and not arguments.report:
+        return repeat(arguments.output, method, thing, int(seed), *condition)
+    chosen = QUICK if arguments.quick else {"methods": METHODS, "objects": None, "trials": 30}
+    for name, default in chosen.items():
+        if getattr(arguments, name) is None:
+            setattr(arguments, name, default)
+    if not arguments.report:
+        run_trials(arguments)
+    return report(arguments, write_report(arguments.output))
+
+
+def run_trials(arguments: argparse.Namespace) -> None:
+    """Runs the unfinished trials of the benchmark."""
+    from geort_drake.benchmark.config import TRIALS
+    from geort_drake.benchmark.folder import keep_error, open_benchmark
+    from geort_drake.benchmark.methods import names_of
+    from geort_drake.benchmark.sensitivity import PARAMETERS, make_conditions, parse_values
+    from geort_drake.benchmark.trial_log import TrialLog, outcome_line
+    from geort_drake.benchmark.workers import require_workers
+    from geort_drake.console import say, track
+    from geort_drake.hands.description import load_hand
+    from geort_drake.simulation.scenario import object_names
+
+    # Everything wrong with the request is found before anything is computed or written.
+    names = names_of(arguments.methods)
+    objects = list(dict.fromkeys(arguments.objects or object_names()))
+    for name in objects:
+        if name not in object_names():
+            raise UnknownNameError("object", name, object_names())
+    scenario = scenario_of(arguments)
+    side = arguments.side or load_hand(scenario.hand).side
+    conditions = {}
+    if arguments.sensitivity is not None:
+        usual = {name: parameter.values for name, parameter in PARAMETERS.items()}
+        conditions = make_conditions(scenario, parse_values(arguments.sensitivity, usual))
+    recording, notes = read_person(arguments.recording, side, arguments.seed)
+    with TrialLog(arguments.output / TRIALS) as log:
+        if log.torn:
+            say("The last trial was not written completely; it is repeated.")
+        benchmark = open_benchmark(
+            arguments.output,
+            scenario,
+            recording,
+            arguments.methods,
+            objects,
+            arguments.trials,
+            arguments.seed,
+            arguments.zero_latency,
+            notes,
+            conditions,
+        )
+        keys = benchmark.keys(names, objects, arguments.trials)
+        finished = log.finished
+        left = [key for key in keys if key not in finished]
+        say(f"{len(keys)} trials, {len(keys) - len(left)} of them finished before")
+        if not left:
+            return
+        jobs, backend = arguments.jobs, arguments.backend
+        require_workers(min(jobs, len(left)), backend)
+        planned = [name for name in objects if any(key.object == name for key in left)]
+        found = benchmark.goals(planned, min(jobs, len(planned)), backend)
+        goals = dict(track("planning", found, len(planned), lambda goal: goal[0]))
+        records = benchmark.run(left, goals, min(jobs, len(left)), backend)
+        for record in track("grasping", records, len(left), outcome_line):
+            log.append(keep_error(arguments.output, record))
+
+
+def read_person(path: Path | None, side: str, seed: int) -> "tuple[Recording, dict[str, Any]]":
+    """The recording of the person who teleoperates, and what the benchmark's configuration notes of it."""
+    noted = None if path is None else str(path.resolve())
+    return recording_of(path, side, seed), {"recording": noted, "side": side}
+
+
+def repeat(folder: Path, method: str, thing: str, seed: int, condition: str = "") -> int:
+    """Simulates a finished trial again and records it; raises BenchmarkError if the outcome differs."""
+    from geort_drake.benchmark.config import METHODS as KEPT
+    from geort_drake.benchmark.config import SCENARIO, TRIALS, read_config
+    from geort_drake.benchmark.folder import open_benchmark
+    from geort_drake.benchmark.report import rerun_path, write_report
+    from geort_drake.benchmark.sensitivity import PARAMETERS, make_conditions, parse_values
+    from geort_drake.benchmark.trial import simulate
+    from geort_drake.benchmark.trial_log import TrialKey, key_of, read_records
+    from geort_drake.benchmark.trial_sources import code_digest
+    from geort_drake.console import TrainingBars, say, warn
+    from geort_drake.simulation.scenario import load_scenario
+
+    config = read_config(folder)
+    key = TrialKey(method, thing, seed, condition)
+    records = {key_of(record): record for record in read_records(folder / TRIALS)}
+    if key not in records:
+        alike = [other for other in records if other.condition == condition] or list(records)
+        named = [other.words for other in alike if other.object == thing] or [other.words for other in alike]
+        raise UnknownNameError("finished trial", key.words, named)
+    notes, settings = config["notes"], config["settings"]
+    recording, _ = read_person(
+        Path(notes["recording"]) if notes.get("recording") else None,
+        notes.get("side", "right"),
+        settings["training_seed"],
+    )
+    if settings["code_sha256"] != code_digest():
+        warn("the code of trials has changed since; the outcome may differ")
+    scenario, conditions = load_scenario(folder / SCENARIO, "Resolved"), {}
+    if condition:
+        usual = {name: parameter.values for name, parameter in PARAMETERS.items()}
+        conditions = make_conditions(scenario, parse_values([condition], usual))
+    kept = folder / KEPT / method
+    with TrainingBars() as bars, bars.spinner("simulating"):
+        benchmark = open_benchmark(
+            folder,
+            scenario,
+            recording,
+            [str(kept) if kept.is_dir() else method],
+            [thing],
+            1,
+            settings["training_seed"],
+            settings["latency"] == "zero",
+            conditions=conditions,
+            any_code=True,
+        )
+        ((_, goal),) = benchmark.goals([thing], 1, "loky")
+        path = folder / rerun_path(key)
+        path.parent.mkdir(exist_ok=True)
+        record = simulate(*(*benchmark.arguments(key, goal), path))
+    if "error" in record:
+        say(record["error"])
+        return 1
+    differing = [name for name in record if name != "wall_time" and record[name] != records[key].get(name)]
+    if differing:
+        raise BenchmarkError(
+            f"{folder / TRIALS}: the repeated trial differs in {', '.join(differing)}; was it run with other "
+            f"code, or on another kind of machine? Its recording is {path}"
+        )
+    write_report(folder)  # now with a link to the recording
+    finish({"The same outcome": record["outcome"]}, view(path))
+    return 0
+
+
+def report(arguments: argparse.Namespace, summary: dict) -> int:
+    """Prints the summary; returns the exit code."""
+    from geort_drake.console import console, warn
+
+    folder, errors = arguments.output, summary["errors"]
+    console.print(results_table(summary))
+    if errors:
+        warn(f"{errors} trials raised an error: see {folder / 'errors'}")
+    write_json(arguments.json, summary)
+    finish({"Report": f"{folder / 'report.html'} (open it in a browser)"})
+    return 1 if errors else 0
+
+
+def results_table(summary: dict) -> "Table":
+    """One row a method."""
+    from rich.table import Table
+
+    table = Table(title="Grasps")
+    for heading in ("method", "at once", "95 %", "success", "mean time", "points"):
+        table.add_column(heading, justify="left" if heading == "method" else "right", no_wrap=True)
+    for name, entry in summary["methods"].items():
+        of = entry["overall"]
+        once, success = of["one_time_success"], of["success"]
+        if not once["trials"]:
+            table.add_row(name, *["–"] * 5)
+            continue
+        against = summary["differences"].get(name, {}).get("overall", {}).get("one_time_success", {})
+        table.add_row(
+            name,
+            f"{once['successes']} of {once['trials']}",
+            f"{100 * once['low']:.0f}–{100 * once['high']:.0f} %",
+            f"{100 * success['rate']:.0f} %",
+            f"{of['completion_time_s']['restricted_mean']['mean']:.1f} s",
+            "–" if against.get("mean") is None else f"{100 * against['mean']:+.0f}",
+        )
+    table.caption = (
+        "at once: lifted and held at the first closing, and in points against the first method; "
+        "mean time: failures count as the timeout"
+    )
+    return table

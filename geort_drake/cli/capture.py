@@ -1,0 +1,42 @@
+"""Show what a new user records in five minutes, step by step."""
+
+import argparse
+
+from geort_drake.cli.options import add_seed_option, command, finish, output_file, view
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--output", type=output_file(".rrd"), help=".rrd to write: the synthetic hand in Rerun")
+    add("--recording", type=output_file(".npz"), help=".npz to write: the same as a recording")
+    add_seed_option(parser, "the demonstration")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from rich.table import Table
+
+    from geort_drake.console import console
+    from geort_drake.people.protocol import STEPS, demonstrate
+
+    table = Table("from", "for", "step", "what to do", box=None)
+    begin = 0.0
+    for step in STEPS:
+        start = f"{begin // 60:.0f}:{begin % 60:02.0f}"
+        table.add_row(start, f"{step.seconds:g} s", step.name, step.instruction)
+        begin += step.seconds
+    console.print(table)
+    if arguments.output is None and arguments.recording is None:
+        finish({}, command("capture", "--output", "capture.rrd"))
+        return 0
+    recording, names = demonstrate(arguments.seed)
+    written, following = {}, []
+    if arguments.recording is not None:
+        recording.save(arguments.recording)
+        written["Recording"] = arguments.recording
+    if arguments.output is not None:
+        from geort_drake.rerun.hand_recording import write_hand
+
+        write_hand(recording, arguments.output, states={"step": names})
+        following = [view(arguments.output)]
+    finish(written, *following)
+    return 0

@@ -1,0 +1,225 @@
+"""Check a recording of a hand in any known format and report its health.
+
+Exit code 0: usable, with or without warnings; 2: refused.
+"""
+
+import argparse
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from geort_drake.cli.options import (
+    SIDES,
+    add_hand_option,
+    add_json_option,
+    command,
+    finish,
+    finite,
+    output_file,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from geort_drake.people.checks.findings import Finding
+
+# Name → title, as in geort_drake.people.formats; a test compares them.
+FORMATS = {
+    "geort_drake": "geort-drake's own",
+    "manus": "raw MANUS skeleton, 25 nodes",
+    "manus_csv": "MANUS Core's CSV export",
+    "openxr": "OpenXR, 26 joints",
+    "webxr": "WebXR, 25 joints",
+    "vision_pro": "Apple Vision Pro, 25 or 27 transforms",
+    "dex_retargeting": "dex-retargeting's hands",
+    "mano": "MANO or HO-3D, 21 joints",
+    "geort": "GeoRT, 21 keypoints in the wrist frame",
+    "mediapipe": "MediaPipe, 21 world landmarks",
+}
+EPILOG = "formats:\n" + "".join(f"  {name:16} {title}\n" for name, title in FORMATS.items())
+_ROBOT_SAMPLES = 4000
+_POLL_PERIOD_S = 1.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_reading_arguments(parser)
+    # The script import_recording.py converts when it is given a second file.
+    parser.add_argument("output", type=output_file(".npz"), nargs="?", help=argparse.SUPPRESS)
+    add_json_option(parser, "the report")
+    parser.add_argument(
+        "--picture",
+        type=output_file(".png"),
+        metavar="FILE",
+        help=".png to write: the fingertips against a robot's",
+    )
+    add_hand_option(parser)
+    parser.add_argument(
+        "--watch", action="store_true", help="first show what is still missing, while the file is recorded"
+    )
+
+
+def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
+    """The file to read and how to read it."""
+    add = parser.add_argument
+    add("input", type=Path, help="recording, in one of the formats below")
+    add("--format", default="auto", metavar="NAME", help="one of those below; auto detects it")
+    add("--side", choices=SIDES, default="right", help="side of the recorded hand")
+    add("--mirror", action="store_true", help="make it the other hand's, for a robot hand of the other side")
+    add(
+        "--unit",
+        choices=["m", "cm", "mm", "inch"],
+        help="unit of lengths in the file (default: the format's)",
+    )
+    add("--rate", type=finite, metavar="HZ", help="frame rate of a file without timestamps (default: 30)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from geort_drake.errors import RecordingError
+    from geort_drake.people.checks import examine, noted, refuse
+    from geort_drake.people.checks.findings import Finding, Severity
+    from geort_drake.people.checks.report import report
+    from geort_drake.people.readers import open_recording
+
+    name = str(arguments.input)
+    if arguments.watch:
+        _watch(arguments)
+    recording, findings = None, list[Finding]()
+    try:
+        recording, findings = open_recording(
+            arguments.input, arguments.side, arguments.format, arguments.unit, arguments.rate
+        )
+        recording, found = examine(recording)
+        findings += found
+        refuse(name, findings)
+        recording = recording.mirrored() if arguments.mirror else recording
+    except RecordingError as error:
+        # A file that cannot be read has no finding of a check.
+        read = findings or [Finding("file", Severity.ERROR, str(error).removeprefix(f"{name}: "))]
+        write_json(arguments.json, report(name, recording, read))
+        raise
+    result = report(name, recording, findings)
+    _print(result, findings)
+    write_json(arguments.json, result)
+    written, following = {}, []
+    if arguments.picture is not None:
+        _draw(recording, arguments.hand, arguments.picture)
+        written["Picture"] = arguments.picture
+    if arguments.output is not None:
+        noted(recording, findings).save(arguments.output)
+        written["Recording"] = arguments.output
+    if result["fit_for_training"] and (arguments.output or not arguments.mirror):
+        hand = [] if recording.side == "right" else ["--hand", "allegro_left"]
+        following = [command("grasp", "--recording", arguments.output or arguments.input, *hand)]
+    finish(written, *following)
+    return 0
+
+
+def _print(result: dict[str, Any], findings: "Sequence[Finding]") -> None:
+    from rich.table import Table
+
+    from geort_drake.console import console, say, warn
+    from geort_drake.people.checks.findings import Severity
+
+    kind = FORMATS.get(result["format"], result["format"])
+    known = "known" if result["rate_known"] else "assumed"
+    origin = f", mirrored from a {result['recorded_side']} one" if result["recorded_side"] else ""
+    say(f"{result['file']}: {result['side']} hand{origin}, taken for {kind}")
+    say(
+        f"{result['frames']} frames, {result['valid_frames']} valid, {result['duration_s']:.1f} s at "
+        f"{result['rate_hz']:.1f} Hz ({known}); wrist: {result['wrist']}"
+    )
+    table = Table("finger", "bones from the wrist, mm", "vary by", "speed, m/s", "pinch frames", box=None)
+    for finger, figures in result["fingers"].items():
+        pinches = figures["pinch_frames"]
+        table.add_row(
+            finger,
+            " ".join(f"{value:5.1f}" for value in figures["bones_mm"]),
+            f"{figures['bones_vary_percent']:.1f} %",
+            f"{figures['speed_median_m_s']:.2f} (p95 {figures['speed_p95_m_s']:.2f})",
+            "" if pinches is None else f"{pinches} ({100 * pinches / result['valid_frames']:.0f} %)",
+        )
+    console.print(table)
+    for finding in findings:
+        if finding.severity in (Severity.UNFIT, Severity.WARNING):
+            warn(str(finding))
+        else:
+            say(f"{finding.severity}: {finding}")
+    enough = [motion["enough"] for motion in result["coverage"]]
+    say(f"coverage: {sum(enough)} of {len(enough)} motions that training needs")
+    say(f"verdict: {result['verdict']}" + ("" if result["fit_for_training"] else "; not fit for training"))
+
+
+def _watch(arguments: argparse.Namespace) -> None:
+    """Shows what a file that is being recorded lacks, until it lacks nothing or Ctrl-C is pressed."""
+    from rich.live import Live
+
+    from geort_drake.console import console
+
+    seen = None
+    with Live(console=console, auto_refresh=False) as live:
+        try:
+            while True:
+                stamp = arguments.input.stat().st_mtime_ns if arguments.input.exists() else None
+                if stamp != seen:
+                    seen = stamp
+                    table, complete = _coverage_table(arguments)
+                    live.update(table, refresh=True)
+                    if complete:
+                        return
+                time.sleep(_POLL_PERIOD_S)
+        except KeyboardInterrupt:
+            return
+
+
+def _coverage_table(arguments: argparse.Namespace) -> "tuple[Table, bool]":
+    """The motions seen so far and what is still to do, and whether nothing is."""
+    from rich.table import Table
+
+    from geort_drake.errors import RecordingError
+    from geort_drake.people.checks import examine, refuse
+    from geort_drake.people.coverage import coverage
+    from geort_drake.people.readers import open_recording
+
+    try:
+        recording, _ = open_recording(
+            arguments.input, arguments.side, arguments.format, arguments.unit, arguments.rate
+        )
+        recording, findings = examine(recording)
+        refuse(str(arguments.input), findings)
+    except RecordingError as error:
+        # A file that is being written may be empty, or end within a frame.
+        table = Table("waiting", box=None)
+        table.add_row(str(error))
+        return table, False
+    table = Table("motion", "seen", "wanted", "what to do", box=None, title=f"{recording.duration_s:.0f} s")
+    motions = coverage(recording)
+    for motion in motions:
+        color = "green" if motion.enough else "red"
+        frames = "" if motion.frames is None else f", {motion.frames} frames"
+        table.add_row(
+            f"[{color}]{motion.name}[/]",
+            f"{motion.seen:.0f} {motion.unit}{frames}",
+            f"{motion.wanted:.0f}",
+            "" if motion.enough else motion.advice,
+        )
+    return table, all(motion.enough for motion in motions)
+
+
+def _draw(recording: Any, hand_name: str, path: Path) -> None:
+    import numpy as np
+
+    from geort_drake.hands.description import load_hand
+    from geort_drake.hands.model import HandModel
+    from geort_drake.people.keypoints import mirrored
+    from geort_drake.people.picture import draw_fingertips
+
+    description = load_hand(hand_name)
+    hand = HandModel(description)
+    shape = (_ROBOT_SAMPLES, len(hand.joint_names))
+    p_BF = hand.fingertips(np.random.default_rng(0).uniform(hand.lower, hand.upper, shape))
+    # Recordings hold canonical right hands, so a left robot hand is mirrored for the picture.
+    p_BF = mirrored(p_BF) if description.side == "left" else p_BF
+    tips = {finger: p_BF[:, i] for i, finger in enumerate(hand.finger_names)}
+    draw_fingertips(recording, tips, description.name, path)

@@ -1,0 +1,241 @@
+"""Grasp objects in simulation, after training a retargeter if there is none yet.
+
+Without arguments: synthetic glove play → training → one closed-loop grasp of each of three objects with the
+Panda and the Allegro hand → a table. The output folder gets results.json, the resolved scenario, and of each
+trial a Rerun recording (.rrd) and the data of glove and tracker (.npz).
+"""
+
+import argparse
+import contextlib
+import copy
+import dataclasses
+import json
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from geort_drake.cli.options import (
+    DEFAULT_METHOD,
+    METHOD_SUMMARIES,
+    add_json_option,
+    add_scenario_options,
+    add_seed_option,
+    add_side_option,
+    at_least,
+    finish,
+    method_help,
+    output_folder,
+    recording_of,
+    scenario_of,
+    view,
+    write_json,
+)
+from geort_drake.errors import ScenarioError, UnknownNameError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from rich.progress import Progress, TaskID
+    from rich.table import Table
+
+    from geort_drake.people.recording import Recording
+    from geort_drake.retargeting.checkpoint import Checkpoint
+    from geort_drake.simulation.scenario import Scenario
+
+# Grasped if neither --objects nor the scenario names an object.
+DEFAULT_OBJECTS = ("cylinder", "sphere", "cube")
+EPILOG = f"""\
+{method_help()}
+objects: those of models/objects.yaml; the documentation lists them and how each is grasped
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--output", type=output_folder, default="runs/grasp", help="folder for the results")
+    add(
+        "--objects",
+        nargs="+",
+        metavar="NAME",
+        help=f"what to grasp (default: the scenario's object, or {' '.join(DEFAULT_OBJECTS)} if it has none)",
+    )
+    add("--trials", type=at_least(1), default=1, help="trials per object, each with its own seed")
+    add("--recording", type=Path, help="glove recording to train on (default: synthetic play)")
+    add_side_option(parser)
+    add("--retargeter", type=Path, help="use this checkpoint and do not train; also give its --recording")
+    add("--method", metavar="NAME", default=DEFAULT_METHOD, help="retargeting method, one of those below")
+    add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train")
+    add_seed_option(parser, "training and synthetic play")
+    add("--replay", type=Path, help="replay this recording, with its wrist poses, in the operator's place")
+    add("--no-rerun", action="store_true", help="write no .rrd files")
+    add_json_option(parser, "the results")
+    add_scenario_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from geort_drake import __version__
+    from geort_drake.cli.retargeters import retargeter_of
+    from geort_drake.console import console, progress_bar, say, track
+    from geort_drake.files import write_text
+    from geort_drake.hands.description import load_hand
+    from geort_drake.hands.model import HandModel
+    from geort_drake.people.human_hand import HumanHand
+    from geort_drake.retargeting.checkpoint import load_checkpoint
+    from geort_drake.retargeting.retargeter import load_retargeter
+    from geort_drake.simulation.scenario import dump_scenario
+    from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
+    from geort_drake.simulation.trial import run_trial
+
+    # Everything wrong with the request is found before anything is computed or written.
+    if arguments.method not in METHOD_SUMMARIES:
+        raise UnknownNameError("retargeting method", arguments.method, METHOD_SUMMARIES)
+    base = scenario_of(arguments)
+    description = load_hand(base.hand)
+    side = arguments.side or description.side
+    scenarios = _scenarios(arguments, base)
+    replay = _replay(arguments, base, side)
+    recording = recording_of(arguments.recording, side, arguments.seed)
+    source = str(arguments.recording or f"synthetic play, seed {arguments.seed}")
+    checkpoint, reused = arguments.retargeter, True
+    retarget: Callable[[np.ndarray], np.ndarray] | None = None
+    if checkpoint is not None:
+        retarget = load_retargeter(checkpoint, HandModel(description))
+
+    # Planning comes before training because it shows whether the robot can grasp the objects at all.
+    goals: dict[str, Any] = {}
+    if replay is None:
+        for scenario in track("planning", scenarios, len(scenarios), lambda scenario: scenario.object.name):
+            name = scenario.object.name
+            if name not in goals:
+                goals[name] = GraspPlanner(scenario, description).plan()
+    if retarget is None:
+        retarget, checkpoint, reused = retargeter_of(
+            arguments.method, base.hand, recording, arguments.seed, arguments.device
+        )
+    say(f"Human motion: {source}")
+    properties: dict[str, str | float] = {"method": arguments.method, "hand": description.name}
+    if checkpoint is None:
+        say(f"Retargeter:   {arguments.method} (needs no training)")
+    else:
+        say(f"Retargeter:   {checkpoint} ({'reused' if reused else 'trained now'})")
+        properties = describe(load_checkpoint(checkpoint))
+
+    person = HumanHand.fit(recording)
+    results = []
+    with progress_bar() as progress:
+        task = progress.add_task("grasping", total=len(scenarios), note="")
+        for scenario in scenarios:
+            stem = f"{scenario.object.name}-{scenario.random_seed}"
+            result, glove = run_trial(
+                scenario,
+                retarget,
+                replay or (person, goals[scenario.object.name]),
+                None if arguments.no_rerun else arguments.output / f"{stem}.rrd",
+                properties,
+                partial(_show, progress, task, stem),
+            )
+            glove.save(arguments.output / f"{stem}.glove.npz")
+            results.append(result)
+            progress.update(task, advance=1, note="")
+
+    report = {
+        "version": __version__,
+        "human_motion": source,
+        "recording_sha256": recording.digest,
+        "retargeter": str(checkpoint or arguments.method),
+        "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "successes": sum(result.success for result in results),
+        "trials": [result.to_json() for result in results],
+    }
+    write_json(arguments.output / "results.json", report)
+    # The first trial's; the others differ in object and seed, which results.json has.
+    write_text(arguments.output / "scenario.yaml", dump_scenario(scenarios[0]))
+    console.print(results_table(results))
+    write_json(arguments.json, report)
+    watch = [] if arguments.no_rerun else [view(arguments.output, "/*.rrd")]
+    finish({"Results": arguments.output / "results.json"}, *watch)
+    return 0
+
+
+def _show(progress: "Progress", task: "TaskID", trial: str, t: float) -> None:
+    progress.update(task, note=f"{trial}: {t:.1f} s simulated")
+
+
+def _scenarios(arguments: argparse.Namespace, base: "Scenario") -> list["Scenario"]:
+    """One scenario per trial."""
+    from geort_drake.simulation.scenario import names_object
+
+    objects = arguments.objects or DEFAULT_OBJECTS
+    of_scenario = arguments.scenario_file, arguments.scenario_name, arguments.scenario_text
+    if arguments.objects is None and names_object(*of_scenario):
+        objects = [base.object.name]
+    scenarios = []
+    for name in objects:
+        for trial in range(arguments.trials):
+            scenario = copy.deepcopy(base)
+            scenario.object.name = name
+            scenario.random_seed = base.random_seed + trial
+            scenario.validate()
+            scenarios.append(scenario)
+    return scenarios
+
+
+def _replay(arguments: argparse.Namespace, base: "Scenario", side: str) -> "Recording | None":
+    """The recording of --replay, which a fixed base needs and which the others want with wrist poses."""
+    from geort_drake.people.readers import read_recording
+
+    if arguments.replay is None:
+        if base.fixed_base:
+            raise ScenarioError(
+                f"scenario '{arguments.scenario_name}': the operator cannot grasp with a fixed base; "
+                "give a --replay"
+            )
+        return None
+    replay = read_recording(arguments.replay, side)
+    if base.fixed_base:
+        return dataclasses.replace(replay, X_WH=None)  # the base cannot follow the wrist
+    if replay.X_WH is None:
+        raise ScenarioError(
+            f"{arguments.replay}: a replay needs wrist poses (X_WH), and it has none; use "
+            "--scenario-name Fixed to keep the hand in place"
+        )
+    return replay
+
+
+def describe(checkpoint: "Checkpoint") -> dict[str, str | float]:
+    """What the recordings say of the retargeter, with the measured time of one call if there is one."""
+    from geort_drake.retargeting.checkpoint import METRICS
+
+    properties = {
+        "checkpoint": str(checkpoint.path),
+        "method": checkpoint.config["method"],
+        "hand": checkpoint.hand["name"],
+    }
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+        metrics = json.loads((checkpoint.path / METRICS).read_text(encoding="utf-8"))
+        properties["retargeting_call_us"] = float(metrics["latency_us"]["median"])
+    return properties
+
+
+def results_table(results: list) -> "Table":
+    """One row a trial."""
+    from rich.table import Table
+
+    table = Table(title="Grasps")
+    for heading in ("object", "seed", "outcome", "hold at", "tries", "lifted", "force", "speed"):
+        left = heading in ("object", "outcome")
+        table.add_column(heading, justify="left" if left else "right", no_wrap=True)
+    for r in results:
+        table.add_row(
+            r.object,
+            str(r.seed),
+            f"[{'green' if r.success else 'red'}]{r.outcome}[/]",
+            "–" if r.completion_time is None else f"{r.completion_time:.1f} s",
+            "–" if r.attempts is None else str(r.attempts),
+            f"{100 * r.peak_height:.0f} cm",
+            f"{r.peak_force:.0f} N",
+            f"{r.simulated_time / r.wall_time:.1f} ×",
+        )
+    table.caption = "hold at: start of the successful hold; force: peak; speed: of real time"
+    return table

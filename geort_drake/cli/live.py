@@ -1,0 +1,205 @@
+"""Drive a robot, or a simulation of it, with a glove or a recording.
+
+SOURCE is a recording's file, or an address: sub+tcp://127.0.0.1:5556 (ZeroMQ, from `geort-drake publish` or a
+MANUS bridge that publishes), pull+tcp://127.0.0.1:8000 (from a bridge that pushes), lcm, or lcm+URL.
+TARGET is simulation, lcm, or lcm+URL. Enter engages and disengages; Ctrl-C stops and leaves the robot held.
+Messages are neither signed nor encrypted: whoever can send them moves the robot.
+"""
+
+import argparse
+import dataclasses
+import math
+from pathlib import Path
+
+from geort_drake.cli.options import (
+    DEFAULT_METHOD,
+    add_json_option,
+    add_scenario_options,
+    command,
+    finish,
+    output_file,
+    positive,
+    scenario_of,
+    write_json,
+)
+from geort_drake.errors import UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--glove", required=True, metavar="SOURCE", help="where the hand's motion comes from")
+    add("--robot", default="simulation", metavar="TARGET", help="what is driven")
+    add(
+        "--retargeter",
+        type=Path,
+        help="directory of the checkpoint (default: one trained on synthetic play; if the cache has none, "
+        "training it takes minutes before anything moves)",
+    )
+    add("--backend", default="numpy", choices=["numpy", "numba"], help="numba takes half the time per call")
+    add("--glove-id", help="serial number of the MANUS glove, if a bridge sends several")
+    add("--engage", default="key", choices=["key", "now"], help="engage with Enter, or at once")
+    add("--relax-after", type=positive, default=5.0, help="s that a lost hand is held before it relaxes")
+    add("--duration", type=positive, default=math.inf, help="stop after so many seconds (default: never)")
+    add("--timeout", type=positive, default=10.0, help="s to wait for glove and robot")
+    add(
+        "--robot-silence",
+        type=positive,
+        default=0.5,
+        help="s of silence from the robot that stop the session",
+    )
+    add(
+        "--record",
+        type=output_file(".npz"),
+        metavar="FILE",
+        help="keep the glove's data (.npz), to train on or replay",
+    )
+    add("--meshcat", action="store_true", help="show the simulation in a browser on this machine")
+    add_json_option(parser, "a report")
+    add_scenario_options(parser, "{correction: {kind: guard}}")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from geort_drake.cli.retargeters import cached_or_trained
+    from geort_drake.console import console, say, warn
+    from geort_drake.hands.description import load_hand
+    from geort_drake.hands.model import HandModel
+    from geort_drake.live.devices import require_hand_messages
+    from geort_drake.live.glove_stream import GloveStream
+    from geort_drake.live.real_time import stopping
+    from geort_drake.live.robot_link import RobotLink
+    from geort_drake.live.session import EnterKey, run_session
+    from geort_drake.live.simulated_robot import SimulatedRobot, show
+    from geort_drake.live.teleoperation import RobotModel, make_teleoperation
+    from geort_drake.live.transports import is_address, open_receiver, split_address
+    from geort_drake.live.watchdog import WatchdogConfig
+    from geort_drake.people.play import synthesize_play
+    from geort_drake.people.readers import read_recording
+    from geort_drake.people.recording_parts import RecordingParts
+    from geort_drake.retargeting.retargeter import load_retargeter
+    from geort_drake.systems.glove_recorder import GloveRecorder
+    from geort_drake.systems.glove_replay import GloveReplay
+
+    if arguments.meshcat and arguments.robot != "simulation":
+        raise UsageError("--meshcat shows the simulation; give it to `geort-drake stand-in-robot`")
+    scenario = scenario_of(arguments)
+    description = load_hand(scenario.hand)
+    side, duration = description.side, arguments.duration
+    receiver = None
+    if is_address(arguments.glove):
+        receiver = open_receiver(arguments.glove)
+        glove = GloveStream(receiver, side, arguments.glove_id)
+    else:
+        glove = GloveReplay(read_recording(arguments.glove, side))
+        duration = min(duration, glove.duration)
+    lcm_url = None if arguments.robot == "simulation" else split_address(arguments.robot, ())[1]
+    if lcm_url:
+        require_hand_messages(description)
+    _warn_of_open_addresses(arguments.glove if receiver else None, lcm_url)
+
+    checkpoint = arguments.retargeter
+    if checkpoint is None:
+        hint = "; nothing moves until then. To start at once, give --retargeter and a checkpoint's directory"
+        play = synthesize_play(seed=0, side=side)
+        checkpoint, _ = cached_or_trained(scenario.hand, play, DEFAULT_METHOD, 0, hint=hint)
+    retarget = load_retargeter(checkpoint, HandModel(description), arguments.backend)
+    model = RobotModel(scenario, description)
+    recorder = None
+    if arguments.record:
+        parts = RecordingParts(arguments.record, {"side": side, "source": "teleoperation"})
+        if parts.recovered:
+            warn(f"an earlier session to {arguments.record} was interrupted; it is kept as {parts.recovered}")
+        recorder = GloveRecorder(scenario.retargeting.period, parts)
+    try:
+        if receiver:
+            glove.handshake(arguments.timeout)
+        link = None
+        if lcm_url is None:
+            robot = SimulatedRobot(scenario, description, show() if arguments.meshcat else None)
+            start = robot.hand.start, robot.arm.start
+        else:
+            robot = link = RobotLink(lcm_url, model.hand, model.arm, scenario.retargeting.period)
+            start = link.handshake(arguments.timeout)
+        loop = make_teleoperation(
+            scenario,
+            description,
+            model,
+            retarget,
+            glove,
+            robot,
+            start,
+            WatchdogConfig(relax_after=arguments.relax_after),
+            recorder,
+        )
+        engaged = arguments.engage == "now"
+        console.print("Ctrl-C stops." if engaged else "Enter engages and disengages, Ctrl-C stops.")
+        with stopping() as stop:
+            report = run_session(
+                loop,
+                engaged,
+                None if engaged else EnterKey(),
+                duration,
+                stop,
+                lambda: link.require_alive(arguments.robot_silence) if link else None,
+                lambda time, state: say(f"{time:8.2f} s  {state}"),
+            )
+    finally:
+        if receiver:
+            receiver.close()
+        # Also after a session that ended with an error.
+        recorded = recorder is not None and recorder.finish()
+    summary = dataclasses.asdict(report)
+    if (meter := loop.meter) is not None:
+        summary["glove"] = {
+            "received": glove.received,
+            "refused": glove.refused,
+            "late": glove.late,
+            "clock_offset_s": None if math.isnan(glove.clock_offset) else glove.clock_offset,
+        }
+        summary["latency_s"] = {
+            name: dataclasses.asdict(latency)
+            for name, latency in (("command", meter.to_command()), ("echo", meter.to_echo()))
+        }
+    if link:
+        summary["robot"] = {"refused": link.inbox.refused}
+    _print(summary)
+    if recorded:
+        finish({"Recording": arguments.record}, command("grasp", "--recording", arguments.record))
+    write_json(arguments.json, summary)
+    return 0
+
+
+def _warn_of_open_addresses(glove: str | None, lcm_url: str | None) -> None:
+    """Warns of addresses through which others in the network can move the robot."""
+    from geort_drake.console import warn
+    from geort_drake.live.transports import heard_from_outside, is_local, split_address
+
+    for address in (glove, lcm_url):
+        if address and not is_local(address):
+            warn(f"{address} is open to the network; anyone in it can move the robot")
+    for url in {lcm_url, split_address(glove, ("sub", "pull"))[1] if glove else None}:
+        if url and url.startswith("udpm://") and is_local(url) and heard_from_outside(url):
+            group = url.removeprefix("udpm://").partition(":")[0]
+            warn(
+                f"{url} is also heard from the network: anyone in it can move the robot. To keep it to "
+                f"this machine: sudo ip link set lo multicast on && sudo ip route add {group} dev lo"
+            )
+
+
+def _print(summary: dict) -> None:
+    """The session in a few lines."""
+    from geort_drake.console import say, warn
+
+    for name, text in (("command", "glove to command"), ("echo", "glove to the robot and back")):
+        latency = summary.get("latency_s", {}).get(name)
+        if latency and latency["count"]:
+            median, p99 = (f"{1e3 * latency[key]:.1f} ms" for key in ("median", "p99"))
+            say(f"{text}: median {median}, 99th percentile {p99} ({latency['count']} commands)")
+    if counts := summary.get("glove"):
+        say(
+            f"glove: {counts['received']} frames received, {counts['refused']} refused, {counts['late']} late"
+        )
+        if counts["clock_offset_s"] is not None:
+            say(f"glove: the fastest frame arrived {counts['clock_offset_s']:.3f} s after its time stamp")
+    if summary["late"]:
+        warn(f"the loop was late {summary['late']} times")
+    say("stopped; the robot holds its last command")

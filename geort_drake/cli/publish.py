@@ -1,0 +1,44 @@
+"""Play a recording as a glove does, one message per frame.
+
+ADDRESS is pub+tcp://127.0.0.1:5556 (ZeroMQ, for `geort-drake live --glove sub+tcp://127.0.0.1:5556`),
+push+tcp://127.0.0.1:8000 (for pull+tcp://…), lcm, or lcm+URL. Ctrl-C stops it.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+from geort_drake.cli.options import add_side_option
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("recording", type=Path, help="a recording in any known format")
+    add("--to", default="pub+tcp://127.0.0.1:5556", metavar="ADDRESS", help="where the messages go")
+    add_side_option(parser, "right")
+    add("--loop", action="store_true", help="begin again at the end")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from geort_drake.console import say, warn
+    from geort_drake.live.playback import play
+    from geort_drake.live.real_time import stopping
+    from geort_drake.live.transports import is_local, open_sender
+    from geort_drake.people.readers import read_recording
+
+    recording = read_recording(arguments.recording, arguments.side)
+    sender = open_sender(arguments.to)
+    if not is_local(arguments.to):
+        warn(f"{arguments.to} is open to the network")
+    say(f"{len(recording)} frames of a {recording.side} hand to {arguments.to}; Ctrl-C stops")
+    sent = 0
+    try:
+        with stopping() as stop:
+            while True:
+                sent += play(recording, sender.send, stop, time.monotonic)
+                if stop.is_set() or not arguments.loop:
+                    break
+    finally:
+        sender.close()
+    say(f"{sent} messages sent")
+    return 0

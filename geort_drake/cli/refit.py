@@ -1,0 +1,73 @@
+"""Fit a trained retargeter to another person's hand.
+
+The output is an ordinary checkpoint. Its metrics are on the recording it was fitted to.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+from geort_drake.cli.options import (
+    add_hand_option,
+    add_json_option,
+    add_seed_option,
+    at_least,
+    command,
+    finish,
+    output_folder,
+    write_json,
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("checkpoint", type=Path, help="directory of the checkpoint to start from")
+    add("recording", type=Path, help="about a minute of the new person's hand")
+    add("output", type=output_folder, help="directory of the new checkpoint")
+    add_hand_option(parser, None, " (default: the checkpoint's)")
+    add("--steps", type=at_least(0), default=600, help="fine-tuning steps; 0 skips it, which takes a second")
+    add_seed_option(parser, "fine-tuning and metrics")
+    add_json_option(parser, "the metrics")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from rich.table import Table
+
+    from geort_drake.comparison.refit import refit_checkpoint
+    from geort_drake.console import TrainingBars, console
+    from geort_drake.retargeting.checkpoint import METRICS, load_checkpoint
+
+    with TrainingBars() as bars:
+        update = bars.counter("fitting")
+        path = refit_checkpoint(
+            arguments.checkpoint,
+            arguments.recording,
+            arguments.output,
+            arguments.hand,
+            arguments.steps,
+            arguments.seed,
+            lambda done, total, *_: update(done, total),
+        )
+    provenance = load_checkpoint(path).provenance
+    metrics = json.loads((path / METRICS).read_text(encoding="utf-8"))
+    table = Table("finger", "scale, x y z", "shift, mm", "residual", box=None)
+    for finger, maps in provenance["refit"]["affine"].items():
+        table.add_row(
+            finger,
+            "  ".join(f"{row[axis]:.2f}" for axis, row in enumerate(maps["A"])),
+            "  ".join(f"{1e3 * value:+.0f}" for value in maps["b"]),
+            f"{maps['miss_mm']:.1f} mm",
+        )
+    console.print(table)
+    closed = metrics["pinch"]["closed"]
+    console.print(
+        f"motion preservation {metrics['motion_preservation']:.3f}, "
+        f"coverage {metrics['coverage']['10mm']:.2f}, "
+        f"pinches closed {'–' if closed is None else f'{100 * closed:.0f} %'}, self-collision "
+        f"{100 * metrics['self_collision']:.1f} %; fitted in {provenance['timings']['fit_s']:.1f} s"
+    )
+    write_json(arguments.json, metrics)
+    hand = [] if arguments.hand is None else ["--hand", arguments.hand]
+    grasp = command("grasp", "--retargeter", path, "--recording", arguments.recording, *hand)
+    finish({"Checkpoint": path}, grasp)
+    return 0

@@ -1,0 +1,52 @@
+"""Retargeters that commands ask for by a method's name, trained first where the cache has none."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geort_drake.comparison.train import cached_checkpoint
+from geort_drake.console import warn
+from geort_drake.hands.canonical import canonical_kinematics
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.retargeting.methods.registry import BASELINES, make_baseline
+from geort_drake.retargeting.retargeter import load_retargeter
+
+if TYPE_CHECKING:
+    from geort_drake.people.recording import Recording
+
+Retarget = Callable[[np.ndarray], np.ndarray]
+
+
+def retargeter_of(
+    method: str, hand_name: str, recording: "Recording", seed: int, device: str = "cpu"
+) -> tuple[Retarget, Path | None, bool]:
+    """A retargeter of that method, trained on the recording if the method learns.
+
+    Returns:
+        The retargeter; its checkpoint, None if the method needs no training; and whether it existed before.
+    """
+    hand = HandModel(load_hand(hand_name))
+    if method in BASELINES:
+        keypoints = hand.description.human_keypoints
+        frames = recording.fingertips(keypoints)
+        kinematics = canonical_kinematics(hand)
+        return make_baseline(method, kinematics, keypoints, frames=frames, seed=seed), None, True
+    path, reused = cached_or_trained(hand_name, recording, method, seed, device)
+    return load_retargeter(path, hand), path, reused
+
+
+def cached_or_trained(
+    hand_name: str, recording: "Recording", method: str, seed: int, device: str = "cpu", hint: str = ""
+) -> tuple[Path, bool]:
+    """`cached_checkpoint`, which says before it trains that this takes minutes, and `hint` after that."""
+
+    def announce() -> None:
+        warn(
+            f"the cache has no {method} retargeter for {hand_name} and this recording; training one now, "
+            f"which takes about two minutes{hint}"
+        )
+
+    return cached_checkpoint(hand_name, recording, method, seed, device, announce=announce)

@@ -1,0 +1,29 @@
+"""Take a picture of a Rerun recording (.rrd), without a screen."""
+
+import argparse
+from pathlib import Path
+
+from geort_drake.cli.options import finish, output_file
+
+EPILOG = """\
+On a machine without a graphics card, Rerun's viewer draws with Mesa's software driver (Debian and Ubuntu:
+apt-get install mesa-vulkan-drivers).
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("recording", type=Path, metavar="FILE.rrd", help="the recording")
+    add("picture", type=output_file(".png"), metavar="OUT.png", help="the picture to write")
+    add("--time", type=float, metavar="T", help="simulated s, or training steps, to show (default: the end)")
+    add("--width", type=int, default=1440, metavar="PX", help="of the window")
+    add("--height", type=int, default=900, metavar="PX", help="of the window")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from geort_drake.rerun.screenshot import take_screenshot
+
+    size = (arguments.width, arguments.height)
+    take_screenshot(arguments.recording, arguments.picture, time=arguments.time, size=size)
+    finish({"Picture": arguments.picture})
+    return 0

@@ -1,0 +1,43 @@
+"""Simulate a Panda with an Allegro hand that speaks LCM like the real ones.
+
+It follows PANDA_COMMAND and ALLEGRO_COMMAND, publishes PANDA_STATUS and ALLEGRO_STATUS, and holds the last
+command when no more come. Ctrl-C stops it.
+"""
+
+import argparse
+import math
+
+from geort_drake.cli.options import add_scenario_options, positive, scenario_of
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--lcm", default="lcm", metavar="ADDRESS", help="the bus: lcm, or lcm+URL")
+    add("--duration", type=positive, default=math.inf, help="stop after so many seconds (default: never)")
+    add("--meshcat", action="store_true", help="show it in a browser on this machine")
+    add_scenario_options(parser, "{object: {name: sphere}}")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from pydrake.systems.analysis import Simulator
+
+    from geort_drake.console import say, warn
+    from geort_drake.live.real_time import run_in_real_time, stopping
+    from geort_drake.live.simulated_robot import show
+    from geort_drake.live.stand_in import make_stand_in
+    from geort_drake.live.transports import split_address
+
+    _, url = split_address(arguments.lcm, ())
+    scenario = scenario_of(arguments)
+    diagram = make_stand_in(scenario, url, show() if arguments.meshcat else None)
+    simulator = Simulator(diagram)
+    simulator.Initialize()
+    root = simulator.get_context()
+    say(f"{scenario.hand} on a Panda at {url}; Ctrl-C stops it")
+    with stopping() as stop:
+        late = run_in_real_time(
+            simulator, 0.02, lambda: not stop.is_set() and root.get_time() < arguments.duration
+        )
+    if late:
+        warn(f"the simulation was late {late} times")
+    return 0

@@ -1,0 +1,172 @@
+"""Messages, warnings and progress bars on stderr, in one look for commands and library."""
+
+import contextlib
+import logging
+import sys
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from geort_drake.errors import GeortError
+
+if TYPE_CHECKING:
+    from geort_drake.retargeting.training.descent import Report
+
+# Words go to stderr, so stdout stays machine-readable; `quiet` silences all but warnings and errors.
+console = Console(stderr=True, highlight=False)
+# The losses shown while a method trains.
+_SHOWN_LOSSES = ("direction", "matching", "coverage", "pinch", "collision")
+
+
+def say(text: str) -> None:
+    """Prints one line as it is: no markup, no wrapping, so that paths and commands can be copied."""
+    console.print(text, markup=False, soft_wrap=True)
+
+
+def warn(message: Warning | str) -> None:
+    """Prints a warning, also in a quiet run."""
+    _print_labelled("warning", "yellow", message)
+
+
+def progress_bar() -> Progress:
+    """A progress display for work that may take over two seconds; use as a context manager."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+        console=console,
+        disable=console.quiet,
+    )
+
+
+def track(
+    label: str, items: Iterable[Any], total: int | None, note: Callable[[Any], str] = str
+) -> Iterator[Any]:
+    """Yields `items` and shows a bar that advances after each.
+
+    Args:
+        total: how many items there are; None if unknown.
+        note: text shown for the last item.
+    """
+    with progress_bar() as progress:
+        task = progress.add_task(label, total=total, note="")
+        for item in items:
+            progress.update(task, note=note(item))
+            yield item
+            progress.advance(task)
+
+
+class TrainingBars:
+    """Progress bars of one training, as a context manager.
+
+    Args:
+        shown: False shows nothing.
+    """
+
+    def __init__(self, shown: bool = True):
+        self._progress = progress_bar() if shown else None
+
+    def __enter__(self) -> "TrainingBars":
+        if self._progress is not None:
+            self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._progress is not None:
+            self._progress.stop()
+
+    def counter(self, name: str) -> Callable[..., None]:
+        """A callback (done, total, note="") that draws a bar; it appears with the first call."""
+        task: TaskID | None = None
+
+        def update(done: int, total: int, note: str = "") -> None:
+            nonlocal task
+            if self._progress is not None:
+                if task is None:
+                    task = self._progress.add_task(name, total=total, note="")
+                self._progress.update(task, completed=done, total=total, note=note)
+
+        return update
+
+    def losses(self, name: str, also: "Report | None") -> "Report":
+        """A `Report` callback that shows the losses and then calls `also`."""
+        update = self.counter(name)
+
+        def report(step: int, steps: int, losses: dict[str, float], network: Any) -> None:
+            note = "  ".join(f"{key} {losses[key]:.3f}" for key in _SHOWN_LOSSES if key in losses)
+            update(step, steps, note)
+            if also is not None:
+                also(step, steps, losses, network)
+
+        return report
+
+    @contextlib.contextmanager
+    def spinner(self, name: str) -> Iterator[None]:
+        """A bar of one step for the duration of a block."""
+        update = self.counter(name)
+        update(0, 1)
+        yield
+        update(1, 1)
+
+
+def exit_code_of(function: Callable[[], int | None]) -> int:
+    """Runs a program and returns its exit code: its own result, 2 for an error that the user can correct.
+
+    Warnings and errors are printed on stderr as their text alone.
+    """
+    logging.getLogger("drake").addFilter(_first_of_its_kind())
+    try:
+        with warnings.catch_warnings():
+            # The place in the code where a warning was raised means nothing to a user.
+            warnings.showwarning = lambda message, *_, **__: warn(message)
+            return function() or 0
+    except (GeortError, OSError) as error:
+        _print_labelled("error", "red", error)
+        return 2
+    except MemoryError as error:
+        _print_labelled("error", "red", f"not enough memory: {error}")
+        return 2
+    except KeyboardInterrupt:
+        console.print("interrupted")
+        return 130
+
+
+def run_main(main: Callable[[Sequence[str] | None], int | None]) -> None:
+    """Runs `main(None)` of a program and exits; see `exit_code_of`."""
+    sys.exit(exit_code_of(lambda: main(None)))
+
+
+def _print_labelled(label: str, colour: str, message: Warning | Exception | str) -> None:
+    quiet, console.quiet = console.quiet, False
+    try:
+        console.print(f"[bold {colour}]{label}:[/]", end=" ")
+        console.print(str(message), markup=False, soft_wrap=True)
+    finally:
+        console.quiet = quiet
+
+
+def _first_of_its_kind() -> Callable[[logging.LogRecord], bool]:
+    """A filter that drops notices and repeated warnings, which Drake logs at every step."""
+    seen: set[str] = set()
+
+    def passes(record: logging.LogRecord) -> bool:
+        kind = record.getMessage()[:40]
+        new = record.levelno >= logging.WARNING and kind not in seen
+        seen.add(kind)
+        return new
+
+    return passes

@@ -1,0 +1,259 @@
+"""Draws the block diagram of a scenario with Graphviz: systems, connected ports, and what flows."""
+
+import dataclasses as dc
+import html
+import importlib
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import PortDataType
+
+from geort_drake.errors import GeortError
+from geort_drake.hands.description import load_hand
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
+
+FONT = "Helvetica"
+PALE = "#B9B8B0"
+
+
+@dc.dataclass(frozen=True)
+class Group:
+    """Systems that are drawn together; groups of one column stand below each other."""
+
+    title: str
+    column: int
+    fill: str
+    color: str
+    members: tuple[str, ...] = ()
+
+
+GROUPS = {
+    "human": Group("Human", 0, "#FDF1E3", "#B56A0F", ("operator", "glove_replay", "seen_late")),
+    "fingers": Group("Fingers", 1, "#E8F1FB", "#2F6DB3", ("retargeting", "action_correction")),
+    "arm": Group("Arm", 1, "#EAF6EC", "#3B8A4E", ("wrist_to_arm",)),
+    "physics": Group("Physics", 2, "#F1ECF8", "#6B4BA3", ("plant", "scene_graph")),
+    "results": Group("Seeing, judging, recording", 3, "#F3F3F1", "#5F5E58"),
+}
+
+
+def draw_scenario(scenario: Scenario) -> str:
+    """A scenario's diagram as SVG, drawn with Graphviz.
+
+    Raises:
+        GeortError: Graphviz's program `dot` is not installed.
+    """
+    if shutil.which("dot") is None:
+        raise GeortError(
+            "drawing needs Graphviz's program 'dot', and it is not on the PATH; install Graphviz, "
+            "for example with: apt-get install graphviz, or: brew install graphviz"
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        parts = build(scenario, Path(folder) / "unused.rrd")
+        svg = draw(parts.diagram, f"delays of {1e3 * scenario.operator.visual_delay:g} ms")
+        if parts.recorder is not None:
+            parts.recorder.close()
+    return svg
+
+
+def build(scenario: Scenario, rerun_path: Path) -> GraspDiagram:
+    """The scenario's diagram with a stand-in retargeter and goal, which do not change the picture."""
+    description = load_hand(scenario.hand)
+    fingers = len(description.fingers)
+
+    def hold(_keypoints: np.ndarray) -> np.ndarray:
+        return np.zeros(len(description.joint_names))
+
+    hold.joint_names = description.joint_names  # type: ignore[attr-defined]
+    goal = GraspGoal(
+        finger_names=tuple(description.finger_names),
+        touches=np.ones(fingers, bool),
+        X_OB=RigidTransform(),
+        X_OB_before=RigidTransform(),
+        p_BF_open=np.zeros((fingers, 3)),
+        p_OF_touch=np.zeros((fingers, 3)),
+        n_OF=np.zeros((fingers, 3)),
+        yaw_symmetry=0.0,
+    )
+    return make_grasp_diagram(scenario, hold, (HumanHand.anatomical(), goal), rerun_path)
+
+
+# -- from the diagram to what is drawn
+
+
+@dc.dataclass
+class Box:
+    """One or several like systems, with their connected ports: name → its order, and what flows there."""
+
+    title: str
+    kind: str
+    group: str
+    inputs: dict[str, tuple[int, str]] = dc.field(default_factory=dict)
+    outputs: dict[str, tuple[int, str]] = dc.field(default_factory=dict)
+
+
+@dc.dataclass(frozen=True)
+class Line:
+    """A connection from an output to an input of two boxes, by key and port name."""
+
+    source: str
+    output: str
+    target: str
+    input: str
+
+
+def boxes_and_lines(diagram: Any, delay_text: str) -> tuple[dict[str, Box], list[Line]]:
+    """What to draw, sorted so that one diagram always gives one picture."""
+    found = [
+        (source, source.get_output_port(out), target, target.get_input_port(into))
+        for (target, into), (source, out) in diagram.connection_map().items()
+    ]
+    found = [edge for edge in found if not edge[1].get_name().startswith("deformable")]
+    found.sort(key=lambda edge: (edge[0].get_name(), edge[1].get_index(), edge[2].get_name()))
+    boxes: dict[str, Box] = {}
+    lines = []
+    for source, out, target, into in found:
+        ends = []
+        for system, port, others in ((source, out, into), (target, into, out)):
+            name, port_name, order = system.get_name(), port.get_name(), port.get_index()
+            kind = re.sub(r"[^A-Za-z].*", "", type(system).__name__)
+            if kind == "DiscreteTimeDelay":
+                # The delays are alike, so they are one box with a port each, in the order of what they join.
+                port_name, name, kind = name.removesuffix("_seen_late"), "seen_late", delay_text
+                order = others.get_index()
+            box = boxes.setdefault(name, Box(name.replace("_", " "), kind, group_of(name)))
+            (box.outputs if port is out else box.inputs).setdefault(port_name, (int(order), content(out)))
+            ends += [name, port_name]
+        lines.append(Line(*ends))
+    for box in boxes.values():
+        box.inputs, box.outputs = (
+            dict(sorted(p.items(), key=lambda i: i[1])) for p in (box.inputs, box.outputs)
+        )
+    return dict(sorted(boxes.items())), lines
+
+
+def group_of(name: str) -> str:
+    """The group a system of that name belongs to; the last one takes what no other does."""
+    return next((key for key, group in GROUPS.items() if name in group.members), "results")
+
+
+def content(port: Any) -> str:
+    """What flows out of a port: the size of a vector, or the type of an abstract value."""
+    if port.get_data_type() == PortDataType.kVectorValued:
+        return str(port.size())
+    value = port.Allocate().get_value()
+    if isinstance(value, list):
+        return f"list of {type(value[0]).__name__}" if value else "list"
+    return re.sub(r"[^A-Za-z].*", "", type(value).__name__)
+
+
+# -- drawing
+
+
+def draw(diagram: Any, delay_text: str) -> str:
+    """The diagram as SVG.
+
+    Args:
+        delay_text: what stands on the delays between the scene and the human.
+    """
+    pydot: Any = importlib.import_module("pydot")  # slow to import, and its types are wrong
+
+    boxes, lines = boxes_and_lines(diagram, delay_text)
+    graph = pydot.Dot(
+        "diagram",
+        rankdir="LR",
+        bgcolor="white",
+        fontname=FONT,
+        fontsize="12",
+        fontcolor="#6B6A64",
+        label="Beside an output stands the size of its vector, or the type of its value. "
+        "A thick arrow stands for several connections.",
+        nodesep="0.3",
+        ranksep="0.4",
+        pad="0.1",
+    )
+    for key, group in GROUPS.items():
+        cluster = pydot.Cluster(
+            key,
+            label=group.title,
+            labeljust="l",
+            fontname=f"{FONT} bold",
+            fontsize="15",
+            fontcolor=group.color,
+            style="rounded,filled",
+            fillcolor=group.fill,
+            color=group.color,
+            margin="12",
+        )
+        for name, box in boxes.items():
+            if box.group == key:
+                cluster.add_node(
+                    pydot.Node(name, label=table(box, group.color), shape="plain", fontname=FONT)
+                )
+        graph.add_subgraph(cluster)
+    for attributes in edges(boxes, lines):
+        graph.add_edge(pydot.Edge(**attributes))
+    svg = graph.create(prog="dot", format="svg").decode("utf-8")
+    # Graphviz names its version in a comment; the picture shall not change with it.
+    return re.sub(r"<!--.*?-->\n?", "", svg, flags=re.DOTALL)
+
+
+def table(box: Box, color: str) -> str:
+    """A box with its inputs on the left, and on the right its outputs with what flows there."""
+
+    def cell(prefix: str, name: str, text: str, side: str) -> str:
+        return f'<TR><TD PORT="{prefix}{port_id(name)}" ALIGN="{side}">{text}</TD></TR>'
+
+    inputs = [cell("u", name, html.escape(name), "LEFT") for name in box.inputs]
+    outputs = [
+        cell("y", name, f'{html.escape(name)} <FONT COLOR="{color}">{html.escape(flow)}</FONT>', "RIGHT")
+        for name, (_, flow) in box.outputs.items()
+    ]
+    columns = [
+        f'<TD CELLPADDING="4" VALIGN="TOP"><TABLE BORDER="0" CELLBORDER="0" CELLSPACING="0" '
+        f'CELLPADDING="2">{"".join(rows)}</TABLE></TD>'
+        for rows in (inputs, outputs)
+        if rows
+    ]
+    return (
+        f'<<FONT POINT-SIZE="12"><TABLE BORDER="1" CELLBORDER="0" CELLSPACING="0" BGCOLOR="white" '
+        f'COLOR="{color}" STYLE="ROUNDED"><TR><TD COLSPAN="{len(columns)}" CELLPADDING="4">'
+        f'<B>{html.escape(box.title)}</B><BR/><FONT POINT-SIZE="10" COLOR="#6B6A64">'
+        f"{html.escape(box.kind)}</FONT></TD></TR><TR>{''.join(columns)}</TR></TABLE></FONT>>"
+    )
+
+
+def edges(boxes: dict[str, Box], lines: list[Line]) -> Iterator[dict[str, str]]:
+    """One arrow a connection, but one for all from one box into a recorder or back to the human."""
+    bundled = set()
+    for line in lines:
+        source, target = GROUPS[boxes[line.source].group], GROUPS[boxes[line.target].group]
+        recording = line.target.endswith(("recorder", "_positions"))
+        seeing = line.target == "seen_late"
+        style = {
+            "color": PALE if recording else source.color,
+            "penwidth": "1.4",
+            "arrowsize": "0.8",
+            # What flows back must not pull its target to the right of its source.
+            "constraint": "false" if source.column > target.column else "true",
+        }
+        if not (recording or seeing):
+            ends = f"{line.source}:y{port_id(line.output)}:e", f"{line.target}:u{port_id(line.input)}:w"
+            yield {"src": ends[0], "dst": ends[1], **style}
+        elif (line.source, line.target) not in bundled:
+            bundled.add((line.source, line.target))
+            ends = (f"{line.source}:s", f"{line.target}:s") if seeing else (line.source, line.target)
+            yield {"src": ends[0], "dst": ends[1], **style, "penwidth": "3"}
+
+
+def port_id(name: str) -> str:
+    """A port's name as Graphviz takes it."""
+    return re.sub(r"\W", "_", name)
