@@ -28,8 +28,8 @@ from pydrake.systems.framework import Diagram
 from rich.table import Table
 from side_by_side import parse, write_json
 
-from geort_drake.console import console, run_main
 from geort_drake.comparison.train import cached_checkpoint
+from geort_drake.console import console, run_main
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.human_hand import HumanHand

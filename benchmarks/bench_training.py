@@ -22,8 +22,8 @@ from bench_call import HAND, Published
 from rich.table import Table
 from side_by_side import parse, parser, write_json
 
-from geort_drake.console import console, run_main
 from geort_drake.comparison.train import train_checkpoint
+from geort_drake.console import console, run_main
 from geort_drake.hands.description import load_hand
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording

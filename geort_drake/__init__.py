@@ -36,8 +36,8 @@ TYPE_CHECKING = False  # as in typing, whose import would take longer than all t
 
 if TYPE_CHECKING:
     from geort_drake.comparison.metrics import evaluate as evaluate
-    from geort_drake.comparison.train import train_checkpoint as train_checkpoint
     from geort_drake.comparison.refit import refit_checkpoint as refit_checkpoint
+    from geort_drake.comparison.train import train_checkpoint as train_checkpoint
     from geort_drake.hands.description import load_hand as load_hand
     from geort_drake.hands.model import HandModel as HandModel
     from geort_drake.people.play import synthesize_play as synthesize_play

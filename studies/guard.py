@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from geort_drake.console import run_main
 from geort_drake.comparison.metrics import motion_preservation_track, pinch, self_collision
 from geort_drake.comparison.train import cached_checkpoint
+from geort_drake.console import run_main
 from geort_drake.files import write_text
 from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.description import load_hand

@@ -51,7 +51,7 @@ class Picture:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = make_parser(__doc__, EPILOG)
+    parser = make_parser(None, __doc__, EPILOG)
     add = parser.add_argument
     add(
         "--only",
@@ -83,6 +83,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         help="where the pictures are written",
     )
     arguments = parser.parse_args(argv)
+    console.quiet = arguments.quiet
     require_writable(arguments.recordings, directory=True)
     require_writable(arguments.output, directory=True)
     folder = arguments.recordings.resolve()
@@ -204,8 +205,8 @@ def record_add_hand(folder: Path, _arguments: argparse.Namespace) -> None:
 
 def draw_human_play(folder: Path, arguments: argparse.Namespace) -> None:
     """What synthetic play is like, beside a glove's recording where there is one."""
-    compared = [] if arguments.glove is None else ["--compare", arguments.glove]
-    run("synthesize_recording", folder / "play.npz", "--plot", folder / "human_play.png", *compared)
+    compared = [] if arguments.glove is None else ["--glove", arguments.glove]
+    run("../studies/human_play", folder / "human_play.png", *compared)
 
 
 def draw_fingertips(folder: Path, _arguments: argparse.Namespace) -> None:

@@ -16,10 +16,10 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from geort_drake.console import console, run_main
 from geort_drake.comparison.metrics import RobotSpace, evaluate_frames, robot_space
 from geort_drake.comparison.refit import refit_checkpoint
 from geort_drake.comparison.train import cached_checkpoint
+from geort_drake.console import console, run_main
 from geort_drake.files import write_text
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel

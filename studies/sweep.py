@@ -21,10 +21,10 @@ from typing import Any
 import matplotlib as mpl
 from joblib import Parallel, delayed
 
-from geort_drake.console import console, run_main
 from geort_drake.comparison.metric_table import TABLES, mean
 from geort_drake.comparison.plots import STYLE, frontier, save
 from geort_drake.comparison.train import DEFAULT_METHOD, train_checkpoint, training_config
+from geort_drake.console import console, run_main
 from geort_drake.errors import GeortError
 from geort_drake.files import require_writable, write_text
 from geort_drake.hands.description import load_hand

@@ -327,7 +327,7 @@ def test_one_trial_can_be_watched_and_must_come_out_the_same(script, tmp_path, c
     assert "code has changed since" in capsys.readouterr().err and read_config(tmp_path) == config
     path = tmp_path / "trials.jsonl"
     path.write_text(path.read_text().replace('"peak_height": ', '"peak_height": 1'))
-    with pytest.raises(BenchmarkError, match="came out otherwise in peak_height"):
+    with pytest.raises(BenchmarkError, match="differs in peak_height"):
         script.main(watch)
 
 

@@ -24,7 +24,7 @@ ROOMS = (
     "live",
     "cli",
 )
-PENDING = {("rerun", "comparison"), ("rerun", "export"), ("comparison", "benchmark")}
+PENDING = {("rerun", "comparison"), ("rerun", "export")}
 
 
 def imports(path: Path, outermost: bool = False) -> Iterator[str]:

@@ -196,7 +196,7 @@ def repeat(folder: Path, method: str, thing: str, seed: int, condition: str = ""
         settings["training_seed"],
     )
     if settings["code_sha256"] != code_digest():
-        warn("the code of trials has changed since; the outcome may differ")
+        warn("the trials' code has changed since; the outcome may differ")
     scenario, conditions = load_scenario(folder / SCENARIO, "Resolved"), {}
     if condition:
         usual = {name: parameter.values for name, parameter in PARAMETERS.items()}

@@ -4,7 +4,6 @@ geort-drake evaluate --recording alex.npy --methods geort vector_online --json t
 """
 
 import argparse
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,7 +19,6 @@ from geort_drake.cli.options import (
     require_distinct,
     write_json,
 )
-from geort_drake.errors import UsageError
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -46,11 +44,7 @@ A method may also be the directory of a checkpoint, which is scored by the proto
 Online methods start from rest in every recording and block and answer its frames in order. Where a metric
 asks about other hands, the hand is held until the answer has settled, starting at the nearest frame.
 
-A sweep trains methods again and again with one setting changed, and writes tables and a plot to --output:
-  geort-drake evaluate --recording alex.npy --methods geort --sweep --seeds 0 1 2 --jobs 2 --output runs/sweep
-The same command continues an interrupted sweep.
-
-Exit code 1 if something could not be scored or trained; the rest is shown all the same.
+Exit code 1 if something could not be scored; the rest is shown all the same.
 """
 
 
@@ -82,19 +76,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_json_option(parser, "all figures")
     add("--plots", type=output_folder, metavar="FOLDER", help="plot the first seed, same person, here")
-    group = parser.add_argument_group("sweep")
-    group.add_argument(
-        "--sweep",
-        nargs="*",
-        metavar="NAME=V1,V2",
-        help="train with other values of these settings, one at a time; without names, with every loss "
-        "weight at 0, half and double its value",
-    )
-    group.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of all runs, repeatable"
-    )
-    group.add_argument("--output", type=output_folder, metavar="FOLDER", help="folder of the sweep")
-    group.add_argument("--jobs", type=at_least(1), metavar="N", help="runs at a time (default: 1)")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -107,9 +88,10 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.hands.model import HandModel
     from geort_drake.people.readers import read_recording
 
-    _check(arguments)
-    if arguments.sweep is not None:
-        return _sweep(arguments)
+    # Contradictions are found before anything is read.
+    require_distinct("--seeds", arguments.seeds)
+    require_distinct("--score-on", arguments.score_on or [])
+    require_distinct("--methods", [Path(name).name for name in arguments.methods or []])
     description = load_hand(arguments.hand)
     hand = HandModel(description)
     methods = arguments.methods or list(method_names())
@@ -171,39 +153,6 @@ def _run(
     return results
 
 
-def _sweep(arguments: argparse.Namespace) -> int:
-    """Trains what a sweep still lacks, and writes its tables and plot."""
-    from geort_drake.comparison.ablation import ablation
-    from geort_drake.comparison.plots import write_sweep_plot
-    from geort_drake.comparison.sweep import SWEEP, Ground, Sweep, plan, read_sweep
-    from geort_drake.console import console, progress_bar, warn
-    from geort_drake.files import write_text
-    from geort_drake.hands.description import load_hand
-
-    hand = load_hand(arguments.hand)
-    runs = plan(arguments.methods, arguments.seeds, arguments.sweep, arguments.set, hand)
-    ground = Ground.of(arguments.hand, arguments.recording, runs[0].common)
-    sweep = Sweep(runs, ground, arguments.output)
-    failed = []
-    with progress_bar() as progress:
-        progress.speed_estimate_period = math.inf
-        task = progress.add_task("runs", total=len(runs), completed=len(runs) - len(sweep.missing), note="")
-        progress.advance(task, 1e-9)  # the time left is reckoned from here on
-        for record in sweep.train(arguments.jobs or 1):
-            progress.update(task, advance=1, note=record["name"])
-            if "error" in record:
-                failed.append(record["name"])
-                warn(f"{record['name']}: {record['error']}")
-    content = read_sweep(arguments.output)
-    write_text(arguments.output / "ablation.md", ablation(content))
-    plot = write_sweep_plot(arguments.output, content["runs"])
-    lines = {"Tables": arguments.output / "ablation.md", "Plot": plot, "Figures": arguments.output / SWEEP}
-    finish(lines)
-    if failed:
-        console.print(f"{len(failed)} runs failed; the same command tries them again.")
-    return 1 if failed else 0
-
-
 def _trainer(hand_name: str, progress: "Progress") -> "Callable[[Recording, str, int], Path]":
     """`cached_checkpoint`, with the bars of training in place of these ones."""
     from geort_drake.comparison.train import cached_checkpoint
@@ -216,18 +165,3 @@ def _trainer(hand_name: str, progress: "Progress") -> "Callable[[Recording, str,
             progress.start()
 
     return train
-
-
-def _check(arguments: argparse.Namespace) -> None:
-    """Refuses contradicting options before anything is read."""
-    sweeping, comparing = ("set", "output", "jobs"), ("held_out", "score_on", "frames", "json", "plots")
-    others = sweeping if arguments.sweep is None else comparing
-    wrong = [f"--{name}" for name in others if getattr(arguments, name)]
-    if wrong:
-        only = "only" if arguments.sweep is None else "not"
-        raise UsageError(f"{', '.join(wrong)}: {only} with --sweep".replace("_", "-"))
-    if arguments.sweep is not None and not (arguments.methods and arguments.output):
-        raise UsageError("--sweep needs --methods and --output")
-    require_distinct("--seeds", arguments.seeds)
-    require_distinct("--score-on", arguments.score_on or [])
-    require_distinct("--methods", [Path(name).name for name in arguments.methods or []])

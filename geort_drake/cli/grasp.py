@@ -93,7 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
     base = scenario_of(arguments)
     description = load_hand(base.hand)
     side = arguments.side or description.side
-    scenarios = _scenarios(arguments, base)
+    scenarios = scenarios_of(arguments, base)
     replay = _replay(arguments, base, side)
     recording = recording_of(arguments.recording, side, arguments.seed)
     source = str(arguments.recording or f"synthetic play, seed {arguments.seed}")
@@ -162,7 +162,7 @@ def _show(progress: "Progress", task: "TaskID", trial: str, t: float) -> None:
     progress.update(task, note=f"{trial}: {t:.1f} s simulated")
 
 
-def _scenarios(arguments: argparse.Namespace, base: "Scenario") -> list["Scenario"]:
+def scenarios_of(arguments: argparse.Namespace, base: "Scenario") -> list["Scenario"]:
     """One scenario per trial."""
     from geort_drake.simulation.scenario import names_object
 

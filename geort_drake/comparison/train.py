@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 import geort_drake
-from geort_drake.console import TrainingBars
 from geort_drake.comparison.metrics import evaluate
 from geort_drake.comparison.versions import git_state, versions
+from geort_drake.console import TrainingBars
 from geort_drake.errors import CheckpointError, GeortError, HandError, RecordingError, UnknownNameError
 from geort_drake.files import digest_of
 from geort_drake.hands.canonical import canonical_kinematics, canonical_shapes
