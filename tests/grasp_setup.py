@@ -31,19 +31,25 @@ def person_and_rest() -> tuple[HumanHand, np.ndarray]:
     return HumanHand.fit(play), play.fingertips([4, 8, 12, 16]).mean(axis=0)
 
 
+def centred_map(hand: HandModel | None = None) -> AffineMap:
+    """A fresh affine map that takes the human cloud's centre to the middle of a robot hand's workspace.
+
+    Args:
+        hand: the Allegro hand if None. Its first fingers are those of `person_and_rest`.
+    """
+    hand = hand or allegro()
+    _, rest = person_and_rest()
+    mirror = np.diag([1.0, -1.0 if hand.description.side == "left" else 1.0, 1.0])
+    offset = workspace_centre(hand.description.name) - hand.fingertips(hand.default_position)
+    return AffineMap(hand, rest, GAIN, mirror, offset)
+
+
 @cache
-def workspace_centre() -> np.ndarray:
+def workspace_centre(hand_name: str) -> np.ndarray:
     """(4, 3) mean robot fingertips in B over uniform joint positions, m."""
-    hand = allegro()
+    hand = HandModel(load_hand(hand_name))
     q = np.random.default_rng(0).uniform(hand.lower, hand.upper, (2000, len(hand.joint_names)))
     return hand.fingertips(q).mean(axis=0)
-
-
-def centred_map(gain: float = GAIN) -> AffineMap:
-    """A fresh affine map that takes the human cloud's centre to the robot's."""
-    hand = allegro()
-    _, rest = person_and_rest()
-    return AffineMap(hand, rest, gain, offset=workspace_centre() - hand.fingertips(hand.default_position))
 
 
 @cache

@@ -25,11 +25,10 @@ TEXT = "{monitor: {hold_time: 0.5}, timeout: 15.0}"
 
 
 @cache
-def lifted(seed: int = 0) -> tuple[TrialResult, Recording]:
-    """The cylinder, grasped by the simulated operator through the centred map."""
-    scenario = scenario_with("cylinder", TEXT)
-    scenario.random_seed = seed
-    return run_trial(scenario, centred_map(), (person_and_rest()[0], planned_goal("cylinder")))
+def lifted(name: str = "cylinder") -> tuple[TrialResult, Recording]:
+    """An object grasped by the simulated operator through the centred map."""
+    human = (person_and_rest()[0], planned_goal(name))
+    return run_trial(scenario_with(name, TEXT), centred_map(), human)
 
 
 def still_hand(duration: float = 2.0) -> Recording:
@@ -100,6 +99,13 @@ def test_the_gloves_recording_played_again_grasps_again(tmp_path):
     assert again.attempts is None and again.first_attempt is None and again.operator_phase is None
     count = min(len(glove.t), len(glove_again.t))
     np.testing.assert_allclose(glove_again.p_HK[:count], glove.p_HK[:count], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["block_tiny", "bottle"])
+def test_objects_are_lifted_by_the_other_grips(name):
+    """By pinch and power grasp."""
+    result, _ = lifted(name)
+    assert result.success and result.attempts == 1 and result.slip < 0.03
 
 
 def test_one_seed_gives_one_trial():
