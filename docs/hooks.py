@@ -4,27 +4,33 @@ import ast
 import csv
 import html
 import io
+import os
 import re
 import tokenize
 from pathlib import Path
 
 from latex2mathml.converter import convert
 
-PACKAGE = Path(__file__).resolve().parents[1] / "geort_drake"
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "geort_drake"
 DATA = Path(__file__).resolve().parent / "results" / "data"
 TABLE = re.compile(r"^\{\{ table ([\w-]+\.csv) \}\}$", re.MULTILINE)
+PROGRAM = re.compile(r"^\{\{ python ([\w/]+\.py) \}\}$", re.MULTILINE)
 FIELDS = re.compile(r"^\{\{ fields (\w+) \}\}$", re.MULTILINE)
-COMMANDS = re.compile(r"^\{\{ commands \}\}$", re.MULTILINE)
 MATH = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 # Browsers ignore MathML's mathvariant, so these letters are given as characters of their own.
 LETTERS = {r"\mathcal L": "ℒ", r"\mathbb E": "𝔼"}
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
-    """Replaces `{{ table FILE }}`, `{{ fields CLASS }}` and `{{ commands }}` by tables and help."""
+    """Replaces lines such as `{{ table FILE }}` by what they name."""
+    markdown = PROGRAM.sub(lambda found: program(ROOT / found[1]), markdown)
     markdown = TABLE.sub(lambda found: csv_table(DATA / found[1]), markdown)
     markdown = FIELDS.sub(lambda found: fields_table(found[1]), markdown)
-    return COMMANDS.sub(lambda _: commands_help(), markdown)
+    for name, make in {"commands": commands_table, "options": commands_help}.items():
+        if f"{{{{ {name} }}}}" in markdown:
+            markdown = markdown.replace(f"{{{{ {name} }}}}", make())
+    return markdown
 
 
 def on_page_content(html_text: str, **_: object) -> str:
@@ -73,6 +79,12 @@ def field_rows(name: str) -> list[tuple[list[str], list[str], str]]:
     return rows
 
 
+def program(path: Path) -> str:
+    """A Python file in a fenced block, with its name as title."""
+    name = path.relative_to(ROOT).as_posix()
+    return f'```python title="{name}"\n{path.read_text("utf-8")}```'
+
+
 def csv_table(path: Path) -> str:
     """A Markdown table of measured figures, with a link to the file."""
     with path.open(encoding="utf-8", newline="") as stream:
@@ -119,6 +131,27 @@ def default_of(value: ast.expr | None) -> str:
     return f"`{ast.unparse(value)}`"
 
 
+def commands_table() -> str:
+    """A Markdown table of the subcommands and their summaries."""
+    rows = [f"| [`{name}`](#{name}) | {summary} |" for name, summary, _ in commands()]
+    return "\n".join(["| command | does |", "|---|---|", *rows])
+
+
 def commands_help() -> str:
-    """The help of every subcommand, as headings and preformatted text."""
-    return ""
+    """The help of every subcommand under a heading."""
+    return "\n\n".join(f"### {name}\n\n```text\n{text}```" for name, _, text in commands())
+
+
+def commands() -> list[tuple[str, str, str]]:
+    """Name, summary and help of every subcommand, in the order of `geort-drake --help`."""
+    from geort_drake.cli import COMMANDS, load_command
+    from geort_drake.cli.options import make_parser
+
+    os.environ["COLUMNS"] = "100"  # argparse's width
+    found = []
+    for name in COMMANDS:
+        command = load_command(name)
+        parser = make_parser(f"geort-drake {name}", command.__doc__, getattr(command, "EPILOG", None))
+        command.add_arguments(parser)
+        found.append((name, command.__doc__.splitlines()[0], parser.format_help()))
+    return found

@@ -1,9 +1,12 @@
-"""What README and docs promise is there: snippets run, commands parse, links lead somewhere."""
+"""Claims of README and docs: snippets run, commands and options exist, defaults are the code's."""
 
 import dataclasses
+import importlib.util
 import re
 import shlex
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from unittest import mock
 
@@ -14,25 +17,24 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
-from script_modules import load_script
 
-from geort_drake.comparison.train import train_checkpoint
+from geort_drake.cli import COMMANDS, load_command
+from geort_drake.cli.options import make_parser
+from geort_drake.comparison.pipeline import train_checkpoint
+from geort_drake.hands.description import HandDescription
 from geort_drake.people.checks import examine, verdict
 from geort_drake.people.formats import FORMATS
 from geort_drake.people.play import synthesize_play
 from geort_drake.rerun import recorder as rerun_recorder
 from geort_drake.resources import models_dir
-from geort_drake.simulation.operators.config import OperatorConfig
-from geort_drake.simulation.tasks.grasp.monitor import GraspMonitorConfig
+from geort_drake.retargeting.methods.coupled.training import CoupledConfig
+from geort_drake.retargeting.methods.geort import TrainingConfig
+from geort_drake.simulation.scenario import Scenario
 from geort_drake.systems.glove_replay import GloveReplay
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [
-    page
-    for page in [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
-    if page.name != "index.md"
-]
-FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+FENCE = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
 QUICK = {
     "steps": 5, "points": 16, "targets": 32, "pinches": 8, "frames": 8, "hidden": 8,
     "classifier_steps": 5, "refreshes": 0,
@@ -40,11 +42,29 @@ QUICK = {
 
 
 def fences(page: Path, *languages: str) -> list[str]:
-    return [body for language, body in FENCE.findall(page.read_text("utf-8")) if language in languages]
+    """Contents of fenced blocks without their indentation; the site shows included programs as such."""
+    text = re.sub(
+        r"^\{\{ python (\S+) \}\}$",
+        lambda name: f"```python\n{(ROOT / name[1]).read_text('utf-8')}```",
+        page.read_text("utf-8"),
+        flags=re.MULTILINE,
+    )
+    found = []
+    for indent, language, body in FENCE.findall(text):
+        if language in languages:
+            lines = [line.removeprefix(indent) for line in body.splitlines()]
+            found.append("\n".join(lines) + "\n")
+    return found
 
+
+def title(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix().removeprefix("docs/")
+
+
+# -- snippets
 
 SNIPPETS = [
-    pytest.param(page, number, id=f"{page.name}-{number}")
+    pytest.param(page, number, id=f"{title(page)}-{number}")
     for page in PAGES
     for number in range(len(fences(page, "python")))
 ]
@@ -52,10 +72,11 @@ SNIPPETS = [
 
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory):
-    """A folder with the files that the snippets speak of: a checkpoint, a recording, a robot."""
+    """A folder with the files that snippets name: a checkpoint, recordings, a robot."""
     folder = tmp_path_factory.mktemp("desk")
     play = synthesize_play(0, duration_s=60.0, rate_hz=30.0)
     play.save(folder / "hand.npz")
+    np.save(folder / "points.npy", 1000 * play.p_HK)
     shutil.copy(models_dir() / "sdf" / "allegro_right.sdf", folder / "hand.sdf")
     shutil.copy(models_dir() / "sdf" / "objects" / "sphere.sdf", folder / "robot.sdf")
     with pytest.MonkeyPatch.context() as patch:
@@ -65,11 +86,11 @@ def desk(tmp_path_factory):
             "allegro_right", play, folder / "runs" / "allegro_right", "geort",
             show_progress=False, settings=QUICK, robot_samples=2000,
         )  # fmt: skip
-    return folder
+        yield folder
 
 
-def names_of_the_rerun_page() -> dict:
-    """What the second snippet of rerun.md takes from the reader's own diagram."""
+def names_of_a_diagram() -> dict:
+    """What the second snippet of the recorder's page takes from the reader's own diagram."""
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.002)
     Parser(plant).AddModels("hand.sdf")
@@ -94,42 +115,25 @@ def names_of_the_rerun_page() -> dict:
     }  # fmt: skip
 
 
-def points_of_a_glove() -> dict:
-    """The file that the first snippet of add_glove.md reads."""
-    np.save("points.npy", 1000 * synthesize_play(0, duration_s=12.0, rate_hz=60.0).p_HK)
-    return {}
-
-
-def reader_of_the_gloves_page() -> dict:
-    """The reader that the third snippet of add_glove.md registers, and a file for it."""
+def reader_of_the_glove_page() -> dict:
+    """The reader that the page registers, and a file for it."""
     play = synthesize_play(0, duration_s=12.0, rate_hz=60.0)
     wrist_last = np.roll(play.p_HK, -1, axis=1)
     np.savez("markers.npz", markers=1000 * wrist_last, time=play.t, side="right")
     given: dict = {"play": play}
-    exec(fences(ROOT / "docs" / "add_glove.md", "python")[1], given)
+    exec(fences(ROOT / "docs" / "how-to" / "add-a-glove-format.md", "python")[0], given)
     return given
 
 
-# Snippets that go on where the reader's own program stops, and what they find there.
+# Snippets that continue the reader's own program, and what they find there.
 GIVEN = {
-    ("rerun.md", 1): names_of_the_rerun_page,
-    ("add_glove.md", 0): points_of_a_glove,
-    ("add_glove.md", 2): reader_of_the_gloves_page,
+    ("record-with-rerun.md", 1): names_of_a_diagram,
+    ("add-a-glove-format.md", 1): reader_of_the_glove_page,
 }
 
 
-@pytest.mark.parametrize(("page", "number"), SNIPPETS)
-def test_a_snippet_runs(page, number, desk, monkeypatch):
-    """Every Python snippet runs as it stands, in a folder with the files it names."""
-    monkeypatch.chdir(desk)
-    given = run_snippet(page, number)
-    recorder = given.get("recorder")
-    if recorder is not None:
-        recorder.close()
-
-
 def run_snippet(page: Path, number: int) -> dict:
-    """Its names after it ran in this folder, without the formats of recordings that it adds."""
+    """The snippet's names after it ran in this folder; formats that it registers are removed again."""
     given = GIVEN.get((page.name, number), dict)()
     code = compile(fences(page, "python")[number], f"{page.name}, snippet {number}", "exec")
     with mock.patch.dict(FORMATS):
@@ -137,26 +141,31 @@ def run_snippet(page: Path, number: int) -> dict:
     return given
 
 
-@pytest.mark.parametrize("number", [0, 2])
-def test_the_page_of_gloves_reads_the_hand_that_a_file_holds(number, tmp_path, monkeypatch):
-    """By a few lines and by a reader, in the wrist frame, m, and sound."""
-    monkeypatch.chdir(tmp_path)
-    read = run_snippet(ROOT / "docs" / "add_glove.md", number)["recording"]
-    play = synthesize_play(0, duration_s=12.0, rate_hz=60.0)
+@pytest.mark.parametrize(("page", "number"), SNIPPETS)
+def test_a_snippet_runs(page, number, desk, monkeypatch):
+    """Every Python snippet runs as it stands, in a folder with the files it names."""
+    monkeypatch.chdir(desk)
+    recorder = run_snippet(page, number).get("recorder")
+    if recorder is not None:
+        recorder.close()
+
+
+@pytest.mark.parametrize(("page", "number"), [("import-a-recording.md", 0), ("add-a-glove-format.md", 1)])
+def test_a_glove_of_ones_own_is_read(page, number, desk, monkeypatch):
+    """The pages' ways to read a file give the hand that is in it, in the wrist frame, m."""
+    monkeypatch.chdir(desk)
+    given = run_snippet(ROOT / "docs" / "how-to" / page, number)
+    read, play = given["recording"], given.get("play") or synthesize_play(0, duration_s=60.0, rate_hz=30.0)
     np.testing.assert_allclose(read.p_HK, play.p_HK, atol=1e-6)
-    np.testing.assert_allclose(read.t, play.t, atol=1e-9)
     assert read.valid.all() and read.side == "right"
     assert "refused" not in verdict(examine(read)[1])
-    if number == 2:
-        assert (read.metadata["format"], read.metadata["rate_known"]) == ("my_glove", True)
 
 
-def test_the_readmes_diagram_moves_the_hand(desk, monkeypatch):
-    """The snippet's simulation writes a recording, and the plant follows the retargeter's targets."""
+def test_the_diagram_of_the_docs_moves_the_hand(desk, monkeypatch):
+    """The example writes a recording, and the plant follows the retargeter's targets."""
     monkeypatch.chdir(desk)
-    body = (ROOT / "examples" / "hand_in_a_diagram.py").read_text("utf-8")
     given: dict = {}
-    exec(compile(body, "hand_in_a_diagram.py", "exec"), given)
+    exec((ROOT / "examples" / "hand_in_a_diagram.py").read_text("utf-8"), given)
     assert (desk / "play.rrd").stat().st_size > 100_000
     root = given["simulator"].get_context()
     plant, model, retargeting = (given[name] for name in ("plant", "model", "retargeting"))
@@ -169,61 +178,121 @@ def test_the_readmes_diagram_moves_the_hand(desk, monkeypatch):
     assert np.abs(np.array(desired) - measured).max() < 0.1
 
 
-def commands() -> list:
-    """Every call of a script in a fenced block or in inline code, with the page it is on."""
-    found = []
+# -- commands
+
+
+def lines_of(page: Path) -> list[str]:
+    """Lines of shell blocks, continued ones joined, and inline code."""
+    blocks = [body.replace("\\\n", " ") for body in fences(page, "sh")]
+    inline = [" ".join(code.split()) for code in re.findall(r"`([^`]+)`", page.read_text("utf-8"))]
+    return [line.strip() for body in blocks for line in body.splitlines()] + inline
+
+
+def shown(pattern: str) -> dict[str, str]:
+    """Every documented command that begins so → the first page that shows it."""
+    found: dict[str, str] = {}
     for page in PAGES:
-        lines = [line for body in fences(page, "sh", "bash") for line in body.splitlines()]
-        lines += re.findall(r"`((?:python )?scripts/\w+\.py[^`]*)`", page.read_text("utf-8"))
-        found += [pytest.param(line, id=f"{page.name}: {line}") for line in lines if "scripts/" in line]
+        for line in lines_of(page):
+            if re.match(pattern, line) and "COMMAND" not in line:
+                found.setdefault(" ".join(line.split("  #")[0].split()), title(page))
     return found
 
 
-@pytest.mark.parametrize("line", commands())
-def test_a_command_names_a_script_and_options_that_exist(line, capsys):
-    """The script is there and its --help lists every option that the page uses."""
-    words = shlex.split(line.replace("[", " ").replace("]", " "), comments=True)
-    path = next(word for word in words if word.startswith("scripts/"))
+def options_of(name: str) -> set[str]:
+    command = load_command(name)
+    parser = make_parser(f"geort-drake {name}", command.__doc__, getattr(command, "EPILOG", None))
+    command.add_arguments(parser)
+    return set(re.findall(r"--[\w-]+", parser.format_help()))
+
+
+@pytest.mark.parametrize(
+    "line", [pytest.param(line, id=f"{page}: {line}") for line, page in shown(r"geort-drake \w").items()]
+)
+def test_a_command_and_its_options_exist(line):
+    """The subcommand is there and its --help lists every option that a page uses."""
+    words = shlex.split(line, comments=True)[1:]
+    assert words[0] in COMMANDS
+    used = {word.split("=")[0] for word in words if word.startswith("--")}
+    assert used <= options_of(words[0])
+
+
+@pytest.mark.parametrize("line", shown(r"(\w+=\w+ )?python \w+/"))
+def test_a_program_and_its_options_exist(line):
+    """Programs of the repository that pages name are there; they or their helpers know the options."""
+    path, *words = line.split("python ")[1].split()
     assert (ROOT / path).is_file()
-    with pytest.raises(SystemExit):
-        load_script(Path(path).name).main(["--help"])
-    known = set(re.findall(r"--\w+", capsys.readouterr().out))
-    assert {word.split("=")[0] for word in words if word.startswith("--")} <= known
+    text = "".join(each.read_text("utf-8") for each in (ROOT / path).parent.glob("*.py"))
+    assert all(word in text for word in words if word.startswith("--"))
 
 
 def test_every_make_target_exists():
-    """README's `make ...` commands are targets of the Makefile."""
-    targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE))
-    text = (ROOT / "README.md").read_text("utf-8")
-    used = set(re.findall(r"(?:^|`)make (\w+)", text, re.MULTILINE))
+    """`make ...` commands of README and docs are targets of the Makefile."""
+    targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE))
+    used = {line.split()[1] for line in shown(r"make \w")}
     assert used
     assert used <= targets
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_and_files_lead_somewhere(page):
-    """Relative links and images exist, and so do the project's files that are named in code style."""
-    text = page.read_text("utf-8")
-    linked = [
-        target.split("#")[0]
-        for target in re.findall(r"\]\(([^)\s]+)\)", text)
-        if not re.match(r"https?:|#", target)
-    ]
-    missing = [target for target in linked if not (page.parent / target).exists()]
-    named = re.findall(
-        r"`((?:geort_drake|models|diagrams|scripts|tests|docs)/[\w/]+(?:\.(?:py|yaml|sdf|md))?)[`:]", text
-    )
-    missing += [target for target in named if not (ROOT / target).exists()]
-    assert missing == []
+# -- files, defaults, the site
 
 
-def test_the_documented_parameters_have_their_defaults():
-    """The tables of grasping.md give the values that the code has."""
-    text = (ROOT / "docs" / "grasping.md").read_text("utf-8")
-    configs = {"operator": OperatorConfig(), "monitor": GraspMonitorConfig()}
-    for name, config in configs.items():
-        table = text.split(f"| field of `{name}` |")[1].split("\n\n")[0]
-        rows = re.findall(r"^\| `(\w+)` \| ([^ |]+) \|", table, re.MULTILINE)
-        assert len(rows) > 5
-        defaults = dataclasses.asdict(config)
-        assert {field: float(value) for field, value in rows} == {field: defaults[field] for field, _ in rows}
+def test_the_readmes_links_lead_somewhere():
+    """Links of the docs are checked by the strict build of the site."""
+    text = (ROOT / "README.md").read_text("utf-8")
+    linked = [target for target in re.findall(r"\]\(([^)\s]+)\)", text) if not re.match(r"https?:|#", target)]
+    assert [target for target in linked if not (ROOT / target).exists()] == []
+
+
+def test_every_picture_is_used():
+    """No page has lost its picture, and no picture its page."""
+    text = "".join(page.read_text("utf-8") for page in PAGES)
+    pictures = [*(ROOT / "docs").rglob("*.png"), *(ROOT / "docs").rglob("*.webp")]
+    assert [path.name for path in pictures if path.name not in text] == []
+
+
+def hooks():
+    pytest.importorskip("latex2mathml", reason="the docs extra is not installed")
+    spec = importlib.util.spec_from_file_location("docs_hooks", ROOT / "docs" / "hooks.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("config", [Scenario, HandDescription, TrainingConfig, CoupledConfig])
+def test_tables_of_fields_have_every_field_and_its_default(config):
+    """The site's tables are read from the source; they must agree with the classes themselves."""
+    rows = hooks().field_rows(config.__name__)
+    shown = dict(pair for names, defaults, _ in rows for pair in zip(names, defaults, strict=True))
+    own = {field.name: field for field in dataclasses.fields(config) if field.name in config.__annotations__}
+    assert {name.strip("`") for name in shown} == set(own)
+    for name, field in own.items():
+        if isinstance(field.default, int | float | str):
+            assert shown[f"`{name}`"] == f"`{field.default!r}`"
+
+
+def test_the_page_of_the_grasp_task_gives_the_codes_thresholds():
+    """Height, hold time, timeout and the drawn ranges are the defaults of the scenario."""
+    scenario = Scenario()
+    text = " ".join((ROOT / "docs" / "concepts" / "grasp-task.md").read_text("utf-8").split())
+    assert f"stays {100 * scenario.monitor.height:.0f} cm above" in text
+    assert f"for {scenario.monitor.hold_time:.0f} s" in text
+    assert f"timeout ({scenario.timeout:.0f} s)" in text
+    assert f"±{1000 * scenario.object.position_range:.0f} mm" in text
+    assert f"±{scenario.object.yaw_range} rad" in text
+
+
+def test_the_site_builds_and_asks_no_other_host(tmp_path):
+    """`mkdocs build --strict`: no dead link, no orphan page; no script, style or font from elsewhere."""
+    pytest.importorskip("mkdocs", reason="the docs extra is not installed")
+    pytest.importorskip("mkdocstrings", reason="the docs extra is not installed")
+    built = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert built.returncode == 0, built.stdout + built.stderr
+    for page in tmp_path.rglob("*.html"):
+        text = page.read_text("utf-8")
+        fetched = re.findall(r'<(?:script|img|iframe)[^>]+src="?(https?:)?//', text)
+        fetched += re.findall(r'<link[^>]+rel="?(?:stylesheet|preload)[^>]+href="?(https?:)?//', text)
+        assert not fetched, page
+        assert "{{" not in re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL), page
