@@ -91,6 +91,7 @@ def csv_table(path: Path) -> str:
         header, *rows = csv.reader(stream)
     lines = [header, ["---"] * len(header), *rows]
     table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    table = re.sub(r"(?<=\d) (?=%|µs|ms|mm|s\b)", "\u00a0", table)  # a figure stays with its unit
     link = f"[:material-file-delimited-outline: data](data/{path.name})"
     return f"{table}\n\n{link}{{ .data title='{path.name}' }}"
 

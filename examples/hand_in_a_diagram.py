@@ -5,10 +5,15 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake import GloveReplay, RetargetingSystem, add_rerun_recorder, load_retargeter
-from geort_drake.hands.description import load_hand
-from geort_drake.people.play import synthesize_play
-from geort_drake.rerun.recorder import HandSpec
+from geort_drake import (
+    GloveReplay,
+    HandSpec,
+    RetargetingSystem,
+    add_rerun_recorder,
+    load_hand,
+    load_retargeter,
+    synthesize_play,
+)
 from geort_drake.resources import resolve_uri
 
 hand = load_hand("allegro_right")

@@ -4,7 +4,7 @@ import argparse
 import contextlib
 import io
 import os
-import re
+import runpy
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -216,10 +216,9 @@ def draw_fingertips(folder: Path, _arguments: argparse.Namespace) -> None:
 
 
 def record_objects(folder: Path, _arguments: argparse.Namespace) -> None:
-    """The example of docs/rerun.md."""
-    (code,) = (code for code in snippets(ROOT / "docs" / "rerun.md") if "objects.rrd" in code)
+    """The example of docs/how-to/record-with-rerun.md."""
     with contextlib.chdir(folder):
-        exec(compile(code, "docs/rerun.md", "exec"), {})
+        runpy.run_path(str(ROOT / "examples" / "falling_objects.py"))
 
 
 PICTURES = {
@@ -260,11 +259,6 @@ def retargeter(folder: Path, arguments: argparse.Namespace) -> Path:
     if not checkpoint(folder).is_dir():
         record_training(folder, arguments)
     return checkpoint(folder)
-
-
-def snippets(page: Path) -> list[str]:
-    """The Python snippets of a page."""
-    return re.findall(r"^```python\n(.*?)^```$", page.read_text("utf-8"), re.MULTILINE | re.DOTALL)
 
 
 def _recording(arguments: argparse.Namespace) -> list:

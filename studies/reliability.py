@@ -3,15 +3,16 @@
 python studies/reliability.py
 python studies/reliability.py --parts frames files
 
-It keeps the figures in docs/reliability.json and writes them into docs/reliability.md; with --json or --quick
-it leaves both alone. The exit status is 1 when something went wrong. Needs the test extra, and the part
-"guided" needs atheris: pip install atheris
+It keeps the figures in docs/results/data/reliability.json and writes reliability.csv beside it, the table of
+docs/results/reliability.md; with --json or --quick it leaves both alone. The exit status is 1 when something
+went wrong. Needs the test extra, and the part "guided" needs atheris: pip install atheris
 """
 
 import argparse
+import csv
+import io
 import json
 import os
-import re
 import sys
 import tempfile
 import time
@@ -25,7 +26,8 @@ from geort_drake.console import console, progress_bar, run_main
 from geort_drake.files import require_writable, write_text
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE, FIGURES = ROOT / "docs" / "reliability.md", ROOT / "docs" / "reliability.json"
+DATA = ROOT / "docs" / "results" / "data"
+TABLE, FIGURES = DATA / "reliability.csv", DATA / "reliability.json"
 _MACHINE = ("date", "processor", "cores", "load_average", "python")
 # The faults are shared with the tests, which try a share of them.
 sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
@@ -73,10 +75,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             # After each part, as a long one may be interrupted.
             if store:
                 write_text(store, json.dumps(figures, indent=2) + "\n")
-    console.print(table(figures), markup=False, soft_wrap=True)
+    text = table(figures)
+    console.print(text, markup=False, soft_wrap=True)
     if store == FIGURES:
-        write_text(PAGE, with_figures(PAGE.read_text("utf-8"), figures))
-        console.print(f"Written: {PAGE}", soft_wrap=True)
+        write_text(TABLE, text)
+        console.print(f"Written: {TABLE}", soft_wrap=True)
     failures = [text for part in arguments.parts for text in figures[part]["failures"]]
     for text in failures:
         console.print(text, style="red", markup=False, soft_wrap=True)
@@ -251,11 +254,11 @@ PARTS: dict[str, Callable[[dict, int, Path, Report], dict]] = {
 }
 
 
-# -- the page
+# -- the table
 
 
 def table(figures: dict[str, dict]) -> str:
-    """The figures in Markdown."""
+    """The figures as CSV."""
     rows = [("what", "count", "outcome")]
     if part := figures.get("inputs"):
         for kind, count in part["tried"].items():
@@ -315,27 +318,9 @@ def table(figures: dict[str, dict]) -> str:
                 f"penetration {1e3 * result['penetration']:.1f} mm, energy from nothing "
                 f"{1e3 * result['gained']:.0f} mJ",
             ))  # fmt: skip
-    lines = [f"| {' | '.join(row)} |" for row in rows]
-    return "\n".join([lines[0], "|---|---|---|", *lines[1:]])
-
-
-def with_figures(page: str, figures: dict[str, dict]) -> str:
-    """The page with other figures between its marks."""
-    told = [part["measured"] for part in figures.values()]
-    days = sorted({measured["date"][:10] for measured in told})
-    load = max(measured["load_average"][0] for measured in told)
-    dates = " to ".join(days[:: max(1, len(days) - 1)])
-    text = (
-        f"{dates}, {told[0]['cores']} cores ({told[0]['processor']}), load average up to {load:.0f}, Python "
-        f"{told[0]['python']}:\n\n{table(figures)}"
-    )
-    if missing := [part for part in PARTS if part not in figures]:
-        text += f"\n\nNot measured yet: {', '.join(missing)}."
-    pattern = r"(<!-- figures -->\n).*?(\n<!-- end of figures -->)"
-    page, found = re.subn(pattern, lambda match: f"{match[1]}{text}{match[2]}", page, flags=re.DOTALL)
-    if not found:
-        raise ValueError(f"{PAGE} has no place for the figures")
-    return page
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator="\n").writerows(rows)
+    return stream.getvalue()
 
 
 if __name__ == "__main__":

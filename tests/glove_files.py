@@ -41,7 +41,7 @@ FROM_WRIST_25 = ["wrist", *THUMB, *(joint for finger in FINGERS for joint in wit
 
 
 def write_own(folder: Path, hand: Hand, **changes) -> Path:
-    """docs/data_formats.md: t, p_HK, valid, X_WH, metadata."""
+    """docs/reference/recording-formats.md: t, p_HK, valid, X_WH, metadata."""
     metadata = {"side": hand.side, "convention": 1}
     quaternions = Rotation.from_matrix(hand.R_WH).as_quat(scalar_first=True)
     fields = {

@@ -20,7 +20,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 
 from geort_drake.cli import COMMANDS, load_command
 from geort_drake.cli.options import make_parser
-from geort_drake.comparison.pipeline import train_checkpoint
+from geort_drake.comparison.train import train_checkpoint
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.checks import examine, verdict
 from geort_drake.people.formats import FORMATS

@@ -30,7 +30,7 @@ def known(tmp_path_factory):
 @pytest.mark.parametrize("by_clock", [True, False], ids=["at a time", "at a file"])
 @pytest.mark.parametrize("name", kills.WORKS)
 def test_a_killed_program_goes_on(known, name, by_clock, tmp_path):
-    """kill -9 at a random moment; docs/reliability.md has the count of many more."""
+    """kill -9 at a random moment; docs/results/reliability.md has the count of many more."""
     rng = np.random.default_rng(len(name))
     assert kills.kill(kills.WORKS[name], known(name), tmp_path / "kill", rng, by_clock) == []
 

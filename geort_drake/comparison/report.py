@@ -22,7 +22,7 @@ FORMAT = 3  # raised when keys change; 1 had one protocol and one seed, 2 also h
 
 
 def report(comparison: Comparison, results: Results, recording: Recording, name: str) -> dict:
-    """Everything that was found, JSON-ready; docs/data_formats.md describes it.
+    """Everything that was found, JSON-ready; docs/reference/comparison-file.md describes it.
 
     Args:
         comparison: what was run.

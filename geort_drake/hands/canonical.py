@@ -1,4 +1,4 @@
-"""A hand as a canonical right one: people are right hands (docs/conventions.md), so a left robot hand is
+"""A hand as a canonical right one: people are right hands, so a left robot hand is
 trained and measured in the mirror."""
 
 from geort_drake.hands.collision_shapes import collision_shapes

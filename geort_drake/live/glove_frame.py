@@ -8,7 +8,7 @@ UTF-8 JSON, at most `MAX_BYTES` long, with exactly the keys of `GloveFrame` besi
     time        when the hand was like this, s on the sender's clock, which never runs backwards
     p_HK        21 keypoints [x, y, z] in the wrist frame H, as recordings hold them; null while lost
     X_WH        [qw, qx, qy, qz, x, y, z] of the wrist in the tracker's world; null without a tracker
-docs/live.md shows one. Bridges of other makers are read in `manus_bridge`.
+docs/reference/messages.md shows one. Bridges of other makers are read in `manus_bridge`.
 """
 
 import dataclasses as dc

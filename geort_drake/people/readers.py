@@ -1,6 +1,6 @@
 """Reading of recordings in any of the formats known (`formats`), into the wrist frame, and checked.
 
-`docs/data_formats.md` describes the formats and the checks.
+`docs/reference` describes the formats and the checks.
 """
 
 import os

@@ -78,7 +78,7 @@ class RetargetingSystem(LeafSystem):
     """Retargets at a fixed period; its output is finite and keeps the limits for any input.
 
     While the input cannot be followed, the joints brake and hold. Then the hand follows again with growing
-    speed (docs/safety.md). The joint targets of some keypoints come out `latency` later. A retargeter that
+    speed. The joint targets of some keypoints come out `latency` later. A retargeter that
     takes longer than the period is called again as soon as it is done, with the keypoints of that time.
 
     Input ports:

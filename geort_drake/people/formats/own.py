@@ -1,6 +1,6 @@
 """Our own .npz, as `Recording.save` writes it: t, p_HK, valid, optionally X_WH, and metadata.
 
-Source: docs/data_formats.md
+Source: docs/reference/recording-formats.md
 """
 
 from typing import Any

@@ -84,7 +84,7 @@ class TrainingConfig:
 
 
 # What the authors' public code does otherwise than their paper, as far as the terms here can express it;
-# docs/criteria.md lists the differences and what they cost.
+# docs/results/open-loop.md lists the differences and what they cost.
 PUBLIC_CHOICES: Mapping[str, int | float | str] = {
     "resampling": "independent",
     "fk": "neural",

@@ -1,4 +1,4 @@
-"""Trains `geort_coupled`; docs/derivations.md says where it departs from the paper, and why."""
+"""Trains `geort_coupled`; docs/concepts/derivations.md says where it departs from the paper, and why."""
 
 import math
 from collections.abc import Callable
