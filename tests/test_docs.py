@@ -3,7 +3,6 @@
 import dataclasses
 import importlib.util
 import re
-import shlex
 import shutil
 import subprocess
 import sys
@@ -18,8 +17,6 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
-from geort_drake.cli import COMMANDS, load_command
-from geort_drake.cli.options import make_parser
 from geort_drake.comparison.train import train_checkpoint
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.checks import examine, verdict
@@ -178,7 +175,7 @@ def test_the_diagram_of_the_docs_moves_the_hand(desk, monkeypatch):
     assert np.abs(np.array(desired) - measured).max() < 0.1
 
 
-# -- commands
+# -- programs and make targets; commands are parsed by test_docs_commands.py
 
 
 def lines_of(page: Path) -> list[str]:
@@ -196,24 +193,6 @@ def shown(pattern: str) -> dict[str, str]:
             if re.match(pattern, line) and "COMMAND" not in line:
                 found.setdefault(" ".join(line.split("  #")[0].split()), title(page))
     return found
-
-
-def options_of(name: str) -> set[str]:
-    command = load_command(name)
-    parser = make_parser(f"geort-drake {name}", command.__doc__, getattr(command, "EPILOG", None))
-    command.add_arguments(parser)
-    return set(re.findall(r"--[\w-]+", parser.format_help()))
-
-
-@pytest.mark.parametrize(
-    "line", [pytest.param(line, id=f"{page}: {line}") for line, page in shown(r"geort-drake \w").items()]
-)
-def test_a_command_and_its_options_exist(line):
-    """The subcommand is there and its --help lists every option that a page uses."""
-    words = shlex.split(line, comments=True)[1:]
-    assert words[0] in COMMANDS
-    used = {word.split("=")[0] for word in words if word.startswith("--")}
-    assert used <= options_of(words[0])
 
 
 @pytest.mark.parametrize("line", shown(r"(\w+=\w+ )?python \w+/"))
