@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from geort_drake.people.formats.tracks import Tracks, numbers, side_of, times
+from geort_drake.people.formats.source import Source, Tracks
 
 SUFFIXES = (".npz",)
 ORDER = [20, *range(20)]  # indices of our keypoints in the file
@@ -13,7 +13,7 @@ def recognizes(contents: Any) -> bool:
     return "markers" in contents
 
 
-def read(name: str, contents: Any, side: str) -> Tracks:
-    """The keypoints as the file gives them; `name` is for messages, `side` is what the user asked for."""
-    p_WK = numbers(name, "markers", contents["markers"], (21, 3))[:, ORDER]
-    return Tracks(p_WK, times(name, contents, len(p_WK)), world=True, side=side_of(name, contents), unit="mm")
+def read(file: Source, side: str) -> Tracks:
+    """The keypoints as the file gives them; `side` is what the user asked for."""
+    p_WK = file.array("markers", (21, 3))[:, ORDER]
+    return Tracks(p_WK, file.times(len(p_WK)), world=True, side=file.side(), unit="mm")

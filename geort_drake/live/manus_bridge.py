@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import LiveError, MismatchError
 from geort_drake.live.glove_frame import FARTHEST_M, GloveFrame, side_of
-from geort_drake.people.formats.tracks import KEYPOINTS_OF_25
+from geort_drake.people.formats.source import KEYPOINTS_OF_25
 from geort_drake.people.keypoints import mirrored, to_wrist_frame, wrist_pose
 
 _NODES = 25

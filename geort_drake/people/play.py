@@ -4,7 +4,7 @@ The hand sweeps every finger through its range, waves, makes fists, spreads, and
 each finger at varied places. Motion is a sequence of minimum-jerk movements between postures (Flash
 & Hogan 1985, J. Neurosci. 5:1688); then come the glove's faults, jitter and slow drift. The amounts
 are chosen so that the fingertips' workspace, speed and pinches lie between those of two recordings
-of real gloves; `tests/test_gloves_play.py` holds the figures.
+of real gloves; `tests/test_people_play.py` holds the figures.
 """
 
 import dataclasses

@@ -1,8 +1,11 @@
-"""Reading of recordings in any of the formats known (`formats`), into the wrist frame, and checked.
+"""Reads recordings in any known format, brings them to the wrist frame and checks them.
 
-`docs/reference` describes the formats and the checks.
+`docs/reference` describes the formats and the checks. What can be repaired without guessing is
+repaired and reported; frames that cannot be used become invalid; only what leaves the meaning open, or too
+little, is refused.
 """
 
+import dataclasses
 import os
 from pathlib import Path
 
@@ -10,22 +13,23 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError, UnknownNameError
-from geort_drake.people.checks import check_recording, noted
+from geort_drake.people.checks import examine, noted, refuse
 from geort_drake.people.checks.anatomy import UNITS_M
-from geort_drake.people.checks.findings import Finding, Severity
-from geort_drake.people.formats import AUTO, FORMATS, choose, suffix_of
+from geort_drake.people.checks.findings import Finding, FrameFaults, Severity
+from geort_drake.people.formats import AUTO, FORMATS, choose
 from geort_drake.people.formats.files import load
-from geort_drake.people.formats.tracks import Tracks
+from geort_drake.people.formats.source import NO_HAND, Tracks
 from geort_drake.people.keypoints import mirrored, to_wrist_frame, wrist_pose
 from geort_drake.people.recording import SIDES, Recording
 from geort_drake.people.recording_parts import read_parts
+from geort_drake.people.repairs import repaired_poses, repaired_times
 
-# For files without timestamps. Free hand motion at 30 Hz gives GeoRT's recording fingertip speeds
-# (99th percentile 1 m/s) that agree with gloves whose rate is known.
+# For files without timestamps. At 30 Hz, GeoRT's recording has fingertip speeds (99th percentile 1 m/s) that
+# agree with gloves whose rate is known.
 ASSUMED_RATE_HZ = 30.0
 
-_ONE_PLACE_M = 1e-6  # keypoints that are nearer to each other are no hand, m
-_UNIX_S = 1e8  # times beyond this, in 1973, count from 1970; others from wherever the device started
+_ONE_PLACE_M = 1e-6  # keypoints that are nearer to each other are no hand
+_UNIX_S = 1e8  # times beyond this, in 1973, count from 1970; others from the start of the device
 
 
 def read_recording(
@@ -36,23 +40,29 @@ def read_recording(
     unit: str | None = None,
     rate_hz: float | None = None,
 ) -> Recording:
-    """Reads and checks a recording in any of the formats known.
+    """Reads and checks a recording in any known format.
 
     Args:
         path: a file, or HO-3D's folder `meta`.
-        side: "right" or "left"; a left hand is mirrored (see `keypoints`). Files that say their
-            side must agree.
-        training: also ask for what training needs (see `check_recording`).
-        format: a name of `FORMATS`; "auto" tells them apart by their contents.
+        side: "right" or "left"; a left hand is mirrored (see `keypoints`). A side that the file states must
+            agree.
+        training: also require what training needs (see `check_recording`).
+        format: a name of `FORMATS`; "auto" detects it from the contents.
         unit: of lengths in the file, one of `UNITS_M`; by default the format's.
         rate_hz: frames per second of a file without timestamps; by default `ASSUMED_RATE_HZ`.
+
+    Returns:
+        The recording. Unusable frames are invalid; `metadata["warnings"]` lists faults and repairs.
 
     Raises:
         RecordingError: the file is missing, malformed or holds no plausible hand of that side.
         UnknownNameError: there is no such side, format or unit.
     """
     recording, findings = open_recording(path, side, format, unit, rate_hz)
-    return check_recording(noted(recording, findings), str(path), training)
+    refuse(str(path), findings)
+    recording, found = examine(recording)
+    refuse(str(path), found, training)
+    return noted(recording, [*findings, *found])
 
 
 def open_recording(
@@ -62,10 +72,11 @@ def open_recording(
     unit: str | None = None,
     rate_hz: float | None = None,
 ) -> tuple[Recording, list[Finding]]:
-    """Reads a recording without judging its contents; arguments and errors are those of `read_recording`.
+    """Reads and repairs a recording without checking it; arguments and errors are those of `read_recording`.
 
     Returns:
-        The recording, with the format that was taken in `metadata["format"]`, and what the reader saw.
+        The recording, with the format in `metadata["format"]`, and faults and repairs; an error among them
+        where too many frames are lost.
     """
     path = Path(path)
     for kind, given, choices in (("side", side, SIDES), ("unit", unit, UNITS_M)):
@@ -74,54 +85,85 @@ def open_recording(
     if (unfinished := read_parts(path)) is not None:
         _agree_on_side(path, unfinished.side, side)
         return unfinished, []
-    contents = load(path)
-    chosen = choose(str(path), suffix_of(path), contents, format)
-    read = FORMATS[chosen].read(str(path), contents, side)
+    source = load(path)
+    chosen = choose(path, source.contents, format)
+    read = FORMATS[chosen].read(source, side)
     _agree_on_side(path, read.side, side)
     if isinstance(read, Recording):
         if unit not in (None, "m"):
             raise RecordingError(f"{path}: geort-drake's own files are in metres, not in {unit}")
-        return read, []
-    return _recording(path, chosen, read, side, unit or read.unit, rate_hz)
+        return _repaired(path, read, source.faults)
+    return _recording(path, chosen, read, source.faults, side, unit or read.unit, rate_hz)
+
+
+def _repaired(path: Path, recording: Recording, faults: FrameFaults) -> tuple[Recording, list[Finding]]:
+    """Our own file with increasing times and unit quaternions."""
+    count, X_WH = len(recording), recording.X_WH
+    findings: list[Finding] = []
+    t = repaired_times(recording.t, np.arange(count), faults)
+    if X_WH is not None:
+        try:
+            X_WH, findings = repaired_poses(X_WH, recording.valid, faults)
+        except ValueError as error:
+            raise RecordingError(f"{path}: {error}") from None
+    valid = recording.valid & faults.valid(count)
+    recording = dataclasses.replace(recording, t=t, X_WH=X_WH, valid=valid)
+    return recording, [*findings, *faults.findings(count)]
 
 
 def _recording(
-    path: Path, chosen: str, tracks: Tracks, side: str, unit: str, rate_hz: float | None
+    path: Path,
+    chosen: str,
+    tracks: Tracks,
+    faults: FrameFaults,
+    side: str,
+    unit: str,
+    rate_hz: float | None,
 ) -> tuple[Recording, list[Finding]]:
-    findings = list(tracks.findings)
-    p_WK, clock = UNITS_M[unit] * tracks.p_WK, tracks.clock
-    metadata = {"side": side, "source": path.name, "format": chosen, "rate_known": True, **tracks.metadata}
-    metadata["unit"] = unit
+    p_WK, clock, findings = UNITS_M[unit] * tracks.p_WK, tracks.clock, list(tracks.findings)
+    count = len(p_WK)
+    metadata = {"side": side, "source": path.name, "format": chosen, "rate_known": True, "unit": unit}
+    with np.errstate(invalid="ignore"):
+        empty = np.ptp(p_WK, axis=1).max(axis=1, initial=0.0) < _ONE_PLACE_M
+    faults.add(NO_HAND, np.flatnonzero(empty), "all keypoints are in one place")
+    p_WK[empty] = np.nan
+    numbers = np.arange(count)
     if clock is not None:
-        t, metadata["time_field"], metadata["time_unit"] = clock.t, clock.field, clock.unit
+        metadata["time_field"], metadata["time_unit"] = clock.field, clock.unit
+        numbers = _first_of_doubles(p_WK, clock.t, findings)
+        t = repaired_times(clock.t[numbers], numbers, faults)
     else:
-        t, metadata["rate_known"] = np.arange(len(p_WK)) / (rate_hz or ASSUMED_RATE_HZ), rate_hz is not None
-        if rate_hz is None:
-            findings.append(_no_times())
-    p_WK = _without_empty(p_WK, findings)
-    p_WK, t = _without_doubles(p_WK, t, findings)
+        t = np.arange(count) / (rate_hz or ASSUMED_RATE_HZ)
+        metadata["rate_known"] = rate_hz is not None
+        findings += [] if metadata["rate_known"] else [_no_times()]
     if len(t) and t[0] > _UNIX_S:
         metadata["start_time_unix_s"] = float(t[0])
     p_VK = mirrored(p_WK) if side == "left" else p_WK
-    p_HK = to_wrist_frame(p_VK)
-    _check_palm_plane(path, p_WK, p_HK)
-    X_WH = None
+    with np.errstate(invalid="ignore", over="ignore"):
+        p_HK = to_wrist_frame(p_VK)
+    faults.add(
+        "have no palm plane",
+        np.flatnonzero(np.isfinite(p_WK).all(axis=(1, 2)) & ~np.isfinite(p_HK).all(axis=(1, 2))),
+        "wrist, index, middle and ring knuckles, keypoints 0, 5, 9, 13, coincide or lie on a line",
+    )
+    valid = faults.valid(count)[numbers]
+    p_VK, p_HK, X_WH = p_VK[numbers], p_HK[numbers], None
     if tracks.world:
-        valid = np.isfinite(p_HK).all(axis=(1, 2))
-        X_WH = _wrist_poses(p_VK, valid)
-        travel = np.abs(X_WH[valid, 4:] - X_WH[valid, 4:][:1]).max(initial=0.0)
+        known = np.isfinite(p_HK).all(axis=(1, 2))
+        X_WH = _wrist_poses(p_VK, known)
+        travel = np.abs(X_WH[known & valid, 4:] - X_WH[known & valid, 4:][:1]).max(initial=0.0)
         # A glove alone knows how the wrist is turned, not where it is.
         metadata["wrist_position_tracked"] = bool(travel > 1e-3)
-    return Recording(t - t[:1], p_HK, np.ones(len(t), bool), X_WH, metadata), findings
+    return Recording(t - t[:1], p_HK, valid, X_WH, metadata), [*findings, *faults.findings(count)]
 
 
-def _wrist_poses(p_WK: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """X_WH (T, 7) as the keypoints give it; without rotation in frames that are not valid."""
+def _wrist_poses(p_WK: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """X_WH (T, 7) as the keypoints give it; without rotation in frames that are not known."""
     R_WH, p_WH = wrist_pose(p_WK)
     if not len(p_WH):
         return np.empty((0, 7))  # SciPy 1.15 makes no rotations of nothing
-    # Of a hand that is larger than numbers can say, nothing is left.
-    turned = valid & (np.linalg.det(np.nan_to_num(R_WH)) > 0.5)
+    # Numbers too large for their squares leave no rotation.
+    turned = known & (np.linalg.det(np.nan_to_num(R_WH)) > 0.5)
     R_WH = np.where(turned[:, None, None], R_WH, np.eye(3))
     return np.concatenate([_continuous(Rotation.from_matrix(R_WH).as_quat(scalar_first=True)), p_WH], axis=1)
 
@@ -141,58 +183,19 @@ def _no_times() -> Finding:
     )
 
 
-def _without_empty(p_WK: np.ndarray, findings: list[Finding]) -> np.ndarray:
-    """NaN in frames without a hand, in which trackers store the origin for every joint, and says so."""
-    with np.errstate(invalid="ignore"):
-        empty = np.ptp(p_WK, axis=1).max(axis=1, initial=0.0) < _ONE_PLACE_M
-    if not empty.any():
-        return p_WK
-    first = int(np.argmax(empty))
-    findings.append(
-        Finding(
-            "lost frames",
-            Severity.WARNING,
-            f"{int(empty.sum())} of {len(p_WK)} frames hold no hand, as all keypoints are in one place; the "
-            f"first is frame {first}",
-            f"frame {first}",
-            "taken for lost",
-        )
-    )
-    return np.where(empty[:, None, None], np.nan, p_WK)
-
-
-def _without_doubles(
-    p_WK: np.ndarray, t: np.ndarray, findings: list[Finding]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Leaves out frames that repeat the one before in time and keypoints, and says so."""
+def _first_of_doubles(p_WK: np.ndarray, t: np.ndarray, findings: list[Finding]) -> np.ndarray:
+    """Numbers of the frames, without those that repeat the one before in time and keypoints."""
     same = np.diff(t) == 0
     same &= ((p_WK[1:] == p_WK[:-1]) | np.isnan(p_WK[1:])).all(axis=(1, 2))
-    if not same.any():
-        return p_WK, t
-    first = int(np.argmax(same)) + 1
-    findings.append(
-        Finding(
-            "duplicated frames",
-            Severity.WARNING,
+    if same.any():
+        first = int(np.argmax(same)) + 1
+        what = (
             f"{int(same.sum())} of {len(t)} frames are stored twice with the same time, the first is frame "
-            f"{first}",
-            f"t[{first}]",
-            "left out",
         )
-    )
-    kept = np.concatenate([[True], ~same])
-    return p_WK[kept], t[kept]
-
-
-def _check_palm_plane(path: Path, p_WK: np.ndarray, p_HK: np.ndarray) -> None:
-    """The wrist frame exists where there are keypoints."""
-    lacking = np.isfinite(p_WK).all(axis=(1, 2)) & ~np.isfinite(p_HK).all(axis=(1, 2))
-    if lacking.any():
-        raise RecordingError(
-            f"{path}: wrist, index, middle and ring knuckles (keypoints 0, 5, 9, 13) must span a plane, but "
-            f"coincide or lie on a line in {lacking.sum()} of {len(p_WK)} frames, first in frame "
-            f"{int(np.argmax(lacking))}"
+        findings.append(
+            Finding("duplicated frames", Severity.WARNING, f"{what}{first}", f"t[{first}]", "left out")
         )
+    return np.flatnonzero(np.concatenate([[True], ~same]) if len(t) else np.ones(0, bool))
 
 
 def _agree_on_side(path: Path, given: str | None, wanted: str) -> None:

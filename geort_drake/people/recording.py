@@ -164,26 +164,20 @@ class Recording:
             raise RecordingError(
                 f"{name}: convention {metadata.get('convention')} is not the one read here, {CONVENTION}"
             )
-        for field, kind in _METADATA.items():
-            if field in metadata and not isinstance(metadata[field], kind):
-                raise RecordingError(
-                    f"{name}: metadata {field} must be of type {kind.__name__}, not {metadata[field]!r:.40}"
-                )
-        if not all(isinstance(warning, str) for warning in metadata.get("warnings", [])):
-            raise RecordingError(f"{name}: metadata warnings must be texts")
+        metadata = _checked_metadata(metadata)
         try:
-            recording = cls(arrays["t"], arrays["p_HK"], arrays["valid"], arrays.get("X_WH"), metadata)
+            return cls(arrays["t"], arrays["p_HK"], arrays["valid"], arrays.get("X_WH"), metadata)
         except RecordingError as error:
             raise RecordingError(f"{name}: {str(error).removeprefix('recording: ')}") from None
-        if recording.X_WH is not None:
-            size = np.linalg.norm(recording.X_WH[:, :4], axis=1)
-            if np.nanmax(np.abs(size - 1.0), initial=0.0) > 1e-2:
-                frame = int(np.nanargmax(np.abs(size - 1.0)))
-                raise RecordingError(
-                    f"{name}: X_WH must hold unit quaternions and then positions, but the first four numbers "
-                    f"of frame {frame} have norm {size[frame]:.3g}"
-                )
-        return recording
+
+
+def _checked_metadata(metadata: dict) -> dict:
+    """Metadata without the fields that are of another type than programs expect, which is noted."""
+    bad = [field for field, kind in _METADATA.items() if not isinstance(metadata.get(field, kind()), kind)]
+    kept = {field: value for field, value in metadata.items() if field not in bad}
+    told = [f"metadata {field} must be of type {_METADATA[field].__name__}; left out" for field in bad]
+    warnings = [warning for warning in kept.get("warnings", []) if isinstance(warning, str)]
+    return kept | ({"warnings": warnings + told} if told or "warnings" in kept else {})
 
 
 def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
@@ -203,14 +197,12 @@ def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
             return {"data": loaded}
         with loaded:
             arrays = {name: loaded[name] for name in loaded.files}
+            arrays = {name: array for name, array in arrays.items() if isinstance(array, np.ndarray)}
     except RecordingError:
         raise
     except Exception as error:  # a corrupt archive raises nearly anything
         reason = "it holds pickled objects, which are never read" if "pickle" in str(error) else str(error)
         raise RecordingError(f"{path}: not a readable NumPy file: {reason}") from None
-    for name, array in arrays.items():
-        if not isinstance(array, np.ndarray):
-            raise RecordingError(f"{path}: holds {name}, which is no array")
     return arrays
 
 

@@ -1,8 +1,7 @@
-"""Recordings of hands that no reader may take, beside those in test_gloves_health.py."""
+"""Recordings of hands that no reader may take, beside those in test_people_health.py."""
 
 import csv
 import io
-import json
 import os
 import pickle
 import zipfile
@@ -12,11 +11,6 @@ from pathlib import Path
 import numpy as np
 from glove_files import (
     manus_table,
-    mediapipe_frames,
-    openxr_frames,
-    webxr_frames,
-    webxr_names,
-    write_dex_retargeting,
     write_manus,
     write_manus_csv,
     write_openxr,
@@ -53,12 +47,6 @@ def npz(**arrays: object) -> Callable[[Path], tuple]:
 def own(**changes: object) -> Callable[[Path], tuple]:
     """Our own format with other fields."""
     return lambda folder: imports(write_own(folder, moving(), **changes))
-
-
-def metadata(**changes: object) -> Callable[[Path], tuple]:
-    """Our own format with other metadata."""
-    told = {"side": "right", "convention": 1, **changes}
-    return own(metadata=np.array(json.dumps(told)))
 
 
 def spoiled(folder: Path, at: float) -> tuple:
@@ -157,35 +145,6 @@ def odd_name(folder: Path) -> tuple:
     return imports(Path(os.fsdecode(path)))
 
 
-def json_file(contents: object) -> Callable[[Path], tuple]:
-    return with_bytes("hand.json", json.dumps(contents).encode())
-
-
-def mediapipe(i: int, **changes: object) -> Callable[[Path], tuple]:
-    frames = mediapipe_frames(moving())
-    frames[i] = {**frames[i], **changes}
-    return json_file(frames)
-
-
-def openxr(**changes: object) -> Callable[[Path], tuple]:
-    contents = openxr_frames(moving())
-    contents["frames"][5] = {**contents["frames"][5], **changes}
-    return json_file(contents)
-
-
-def webxr(**changes: object) -> Callable[[Path], tuple]:
-    contents = webxr_frames(moving())
-    contents["frames"][5] = {**contents["frames"][5], **changes}
-    return json_file(contents)
-
-
-def wide_cell(folder: Path) -> tuple:
-    """A CSV with a cell of a megabyte."""
-    table = manus_table(moving())
-    table[7][2] = "9" * (1 << 20)
-    return imports(write_manus_csv(folder, moving(), table))
-
-
 def twice(folder: Path) -> tuple:
     """A CSV that has a column twice, with different numbers."""
     table = [[*row, row[3]] for row in manus_table(moving())]
@@ -215,8 +174,8 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str]] = {
     "archive that unpacks to 10 GiB of bytes": (bomb_of_bytes, "holds 10.0 GiB; recordings of up to 2 GiB"),
     "archive that promises 10¹² frames": (promised, NUMPY),
     "archive that names files outside": (climbing, "fits no format known"),
-    "archive with a link to a file outside": (climbing_symlink, "holds p_HK, which is no array"),
-    "archive of torch, a pickle inside": (torch_archive, "holds archive/data.pkl, which is no array"),
+    "archive with a link to a file outside": (climbing_symlink, "fits no format known"),
+    "archive of torch, a pickle inside": (torch_archive, "fits no format known"),
     ".npy that promises 10¹² frames": (
         with_bytes("hand.npy", npy_header((10**12, 21, 3)) + bytes(504)),
         NUMPY,
@@ -231,7 +190,6 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str]] = {
         "must hold numbers of shape",
     ),
     ".npy that is a pickle": (with_bytes("hand.npy", pickle.dumps(Calls(os.system, "touch harm"))), NUMPY),
-    ".npz that is a pickle": (with_bytes("hand.npz", pickle.dumps(Calls(os.system, "touch harm"))), NUMPY),
     ".json that is a pickle": (
         with_bytes("hand.json", pickle.dumps(Calls(os.system, "touch harm"))),
         "not a text file in UTF-8|not JSON",
@@ -271,36 +229,11 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str]] = {
     "JSON 100,000 deep": (with_bytes("hand.json", b"[" * 100_000), "not JSON: maximum recursion depth"),
     "JSON lines, one 100,000 deep": (
         with_bytes("hand.jsonl", b'{"a": 1}\n' + b"[" * 100_000 + b"\n"),
-        "line 2 is not JSON: maximum recursion depth",
-    ),
-    "JSON with a number of 400 digits": (
-        mediapipe(3, worldLandmarks=[[[10**400, 0, 0]] * 21]),
-        "frame 3, landmark 0 must be a point of three numbers",
+        "fits no format known",
     ),
     "JSON with a number of 10,000 digits": (with_bytes("hand.json", b"[" + b"9" * 10_000 + b"]"), "not JSON"),
-    "JSON with a time of 400 digits": (
-        mediapipe(3, timestampMs=10**400),
-        "frame 3: timestampMs must be a number",
-    ),
-    "JSON with a hand that is a number": (mediapipe(3, worldLandmarks=7), "frame 3"),
-    "JSON with handedness that is a number": (mediapipe(3, handedness=7), "frame 3"),
-    "JSON with a joint that is a text": (openxr(joints=["x"] * 26), "frame 5, joint 0 must be a point"),
-    "JSON with flags that are a text": (
-        openxr(joints=[{"locationFlags": "all", "pose": {"position": [0, 0, 0]}}] * 26),
-        "frame 5, joint 0",
-    ),
-    "JSON with a pose that is a number": (openxr(joints=[{"pose": 3}] * 26), "frame 5, joint 0"),
-    "JSON with a position that is a text": (
-        webxr(joints=dict.fromkeys(webxr_names(), "x")),
-        "frame 5, wrist must be a point",
-    ),
-    "JSON with frames of different kinds": (
-        json_file([{"joints": []}, 3, None]),
-        "a list of frames is wanted",
-    ),
     "JSON of 40 GiB": (sparse, "holds 40.0 GiB; recordings of up to 2 GiB"),
     "JSON lines of numbers": (with_bytes("hand.jsonl", b"1\n2\n"), "fits no format known"),
-    "table with a cell of a megabyte": (wide_cell, "not a table: field larger"),
     "table with a column twice": (twice, "has the column Hand_X more than once"),
     "table in UTF-16": (utf16, "not a text file in UTF-8"),
     "own, of objects nested in its metadata": (
@@ -308,27 +241,17 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str]] = {
         "metadata is not JSON",
     ),
     "own, its metadata a number": (own(metadata=np.array(7)), "metadata must name a side"),
-    "own, its format a list": (metadata(format=["geort"]), "metadata format must be of type str"),
-    "own, its warnings a number": (metadata(warnings=3), "metadata warnings must be of type list"),
     "own, its keypoints complex": (own(p_HK=np.zeros((400, 21, 3), complex)), "p_HK must hold numbers"),
-    "own, its keypoints texts": (own(p_HK=np.full((400, 21, 3), "a")), "p_HK must hold numbers"),
-    "own, its times records": (own(t=np.zeros(400, "f8,f8")), "t must hold numbers"),
     "own, its wrist without rotation": (lost_pose([0.0] * 4), "X_WH must hold unit quaternions"),
-    "own, its wrist not finite": (lost_pose([np.nan] * 4), "400 of 400 frames are not finite"),
-    "own, its wrist of texts": (own(X_WH=np.full((400, 7), "a")), "X_WH must hold numbers"),
+    "own, its wrist not finite": (lost_pose([np.nan] * 4), "400 of 400 frames are not finite numbers"),
     "MANUS, its times texts": (
         lambda f: imports(write_manus(f, moving(), timestamps=np.full(400, "now"))),
         "timestamps must hold numbers",
-    ),
-    "dex-retargeting, a frame a dict": (
-        lambda f: imports(write_dex_retargeting(f, moving(), [np.zeros((21, 3)), {"a": 1}])),
-        r"frame 1 must have shape \(21, 3\)",
     ),
     "a pipe": (pipe, "no such file"),
     "a link to itself": (loop, "no such file|Too many levels"),
     "a name that is no UTF-8": (odd_name, NUMPY),
     "a name without a suffix": (with_bytes("hand", b"x"), "recordings are read from"),
-    "a program": (with_bytes("hand.exe", b"MZ"), "recordings are read from"),
 }
 
 CASES = [Case("recording", name, make, "RecordingError", says) for name, (make, says) in _MAKERS.items()]

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from geort_drake.people.checks.findings import Finding, Severity
+from geort_drake.people.checks.findings import MOST_LOST, Finding, Severity, lost_frames
 from geort_drake.people.checks.order import fitting_order, is_right, oddities
 from geort_drake.people.keypoints import (
     BONES,
@@ -22,6 +22,8 @@ UNITS_M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}
 _UNIT_NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres", "inch": "inches"}
 _PALM_M = (0.060, 0.110)  # wrist to middle knuckle of people from a child of ten to a large adult
 BENT = 0.02  # a mean sine of the fingers' bending beyond this tells the side
+# A bone farther than this from its median length is of no hand: trackers of images vary by 4 to 16 %.
+_ODD_BONE, _ODD_BONE_M = 0.75, 0.01
 _FRAME_M = 0.005  # a keypoint may be so far from where the definition of H puts it
 
 
@@ -131,31 +133,33 @@ def check_side(recording: Recording) -> Iterator[Finding]:
 
 
 def check_frame(recording: Recording) -> Iterator[Finding]:
-    """Keypoints are given in the wrist frame H: origin, and directions of the axes."""
+    """Keypoints are given in the wrist frame H: its origin, and the directions of its axes."""
     p_HK = _valid(recording)
     off = np.linalg.norm(to_wrist_frame(p_HK) - p_HK, axis=-1).max(axis=1)
-    if np.nanmedian(off) < _FRAME_M:
-        return
-    knuckle = np.median(p_HK[:, MIDDLE_MCP] - p_HK[:, WRIST], axis=0)
-    axis = "xyz"[int(np.argmax(np.abs(knuckle)))]
-    sign = "-" if knuckle.min() == -np.abs(knuckle).max() else "+"
-    yield Finding(
-        "axes",
-        Severity.ERROR,
-        "keypoints must be given in the wrist frame H (origin at the wrist, z to the middle knuckle, y to "
-        f"the index side), but are off by {1e3 * np.nanmedian(off):.0f} mm; the middle knuckle is towards "
-        f"{sign}{axis}, the wrist at {np.round(1e3 * np.median(p_HK[:, WRIST], axis=0)).tolist()} mm",
-        "p_HK",
-        "save other frames as (T, 21, 3) .npy, which is brought to H when it is read",
-    )
+    if not np.nanmedian(off) < _FRAME_M:
+        knuckle = np.median(p_HK[:, MIDDLE_MCP] - p_HK[:, WRIST], axis=0)
+        axis = "xyz"[int(np.argmax(np.abs(knuckle)))]
+        sign = "-" if knuckle.min() == -np.abs(knuckle).max() else "+"
+        yield Finding(
+            "axes",
+            Severity.ERROR,
+            "keypoints must be given in the wrist frame H (origin at the wrist, z to the middle knuckle, y "
+            f"to the index side), but are off by {1e3 * np.nanmedian(off):.0f} mm; the middle knuckle is "
+            f"towards {sign}{axis}, the wrist at "
+            f"{np.round(1e3 * np.median(p_HK[:, WRIST], axis=0)).tolist()} mm",
+            "p_HK",
+            "save other frames as (T, 21, 3) .npy, which is brought to H when it is read",
+        )
+    else:
+        yield from _lost(recording, ~(off < _FRAME_M), "are not in the wrist frame H")
 
 
 def check_bones(recording: Recording) -> Iterator[Finding]:
-    """Bones keep their lengths, and no two keypoints coincide."""
+    """Bones keep their lengths, and no two keypoints coincide. Frames of another size become invalid."""
     length = bone_lengths(_valid(recording))
-    mean = length.mean(axis=0)
-    if mean.min() < 1e-3:
-        parent, child = BONES[int(np.argmin(mean))]
+    median = np.median(length, axis=0)
+    if median.min() < 1e-3:
+        parent, child = BONES[int(np.argmin(median))]
         yield Finding(
             "bone lengths",
             Severity.ERROR,
@@ -163,7 +167,12 @@ def check_bones(recording: Recording) -> Iterator[Finding]:
             f"p_HK[:, {child}]",
         )
         return
-    spread = length.std(axis=0) / mean
+    odd = (np.abs(length - median) > _ODD_BONE * median + _ODD_BONE_M).any(axis=1)
+    # Where bones change their lengths in many frames, their spread tells it.
+    if odd.mean() <= MOST_LOST:
+        yield from _lost(recording, odd, "have bones of another length")
+        length = length[~odd]
+    spread = length.std(axis=0) / length.mean(axis=0)
     worst = int(np.argmax(spread))
     parent, child = BONES[worst]
     if spread[worst] < 0.03:
@@ -177,6 +186,13 @@ def check_bones(recording: Recording) -> Iterator[Finding]:
         f"p_HK[:, {child}]",
         "look whether these are 3-D keypoints in metres" if bad else "",
     )
+
+
+def _lost(recording: Recording, bad: np.ndarray, what: str) -> Iterator[Finding]:
+    """A finding about bad ones among the valid frames."""
+    if bad.any():
+        frames = np.flatnonzero(recording.valid)[bad].tolist()
+        yield lost_frames(frames, len(recording), what, where=f"p_HK[{frames[0]}]")
 
 
 def _valid(recording: Recording) -> np.ndarray:

@@ -1,7 +1,13 @@
-"""What a check found in a recording: how bad it is, what and where it is, and what to do about it."""
+"""What is wrong with a recording: its severity, its place, and what the user can do."""
 
 import dataclasses
 import enum
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+# Share of frames that may be lost before a recording is refused.
+MOST_LOST = 0.1
 
 
 class Severity(enum.StrEnum):
@@ -15,15 +21,15 @@ class Severity(enum.StrEnum):
 
 @dataclasses.dataclass(frozen=True)
 class Finding:
-    """One fault of a recording, or one thing that was repaired.
+    """One fault of a recording, or one repair.
 
     Attributes:
-        check: short name of what was looked at, such as "unit".
+        check: short name of the check, such as "unit".
         severity: how bad it is.
-        what: what was wanted and what was given.
+        what: what was expected and what was given.
         where: the field and frame, where the fault has a place.
-        advice: what the user can do.
-        lost: frames that mean nothing because of it and are to be marked invalid.
+        advice: what the user can do, or what was done.
+        lost: frames that become invalid.
     """
 
     check: str
@@ -36,3 +42,63 @@ class Finding:
     def __str__(self) -> str:
         place = f" ({self.where})" if self.where else ""
         return f"{self.what}{place}" + (f"; {self.advice}" if self.advice else "")
+
+
+def lost_frames(
+    frames: Sequence[int], count: int, what: str, detail: str = "", where: str = "", too_many: bool = False
+) -> Finding:
+    """The finding that some of `count` frames cannot be used: a warning, or an error above `MOST_LOST`.
+
+    Args:
+        frames: the lost ones, at least one.
+        count: of all frames.
+        what: completes "3 of 400 frames ...".
+        detail: what is wrong with the first one.
+        where: its field.
+        too_many: whether it is an error in any case.
+    """
+    too_many |= len(frames) > MOST_LOST * count
+    first = f"the first is frame {frames[0]}" + (f": {detail}" if detail else "")
+    return Finding(
+        "lost frames",
+        Severity.ERROR if too_many else Severity.WARNING,
+        f"{len(frames)} of {count} frames {what}, {first}"
+        + ("; at most one in ten may be lost" if too_many else ""),
+        where,
+        "record with the hand in view of the tracker" if too_many else "marked invalid",
+        tuple(int(frame) for frame in frames),
+    )
+
+
+class FrameFaults:
+    """Faults of single frames, collected by kind while a file is read. Each frame counts once."""
+
+    def __init__(self) -> None:
+        self._kinds: dict[str, dict[int, str]] = {}
+
+    def add(self, kind: str, frames: Iterable[int], detail: str = "") -> None:
+        """Notes that frames cannot be used.
+
+        Args:
+            kind: completes "3 of 400 frames ...".
+            frames: their numbers.
+            detail: what is wrong with them.
+        """
+        known = self._frames()
+        if new := {int(frame): detail for frame in frames if frame not in known}:
+            self._kinds.setdefault(kind, {}).update(new)
+
+    def valid(self, count: int) -> np.ndarray:
+        """(count,) bool: the frames without a fault."""
+        return ~np.isin(np.arange(count), list(self._frames()))
+
+    def findings(self, count: int) -> list[Finding]:
+        """One finding for each kind; all are errors, where together they lose too many of `count` frames."""
+        too_many = len(self._frames()) > MOST_LOST * count
+        return [
+            lost_frames(sorted(details), count, kind, details[min(details)], too_many=too_many)
+            for kind, details in sorted(self._kinds.items(), key=lambda item: -len(item[1]))
+        ]
+
+    def _frames(self) -> set[int]:
+        return {frame for details in self._kinds.values() for frame in details}

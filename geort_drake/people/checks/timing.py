@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from geort_drake.people.checks.findings import Finding, Severity
+from geort_drake.people.checks.findings import Finding, Severity, lost_frames
 from geort_drake.people.keypoints import FINGER_KEYPOINTS
 from geort_drake.people.recording import Recording
 
@@ -94,7 +94,7 @@ def check_dropped(recording: Recording) -> Iterator[Finding]:
 
 
 def check_lost(recording: Recording) -> Iterator[Finding]:
-    """Frames that are not finite numbers: a few become invalid, many are an error."""
+    """Frames that are not finite numbers become invalid; some frames must be left."""
     bad = recording.valid & ~np.isfinite(recording.p_HK).all(axis=(1, 2))
     field = "p_HK"
     if recording.X_WH is not None:
@@ -102,32 +102,20 @@ def check_lost(recording: Recording) -> Iterator[Finding]:
         field = "X_WH" if poses.any() and not bad.any() else field
         bad = bad | poses
     lost = np.flatnonzero(bad)
-    many = len(lost) > 0.1 * len(bad)
-    missing = _missing(recording)
-    if missing:
+    if missing := _missing(recording):
         yield Finding(
             "lost frames",
             Severity.ERROR,
             f"{missing} in all {len(bad)} frames; every frame needs all 21 keypoints",
             "p_HK",
             "look at that finger's sensor, or at what the recorder leaves out",
-            tuple(lost.tolist()),
         )
     elif len(lost):
-        yield Finding(
-            "lost frames",
-            Severity.ERROR if many else Severity.WARNING,
-            f"{len(lost)} of {len(bad)} frames are not finite numbers, the first is frame {lost[0]}"
-            + ("; at most one in ten may be lost" if many else ""),
-            f"{field}[{lost[0]}]",
-            "record with the hand in view of the tracker" if many else "marked invalid",
-            tuple(lost.tolist()),
-        )
+        yield lost_frames(lost.tolist(), len(bad), "are not finite numbers", where=f"{field}[{lost[0]}]")
     valid = int((recording.valid & ~bad).sum())
-    if valid < 2 and not many:
-        yield Finding(
-            "lost frames", Severity.ERROR, f"only {valid} of {len(recording)} frames are valid", "valid"
-        )
+    if valid < 2 and not len(lost):
+        what = f"only {valid} of {len(recording)} frames are valid"
+        yield Finding("lost frames", Severity.ERROR, what, "valid")
 
 
 def _missing(recording: Recording) -> str:

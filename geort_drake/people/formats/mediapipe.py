@@ -1,38 +1,44 @@
 """MediaPipe's 21 world landmarks: JSON of its results, or (T, 21, 3) in .npy or .npz.
 
-Order: wrist 0, thumb 1–4, index 5–8, middle 9–12, ring 13–16, little finger 17–20, base to tip. World
-landmarks are metres about the middle of the hand, x to the right of the picture, y down, z away from the
-camera; where the wrist is they do not say. Landmarks of the picture ("normalized") are no metric hand.
+Order: wrist 0, thumb 1-4, index 5-8, middle 9-12, ring 13-16, little finger 17-20, base to tip. World
+landmarks are metres from the middle of the hand, x to the right of the picture, y down, z away from the
+camera; they do not say where the wrist is. Landmarks of the picture ("normalized") are no metric hand.
 
-JSON: a list of results, or `{"frames": [...]}`, each as `HandLandmarkerResult` names its fields:
-`worldLandmarks` (Python: `hand_world_landmarks`) with one list of 21 points per hand seen, `handedness` with
-one category each, and `timestampMs` (or `timestamp_ms`) as passed to the detector. The hand of the side
-asked for is taken; frames without one are lost. An .npz holds `world_landmarks` and optionally `t`, s, and
-`handedness`.
+JSON: a list of results, or `{"frames": [...]}`, each with the fields of `HandLandmarkerResult`:
+`worldLandmarks` (Python: `hand_world_landmarks`) with one list of 21 points per hand seen, `handedness`
+with one category each, and `timestampMs` (or `timestamp_ms`). The hand of the side asked for is taken;
+frames without one are lost. An .npz holds `world_landmarks` and optionally `t`, s, and `handedness`.
 
-Many versions label hands as if the image were mirrored, so that the right hand in an image that is not is
-called left; landmarks are those of what the image shows. So a hand is of the side to which its fingers bend,
-and its label counts only where they hardly bend.
+Many versions label hands as if the image were mirrored, so a right hand is called left, while the landmarks
+are those of what the image shows. So the bending of the fingers decides the side, and the label only where
+they hardly bend.
 
 Source: https://ai.google.dev/edge/mediapipe/solutions/vision/hand_landmarker,
-https://ai.google.dev/edge/api/mediapipe/js/tasks-vision.handlandmarkerresult and, of the labels,
+https://ai.google.dev/edge/api/mediapipe/js/tasks-vision.handlandmarkerresult, and of the labels
 https://github.com/google-ai-edge/mediapipe/issues/1374
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from geort_drake.errors import RecordingError
 from geort_drake.people.checks.anatomy import bent_side
 from geort_drake.people.checks.findings import Finding, Severity
-from geort_drake.people.formats.tracks import Tracks, frames_of, json_times, numbers, point, side_of, times
+from geort_drake.people.formats.source import (
+    NO_HAND,
+    BadFrame,
+    Format,
+    Source,
+    Tracks,
+    any_frame,
+    frames_of,
+    point,
+)
 from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.people.recording import SIDES
 
-SUFFIXES = (".json", ".jsonl", ".npy", ".npz")
-
+_SHAPE = (KEYPOINT_COUNT, 3)
 _WORLD = ("worldLandmarks", "hand_world_landmarks", "multi_hand_world_landmarks", "multiHandWorldLandmarks")
 _PICTURE = ("landmarks", "hand_landmarks", "multi_hand_landmarks", "multiHandLandmarks")
 _HANDEDNESS = ("handedness", "handednesses", "multi_handedness", "multiHandedness")
@@ -40,57 +46,41 @@ _LABEL = ("categoryName", "category_name", "label", "displayName", "display_name
 _TIME = ("timestampMs", "timestamp_ms")
 
 
-def recognizes(contents: Any) -> bool:
-    if isinstance(contents, dict) and "frames" not in contents:
-        if "world_landmarks" in contents:
-            return True
-        return contents.keys() == {"data"}  # any .npy, whose shape reading judges
-    frames = contents["frames"] if isinstance(contents, dict) else contents
-    return isinstance(frames, list) and any(
-        isinstance(frame, dict) and any(field in frame for field in (*_WORLD, *_PICTURE)) for frame in frames
-    )
+def _is_mediapipe(contents: Any) -> bool:
+    if any_frame(contents, lambda frame: any(field in frame for field in (*_WORLD, *_PICTURE))):
+        return True
+    # Any .npy, whose shape reading judges.
+    return isinstance(contents, Mapping) and ("world_landmarks" in contents or contents.keys() == {"data"})
 
 
-def read(name: str, contents: Any, side: str) -> Tracks:
-    if isinstance(contents, dict) and "frames" not in contents:
-        return _read_arrays(name, contents, side)
-    frames = frames_of(name, contents)
-    hands = [_hands(name, i, frame, side) for i, frame in enumerate(frames)]
-    lost = [[np.nan] * 3] * KEYPOINT_COUNT
-    labelled = {
-        label: np.array([seen.get(label, lost) for seen in hands], dtype=float)
-        for label in SIDES
-        if any(label in seen for seen in hands)
-    }
-    if frames and not labelled:
-        raise RecordingError(f"{name}: no frame shows a hand")
-    p_WK, findings = _of_side(name, labelled or {side: np.empty((0, KEYPOINT_COUNT, 3))}, side)
-    field = next((field for field in _TIME if any(field in frame for frame in frames)), _TIME[0])
-    return Tracks(p_WK, json_times(name, frames, field, "ms"), side=side, findings=findings)
+def _read_mediapipe(file: Source, side: str) -> Tracks:
+    if frames_of(file.contents):
+        hands = file.collect(file.frames(), lambda frame: _hands(frame, side))
+        labels = [label for label in SIDES if any(label in seen for seen in hands if seen)]
+        if not labels:
+            raise file.error("no frame shows a hand")
+        labelled = {label: _stacked(hands, label) for label in labels}
+        clock = next((c for field in _TIME if (c := file.times(len(hands), field, "ms"))), None)
+    else:
+        p_WK = file.array("data" if "data" in file.header else "world_landmarks", _SHAPE)
+        labelled, clock = {file.side() or side: p_WK}, file.times(len(p_WK))
+    label, findings = _label_of_side(file, labelled, side)
+    file.faults.add(NO_HAND, np.flatnonzero(np.isnan(labelled[label]).all(axis=(1, 2))))
+    return Tracks(labelled[label], clock, side=side, findings=findings)
 
 
-def _read_arrays(name: str, contents: Any, side: str) -> Tracks:
-    field = "world_landmarks" if "world_landmarks" in contents else "data"
-    if field not in contents:
-        raise RecordingError(f"{name}: landmarks must be called world_landmarks, not {', '.join(contents)}")
-    p_WK = numbers(name, "array" if field == "data" else field, contents[field], (KEYPOINT_COUNT, 3))
-    p_WK, findings = _of_side(name, {side_of(name, contents) or side: p_WK}, side)
-    return Tracks(p_WK, times(name, contents, len(p_WK)), side=side, findings=findings)
-
-
-def _of_side(name: str, labelled: dict[str, np.ndarray], side: str) -> tuple[np.ndarray, list[Finding]]:
-    """The hand (T, 21, 3) of that side by the way its fingers bend, out of those that labels tell apart."""
-    bent = {label: bent_side(p_WK, label) for label, p_WK in labelled.items()}
-    fitting = [label for label in labelled if bent[label] == side]
+def _label_of_side(file: Source, labelled: Mapping[str, np.ndarray], side: str) -> tuple[str, list[Finding]]:
+    """Which of the labelled hands (T, 21, 3) is of that side, by the bending of its fingers."""
+    fitting = [label for label, p_WK in labelled.items() if bent_side(p_WK, label) == side]
     if not fitting and side not in labelled:
-        raise RecordingError(
-            f"{name}: the file holds a {next(iter(labelled))} hand by its label, and its fingers do not bend "
-            f"as a {side} one's; a {side} one was asked for"
+        raise file.error(
+            f"the file holds a {next(iter(labelled))} hand by its label, and its fingers do not bend as a "
+            f"{side} one's; a {side} one was asked for"
         )
-    # Of a hand whose label changes, the longer part. What does not fit is named by the checks.
+    # Of a hand whose label changes, the longer part. The checks name what does not fit.
     label = max(fitting, key=lambda label: np.isfinite(labelled[label]).sum()) if fitting else side
     if label == side:
-        return labelled[label], []
+        return label, []
     finding = Finding(
         "handedness",
         Severity.WARNING,
@@ -99,44 +89,55 @@ def _of_side(name: str, labelled: dict[str, np.ndarray], side: str) -> tuple[np.
         "handedness",
         f"if the image itself was mirrored, this was a {label} hand: import it with --mirror",
     )
-    return labelled[label], [finding]
+    return label, [finding]
 
 
-def _hands(name: str, i: int, frame: dict, side: str) -> dict[str, list]:
-    """21 points of each hand in a frame, by its label; of one without a label by the side asked for."""
-    hands = _list(name, i, frame, _WORLD)
-    labels = [_label(label) for label in _list(name, i, frame, _HANDEDNESS)]
-    if not hands and _list(name, i, frame, _PICTURE):
-        raise RecordingError(
-            f"{name}: frame {i} holds landmarks of the picture (normalized), which are no metric hand; save "
-            f"the world landmarks ({_WORLD[0]})"
+def _stacked(hands: Sequence[Mapping[str, np.ndarray] | None], label: str) -> np.ndarray:
+    lost = np.full(_SHAPE, np.nan)
+    return np.array([(seen or {}).get(label, lost) for seen in hands])
+
+
+def _hands(frame: Any, side: str) -> dict[str, np.ndarray]:
+    """Landmarks (21, 3) of each hand in a frame by its label; without a label, of the side asked for."""
+    if not isinstance(frame, Mapping):
+        raise BadFrame(f"expected an object, not {frame!r:.40}")
+    hands = _list(frame, _WORLD)
+    labels = [_label(label) for label in _list(frame, _HANDEDNESS)]
+    if not hands and _list(frame, _PICTURE):
+        raise BadFrame(
+            "holds landmarks of the picture (normalized), which are no metric hand; save the world landmarks "
+            f"({_WORLD[0]})"
         )
     if labels and len(labels) != len(hands):
-        raise RecordingError(f"{name}: frame {i} has {len(labels)} handedness for {len(hands)} hands")
+        raise BadFrame(f"{len(labels)} handedness for {len(hands)} hands")
     if len(hands) > 1 and not labels:
-        raise RecordingError(f"{name}: frame {i} shows {len(hands)} hands and does not say which is which")
-    seen: dict[str, list] = {}
+        raise BadFrame(f"shows {len(hands)} hands and does not say which is which")
+    if unknown := next((label for label in labels if label not in SIDES), None):
+        raise BadFrame(f"handedness '{unknown:.40}' is none of: {', '.join(SIDES)}")
+    seen: dict[str, np.ndarray] = {}
     for label, hand in zip(labels or [side], hands, strict=False):
-        if label not in SIDES:
-            raise RecordingError(
-                f"{name}: frame {i}: handedness '{label:.40}' is none of: {', '.join(SIDES)}"
-            )
-        points = hand.get("landmark", hand.get("landmarks")) if isinstance(hand, dict) else hand
-        if not isinstance(points, list) or len(points) != KEYPOINT_COUNT:
-            given = len(points) if isinstance(points, list) else type(points).__name__
-            raise RecordingError(f"{name}: frame {i}: {KEYPOINT_COUNT} landmarks are wanted, {given} given")
-        seen.setdefault(
-            label, [point(name, f"frame {i}, landmark {k}", value) for k, value in enumerate(points)]
-        )
+        seen.setdefault(label, _landmarks(hand))
     return seen
 
 
-def _list(name: str, i: int, frame: dict, fields: Sequence[str]) -> list:
+def _landmarks(hand: Any) -> np.ndarray:
+    points = hand.get("landmark", hand.get("landmarks")) if isinstance(hand, Mapping) else hand
+    try:
+        p = np.asarray([point(value) for value in points])
+    except (TypeError, ValueError):
+        p = np.array(None)
+    if p.shape != _SHAPE or p.dtype.kind not in "fiu":
+        count = f", {len(points)} given" if isinstance(points, list) else ""
+        raise BadFrame(f"expected {KEYPOINT_COUNT} landmarks of three numbers{count}")
+    return p.astype(float)
+
+
+def _list(frame: Mapping, fields: Sequence[str]) -> list:
     """The first of the fields that holds something."""
     field = next((field for field in fields if frame.get(field)), None)
     value = [] if field is None else frame[field]
     if not isinstance(value, list):
-        raise RecordingError(f"{name}: frame {i}: {field} must be a list, not {value!r:.40}")
+        raise BadFrame(f"{field} must be a list, not {value!r:.40}")
     return value
 
 
@@ -144,6 +145,11 @@ def _label(value: Any) -> str:
     """left or right from a category, a list of one, or its name alone."""
     while isinstance(value, list) and value:
         value = value[0]
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         value = next((value[field] for field in _LABEL if value.get(field)), value)
     return str(value).strip().lower()
+
+
+MEDIAPIPE = Format(
+    "MediaPipe, 21 world landmarks", (".json", ".jsonl", ".npy", ".npz"), _is_mediapipe, _read_mediapipe
+)

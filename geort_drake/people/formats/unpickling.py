@@ -1,7 +1,7 @@
 """Unpickling of plain data alone: NumPy arrays and Python's own containers, and nothing that runs code.
 
-NumPy takes for true what a pickle says of an array or its type, and ends the process where that is wrong. So
-its own functions are not called: what stands for them here looks first.
+NumPy takes for true what a pickle says of an array or its type, and ends the process where that is wrong.
+So its own functions are not called: what stands for them here looks first.
 """
 
 import math
@@ -16,14 +16,14 @@ import numpy as np
 from geort_drake.errors import RecordingError
 
 
-class _Refused(Exception):
-    pass
+class ForbiddenPickle(Exception):
+    """A pickle names something other than plain data, which is not run."""
 
 
 def _latin1(text: str, encoding: str) -> bytes:
     """What the older protocols make bytes with; other codecs would let a small file grow without bound."""
     if encoding not in ("latin1", "latin-1"):
-        raise _Refused(f"_codecs.encode to {encoding:.20}")
+        raise ForbiddenPickle(f"_codecs.encode to {encoding:.20}")
     return text.encode("latin1")
 
 
@@ -103,11 +103,11 @@ _STANDING = {
 class _PlainUnpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Callable:
         if (module, name) not in _STANDING:
-            raise _Refused(f"{module}.{name}")
+            raise ForbiddenPickle(f"{module}.{name}")
         return _STANDING[module, name]
 
     def persistent_load(self, pid: Any) -> Any:
-        raise _Refused(f"persistent id {pid!r:.40}")
+        raise ForbiddenPickle(f"persistent id {pid!r:.40}")
 
 
 def load_plain(path: Path) -> Any:
@@ -120,10 +120,10 @@ def load_plain(path: Path) -> Any:
         with path.open("rb") as file, np.errstate(all="ignore"):
             # Pickles of Python 2 (HO-3D's) hold their arrays' bytes as text of this encoding.
             return _PlainUnpickler(file, encoding="latin1").load()
-    except _Refused as refused:
+    except ForbiddenPickle as refused:
         raise RecordingError(
             f"{path}: the pickle asks for {refused}, which could run code; only NumPy arrays, lists, dicts, "
             "numbers and texts are read"
-        ) from None
+        ) from refused
     except Exception as error:  # a corrupt pickle raises nearly anything
         raise RecordingError(f"{path}: not a readable pickle: {error or type(error).__name__}") from None
