@@ -43,16 +43,17 @@ def test_a_foreign_hand_is_reported_and_the_persons_own_is_not():
     """Synthetic play of another seed is inside; the same hand 30 % larger is outside, and still followed."""
     space = TrainedSpace(trained_points(PLAY.p_HK[:, list(TIPS)]), TIPS)
     retarget = smooth_retargeter()
-    bench = Bench(retarget, checks=AT_ONCE, trained_space=space)
+    retarget.trained_space = space
+    bench = Bench(retarget, checks=AT_ONCE)
     for keypoints in hands(60):
         *_, status = bench.tick(keypoints)
     assert status.state == TRACKING and status.distance < 0.01
-    bench = Bench(retarget, checks=AT_ONCE, trained_space=space)
+    bench = Bench(retarget, checks=AT_ONCE)
     for keypoints in 1.3 * hands(60):
         q, *_, status = bench.tick(keypoints)
     assert status.state == OUTSIDE and status.distance > 0.02
     np.testing.assert_array_equal(q, retarget(1.3 * hands(60)[-1]))
-    *_, status = Bench(retarget, checks=AT_ONCE).tick(hands(1)[0])
+    *_, status = Bench(smooth_retargeter(), checks=AT_ONCE).tick(hands(1)[0])
     assert np.isnan(status.distance)
 
 
@@ -61,7 +62,9 @@ def test_outside_is_told_at_the_very_update_and_measured_only_where_needed(monke
     space = TrainedSpace(trained_points(PLAY.p_HK[:, list(TIPS)]), TIPS)
     measured, distances = [], TrainedSpace.distances
     monkeypatch.setattr(TrainedSpace, "distances", lambda *a: measured.append(1) or distances(*a))
-    bench = Bench(smooth_retargeter(), checks=AT_ONCE, trained_space=space)
+    retarget = smooth_retargeter()
+    retarget.trained_space = space
+    bench = Bench(retarget, checks=AT_ONCE)
     scales = 1.15 + 0.15 * np.sin(np.arange(400) / 15)
     states, wanted = [], []
     for keypoints, scale in zip(hands(400), scales, strict=True):

@@ -64,7 +64,6 @@ class GraspDiagram:
     glove_recorder: GloveRecorder
     operator: SimulatedOperator | None
     recorder: "RerunRecorder | None"
-    wrist_to_arm: WristToArm
     fixed_base: bool
 
     def initialize(self, root: Context) -> None:
@@ -253,7 +252,6 @@ def make_grasp_diagram(
         glove_recorder=glove_recorder,
         operator=operator,
         recorder=recorder,
-        wrist_to_arm=wrist_to_arm,
         fixed_base=scenario.fixed_base,
     )
 

@@ -4,7 +4,7 @@ import dataclasses as dc
 import functools
 
 import numpy as np
-from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Role, SceneGraphInspector, Shape, Sphere
+from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, SceneGraphInspector, Shape, Sphere
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RigidBody
@@ -59,10 +59,9 @@ def object_shape(plant: MultibodyPlant, inspector: SceneGraphInspector, body: Ri
     Raises:
         ScenarioError: the body has no collision geometry, or some that is no convex primitive.
     """
-    frame = plant.GetBodyFrameIdOrThrow(body.index())
     parts = tuple(
         (inspector.GetShape(geometry), inspector.GetPoseInFrame(geometry))
-        for geometry in inspector.GetGeometries(frame, Role.kProximity)
+        for geometry in plant.GetCollisionGeometriesForBody(body)
     )
     kinds = [type(shape).__name__ for shape, _ in parts]
     if not parts or not all(isinstance(shape, CONVEX_PRIMITIVES) for shape, _ in parts):

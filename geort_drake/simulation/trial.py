@@ -113,9 +113,8 @@ def _result(
 ) -> TrialResult:
     attempts = operator_phase = None
     if parts.operator is not None:
-        context = parts.operator.GetMyContextFromRoot(root)
-        attempts = parts.operator.attempt(context)
-        operator_phase = parts.operator.phase(context).name.lower()
+        memory = parts.operator.memory(parts.operator.GetMyContextFromRoot(root))
+        attempts, operator_phase = memory.attempt, memory.phase.name.lower()
     if outcome.success:
         text = "success"
     elif outcome.phase == GraspPhase.THROWN:

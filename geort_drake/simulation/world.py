@@ -159,13 +159,8 @@ def actuated_state(builder: DiagramBuilder, plant: MultibodyPlant, model: ModelI
     state = plant.get_state_output_port(model)
     if state.size() == 2 * len(joints):
         return state
-    moving = [joint for joint in map(plant.get_joint, plant.GetJointIndices(model)) if joint.num_positions()]
-    q_start = min(joint.position_start() for joint in moving)
-    v_start = min(joint.velocity_start() for joint in moving)
-    rows = [joint.position_start() - q_start for joint in joints]
-    rows += [plant.num_positions(model) + joint.velocity_start() - v_start for joint in joints]
-    selector = builder.AddSystem(MatrixGain(np.eye(state.size())[rows]))
-    builder.Connect(state, selector.get_input_port())
+    selector = builder.AddSystem(MatrixGain(plant.MakeStateSelectorMatrix([j.index() for j in joints])))
+    builder.Connect(plant.get_state_output_port(), selector.get_input_port())
     return selector.get_output_port()
 
 

@@ -31,8 +31,6 @@ def RetargetingMap_(T: type) -> type:
         Args:
             retarget: a `Retargeter`.
             actuated_joints: the retargeter's joints in the order of the output; None keeps its order.
-            human_keypoints: keypoint (0 to 20) of each of the retargeter's fingers; None takes those of the
-                fingers' names.
 
         Raises:
             HandError: the actuated joints are not the retargeter's.
@@ -43,7 +41,6 @@ def RetargetingMap_(T: type) -> type:
             self,
             retarget: Retargeter,
             actuated_joints: Sequence[str] | None = None,
-            human_keypoints: Sequence[int] | None = None,
             converter: SystemScalarConverter | None = None,
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
@@ -53,31 +50,29 @@ def RetargetingMap_(T: type) -> type:
                 raise HandError(
                     f"the retargeter moves {', '.join(sorted(joints))}; given: {', '.join(sorted(ordered))}"
                 )
-            for name in retarget.finger_names if human_keypoints is None else ():
+            for name in retarget.finger_names:
                 if name not in TIP_KEYPOINT:
                     raise UnknownNameError("finger", name, TIP_KEYPOINT)
-            self._arguments = (retarget, actuated_joints, human_keypoints)
+            self._arguments = (retarget, actuated_joints)
             self._retarget = retarget
             self._order = np.array([joints.index(name) for name in ordered])
-            self._tips = np.array(human_keypoints or [TIP_KEYPOINT[name] for name in retarget.finger_names])
+            self._tips = np.array([TIP_KEYPOINT[name] for name in retarget.finger_names])
             self._keypoints = self.DeclareVectorInputPort("keypoints", 3 * KEYPOINT_COUNT)
             self.DeclareVectorOutputPort(
                 "positions", len(joints), self._calc, {self.all_input_ports_ticket()}
             )
 
         def _construct_copy(self, other: Any, converter: SystemScalarConverter | None = None) -> None:
-            retarget, actuated_joints, human_keypoints = other._arguments
-            Impl._construct(self, retarget, actuated_joints, human_keypoints, converter)
+            Impl._construct(self, *other._arguments, converter)
 
         def _calc(self, context: Context, output: BasicVector_[T]) -> None:
-            p_HK = self._keypoints.Eval(context)
+            p_HF = self._keypoints.Eval(context).reshape(KEYPOINT_COUNT, 3)[self._tips]
             if T is float:
-                output.SetFromVector(self._retarget(p_HK.reshape(KEYPOINT_COUNT, 3)[self._tips])[self._order])
+                output.SetFromVector(self._retarget(p_HF)[self._order])
                 return
-            p_HF = p_HK.reshape(KEYPOINT_COUNT, 3)[self._tips].reshape(-1, 1)
-            value, slope = ExtractValue(p_HF).reshape(-1, 3), ExtractGradient(p_HF)
-            q, J = self._retarget(value), self._retarget.jacobian(value)
-            gradient = J[self._order].reshape(len(q), -1) @ slope
+            p_HF = p_HF.reshape(-1, 1)
+            q, J = self._retarget.value_and_jacobian(ExtractValue(p_HF).reshape(-1, 3))
+            gradient = J[self._order].reshape(len(q), -1) @ ExtractGradient(p_HF)
             output.SetFromVector(InitializeAutoDiff(q[self._order], gradient)[:, 0])
 
     return Impl

@@ -90,7 +90,7 @@ class RetargetingSystem(LeafSystem):
             `actuated_joints`.
         status (abstract RetargetingStatus): what was held or limited, and since when.
 
-    There is no direct feedthrough.
+    There is no direct feedthrough. The status is never `OUTSIDE` if the retargeter has no `trained_space`.
 
     Attributes:
         period: time between updates, s.
@@ -110,8 +110,6 @@ class RetargetingSystem(LeafSystem):
         latency: time from keypoints to their joint targets, s, at most 10.
         checks: thresholds of the input checks.
         cutoff: of a first-order low-pass on the targets, Hz; 0 for none.
-        trained_space: places of the fingertips in training. None takes the retargeter's `trained_space`; if
-            it has none either, the state is never `OUTSIDE`.
 
     Raises:
         HandError: plant and retargeter have different joints, the joint limits are unknown, or an initial
@@ -130,7 +128,6 @@ class RetargetingSystem(LeafSystem):
         latency: float = 0.0,
         checks: GloveChecks | None = None,
         cutoff: float = 0.0,
-        trained_space: TrainedSpace | None = None,
     ):
         super().__init__()
         if set(joint_names) != set(actuated_joints):
@@ -143,7 +140,7 @@ class RetargetingSystem(LeafSystem):
         check_timing(period, latency, cutoff)
         self._retarget = retarget
         self._to_plant = np.array([list(joint_names).index(name) for name in actuated_joints])
-        self._trained_space = trained_space or getattr(retarget, "trained_space", None)
+        self._trained_space = getattr(retarget, "trained_space", None)
         self._limits = limits or self._limits_of(retarget)
         self.period = period = max(period, latency)
         self._blend = low_pass_share(cutoff, period)

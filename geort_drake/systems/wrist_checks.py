@@ -1,6 +1,5 @@
 """Decides from update to update whether a tracker's wrist pose can be followed."""
 
-import dataclasses as dc
 import math
 
 import numpy as np
@@ -17,15 +16,11 @@ _STATES = ("", WRIST_JUMPED, WRIST_NOT_FINITE)
 # s; trackers send at least 25 times a second, so a longer gap allows no larger jump.
 _LONGEST_GAP = 0.04
 _TIME_TOLERANCE = 1e-9  # s; sums of periods are rounded
-
-
-@dc.dataclass
-class WristLimits:
-    """Fastest motion of a wrist that is followed. A throw is faster, but the arm could not follow it."""
-
-    max_speed: float = 3.0  # m/s
-    max_rotation_speed: float = 20.0  # rad/s; a MANUS recording at 118 Hz peaks at 8
-    settle_time: float = 0.1  # the pose must be good for this long before it is followed again, s
+# Faster motions are not followed. A throw is faster, but the arm could not follow it.
+_MAX_SPEED = 3.0  # m/s
+_MAX_ROTATION_SPEED = 20.0  # rad/s; a MANUS recording at 118 Hz peaks at 8
+# The pose must be good for this long before it is followed again, s.
+_SETTLE_TIME = 0.1
 
 
 class WristChecks(LeafSystem):
@@ -45,9 +40,9 @@ class WristChecks(LeafSystem):
     the state.
     """
 
-    def __init__(self, period: float, limits: WristLimits | None = None):
+    def __init__(self, period: float):
         super().__init__()
-        self._limits, self._period = limits or WristLimits(), period
+        self._period = period
         self._wrist = self.DeclareAbstractInputPort("wrist_pose", AbstractValue.Make(RigidTransform()))
         self._valid = self.DeclareVectorInputPort("valid", 1)
         self._memory = self.DeclareDiscreteState(np.array([*[math.nan] * 7, 0.0, -math.inf, 0.0]))
@@ -58,21 +53,21 @@ class WristChecks(LeafSystem):
 
     def _judge(self, context: Context) -> tuple[np.ndarray, str]:
         """Returns the memory after this time, and the state."""
-        limits, time = self._limits, context.get_time()
+        time = context.get_time()
         memory = context.get_discrete_state(self._memory).value()
         last, (changed, bad_since, code) = memory[:7], memory[7:].tolist()
         X_WH = self._wrist.Eval(context)
         if not np.isfinite(X_WH.GetAsMatrix34()).all():
             return np.array([*last, changed, time, _STATES.index(WRIST_NOT_FINITE)]), WRIST_NOT_FINITE
         pose = pose_to_vector(X_WH)
-        if time - bad_since >= limits.settle_time - _TIME_TOLERANCE:
+        if time - bad_since >= _SETTLE_TIME - _TIME_TOLERANCE:
             code = 0
         if not np.array_equal(pose, last):
             gap = max(min(time - changed, _LONGEST_GAP), self._period)
             # |q · q'| is the cosine of half the angle. Before the first pose all is NaN, which is no fault.
             turn = 2.0 * math.acos(min(abs(float(pose[:4] @ last[:4])), 1.0))
             distance = float(np.linalg.norm(pose[4:] - last[4:]))
-            if distance > limits.max_speed * gap or turn > limits.max_rotation_speed * gap:
+            if distance > _MAX_SPEED * gap or turn > _MAX_ROTATION_SPEED * gap:
                 code, bad_since = _STATES.index(WRIST_JUMPED), time
             changed = time
         return np.array([*pose, changed, bad_since, code]), _STATES[int(code)]

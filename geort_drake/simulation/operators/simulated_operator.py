@@ -11,7 +11,7 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.perception import Seen
-from geort_drake.simulation.operators.state import OperatorState, Phase
+from geort_drake.simulation.operators.state import OperatorState
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.systems.port_values import Immutable, vector_to_pose
 
@@ -74,7 +74,7 @@ class SimulatedOperator(LeafSystem):
         self.DeclareAbstractOutputPort(
             "wrist_pose",
             lambda: AbstractValue.Make(RigidTransform()),
-            lambda context, output: output.set_value(self._state(context).X_WH),
+            lambda context, output: output.set_value(self.memory(context).X_WH),
             ticket,
         )
         self.DeclareVectorOutputPort(
@@ -83,27 +83,20 @@ class SimulatedOperator(LeafSystem):
         self.DeclareVectorOutputPort(
             "phase",
             1,
-            lambda context, output: output.SetAtIndex(0, float(self._state(context).phase)),
+            lambda context, output: output.SetAtIndex(0, float(self.memory(context).phase)),
             ticket,
         )
         self.DeclareVectorOutputPort(
-            "attempt", 1, lambda context, output: output.SetAtIndex(0, self._state(context).attempt), ticket
+            "attempt", 1, lambda context, output: output.SetAtIndex(0, self.memory(context).attempt), ticket
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(config.period, 0.0, self._decide)
 
-    def phase(self, context: Context) -> Phase:
-        """Returns what the person is doing."""
-        return self._state(context).phase
-
-    def attempt(self, context: Context) -> int:
-        """Returns the number of grasp attempts so far, from 1."""
-        return self._state(context).attempt
-
-    def _state(self, context: Context) -> OperatorState:
+    def memory(self, context: Context) -> OperatorState:
+        """Returns the person's memory; do not change it."""
         return context.get_abstract_state(0).get_value().state
 
     def _decide(self, context: Context, state: State) -> EventStatus:
-        before = self._state(context)
+        before = self.memory(context)
         if context.get_time() < self._first_sight:
             return EventStatus.DidNothing()
         scene = Seen(

@@ -3,7 +3,7 @@
 import itertools
 
 import numpy as np
-from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, Role
+from pydrake.geometry import CollisionFilterDeclaration, GeometrySet
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
@@ -60,19 +60,11 @@ class GraspApproach:
         self._base = self._plant.GetFrameByName(description.base_frame, hand)
         (root,) = self._plant.GetFloatingBaseBodies()
         self._root = self._plant.get_body(root)
-        inspector = scene_graph.model_inspector()
-        parts = [
-            geometry
-            for index in self._plant.GetBodyIndices(hand)
-            for geometry in inspector.GetGeometries(self._plant.GetBodyFrameIdOrThrow(index), Role.kProximity)
-        ]
-        self._palm = {
-            geometry
-            for body in palm_links(self._plant, description, hand)
-            for geometry in inspector.GetGeometries(
-                self._plant.GetBodyFrameIdOrThrow(body.index()), Role.kProximity
-            )
-        }
+        shapes = self._plant.GetCollisionGeometriesForBody
+        links = map(self._plant.get_body, self._plant.GetBodyIndices(hand))
+        parts = [geometry for link in links for geometry in shapes(link)]
+        palm = palm_links(self._plant, description, hand)
+        self._palm = {geometry for link in palm for geometry in shapes(link)}
         scene_graph.collision_filter_manager().Apply(
             CollisionFilterDeclaration().ExcludeWithin(GeometrySet(parts))
         )

@@ -6,7 +6,6 @@ from pydrake.geometry import (
     Convex,
     GeometrySet,
     Mesh,
-    Role,
     SceneGraph,
     Shape,
 )
@@ -104,7 +103,7 @@ class GraspKinematics:
             ik.AddMinimumDistanceLowerBoundConstraint(_CLEARANCE, 0.02)
         for finger in self._grasping:
             for name in finger.joints:
-                index = self._plant.GetJointByName(name, self._hand).position_start()
+                index = self._position_index(name)
                 margin = _LIMIT_MARGIN * (high[index] - low[index])
                 ik.get_mutable_prog().AddBoundingBoxConstraint(
                     low[index] + margin, high[index] - margin, ik.q()[index]
@@ -178,18 +177,15 @@ class GraspKinematics:
         weight = np.full(len(q_nominal), _ARM_WEIGHT)
         for finger in self._description.fingers:
             for name in finger.joints:
-                index = plant.GetJointByName(name, self._hand).position_start()
+                index = self._position_index(name)
                 weight[index] = 1.0 if finger in self._grasping else _IDLE_WEIGHT
                 if finger in self._grasping:  # a grasping joint is best in the middle of its range
                     q_nominal[index] = 0.5 * (low[index] + high[index])
         for follower, leader, ratio, offset in followers(self._description):
-            place, leading = (
-                plant.GetJointByName(name, self._hand).position_start() for name in (follower, leader)
-            )
-            weight[place] = 0.0  # only its leader's angle counts
-            ik.get_mutable_prog().AddLinearEqualityConstraint(
-                ik.q()[place] - ratio * ik.q()[leading] == offset
-            )
+            index = self._position_index(follower)
+            weight[index] = 0.0  # only its leader's angle counts
+            difference = ik.q()[index] - ratio * ik.q()[self._position_index(leader)]
+            ik.get_mutable_prog().AddLinearEqualityConstraint(difference == offset)
         ik.get_mutable_prog().AddQuadraticErrorCost(np.diag(weight), q_nominal, ik.q())
         return ik
 
@@ -212,7 +208,7 @@ class GraspKinematics:
         fronts = []
         for body in palm_links(self._plant, self._description, self._hand):
             X_BL = self._plant.CalcRelativeTransform(context, self._base, body.body_frame())
-            for geometry in self._geometries(scene_graph, body):
+            for geometry in self._plant.GetCollisionGeometriesForBody(body):
                 X_BG = X_BL @ inspector.GetPoseInFrame(geometry)
                 fronts.append(_largest_x(inspector.GetShape(geometry), X_BG))
         return max(fronts, default=0.0)
@@ -228,16 +224,15 @@ class GraspKinematics:
         fixed = [
             geometry
             for body in self._plant.GetBodiesWeldedTo(self._plant.world_body())
-            for geometry in self._geometries(scene_graph, body)
+            for geometry in self._plant.GetCollisionGeometriesForBody(body)
         ]
         declaration = CollisionFilterDeclaration()
         declaration.ExcludeWithin(GeometrySet(tips))
         declaration.ExcludeBetween(GeometrySet(tips), GeometrySet(fixed))
         scene_graph.collision_filter_manager().Apply(declaration)
 
-    def _geometries(self, scene_graph: SceneGraph, body: RigidBody) -> list:
-        frame = self._plant.GetBodyFrameIdOrThrow(body.index())
-        return list(scene_graph.model_inspector().GetGeometries(frame, Role.kProximity))
+    def _position_index(self, joint: str) -> int:
+        return self._plant.GetJointByName(joint, self._hand).position_start()
 
     def _tip_body(self, finger: FingerDescription) -> RigidBody:
         return self._plant.GetBodyByName(finger.tip_link, self._hand)
