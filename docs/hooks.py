@@ -74,6 +74,10 @@ def field_rows(name: str) -> list[tuple[list[str], list[str], str]]:
             rows[-1][0].append(field)
             rows[-1][1].append(default)
             continue
+        if "](" in default:
+            shared = False
+            rows.append(([field], ["–"], " ".join([*above, after, f"Fields: {default}."]).strip()))
+            continue
         shared = bool(above)
         rows.append(([field], [default], " ".join([*above, after]).strip() or inherited.get(field, "")))
     return rows
@@ -102,7 +106,7 @@ def fields_table(name: str) -> str:
     for fields, defaults, meaning in field_rows(name):
         shown = ", ".join(defaults) if len(set(defaults)) > 1 else defaults[0]
         text = meaning.replace("|", "\\|")
-        text = text if re.match(r"(m|rad|s|N)\b", text) else text[:1].upper() + text[1:]
+        text = text if re.match(r"(m|rad|s|N)\b|[^a-z]", text) else text[:1].upper() + text[1:]
         table.append(f"| {', '.join(fields)} | {shown} | {text} |")
     return "\n".join(table)
 
@@ -119,7 +123,7 @@ def find_class(name: str) -> tuple[Path, ast.ClassDef]:
 
 
 def default_of(value: ast.expr | None) -> str:
-    """A field's default as code; a nested dataclass links to its own table."""
+    """A field's default as code; for a nested dataclass a link to its own table."""
     if value is None:
         return "required"
     if isinstance(value, ast.Call) and ast.unparse(value.func).endswith("field"):
