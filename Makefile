@@ -1,6 +1,8 @@
 # make grasp: install into .venv, train a retargeter, simulate grasps, show the results.
 # make test:  install the test extra and run the tests.
-# make test-lowest: the same with the oldest versions of the dependencies, in .venv-lowest.
+# make test-lowest, make test-newest: the same with the oldest and the newest versions of the dependencies,
+#             in .venv-lowest and .venv-newest; PYTHON=python3.13 chooses the interpreter.
+# make wheel: build wheel and source distribution into dist/ and check them.
 # make docs: build the documentation into site/, offline.
 # make pictures: record a training, a grasp and the like, and make the docs' pictures of them.
 PYTHON ?= python3
@@ -8,7 +10,7 @@ VENV ?= .venv
 CONSTRAINTS ?= constraints.txt
 BIN := $(VENV)/bin
 
-.PHONY: grasp test test-lowest lint docs pictures clean
+.PHONY: grasp test test-lowest test-newest lint wheel docs pictures clean
 
 grasp: $(VENV)/installed
 	$(BIN)/python scripts/simulate_grasp.py $(ARGS)
@@ -18,6 +20,9 @@ test: $(VENV)/installed-test
 
 test-lowest:
 	$(MAKE) test VENV=.venv-lowest CONSTRAINTS=constraints-lowest.txt
+
+test-newest:
+	$(MAKE) test VENV=.venv-newest CONSTRAINTS=/dev/null
 
 pictures: $(VENV)/installed
 	$(BIN)/python studies/pictures.py $(ARGS)
@@ -29,6 +34,11 @@ lint: $(VENV)/installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+wheel: $(VENV)/installed-test
+	rm -rf dist
+	$(BIN)/python -m build --outdir dist .
+	$(BIN)/python -m twine check --strict dist/*
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
@@ -46,4 +56,4 @@ $(VENV)/installed-docs: $(VENV)/installed
 	touch $@
 
 clean:
-	rm -rf $(VENV) .venv-lowest runs site
+	rm -rf $(VENV) .venv-lowest .venv-newest dist runs site

@@ -40,6 +40,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             "import geort_drake": ("", "import geort_drake"),
             "import geort_drake.retargeting.retargeter": ("", "import geort_drake.retargeting.retargeter"),
         }
+        silent = "import contextlib, io; silence = contextlib.redirect_stdout(io.StringIO())"
+        show = "from geort_drake.cli import main; silence.__enter__(); main([]); sys.stdout = sys.__stdout__"
+        steps["geort-drake --help"] = (silent, show)
         load = "from geort_drake.retargeting.retargeter import load_retargeter"
         for method in FORMS:
             path = _checkpoint(method, Path(folder) / method)
