@@ -73,6 +73,7 @@ def desk(tmp_path_factory):
     folder = tmp_path_factory.mktemp("desk")
     play = synthesize_play(0, duration_s=60.0, rate_hz=30.0)
     play.save(folder / "hand.npz")
+    np.save(folder / "hand.npy", play.p_HK)
     np.save(folder / "points.npy", 1000 * play.p_HK)
     shutil.copy(models_dir() / "sdf" / "allegro_right.sdf", folder / "hand.sdf")
     shutil.copy(models_dir() / "sdf" / "objects" / "sphere.sdf", folder / "robot.sdf")
