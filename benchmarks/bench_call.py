@@ -29,7 +29,7 @@ from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording
-from geort_drake.retargeting.methods.registry import ONLINE
+from geort_drake.retargeting.methods import make_untrained
 
 HAND = "allegro_right"
 
@@ -138,7 +138,7 @@ def dex_retargeting(description, hands: np.ndarray) -> dict[str, Callable[[], ob
     functions = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, kind in TYPES.items():
-            ours = ONLINE[name](kinematics, human_keypoints=keypoints)
+            ours = make_untrained(name, kinematics, keypoints)
             urdf = Path(folder) / f"{name}.urdf"
             urdf.write_text(_urdf(kinematics), encoding="utf-8")
             theirs = RetargetingConfig.from_dict(_settings(kind, urdf, description, ours.config)).build()

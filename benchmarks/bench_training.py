@@ -29,7 +29,7 @@ from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import load_checkpoint
-from geort_drake.retargeting.methods.coupled.training import CoupledConfig
+from geort_drake.retargeting.methods.coupled import CoupledConfig
 
 EPOCHS, BATCHES, POINTS = 50, 25, 2048
 TIMED = 5  # batches before a training, and as many after it

@@ -7,9 +7,8 @@ import argparse
 
 import numpy as np
 
-from geort_drake.retargeting.methods.coupled.training import CoupledConfig
-from geort_drake.retargeting.methods.geort import TrainingConfig
-from geort_drake.retargeting.retargeter import BACKENDS, METHODS, Retargeter
+from geort_drake.retargeting.methods import trained_method
+from geort_drake.retargeting.retargeter import BACKENDS, Retargeter
 
 FINGERS = {"thumb": 4, "index": 8, "middle": 12, "ring": 16, "little": 20}  # name → keypoint
 FORMS = ("geort_coupled", "geort")
@@ -18,7 +17,7 @@ FORMS = ("geort_coupled", "geort")
 def untrained_arrays(method: str, fingers: int, joints: int, seed: int = 0) -> dict[str, np.ndarray]:
     """What a checkpoint of the method holds for a hand of `fingers` fingers with `joints` joints each."""
     rng = np.random.default_rng(seed)
-    config = CoupledConfig() if method == "geort_coupled" else TrainingConfig()
+    config = trained_method(method).config()
     widths = (3, config.hidden, config.hidden, joints)
     shapes: dict[str, tuple[int, ...]] = {}
     for k in range(3):
@@ -27,7 +26,7 @@ def untrained_arrays(method: str, fingers: int, joints: int, seed: int = 0) -> d
             f"bias{k}": (fingers, 1, widths[k + 1]),
         }
     if method == "geort_coupled":
-        r = config.residual_hidden
+        r = config.residual_hidden  # type: ignore[attr-defined]
         widths = (3 * fingers, r, r, fingers * joints)
         for k in range(3):
             shapes |= {
@@ -48,7 +47,7 @@ def untrained(
     n = fingers * joints
     names, keypoints = list(FINGERS)[:fingers], list(FINGERS.values())[:fingers]
     arrays = untrained_arrays(method, fingers, joints, seed)
-    made = METHODS[method](
+    made = trained_method(method).retargeter(
         arrays, names, [f"joint_{j}" for j in range(n)], keypoints, -np.ones(n), np.ones(n)
     )
     if backend == "numba":

@@ -159,14 +159,18 @@ def sha256_of(path: str | os.PathLike) -> str:
 
 
 def digest_of(root: Path, paths: Iterable[Path]) -> str:
-    """Hexadecimal SHA-256 over the names below `root` and the contents of files, and of all files in folders.
+    """Hexadecimal SHA-256 of files, and of all files in folders: their names below `root` and contents.
 
-    What Python compiles does not count.
+    Folders named `__pycache__`, in which Python and numba keep compiled code, do not count.
     """
     files: set[Path] = set()
     for path in paths:
         files.update([path] if path.is_file() else (p for p in path.rglob("*") if p.is_file()))
-    lines = [f"{file.relative_to(root)} {sha256_of(file)}" for file in sorted(files) if file.suffix != ".pyc"]
+    lines = [
+        f"{file.relative_to(root)} {sha256_of(file)}"
+        for file in sorted(files)
+        if "__pycache__" not in file.parts
+    ]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 

@@ -26,7 +26,7 @@ from geort_drake.files import require_writable, write_text
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.readers import read_recording
-from geort_drake.retargeting.methods.registry import ONLINE
+from geort_drake.retargeting.methods import make_untrained
 
 TYPES = {"vector_online": "vector", "dexpilot_online": "dexpilot"}
 
@@ -58,7 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as folder, progress_bar() as progress:
         for name, kind in TYPES.items():
             keypoints = description.human_keypoints
-            ours = ONLINE[name](hand.kinematics(), human_keypoints=keypoints)
+            ours = make_untrained(name, hand.kinematics(), keypoints)
             urdf = Path(folder) / f"{name}.urdf"
             urdf.write_text(_urdf(hand.kinematics()), encoding="utf-8")
             theirs = RetargetingConfig.from_dict(_settings(kind, urdf, description, ours.config)).build()

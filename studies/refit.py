@@ -26,11 +26,11 @@ from geort_drake.hands.model import HandModel
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import load_checkpoint
-from geort_drake.retargeting.methods.coupled.refit import FINE_TUNING
+from geort_drake.retargeting.methods.coupled import FINE_TUNING_STEPS
 from geort_drake.retargeting.retargeter import load_retargeter
 
 BLOCK_S = 7.0
-STEPS = {"affine": 0, "re-fit": FINE_TUNING.steps}
+STEPS = {"affine": 0, "re-fit": FINE_TUNING_STEPS}
 COLUMNS = {
     "motion preservation": lambda m: f"{m['motion_preservation']:.3f}",
     "along steps": lambda m: f"{m['motion_preservation_track']:.3f}",

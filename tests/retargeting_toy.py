@@ -1,10 +1,9 @@
 """A small robot hand and a person whose fingertips are known to map onto it, shared by the tests."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import torch
 
+from geort_drake.retargeting.method import TrainingData
 from geort_drake.retargeting.training.kinematics import FingerChain, HandKinematics
 
 LINK = 0.04  # m
@@ -27,13 +26,28 @@ def toy_kinematics(finger_names=("thumb", "index", "middle")) -> HandKinematics:
     return HandKinematics(tuple(fingers), names, lower, upper, tip_radius=0.008)
 
 
-def toy_samples(hand: HandKinematics, count: int = 4000, seed: int = 0) -> SimpleNamespace:
-    """Uniform joint samples; the hand counts as colliding where its first joint is beyond 0.3 rad."""
-    q = np.random.default_rng(seed).uniform(hand.lower, hand.upper, (count, len(hand.joint_names)))
-    return SimpleNamespace(q=q, collides_beyond_tips=toy_collides(q))
+def uneven_kinematics() -> HandKinematics:
+    """Two, three and one joints per finger, and q not in the order of the fingers."""
+    toy = toy_kinematics()
+    counts = dict(zip(toy.finger_names, (2, 3, 1), strict=True))
+    used = [joint for f in toy.fingers for joint in f.joint_names[: counts[f.name]]][::-1]
+    fingers = []
+    for f in toy.fingers:
+        k = counts[f.name]
+        joints = f.joint_names[:k]
+        indices = tuple(used.index(joint) for joint in joints)
+        fingers.append(FingerChain(f.name, joints, indices, f.X_PJ[:k], f.axes[:k], f.p_tip))
+    rows = [toy.joint_names.index(name) for name in used]
+    return HandKinematics(tuple(fingers), tuple(used), toy.lower[rows], toy.upper[rows], toy.tip_radius)
+
+
+def toy_samples(hand: HandKinematics, count: int = 4000, seed: int = 0) -> np.ndarray:
+    """(count, n) uniform joint samples."""
+    return np.random.default_rng(seed).uniform(hand.lower, hand.upper, (count, len(hand.joint_names)))
 
 
 def toy_collides(q: np.ndarray) -> np.ndarray:
+    """The hand counts as colliding where its first joint is beyond 0.3 rad."""
     return q[:, 0] > 0.3
 
 
@@ -41,3 +55,10 @@ def toy_human(hand: HandKinematics, frames: int = 1500, seed: int = 1) -> np.nda
     """(T, F, 3) fingertips of a person who is the robot, 0.8 times as large and 5 cm away."""
     q = np.random.default_rng(seed).uniform(hand.lower, hand.upper, (frames, len(hand.joint_names)))
     return 0.8 * hand.fingertips(torch.tensor(q)).numpy() + [0.0, 0.0, 0.05]
+
+
+def toy_data(hand: HandKinematics, human: np.ndarray | None = None, **changes) -> TrainingData:
+    """Training data of that person and hand, labelled by `toy_collides`."""
+    q = toy_samples(hand)
+    given = {"labels": lambda: toy_collides(q), "collides": toy_collides} | changes
+    return TrainingData(toy_human(hand) if human is None else human, hand, **{"q": q} | given)

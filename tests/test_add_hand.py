@@ -31,7 +31,7 @@ from geort_drake.hands.importers.structure import read_structure
 from geort_drake.hands.model import HandModel
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.play import synthesize_play
-from geort_drake.retargeting.methods.numpy_kinematics import NumpyKinematics
+from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.retargeting.training.collision_geometry import CollisionGaps
 from geort_drake.simulation.diagram import make_grasp_diagram

@@ -109,19 +109,17 @@ def test_every_option_is_explained_and_spelled_with_dashes(name):
 
 def test_facts_repeated_for_help_agree_with_their_modules():
     """Methods, formats, sides and refit's steps, which help lists without importing them."""
-    from geort_drake.comparison.comparison import method_names
-    from geort_drake.comparison.train import DEFAULT_METHOD as DEFAULT
-    from geort_drake.comparison.train import METHODS
     from geort_drake.people import formats, recording
     from geort_drake.people.checks.anatomy import UNITS_M
-    from geort_drake.retargeting.methods.coupled.refit import FINE_TUNING
-    from geort_drake.retargeting.methods.geort import FORWARD_KINEMATICS, PRESETS
+    from geort_drake.retargeting import methods
+    from geort_drake.retargeting.methods.coupled import FINE_TUNING_STEPS
+    from geort_drake.retargeting.methods.geort.config import FORWARD_KINEMATICS, PRESETS
 
-    assert set(METHOD_SUMMARIES) == set(method_names())
-    assert set(TRAINED_METHODS) == set(METHODS) and DEFAULT_METHOD == DEFAULT
+    assert METHOD_SUMMARIES == {name: method.summary for name, method in methods.all_methods().items()}
+    assert set(TRAINED_METHODS) == set(methods.trained_methods()) and DEFAULT_METHOD == methods.DEFAULT_METHOD
     assert {name: entry.title for name, entry in formats.FORMATS.items()} == FORMATS
     assert set(SIDES) == set(recording.SIDES)
-    assert parser_of("refit").get_default("steps") == FINE_TUNING.steps
+    assert parser_of("refit").get_default("steps") == FINE_TUNING_STEPS
     choices = {action.dest: action.choices for action in parser_of("train")._actions}
     assert (choices["preset"], choices["fk"]) == (list(PRESETS), list(FORWARD_KINEMATICS))
     (unit,) = (action for action in parser_of("convert")._actions if action.dest == "unit")

@@ -117,7 +117,7 @@ def refused(tmp_path, recordings, checkpoints, scenarios, monkeypatch, capsys):
     def too_early(*_arguments, **_keywords):
         raise AssertionError("planning or training began before the input was checked")
 
-    monkeypatch.setitem(comparison_train.METHODS, "geort", too_early)
+    monkeypatch.setattr(comparison_train, "TrainingData", too_early)
     monkeypatch.setattr(GraspPlanner, "plan", too_early)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     work = tmp_path / "work"
@@ -218,8 +218,8 @@ def test_grasp_refuses_impossible_requests(refused, arguments, parts):
         ("--output out --method magic", ["unknown retargeting method 'magic'", "geort"]),
         ("--output out --set speed", ["NAME=VALUE", "'speed'"]),
         ("--output out --method geort --set jitter=0.1", ["unknown setting of geort 'jitter'", "points"]),
-        ("--output out --set points=many", ["points", "int", "'many'"]),
-        ("--output out --set points=0", ["points must be positive"]),
+        ("--output out --set hidden=many", ["hidden", "int", "'many'"]),
+        ("--output out --set hidden=0", ["hidden must be positive"]),
         ("--output out --preset public", ["preset of geort, not of geort_coupled"]),
         ("--output out --steps 0", ["steps", "0"]),
         ("--output out --robot-samples 0", ["robot-samples", "0"]),

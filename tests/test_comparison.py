@@ -18,10 +18,8 @@ from geort_drake.hands.model import HandModel
 from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.methods.online import VectorOnline
 
-QUICK = {
-    "steps": 5, "points": 16, "targets": 32, "pinches": 8, "frames": 8, "hidden": 8,
-    "classifier_steps": 5, "refreshes": 0,
-}  # fmt: skip
+QUICK = {"steps": 5, "hidden": 8}
+QUICK_BY_METHOD = {"geort": QUICK | {"points": 16, "targets": 32, "classifier_steps": 5, "refreshes": 0}}
 
 
 def judged(figures: dict, p_HF: np.ndarray, p_BF: np.ndarray) -> Judged:
@@ -43,8 +41,16 @@ def quick(light_evaluation, tmp_path):
         path = tmp_path / f"{method}-{seed}-{recording.digest[:8]}"
         if path.is_dir():
             return path, True
+        settings = QUICK_BY_METHOD.get(method, QUICK)
         train_checkpoint(
-            hand_name, recording, path, method, seed, show_progress=False, settings=QUICK, robot_samples=2000
+            hand_name,
+            recording,
+            path,
+            method,
+            seed,
+            show_progress=False,
+            settings=settings,
+            robot_samples=2000,
         )
         return path, False
 

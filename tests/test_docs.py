@@ -24,8 +24,8 @@ from geort_drake.people.formats import FORMATS
 from geort_drake.people.play import synthesize_play
 from geort_drake.rerun import recorder as rerun_recorder
 from geort_drake.resources import models_dir
-from geort_drake.retargeting.methods.coupled.training import CoupledConfig
-from geort_drake.retargeting.methods.geort import TrainingConfig
+from geort_drake.retargeting.method import TrainingConfig
+from geort_drake.retargeting.methods.coupled import CoupledConfig
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.systems.glove_replay import GloveReplay
 

@@ -61,10 +61,7 @@ def test_a_documented_command_parses(line, tmp_path, monkeypatch):
 
 # -- running them
 
-TINY = {
-    "steps": 3, "points": 16, "targets": 32, "pinches": 8, "frames": 8, "hidden": 8, "classifier_steps": 5,
-    "refreshes": 0, "kinematics_steps": 5,
-}  # fmt: skip
+TINY = {"steps": 3, "hidden": 8}
 SETTINGS = " ".join(f"--set {name}={value}" for name, value in TINY.items())
 SHORT = "--scenario-text '{timeout: 0.3, monitor: {hold_time: 0.01}}'"
 # Name → commands that follow each other, each with a key of the JSON that it prints, or None without --json.

@@ -6,14 +6,16 @@ import pytest
 import yaml
 from script_modules import load_script
 
-from geort_drake.comparison.train import CONFIGS, training_config
+from geort_drake.comparison.train import training_config
 from geort_drake.errors import HandError
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.play import synthesize_play
 from geort_drake.resources import models_dir
+from geort_drake.retargeting.methods.geort import GeortConfig
+from geort_drake.retargeting.methods.linear_offline import LinearConfig
 
-OWN = {"geort": {"steps": 6, "coverage_weight": 3.5}, "geort_coupled": {"closed_wanted": 0.99}}
+OWN = {"geort": {"steps": 6, "coverage_weight": 3.5}, "geort_coupled": {"closed_target": 0.99}}
 
 
 @pytest.fixture
@@ -32,11 +34,11 @@ def described(tmp_path):
 def test_they_replace_defaults_and_give_way_to_what_is_asked_for(described):
     """Of the method in question alone, and with the type that the setting has."""
     hand = load_hand(described(OWN))
-    assert training_config("geort", hand=hand) == CONFIGS["geort"](steps=6, coverage_weight=3.5)
+    assert training_config("geort", hand=hand) == GeortConfig(steps=6, coverage_weight=3.5)
     assert isinstance(training_config("geort", hand=hand).steps, int)
     assert training_config("geort", {"steps": 9}, hand).steps == 9
-    assert training_config("linear_offline", hand=hand) == CONFIGS["linear_offline"]()
-    assert training_config("geort_coupled", hand=hand).closed_wanted == 0.99
+    assert training_config("linear_offline", hand=hand) == LinearConfig()
+    assert training_config("geort_coupled", hand=hand).closed_target == 0.99
 
 
 def test_checkpoints_fit_the_hand_whatever_its_settings(described):
@@ -78,8 +80,8 @@ def test_the_check_of_a_description_covers_them(described):
     """Where corrections are checked, whichever method they are for."""
     check = load_script("add_hand.py").main
     check([str(described(OWN))])
-    with pytest.raises(HandError, match="training: unknown setting of linear_offline 'closed_wanted'"):
-        check([str(described({"linear_offline": {"closed_wanted": 0.9}}))])
+    with pytest.raises(HandError, match="training: unknown setting of linear_offline 'closed_target'"):
+        check([str(described({"linear_offline": {"closed_target": 0.9}}))])
 
 
 def test_what_is_no_number_is_refused_with_the_file(described):

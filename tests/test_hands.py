@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.methods.numpy_kinematics import NumpyKinematics
+from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 
 def _uniform(hand: HandModel, rng, count: int) -> np.ndarray:

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from geort_drake.retargeting.methods.coupled.retargeter import CoupledRetargeter
+from geort_drake.retargeting.methods.coupled import CoupledRetargeter
 from geort_drake.retargeting.retargeter import Retargeter
 
 FINGERS, HIDDEN, OUTPUTS, RESIDUAL = ("thumb", "index", "middle"), 16, 3, 24

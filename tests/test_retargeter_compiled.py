@@ -12,7 +12,8 @@ from faults.sound import checkpoint
 
 from geort_drake.errors import GeortError, UnknownNameError
 from geort_drake.retargeting.compiled import _angles
-from geort_drake.retargeting.retargeter import METHODS, Retargeter, load_retargeter
+from geort_drake.retargeting.methods import trained_method
+from geort_drake.retargeting.retargeter import Retargeter, load_retargeter
 
 KEYPOINTS = [4, 8, 12, 16, 20]
 NAMES = ["thumb", "index", "middle", "ring", "little"]
@@ -38,7 +39,7 @@ def retargeter(fingers: int, hidden: int, shared: int, joints: int, scale: float
     # One output is no joint, and the others are joints in another order.
     columns = rng.permutation(outputs)[:n]
     lower = rng.uniform(-2.0, 0.0, n)
-    return METHODS["geort_coupled" if shared else "geort"](
+    return trained_method("geort_coupled" if shared else "geort").retargeter(
         {**arrays, "columns": columns},
         NAMES[:fingers],
         [f"joint_{j}" for j in range(n)],

@@ -8,37 +8,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from retargeting_toy import toy_kinematics
+from retargeting_toy import toy_kinematics, uneven_kinematics
 
 from geort_drake.errors import CheckpointError, GeortError, UnknownNameError
 from geort_drake.retargeting.checkpoint import REQUIRED, load_checkpoint, save_checkpoint
 from geort_drake.retargeting.retargeter import Retargeter, load_retargeter
-from geort_drake.retargeting.training.kinematics import FingerChain, HandKinematics
 from geort_drake.retargeting.training.networks import RetargetingNetwork
 
 KEYPOINTS = (4, 8, 12)
-
-
-def uneven_kinematics() -> HandKinematics:
-    """Two, three and one joints per finger, and q not in finger order."""
-    toy = toy_kinematics()
-    names = toy.joint_names[::-1]
-    fingers = []
-    for chain, count in zip(toy.fingers, (2, 3, 1), strict=True):
-        joints = chain.joint_names[:count]
-        fingers.append(
-            FingerChain(chain.name, joints, tuple(names.index(j) for j in joints), chain.X_PJ[:count],
-                        chain.axes[:count], chain.p_tip)
-        )  # fmt: skip
-    used = [name for name in names if any(name in finger.joint_names for finger in fingers)]
-    fingers = [
-        FingerChain(
-            f.name, f.joint_names, tuple(used.index(j) for j in f.joint_names), f.X_PJ, f.axes, f.p_tip
-        )
-        for f in fingers
-    ]
-    rows = [toy.joint_names.index(name) for name in used]
-    return HandKinematics(tuple(fingers), tuple(used), toy.lower[rows], toy.upper[rows], toy.tip_radius)
 
 
 def network_of(kinematics, seed=0) -> RetargetingNetwork:

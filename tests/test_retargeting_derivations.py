@@ -1,4 +1,4 @@
-"""What docs/concepts/derivations.md derives, checked by computation."""
+"""Checks the derivations of the documentation by computation."""
 
 import math
 
@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from geort_drake.retargeting.methods.coupled import losses as coupled_losses
-from geort_drake.retargeting.methods.geort import criteria
+from geort_drake.retargeting.training import criteria
 
 
 def sphere(count: int = 20_000) -> np.ndarray:

@@ -16,7 +16,7 @@ from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import WEIGHTS
-from geort_drake.retargeting.methods.registry import BASELINES, make_baseline
+from geort_drake.retargeting.methods import make_untrained, untrained_methods
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.simulation.diagram import Retarget
 
@@ -70,10 +70,10 @@ def make_retargeter(
     Raises:
         UnknownNameError, CheckpointError, TrainingError: see `cached_checkpoint` and `load_retargeter`.
     """
-    if method in BASELINES:
+    if method in untrained_methods():
         keypoints = hand.description.human_keypoints
         frames = recording.fingertips(keypoints).astype(float)
-        return make_baseline(method, canonical_kinematics(hand), keypoints, frames=frames, seed=seed), None
+        return make_untrained(method, canonical_kinematics(hand), keypoints, frames=frames, seed=seed), None
     kept = keep / name
     if name != method:
         load_retargeter(method, hand)

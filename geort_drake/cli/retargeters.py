@@ -11,7 +11,7 @@ from geort_drake.console import warn
 from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.methods.registry import BASELINES, make_baseline
+from geort_drake.retargeting.methods import make_untrained, untrained_methods
 from geort_drake.retargeting.retargeter import load_retargeter
 
 if TYPE_CHECKING:
@@ -29,11 +29,11 @@ def retargeter_of(
         The retargeter; its checkpoint, None if the method needs no training; and whether it existed before.
     """
     hand = HandModel(load_hand(hand_name))
-    if method in BASELINES:
+    if method in untrained_methods():
         keypoints = hand.description.human_keypoints
         frames = recording.fingertips(keypoints)
         kinematics = canonical_kinematics(hand)
-        return make_baseline(method, kinematics, keypoints, frames=frames, seed=seed), None, True
+        return make_untrained(method, kinematics, keypoints, frames=frames, seed=seed), None, True
     path, reused = cached_or_trained(hand_name, recording, method, seed, device)
     return load_retargeter(path, hand), path, reused
 

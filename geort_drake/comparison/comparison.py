@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from geort_drake.comparison import train
 from geort_drake.comparison.metric_table import mean, worst
 from geort_drake.comparison.metrics import MIN_FRAMES, RobotSpace, evaluate_frames, pinch, robot_space
 from geort_drake.comparison.protocols import HELD_OUT, SAME_PERSON, Case, Protocol
@@ -16,8 +15,8 @@ from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import CONFIG, load_checkpoint
+from geort_drake.retargeting.methods import all_methods, make_untrained, trained_methods, untrained_methods
 from geort_drake.retargeting.methods.online import VectorOnline
-from geort_drake.retargeting.methods.registry import BASELINES, make_baseline
 from geort_drake.retargeting.retargeter import load_retargeter
 
 # From (recording, method, seed) to the directory of a checkpoint, trained or found.
@@ -53,7 +52,7 @@ class Outcome:
 
 def method_names() -> tuple[str, ...]:
     """Every method by name: those that are trained, then those that are not."""
-    return (*train.METHODS, *BASELINES)
+    return tuple(all_methods())
 
 
 def check_methods(names: Sequence[str], hand: HandModel | None = None) -> None:
@@ -183,10 +182,10 @@ class Comparison:
         return Judged(finite_json(metrics), settled is not None, frames, p_BF)
 
     def _retargeter(self, name: str, protocol: Protocol, case: Case, seed: int) -> Callable:
-        if name in BASELINES:
+        if name in untrained_methods():
             learned = case.trained_on.fingertips(self._keypoints)
-            return make_baseline(name, self._kinematics, self._keypoints, frames=learned, seed=seed)
-        if name in train.METHODS:
+            return make_untrained(name, self._kinematics, self._keypoints, frames=learned, seed=seed)
+        if name in trained_methods():
             return load_retargeter(self._checkpoint_of(case.trained_on, name, seed), self.hand)
         if protocol.name == HELD_OUT:
             raise CheckpointError(

@@ -1,21 +1,20 @@
 """From a checkpoint and another person's recording to an evaluated checkpoint for that person."""
 
-import dataclasses
 import os
 import time
-from functools import partial
 from pathlib import Path
 
 from geort_drake.comparison.metrics import evaluate
 from geort_drake.comparison.train import training_recording
 from geort_drake.comparison.versions import versions
-from geort_drake.errors import CheckpointError, UnknownNameError
+from geort_drake.errors import CheckpointError
 from geort_drake.files import sha256_of
 from geort_drake.hands.canonical import canonical_kinematics, canonical_shapes
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.samples import robot_data
 from geort_drake.people.recording import Recording
+from geort_drake.retargeting.affine_refit import fit_affine, folded
 from geort_drake.retargeting.checkpoint import (
     TRAINED_POINTS,
     WEIGHTS,
@@ -23,14 +22,11 @@ from geort_drake.retargeting.checkpoint import (
     load_checkpoint,
     save_checkpoint,
 )
-from geort_drake.retargeting.methods.coupled.refit import FINE_TUNING, Tune, fine_tune, refit
-from geort_drake.retargeting.methods.coupled.training import CoupledConfig
-from geort_drake.retargeting.retargeter import METHODS as RETARGETERS
+from geort_drake.retargeting.method import TrainingData
+from geort_drake.retargeting.methods import trained_method
+from geort_drake.retargeting.methods.coupled import FINE_TUNING_STEPS
 from geort_drake.retargeting.trained_space import trained_points
 from geort_drake.retargeting.training.descent import Report
-from geort_drake.settings import settings_of
-
-FINE_TUNED_METHOD = "geort_coupled"
 
 
 def refit_checkpoint(
@@ -38,7 +34,7 @@ def refit_checkpoint(
     recording: Recording | str | os.PathLike,
     output: str | os.PathLike,
     hand_name: str | os.PathLike | None = None,
-    steps: int = FINE_TUNING.steps,
+    steps: int = FINE_TUNING_STEPS,
     seed: int = 0,
     report: Report | None = None,
 ) -> Path:
@@ -69,39 +65,31 @@ def refit_checkpoint(
             f"{old.path}: does not say where training saw the fingertips, as checkpoints before version 0.2; "
             "train a new one"
         )
-    if old.config["method"] not in RETARGETERS:
-        raise UnknownNameError("retargeting method", old.config["method"], RETARGETERS)
+    method = trained_method(old.config["method"])
     hand = HandModel(load_hand(hand_name or old.hand["name"]))
     old.check_hand(hand)
     recording = training_recording(recording, hand.description.side)
     p_HF = recording.fingertips(old.config["human_keypoints"])
     started = time.perf_counter()
-    method = old.config["method"]
-    tuned = steps > 0 and method == FINE_TUNED_METHOD
-    tune: Tune | None = None
-    if tuned:
-        # What was wanted of the map still is; other versions may have had other settings.
-        known = settings_of(CoupledConfig)
-        wanted = {name: value for name, value in old.config["training"].items() if name in known}
-        wanted |= {name: getattr(FINE_TUNING, name) for name in ("learning_rate", "averaging")}
-        config = dataclasses.replace(FINE_TUNING, **wanted | {"steps": steps})
-        # Those of the training, as they are kept.
+    maps = fit_affine(space, p_HF, old.config["finger_names"])
+    weights = folded({name: array for name, array in old.arrays.items() if name != TRAINED_POINTS}, maps)
+    timings = {"affine_s": time.perf_counter() - started}
+    history: list[dict[str, float]] = []
+    tuned = steps > 0 and method.fine_tune is not None
+    if method.fine_tune is not None and tuned:
+        # The same robot samples as in the training.
         sampled = old.provenance.get("robot_data", {})
         kept = {key: sampled[key] for key in ("count", "seed") if key in sampled}
-        samples = robot_data(hand, **kept, labels=False)
-        tune = partial(
-            fine_tune,
-            p_HF=p_HF,
-            kinematics=canonical_kinematics(hand),
-            samples=samples,
-            shapes=canonical_shapes(hand),
-            config=config,
-            seed=seed,
-            report=report,
+        data = TrainingData(
+            p_HF,
+            canonical_kinematics(hand),
+            robot_data(hand, **kept, labels=False).q,
+            shapes=lambda: canonical_shapes(hand),
         )
-    weights = {name: array for name, array in old.arrays.items() if name != TRAINED_POINTS}
-    result = refit(weights, space, p_HF, old.config["finger_names"], tune)
-    timings = {**result.timings, "fit_s": time.perf_counter() - started}
+        result = method.fine_tune(weights, data, old.config["training"], steps, seed, report)
+        weights, history = result.network.arrays(), result.history
+        timings["fine_tuning_s"] = time.perf_counter() - started - timings["affine_s"]
+    timings["fit_s"] = time.perf_counter() - started
     provenance = {
         **old.provenance,
         "recording": {"sha256": recording.digest, "frames": len(p_HF), "metadata": recording.metadata},
@@ -116,25 +104,25 @@ def refit_checkpoint(
                 finger: {"A": A.tolist(), "b": b.tolist(), "miss_mm": round(1e3 * float(miss), 3)}
                 for finger, A, b, miss in zip(
                     old.config["finger_names"],
-                    result.affine.A,
-                    result.affine.b,
-                    result.affine.miss,
+                    maps.A,
+                    maps.b,
+                    maps.miss,
                     strict=True,
                 )
             },
         },
     }
     names = old.config["finger_names"], old.config["joint_names"], old.config["human_keypoints"]
-    retarget = RETARGETERS[method](result.arrays, *names, hand.lower, hand.upper)
+    retarget = method.retargeter(weights, *names, hand.lower, hand.upper)
     metrics = evaluate(retarget, hand, recording, seed)
     return save_checkpoint(
         output,
-        {**result.arrays, TRAINED_POINTS: trained_points(p_HF)},
-        method=method,
+        {**weights, TRAINED_POINTS: trained_points(p_HF)},
+        method=method.name,
         hand=old.hand,
         human_keypoints=names[2],
         training=old.config.get("training", {}),
         provenance=provenance,
-        history=result.history,
+        history=history,
         metrics={"hand": old.hand["name"], "recording_sha256": recording.digest, "seed": seed, **metrics},
     )

@@ -8,16 +8,16 @@ import os
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import geort_drake
 from geort_drake.comparison.metrics import evaluate
 from geort_drake.comparison.versions import git_state, versions
 from geort_drake.console import TrainingBars
-from geort_drake.errors import CheckpointError, GeortError, HandError, RecordingError, UnknownNameError
+from geort_drake.errors import CheckpointError, GeortError, HandError, RecordingError
 from geort_drake.files import digest_of
 from geort_drake.hands.canonical import canonical_kinematics, canonical_shapes
 from geort_drake.hands.description import HandDescription, load_hand
@@ -34,34 +34,29 @@ from geort_drake.retargeting.checkpoint import (
     load_checkpoint,
     save_checkpoint,
 )
-from geort_drake.retargeting.methods.coupled.training import CoupledConfig, train_coupled
-from geort_drake.retargeting.methods.geort import Trainer, TrainingConfig, train_geort
-from geort_drake.retargeting.methods.linear_offline import train_linear_offline
-from geort_drake.retargeting.retargeter import METHODS as RETARGETERS
+from geort_drake.retargeting.method import TrainingConfig, TrainingData
+from geort_drake.retargeting.methods import DEFAULT_METHOD, trained_method
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.retargeting.trained_space import trained_points
 from geort_drake.retargeting.training.descent import Report
 from geort_drake.settings import check_names, parse_settings
+from geort_drake.sources import PACKAGE, imported_sources
 
-DEFAULT_METHOD = "geort_coupled"
-# Name of a retargeting method → the function that trains it, and the settings it has.
-METHODS: dict[str, Trainer] = {
-    "geort": train_geort,
-    "geort_coupled": train_coupled,
-    "linear_offline": train_linear_offline,
-}
-CONFIGS: dict[str, type[TrainingConfig]] = {
-    "geort": TrainingConfig,
-    "geort_coupled": CoupledConfig,
-    "linear_offline": TrainingConfig,
-}
-# Methods that learn from labels of collision; for the others they are not computed.
-LABELLED = frozenset({"geort"})
-# Methods that take the hand's collision shapes.
-SHAPED = frozenset({"geort_coupled"})
-_PACKAGE = Path(geort_drake.__file__).parent
-# The code that decides the weights besides data and settings: training, and the hand's samples and geometry.
-TRAINING_CODE = (_PACKAGE / "retargeting", _PACKAGE / "hands")
+
+def training_sources(method: str) -> list[Path]:
+    """The source files that decide the weights of a method: its training, and the hand's samples and shapes.
+
+    Raises:
+        UnknownNameError: no such method.
+    """
+    module = trained_method(method).train.__module__.partition(".")[2].replace(".", "/")  # type: ignore[attr-defined]
+    entry = f"{module}.py" if (PACKAGE / f"{module}.py").is_file() else f"{module}/__init__.py"
+    sources = imported_sources(
+        [entry, "hands/samples.py", "hands/canonical.py"],
+        # They evaluate the weights, which do not depend on them.
+        left_out=["retargeting/numpy_retargeter.py", "retargeting/methods/coupled/retargeter.py"],
+    )
+    return [path for path in sources if path.relative_to(PACKAGE).parts[0] in ("retargeting", "hands")]
 
 
 def training_config(
@@ -74,10 +69,9 @@ def training_config(
         HandError: the description's settings are unusable.
         TrainingError: a value makes no sense.
     """
-    if method not in METHODS:
-        raise UnknownNameError("retargeting method", method, METHODS)
-    check_names(settings or {}, CONFIGS[method], method)
-    config = CONFIGS[method](**{**(hand_settings(hand, method) if hand else {}), **(settings or {})})
+    kind = trained_method(method).config
+    check_names(settings or {}, kind, method)
+    config = kind(**{**(hand_settings(hand, method) if hand else {}), **(settings or {})})
     config.validate()
     return config
 
@@ -91,11 +85,10 @@ def hand_settings(hand: HandDescription, method: str) -> dict[str, Any]:
     settings = {}
     try:
         for of, numbers in hand.training.items():
-            if of not in METHODS:
-                raise UnknownNameError("retargeting method", of, METHODS)
+            kind = trained_method(of).config
             texts = [f"{name}={number:.15g}" for name, number in numbers.items()]
-            settings[of] = parse_settings(texts, CONFIGS[of], of)
-            CONFIGS[of](**settings[of]).validate()
+            settings[of] = parse_settings(texts, kind, of)
+            kind(**settings[of]).validate()
     except GeortError as error:
         raise HandError(f"hand '{hand.name}': training: {error}") from error
     return settings.get(method, {})
@@ -123,7 +116,7 @@ def train_checkpoint(
         seed: of everything random: robot samples, synthetic play, training and metrics.
         device: "cpu" or "cuda".
         show_progress: draw progress bars on stderr.
-        settings: fields of the method's config that differ from its defaults and the hand's; see `CONFIGS`.
+        settings: fields of the method's config that differ from its defaults and the hand's.
         robot_samples: how many joint positions of the robot are sampled.
         report: see `Report`.
 
@@ -150,28 +143,26 @@ def train_checkpoint(
             p_HF = recording.fingertips(keypoints)
             said = narrow_motions(recording.p_HK[recording.valid], keypoints)
         with _timed(timings, "robot_data_s"):
-            labels = method in LABELLED
-            counter = bars.counter("robot samples")
-            samples = robot_data(hand, robot_samples, seed, progress=counter, labels=labels)
-        extra: dict[str, object] = {}
-        if labels:
-            extra["collides_beyond_tips"] = hand.collides_beyond_tips
-        if method in SHAPED:
-            extra["shapes"] = canonical_shapes(hand)
+            samples = robot_data(hand, robot_samples, seed, labels=False)
+        labelled: list[np.ndarray] = []
+
+        def labels() -> np.ndarray:
+            with _timed(timings, "robot_data_s"):
+                counter = bars.counter("robot samples")
+                labelled.append(robot_data(hand, robot_samples, seed, progress=counter).collides_beyond_tips)
+            return labelled[0]
+
+        data = TrainingData(
+            p_HF, kinematics, samples.q, labels, hand.collides_beyond_tips, partial(canonical_shapes, hand)
+        )
+        trained = trained_method(method)
         with _timed(timings, "fit_s"), _collected(said):
-            result = METHODS[method](
-                p_HF,
-                kinematics,
-                samples,
-                config,
-                seed,
-                device,
-                report=bars.losses("training", report),
-                **extra,
-            )
+            result = trained.train(data, config, seed, device, bars.losses("training", report))
+        if labelled:  # which took part of that time
+            timings["fit_s"] -= timings["robot_data_s"]
         arrays = result.network.arrays()
         names = (hand.finger_names, hand.joint_names)
-        retarget = RETARGETERS[method](arrays, *names, keypoints, hand.lower, hand.upper)
+        retarget = trained.retargeter(arrays, *names, keypoints, hand.lower, hand.upper)
         with _timed(timings, "evaluation_s"), bars.spinner("evaluation"):
             metrics = evaluate(retarget, hand, recording, seed)
     metrics = {"hand": description.name, "recording_sha256": recording.digest, "seed": seed, **metrics}
@@ -202,7 +193,7 @@ def train_checkpoint(
                 "count": len(samples.q),
                 "seed": seed,
                 "model_sha256": samples.digest,
-                "labels": labels,
+                "labels": bool(labelled),
             },
             "seed": seed,
             "warnings": said,
@@ -237,7 +228,7 @@ def cached_checkpoint(
     """The checkpoint for a hand and a recording from the cache, trained first if it is not there.
 
     The key covers the hand's model and description, the recording, method, seed, device, the method's
-    settings, and the code of training and hands. A damaged checkpoint is trained again. Warnings of training
+    settings, and `training_sources`. A damaged checkpoint is trained again. Warnings of training
     are repeated at every use.
 
     Args:
@@ -259,7 +250,7 @@ def cached_checkpoint(
         "seed": seed,
         "device": device,
         "training": dataclasses.asdict(config),
-        "code": digest_of(_PACKAGE, TRAINING_CODE),
+        "code": digest_of(PACKAGE, training_sources(method)),
     }
     key = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
     path = cache_dir() / "retargeters" / f"{hand.description.name}-{method}-{key}"
@@ -308,4 +299,4 @@ def _collected(said: list[str]) -> Iterator[None]:
 def _timed(timings: dict[str, float], name: str) -> Iterator[None]:
     started = time.perf_counter()
     yield
-    timings[name] = time.perf_counter() - started
+    timings[name] = timings.get(name, 0.0) + time.perf_counter() - started

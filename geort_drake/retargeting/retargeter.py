@@ -1,210 +1,21 @@
-"""The trained map from human fingertips to robot joints: in NumPy alone, or for one hand compiled by numba.
+"""Loads a trained map from human fingertips to robot joints.
 
 retarget = load_retargeter("runs/allegro_right")
 q = retarget(p_HF)
 """
 
 import os
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
-from geort_drake.errors import CheckpointError, GeortError, UnknownNameError
-from geort_drake.joint_ranges import MAX_ANGLE
-from geort_drake.retargeting.aligned import aligned
+from geort_drake.errors import UnknownNameError
 from geort_drake.retargeting.checkpoint import TrainedHand, load_checkpoint
-from geort_drake.retargeting.human_points import HumanPoints
-from geort_drake.retargeting.trained_space import TrainedSpace
+from geort_drake.retargeting.methods import trained_method
+from geort_drake.retargeting.numpy_retargeter import Retargeter
 
-# Trained weights stay below 100; products of much larger ones may overflow.
-_MAX_WEIGHT = 1e6
 BACKENDS = ("numpy", "numba")
 
-
-class Retargeter:
-    """Independent per-finger networks, 3 → hidden → hidden → joints, evaluated as one of 3F → H → H → n.
-
-    Stateless and safe to share between threads; what it returns belongs to the caller.
-
-    Attributes:
-        finger_names: F fingers, in the order of the inputs.
-        joint_names: n joints, in the order of the outputs.
-        lower, upper: (n,) joint limits, rad; outputs are always inside.
-        trained_space: where training saw the fingertips; None where that is not known.
-    """
-
-    trained_space: TrainedSpace | None = None
-    # Layer 1 of what is common to the fingers (r, r); nothing here.
-    _residual_weight1 = np.zeros((0, 0))
-    _one_hand: Callable[[np.ndarray], np.ndarray | None] | None = None
-
-    def __init__(
-        self,
-        arrays: Mapping[str, np.ndarray],
-        finger_names: Sequence[str],
-        joint_names: Sequence[str],
-        human_keypoints: Sequence[int],
-        lower: np.ndarray,
-        upper: np.ndarray,
-    ):
-        """Builds the map from its weights.
-
-        Args:
-            arrays: weight0 (F, 3, h), bias0 (F, 1, h), weight1 (F, h, h), bias1 (F, 1, h),
-                weight2 (F, h, k), bias2 (F, 1, k); columns (n,), which of the F·k outputs is joint j.
-            finger_names: F names.
-            joint_names: n names.
-            human_keypoints: F numbers of the keypoints that are the human fingertips.
-            lower, upper: (n,) joint limits, rad.
-
-        Raises:
-            CheckpointError: an array is missing, of a wrong shape, not finite or beyond ±1e6; or a joint
-                limit is not finite or beyond ±100 rad.
-        """
-        self.finger_names, self.joint_names = tuple(finger_names), tuple(joint_names)
-        self.lower, self.upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
-        for name, limits in (("lower", self.lower), ("upper", self.upper)):
-            if not (np.abs(limits) <= MAX_ANGLE).all():
-                raise CheckpointError(f"{name} must be finite and within ±{MAX_ANGLE:g} rad, it is {limits}")
-        self._fingertips = HumanPoints(finger_names, human_keypoints)
-        self._centre = 0.5 * (self.lower + self.upper)
-        # Rounding must not carry a saturated output past its limit.
-        self._half_range = 0.5 * (self.upper - self.lower) * (1.0 - 1e-12)
-        self._set_weights(arrays)
-
-    def _set_weights(self, arrays: Mapping[str, np.ndarray]) -> None:
-        fingers = len(self.finger_names)
-        hidden = _array(arrays, "weight0", (fingers, 3, -1)).shape[2]
-        outputs = fingers * _array(arrays, "weight2", (fingers, hidden, -1)).shape[2]
-        self._columns = _array(arrays, "columns", (len(self.joint_names),))
-        if (
-            self._columns.dtype.kind not in "iu"
-            or len(set(self._columns.tolist())) != self._columns.size
-            or not (0 <= self._columns.min() and self._columns.max() < outputs)
-        ):
-            raise CheckpointError(
-                f"weights: columns must be {self._columns.size} different numbers below {outputs}"
-            )
-        # The fingers' first and last layers are one layer each, whose zeros cost less than a stack of
-        # products; between them the zeros would be too many. Layers 0 and 1 are halved for `_silu`.
-        self._own, self._apart = slice(0, fingers * hidden), (fingers, 1, hidden)
-        self._finger_weight0 = 0.5 * arrays["weight0"]
-        self._weight0 = aligned(_block_diagonal(self._finger_weight0))
-        self._bias0 = 0.5 * _array(arrays, "bias0", (fingers, 1, hidden)).ravel()
-        self._weight1 = aligned(0.5 * _array(arrays, "weight1", (fingers, hidden, hidden)))
-        self._bias1 = 0.5 * _array(arrays, "bias1", (fingers, 1, hidden)).ravel()
-        self._weight2 = aligned(_block_diagonal(arrays["weight2"])[:, self._columns])
-        self._bias2 = _array(arrays, "bias2", (fingers, 1, outputs // fingers)).ravel()[self._columns]
-
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Joint angles in rad for human hands.
-
-        Args:
-            points: fingertips p_HF (F, 3) or (N, F, 3), or whole hands p_HK (21, 3) or (N, 21, 3),
-                in the wrist frame H, m.
-
-        Returns:
-            (n,) or (N, n).
-
-        Raises:
-            ValueError: points have another shape.
-            GeortError: a coordinate is not finite.
-        """
-        if self._one_hand is not None and (compiled := self._one_hand(points)) is not None:
-            return compiled
-        p_HF = self._fingertips(points)
-        x = p_HF.reshape(-1) if p_HF.ndim == 2 else p_HF.reshape(-1, len(self._weight0))
-        u = x.dot(self._weight0)
-        u += self._bias0
-        h = _silu(u)
-        self._between(h, u)
-        u += self._bias1
-        q = _silu(u).dot(self._weight2)
-        q += self._bias2
-        np.tanh(q, q)
-        q *= self._half_range
-        q += self._centre
-        return q
-
-    def compile(self) -> None:
-        """Has calls for one hand computed by numba, in half the time and equal to 1e-12 rad.
-
-        Raises:
-            GeortError: numba is not installed, or cannot keep what it compiles.
-        """
-        try:
-            from geort_drake.retargeting.compiled import Layers, OneHand
-        except (ImportError, RuntimeError) as error:  # the latter where it finds no place for its cache
-            raise GeortError(
-                f"the backend 'numba' needs the package numba: pip install numba ({error})"
-            ) from error
-        layers = Layers(
-            bias0=self._bias0,
-            bias1=self._bias1,
-            weight0=self._weight0,
-            own=self._weight1,
-            shared=self._residual_weight1,
-            weight2=self._weight2,
-            bias2=self._bias2,
-            half_range=self._half_range,
-            centre=self._centre,
-        )
-        self._one_hand = OneHand(layers, self._fingertips.keypoints.tolist())
-
-    def value_and_jacobian(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Joint angles q and ∂q/∂p_HF of one hand, at the cost of the Jacobian alone.
-
-        Args:
-            points: fingertips p_HF (F, 3) or a whole hand p_HK (21, 3), in the wrist frame H, m.
-
-        Returns:
-            q (n,) in rad, as the call gives it, and J (n, F, 3) in rad/m: J[j, f] is the gradient of joint
-            j with respect to fingertip f. Keypoints that are no fingertips have no influence.
-
-        Raises:
-            ValueError: points have another shape, or are several hands.
-            GeortError: a coordinate is not finite.
-        """
-        p_HF = self._fingertips(points)
-        if p_HF.ndim != 2:
-            raise ValueError(f"jacobian takes one hand, ({len(self.finger_names)}, 3), not {p_HF.shape}")
-        x = p_HF.reshape(-1)
-        u = x.dot(self._weight0)
-        u += self._bias0
-        h, slope0 = _silu_and_slope(u)
-        self._between(h, u)
-        u += self._bias1
-        h, slope1 = _silu_and_slope(u)
-        y = h.dot(self._weight2)
-        y += self._bias2
-        np.tanh(y, y)
-        J = self._gradient(slope0, slope1)
-        J *= self._half_range - self._half_range * y * y
-        y *= self._half_range
-        y += self._centre
-        return y, J.T.reshape(y.size, *p_HF.shape)
-
-    def jacobian(self, points: np.ndarray) -> np.ndarray:
-        """∂q/∂p_HF (n, F, 3) in rad/m of one hand (F, 3) or (21, 3); see `value_and_jacobian`."""
-        return self.value_and_jacobian(points)[1]
-
-    def _between(self, h: np.ndarray, u: np.ndarray) -> None:
-        """Layer 1 without its bias, of h (H,) or (N, H) into u of the same shape: fingers do not mix."""
-        if h.ndim == 1:
-            np.matmul(h[self._own].reshape(self._apart), self._weight1, u[self._own].reshape(self._apart))
-        else:
-            apart = (-1, len(self._weight1), self._weight1.shape[1])
-            into = u[:, self._own].reshape(apart).swapaxes(0, 1)
-            np.matmul(h[:, self._own].reshape(apart).swapaxes(0, 1), self._weight1, out=into)
-
-    def _gradient(self, slope0: np.ndarray, slope1: np.ndarray) -> np.ndarray:
-        """Derivative (3F, n) of what goes into the tanh, for the slopes (H,) of the activations."""
-        # Forward through the layers, because a finger has fewer coordinates than joints.
-        chain = (self._finger_weight0 * slope0[self._own].reshape(self._apart)) @ self._weight1
-        chain *= slope1[self._own].reshape(self._apart)
-        weight2 = self._weight2[self._own].reshape(*self._weight1.shape[:2], -1)
-        return (chain @ weight2).reshape(len(self._weight0), -1)
+__all__ = ["BACKENDS", "Retargeter", "load_retargeter"]
 
 
 def load_retargeter(
@@ -214,24 +25,21 @@ def load_retargeter(
 
     Args:
         path: the directory.
-        hand: where given, a hand model (`joint_names`, `finger_names`, `digest`) that the
-            checkpoint must have been trained for.
-        backend: what computes calls for one hand, "numpy" or "numba"; see `Retargeter.compile`.
+        hand: a hand model (`joint_names`, `finger_names`, `digest`) for which the checkpoint must have been
+            trained; None does not check.
+        backend: "numpy", or "numba", which halves the time of calls for one hand; see `Retargeter.compile`.
 
     Raises:
         CheckpointError: a file is missing or altered, or the checkpoint is for another hand.
-        UnknownNameError: the checkpoint's method is not known to this version, or there is no such backend.
-        GeortError: numba is wanted and not installed.
+        UnknownNameError: this version does not know the checkpoint's method, or there is no such backend.
+        GeortError: the backend is numba, which is not installed.
     """
     if backend not in BACKENDS:
         raise UnknownNameError("backend", backend, BACKENDS)
     checkpoint = load_checkpoint(path)
     if hand is not None:
         checkpoint.check_hand(hand)
-    method = checkpoint.config["method"]
-    if method not in METHODS:
-        raise UnknownNameError("retargeting method", method, METHODS)
-    retargeter = METHODS[method](
+    retargeter = trained_method(checkpoint.config["method"]).retargeter(
         checkpoint.arrays,
         checkpoint.config["finger_names"],
         checkpoint.config["joint_names"],
@@ -243,64 +51,3 @@ def load_retargeter(
     if backend == "numba":
         retargeter.compile()
     return retargeter
-
-
-def _coupled(*arguments: Any) -> Retargeter:
-    # Imported here because it builds on this module.
-    from geort_drake.retargeting.methods.coupled.retargeter import CoupledRetargeter
-
-    return CoupledRetargeter(*arguments)
-
-
-# Name in a checkpoint's config.json → what makes the map from its weights, called as `Retargeter` is.
-METHODS: dict[str, Callable[..., Retargeter]] = {
-    "geort": Retargeter,
-    "geort_coupled": _coupled,
-    "linear_offline": Retargeter,
-}
-
-
-def _silu(u: np.ndarray) -> np.ndarray:
-    """silu(2u) = u + u tanh u, which overflows nowhere."""
-    h = np.tanh(u)
-    h *= u
-    h += u
-    return h
-
-
-def _silu_and_slope(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """silu(2u) and its derivative with respect to u."""
-    s = np.tanh(u)
-    s += 1.0
-    h = s * u
-    slope = 2.0 - s
-    slope *= h
-    slope += s
-    return h, slope
-
-
-def _block_diagonal(blocks: np.ndarray) -> np.ndarray:
-    """(G·a, G·b) of blocks (G, a, b)."""
-    count, rows, columns = blocks.shape
-    full = np.zeros((count, rows, count, columns))
-    full[np.arange(count), :, np.arange(count)] = blocks
-    return full.reshape(count * rows, count * columns)
-
-
-def _array(arrays: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """The named array, checked; −1 in `shape` stands for any size but 0."""
-    if name not in arrays:
-        raise CheckpointError(f"weights: '{name}' is missing; there are {', '.join(sorted(arrays))}")
-    value = arrays[name]
-    fits = value.ndim == len(shape) and all(
-        wanted == given or (wanted == -1 and given > 0)
-        for wanted, given in zip(shape, value.shape, strict=True)
-    )
-    if not fits or value.dtype.kind not in "fiu" or not np.isfinite(value).all():
-        raise CheckpointError(
-            f"weights: '{name}' must be finite and of shape {shape}, it has {value.shape} of {value.dtype}"
-        )
-    farthest = max(float(value.min()), float(value.max()), key=abs)
-    if abs(farthest) > _MAX_WEIGHT:
-        raise CheckpointError(f"weights: '{name}' must be within ±{_MAX_WEIGHT:g}, it has {farthest:g}")
-    return value

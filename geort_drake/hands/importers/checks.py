@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 
 from geort_drake.hands.importers.resting import contact_shares
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.methods.numpy_kinematics import NumpyKinematics
+from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 # Ranges of joints outside of these are mistakes more often than not, rad.
 _NARROW, _WIDE = np.deg2rad(5.0), 2.0 * np.pi

@@ -1,1 +1,89 @@
-"""Retargeting methods that GeoRT is compared with, written from their papers."""
+"""The retargeting methods by name.
+
+A module of this package that defines `METHODS`, a tuple of `TrainedMethod` or `UntrainedMethod`, adds
+methods; nothing else needs to know of it. Such a module imports torch and SciPy inside its functions, because
+loading a retargeter imports them all and runs on computers without torch.
+"""
+
+import functools
+import importlib
+import pkgutil
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geort_drake.errors import GeortError, UnknownNameError
+from geort_drake.retargeting.method import Retarget, TrainedMethod, UntrainedMethod
+
+if TYPE_CHECKING:
+    from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
+    from geort_drake.retargeting.training.kinematics import HandKinematics
+
+DEFAULT_METHOD = "geort_coupled"
+
+
+@functools.cache
+def all_methods() -> dict[str, TrainedMethod | UntrainedMethod]:
+    """Every method by name: first those that are trained."""
+    found: list[TrainedMethod | UntrainedMethod] = []
+    for module in pkgutil.iter_modules(__path__):
+        found += getattr(importlib.import_module(f"{__name__}.{module.name}"), "METHODS", ())
+    found.sort(key=lambda method: (isinstance(method, UntrainedMethod), method.name))
+    return {method.name: method for method in found}
+
+
+def trained_methods() -> dict[str, TrainedMethod]:
+    """The methods that are trained, by name."""
+    return {name: method for name, method in all_methods().items() if isinstance(method, TrainedMethod)}
+
+
+def untrained_methods() -> dict[str, UntrainedMethod]:
+    """The methods that need no training, by name."""
+    return {name: method for name, method in all_methods().items() if isinstance(method, UntrainedMethod)}
+
+
+def trained_method(name: str) -> TrainedMethod:
+    """The trained method of that name.
+
+    Raises:
+        UnknownNameError: there is none; the message lists those there are.
+    """
+    methods = trained_methods()
+    if name not in methods:
+        raise UnknownNameError("retargeting method", name, methods)
+    return methods[name]
+
+
+def make_untrained(
+    name: str,
+    kinematics: "HandKinematics | NumpyKinematics",
+    human_keypoints: Sequence[int] | None = None,
+    frames: np.ndarray | None = None,
+    seed: int = 0,
+    **settings: Any,
+) -> Retarget:
+    """A retargeter that needs no training, called as `Retargeter` is.
+
+    Args:
+        name: one of `untrained_methods()`.
+        kinematics: of the robot hand, mirrored for a left one.
+        human_keypoints: keypoint of each finger's tip; None goes by the fingers' names.
+        frames: recorded fingertips (T, F, 3), m, which nearest_neighbour draws from.
+        seed: of that draw.
+        settings: of the method.
+
+    Raises:
+        UnknownNameError: no such method or setting.
+        GeortError: a setting makes no sense, or frames are missing.
+    """
+    methods = untrained_methods()
+    if name not in methods:
+        raise UnknownNameError("retargeting method without training", name, methods)
+    method = methods[name]
+    for setting in settings:
+        if not method.settings:
+            raise GeortError(f"{name} has no settings; given: {', '.join(settings)}")
+        if setting not in method.settings:
+            raise UnknownNameError(f"setting of {name}", setting, method.settings)
+    return method.make(kinematics, human_keypoints, frames, seed, **settings)

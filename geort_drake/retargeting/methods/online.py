@@ -4,17 +4,18 @@ Both follow Eq. 1 of the GeoRT paper with hand-made scale, weights and task vect
 joint angles of the frame before and are pulled towards them, so what they answer depends on the past.
 """
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from geort_drake.errors import GeortError, HandError
 from geort_drake.retargeting.human_points import HumanPoints
-from geort_drake.retargeting.methods.numpy_kinematics import NumpyKinematics
+from geort_drake.retargeting.method import UntrainedMethod
 from geort_drake.retargeting.methods.task_vectors import WRIST, TaskVectors
+from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 if TYPE_CHECKING:
     from geort_drake.retargeting.training.kinematics import HandKinematics
@@ -145,6 +146,8 @@ class VectorOnline:
         Returns:
             A function from (N, F, 3) to joint angles (N, n).
         """
+        from scipy.spatial import cKDTree
+
         frames = self._points(frames)
         self.reset()
         q, projected = [], []
@@ -249,3 +252,30 @@ class DexPilotOnline(VectorOnline):
         weights = np.full(human.shape[:2], float(pairs + fingers))
         weights[:, :pairs] = np.where(switched, heavy, 1.0)
         return targets, weights, near
+
+
+def _make(method: type[VectorOnline]) -> Callable:
+    def make(
+        kinematics: "HandKinematics | NumpyKinematics",
+        human_keypoints: Sequence[int] | None,
+        _frames: np.ndarray | None,
+        _seed: int,
+        **settings: float,
+    ) -> VectorOnline:
+        return method(kinematics, method.config_type(**settings), human_keypoints)
+
+    return make
+
+
+METHODS = tuple(
+    UntrainedMethod(
+        name,
+        f"{whose} vectors, optimised at every frame",
+        _make(method),
+        tuple(item.name for item in dataclasses.fields(method.config_type)),
+    )
+    for name, whose, method in (
+        ("vector_online", "AnyTeleop's", VectorOnline),
+        ("dexpilot_online", "DexPilot's", DexPilotOnline),
+    )
+)

@@ -10,7 +10,7 @@ by side, which is what makes it possible to measure a method that optimises.
 
 import numpy as np
 
-from geort_drake.retargeting.methods.numpy_kinematics import NumpyKinematics
+from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 WRIST = -1  # origin of a task vector that starts at the wrist
 

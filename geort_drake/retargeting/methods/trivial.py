@@ -1,15 +1,15 @@
-"""What needs no thought at all; a method that does not beat these has learned nothing."""
+"""Trivial methods, as lower bounds for all others."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from geort_drake.errors import GeortError
 from geort_drake.retargeting.human_points import HumanPoints
-from geort_drake.retargeting.methods.numpy_kinematics import NumpyKinematics
+from geort_drake.retargeting.method import UntrainedMethod
 from geort_drake.retargeting.methods.online import VectorOnline
+from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 if TYPE_CHECKING:
     from geort_drake.retargeting.training.kinematics import HandKinematics
@@ -41,7 +41,7 @@ class NearestNeighbour(Hold):
     def __init__(
         self,
         kinematics: "HandKinematics | NumpyKinematics",
-        frames: np.ndarray,
+        frames: np.ndarray | None,
         count: int = 300,
         seed: int = 0,
         human_keypoints: Sequence[int] | None = None,
@@ -51,8 +51,10 @@ class NearestNeighbour(Hold):
         Raises:
             GeortError: there are no frames, or a coordinate is not finite.
         """
+        from scipy.spatial import cKDTree
+
         super().__init__(kinematics, human_keypoints)
-        frames = self._points(frames)
+        frames = np.empty((0, 0, 3)) if frames is None else self._points(frames)
         if frames.ndim != 3 or len(frames) == 0:
             raise GeortError("nearest_neighbour needs recorded frames (T, F, 3) to store")
         rows = np.random.default_rng(seed).permutation(len(frames))[:count]
@@ -65,3 +67,19 @@ class NearestNeighbour(Hold):
         p_HF = self._points(points)
         _, nearest = self._tree.query(p_HF.reshape(*p_HF.shape[:-2], -1))
         return self._q[nearest].copy()
+
+
+METHODS = (
+    UntrainedMethod(
+        "hold",
+        "ignores the person's fingers",
+        lambda kinematics, human_keypoints, _frames, _seed: Hold(kinematics, human_keypoints),
+    ),
+    UntrainedMethod(
+        "nearest_neighbour",
+        "the nearest of 300 stored hands",
+        lambda kinematics, human_keypoints, frames, seed: NearestNeighbour(
+            kinematics, frames, seed=seed, human_keypoints=human_keypoints
+        ),
+    ),
+)

@@ -1,4 +1,4 @@
-"""What a descent asks about the map as it is, in a process of its own or here."""
+"""Calls functions of a network in the background while its training goes on."""
 
 import contextlib
 import copy
@@ -16,22 +16,22 @@ from geort_drake.errors import TrainingError
 from geort_drake.processes import end_with
 
 
-class Beside:
-    """Calls functions of a map, one call after the other; used as a context manager.
+class BackgroundProcess:
+    """Calls functions of a network one after the other in another process; a context manager.
 
-    Threads would wait for each other's Python, which costs a descent about an eighth of its time. The results
-    are the same bit for bit in a process and here.
+    Results are the same bit for bit without the process. A thread instead would slow training down by an
+    eighth.
     """
 
-    def __init__(self, functions: Mapping[str, Callable], process: bool):
-        """Takes what is called as function(network, ...), by name.
+    def __init__(self, functions: Mapping[str, Callable], separate: bool):
+        """Takes functions, called as function(network, ...), by name; they may keep a state between calls.
 
-        A function may keep a state from call to call; in a process it is a copy's.
+        Without `separate` they are called in this process when they are started.
         """
         self._functions, self._pool = functions, None
-        if process:
+        if separate:
             self._pool = ProcessPoolExecutor(1, initializer=_begin, initargs=(os.getpid(),))
-            # As a first call, which is not waited for, unlike what an initializer is given.
+            # A first call instead of an initializer's argument, which would be waited for.
             self._pool.submit(_take, functions)
 
     def __enter__(self) -> Self:
@@ -42,14 +42,14 @@ class Beside:
             self._pool.shutdown()
 
     def start(self, name: str, network: nn.Module, *arguments: Any) -> Future:
-        """Begins to call a function of a copy, on the CPU, of the network as it is now.
+        """Starts a call with a copy, on the CPU, of the network as it is now.
 
         Raises:
             TrainingError: the process ended.
         """
         now = copy.deepcopy(network).cpu()
         if self._pool is not None:
-            with _process_named():
+            with _named_failure():
                 return self._pool.submit(_call, name, now, *arguments)
         future: Future = Future()
         future.set_result(self._functions[name](now, *arguments))
@@ -57,30 +57,30 @@ class Beside:
 
 
 def result_of(future: Future) -> Any:
-    """What the call gave.
+    """The result of a call.
 
     Raises:
         TrainingError: its process ended.
     """
-    with _process_named():
+    with _named_failure():
         return future.result()
 
 
 @contextlib.contextmanager
-def _process_named() -> Iterator[None]:
+def _named_failure() -> Iterator[None]:
     try:
         yield
     except BrokenExecutor as error:
         raise TrainingError(
-            "the process that prepares the batches of training ended, perhaps for want of memory"
+            "the background process of the training ended, perhaps for lack of memory"
         ) from error
 
 
-_functions: dict[str, Callable] = {}  # of a process that takes part
+_functions: dict[str, Callable] = {}  # in the background process
 
 
 def _begin(starter: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the descent is interrupted, and ends this process
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the training process handles it and ends this one
     end_with(starter)
     torch.set_num_threads(1)
 

@@ -1,4 +1,4 @@
-"""The descent of every map that is trained: its schedule, its history, and what happens when it diverges."""
+"""Gradient descent shared by all trained methods: schedule, history, divergence."""
 
 import contextlib
 import copy
@@ -21,7 +21,7 @@ AVERAGE_EVERY = 5  # steps, between which weights hardly move
 
 
 class Optimiser(Protocol):
-    """What moves the weights: torch's optimisers, and `Soap`."""
+    """torch's optimisers, and `Soap`."""
 
     param_groups: list[dict[str, Any]]
 
@@ -52,15 +52,15 @@ def descend(
     """Minimises a loss; the learning rate falls to zero along half a cosine.
 
     Args:
-        network: what is trained, in place.
+        network: trained in place.
         losses: called with the step, returns the loss and the terms it is the sum of.
         steps: how many.
         learning_rate: of the first step after the warm-up.
         report: see `Report`.
-        optimiser: of the network's parameters; None is Adam.
+        optimiser: of the network's parameters; None takes Adam.
         warm_up: steps in which the learning rate rises from zero.
-        averaging: share that the average of the weights keeps at each step of the second half; the
-            average is what remains in the network at the end. 0: the last weights remain.
+        averaging: decay per step of a moving average of the weights in the second half, which the network has
+            at the end. 0: it keeps the last weights.
 
     Raises:
         TrainingError: the loss is not finite at the first step. When it stops being finite later, the
@@ -99,7 +99,7 @@ def descend(
             history.append(values)
             if report is not None:
                 report(step + 1, steps, values, network)
-    # The last step's weights were in no loss yet.
+    # No loss has seen the weights of the last step.
     if stopped_at is None and not all(torch.isfinite(p).all() for p in network.parameters()):
         stopped_at = steps
     if stopped_at is not None:
@@ -114,7 +114,7 @@ def descend(
         )
         return Descent(history, time.perf_counter() - started, stopped_at)
     if len(history) >= 100:
-        # A map that is driven into its limits has a finite loss, and learns nothing more.
+        # The loss of a saturated map is finite, but the map learns nothing more.
         last = sum(row["total"] for row in history[-10:]) / 10
         if last >= history[0]["total"]:
             warnings.warn(
@@ -130,11 +130,7 @@ def descend(
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """Lets torch use one CPU thread.
-
-    The products are too small to gain from a second one, and waiting for each other costs threads far
-    more than they save as soon as the machine has anything else to do.
-    """
+    """Limits torch to one CPU thread, because the matrices are too small to gain from a second one."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

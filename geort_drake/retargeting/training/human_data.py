@@ -1,4 +1,4 @@
-"""What GeoRT learns from about the person: real frames, and each fingertip's cloud."""
+"""Human fingertips as training data: recorded frames, and the cloud of each fingertip."""
 
 import warnings
 from collections.abc import Sequence
@@ -6,8 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from geort_drake.errors import TrainingError
+from geort_drake.people.recording import PINCH_M
 from geort_drake.retargeting.clouds import voxel_thinned, without_repeats
 
+HUMAN_VOXEL = 0.001  # m; thinning of the clouds
 MIN_CLOUD = 50
 
 
@@ -24,7 +26,7 @@ class HumanData:
             hand without a thumb.
     """
 
-    def __init__(self, p_HF: np.ndarray, finger_names: Sequence[str], voxel: float):
+    def __init__(self, p_HF: np.ndarray, finger_names: Sequence[str], voxel: float = HUMAN_VOXEL):
         """Takes fingertips (T, F, 3) in H, m, whose rows are instants.
 
         Raises:
@@ -55,8 +57,8 @@ class HumanData:
         else:
             self.pairs = [(i, j) for i in range(fingers) for j in range(i + 1, fingers)]
 
-    def check_pinches(self, threshold: float) -> None:
-        """Warns of fingers that never pinch: nearest to the thumb, with tips under `threshold` (m) apart.
+    def check_pinches(self) -> None:
+        """Warns of fingers that never pinch: nearest to the thumb, with tips less than `PINCH_M` apart.
 
         Raises:
             TrainingError: no pair of fingertips ever pinches.
@@ -65,13 +67,13 @@ class HumanData:
             return
         first, second = zip(*self.pairs, strict=True)
         distance = np.linalg.norm(self.frames[:, list(first)] - self.frames[:, list(second)], axis=-1)
-        if distance.min() >= threshold:
+        if distance.min() >= PINCH_M:
             raise TrainingError(
                 "the recording holds no pinch: the thumb's tip should come nearer than "
-                f"{1000 * threshold:.0f} mm to another fingertip, the nearest is "
+                f"{1000 * PINCH_M:.0f} mm to another fingertip, the nearest is "
                 f"{1000 * distance.min():.0f} mm; record pinches, or set pinch_weight to 0"
             )
-        nearest = distance.argmin(axis=1)[distance.min(axis=1) < threshold]
+        nearest = distance.argmin(axis=1)[distance.min(axis=1) < PINCH_M]
         missing = [
             f"{self.finger_names[j]} (nearest {1000 * distance[:, k].min():.0f} mm)"
             for k, (_, j) in enumerate(self.pairs)

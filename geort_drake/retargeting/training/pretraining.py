@@ -1,77 +1,45 @@
-"""What GeoRT learns from the robot alone: neural forward kinematics and the collision classifier."""
+"""Networks trained on the robot alone: neural forward kinematics and the collision classifier."""
 
 import math
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 import torch
 from torch.nn.functional import binary_cross_entropy_with_logits
 
-from geort_drake.errors import TrainingError
 from geort_drake.retargeting.training.kinematics import HandKinematics
 from geort_drake.retargeting.training.networks import CollisionClassifier, NeuralKinematics
 
-HELD_OUT = 0.1  # share of the robot samples that is never trained on
-
-
-class RobotSamples(Protocol):
-    """Joint angles of a robot hand and whether it collides there.
-
-    q (N, n) rad; collides_beyond_tips (N,) bool: any contact but those between two fingertips, which
-    a pinch needs; None where nobody asks. Where the fingertips are follows from the kinematics.
-    """
-
-    @property
-    def q(self) -> np.ndarray: ...
-
-    @property
-    def collides_beyond_tips(self) -> np.ndarray | None: ...
-
-
-def check_robot_samples(samples: RobotSamples, kinematics: HandKinematics, labels: bool) -> None:
-    """Raises TrainingError if shapes disagree with the hand or values are not finite; `labels`: theirs."""
-    count = len(samples.q)
-    shapes: dict[str, tuple[int, ...]] = {"q": (count, len(kinematics.joint_names))}
-    if labels:
-        shapes["collides_beyond_tips"] = (count,)
-    for name, wanted in shapes.items():
-        value = np.asarray(getattr(samples, name))
-        if value.shape != wanted or not np.isfinite(value).all():
-            raise TrainingError(
-                f"robot samples: {name} must be finite and of shape {wanted}; it has shape {value.shape}"
-            )
-    if count < 1000:
-        raise TrainingError(f"robot samples: at least 1000 are needed, {count} were given")
+HELD_OUT = 0.1  # fraction of the robot samples that is never trained on
 
 
 def fit_neural_kinematics(
     kinematics: HandKinematics,
-    samples: RobotSamples,
+    q: np.ndarray,
     generator: torch.Generator,
     device: torch.device,
     steps: int = 4000,
     batch: int = 512,
     hidden: int = 128,
 ) -> tuple[NeuralKinematics, dict[str, float]]:
-    """Fits fingertips to joint angles by least squares.
+    """Fits fingertips to joint angles q (N, n) by least squares.
 
     Returns:
         The frozen network, and the distances from held-out samples: mean_mm, p95_mm, max_mm.
     """
-    q_exact = torch.tensor(np.asarray(samples.q), dtype=torch.float64)
-    q, p = q_exact.float(), kinematics.fingertips(q_exact).float()
+    q_exact = torch.tensor(q, dtype=torch.float64)
+    p = kinematics.fingertips(q_exact).float()
     held_out = int(len(q) * HELD_OUT)
     model = NeuralKinematics(kinematics, p, hidden, generator).to(device)
-    q, p = q.to(device), p.to(device)
+    x, p = q_exact.float().to(device), p.to(device)
     unit = model.scale.mean()
 
     def loss(rows: torch.Tensor) -> torch.Tensor:
-        return ((model.fingertips(q[rows]) - p[rows]) / unit).square().sum(-1).mean()
+        return ((model.fingertips(x[rows]) - p[rows]) / unit).square().sum(-1).mean()
 
     _descend(model, loss, held_out, len(q), generator, device, steps, batch, 5e-3)
     with torch.no_grad():
-        error = torch.linalg.vector_norm(model.fingertips(q[:held_out]) - p[:held_out], dim=-1)
+        error = torch.linalg.vector_norm(model.fingertips(x[:held_out]) - p[:held_out], dim=-1)
     millimetres = 1000.0 * error.cpu().double().numpy().ravel()
     return model, {
         "mean_mm": float(millimetres.mean()),
@@ -82,20 +50,21 @@ def fit_neural_kinematics(
 
 def fit_classifier(
     kinematics: HandKinematics,
-    samples: RobotSamples,
+    samples: np.ndarray,
+    labels: np.ndarray,
     generator: torch.Generator,
     device: torch.device,
     steps: int = 2000,
     batch: int = 1024,
     hidden: int = 128,
 ) -> tuple[CollisionClassifier, dict[str, float]]:
-    """Fits the probability that joint angles collide by cross-entropy.
+    """Fits the probability that joint angles (N, n) collide to their labels (N,) by cross-entropy.
 
     Returns:
         The frozen network, and held-out figures: accuracy, precision, recall, positive_share.
     """
-    q = torch.tensor(np.asarray(samples.q), dtype=torch.float32, device=device)
-    label = torch.tensor(np.asarray(samples.collides_beyond_tips), dtype=torch.float32, device=device)
+    q = torch.tensor(samples, dtype=torch.float32, device=device)
+    label = torch.tensor(np.asarray(labels), dtype=torch.float32, device=device)
     held_out = int(len(q) * HELD_OUT)
     model = CollisionClassifier(kinematics, hidden, generator).to(device)
 

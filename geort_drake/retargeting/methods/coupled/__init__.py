@@ -1,0 +1,72 @@
+"""`geort_coupled`, the default method: one network per finger and a residual that sees all fingertips.
+
+Import from this module only; what is below it may change. docs/concepts/derivations.md derives the
+losses.
+"""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geort_drake.retargeting.method import TrainedMethod, TrainingData, TrainingResult
+from geort_drake.retargeting.methods.coupled.config import (
+    FINE_TUNING_STEPS,
+    CoupledConfig,
+    fine_tuning_config,
+)
+from geort_drake.retargeting.methods.coupled.retargeter import CoupledRetargeter
+
+if TYPE_CHECKING:
+    from geort_drake.retargeting.training.descent import Report
+
+__all__ = ["FINE_TUNING_STEPS", "METHODS", "CoupledConfig", "CoupledRetargeter", "fine_tune", "train_coupled"]
+
+
+def train_coupled(
+    data: TrainingData,
+    config: CoupledConfig | None = None,
+    seed: int = 0,
+    device: str = "cpu",
+    report: "Report | None" = None,
+    start: Mapping[str, np.ndarray] | None = None,
+) -> TrainingResult:
+    """Trains a map in which fingers see each other; see `Trainer`.
+
+    Collisions are avoided where `data` has `shapes`. A finger that never pinches is named in a
+    RuntimeWarning.
+
+    Args:
+        data, config, seed, device, report: as of `Trainer`.
+        start: arrays of a checkpoint to start from, whose layers are as wide as the config says; None starts
+            from random weights.
+    """
+    from geort_drake.retargeting.methods.coupled.training import train
+
+    return train(data, config or CoupledConfig(), seed, device, report, start)
+
+
+def fine_tune(
+    arrays: Mapping[str, np.ndarray],
+    data: TrainingData,
+    settings: Mapping[str, Any],
+    steps: int,
+    seed: int = 0,
+    report: "Report | None" = None,
+) -> TrainingResult:
+    """Trains weights further, on another person's hands; see `FineTuner`."""
+    widths = {"hidden": arrays["weight0"].shape[2], "residual_hidden": arrays["residual_weight0"].shape[1]}
+    config = fine_tuning_config({**settings, **widths}, steps)
+    return train_coupled(data, config, seed, report=report, start=arrays)
+
+
+METHODS = (
+    TrainedMethod(
+        "geort_coupled",
+        "all five criteria, by fingers that see each other; the default",
+        CoupledConfig,
+        train_coupled,
+        CoupledRetargeter,
+        fine_tune,
+    ),
+)

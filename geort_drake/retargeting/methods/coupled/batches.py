@@ -1,35 +1,40 @@
-"""What each step of `geort_coupled`'s descent is asked: drawn and searched for beside the descent.
+"""Training batches of `geort_coupled`, prepared in the background.
 
-Nearest frames and near collisions change slowly, so they are looked for once for several steps, with a
-copy of the map and beside the descent. What is found is some steps old when it is used.
+Nearest frames and near collisions change slowly, so one search with a copy of the network serves several
+steps. Its results are some steps old when they are used.
 """
 
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 
+from geort_drake.retargeting.methods.coupled.config import CoupledConfig
 from geort_drake.retargeting.methods.coupled.coverage import CoverageTargets
 from geort_drake.retargeting.methods.coupled.hands import TrainingHands
 from geort_drake.retargeting.methods.coupled.network import CoupledNetwork
 from geort_drake.retargeting.training.background import result_of
 from geort_drake.retargeting.training.collision_geometry import CollisionGaps
 
-if TYPE_CHECKING:
-    from geort_drake.retargeting.methods.coupled.training import CoupledConfig
-
-CROWDED_FROM = 0.1  # of the descent; nothing is known of collisions before the map has a shape
-CROWDED = 600  # how many hands are looked through for near collisions at a time
-REMEMBERED = 2000  # how many of those that nearly collided are kept
+STEPS_PER_SEARCH = 10
+# Sizes of the batch of one step.
+MOVED = 40  # hands per finger in which that finger is moved
+TARGETS = 48  # robot voxels per finger
+CONTEXT_TARGETS = 24  # the same, to be reached whatever the other fingers are doing
+PINCHES = 64  # real frames with a pinch, and as many made-up ones
+STEPS = 96  # recorded steps
+COLLISIONS = 48  # hands whose collisions are computed
+COLLIDE_EVERY = 2  # steps; collisions take a third of a step's time and need not be in each
+COLLIDE_FROM = 0.1  # of training; collisions mean nothing before the map has a shape
+SEARCHED = 600  # hands searched for near collisions at a time
+REMEMBERED = 2000  # hands that nearly collided and are kept
 NEARLY = 0.001  # m beyond the margin, within which a hand nearly collides
-COLLIDE_EVERY = 2  # steps; collisions cost a third of a step, and need not be in each
 
 
 @dataclass(frozen=True)
-class Crowd:
-    """Hands (N, F, 3), m, most of which nearly collide: numbers of hand and pair (M,) of what is near."""
+class NearCollisions:
+    """Hands (N, F, 3), m, most of them near self-collision; hand and pair numbers (M,) of what is near."""
 
     hands: torch.Tensor
     row: torch.Tensor
@@ -38,7 +43,7 @@ class Crowd:
 
 @dataclass(frozen=True)
 class Batch:
-    """What one step is asked about; all in m, hands in H and targets in B.
+    """The inputs of one step; all in m, hands in H and targets in B.
 
     Attributes:
         moved, d: hands (F, N, F, 3) and the displacement (F, N, 3) of the first axis' finger.
@@ -46,7 +51,7 @@ class Batch:
         context_targets, contexts: the same (F, N, 3), and hands (F, N, AVERAGED, F, 3).
         before, after: (M, F, 3) hands of recorded steps.
         pinching, weights: hands (N, F, 3), and how much each pair (N, P) should meet.
-        crowd: what nearly collides; None in steps that do not look at it.
+        near_collisions: None in steps without the collision loss.
     """
 
     moved: torch.Tensor
@@ -59,109 +64,108 @@ class Batch:
     after: torch.Tensor
     pinching: torch.Tensor
     weights: torch.Tensor
-    crowd: Crowd | None
+    near_collisions: NearCollisions | None
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """Several batches: what is of each finger by itself, what is of whole hands, and each one's crowd."""
+    """Several batches: tensors with a first axis of fingers, tensors of whole hands, near collisions."""
 
-    apart: tuple[torch.Tensor, ...]
+    by_finger: tuple[torch.Tensor, ...]
     whole: tuple[torch.Tensor, ...]
-    crowds: list[Crowd | None]
+    near_collisions: list[NearCollisions | None]
 
     def to(self, device: torch.device) -> "Prepared":
         """The same on another device."""
-        crowds = [
-            crowd and Crowd(crowd.hands.to(device), crowd.row.to(device), crowd.pair.to(device))
-            for crowd in self.crowds
+        near_collisions = [
+            near and NearCollisions(near.hands.to(device), near.row.to(device), near.pair.to(device))
+            for near in self.near_collisions
         ]
-        apart, whole = ([tensor.to(device) for tensor in part] for part in (self.apart, self.whole))
-        return Prepared(tuple(apart), tuple(whole), crowds)
+        by_finger, whole = ([tensor.to(device) for tensor in part] for part in (self.by_finger, self.whole))
+        return Prepared(tuple(by_finger), tuple(whole), near_collisions)
 
     def batches(self) -> list[Batch]:
-        """One for each crowd."""
-        steps = len(self.crowds)
-        # Every steps-th, as hands that were treated alike follow each other.
-        apart = ([stack[:, step::steps] for stack in self.apart] for step in range(steps))
+        """The batches, in order."""
+        steps = len(self.near_collisions)
+        # A batch takes every steps-th hand, because similar hands follow each other.
+        by_finger = ([stack[:, step::steps] for stack in self.by_finger] for step in range(steps))
         whole = ([stack[step::steps] for stack in self.whole] for step in range(steps))
         return [
-            Batch(*some, *others, crowd)  # type: ignore[arg-type, call-arg]  # lists of any length
-            for some, others, crowd in zip(apart, whole, self.crowds, strict=True)
+            Batch(*some, *others, near)  # type: ignore[arg-type, call-arg]  # lists of any length
+            for some, others, near in zip(by_finger, whole, self.near_collisions, strict=True)
         ]
 
 
 class Batches:
-    """Hands out batches, `assign_every` prepared at a time."""
+    """Returns batches one by one while the next ones are prepared."""
 
     def __init__(self, prepare: Callable[[CoupledNetwork, float], Future], device: torch.device):
-        """`prepare` begins to call a `BatchMaker`; `device` is where the batches are wanted."""
+        """`prepare` starts a call of a `BatchMaker`; `device` is where the batches are used."""
         self._prepare, self._device = prepare, device
         self._ready: list[Batch] = []
-        self._coming: Future | None = None
+        self._pending: Future | None = None
 
     def next(self, network: CoupledNetwork, progress: float) -> Batch | None:
-        """The next batch for a map that is `progress` (0 to 1) through; None if it was not finite."""
+        """The next batch at `progress` (0 to 1) of training; None if the map was not finite."""
         if not self._ready:
-            found = result_of(self._coming or self._prepare(network, progress))
-            self._coming = self._prepare(network, progress)
-            if found is None:
+            prepared = result_of(self._pending or self._prepare(network, progress))
+            self._pending = self._prepare(network, progress)
+            if prepared is None:
                 return None
-            self._ready = found.to(self._device).batches()[::-1]
+            self._ready = prepared.to(self._device).batches()[::-1]
         return self._ready.pop()
 
 
 class BatchMaker:
-    """Prepares `assign_every` batches at each call."""
+    """Prepares `STEPS_PER_SEARCH` batches at each call."""
 
     def __init__(
         self,
         hands: TrainingHands,
         space: CoverageTargets,
         gaps: CollisionGaps | None,
-        config: "CoupledConfig",
+        config: CoupledConfig,
     ):
-        """`gaps` is None where collisions are not avoided."""
+        """`gaps` is None where collisions are ignored."""
         self._hands, self._space, self._gaps, self._config = hands, space, gaps, config
-        self._crowded = hands.frames[:0]
+        self._remembered = hands.frames[:0]
 
     @torch.no_grad()
     def __call__(self, network: CoupledNetwork, progress: float) -> Prepared | None:
-        """Of a map that is `progress` (0 to 1) through; None if it is not finite."""
-        config, hands, steps = self._config, self._hands, self._config.assign_every
-        if not torch.isfinite(network(hands.recorded(CROWDED))).all():
+        """The batches at `progress` (0 to 1) of training; None if the map is not finite."""
+        hands, steps = self._hands, STEPS_PER_SEARCH
+        if not torch.isfinite(network(hands.recorded(SEARCHED))).all():
             return None
-        moved, d = hands.one_moved(steps * config.points)
-        targets, covering = self._space.nearest(network, steps * config.targets)
+        moved, d = hands.one_moved(steps * MOVED)
+        targets, covering = self._space.nearest(network, steps * TARGETS)
         context_targets, contexts = targets[:, :0], moved[:, :0, None]
-        if config.context_weight > 0:
-            count = steps * config.context_targets
-            context_targets, contexts = self._space.nearest_in_context(network, count)
-        crowds: list[Crowd | None] = [None] * steps
-        if self._gaps is not None and progress >= CROWDED_FROM:
-            crowds = self._crowds(network, self._gaps)
-        before, after = hands.steps(steps * config.frames)
-        pinching, weights = hands.pinches(steps * config.pinches)
-        apart = (moved, d, targets, covering, context_targets, contexts)
-        return Prepared(apart, (before, after, pinching, weights), crowds)
+        if self._config.context_weight > 0:
+            context_targets, contexts = self._space.nearest_in_context(network, steps * CONTEXT_TARGETS)
+        near_collisions: list[NearCollisions | None] = [None] * steps
+        if self._gaps is not None and progress >= COLLIDE_FROM:
+            near_collisions = self._near_collisions(network, self._gaps)
+        before, after = hands.steps(steps * STEPS)
+        pinching, weights = hands.pinches(steps * PINCHES)
+        by_finger = (moved, d, targets, covering, context_targets, contexts)
+        return Prepared(by_finger, (before, after, pinching, weights), near_collisions)
 
-    def _crowds(self, network: CoupledNetwork, gaps: CollisionGaps) -> list[Crowd | None]:
-        """For each step jittered hands, three quarters of them such in which something nearly touches."""
-        config, hands, steps = self._config, self._hands, self._config.assign_every
+    def _near_collisions(self, network: CoupledNetwork, gaps: CollisionGaps) -> list[NearCollisions | None]:
+        """For each step jittered hands, of which three quarters nearly collided."""
+        config, hands, steps = self._config, self._hands, STEPS_PER_SEARCH
         margin = config.collision_margin
-        pinches, _ = hands.made_up_pinches(CROWDED // 8)
-        candidates = torch.cat([hands.recorded(3 * CROWDED // 4), pinches, hands.recombined(CROWDED // 8)])
+        pinches, _ = hands.made_up_pinches(SEARCHED // 8)
+        candidates = torch.cat([hands.recorded(3 * SEARCHED // 4), pinches, hands.recombined(SEARCHED // 8)])
         touching = candidates[gaps.least(network(candidates), margin + 2 * NEARLY) < margin + NEARLY]
-        self._crowded = torch.cat([touching, self._crowded])[:REMEMBERED]
-        asked = range(0, steps, COLLIDE_EVERY)
-        active = self._crowded[hands.draw(len(self._crowded), len(asked) * (3 * config.collisions // 4))]
-        others = hands.recorded(len(asked) * config.collisions - len(active))
-        crowded = torch.cat([active, others])
-        crowded = crowded + config.jitter * hands.normal(crowded.shape)
-        crowds: list[Crowd | None] = [None] * steps
-        for number, step in enumerate(asked):
-            some = crowded[number :: len(asked)]
+        self._remembered = torch.cat([touching, self._remembered])[:REMEMBERED]
+        colliding_steps = range(0, steps, COLLIDE_EVERY)
+        count = len(colliding_steps) * (3 * COLLISIONS // 4)
+        active = self._remembered[hands.draw(len(self._remembered), count)]
+        chosen = torch.cat([active, hands.recorded(len(colliding_steps) * COLLISIONS - len(active))])
+        chosen = chosen + config.jitter * hands.normal(chosen.shape)
+        result: list[NearCollisions | None] = [None] * steps
+        for number, step in enumerate(colliding_steps):
+            some = chosen[number :: len(colliding_steps)]
             row, pair, gap = gaps.near(network(some), margin + 2 * NEARLY)
             near = gap < margin + 2 * NEARLY
-            crowds[step] = Crowd(some, row[near], pair[near])
-        return crowds
+            result[step] = NearCollisions(some, row[near], pair[near])
+        return result

@@ -1,4 +1,4 @@
-"""The losses of `geort_coupled`, one pure function each; all are ratios, so weights need no unit.
+"""The losses of `geort_coupled`, one pure function each. All are ratios, so weights need no unit.
 
 Lengths are in metres. Direction is `criteria.direction_loss`, collision is in collision_geometry.py.
 """
@@ -9,10 +9,10 @@ import torch
 
 
 def bounded_coverage_loss(points: torch.Tensor, targets: torch.Tensor, radius: float) -> torch.Tensor:
-    """E d⁴ / (d⁴ + c⁴): little where a target is reached within c, and at most 1 however far away it is.
+    """E d⁴ / (d⁴ + c⁴): small where a target is reached within c, and at most 1.
 
     Args:
-        points, targets: (..., 3) a place of the robot's space and the point that is nearest to it.
+        points, targets: (..., 3) a target in the robot's space and the point that is nearest to it.
         radius: c, the distance at which a target counts half.
     """
     fourth = ((points - targets) / radius).square().sum(-1).square()
@@ -20,11 +20,11 @@ def bounded_coverage_loss(points: torch.Tensor, targets: torch.Tensor, radius: f
 
 
 def cross_talk_loss(answers: torch.Tensor, floor: float = 1e-4) -> torch.Tensor:
-    """Mean motion of the other fingertips over that of the one that was asked to move.
+    """Mean motion of the other fingertips over that of the one whose human finger moved.
 
     Args:
-        answers: (F, N, F, 3) motion of every robot fingertip when finger i (first axis) is moved.
-        floor: length added in quadrature to each motion, so that no motion has a finite gradient.
+        answers: (F, N, F, 3) motion of every robot fingertip when human finger i (first axis) moves.
+        floor: length added in quadrature to each motion, which keeps the gradient of no motion finite.
     """
     fingers = answers.shape[0]
     if fingers == 1:
@@ -49,23 +49,23 @@ def uniform_response_loss(d: torch.Tensor, answer: torch.Tensor, band: float) ->
 
 
 def pair_distances(points: torch.Tensor, pairs: Sequence[tuple[int, int]]) -> torch.Tensor:
-    """(N, P) distances of pairs of fingertips (N, F, 3); where they coincide the gradient is finite."""
+    """(N, P) distances of pairs of fingertips (N, F, 3); the gradient is finite where they coincide."""
     numbers = torch.tensor([pair[side] for side in (0, 1) for pair in pairs], device=points.device)
     first, second = points.index_select(1, numbers).chunk(2, dim=1)
     return torch.sqrt((first - second).square().sum(-1) + 1e-10)
 
 
 def pinch_distance_loss(
-    distances: torch.Tensor, weights: torch.Tensor, wanted: float, scale: float
+    distances: torch.Tensor, weights: torch.Tensor, target: float, scale: float
 ) -> torch.Tensor:
-    """Weighted mean of e² / (1 + e), e = |distance − wanted| / scale: square near, linear far away.
+    """Weighted mean of e² / (1 + e), e = |distance − target| / scale: square near, linear far away.
 
     Args:
         distances, weights: (N, P) of pairs of robot fingertips.
-        wanted: distance at which the fingertips press on each other as they should.
+        target: distance at which the fingertips press on each other.
         scale: distance at which the loss turns from square to linear.
     """
-    e = (distances - wanted).abs() / scale
+    e = (distances - target).abs() / scale
     return (weights * e.square() / (1.0 + e)).sum() / (weights.sum() + 1e-9)
 
 

@@ -1,9 +1,12 @@
 """The network of `geort_coupled`: one per finger, and a small residual that sees all fingertips."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import torch
 from torch import nn
 
+from geort_drake.errors import TrainingError
 from geort_drake.retargeting.training.kinematics import HandKinematics
 from geort_drake.retargeting.training.networks import RetargetingNetwork, StackedMlp
 
@@ -53,8 +56,8 @@ class CoupledNetwork(RetargetingNetwork):
 
         Args:
             whole: (N, F, 3) human fingertips in m of hands in which every one of the G fingers answers.
-            own: (G, M, F, 3) of hands in which one finger alone is wanted, which saves the others' networks.
-            some: which fingers are meant; all, G = F, by default.
+            own: (G, M, F, 3) of hands in which only finger G answers, which saves the others' networks.
+            some: the G fingers; all by default.
         """
         groups, count, fingers, _ = own.shape
         row, number = torch.arange(groups), torch.arange(fingers)[some]
@@ -69,12 +72,12 @@ class CoupledNetwork(RetargetingNetwork):
         return self.stacked_centre[some] + self.stacked_half_range[some] * torch.tanh(y)
 
     def in_order(self, angles: torch.Tensor) -> torch.Tensor:
-        """Joint angles (N, n) in the order of q, for those of all fingers (F, N, k)."""
+        """Joint angles (N, n) in the order of q, from those of all fingers (F, N, k)."""
         stacked = angles.transpose(0, 1).flatten(1)
         return stacked if self._in_order else stacked[:, self.columns]
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """What `CoupledRetargeter` is made of, in float64: the normalisation is folded into the layers 0."""
+        """Arrays for `CoupledRetargeter`, in float64; the normalisation is folded into the first layers."""
         arrays = super().arrays()
         weights = [weight.detach().cpu().double().numpy()[0] for weight in self.residual.weights]
         biases = [bias.detach().cpu().double().numpy()[0, 0] for bias in self.residual.biases]
@@ -83,3 +86,29 @@ class CoupledNetwork(RetargetingNetwork):
         for number, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
             arrays[f"residual_weight{number}"], arrays[f"residual_bias{number}"] = weight, bias
         return arrays
+
+    def set_arrays(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Takes over the weights that `arrays` of an equal network returned.
+
+        Raises:
+            TrainingError: they are of layers of other shapes.
+        """
+        for name, own in self.arrays().items():
+            if name not in arrays or arrays[name].shape != own.shape:
+                given = arrays[name].shape if name in arrays else "missing"
+                raise TrainingError(
+                    f"weights to start from: {name} must be of shape {own.shape}, it is {given}"
+                )
+        values = {name: np.asarray(array, dtype=float) for name, array in arrays.items()}
+        # Undoes the folding of `arrays`, with this network's own normalisation.
+        mean, scale = self.mean.double().cpu().numpy(), self.scale.double().cpu().numpy()
+        W, R = values["weight0"], values["residual_weight0"]
+        values["weight0"], values["bias0"] = W * scale.transpose(0, 2, 1), values["bias0"] + mean @ W
+        values["residual_weight0"] = R * scale.reshape(-1, 1)
+        values["residual_bias0"] = values["residual_bias0"] + mean.reshape(-1) @ R
+        with torch.no_grad():
+            for prefix, layers in (("", self.mlp), ("residual_", self.residual)):
+                for kind, parameters in (("weight", layers.weights), ("bias", layers.biases)):
+                    for number, parameter in enumerate(parameters):
+                        value = values[f"{prefix}{kind}{number}"].reshape(parameter.shape)
+                        parameter.copy_(torch.as_tensor(value))

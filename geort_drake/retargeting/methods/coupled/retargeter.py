@@ -1,11 +1,11 @@
-"""The trained map of `geort_coupled` in NumPy alone."""
+"""The trained map of `geort_coupled` in NumPy."""
 
 from collections.abc import Mapping
 
 import numpy as np
 
 from geort_drake.retargeting.aligned import aligned
-from geort_drake.retargeting.retargeter import Retargeter, _array
+from geort_drake.retargeting.numpy_retargeter import Retargeter, checked_array
 
 
 class CoupledRetargeter(Retargeter):
@@ -19,13 +19,16 @@ class CoupledRetargeter(Retargeter):
     def _set_weights(self, arrays: Mapping[str, np.ndarray]) -> None:
         super()._set_weights(arrays)
         inputs, outputs = 3 * len(self.finger_names), arrays["bias2"].size
-        width = _array(arrays, "residual_weight0", (inputs, -1)).shape[1]
+        width = checked_array(arrays, "residual_weight0", (inputs, -1)).shape[1]
         shapes = ((inputs, width), (width, width), (width, outputs))
         (w0, b0), (w1, b1), (w2, b2) = (
-            (_array(arrays, f"residual_weight{k}", shape), _array(arrays, f"residual_bias{k}", shape[1:]))
+            (
+                checked_array(arrays, f"residual_weight{k}", shape),
+                checked_array(arrays, f"residual_bias{k}", shape[1:]),
+            )
             for k, shape in enumerate(shapes)
         )
-        # The residual's hidden units stand behind those of the fingers.
+        # The residual's hidden units follow those of the fingers.
         self._shared = slice(self._own.stop, self._own.stop + width)
         self._weight0 = aligned(np.hstack([self._weight0, 0.5 * w0]))
         self._bias0 = np.concatenate([self._bias0, 0.5 * b0])
@@ -34,8 +37,8 @@ class CoupledRetargeter(Retargeter):
         self._weight2 = aligned(np.vstack([self._weight2, w2[:, self._columns]]))
         self._bias2 = self._bias2 + b2[self._columns]
 
-    def _between(self, h: np.ndarray, u: np.ndarray) -> None:
-        super()._between(h, u)
+    def _layer1(self, h: np.ndarray, u: np.ndarray) -> None:
+        super()._layer1(h, u)
         if h.ndim == 1:
             np.dot(h[self._shared], self._residual_weight1, u[self._shared])
         else:

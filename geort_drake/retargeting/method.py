@@ -1,0 +1,182 @@
+"""The interface of a retargeting method: its settings, what it learns from, and what it returns.
+
+`geort_drake.retargeting.methods` lists the methods.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from geort_drake.errors import TrainingError
+
+if TYPE_CHECKING:
+    from geort_drake.retargeting.numpy_retargeter import Retargeter
+    from geort_drake.retargeting.training.collision_geometry import CollisionShapes
+    from geort_drake.retargeting.training.descent import Report
+    from geort_drake.retargeting.training.kinematics import HandKinematics
+    from geort_drake.retargeting.training.networks import RetargetingNetwork
+
+# From human points (F, 3), (N, F, 3), (21, 3) or (N, 21, 3) in m to joint angles (n,) or (N, n) in rad.
+Retarget = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """Settings that all trained methods have; each method adds its own in a subclass.
+
+    Numbers must be positive. Those named `*_weight` or `*_spread`, and those in `may_be_zero`, may be zero;
+    those named `*_fraction` are from 0 to 1.
+    """
+
+    may_be_zero = ()
+
+    steps: int = 5000  # gradient steps
+    learning_rate: float = 5e-3  # of the first step; falls to zero along half a cosine
+    hidden: int = 128  # width of both hidden layers of each finger's network
+
+    def validate(self) -> None:
+        """Raises TrainingError for a number that makes no sense."""
+        for item in dataclasses.fields(self):
+            name, value = item.name, getattr(self, item.name)
+            if isinstance(value, str):
+                continue
+            fraction = name.endswith("_fraction")
+            may_be_zero = fraction or name.endswith(("_weight", "_spread")) or name in self.may_be_zero
+            if not math.isfinite(value) or value < 0 or (value == 0 and not may_be_zero):
+                expected = "zero or positive" if may_be_zero else "positive"
+                raise TrainingError(f"training config: {name} must be {expected}, it is {value}")
+            if fraction and value > 1:
+                raise TrainingError(f"training config: {name} must be from 0 to 1, it is {value}")
+
+
+@dataclass(frozen=True)
+class TrainingData:
+    """What a method can learn from. Expensive parts are functions, called by the methods that need them.
+
+    Attributes:
+        p_HF: (T, F, 3) human fingertips in H, m: successive frames, fingers as in `kinematics`.
+        kinematics: exact kinematics of the robot hand.
+        q: (N, n) robot joint angles, uniform within the limits, rad.
+        labels: returns for each row of q whether the hand collides there (N,), not counting contact between
+            two fingertips.
+        collides: the same for any joint angles (M, n).
+        shapes: returns the hand's collision geometry.
+    """
+
+    p_HF: np.ndarray
+    kinematics: "HandKinematics"
+    q: np.ndarray
+    labels: Callable[[], np.ndarray] | None = None
+    collides: Callable[[np.ndarray], np.ndarray] | None = None
+    shapes: Callable[[], "CollisionShapes"] | None = None
+
+    def check_q(self) -> None:
+        """Raises TrainingError unless q has the hand's joints, is finite and has at least 1000 rows."""
+        expected = (len(self.q), len(self.kinematics.joint_names))
+        if np.shape(self.q) != expected or not np.isfinite(self.q).all():
+            raise TrainingError(
+                f"robot samples: q must be finite and of shape {expected}; it has shape {np.shape(self.q)}"
+            )
+        if len(self.q) < 1000:
+            raise TrainingError(f"robot samples: at least 1000 are needed, {len(self.q)} were given")
+
+
+@dataclass
+class TrainingResult:
+    """A trained network, and how its training went."""
+
+    network: "RetargetingNetwork"
+    history: list[dict[str, float]]
+    timings: dict[str, float] = field(default_factory=dict)  # wall seconds
+    stopped_at: int | None = None  # the step at which the loss stopped being finite
+    human_points: dict[str, int] = field(default_factory=dict)  # per finger, after thinning
+    pinch_frames: int = 0
+    classifier: dict[str, float] = field(default_factory=dict)  # held-out figures
+    neural_kinematics: dict[str, float] = field(default_factory=dict)  # held-out errors; empty if exact
+
+
+class Trainer(Protocol):
+    """Trains a map."""
+
+    def __call__(
+        self,
+        data: TrainingData,
+        config: Any = None,
+        seed: int = 0,
+        device: str = "cpu",
+        report: "Report | None" = None,
+    ) -> TrainingResult:
+        """Trains a map without paired data; equal arguments give equal weights.
+
+        Args:
+            data: of the person and of the robot hand.
+            config: of the method's type; None takes the defaults.
+            seed: of the initial weights and every draw.
+            device: "cpu" or "cuda".
+            report: see `Report`.
+
+        Raises:
+            TrainingError: on unusable input, or when the loss is not finite from the start. When it stops
+                being finite later, the last good weights are returned with a RuntimeWarning.
+        """
+
+
+class FineTuner(Protocol):
+    """Trains the weights of a checkpoint further."""
+
+    def __call__(
+        self,
+        arrays: Mapping[str, np.ndarray],
+        data: TrainingData,
+        settings: Mapping[str, Any],
+        steps: int,
+        seed: int = 0,
+        report: "Report | None" = None,
+    ) -> TrainingResult:
+        """Starts from the weights `arrays`, with the `settings` of the checkpoint's config.json.
+
+        Raises:
+            TrainingError: the weights are of another hand; see `Trainer`.
+        """
+
+
+@dataclass(frozen=True)
+class TrainedMethod:
+    """A method that learns a map, which a checkpoint then holds.
+
+    Attributes:
+        name: as in commands and in a checkpoint's config.json.
+        summary: one line for --help.
+        config: type of its settings.
+        train: trains a map.
+        retargeter: makes the map from the arrays of a checkpoint, with the arguments of `Retargeter`.
+        fine_tune: fits a trained map to another person; None where the method cannot.
+    """
+
+    name: str
+    summary: str
+    config: type[TrainingConfig]
+    train: Trainer
+    retargeter: "Callable[..., Retargeter]"
+    fine_tune: FineTuner | None = None
+
+
+@dataclass(frozen=True)
+class UntrainedMethod:
+    """A method that needs no training.
+
+    Attributes:
+        name, summary: as of `TrainedMethod`.
+        make: makes the map for a robot hand, see `methods.make_untrained`; called as (kinematics,
+            human_keypoints, frames, seed, **settings).
+        settings: names of its settings.
+    """
+
+    name: str
+    summary: str
+    make: "Callable[..., Retarget]"
+    settings: tuple[str, ...] = ()

@@ -1,0 +1,77 @@
+"""Settings of `geort_coupled`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from geort_drake.errors import TrainingError
+from geort_drake.retargeting.method import TrainingConfig
+from geort_drake.settings import settings_of
+
+# Former name of a setting, in checkpoints of version 0.1 → its name now.
+_RENAMED = {
+    "motion_wanted": "motion_target",
+    "cross_talk_wanted": "cross_talk_target",
+    "closed_wanted": "closed_target",
+    "strange_pinch_share": "mixed_pinch_fraction",
+    "recorded_hand_share": "recorded_hand_fraction",
+    "even_share": "even_fraction",
+}
+# Of fine-tuning, which starts from a map that nearly fits.
+FINE_TUNING_STEPS = 600
+_FINE_TUNING = {"learning_rate": 0.01, "averaging": 0.98}
+
+
+@dataclass(frozen=True)
+class CoupledConfig(TrainingConfig):
+    """Settings of `train_coupled`. The weights are of ratios and need no unit."""
+
+    steps: int = 8600
+    learning_rate: float = 0.017  # of SOAP, falls to zero along half a cosine
+    averaging: float = 0.998  # of the weights, in the second half
+    hidden: int = 64
+    residual_hidden: int = 112
+    direction_weight: float = 3.15
+    track_weight: float = 6.2
+    coverage_weight: float = 1.59
+    context_weight: float = 2.05
+    cross_talk_weight: float = 5.6
+    flatness_weight: float = 0.79
+    response_weight: float = 0.97
+    pinch_weight: float = 0.54
+    false_pinch_weight: float = 2.2
+    collision_weight: float = 0.68
+    motion_target: float = 0.9723  # mean cosine, also along recorded steps
+    cross_talk_target: float = 0.0352
+    closed_target: float = 0.5  # fraction of pinches that close
+    pinch_scale: float = 0.008  # m; where the loss of open pinches turns from square to linear
+    pinch_spread: float = 0.005  # m; of the points at which made-up pinches meet
+    pinch_offset_spread: float = 0.0  # m; of the offset between their tips; 0 keeps recorded directions
+    mixed_pinch_fraction: float = 0.8  # of made-up pinches: other fingers are from another frame
+    recorded_hand_fraction: float = 0.0  # of moved hands: recorded frames, as `even_fraction` draws them
+    even_fraction: float = 0.0  # of recorded hands: postures are equally likely, however long they were held
+    jitter: float = 0.004  # m; of the hands that must not collide
+    collision_margin: float = 0.001  # m
+
+    def validate(self) -> None:
+        """Raises TrainingError where a value makes no sense."""
+        super().validate()
+        for name in ("motion_target", "closed_target"):
+            if (value := getattr(self, name)) >= 1:
+                raise TrainingError(f"training config: {name} must be below 1, it is {value}")
+        if (limit := 1 - MIXED_HAND_FRACTION) < self.recorded_hand_fraction:
+            raise TrainingError(
+                f"training config: recorded_hand_fraction must be at most {limit:g}, it is "
+                f"{self.recorded_hand_fraction:g}"
+            )
+
+
+MIXED_HAND_FRACTION = 0.4  # of moved hands: every other finger is from a frame of its own
+
+
+def fine_tuning_config(settings: Mapping[str, Any], steps: int) -> CoupledConfig:
+    """The settings of a checkpoint for fine-tuning; unknown ones, of other versions, are left out."""
+    known = settings_of(CoupledConfig)
+    renamed = {_RENAMED.get(name, name): value for name, value in settings.items()}
+    kept = {name: value for name, value in renamed.items() if name in known}
+    return replace(CoupledConfig(), **kept | _FINE_TUNING | {"steps": steps})

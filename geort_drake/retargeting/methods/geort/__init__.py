@@ -1,0 +1,37 @@
+"""GeoRT as in the paper (Yin et al. 2025, Algorithm 1): one network per finger, five criteria."""
+
+from typing import TYPE_CHECKING
+
+from geort_drake.retargeting.method import TrainedMethod, TrainingData, TrainingResult
+from geort_drake.retargeting.methods.geort.config import PRESETS, GeortConfig
+from geort_drake.retargeting.numpy_retargeter import Retargeter
+
+if TYPE_CHECKING:
+    from geort_drake.retargeting.training.descent import Report
+
+__all__ = ["METHODS", "PRESETS", "GeortConfig", "train_geort"]
+
+
+def train_geort(
+    data: TrainingData,
+    config: GeortConfig | None = None,
+    seed: int = 0,
+    device: str = "cpu",
+    report: "Report | None" = None,
+) -> TrainingResult:
+    """Trains one network per finger; see `Trainer`.
+
+    It needs `labels`. With `collides` the collision classifier also learns from the retargeter's own outputs
+    from time to time; without it the classifier is frozen. A finger that never pinches is named in a
+    RuntimeWarning.
+    """
+    from geort_drake.retargeting.methods.geort.training import train
+
+    return train(data, config or GeortConfig(), seed, device, report)
+
+
+METHODS = (
+    TrainedMethod(
+        "geort", "the paper's: one network per finger, each on its own", GeortConfig, train_geort, Retargeter
+    ),
+)

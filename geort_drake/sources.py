@@ -1,0 +1,45 @@
+"""The source files of this package that some of its modules run through."""
+
+import ast
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+PACKAGE = Path(__file__).resolve().parent
+
+
+def imported_sources(entries: Iterable[str], left_out: Iterable[str] = ()) -> list[Path]:
+    """The files `entries` and all that they import from this package, at once or inside functions.
+
+    Args:
+        entries: files relative to the package, such as "hands/samples.py".
+        left_out: files, relative as well, that are neither listed nor followed.
+    """
+    found = {PACKAGE / path for path in left_out}
+    result: set[Path] = set()
+    pending = [PACKAGE / entry for entry in entries]
+    while pending:
+        path = pending.pop()
+        if path not in found:
+            found.add(path)
+            result.add(path)
+            pending += _imports(ast.parse(path.read_bytes()).body)
+    return sorted(result)
+
+
+def _imports(nodes: Iterable[ast.AST]) -> Iterator[Path]:
+    for node in nodes:
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            continue
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            # An imported name may be a module or be in one.
+            names = [f"{node.module}", *(f"{node.module}.{alias.name}" for alias in node.names)]
+        for name in names:
+            package, *inner = name.split(".")
+            if package == PACKAGE.name and inner:
+                module = PACKAGE.joinpath(*inner)
+                files = (module.with_suffix(".py"), module / "__init__.py")
+                yield from (path for path in files if path.is_file())
+        yield from _imports(ast.iter_child_nodes(node))

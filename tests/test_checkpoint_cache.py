@@ -1,0 +1,118 @@
+"""The cache of trained checkpoints: equal requests share one, and only what decides the weights counts."""
+
+import pytest
+
+from geort_drake import files
+from geort_drake.comparison import train as comparison_train
+from geort_drake.comparison.train import cached_checkpoint, train_checkpoint, training_sources
+from geort_drake.errors import UnknownNameError
+from geort_drake.people.play import synthesize_play
+from geort_drake.retargeting.methods import trained_methods
+from geort_drake.sources import PACKAGE
+
+
+@pytest.fixture
+def trained(light_evaluation, monkeypatch):
+    """A list that grows with every training; trainings are short."""
+    runs = []
+
+    def train(hand, recording, path, method, seed, device, settings):
+        runs.append(method)
+        quick = {"steps": 10, "hidden": 8} | settings
+        return train_checkpoint(hand, recording, path, method, seed, device, False, quick, robot_samples=2000)
+
+    monkeypatch.setattr(comparison_train, "train_checkpoint", train)
+    return runs
+
+
+@pytest.fixture(scope="module")
+def play():
+    return synthesize_play(seed=1, duration_s=40.0, rate_hz=60.0)
+
+
+def test_equal_requests_share_a_checkpoint(trained, play, monkeypatch):
+    """Other settings, another method or other code do not."""
+
+    def cached(method="linear_offline", **settings):
+        return cached_checkpoint("allegro_right", play, method, settings=settings)
+
+    first, reused = cached(points=16)
+    assert not reused
+    assert cached(points=16) == (first, True)
+    assert not cached(points=24)[1]
+    assert not cached("geort_coupled", pinch_weight=0.0)[1]
+    monkeypatch.setattr(comparison_train, "digest_of", lambda root, paths: "other")
+    assert not cached(points=16)[1]
+    assert len(trained) == 4
+    with pytest.raises(UnknownNameError, match="setting of linear_offline 'speed'"):
+        cached(speed=1)
+
+
+def test_warnings_of_the_training_are_repeated(trained, play):
+    """A checkpoint whose training stopped early is not handed out silently the second time."""
+    for _ in range(2):
+        with pytest.warns(RuntimeWarning, match="stopped being finite"):
+            cached_checkpoint("allegro_right", play, "linear_offline", settings={"learning_rate": 1e30})
+    assert len(trained) == 1
+
+
+@pytest.mark.parametrize("method", trained_methods())
+def test_only_sources_that_decide_the_weights_count(method):
+    """Training, samples and collision shapes; not the map at run time, nor compiled files."""
+    names = {path.relative_to(PACKAGE).as_posix() for path in training_sources(method)}
+    assert all(name.endswith(".py") for name in names)
+    assert {
+        "hands/samples.py",
+        "hands/collision_shapes.py",
+        "hands/chains.py",
+        "retargeting/training/descent.py",
+        "retargeting/training/networks.py",
+        "retargeting/training/kinematics.py",
+    } <= names
+    own = {
+        "geort": "geort/training.py",
+        "geort_coupled": "coupled/losses.py",
+        "linear_offline": "linear_offline.py",
+    }
+    assert {name for name in own.values() if f"retargeting/methods/{name}" in names} == {own[method]}
+    assert not names & {
+        f"retargeting/{name}.py"
+        for name in (
+            "retargeter",
+            "numpy_retargeter",
+            "compiled",
+            "checkpoint",
+            "methods/online",
+            "methods/trivial",
+        )
+    }
+
+
+def test_the_key_survives_what_tests_and_calls_leave_behind(monkeypatch):
+    """Compiling the call with numba writes into the package; the digest of the sources stays."""
+    before = files.digest_of(PACKAGE, [PACKAGE / "retargeting"])
+    cache = PACKAGE / "retargeting" / "__pycache__"
+    cache.mkdir(exist_ok=True)
+    left = cache / "compiled.test-1.py311.nbi"
+    left.write_bytes(b"compiled")
+    try:
+        assert files.digest_of(PACKAGE, [PACKAGE / "retargeting"]) == before
+    finally:
+        left.unlink()
+
+
+def test_a_digest_covers_names_and_contents(tmp_path):
+    """A renamed, changed or added file changes it; the order of the paths does not."""
+    a, b = tmp_path / "a.py", tmp_path / "room" / "b.py"
+    b.parent.mkdir()
+    a.write_text("1")
+    b.write_text("2")
+    digests = [files.digest_of(tmp_path, [a, b.parent])]
+    assert files.digest_of(tmp_path, [b.parent, a]) == digests[0]
+    b.write_text("3")
+    digests.append(files.digest_of(tmp_path, [a, b.parent]))
+    b.rename(b.with_name("c.py"))
+    digests.append(files.digest_of(tmp_path, [a, b.parent]))
+    b.write_text("3")
+    digests.append(files.digest_of(tmp_path, [a, b.parent]))
+    assert len(set(digests)) == 4
