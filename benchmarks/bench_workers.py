@@ -23,8 +23,8 @@ from rich.table import Table
 from side_by_side import parse, parser, worker_counts, write_json
 
 from geort_drake.benchmark.folder import open_benchmark
-from geort_drake.benchmark.trial import simulate
-from geort_drake.benchmark.workers import run_trials
+from geort_drake.benchmark.trials import Trial, plan_grasps, simulate
+from geort_drake.benchmark.workers import call_in_workers
 from geort_drake.console import console, run_main
 from geort_drake.errors import GeortError
 from geort_drake.people.play import synthesize_play
@@ -50,9 +50,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             [arguments.object],
             arguments.trials,
         )
-        goals = dict(benchmark.goals([arguments.object], 1, "loky"))
+        goals = dict(plan_grasps(benchmark.scenario_text, [arguments.object], 1, "loky"))
         keys = benchmark.keys(benchmark.methods, [arguments.object], arguments.trials)
-        tasks = [benchmark.arguments(key, goals[key.object]) for key in keys]
+        tasks = [benchmark.trial(key, goals[key.object]) for key in keys]
         end = time.perf_counter() + arguments.seconds
         while not turns[1] or time.perf_counter() < end:
             for number in numbers:
@@ -65,10 +65,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def turn(tasks: Sequence[tuple], workers: int) -> tuple[dict, list[dict]]:
+def turn(tasks: Sequence[Trial], workers: int) -> tuple[dict, list[dict]]:
     """Figures of one turn, and the trials' results."""
     started = time.time()
-    done = list(run_trials(measured, ((task,) for task in tasks), workers, ordered=True))
+    done = list(call_in_workers(measured, ((task,) for task in tasks), workers, ordered=True))
     ended = time.time()
     get_reusable_executor().shutdown()  # the next turn starts its own
     first = {process: begun for _, process, begun, _, _ in reversed(done)}
@@ -84,10 +84,10 @@ def turn(tasks: Sequence[tuple], workers: int) -> tuple[dict, list[dict]]:
     return figures, [{**result, "wall_time": None} for result, *_ in done]
 
 
-def measured(task: tuple) -> tuple[dict, int, float, float, float]:
+def measured(task: Trial) -> tuple[dict, int, float, float, float]:
     """The result of a trial, its process, when it began and ended, and that process's memory so far, MiB."""
     begun = time.time()
-    result = simulate(*task)
+    result = simulate(task)
     return result, os.getpid(), begun, time.time(), _memory()
 
 

@@ -1,20 +1,21 @@
-"""The grasp benchmark: going on after an interruption, errors, pairing and the report."""
+"""The grasp benchmark in its folder: running, continuing, conditions, pairing, the report and repetitions."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
 import yaml
 from grasp_setup import TOO_SHORT, judged, person_and_rest, planned_goal
-from script_modules import load_script
 
-from geort_drake.benchmark import folder as grasp_benchmark
-from geort_drake.benchmark import methods as grasp_methods
-from geort_drake.benchmark import trial as grasp_trial
+from geort_drake.benchmark import folder as benchmark_folder
+from geort_drake.benchmark import methods, trials
 from geort_drake.benchmark.config import read_config
-from geort_drake.benchmark.folder import keep_error, open_benchmark
+from geort_drake.benchmark.folder import open_benchmark
 from geort_drake.benchmark.methods import measure_latency, names_of
-from geort_drake.benchmark.trial_log import TrialKey, TrialLog, key_of, read_records
+from geort_drake.benchmark.records import TrialKey, TrialLog, keep_error, key_of, read_records
+from geort_drake.benchmark.report import write_grasp_report
+from geort_drake.cli import run_command
 from geort_drake.errors import BenchmarkError, OutputError, TrainingError, UnknownNameError
 from geort_drake.hands.description import load_hand
 from geort_drake.people.play import synthesize_play
@@ -29,96 +30,74 @@ def play():
     return synthesize_play(seed=0, duration_s=60)
 
 
+def in_this_process(function, arguments, jobs, backend="loky", ordered=False):
+    """`call_in_workers` without workers, which have tests of their own."""
+    return (function(*each) for each in arguments)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick(play):
+    """One person, and one plan: no trial lasts long enough to follow it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trials, "call_in_workers", in_this_process)
+        patch.setattr(trials, "plan", lambda *_: planned_goal("cylinder"))
+        patch.setattr(
+            benchmark_folder, "read_person", lambda *_: (play, {"recording": None, "side": "right"})
+        )
+        yield
+
+
+def run(folder, *more: str) -> int:
+    """Runs the command on a small benchmark; later options take precedence."""
+    small = [
+        "--output", str(folder), "--methods", "hold", "nearest_neighbour", "--objects", "cylinder",
+        "--jobs", "1", "--scenario-text", TOO_SHORT, "--trials", "2",
+    ]  # fmt: skip
+    return run_command("benchmark", [*small, *more])
+
+
 @pytest.fixture(scope="module")
-def benchmark(tmp_path_factory, play):
-    """One object, a method without and one with a memory."""
-    folder = tmp_path_factory.mktemp("benchmark")
-    return open_benchmark(
-        folder, load_scenario(text=TOO_SHORT), play, ["hold", "vector_online"], ["cylinder"], 2
-    )
+def finished(tmp_path_factory):
+    """A folder with four finished trials; not to be changed."""
+    folder = tmp_path_factory.mktemp("finished")
+    assert run(folder) == 0
+    return folder
 
 
 @pytest.fixture
-def script(monkeypatch, play):
-    """The script, with a person made already, and with one plan: no trial lasts long enough to follow it."""
-    module = load_script("benchmark_grasping.py")
-    monkeypatch.setattr(module, "read_person", lambda *_: (play, {"recording": None}))
-    monkeypatch.setattr(grasp_benchmark, "plan", lambda *_: planned_goal("cylinder"))
-    return module
+def copy(finished, tmp_path):
+    """A copy of the finished benchmark, to change."""
+    return shutil.copytree(finished, tmp_path / "copy")
 
 
-def arguments(folder, *more: str) -> list[str]:
-    return [
-        "--output", str(folder), "--methods", "hold", "nearest_neighbour", "--objects", "cylinder",
-        "--jobs", "1", "--scenario_text", TOO_SHORT, "--trials", "2", *more,
-    ]  # fmt: skip
+# -- running and continuing
 
 
-# -- running, and going on
-
-
-def test_a_benchmark_runs_all_trials_and_reports_them(script, tmp_path, capsys):
-    """Every trial has its line; the summary counts them; the page stands alone and names every command."""
-    assert script.main(arguments(tmp_path)) == 0
-    records = read_records(tmp_path / "trials.jsonl")
+def test_every_trial_has_its_line_and_its_place_in_the_report(finished):
+    """The summary counts all trials; the page needs no other file, and has a command for every trial."""
+    records = read_records(finished / "trials.jsonl")
     keys = {TrialKey(m, "cylinder", seed) for m in ("hold", "nearest_neighbour") for seed in (0, 1)}
     assert len(records) == 4 and {key_of(record) for record in records} == keys
-    summary = json.loads((tmp_path / "summary.json").read_text())
+    summary = json.loads((finished / "summary.json").read_text())
     assert summary["reference"] == "hold"
     failures = summary["methods"]["hold"]["overall"]["failures"]
     assert sum(failures.values()) == 2 and all(name.startswith("timeout: reach (") for name in failures)
     assert summary["differences"]["nearest_neighbour"]["overall"]["pairs"] == 2
-    page = (tmp_path / "report.html").read_text()
+    assert summary["methods"]["hold"]["classes"]["tripod"] == summary["methods"]["hold"]["overall"]
+    page = (finished / "report.html").read_text()
     assert page.count("<svg") == 3
     assert "<script" not in page and 'href="http' not in page and "src=" not in page
     for key in keys:
-        assert f"--output {tmp_path} --rrd {key.method} {key.object} {key.seed}" in page
-    report = (tmp_path / "report.md").read_text()
+        assert f"--output {finished} --rrd {key.method} {key.object} {key.seed}" in page
+    report = (finished / "report.md").read_text()
     # Overall, in its class and by itself.
     assert report.count("| hold | 0 % [0, 66] |") == 3
     assert report.count("| nearest_neighbour | 2 | +0 [+0, +0] | 0 : 0 |") == 3
-    assert "### tripod: cylinder" in report and "### cylinder (tripod)" in report
-    assert "](completion.svg)" in report and (tmp_path / "completion.svg").read_text().startswith("<svg")
-    assert summary["methods"]["hold"]["classes"]["tripod"] == summary["methods"]["hold"]["overall"]
-    assert "4 trials, 0 of them finished before" in capsys.readouterr().err
+    assert "](completion.svg)" in report and (finished / "completion.svg").read_text().startswith("<svg")
 
 
-def test_names_given_twice_are_run_once(script, tmp_path):
-    """Methods and objects keep their order; the folder stays one that can be gone on with."""
-    doubled = [
-        "--methods",
-        "vector_online",
-        "hold",
-        "vector_online",
-        "--objects",
-        "sphere",
-        "cylinder",
-        "sphere",
-    ]
-    for _ in range(2):
-        assert script.main([*arguments(tmp_path, "--trials", "1"), *doubled]) == 0
-    config = read_config(tmp_path)
-    assert config["objects"] == ["sphere", "cylinder"]
-    assert list(config["methods"]) == ["vector_online", "hold"]
-    assert len((tmp_path / "trials.jsonl").read_text().splitlines()) == 4
-
-
-def test_a_checkpoint_is_named_after_its_directory_however_that_is_given(tmp_path, monkeypatch):
-    """Also from within it; two directories of one name are refused, and one given twice is taken once."""
-    for folder in ("one/map", "other/map"):
-        (tmp_path / folder).mkdir(parents=True)
-        (tmp_path / folder / "config.json").write_text("{}")
-    monkeypatch.chdir(tmp_path / "one" / "map")
-    path = str(tmp_path / "one" / "map")
-    assert names_of([".", "hold", path, "hold", "../map"]) == {"map": path, "hold": "hold"}
-    with pytest.raises(BenchmarkError, match=r"two methods have the name 'map': .*one/map and .*other/map"):
-        names_of([".", "../../other/map"])
-
-
-def test_an_interrupted_benchmark_goes_on_without_losing_or_repeating(script, tmp_path, monkeypatch):
-    """Stopped after its first line and within its second, it ends with what an unbroken one has."""
-    unbroken = tmp_path / "unbroken"
-    script.main(arguments(unbroken))
+def test_an_interrupted_benchmark_continues_without_loss_or_repetition(finished, tmp_path, monkeypatch):
+    """Stopped within its second line, it ends with the results of an uninterrupted one."""
     append = TrialLog.append
 
     def stop(log, record):
@@ -130,66 +109,82 @@ def test_an_interrupted_benchmark_goes_on_without_losing_or_repeating(script, tm
     with monkeypatch.context() as patch:
         patch.setattr(TrialLog, "append", stop)
         with pytest.raises(KeyboardInterrupt):
-            script.main(arguments(tmp_path / "broken"))
-    (before,) = read_records(tmp_path / "broken" / "trials.jsonl")
-    assert script.main(arguments(tmp_path / "broken")) == 0
-    after = read_records(tmp_path / "broken" / "trials.jsonl")
+            run(tmp_path, "--methods", "hold")
+    (before,) = read_records(tmp_path / "trials.jsonl")
+    assert run(tmp_path, "--methods", "hold") == 0
+    after = read_records(tmp_path / "trials.jsonl")
     assert after[0] == before
-    assert list(map(judged, after)) == list(map(judged, read_records(unbroken / "trials.jsonl")))
+    unbroken = [record for record in read_records(finished / "trials.jsonl") if record["method"] == "hold"]
+    assert list(map(judged, after)) == list(map(judged, unbroken))
 
 
-def test_trials_objects_and_methods_can_be_added(script, tmp_path):
-    """What was run stays, with the same latency; the report is about everything."""
-    folder = tmp_path
-    script.main(arguments(folder, "--trials", "1"))
-    config = read_config(folder)
+def test_methods_objects_and_conditions_can_be_added(copy):
+    """Finished trials and latencies stay; names given twice are run once; the report shows everything."""
+    config = read_config(copy)
     config["methods"]["hold"]["latency_s"] = 0.0123
-    (folder / "config.json").write_text(json.dumps(config))
-    before = read_records(folder / "trials.jsonl")
-    script.main([*arguments(folder), "--methods", "vector_online", "--objects", "sphere", "--trials", "1"])
-    script.main(arguments(folder))
-    records = read_records(folder / "trials.jsonl")
-    assert records[:2] == before and len(records) == 5
-    config = read_config(folder)
+    (copy / "config.json").write_text(json.dumps(config))
+    before = read_records(copy / "trials.jsonl")
+    added = ["--methods", "vector_online", "vector_online", "--objects", "sphere", "--trials", "1"]
+    assert run(copy, *added) == 0
+    more = ["--methods", "hold", "--trials", "1", "--sensitivity", "delay=0,180", "stiffness=2"]
+    assert run(copy, *more) == 0
+    records = read_records(copy / "trials.jsonl")
+    assert records[:4] == before
+    assert [str(key_of(record)) for record in records[4:]] == [
+        "vector_online, sphere, seed 0",
+        "hold, cylinder, seed 0, delay=0",
+        "hold, cylinder, seed 0, stiffness=2",
+    ]
+    config = read_config(copy)
     assert list(config["methods"]) == ["hold", "nearest_neighbour", "vector_online"]
     assert config["objects"] == ["cylinder", "sphere"] and config["trials"] == 2
     assert config["methods"]["hold"]["latency_s"] == 0.0123
-    summary = json.loads((folder / "summary.json").read_text())
+    assert config["conditions"] == {
+        "delay=0": {"operator": {"visual_delay": 0.0}},
+        "stiffness=2": {"hand_stiffness_factor": 2.0},
+    }
+    summary = json.loads((copy / "summary.json").read_text())
     assert summary["methods"]["vector_online"]["objects"]["sphere"]["trials"] == 1
+    assert summary["methods"]["hold"]["overall"]["trials"] == 2
+    assert [c["value"] for c in summary["sensitivity"]["delay"]["conditions"]] == [0, 180]
+    assert "| **180** | – | 0 % [0, 79] |" in (copy / "report.md").read_text()
+    assert (copy / "sensitivity.svg").read_text().startswith("<svg")
+    assert (copy / "report.html").read_text().count("<svg") == 4
 
 
-def test_a_trial_that_raises_is_recorded_and_stops_no_other(script, tmp_path, monkeypatch):
-    """Its traceback is in a file and the exit status is 1, until it has been repeated and comes to an end."""
+def test_a_trial_that_raises_is_recorded_and_stops_no_other(tmp_path, monkeypatch):
+    """Its traceback is in a file and the exit code is 1, until a repetition succeeds."""
+
+    def failing(scenario, *rest):
+        if scenario.random_seed == 1:
+            raise ArithmeticError("the <map> has failed")
+        return run_trial(scenario, *rest)
+
     with monkeypatch.context() as patch:
-        patch.setattr(grasp_benchmark, "simulate", _simulate_one_that_fails)
-        assert script.main(arguments(tmp_path)) == 1
+        patch.setattr(trials, "run_trial", failing)
+        assert run(tmp_path, "--methods", "hold") == 1
     records = {key_of(record): record for record in read_records(tmp_path / "trials.jsonl")}
-    assert len(records) == 4
     record = records[TrialKey("hold", "cylinder", 1)]
     assert record["error"] == "ArithmeticError: the <map> has failed"
-    assert "in _failing" in (tmp_path / record["traceback"]).read_text()
+    assert "in failing" in (tmp_path / record["traceback"]).read_text()
     assert "error" not in records[TrialKey("hold", "cylinder", 0)]
     assert "ArithmeticError: the &lt;map&gt; has failed" in (tmp_path / "report.html").read_text()
-    assert script.main(arguments(tmp_path)) == 0
+    assert run(tmp_path, "--methods", "hold") == 0
     assert "ArithmeticError" not in (tmp_path / "report.html").read_text()
-    lines = (tmp_path / "trials.jsonl").read_text().splitlines()
-    assert len(lines) == 6  # two raised; the others were not repeated
+    assert len((tmp_path / "trials.jsonl").read_text().splitlines()) == 3
 
 
-def _simulate_one_that_fails(key, *arguments):
-    """In a worker, where nothing is patched."""
-    with pytest.MonkeyPatch.context() as patch:
-        if key.seed == 1:
-            patch.setattr(grasp_trial, "run_trial", _failing)
-        return grasp_trial.simulate(key, *arguments)
-
-
-def _failing(*_):
-    raise ArithmeticError("the <map> has failed")
+def test_an_invalid_result_is_kept_as_an_error(finished, tmp_path):
+    """It stops no other trial, and leaves a file that can be read."""
+    record = {**read_records(finished / "trials.jsonl")[0], "peak_force": float("nan")}
+    kept = keep_error(tmp_path, record)
+    assert set(kept) == {"method", "object", "seed", "error", "traceback"}
+    assert kept["error"].endswith("peak_force must be finite, not nan")
+    assert (tmp_path / kept["traceback"]).read_text() == kept["error"]
 
 
 def test_a_hand_given_as_a_file_is_the_one_that_is_trained(tmp_path, play, monkeypatch):
-    """Its name stands for nothing that is shipped, so training must be asked for by the file."""
+    """Its name may stand for no shipped hand, so training must use the file."""
     facts = yaml.safe_load((models_dir() / "hands" / "allegro_right.yaml").read_text(encoding="utf-8"))
     path = tmp_path / "hand.yaml"
     path.write_text(yaml.safe_dump(facts | {"name": "my_hand"}), encoding="utf-8")
@@ -197,145 +192,127 @@ def test_a_hand_given_as_a_file_is_the_one_that_is_trained(tmp_path, play, monke
     def train(hand_name, *_):
         raise TrainingError(f"trained for {load_hand(hand_name).name}")
 
-    monkeypatch.setattr(grasp_methods, "cached_checkpoint", train)
+    monkeypatch.setattr(methods, "cached_checkpoint", train)
     scenario = load_scenario(text=f"{{timeout: 0.3, hand: {path}}}")
     with pytest.raises(TrainingError, match="trained for my_hand"):
         open_benchmark(tmp_path / "benchmark", scenario, play, ["geort"], ["cylinder"], 1)
 
 
-# -- what is the same, and what is refused
+# -- refusals
 
 
-def test_another_configuration_is_refused_by_the_name_of_its_field(benchmark, play):
+@pytest.mark.parametrize(
+    ("field", "scenario", "options"),
+    [
+        ("scenario.timeout: 0.3, not 0.4", "{timeout: 0.4}", {}),
+        ("scenario.operator.visual_delay", "{timeout: 0.3, operator: {visual_delay: 0.2}}", {}),
+        ("recording_sha256", TOO_SHORT, {"recording": synthesize_play(seed=1, duration_s=20)}),
+        ("training_seed: 0, not 3", TOO_SHORT, {"seed": 3}),
+        ("latency: measured, not zero", TOO_SHORT, {"zero_latency": True}),
+    ],
+)
+def test_another_configuration_is_refused_by_the_name_of_its_field(copy, play, field, scenario, options):
     """Nothing is written then."""
-    folder = benchmark.folder
-    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    fresh = (["hold"], ["cylinder"], 2)
-    other_play = synthesize_play(seed=1, duration_s=60)
-    assert open_benchmark(folder, load_scenario(text=TOO_SHORT), play, *fresh).config == benchmark.config
-    for field, scenario, recording, options in (
-        ("scenario.timeout: 0.3, not 0.4", "{timeout: 0.4}", play, {}),
-        ("scenario.operator.visual_delay", "{timeout: 0.3, operator: {visual_delay: 0.2}}", play, {}),
-        ("recording_sha256", TOO_SHORT, other_play, {}),
-        ("training_seed: 0, not 3", TOO_SHORT, play, {"seed": 3}),
-        ("latency: measured, not zero", TOO_SHORT, play, {"zero_latency": True}),
-    ):
-        with pytest.raises(BenchmarkError, match=f"begun with another {field}"):
-            open_benchmark(folder, load_scenario(text=scenario), recording, *fresh, **options)
-    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+    before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
+    arguments = {"recording": play, "methods": ["hold"], "objects": ["cylinder"], "trials": 2, **options}
+    with pytest.raises(BenchmarkError, match=f"begun with another {field}"):
+        open_benchmark(copy, load_scenario(text=scenario), **arguments)
+    assert {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()} == before
 
 
-def test_results_without_their_configuration_are_not_taken_over(tmp_path, play):
-    """They might be anything's."""
-    (tmp_path / "trials.jsonl").write_text('{"method": "hold", "object": "cylinder", "seed": 0}\n')
+def test_a_condition_with_another_meaning_is_refused(copy):
+    """It is named."""
+    run(copy, "--methods", "hold", "--trials", "1", "--sensitivity", "noise=2")
+    path = copy / "config.json"
+    path.write_text(path.read_text().replace('"visual_noise": 0.002', '"visual_noise": 0.003'))
+    with pytest.raises(BenchmarkError, match=r"another condition noise=2: operator\.visual_noise: 0\.003"):
+        run(copy, "--sensitivity", "noise=2")
+
+
+def test_results_without_their_configuration_are_refused(copy, play):
+    """Nobody knows what they are of."""
+    (copy / "config.json").unlink()
     with pytest.raises(BenchmarkError, match=r"holds trials without their config\.json"):
-        open_benchmark(tmp_path, load_scenario(text=TOO_SHORT), play, ["hold"], ["cylinder"], 1)
-    (tmp_path / "config.json").write_text('{"settings"')
-    with pytest.raises(BenchmarkError, match=r"config\.json: not a benchmark's configuration"):
-        open_benchmark(tmp_path, load_scenario(text=TOO_SHORT), play, ["hold"], ["cylinder"], 1)
+        open_benchmark(copy, load_scenario(text=TOO_SHORT), play, ["hold"], ["cylinder"], 1)
+    with pytest.raises(BenchmarkError, match=r"config\.json: there is no such file"):
+        write_grasp_report(copy)
 
 
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        (("settings",), {}, "settings.code_sha256, settings.hand.* missing"),
-        (("settings", "latency"), "none", "settings.latency must be .measured. or .zero., not .none."),
-        (
-            ("settings", "scenario", "timeout"),
-            "25",
-            "settings.scenario.timeout must be a finite number, not .25.",
-        ),
-        (("methods", "hold"), {}, "methods.hold.latency_s, methods.hold.weights_sha256 missing"),
-        (("methods", "hold", "latency_s"), float("nan"), "methods.hold.latency_s must be a finite number"),
-        (("methods",), {}, "methods must name at least one"),
-        (("objects",), ["cylinder", 1], r"objects\[1\] must be a text, not 1"),
-        (("trials",), 2.5, "trials must be a whole number, not 2.5"),
-        (("conditions",), {"delay=0": None}, "conditions.delay=0 must be an object, not null"),
-        (("notes", "recording"), 3, "notes.recording must be a text or null, not 3"),
+        (("settings",), {}, "missing required field `recording_sha256`"),
+        (("settings", "scenario", "timeout"), "25", "Expected `float`.*scenario.timeout"),
+        (("methods", "hold", "latency_s"), float("nan"), "methods must be finite"),
+        (("methods",), {}, "length >= 1"),
+        (("trials",), 2.5, "Expected `int`.*trials"),
     ],
 )
-def test_a_configuration_that_makes_no_sense_is_refused_by_its_field(
-    benchmark, tmp_path, path, value, message
-):
-    """The report says so, and nothing else is written."""
-    config = json.loads((benchmark.folder / "config.json").read_text())
+def test_a_damaged_configuration_is_refused_by_its_field(copy, path, value, message):
+    """Files as interrupted or edited ones may be."""
+    config = read_config(copy)
     *outer, last = path
     within = config
     for name in outer:
         within = within[name]
     within[last] = value
-    (tmp_path / "config.json").write_text(json.dumps(config))
-    (tmp_path / "trials.jsonl").write_text("")
+    (copy / "config.json").write_text(json.dumps(config))
     with pytest.raises(BenchmarkError, match=rf"config\.json: .*{message}"):
-        load_script("benchmark_grasping.py").main(["--output", str(tmp_path), "--report"])
-    assert len(list(tmp_path.iterdir())) == 2
+        write_grasp_report(copy)
 
 
-def test_a_result_that_is_not_finite_is_kept_as_an_error(tmp_path, benchmark):
-    """It does not stop the other trials, and leaves a file that can be read."""
-    key, *rest = benchmark.arguments(TrialKey("hold", "cylinder", 0), planned_goal("cylinder"))
-    record = {**grasp_trial.simulate(key, *rest), "peak_force": float("nan")}
-    kept = keep_error(tmp_path, record)
-    assert set(kept) == {"method", "object", "seed", "error", "traceback"}
-    assert kept["error"].endswith("peak_force must be a finite number, not NaN")
-    assert (tmp_path / kept["traceback"]).read_text() == kept["error"]
-
-
-def test_unknown_names_are_refused_with_the_choices_before_anything_is_written(script, tmp_path):
-    """Methods, objects, finished trials and folders."""
+def test_unknown_names_are_refused_with_the_choices_before_anything_is_written(tmp_path):
+    """Methods, objects and folders."""
     folder = tmp_path / "new"
     with pytest.raises(UnknownNameError, match=r"method or checkpoint 'nothing'.*dexpilot_online, geort"):
-        script.main(arguments(folder, "--methods", "nothing"))
+        run(folder, "--methods", "nothing")
     with pytest.raises(UnknownNameError, match=r"object 'cone'.*bottle.*cylinder"):
-        script.main(arguments(folder, "--objects", "cone"))
-    with pytest.raises(BenchmarkError, match=r"config\.json: there is no such file"):
-        script.main(["--output", str(folder), "--report"])
+        run(folder, "--objects", "cone")
     assert not folder.exists()
     (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match="not a directory"):
-        script.main(arguments(tmp_path / "file"))
+    with pytest.raises((OutputError, SystemExit)):
+        run(tmp_path / "file")
 
 
-@pytest.mark.parametrize(
-    "option",
-    [["--trials", "0"], ["--jobs", "0"], ["--seed", "-1"], ["--rrd", "a", "b", "c"], ["--rrd", "a", "b"]],
-)
-def test_senseless_numbers_are_refused(script, tmp_path, option, capsys):
-    """With the option's name."""
-    with pytest.raises(SystemExit):
-        script.main(arguments(tmp_path, *option))
-    assert option[0] in capsys.readouterr().err
+def test_a_checkpoint_is_named_after_its_directory_however_that_is_given(tmp_path, monkeypatch):
+    """Also from within it; two directories of one name are refused."""
+    for folder in ("one/map", "other/map"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "config.json").write_text("{}")
+    monkeypatch.chdir(tmp_path / "one" / "map")
+    path = str(tmp_path / "one" / "map")
+    assert names_of([".", "hold", path, "hold", "../map"]) == {"map": path, "hold": "hold"}
+    with pytest.raises(BenchmarkError, match=r"two methods have the name 'map': .*one/map and .*other/map"):
+        names_of([".", "../../other/map"])
 
 
-# -- one trial again
+# -- repeating a trial
 
 
-def test_one_trial_can_be_watched_and_must_come_out_the_same(script, tmp_path, capsys):
-    """The recording is written and linked; code that has changed is said, another outcome is an error."""
-    script.main(arguments(tmp_path))
-    watch = ["--output", str(tmp_path), "--rrd", "nearest_neighbour", "cylinder", "1"]
-    assert script.main(watch) == 0
-    name = "rrd/nearest_neighbour-cylinder-1.rrd"
-    assert (tmp_path / name).stat().st_size > 20_000
-    assert f'href="{name}"' in (tmp_path / "report.html").read_text()
-    with pytest.raises(UnknownNameError, match=r"finished trial 'hold cylinder 7'.*hold cylinder 0"):
-        script.main(["--output", str(tmp_path), "--rrd", "hold", "cylinder", "7"])
-    config = read_config(tmp_path)
+def test_a_trial_can_be_recorded_and_must_come_out_the_same(copy, capsys):
+    """The recording is written and linked; changed code is a warning, another outcome an error."""
+    config = read_config(copy)
     config["settings"]["code_sha256"] = "of before"
-    (tmp_path / "config.json").write_text(json.dumps(config))
-    assert script.main(watch) == 0
-    assert "code has changed since" in capsys.readouterr().err and read_config(tmp_path) == config
-    path = tmp_path / "trials.jsonl"
+    (copy / "config.json").write_text(json.dumps(config))
+    repeat = ["benchmark", ["--output", str(copy), "--rrd", "nearest_neighbour", "cylinder", "1"]]
+    assert run_command(*repeat) == 0
+    assert "code has changed since" in capsys.readouterr().err and read_config(copy) == config
+    name = "rrd/nearest_neighbour-cylinder-1.rrd"
+    assert (copy / name).stat().st_size > 20_000
+    assert f'href="{name}"' in (copy / "report.html").read_text()
+    path = copy / "trials.jsonl"
     path.write_text(path.read_text().replace('"peak_height": ', '"peak_height": 1'))
     with pytest.raises(BenchmarkError, match="differs in peak_height"):
-        script.main(watch)
+        run_command(*repeat)
+    with pytest.raises(UnknownNameError, match=r"finished trial 'hold cylinder 7'.*hold cylinder 0"):
+        run_command("benchmark", ["--output", str(copy), "--rrd", "hold", "cylinder", "7"])
 
 
-# -- latency
+# -- latency and pairing
 
 
 def test_the_latency_is_the_median_of_successive_calls(play, monkeypatch):
-    """By a clock that the method moves on; neither warm-up nor a few slow calls count."""
+    """By a clock that the method advances; neither warm-up nor a few slow calls count."""
     clock, calls = [0.0], [0]
 
     def retarget(keypoints):
@@ -343,47 +320,45 @@ def test_the_latency_is_the_median_of_successive_calls(play, monkeypatch):
         clock[0] += 1.0 if calls[0] % 40 < 10 or calls[0] % 3 == 0 else 0.004
         calls[0] += 1
 
-    monkeypatch.setattr(grasp_methods.time, "thread_time", lambda: clock[0])
+    monkeypatch.setattr(methods.time, "thread_time", lambda: clock[0])
     assert measure_latency(retarget, play) == pytest.approx(0.004)
 
 
-def test_every_method_has_its_measured_latency_unless_none_is_wanted(benchmark, tmp_path, play):
-    """It is in the configuration and acts in the loop."""
-    stored = benchmark.config["methods"]
-    assert stored["vector_online"]["latency_s"] > stored["hold"]["latency_s"] > 0
-    assert benchmark.methods["vector_online"].latency == stored["vector_online"]["latency_s"]
-    zero = open_benchmark(
-        tmp_path, load_scenario(text=TOO_SHORT), play, ["hold"], ["cylinder"], 1, zero_latency=True
-    )
-    assert zero.config["methods"]["hold"]["latency_s"] == 0 and zero.methods["hold"].latency == 0
-    key, text, *rest = benchmark.arguments(TrialKey("vector_online", "cylinder", 0), planned_goal("cylinder"))
-    retarget, _, human = rest
-    longer = text.replace("timeout: 0.3", "timeout: 4.5")
-    slow = grasp_trial.simulate(key, longer, retarget, 0.1, human)
-    quick = grasp_trial.simulate(key, longer, retarget, 0.0, human)
-    assert judged(slow) != judged(quick)
+def test_every_method_has_its_measured_latency_unless_none_is_wanted(tmp_path, play, monkeypatch):
+    """It is in the configuration and in the scenario of its trials."""
+    arguments = (load_scenario(text=TOO_SHORT), play, ["hold", "vector_online"], ["cylinder"], 1)
+    measured = open_benchmark(tmp_path / "measured", *arguments)
+    stored = {name: entry["latency_s"] for name, entry in measured.config["methods"].items()}
+    assert stored["vector_online"] > stored["hold"] > 0
+    zero = open_benchmark(tmp_path / "zero", *arguments, zero_latency=True)
+    assert zero.config["methods"]["hold"]["latency_s"] == 0
+    used = []
+    monkeypatch.setattr(trials, "run_trial", lambda scenario, *_: used.append(scenario.retargeting.latency))
+    for made in (measured, zero):
+        key = TrialKey("vector_online", "cylinder", 0)
+        trials.simulate(made.trial(key, planned_goal("cylinder")))
+    assert used == [stored["vector_online"], 0.0]
 
 
-def test_seeds_are_paired_across_methods(benchmark):
+def test_seeds_are_paired_across_methods(tmp_path, play):
     """One seed is one place, mass, friction and noise, whatever the method; another seed differs in each."""
-    keys = benchmark.keys(["hold", "vector_online"], ["cylinder"], 2)
+    scenario = load_scenario(text=TOO_SHORT)
+    made = open_benchmark(tmp_path, scenario, play, ["hold", "vector_online"], ["cylinder"], 2)
+    keys = made.keys(["hold", "vector_online"], ["cylinder"], 2)
     assert [key.seed for key in keys] == [0, 0, 1, 1]
     human = (person_and_rest()[0], planned_goal("cylinder"))
     seen = []
-    for key in keys:
+    for key in keys[:3]:
         scenario = load_scenario(text=f"{{timeout: 0.4, random_seed: {key.seed}}}")
-        scenario.object.name = key.object
-        retarget = benchmark.methods[key.method].retarget
+        retarget = made.methods[key.method].retarget
         drawn = make_grasp_diagram(scenario, retarget, human).placement
         glove = run_trial(scenario, retarget, human)[1]
-        # The person first decides at the sample after the visual delay, and does not see before the next one
-        # what the method makes of it. The arm moves without the method.
+        # The person first decides at the sample after the visual delay, and sees what the method does with it
+        # one sample later. The arm moves without the method.
         first = round(scenario.operator.visual_delay / scenario.operator.period)
         assert not np.array_equal(glove.p_HK[first], glove.p_HK[0])
         place = drawn.X_WO.GetAsMatrix4()
         seen.append((place, drawn.mass_factor, drawn.friction_factor, glove.p_HK[: first + 1], glove.X_WH))
-    for one, other in ((0, 1), (2, 3)):
-        for value, again in zip(seen[one], seen[other], strict=True):
-            np.testing.assert_array_equal(value, again)
-    for value, of_other_seed in zip(seen[0], seen[2], strict=True):
+    for value, of_same_seed, of_other_seed in zip(*seen, strict=True):
+        np.testing.assert_array_equal(value, of_same_seed)
         assert not np.array_equal(value, of_other_seed)

@@ -1,4 +1,4 @@
-"""One seed, one result, bit for bit: in another process, with other hashes and other numbers of threads."""
+"""One seed, one result, bit for bit: in another process, with other hashes and numbers of threads."""
 
 import json
 import os
@@ -7,45 +7,50 @@ import sys
 from pathlib import Path
 
 import pytest
+from faults import kills
 
 TESTS = Path(__file__).resolve().parent
-# Data, a trained checkpoint, a trial with its recordings: their digests.
-PROGRAM = """
-import json, os, sys
-sys.path.insert(0, {tests!r})
-from pathlib import Path
-from faults import kills
-found = {{}}
-for name in ("data generation", "training", "recording"):
-    folder = Path(name)
-    folder.mkdir()
-    os.chdir(folder)
-    kills.WORKS[name].main(0)
-    os.chdir("..")
-    found |= kills.WORKS[name].results(folder)
-print(json.dumps(found))
+PROGRAM = f"""
+import sys
+sys.path.insert(0, {str(TESTS)!r})
+from test_reliability_determinism import digests
+import json
+print(json.dumps(digests()))
 """
 
 
-@pytest.mark.slow
-def test_another_process_gives_the_same_bits(tmp_path):
-    """Samples, synthetic play, weights trained on the CPU, trials, and both kinds of recordings."""
-    found = []
-    for number, threads in enumerate(("1", "2")):
-        folder = tmp_path / str(number)
+def digests() -> dict[str, str]:
+    """Digests of data, of a trained checkpoint, and of trials with their recordings, all made here."""
+    found = {}
+    for name in ("data generation", "training", "recording"):
+        folder = Path(name).resolve()
         folder.mkdir()
-        environment = {
-            **os.environ,
-            "PYTHONHASHSEED": str(7 * number + 1),
-            "OMP_NUM_THREADS": threads,
-            "XDG_CACHE_HOME": str(folder / "cache"),
-        }
-        done = subprocess.run(
-            [sys.executable, "-c", PROGRAM.format(tests=str(TESTS))],
-            cwd=folder, env=environment, capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        assert done.returncode == 0, done.stderr
-        found.append(json.loads(done.stdout.splitlines()[-1]))
-    assert found[0] == found[1]
-    assert {Path(name).suffix for name in found[0]} == {".npz", "", ".rrd"}
-    assert len(found[0]) == 7
+        os.chdir(folder)
+        kills.WORKS[name].main(0)
+        os.chdir("..")
+        found |= kills.WORKS[name].results(folder)
+    return found
+
+
+@pytest.mark.slow
+def test_another_process_gives_the_same_bits(tmp_path, monkeypatch):
+    """Samples, synthetic play, weights trained on the CPU, trials, and both kinds of recordings."""
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "here" / "cache"))
+    here = digests()
+    environment = {
+        **os.environ,
+        "PYTHONHASHSEED": "8",
+        "OMP_NUM_THREADS": "2",
+        "XDG_CACHE_HOME": str(tmp_path / "there" / "cache"),
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM],
+        cwd=tmp_path / "there", env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[-1]) == here
+    assert {Path(name).suffix for name in here} == {".npz", "", ".rrd"}
+    assert len(here) == 7

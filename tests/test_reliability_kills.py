@@ -9,7 +9,7 @@ from faults import disks, kills
 from faults.child import run
 
 from geort_drake import files
-from geort_drake.benchmark.trial_log import TrialLog, read_records
+from geort_drake.benchmark.records import TrialLog, read_records
 from geort_drake.errors import OutputError
 from geort_drake.files import atomic_directory, atomic_path, write_text
 

@@ -8,9 +8,9 @@ import pytest
 from grasp_setup import allegro, person_and_rest, scenario_with
 from script_modules import load_script
 
-from geort_drake.benchmark import replay
+from geort_drake.benchmark import replay, trials
+from geort_drake.benchmark.records import read_records
 from geort_drake.benchmark.replay import as_recorded, summarize_replay
-from geort_drake.benchmark.trial_log import read_records
 from geort_drake.errors import BenchmarkError, RecordingError, ScenarioError
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.methods.trivial import Hold
@@ -83,6 +83,7 @@ def test_the_summary_pools_sessions_and_begins_without_a_change():
 def script(monkeypatch, tmp_path):
     """The script, with a method that needs no training in place of a checkpoint."""
     module = load_script("evaluate_replay.py")
+    monkeypatch.setattr(trials, "call_in_workers", lambda call, arguments, *_: (call(*a) for a in arguments))
     monkeypatch.setattr(replay, "load_retargeter", lambda *_: Hold(allegro().kinematics()))
     (tmp_path / "map").mkdir()
     (tmp_path / "map" / replay.WEIGHTS).write_bytes(b"a known map")
@@ -107,7 +108,7 @@ def test_sessions_are_replayed_under_every_change_and_gone_on_with(script, tmp_p
     assert records[:3] == before and len(records) == 5
     summary = json.loads((folder / "summary.json").read_text())
     assert set(summary["perturbations"]) == {"position", "mass"}
-    assert "| 20 | 2 | 0 [0, 66] |" in (folder / "report.md").read_text()
+    assert "| 20 | 2 | 0 % [0, 66] |" in (folder / "report.md").read_text()
     assert (folder / "success.svg").read_text().startswith("<svg")
     (tmp_path / "map" / replay.WEIGHTS).write_bytes(b"another map")
     with pytest.raises(BenchmarkError, match="begun with another weights_sha256"):

@@ -1,25 +1,17 @@
-"""The sensitivity of a grasp benchmark: conditions, how they are run and kept, and the ranking."""
-
-import json
+"""The sensitivity of a grasp benchmark: its conditions and whether the ranking of methods holds."""
 
 import pytest
-from grasp_setup import planned_goal
-from script_modules import load_script
 
-from geort_drake.benchmark import folder as grasp_benchmark
-from geort_drake.benchmark.config import read_config
 from geort_drake.benchmark.sensitivity import (
-    PARAMETERS,
     make_conditions,
     parse_values,
     summarize_sensitivity,
+    usual_values,
 )
-from geort_drake.benchmark.trial_log import key_of, read_records
 from geort_drake.errors import BenchmarkError, ScenarioError, UnknownNameError
-from geort_drake.people.play import synthesize_play
 from geort_drake.simulation.scenario import Scenario, dump_scenario, load_scenario
 
-USUAL = {name: parameter.values for name, parameter in PARAMETERS.items()}
+USUAL = usual_values()
 
 
 def trial(method: str, seed: int, success: bool, condition: str = "") -> dict:
@@ -50,7 +42,7 @@ def test_senseless_values_are_refused(text):
 
 
 def test_an_unknown_parameter_is_refused_with_the_choices():
-    """The choices are in the message."""
+    """The message lists them."""
     with pytest.raises(UnknownNameError, match=r"parameter 'speed'.*delay, friction, gain, noise, stiffness"):
         parse_values(["speed=1"], USUAL)
 
@@ -114,67 +106,3 @@ def test_nominal_trials_count_where_a_condition_tried_the_same():
     for condition in parameter["conditions"]:
         assert set(condition["methods"]) == {"a", "b"}
         assert condition["methods"]["a"]["trials"] == condition["methods"]["a"]["successes"] == 5
-
-
-# -- the script
-
-
-@pytest.fixture
-def script(monkeypatch):
-    """The script, with a person made already and one plan; no trial lasts long enough to follow it."""
-    module = load_script("benchmark_grasping.py")
-    play = synthesize_play(seed=0, duration_s=60)
-    monkeypatch.setattr(module, "read_person", lambda *_: (play, {"recording": None}))
-    monkeypatch.setattr(grasp_benchmark, "plan", lambda *_: planned_goal("cylinder"))
-    return module
-
-
-def arguments(folder, *more: str) -> list[str]:
-    return [
-        "--output", str(folder), "--methods", "hold", "vector_online", "--objects", "cylinder",
-        "--jobs", "1", "--scenario_text", "{timeout: 0.1}", "--trials", "1", *more,
-    ]  # fmt: skip
-
-
-def test_conditions_are_added_to_a_benchmark_and_reported(script, tmp_path):
-    """Finished trials stay; every condition is run with the same seeds; report and figure show it."""
-    assert script.main(arguments(tmp_path)) == 0
-    before = read_records(tmp_path / "trials.jsonl")
-    assert script.main(arguments(tmp_path, "--sensitivity", "delay=0,180", "stiffness=2")) == 0
-    records = read_records(tmp_path / "trials.jsonl")
-    assert records[:2] == before
-    assert {str(key_of(record)) for record in records[2:]} == {
-        f"{method}, cylinder, seed 0, {condition}"
-        for method in ("hold", "vector_online")
-        for condition in ("delay=0", "stiffness=2")
-    }
-    assert read_config(tmp_path)["conditions"] == {
-        "delay=0": {"operator": {"visual_delay": 0.0}},
-        "stiffness=2": {"hand_stiffness_factor": 2.0},
-    }
-    summary = json.loads((tmp_path / "summary.json").read_text())
-    assert summary["methods"]["hold"]["overall"]["trials"] == 1
-    assert [c["value"] for c in summary["sensitivity"]["delay"]["conditions"]] == [0, 180]
-    report = (tmp_path / "report.md").read_text()
-    assert "![One-time success in every condition](sensitivity.svg)" in report
-    assert "| **180** | – | 0 % [0, 79] | 0 % [0, 79] |" in report
-    assert (tmp_path / "sensitivity.svg").read_text().startswith("<svg")
-    assert (tmp_path / "report.html").read_text().count("<svg") == 4
-    # A trial of a condition can be watched, too.
-    watch = ["--output", str(tmp_path), "--rrd", "hold", "cylinder", "0"]
-    assert script.main([*watch, "delay=0"]) == 0
-    assert (tmp_path / "rrd" / "hold-cylinder-0-delay=0.rrd").stat().st_size > 20_000
-    with pytest.raises(UnknownNameError, match=r"'hold cylinder 0 delay=9'.*hold cylinder 0 delay=0"):
-        script.main([*watch, "delay=9"])
-    # Going on finds all of it finished.
-    script.main(arguments(tmp_path, "--sensitivity", "delay=0"))
-    assert read_records(tmp_path / "trials.jsonl") == records
-
-
-def test_a_condition_of_another_meaning_is_refused(script, tmp_path):
-    """One that was begun with other values is named."""
-    script.main(arguments(tmp_path, "--sensitivity", "noise=2"))
-    path = tmp_path / "config.json"
-    path.write_text(path.read_text().replace('"visual_noise": 0.002', '"visual_noise": 0.003'))
-    with pytest.raises(BenchmarkError, match=r"another condition noise=2: operator\.visual_noise: 0\.003"):
-        script.main(arguments(tmp_path, "--sensitivity", "noise=2"))

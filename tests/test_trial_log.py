@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from geort_drake.benchmark.trial_log import TrialKey, TrialLog, read_records
+from geort_drake.benchmark.records import TrialKey, TrialLog, read_records
 from geort_drake.errors import BenchmarkError
 
 
@@ -52,15 +52,11 @@ def test_a_torn_last_line_is_dropped_from_the_file(tmp_path):
     ("bad", "message"),
     [
         ('{"method": "ho', "line 2: not a trial's result"),
-        ("[1, 2]", "line 2: not a trial's result"),
+        ("[1, 2]", "line 2: not a trial's result: Expected `object`"),
         ("", "line 2: not a trial's result"),
         ("\0\0\0", "line 2: not a trial's result"),
-        ('{"method": "hold", "object": "cylinder"}', "line 2: not a trial's result.*seed"),
-        ('{"method": [], "object": "cylinder", "seed": 1}', "line 2: not a trial's result"),
-        (
-            '{"method": "hold", "object": "cylinder", "seed": 1}',
-            "line 2: not a trial's result: attempts, completion_time.* missing; mend or delete",
-        ),
+        ('{"method": "hold", "object": "cylinder"}', "line 2: not a trial's result: .*`seed`"),
+        ('{"method": "hold", "object": "cylinder", "seed": 1}', "line 2: .*missing.*; repair or delete"),
         (json.dumps(result(seed=1)) + "\n" + json.dumps(result(seed=1)), "line 3: a second result of hold"),
         (json.dumps(result(seed=1)) + "\n" + json.dumps(line(seed=1)), "line 3: a second result of hold"),
     ],
@@ -82,44 +78,30 @@ FAILED = {"success": False, "outcome": "timeout: touch", "completion_time": None
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"completion_time": "4"}, 'completion_time must be a finite number or null, not "4"'),
-        ({"slip": float("nan")}, "slip must be a finite number or null, not NaN"),
-        ({"peak_force": float("inf")}, "peak_force must be a finite number, not Infinity"),
-        ({"peak_force": 10**400}, "peak_force must be a finite number, not 10000"),
-        ({"seed": "0"}, 'seed must be a whole number, not "0"'),
-        ({"seed": True}, "seed must be a whole number, not true"),
-        ({"object": None}, "object must be a text, not null"),
-        ({"success": 1}, "success must be true or false, not 1"),
-        ({"phase_durations": None}, "phase_durations must be an object, not null"),
-        ({"phase_durations": {"REACH": []}}, r"phase_durations\.REACH must be a finite number, not \[\]"),
-        ({"attempts": 1.5}, r"attempts must be a whole number or null, not 1\.5"),
-        ({"error": "ValueError: no"}, "traceback missing"),
-        ({"error": None, "traceback": "a.txt"}, "error must be a text, not null"),
-        ({"condition": "delay"}, "condition must be NAME=NUMBER, not 'delay'"),
+        ({"completion_time": "4"}, "Expected `float . null`, got `str` - at `..completion_time`"),
+        ({"slip": float("nan")}, "slip must be finite, not nan"),
+        ({"peak_force": float("inf")}, "peak_force must be finite, not inf"),
+        ({"peak_force": 10**400}, "Number out of range - at `..peak_force`"),
+        ({"seed": True}, "Expected `int`, got `bool` - at `..seed`"),
+        ({"phase_durations": {"REACH": []}}, "Expected `float`, got `array` - at `..phase_durations"),
+        ({"error": "ValueError: no"}, "missing required field `traceback`"),
         ({"condition": "delay=nan"}, "condition must be NAME=NUMBER, not 'delay=nan'"),
-        ({"outcome": "thrown: lift"}, "a trial with success cannot have the outcome 'thrown: lift'"),
-        ({**FAILED, "outcome": "success"}, "a trial with no success cannot have the outcome 'success'"),
-        (
-            {"completion_time": None},
-            r"the completion_time .* must be between 0 and .* 6\.0, not None",
-        ),
-        (
-            {"completion_time": 7.0},
-            r"the completion_time .* must be between 0 and .* 6\.0, not 7\.0",
-        ),
-        (
-            {**FAILED, "completion_time": 4.0},
-            r"the completion_time .* with no success must be null, not 4\.0",
-        ),
-        ({**FAILED, "first_attempt": True}, "first_attempt must not be true of a trial with no success"),
+        ({"outcome": "thrown: lift"}, "success is True, which contradicts .*thrown"),
+        ({**FAILED, "outcome": "success"}, "success is False, which contradicts .*'success'"),
+        ({"completion_time": None}, "success is True, which contradicts .*None"),
+        ({"completion_time": 7.0}, r"success is True, which contradicts .*7\.0"),
+        ({**FAILED, "completion_time": 4.0}, r"success is False, which contradicts .*4\.0"),
+        ({**FAILED, "first_attempt": True}, "success is False, which contradicts .*first_attempt': True"),
     ],
 )
-def test_a_value_that_makes_no_sense_is_refused_by_its_field(tmp_path, changes, message):
-    """With file and line, what was wanted and what was given."""
+def test_an_invalid_value_is_refused_by_its_field(tmp_path, changes, message):
+    """With file and line, what was expected and what was given."""
     path = tmp_path / "trials.jsonl"
     path.write_text(json.dumps(result()) + "\n" + json.dumps(result(**{"seed": 1, **changes})) + "\n")
     for read in (TrialLog, read_records):
-        with pytest.raises(BenchmarkError, match=rf"trials\.jsonl, line 2: not a trial's result: {message}"):
+        with pytest.raises(
+            BenchmarkError, match=rf"trials\.jsonl, line 2: not a trial's result: .*{message}"
+        ):
             read(path)
 
 
@@ -139,7 +121,8 @@ def test_a_trial_that_raised_is_not_finished(tmp_path):
             log.append(record)
     with TrialLog(path) as log:
         assert log.records == [line(), result(seed=1), result(seed=2)]
-        assert log.finished == {TrialKey("hold", "cylinder", 1), TrialKey("hold", "cylinder", 2)}
+        keys = [TrialKey("hold", "cylinder", seed) for seed in range(4)]
+        assert log.unfinished(keys) == [keys[0], keys[3]]
 
 
 def test_two_processes_do_not_write_to_one_file(tmp_path):

@@ -1,19 +1,15 @@
-"""What decides every trial of a benchmark, as `config.json` keeps it: read, checked and compared."""
+"""The configuration of a benchmark, `config.json`: reading it and comparing it with what is asked for."""
 
-import json
 from pathlib import Path
-from typing import Any, Literal, NotRequired, TypedDict
+from typing import Annotated, Any, Literal, NotRequired, TypedDict
 
-from geort_drake.benchmark.json_types import require_type
+from msgspec import Meta
+
+from geort_drake.benchmark.schema import read_json
 from geort_drake.errors import BenchmarkError
 
-CONFIG, SCENARIO, TRIALS, METHODS, ERRORS = (
-    "config.json",
-    "scenario.yaml",
-    "trials.jsonl",
-    "methods",
-    "errors",
-)
+CONFIG, SCENARIO, TRIALS = "config.json", "scenario.yaml", "trials.jsonl"
+METHODS, ERRORS = "methods", "errors"
 
 
 class _ScenarioFields(TypedDict):
@@ -45,58 +41,40 @@ class _Notes(TypedDict, total=False):
 
 class _Config(TypedDict):
     settings: _Settings
-    objects: list[str]
-    methods: dict[str, _MethodFields]
+    objects: Annotated[list[str], Meta(min_length=1)]
+    methods: Annotated[dict[str, _MethodFields], Meta(min_length=1)]
     trials: int
     conditions: NotRequired[dict[str, dict]]
     notes: _Notes
 
 
 def read_config(folder: Path) -> dict:
-    """The configuration of the benchmark in a folder.
+    """The configuration of the grasp benchmark in a folder.
 
     Raises:
-        BenchmarkError: there is none, or it is not one.
+        BenchmarkError: it is missing or damaged.
     """
     path = folder / CONFIG
     if not path.is_file():
         raise BenchmarkError(f"{path}: there is no such file; a benchmark writes it when it begins")
-    config = read_json(path, _Config, "a benchmark's configuration")
-    for field in ("methods", "objects"):
-        if not config[field]:
-            raise BenchmarkError(f"{path}: {field} must name at least one, not {config[field]}")
-    return config
-
-
-def read_json(path: Path, schema: Any, what: str) -> dict:
-    """A file's JSON object, which has the fields of `schema`; `what` it should be is for the message.
-
-    Raises:
-        BenchmarkError: it is not JSON, or a field is missing or of another type.
-    """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise BenchmarkError(f"{path}: not {what}: {error}") from error
-    require_type(content, schema, f"{path}: not {what}")
-    return content
+    return read_json(path, _Config, "a benchmark's configuration")
 
 
 def require_no_trials(folder: Path) -> None:
-    """Raises BenchmarkError where a folder without a configuration holds trials: nobody knows of what."""
+    """Raises BenchmarkError if a folder without a configuration holds trials, whose origin is unknown."""
     path = folder / TRIALS
     if path.exists() and path.stat().st_size:
         raise BenchmarkError(f"{path}: holds trials without their {CONFIG}; choose another folder")
 
 
-def require_same(path: Path, stored: dict, wanted: dict, within: str = "") -> None:
-    """Raises BenchmarkError, by its name, for the first field in which two configurations differ."""
-    for field in {**stored, **wanted}:
-        before, now = stored.get(field), wanted.get(field)
+def require_same(path: Path, stored: dict[str, Any], given: dict[str, Any], within: str = "") -> None:
+    """Raises BenchmarkError that names the first field in which two configurations differ."""
+    for field in {**stored, **given}:
+        before, now = stored.get(field), given.get(field)
         if isinstance(before, dict) and isinstance(now, dict):
             require_same(path, before, now, f"{within}{field}.")
         elif before != now:
             raise BenchmarkError(
                 f"{path}: this benchmark was begun with another {within}{field}: {before}, not {now}; "
-                "go on with the same, or choose another folder"
+                "continue with the same, or choose another folder"
             )

@@ -1,15 +1,16 @@
-"""A grasp benchmark in its folder: which trials there are, which are left, and how they are run.
+"""The grasp benchmark in its folder: opening it, its trials, and repeating one of them.
 
 FOLDER/config.json     what decides every trial; another run may add methods, objects and trials to it
 FOLDER/scenario.yaml   the resolved scenario
 FOLDER/methods/        copies of the checkpoints
 FOLDER/trials.jsonl    one line per finished trial
-FOLDER/errors/         the traceback of each trial that raised
+FOLDER/errors/         the traceback of each trial that raised an exception
+FOLDER/rrd/            Rerun recordings of repeated trials
 """
 
 import dataclasses as dc
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,46 +18,57 @@ import yaml
 
 from geort_drake.benchmark.config import (
     CONFIG,
-    ERRORS,
     METHODS,
     SCENARIO,
+    TRIALS,
     read_config,
     require_no_trials,
     require_same,
 )
 from geort_drake.benchmark.methods import Method, make_retargeter, measure_latency, names_of
-from geort_drake.benchmark.trial import plan, simulate
-from geort_drake.benchmark.trial_log import TrialKey, check_record, identity, key_of
-from geort_drake.benchmark.trial_sources import code_digest
-from geort_drake.benchmark.workers import run_trials
+from geort_drake.benchmark.records import Record, TrialKey, key_of, read_records
+from geort_drake.benchmark.sensitivity import make_conditions, parse_values, usual_values
+from geort_drake.benchmark.trials import Trial, plan_grasps, simulate
+from geort_drake.benchmark.workers import code_digest
 from geort_drake.comparison.versions import versions
-from geort_drake.errors import BenchmarkError
+from geort_drake.errors import BenchmarkError, UnknownNameError
 from geort_drake.files import digest_of, write_text
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
 from geort_drake.resources import diagrams_dir, models_dir
-from geort_drake.simulation.scenario import Scenario, dump_scenario
+from geort_drake.simulation.scenario import Scenario, dump_scenario, load_scenario
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
 _VERSIONS = ("geort_drake", "python", "numpy", "scipy", "drake")
+_RECORDINGS = "rrd"
 
 
 @dc.dataclass(frozen=True)
 class Benchmark:
-    """Methods, objects and seeds, and all that their trials share."""
+    """Methods, objects and seeds, and everything that their trials share.
+
+    Attributes:
+        folder: of the results.
+        config: content of `config.json`.
+        scenario_text: the resolved scenario, as YAML.
+        person: who teleoperates.
+        methods: name → method.
+        conditions: name of each changed scenario → its resolved text.
+    """
 
     folder: Path
     config: dict
     scenario_text: str
     person: HumanHand
     methods: dict[str, Method]
-    # Name of each changed scenario → its resolved text.
     conditions: dict[str, str] = dc.field(default_factory=dict)
 
     def keys(self, methods: Iterable[str], objects: Iterable[str], trials: int) -> list[TrialKey]:
-        """Trials in the order in which they are run: seed by seed, so that any beginning is balanced."""
+        """Trials in the order in which they are run: seed by seed, so that every beginning is balanced."""
         first = self.config["settings"]["scenario"]["random_seed"]
         return [
             TrialKey(method, name, first + k, condition)
@@ -66,23 +78,24 @@ class Benchmark:
             for method in dict.fromkeys(methods)
         ]
 
-    def goals(self, objects: Sequence[str], jobs: int, backend: str) -> Iterator[tuple[str, GraspGoal]]:
-        """Plans a grasp of each object, which is the same for all methods."""
-        arguments = ((self.scenario_text, name) for name in objects)
-        yield from zip(objects, run_trials(plan, arguments, jobs, backend, ordered=True), strict=True)
-
-    def run(
-        self, keys: Sequence[TrialKey], goals: dict[str, GraspGoal], jobs: int, backend: str
-    ) -> Iterator[dict]:
-        """Simulates trials and yields their lines as they finish."""
-        arguments = (self.arguments(key, goals[key.object]) for key in keys)
-        yield from run_trials(simulate, arguments, jobs, backend)
-
-    def arguments(self, key: TrialKey, goal: GraspGoal) -> tuple:
-        """What `simulate` takes for a trial."""
+    def trial(self, key: TrialKey, goal: GraspGoal) -> Trial:
+        """What a worker needs to simulate a trial, with the planned grasp of its object."""
         method = self.methods[key.method]
         text = self.conditions[key.condition] if key.condition else self.scenario_text
-        return key, text, method.retarget, method.latency, (self.person, goal)
+        return Trial(key, text, method.retarget, method.latency, (self.person, goal))
+
+
+def read_person(path: Path | None, side: str, seed: int) -> tuple[Recording, dict[str, Any]]:
+    """The recording of the person who teleoperates, and the configuration's notes of it.
+
+    Args:
+        path: of a recording; None synthesises play.
+        side: of the recorded hand.
+        seed: of synthetic play.
+    """
+    if path is None:
+        return synthesize_play(seed=seed, side=side), {"recording": None, "side": side}
+    return read_recording(path, side, training=True), {"recording": str(path.resolve()), "side": side}
 
 
 def open_benchmark(
@@ -98,32 +111,31 @@ def open_benchmark(
     conditions: Mapping[str, Scenario] | None = None,
     any_code: bool = False,
 ) -> Benchmark:
-    """Begins a benchmark in a folder, or goes on with the one that is there.
+    """Begins a benchmark in a folder, or continues the one that is there.
 
     Args:
         folder: of the results.
-        scenario: of every trial but for object and seed; its seed is the first one.
-        recording: of the person who teleoperates, and on which methods are trained.
+        scenario: of every trial except for object and seed; its seed is the first one.
+        recording: of the person who teleoperates; methods are trained on it.
         methods: names of methods and directories of checkpoints.
         objects: names of objects.
         trials: how many seeds per method and object.
         seed: of the training.
-        zero_latency: every method answers at once.
-        notes: what else the configuration says; not compared.
+        zero_latency: every method answers without delay.
+        notes: further entries of the configuration, which are not compared.
         conditions: name → changed scenario in which the trials are run as well.
-        any_code: go on although the code of the trials has changed since the benchmark began.
+        any_code: continue although the code of trials has changed since the benchmark began.
 
     Raises:
         BenchmarkError: the folder's benchmark was begun with another configuration.
         UnknownNameError, HandError, CheckpointError, TrainingError: see `make_retargeter`.
     """
     names = names_of(methods)
-    description = load_hand(scenario.hand)
-    hand = HandModel(description)
+    hand = HandModel(load_hand(scenario.hand))
     text = dump_scenario(scenario)
     resolved = yaml.safe_load(text)["Resolved"]
     texts = {name: dump_scenario(changed) for name, changed in (conditions or {}).items()}
-    wanted: dict[str, Any] = {
+    config: dict[str, Any] = {
         "settings": {
             "recording_sha256": recording.digest,
             "training_seed": seed,
@@ -141,42 +153,101 @@ def open_benchmark(
     }
     path = folder / CONFIG
     stored = read_config(folder) if path.exists() else None
-    if stored is not None:
-        if any_code:
-            wanted["settings"]["code_sha256"] = stored["settings"]["code_sha256"]
-        require_same(path, stored["settings"], wanted["settings"])
-        known_conditions = stored.get("conditions", {})
-        for name in known_conditions.keys() & wanted["conditions"].keys():
-            require_same(path, known_conditions[name], wanted["conditions"][name], f"condition {name}: ")
-        wanted["conditions"] = {**known_conditions, **wanted["conditions"]}
-        wanted["objects"] = list(dict.fromkeys([*stored["objects"], *objects]))
-        wanted["trials"] = max(trials, stored["trials"])
-        wanted["notes"] = stored["notes"]
-        wanted["methods"] = dict(stored["methods"])
-    else:
+    if stored is None:
         require_no_trials(folder)
+    else:
+        if any_code:
+            config["settings"]["code_sha256"] = stored["settings"]["code_sha256"]
+        require_same(path, stored["settings"], config["settings"])
+        known_conditions = stored.get("conditions", {})
+        for name in known_conditions.keys() & config["conditions"].keys():
+            require_same(path, known_conditions[name], config["conditions"][name], f"condition {name}: ")
+        config["conditions"] = {**known_conditions, **config["conditions"]}
+        config["objects"] = list(dict.fromkeys([*stored["objects"], *objects]))
+        config["trials"] = max(trials, stored["trials"])
+        config["notes"] = stored["notes"]
+        config["methods"] = dict(stored["methods"])
     ready = {}
     for name, method in names.items():
         retarget, digest = make_retargeter(
             name, method, folder / METHODS, scenario.hand, hand, recording, seed
         )
-        known = wanted["methods"].get(name)
-        if known is None:
+        if name not in config["methods"]:
             latency = 0.0 if zero_latency else measure_latency(retarget, recording)
-            known = {"weights_sha256": digest, "latency_s": latency}
+            config["methods"][name] = {"weights_sha256": digest, "latency_s": latency}
+        known = config["methods"][name]
         require_same(
             path, {"weights_sha256": known["weights_sha256"]}, {"weights_sha256": digest}, f"{name}."
         )
-        wanted["methods"][name] = known
-        ready[name] = Method(retarget, digest, known["latency_s"])
-    if wanted != stored:
+        ready[name] = Method(retarget, known["latency_s"])
+    if config != stored:
         write_text(folder / SCENARIO, text)
-        write_text(path, json.dumps(wanted, indent=2, allow_nan=False) + "\n")
-    return Benchmark(folder, wanted, text, HumanHand.fit(recording), ready, texts)
+        write_text(path, json.dumps(config, indent=2, allow_nan=False) + "\n")
+    return Benchmark(folder, config, text, HumanHand.fit(recording), ready, texts)
+
+
+def repeat_trial(folder: Path, key: TrialKey) -> tuple[Record, Path]:
+    """Simulates a finished trial again and writes its Rerun recording.
+
+    Returns:
+        The trial's line of this time, which may hold an `error`, and the recording.
+
+    Raises:
+        BenchmarkError: the outcome differs from the one in the results file.
+        UnknownNameError: there is no such finished trial; lists similar ones.
+    """
+    config = read_config(folder)
+    records = {key_of(record): record for record in read_records(folder / TRIALS)}
+    if key not in records:
+        alike = [other for other in records if other.condition == key.condition] or list(records)
+        named = [other.words for other in alike if other.object == key.object]
+        raise UnknownNameError("finished trial", key.words, named or [other.words for other in alike])
+    notes, settings = config["notes"], config["settings"]
+    scenario, conditions = load_scenario(folder / SCENARIO, "Resolved"), {}
+    if key.condition:
+        conditions = make_conditions(scenario, parse_values([key.condition], usual_values()))
+    recorded = Path(notes["recording"]) if notes.get("recording") else None
+    recording, _ = read_person(recorded, notes.get("side", "right"), settings["training_seed"])
+    checkpoint = folder / METHODS / key.method
+    benchmark = open_benchmark(
+        folder,
+        scenario,
+        recording,
+        [str(checkpoint) if checkpoint.is_dir() else key.method],
+        [key.object],
+        trials=1,
+        seed=settings["training_seed"],
+        zero_latency=settings["latency"] == "zero",
+        conditions=conditions,
+        any_code=True,
+    )
+    ((_, goal),) = plan_grasps(benchmark.scenario_text, [key.object], 1, "loky")
+    path = rerun_path(folder, key)
+    path.parent.mkdir(exist_ok=True)
+    record = simulate(benchmark.trial(key, goal), path)
+    if "error" not in record:
+        before = records[key]
+        differing = [name for name in record if name != "wall_time" and record[name] != before.get(name)]
+        if differing:
+            raise BenchmarkError(
+                f"{folder / TRIALS}: the repeated trial differs in {', '.join(differing)}; was it run with "
+                f"other code, or on another kind of machine? Its recording is {path}"
+            )
+    return record, path
+
+
+def code_has_changed(folder: Path) -> bool:
+    """Whether the code of trials differs from the one that a folder's benchmark was begun with."""
+    return read_config(folder)["settings"]["code_sha256"] != code_digest()
+
+
+def rerun_path(folder: Path, key: TrialKey) -> Path:
+    """Where the Rerun recording of a repeated trial is."""
+    return folder / _RECORDINGS / f"{key.file_stem}.rrd"
 
 
 def simulation_settings(hand: HandModel) -> dict:
-    """What decides a trial beside scenario and method: the models, the code and the libraries."""
+    """What decides a trial besides scenario and method: models, code and libraries."""
     made_with = versions()
     return {
         "hand": hand.description.name,
@@ -187,24 +258,8 @@ def simulation_settings(hand: HandModel) -> dict:
     }
 
 
-def keep_error(folder: Path, record: dict) -> dict:
-    """A trial's line as it is kept: the traceback of one that raised goes into a file, which its line names.
-
-    A result that is none, such as a force that is not finite, is an error too.
-    """
-    if "error" not in record:
-        try:
-            check_record(record, "the simulation gave no sound result")
-            return record
-        except BenchmarkError as error:
-            record = {**identity(key_of(record)), "error": str(error)}
-    path = Path(ERRORS) / f"{key_of(record).file_stem}.txt"
-    write_text(folder / path, record["error"])
-    return {**record, "error": record["error"].strip().splitlines()[-1], "traceback": str(path)}
-
-
 def _changes(nominal: dict, changed: dict) -> dict:
-    """The fields of a changed scenario that differ, nested as they are."""
+    """The fields of a changed scenario that differ from the nominal one, nested as there."""
     return {
         name: _changes(nominal[name], value) if isinstance(value, dict) else value
         for name, value in changed.items()

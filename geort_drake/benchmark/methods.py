@@ -1,4 +1,4 @@
-"""Retargeting methods as a grasp benchmark takes them: trained where needed, loaded and timed."""
+"""Retargeting methods of a grasp benchmark: trained if needed, loaded and timed."""
 
 import dataclasses as dc
 import shutil
@@ -20,27 +20,29 @@ from geort_drake.retargeting.methods import make_untrained, untrained_methods
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.simulation.diagram import Retarget
 
-# Timed are the answers to so many parts of the recording, each of so many successive frames but the first.
+# Timed are so many parts of the recording, each of so many successive frames, without the first ones.
 _PARTS, _SUCCESSIVE, _WARM_UP = 10, 40, 10
 
 
 @dc.dataclass(frozen=True)
 class Method:
-    """A method that is ready to be called; it can be sent to another process."""
+    """A method that is ready to be called.
+
+    Attributes:
+        retarget: the call; it can be sent to another process.
+        latency: from keypoints to joint targets, s.
+    """
 
     retarget: Retarget
-    # Of the learned weights; None where nothing is learned.
-    weights_sha256: str | None
-    # From keypoints to joint targets, s.
     latency: float
 
 
 def names_of(methods: Sequence[str]) -> dict[str, str]:
-    """Name → method, each once, for methods and directories of checkpoints, named after the directory.
+    """Name → method, each once; a checkpoint is named after its directory.
 
     Raises:
         UnknownNameError: neither a method nor a checkpoint.
-        BenchmarkError: two different ones have one name.
+        BenchmarkError: two different ones have the same name.
     """
     check_methods(methods)
     names: dict[str, str] = {}
@@ -57,15 +59,15 @@ def names_of(methods: Sequence[str]) -> dict[str, str]:
 def make_retargeter(
     name: str, method: str, keep: Path, hand_name: str, hand: HandModel, recording: Recording, seed: int
 ) -> tuple[Retarget, str | None]:
-    """A retargeter, and the digest of its weights.
+    """A retargeter, and the digest of its weights; None if nothing is learned.
 
     Args:
         name, method: an item of `names_of`.
-        keep: folder in which a copy of its checkpoint is kept, and found again.
+        keep: folder in which a copy of the checkpoint is kept.
         hand_name: name or file of the robot hand's description.
         hand: its model.
-        recording: what it is trained on, and what nearest_neighbour stores.
-        seed: of the training, and of what nearest_neighbour draws.
+        recording: what the method is trained on, or stores.
+        seed: of the training, and of the frames that nearest_neighbour draws.
 
     Raises:
         UnknownNameError, CheckpointError, TrainingError: see `cached_checkpoint` and `load_retargeter`.
@@ -78,10 +80,10 @@ def make_retargeter(
     if name != method:
         load_retargeter(method, hand)
         source = Path(method)
-    elif not kept.is_dir():
-        source, _ = cached_checkpoint(hand_name, recording, method, seed)
-    else:
+    elif kept.is_dir():
         source = kept
+    else:
+        source, _ = cached_checkpoint(hand_name, recording, method, seed)
     if not kept.is_dir():
         with atomic_directory(kept) as draft:
             shutil.copytree(source, draft, dirs_exist_ok=True)
@@ -91,7 +93,7 @@ def make_retargeter(
 def measure_latency(retarget: Retarget, recording: Recording) -> float:
     """Processor time of one call, s: the median over frames from all parts of a recording.
 
-    Processor time and not wall time, as what else the machine is doing is no property of the method.
+    Processor time instead of wall time, so that other work of the machine does not count.
     """
     frames = recording.p_HK[recording.valid].astype(float)
     times = []

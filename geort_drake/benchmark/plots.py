@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from geort_drake.benchmark.statistics import Record, completed_share
+from geort_drake.benchmark.records import Record
+from geort_drake.benchmark.statistics import completed_share
 from geort_drake.comparison.plots import COLOURS, MARKERS, STYLE, WIDTH
 from geort_drake.simulation.tasks.grasp.monitor import GraspPhase
 

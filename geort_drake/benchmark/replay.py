@@ -1,30 +1,30 @@
-"""Recorded sessions of teleoperation, replayed while the object is not quite as it was.
+"""Replays of recorded teleoperation sessions, with the object changed at random.
 
-Nobody reacts in a replay, so success against the size of the change says how much a motion forgives.
+Nobody reacts in a replay, so success against the size of a change shows how robust a motion is.
 
 FOLDER/config.json    what decides every trial; another run may add sessions, perturbations and trials
 FOLDER/trials.jsonl   one line per finished trial, with the session's name as its `method`
+FOLDER/errors/        the traceback of each trial that raised an exception
 FOLDER/summary.json, success.svg, report.md
 """
 
 import copy
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypedDict
 
 import numpy as np
 import yaml
 
-from geort_drake.benchmark.config import CONFIG, TRIALS, read_json, require_no_trials, require_same
+from geort_drake.benchmark.config import CONFIG, require_no_trials, require_same
 from geort_drake.benchmark.folder import simulation_settings
-from geort_drake.benchmark.plots import success_panels
-from geort_drake.benchmark.sensitivity import condition_name
-from geort_drake.benchmark.statistics import Record, proportion
-from geort_drake.benchmark.trial import simulate
-from geort_drake.benchmark.trial_log import TrialKey, read_records
-from geort_drake.benchmark.workers import run_trials
+from geort_drake.benchmark.records import Record, TrialKey
+from geort_drake.benchmark.schema import read_json
+from geort_drake.benchmark.sensitivity import condition_name, parameter_and_value
+from geort_drake.benchmark.statistics import proportion
+from geort_drake.benchmark.trials import Trial
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.files import sha256_of, write_text
 from geort_drake.hands.description import load_hand
@@ -39,9 +39,15 @@ from geort_drake.simulation.world import draw_placement
 
 
 class Perturbation(NamedTuple):
-    """A way in which the object can be changed."""
+    """A way to change the object.
 
-    # Field of the scenario's object that holds the largest change, and one unit of a size in its unit.
+    Attributes:
+        field: of the scenario's object that holds the largest change.
+        unit: of a size, in the field's unit.
+        label: of the plot's axis.
+        sizes: tried if none are given.
+    """
+
     field: str
     unit: float
     label: str
@@ -51,8 +57,8 @@ class Perturbation(NamedTuple):
 PERTURBATIONS = {
     "position": Perturbation("position_range", 1e-3, "largest shift in x and y, mm", (5, 10, 20)),
     "yaw": Perturbation("yaw_range", math.radians(1), "largest turn, °", (5, 15, 30)),
-    "mass": Perturbation("mass_range", 1.0, "largest change of mass, share", (0.2, 0.5, 0.8)),
-    "friction": Perturbation("friction_range", 1.0, "largest change of friction, share", (0.2, 0.5, 0.8)),
+    "mass": Perturbation("mass_range", 1.0, "largest change of mass, fraction", (0.2, 0.5, 0.8)),
+    "friction": Perturbation("friction_range", 1.0, "largest change of friction, fraction", (0.2, 0.5, 0.8)),
 }
 
 
@@ -61,23 +67,20 @@ class _Config(TypedDict):
     sessions: dict[str, dict]
 
 
-REPORT, SUMMARY, FIGURE = "report.md", "summary.json", "success.svg"
-
-
 class Replay:
-    """Sessions, and the scenarios that they are replayed in.
+    """Recorded sessions and the scenarios in which they are replayed.
 
     Args:
-        scenario: of the sessions; its ranges do not count but for the placement of a simulated session.
-        sessions: files with wrist poses.
+        scenario: of the sessions; its ranges count only for the placement of a simulated session.
+        sessions: recordings with wrist poses.
         side: of the recorded hands; None: the robot hand's.
-        object_name: what was grasped; None: what each session says.
+        object_name: what was grasped; None: as noted in each session.
         retargeter: directory of a checkpoint.
         perturbations: name → sizes, in the units of `PERTURBATIONS`.
         trials: draws per session and perturbation.
 
     Raises:
-        RecordingError, ScenarioError, UnknownNameError, CheckpointError: something of it cannot be used.
+        RecordingError, ScenarioError, UnknownNameError, CheckpointError: an argument is unusable.
     """
 
     def __init__(
@@ -101,15 +104,15 @@ class Replay:
         self.trials = trials
         self.hand = HandModel(description)
         self.retarget: Retarget = load_retargeter(retargeter, self.hand)
-        self.weights = sha256_of(Path(retargeter) / WEIGHTS)
+        self.weights_sha256 = sha256_of(Path(retargeter) / WEIGHTS)
         self._scenarios = {
             name: as_recorded(scenario, recording, object_name) for name, recording in self.recordings.items()
         }
         for key in self.keys():
-            self.scenario(key).validate()
+            self._scenario(key).validate()
 
     def keys(self) -> list[TrialKey]:
-        """Every trial; without a perturbation there is but one for each session, as nothing is drawn."""
+        """Every trial; only one per session without a perturbation, because nothing is random in it."""
         return [
             TrialKey(session, scenario.object.name, seed, condition)
             for seed in range(self.trials)
@@ -118,37 +121,20 @@ class Replay:
             if condition or seed == 0
         ]
 
-    def scenario(self, key: TrialKey) -> Scenario:
-        """The scenario of a trial."""
-        scenario = copy.deepcopy(self._scenarios[key.method])
-        if key.condition:
-            name, size = self.conditions[key.condition]
-            perturbation = PERTURBATIONS[name]
-            setattr(scenario.object, perturbation.field, perturbation.unit * size)
-        return scenario
-
-    def run(self, keys: Sequence[TrialKey], jobs: int, backend: str) -> Iterator[dict]:
-        """Simulates trials and yields their lines as they finish."""
-        arguments = (
-            (
-                key,
-                dump_scenario(scenario := self.scenario(key)),
-                self.retarget,
-                scenario.retargeting.latency,
-                self.recordings[key.method],
-            )
-            for key in keys
-        )
-        yield from run_trials(simulate, arguments, jobs, backend)
+    def trial(self, key: TrialKey) -> Trial:
+        """What a worker needs to simulate a trial."""
+        scenario = self._scenario(key)
+        recording = self.recordings[key.method]
+        return Trial(key, dump_scenario(scenario), self.retarget, scenario.retargeting.latency, recording)
 
     def open(self, folder: Path) -> None:
-        """Begins in a folder, or goes on there.
+        """Begins in a folder, or continues there.
 
         Raises:
             BenchmarkError: the folder's trials were made with something else.
         """
-        wanted = {
-            "settings": {"weights_sha256": self.weights, **simulation_settings(self.hand)},
+        config = {
+            "settings": {"weights_sha256": self.weights_sha256, **simulation_settings(self.hand)},
             "sessions": {
                 name: {
                     "recording_sha256": recording.digest,
@@ -160,25 +146,38 @@ class Replay:
         path = folder / CONFIG
         if path.is_file():
             stored = read_json(path, _Config, "a replay's configuration")
-            require_same(path, stored["settings"], wanted["settings"])
+            require_same(path, stored["settings"], config["settings"])
             sessions = stored["sessions"]
-            for name in sessions.keys() & wanted["sessions"].keys():
-                require_same(path, sessions[name], wanted["sessions"][name], f"{name}.")
-            wanted["sessions"] = {**sessions, **wanted["sessions"]}
+            for name in sessions.keys() & config["sessions"].keys():
+                require_same(path, sessions[name], config["sessions"][name], f"{name}.")
+            config["sessions"] = {**sessions, **config["sessions"]}
         else:
             require_no_trials(folder)
-        write_text(path, json.dumps(wanted, indent=2, allow_nan=False) + "\n")
+        write_text(path, json.dumps(config, indent=2, allow_nan=False) + "\n")
+
+    def _scenario(self, key: TrialKey) -> Scenario:
+        scenario = copy.deepcopy(self._scenarios[key.method])
+        if key.condition:
+            name, size = self.conditions[key.condition]
+            perturbation = PERTURBATIONS[name]
+            setattr(scenario.object, perturbation.field, perturbation.unit * size)
+        return scenario
+
+
+def usual_sizes() -> dict[str, tuple[float, ...]]:
+    """The sizes of each perturbation that are tried if none are given."""
+    return {name: perturbation.sizes for name, perturbation in PERTURBATIONS.items()}
 
 
 def as_recorded(scenario: Scenario, recording: Recording, object_name: str | None) -> Scenario:
-    """The scenario with the object as it was in a session, and nothing left to chance.
+    """The scenario with the object as it was in a session, and nothing random.
 
-    A simulated session names its object and seed, which place and weigh the object as they did then; for
-    another one the object is where the scenario says. The trial lasts as long as the session, and the time
-    for which an object must be held longer.
+    A simulated session notes its object and seed, which give the object's place and mass; for other sessions
+    the object is where the scenario says. The trial lasts as long as the session plus the time for which an
+    object must be held.
 
     Raises:
-        ScenarioError: the session does not say what was grasped, or says otherwise.
+        ScenarioError: neither the session nor `object_name` says what was grasped.
         UnknownNameError: there is no such object.
     """
     recorded = recording.metadata.get("object")
@@ -201,55 +200,24 @@ def as_recorded(scenario: Scenario, recording: Recording, object_name: str | Non
     return scenario
 
 
-def write_report(folder: Path) -> dict:
-    """Writes summary, figure and report of whatever trials a folder holds; returns the summary."""
-    records = read_records(folder / TRIALS)
-    summary = summarize_replay(records)
-    write_text(folder / SUMMARY, json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    lines = [
-        "# Replayed sessions",
-        "",
-        f"{summary['trials']} trials of {len(summary['sessions'])} sessions, replayed without a person who "
-        "reacts; shares with Wilson's 95 % interval.",
-    ]
-    if summary["errors"]:
-        lines += ["", f"**{summary['errors']} trials raised an error and are in no figure; see errors/.**"]
-    if summary["perturbations"]:
-        write_text(folder / FIGURE, success_panels(summary["perturbations"]))
-        lines += ["", f"![Success against the size of the change]({FIGURE})"]
-    for panel in summary["perturbations"].values():
-        lines += ["", f"| {panel['label']} | trials | success, % |", "|---|---|---|"]
-        for condition in panel["conditions"]:
-            (share,) = condition["methods"].values()
-            percent = "{:.0f} [{:.0f}, {:.0f}]".format(*(100 * share[k] for k in ("rate", "low", "high")))
-            lines.append(f"| {condition['value']:g} | {share['trials']} | {percent} |")
-    lines += ["", "| session | unchanged | changed, all together |", "|---|---|---|"]
-    for name, session in summary["sessions"].items():
-        changed = session["changed"]
-        lines.append(f"| {name} | {session['unchanged']} | {changed['successes']} of {changed['trials']} |")
-    write_text(folder / REPORT, "\n".join(lines) + "\n")
-    return summary
-
-
 def summarize_replay(records: Iterable[Record]) -> dict:
-    """Success over all sessions for each perturbation and size, and by session; JSON-ready."""
+    """Success for each perturbation and size over all sessions, and for each session; JSON-ready."""
     records = list(records)
     judged = [record for record in records if "error" not in record]
     unchanged = [record for record in judged if not record.get("condition")]
     panels = {}
     for name, perturbation in PERTURBATIONS.items():
-        groups = {0.0: unchanged}
+        groups = {0.0: unchanged} if unchanged else {}
         for record in judged:
-            kind, _, size = record.get("condition", "").partition("=")
-            if kind == name:
-                groups.setdefault(float(size), []).append(record)
-        if len(groups) > 1:
+            changed, size = parameter_and_value(record)
+            if changed == name:
+                groups.setdefault(size, []).append(record)
+        if groups.keys() - {0.0}:
             panels[name] = {
                 "label": perturbation.label,
                 "conditions": [
                     {"value": size, "nominal": False, "methods": {"replay": _success(groups[size])}}
                     for size in sorted(groups)
-                    if groups[size]
                 ],
             }
     sessions = {}
@@ -276,7 +244,7 @@ def _read_sessions(paths: Sequence[Path], side: str) -> dict[str, Recording]:
     for path in paths:
         name = path.name.removesuffix(".npz").removesuffix(".glove")
         if name in recordings:
-            raise ScenarioError(f"{path}: there is another session of the name '{name}'; rename one")
+            raise ScenarioError(f"{path}: another session has the name '{name}' too; rename one")
         recordings[name] = read_recording(path, side)
         if recordings[name].X_WH is None:
             raise ScenarioError(f"{path}: a replay needs wrist poses (X_WH), and it has none")

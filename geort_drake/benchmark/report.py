@@ -1,40 +1,42 @@
-"""The report of a grasp benchmark: `summary.json`, `report.md`, and `report.html`, a page with all in it."""
+"""Reports of a benchmark's folder: `summary.json`, `report.md`, plots, and for grasps `report.html`."""
 
 import functools
 import json
 import shlex
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 from geort_drake.benchmark.config import CONFIG, SCENARIO, TRIALS, read_config
+from geort_drake.benchmark.folder import rerun_path
 from geort_drake.benchmark.plots import grasp_plots, success_panels
+from geort_drake.benchmark.records import Record, key_of, read_records
+from geort_drake.benchmark.replay import summarize_replay
 from geort_drake.benchmark.sensitivity import summarize_sensitivity
-from geort_drake.benchmark.statistics import Record, ending, summarize
-from geort_drake.benchmark.trial_log import TrialKey, key_of, read_records
+from geort_drake.benchmark.statistics import ending, summarize
 from geort_drake.errors import BenchmarkError
 from geort_drake.files import write_text
 from geort_drake.simulation.scenario import load_scenario
 from geort_drake.simulation.tasks.grasp.contacts import grip_of
 from geort_drake.simulation.tasks.grasp.monitor import GraspPhase
 
-SUMMARY, HTML, MARKDOWN, RERUN = "summary.json", "report.html", "report.md", "rrd"
-# Beside the Markdown, which cannot contain them.
-FIGURES = {"completion": "completion.svg", "sensitivity": "sensitivity.svg"}
+SUMMARY, HTML, MARKDOWN = "summary.json", "report.html", "report.md"
+# Plots that the Markdown refers to, as files beside it; the page contains all plots.
+FIGURES = {"completion": "completion.svg", "sensitivity": "sensitivity.svg", "success": "success.svg"}
 _PHASES = [phase.name.lower() for phase in GraspPhase if phase not in (GraspPhase.DONE, GraspPhase.THROWN)]
 
 
-def write_report(folder: Path) -> dict:
-    """Writes the report of whatever trials a folder holds so far.
+def write_grasp_report(folder: Path) -> dict:
+    """Writes the report of the trials that a grasp benchmark's folder holds so far.
 
     Returns:
-        The summary: `summarize`'s, with the number of `errors`, `summarize_sensitivity`'s under
-        `sensitivity` and the benchmark's configuration under `config`.
+        The summary: that of `summarize`, the number of `errors`, the result of `summarize_sensitivity` under
+        `sensitivity`, and the benchmark's configuration under `config`.
 
     Raises:
-        BenchmarkError: the folder holds no benchmark, or a corrupt one.
-        UnknownNameError: it is not known what grip an object is made for.
+        BenchmarkError: the folder holds no benchmark, or a damaged one.
+        UnknownNameError: an object has no known grip.
     """
     config = read_config(folder)
     order = list(config["methods"])
@@ -47,14 +49,11 @@ def write_report(folder: Path) -> dict:
     sensitivity = summarize_sensitivity(everything, order, load_scenario(folder / SCENARIO, "Resolved"))
     errors = [{**record, "trial": str(key_of(record))} for record in everything if "error" in record]
     summary = {**summary, "errors": len(errors), "sensitivity": sensitivity, "config": config}
-    write_text(folder / SUMMARY, json.dumps(summary, indent=2, allow_nan=False) + "\n")
     plots = grasp_plots(records, summary)
+    files = {"completion": plots["completion"]}
     if sensitivity:
-        plots["sensitivity"] = success_panels(sensitivity)
-    for name in FIGURES.keys() & plots.keys():
-        write_text(folder / FIGURES[name], plots[name])
+        files["sensitivity"] = plots["sensitivity"] = success_panels(sensitivity)
     content = {
-        "summary": summary,
         "config": config,
         "overall": _group(summary, "overall"),
         "classes": {grip: _group(summary, "classes", grip) for grip in summary["classes"]},
@@ -62,39 +61,51 @@ def write_report(folder: Path) -> dict:
         "grips": grips,
         "phases": _PHASES,
         "plots": plots,
-        "figures": FIGURES,
         "records": [_shown(folder, record) for record in records],
         "errors": errors,
         "expected": len(config["methods"]) * len(config["objects"]) * config["trials"],
         "command": f"geort-drake benchmark --output {shlex.quote(str(folder))} --rrd",
     }
-    environment = _environment()
-    for name in (MARKDOWN, HTML):
-        template = environment.get_template(f"grasp_{name}.j2")
-        write_text(folder / name, template.render(content))
+    _write(folder, "grasp", (MARKDOWN, HTML), summary, files, content)
     return summary
 
 
-def rerun_path(key: TrialKey) -> Path:
-    """Where in the folder a trial's recording for the viewer is put when one asks for it."""
-    return Path(RERUN) / f"{key.file_stem}.rrd"
+def write_replay_report(folder: Path) -> dict:
+    """Writes the report of the replays that a folder holds so far; returns `summarize_replay`."""
+    summary = summarize_replay(read_records(folder / TRIALS))
+    panels = summary["perturbations"]
+    _write(folder, "replay", (MARKDOWN,), summary, {"success": success_panels(panels)} if panels else {}, {})
+    return summary
+
+
+def _write(
+    folder: Path,
+    kind: str,
+    names: Iterable[str],
+    summary: dict,
+    plots: Mapping[str, str],
+    content: Mapping[str, object],
+) -> None:
+    """Writes the summary, the plots (name → SVG) and the reports made of the templates of that kind."""
+    write_text(folder / SUMMARY, json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    for name, plot in plots.items():
+        write_text(folder / FIGURES[name], plot)
+    environment = _environment()
+    for name in names:
+        template = environment.get_template(f"{kind}_{name}.j2")
+        write_text(folder / name, template.render(summary=summary, figures=FIGURES, **content))
 
 
 def _require_known(records: Iterable[Record], config: dict, folder: Path) -> None:
     conditions = ["", *config.get("conditions", {})]
     for key in map(key_of, records):
-        if (
-            key.method not in config["methods"]
-            or key.object not in config["objects"]
-            or key.condition not in conditions
-        ):
-            raise BenchmarkError(
-                f"{folder / TRIALS}: there is a trial of {key}, which {CONFIG} does not know of"
-            )
+        known = key.method in config["methods"] and key.object in config["objects"]
+        if not known or key.condition not in conditions:
+            raise BenchmarkError(f"{folder / TRIALS}: holds a trial of {key}, which is not in {CONFIG}")
 
 
 def _group(summary: dict, *path: str) -> dict:
-    """The figures and differences of all methods for what a path in their entries leads to."""
+    """Figures and differences of all methods under a path of keys, such as ("objects", "cube")."""
 
     def each(entries: dict[str, dict]) -> dict[str, dict]:
         return {name: functools.reduce(dict.__getitem__, path, entry) for name, entry in entries.items()}
@@ -103,10 +114,10 @@ def _group(summary: dict, *path: str) -> dict:
 
 
 def _shown(folder: Path, record: Record) -> dict:
-    """A line with what the page says of it besides."""
-    path = rerun_path(key_of(record))
-    recorded = path.as_posix() if (folder / path).is_file() else None
-    return {**record, "rrd": recorded, "ending": None if "error" in record else ending(record)}
+    """A line with its Rerun recording, if there is one, and how the trial ended."""
+    path = rerun_path(folder, key_of(record))
+    recording = path.relative_to(folder).as_posix() if path.is_file() else None
+    return {**record, "rrd": recording, "ending": None if "error" in record else ending(record)}
 
 
 def _environment() -> Environment:
@@ -118,38 +129,35 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {
-        "percent": _percent,
         "proportion": _proportion,
         "seconds": _with_interval("{:.1f}"),
-        "points": lambda value: _with_interval("{:+.0f}")(
-            {key: None if value[key] is None else 100 * value[key] for key in ("mean", "low", "high")}
-        ),
+        "points": _with_interval("{:+.0f}", scale=100),
         "signed": _with_interval("{:+.1f}"),
         "plain": "{:g}".format,
-        "number": lambda value, digits=1: "–" if value is None else f"{value:.{digits}f}",
+        "number": _number,
         "probability": lambda p: "< 0.001" if p < 0.001 else f"{p:.3f}",
         "counted": lambda counts: ", ".join(f"{n} × {name}" for name, n in counts.items()) or "none",
     }
     return environment
 
 
-def _percent(rate: float | None) -> str:
-    return "–" if rate is None else f"{100 * rate:.0f} %"
+def _number(value: float | None, digits: int = 1) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
 
 
 def _proportion(value: dict) -> str:
     if value["rate"] is None:
         return "–"
-    return f"{_percent(value['rate'])} [{100 * value['low']:.0f}, {100 * value['high']:.0f}]"
+    return "{:.0f} % [{:.0f}, {:.0f}]".format(*(100 * value[name] for name in ("rate", "low", "high")))
 
 
-def _with_interval(form: str) -> Callable[[dict], str]:
+def _with_interval(form: str, scale: float = 1) -> Callable[[dict], str]:
     def text(value: dict) -> str:
-        if value["mean"] is None:
+        mean, low, high = (
+            None if value[key] is None else form.format(scale * value[key]) for key in ("mean", "low", "high")
+        )
+        if mean is None:
             return "–"
-        mean = form.format(value["mean"])
-        if value["low"] is None:
-            return mean
-        return f"{mean} [{form.format(value['low'])}, {form.format(value['high'])}]"
+        return mean if low is None else f"{mean} [{low}, {high}]"
 
     return text

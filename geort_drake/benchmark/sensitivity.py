@@ -1,6 +1,6 @@
-"""How much a grasp benchmark's result depends on what was assumed of the person and of the robot.
+"""Sensitivity of a grasp benchmark to its assumptions about the person and the robot.
 
-A condition is the benchmark's scenario with one parameter changed. It is named after it, `delay=100`.
+A condition is the benchmark's scenario with one parameter changed, and named after it: `delay=100`.
 """
 
 import copy
@@ -11,17 +11,24 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 import numpy as np
 from scipy.stats import kendalltau
 
-from geort_drake.benchmark.statistics import Record, proportion
+from geort_drake.benchmark.records import Record
+from geort_drake.benchmark.statistics import proportion
 from geort_drake.errors import BenchmarkError, UnknownNameError
 from geort_drake.simulation.scenario import Scenario
 
 
 @dc.dataclass(frozen=True)
 class Parameter:
-    """Something that is assumed, and can be assumed otherwise."""
+    """An assumption that conditions change.
+
+    Attributes:
+        label: of the plot's axis.
+        values: tried beside the scenario's own value.
+        nominal: the scenario's own value.
+        change: sets the value in a scenario.
+    """
 
     label: str
-    # What is tried beside the scenario's own value.
     values: tuple[float, ...]
     nominal: Callable[[Scenario], float]
     change: Callable[[Scenario, float], None]
@@ -63,14 +70,19 @@ PARAMETERS = {
 }
 
 
+def usual_values() -> dict[str, tuple[float, ...]]:
+    """The values of each parameter that are tried if none are given."""
+    return {name: parameter.values for name, parameter in PARAMETERS.items()}
+
+
 def parse_values(texts: Iterable[str], choices: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:
-    """`NAME=V1,V2` or `NAME` alone, for the usual values, as name → values; all usual ones for no text.
+    """Name → values from texts `NAME=V1,V2`, or `NAME` alone for the usual values; no texts: all usual ones.
 
     Raises:
         UnknownNameError: a name is none of the choices.
-        BenchmarkError: a value is no finite number, or negative.
+        BenchmarkError: a value is not a finite number of at least 0.
     """
-    wanted: dict[str, list[float]] = {}
+    result: dict[str, list[float]] = {}
     for text in texts:
         name, equals, values = text.partition("=")
         if name not in choices:
@@ -83,8 +95,8 @@ def parse_values(texts: Iterable[str], choices: Mapping[str, Sequence[float]]) -
             raise BenchmarkError(
                 f"{name} takes finite numbers of at least 0 with commas between, not '{values}'"
             )
-        wanted.setdefault(name, []).extend(numbers)
-    return wanted or {name: list(values) for name, values in choices.items()}
+        result.setdefault(name, []).extend(numbers)
+    return result or {name: list(values) for name, values in choices.items()}
 
 
 def condition_name(parameter: str, value: float) -> str:
@@ -92,21 +104,27 @@ def condition_name(parameter: str, value: float) -> str:
     return f"{parameter}={value:g}"
 
 
-def make_conditions(scenario: Scenario, wanted: Mapping[str, Sequence[float]]) -> dict[str, Scenario]:
-    """Name → changed scenario; a parameter's nominal value makes none.
+def parameter_and_value(record: Record) -> tuple[str, float]:
+    """The changed parameter of a trial's condition and its value; ("", 0) without a condition."""
+    name, _, value = record.get("condition", "").partition("=")
+    return name, float(value or 0)
+
+
+def make_conditions(scenario: Scenario, values: Mapping[str, Sequence[float]]) -> dict[str, Scenario]:
+    """Name → changed scenario for each value of each parameter, except for nominal values.
 
     Raises:
         ScenarioError: a value makes no valid scenario.
     """
     conditions = {}
-    for name, values in wanted.items():
+    for name, numbers in values.items():
         parameter = PARAMETERS[name]
-        for value in values:
-            if value != parameter.nominal(scenario):
+        for number in numbers:
+            if number != parameter.nominal(scenario):
                 changed = copy.deepcopy(scenario)
-                parameter.change(changed, value)
+                parameter.change(changed, number)
                 changed.validate()
-                conditions[condition_name(name, value)] = changed
+                conditions[condition_name(name, number)] = changed
     return conditions
 
 
@@ -115,44 +133,40 @@ def summarize_sensitivity(
 ) -> dict[str, dict]:
     """One-time success of every method in every condition, and whether the ranking holds.
 
+    Nominal trials count if their method, object and seed were tried in a condition of the parameter too.
+
     Args:
         records: lines of the results file, with and without a condition.
         methods: in the order of the report; those that were tried in no condition are left out.
         scenario: the nominal one.
 
     Returns:
-        Parameter → `label` and `conditions`, sorted by `value`: `nominal`, whether it is the scenario's own
-        value; `methods`: name → `proportion`; `tau`: Kendall's τ_b between the success rates here and the
-        nominal ones, None where one side has only ties. Nominal trials count as far as their object and
-        seed were tried in a condition of the parameter.
+        Parameter → `label` and `conditions`, sorted by `value`, each with `nominal`: whether it is the
+        scenario's own value; `methods`: name → `proportion`; `tau`: Kendall's τ_b between the methods'
+        success rates here and in the nominal scenario, None if either side has only ties.
     """
     judged = [record for record in records if "error" not in record]
+    unchanged = [record for record in judged if not record.get("condition")]
     result = {}
     for name, parameter in PARAMETERS.items():
-        changed = [r for r in judged if r.get("condition", "").partition("=")[0] == name]
+        changed = [record for record in judged if parameter_and_value(record)[0] == name]
         if not changed:
             continue
-        situations = {(r["method"], r["object"], r["seed"]) for r in changed}
-        groups = {
-            parameter.nominal(scenario): [
-                r
-                for r in judged
-                if not r.get("condition") and (r["method"], r["object"], r["seed"]) in situations
-            ]
-        }
+        tried = {(r["method"], r["object"], r["seed"]) for r in changed}
+        usual = parameter.nominal(scenario)
+        groups = {usual: [r for r in unchanged if (r["method"], r["object"], r["seed"]) in tried]}
         for record in changed:
-            groups.setdefault(float(record["condition"].partition("=")[2]), []).append(record)
-        tried = [method for method in methods if any(r["method"] == method for r in changed)]
-        rates = {value: _success(group, tried) for value, group in groups.items()}
-        nominal = rates[parameter.nominal(scenario)]
+            groups.setdefault(parameter_and_value(record)[1], []).append(record)
+        names = [method for method in methods if any(r["method"] == method for r in changed)]
+        rates = {value: _success(group, names) for value, group in groups.items()}
         result[name] = {
             "label": parameter.label,
             "conditions": [
                 {
                     "value": value,
-                    "nominal": value == parameter.nominal(scenario),
+                    "nominal": value == usual,
                     "methods": rates[value],
-                    "tau": _tau(nominal, rates[value]),
+                    "tau": _tau(rates[usual], rates[value]),
                 }
                 for value in sorted(rates)
             ],

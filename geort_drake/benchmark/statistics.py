@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from scipy.stats import CensoredData, binomtest, bootstrap, ecdf
 
-# One line of the results file.
-Record = dict
+from geort_drake.benchmark.records import Record
+
 # Bootstrap resamples, and the seed they are drawn by: equal results give equal intervals.
 _RESAMPLES = 4000
 _SEED = 0

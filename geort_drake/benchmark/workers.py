@@ -1,85 +1,81 @@
-"""Long tasks in several processes, which end with the one that started them."""
+"""Worker processes, here or on a Ray cluster, that run the same code as the process that started them."""
 
-import contextlib
 import functools
 import os
 import platform
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor
+from pathlib import Path
 from typing import Any
 
 from joblib import Parallel, delayed, parallel_config, register_parallel_backend
 from joblib.externals.loky import ProcessPoolExecutor
 
-from geort_drake.benchmark.trial_sources import code_digest
 from geort_drake.errors import BenchmarkError, GeortError
+from geort_drake.files import digest_of
 from geort_drake.processes import end_with
+from geort_drake.sources import PACKAGE, imported_sources
 
-RENEWED_AFTER = 25  # tasks of a worker on a cluster; see `run_trials`
+RENEWED_AFTER = 25  # tasks of a worker on a cluster; see `call_in_workers`
+# Modules from which all code of a trial is imported: what a worker loads, and what makes retargeters.
+_ENTRY_MODULES = (
+    "benchmark/trials.py",
+    "people/human_hand.py",
+    "hands/canonical.py",
+    "retargeting/methods/online.py",
+    "retargeting/methods/trivial.py",
+    "retargeting/methods/coupled/retargeter.py",
+    "retargeting/retargeter.py",
+)
+# Other rooms do not change a trial. Learned weights have a digest of their own, so training does not count.
+_TRIAL_ROOMS = ("people", "hands", "retargeting", "simulation", "systems")
 
 
-@contextlib.contextmanager
-def workers(jobs: int, backend: str = "loky") -> Iterator[Callable[..., Parallel]]:
-    """Yields what makes a `Parallel` of so many workers, called with joblib's `return_as`.
+def call_in_workers(
+    function: Callable, arguments: Iterable[tuple], jobs: int, backend: str = "loky", ordered: bool = False
+) -> Iterator[Any]:
+    """Calls `function` with each of the arguments in workers, and yields the results.
+
+    Drake 1.51 never frees a diagram with systems written in Python (RobotLocomotion/drake#24162), so a trial
+    leaks 12 MB. Even a single job therefore has its own process: loky replaces processes that have grown by
+    300 MB. On a cluster they are replaced after `RENEWED_AFTER` tasks.
 
     Args:
-        jobs: tasks at a time.
-        backend: "loky", processes here; "ray", on a cluster.
+        function, arguments: what is called.
+        jobs: calls at a time.
+        backend: "loky" for processes here, "ray" for a cluster.
+        ordered: yield results in the order of the arguments; otherwise as they are ready.
 
     Raises:
-        BenchmarkError: a worker ended before its task did; or see `require_workers`.
-        GeortError: see `require_workers`.
+        BenchmarkError: a worker ended before its task did, or has loaded other code.
+        BenchmarkError, GeortError: see `require_workers`.
     """
     require_workers(jobs, backend)
     options: dict = {"inner_max_num_threads": 1, "initializer": end_with, "initargs": (os.getpid(),)}
     if backend == "ray":
         options = {"maxtasksperchild": RENEWED_AFTER}
-    try:
-        with parallel_config(backend=backend, n_jobs=jobs, **options):
-            # Tasks are long and their arguments small: one at a time, and none mapped into files.
-            yield functools.partial(Parallel, batch_size=1, max_nbytes=None)
-    except BrokenExecutor as error:
-        raise BenchmarkError(
-            "a worker process ended, perhaps for want of memory; what is finished is kept: "
-            "run the same command again, with fewer --jobs perhaps"
-        ) from error
-
-
-def run_trials(
-    function: Callable, arguments: Iterable[tuple], jobs: int, backend: str = "loky", ordered: bool = False
-) -> Iterator[Any]:
-    """Calls `function` with each of the arguments, in workers that run the same trials' code as this process.
-
-    Drake 1.51 never frees a diagram with systems written in Python (RobotLocomotion/drake#24162), and a trial
-    leaves 12 MB behind. So a single job has a process of its own, too: loky ends those that have grown by
-    300 MB and starts others. On a cluster they are renewed by the number of their trials.
-
-    Args:
-        function, arguments: what is called.
-        jobs, backend: see `workers`.
-        ordered: whether results come in the order of the arguments; otherwise as they are ready.
-
-    Raises:
-        BenchmarkError, GeortError: a worker loaded other code; or see `workers`.
-    """
     code = code_digest()
     tasks = ((code, function, each) for each in arguments)
     try:
-        with workers(jobs, backend) as parallel, warnings.catch_warnings():
+        with parallel_config(backend=backend, n_jobs=jobs, **options), warnings.catch_warnings():
             warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
             if jobs == 1:
                 yield from _one_by_one(tasks)
             else:
-                make = parallel(return_as="generator" if ordered else "generator_unordered")
-                yield from make(delayed(_call)(*task) for task in tasks)
-    except BenchmarkError as error:
-        # A worker may have ended because code that has changed does not even load.
-        if isinstance(error.__cause__, BrokenExecutor) and (now := _code_now()) != code:
-            raise BenchmarkError(
-                f"{error}; code_sha256: the trials' code is {now} by now, and was {code} when this run began"
-            ) from error
-        raise
+                # Tasks are long and their arguments small: dispatched singly, without memory-mapped files.
+                order = "generator" if ordered else "generator_unordered"
+                parallel = Parallel(batch_size=1, max_nbytes=None, return_as=order)
+                yield from parallel(delayed(_call)(*task) for task in tasks)
+    except BrokenExecutor as error:
+        message = (
+            "a worker process ended, perhaps because memory ran out; finished trials are kept: run the same "
+            "command again, with fewer --jobs if needed"
+        )
+        # Or because changed code does not even load.
+        if (now := _code_now()) != code:
+            message += f"; code_sha256: the code of trials is {now} now, and was {code} when this run began"
+        raise BenchmarkError(message) from error
 
 
 def require_workers(jobs: int, backend: str) -> None:
@@ -98,7 +94,7 @@ def require_workers(jobs: int, backend: str) -> None:
         raise GeortError("the backend 'ray' needs Ray: pip install 'geort-drake[ray]'") from error
 
     class Backend(RayBackend):
-        # Inherited is what holds for pools of processes; Ray's pool gives results as they come.
+        # Ray's pool yields results as they come, which the inherited class does not declare.
         supports_return_generator = True
 
     register_parallel_backend("ray", Backend)
@@ -110,13 +106,24 @@ def require_workers(jobs: int, backend: str) -> None:
     processors = int(ray.cluster_resources().get("CPU", 0))
     if jobs > processors:
         raise BenchmarkError(
-            f"--jobs {jobs}: the Ray cluster has {processors} CPUs; ask for at most as many jobs, or add "
-            "machines"
+            f"--jobs {jobs}: the Ray cluster has {processors} CPUs; use at most as many jobs, or add machines"
         )
 
 
+@functools.cache
+def code_digest() -> str:
+    """SHA-256 of the code of trials, as it was on the disk at this process's first call."""
+    return digest_of(PACKAGE, trial_sources())
+
+
+def trial_sources() -> list[Path]:
+    """The modules that a trial can run through: everything imported, now or later, from `_ENTRY_MODULES`."""
+    sources = imported_sources(_ENTRY_MODULES)
+    return [path for path in sources if path.relative_to(PACKAGE).parts[0] in _TRIAL_ROOMS]
+
+
 def _one_by_one(tasks: Iterable[tuple]) -> Iterator[Any]:
-    """What `_call` gives, in another process; joblib runs a single job in this one."""
+    """Results of `_call` from one other process; joblib would run a single job in this one."""
     environment = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     executor = ProcessPoolExecutor(1, initializer=end_with, initargs=(os.getpid(),), env=environment)
     try:
@@ -127,13 +134,13 @@ def _one_by_one(tasks: Iterable[tuple]) -> Iterator[Any]:
 
 
 def _call(code: str, function: Callable, arguments: tuple) -> Any:
-    """What a task gives, in a process that has just loaded the code, or a while ago."""
-    # Workers start anew now and then, and those of a cluster are on other machines.
+    """Calls a function, unless this worker has loaded other code than the process that started it."""
+    # Workers are replaced now and then, and those of a cluster are on other machines.
     if code_digest() != code:
         raise BenchmarkError(
-            f"code_sha256: a worker on {platform.node()} has loaded other code of the trials than this run "
-            f"began with: {code_digest()}, not {code}; what is finished is kept: put the code back and run "
-            "the same command again, or choose another folder"
+            f"code_sha256: a worker on {platform.node()} has loaded other code of trials than this run began "
+            f"with: {code_digest()}, not {code}; finished trials are kept: restore the code and run the same "
+            "command again, or choose another folder"
         )
     return function(*arguments)
 
@@ -142,4 +149,4 @@ def _code_now() -> str:
     try:
         return code_digest.__wrapped__()
     except (SyntaxError, OSError) as error:
-        return f"none: {error}"
+        return f"unreadable: {error}"

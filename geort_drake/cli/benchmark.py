@@ -7,7 +7,7 @@ and methods, objects and trials can be added.
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from geort_drake.cli.options import (
     METHOD_SUMMARIES,
@@ -20,17 +20,14 @@ from geort_drake.cli.options import (
     finish,
     method_help,
     output_folder,
-    recording_of,
     scenario_of,
     view,
     write_json,
 )
-from geort_drake.errors import BenchmarkError, UnknownNameError, UsageError
+from geort_drake.errors import UnknownNameError, UsageError
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-    from geort_drake.people.recording import Recording
 
 # The others are compared with the first.
 METHODS = tuple(METHOD_SUMMARIES)
@@ -88,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from geort_drake.benchmark.report import write_report
+    from geort_drake.benchmark.report import write_grasp_report
 
     if arguments.rrd:
         if len(arguments.rrd) not in (3, 4):
@@ -103,17 +100,18 @@ def run(arguments: argparse.Namespace) -> int:
         if getattr(arguments, name) is None:
             setattr(arguments, name, default)
     if not arguments.report:
-        run_trials(arguments)
-    return report(arguments, write_report(arguments.output))
+        run_unfinished(arguments)
+    return report(arguments, write_grasp_report(arguments.output))
 
 
-def run_trials(arguments: argparse.Namespace) -> None:
+def run_unfinished(arguments: argparse.Namespace) -> None:
     """Runs the unfinished trials of the benchmark."""
+    from geort_drake.benchmark import folder
     from geort_drake.benchmark.config import TRIALS
-    from geort_drake.benchmark.folder import keep_error, open_benchmark
     from geort_drake.benchmark.methods import names_of
-    from geort_drake.benchmark.sensitivity import PARAMETERS, make_conditions, parse_values
-    from geort_drake.benchmark.trial_log import TrialLog, outcome_line
+    from geort_drake.benchmark.records import TrialLog, outcome_line
+    from geort_drake.benchmark.sensitivity import make_conditions, parse_values, usual_values
+    from geort_drake.benchmark.trials import plan_grasps, run_trials
     from geort_drake.benchmark.workers import require_workers
     from geort_drake.console import say, track
     from geort_drake.hands.description import load_hand
@@ -129,13 +127,12 @@ def run_trials(arguments: argparse.Namespace) -> None:
     side = arguments.side or load_hand(scenario.hand).side
     conditions = {}
     if arguments.sensitivity is not None:
-        usual = {name: parameter.values for name, parameter in PARAMETERS.items()}
-        conditions = make_conditions(scenario, parse_values(arguments.sensitivity, usual))
-    recording, notes = read_person(arguments.recording, side, arguments.seed)
+        conditions = make_conditions(scenario, parse_values(arguments.sensitivity, usual_values()))
+    recording, notes = folder.read_person(arguments.recording, side, arguments.seed)
     with TrialLog(arguments.output / TRIALS) as log:
         if log.torn:
             say("The last trial was not written completely; it is repeated.")
-        benchmark = open_benchmark(
+        benchmark = folder.open_benchmark(
             arguments.output,
             scenario,
             recording,
@@ -148,87 +145,35 @@ def run_trials(arguments: argparse.Namespace) -> None:
             conditions,
         )
         keys = benchmark.keys(names, objects, arguments.trials)
-        finished = log.finished
-        left = [key for key in keys if key not in finished]
+        left = log.unfinished(keys)
         say(f"{len(keys)} trials, {len(keys) - len(left)} of them finished before")
         if not left:
             return
-        jobs, backend = arguments.jobs, arguments.backend
-        require_workers(min(jobs, len(left)), backend)
+        jobs, backend = min(arguments.jobs, len(left)), arguments.backend
+        require_workers(jobs, backend)
         planned = [name for name in objects if any(key.object == name for key in left)]
-        found = benchmark.goals(planned, min(jobs, len(planned)), backend)
-        goals = dict(track("planning", found, len(planned), lambda goal: goal[0]))
-        records = benchmark.run(left, goals, min(jobs, len(left)), backend)
-        for record in track("grasping", records, len(left), outcome_line):
-            log.append(keep_error(arguments.output, record))
-
-
-def read_person(path: Path | None, side: str, seed: int) -> "tuple[Recording, dict[str, Any]]":
-    """The recording of the person who teleoperates, and what the benchmark's configuration notes of it."""
-    noted = None if path is None else str(path.resolve())
-    return recording_of(path, side, seed), {"recording": noted, "side": side}
+        plans = plan_grasps(benchmark.scenario_text, planned, min(jobs, len(planned)), backend)
+        goals = dict(track("planning", plans, len(planned), lambda goal: goal[0]))
+        trials = (benchmark.trial(key, goals[key.object]) for key in left)
+        for _ in track("grasping", run_trials(log, trials, jobs, backend), len(left), outcome_line):
+            pass
 
 
 def repeat(folder: Path, method: str, thing: str, seed: int, condition: str = "") -> int:
     """Simulates a finished trial again and records it; raises BenchmarkError if the outcome differs."""
-    from geort_drake.benchmark.config import METHODS as KEPT
-    from geort_drake.benchmark.config import SCENARIO, TRIALS, read_config
-    from geort_drake.benchmark.folder import open_benchmark
-    from geort_drake.benchmark.report import rerun_path, write_report
-    from geort_drake.benchmark.sensitivity import PARAMETERS, make_conditions, parse_values
-    from geort_drake.benchmark.trial import simulate
-    from geort_drake.benchmark.trial_log import TrialKey, key_of, read_records
-    from geort_drake.benchmark.trial_sources import code_digest
+    from geort_drake.benchmark.folder import code_has_changed, repeat_trial
+    from geort_drake.benchmark.records import TrialKey
+    from geort_drake.benchmark.report import write_grasp_report
     from geort_drake.console import TrainingBars, say, warn
-    from geort_drake.simulation.scenario import load_scenario
 
-    config = read_config(folder)
-    key = TrialKey(method, thing, seed, condition)
-    records = {key_of(record): record for record in read_records(folder / TRIALS)}
-    if key not in records:
-        alike = [other for other in records if other.condition == condition] or list(records)
-        named = [other.words for other in alike if other.object == thing] or [other.words for other in alike]
-        raise UnknownNameError("finished trial", key.words, named)
-    notes, settings = config["notes"], config["settings"]
-    recording, _ = read_person(
-        Path(notes["recording"]) if notes.get("recording") else None,
-        notes.get("side", "right"),
-        settings["training_seed"],
-    )
-    if settings["code_sha256"] != code_digest():
+    if code_has_changed(folder):
         warn("the trials' code has changed since; the outcome may differ")
-    scenario, conditions = load_scenario(folder / SCENARIO, "Resolved"), {}
-    if condition:
-        usual = {name: parameter.values for name, parameter in PARAMETERS.items()}
-        conditions = make_conditions(scenario, parse_values([condition], usual))
-    kept = folder / KEPT / method
     with TrainingBars() as bars, bars.spinner("simulating"):
-        benchmark = open_benchmark(
-            folder,
-            scenario,
-            recording,
-            [str(kept) if kept.is_dir() else method],
-            [thing],
-            1,
-            settings["training_seed"],
-            settings["latency"] == "zero",
-            conditions=conditions,
-            any_code=True,
-        )
-        ((_, goal),) = benchmark.goals([thing], 1, "loky")
-        path = folder / rerun_path(key)
-        path.parent.mkdir(exist_ok=True)
-        record = simulate(*(*benchmark.arguments(key, goal), path))
+        record, path = repeat_trial(folder, TrialKey(method, thing, seed, condition))
     if "error" in record:
         say(record["error"])
         return 1
-    differing = [name for name in record if name != "wall_time" and record[name] != records[key].get(name)]
-    if differing:
-        raise BenchmarkError(
-            f"{folder / TRIALS}: the repeated trial differs in {', '.join(differing)}; was it run with other "
-            f"code, or on another kind of machine? Its recording is {path}"
-        )
-    write_report(folder)  # now with a link to the recording
+    write_grasp_report(folder)  # now with a link to the recording
     finish({"The same outcome": record["outcome"]}, view(path))
     return 0
 

@@ -48,37 +48,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake.benchmark.config import TRIALS
-    from geort_drake.benchmark.folder import keep_error
-    from geort_drake.benchmark.replay import PERTURBATIONS, REPORT, Replay, write_report
+    from geort_drake.benchmark.records import TrialLog, outcome_line
+    from geort_drake.benchmark.replay import Replay, usual_sizes
+    from geort_drake.benchmark.report import MARKDOWN, write_replay_report
     from geort_drake.benchmark.sensitivity import parse_values
-    from geort_drake.benchmark.trial_log import TrialLog, outcome_line
+    from geort_drake.benchmark.trials import run_trials
     from geort_drake.console import console, say, track, warn
 
-    usual = {name: perturbation.sizes for name, perturbation in PERTURBATIONS.items()}
     replay = Replay(
         scenario_of(arguments),
         arguments.sessions,
         arguments.side,
         arguments.object,
         arguments.retargeter,
-        parse_values(arguments.perturb, usual),
+        parse_values(arguments.perturb, usual_sizes()),
         arguments.trials,
     )
     with TrialLog(arguments.output / TRIALS) as log:
         replay.open(arguments.output)
-        keys, finished = replay.keys(), log.finished
-        left = [key for key in keys if key not in finished]
+        keys = replay.keys()
+        left = log.unfinished(keys)
         say(f"{len(keys)} trials, {len(keys) - len(left)} of them finished before")
         if left:
-            records = replay.run(left, min(arguments.jobs, len(left)), arguments.backend)
-            for record in track("replaying", records, len(left), outcome_line):
-                log.append(keep_error(arguments.output, record))
-    summary = write_report(arguments.output)
+            jobs = min(arguments.jobs, len(left))
+            records = run_trials(log, map(replay.trial, left), jobs, arguments.backend)
+            for _ in track("replaying", records, len(left), outcome_line):
+                pass
+    summary = write_replay_report(arguments.output)
     console.print(_table(summary))
     if summary["errors"]:
         warn(f"{summary['errors']} trials raised an error: see {arguments.output}/errors")
     write_json(arguments.json, summary)
-    finish({"Report": arguments.output / REPORT})
+    finish({"Report": arguments.output / MARKDOWN})
     return 1 if summary["errors"] else 0
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from faults.refusals import Case
-from geort_drake.benchmark.trial_log import read_records
+from geort_drake.benchmark.records import read_records
 
 USAGE = "SystemExit"
 
@@ -131,7 +131,7 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str, str]] = {
     "a configuration of nothing": (
         configuration(json.dumps(dict.fromkeys(("settings", "objects", "methods", "trials", "notes")))),
         "BenchmarkError",
-        "config.json: not a benchmark's configuration: settings must be an",
+        "config.json: not a benchmark's configuration: Expected `object`",
     ),
     "a configuration 100,000 deep": (configuration("[" * 100_000), "BenchmarkError", "config.json"),
     "a policy that is a pickle": (policy("a.pt", pickle.dumps([1])), "PolicyError", "a.pt"),

@@ -11,7 +11,7 @@ import numpy as np
 from faults.child import run
 from faults.kills import unclear
 from faults.sound import checkpoint, play
-from geort_drake.benchmark.trial_log import TrialLog
+from geort_drake.benchmark.records import TrialLog
 from geort_drake.files import write_text
 from geort_drake.people.recording_parts import RecordingParts, read_parts
 

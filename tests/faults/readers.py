@@ -14,7 +14,7 @@ from moving_hands import moving
 
 from faults.sound import checkpoint
 from geort_drake.benchmark.config import CONFIG, TRIALS, read_config
-from geort_drake.benchmark.trial_log import read_records
+from geort_drake.benchmark.records import read_records
 from geort_drake.files import sha256_of
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.importers.description_file import write_description

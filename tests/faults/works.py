@@ -92,7 +92,7 @@ def trained(folder: Path) -> dict[str, str]:
 
 def benchmark(seed: int, jobs: int = 1) -> None:
     """Trials of two methods over three seeds, of which `seed` decides nothing: a benchmark goes on."""
-    from geort_drake.benchmark import folder as grasp_benchmark
+    from geort_drake.benchmark import folder, trials
 
     goal = _goal()
     argv = [
@@ -101,8 +101,8 @@ def benchmark(seed: int, jobs: int = 1) -> None:
         "--scenario_text", SHORT, "--trials", "2" if seed == 1 else "3", "--zero_latency",
     ]  # fmt: skip
     with (
-        mock.patch.object(grasp_benchmark, "plan", lambda *_: goal),
-        mock.patch("geort_drake.people.play.synthesize_play", lambda seed, side: play()),
+        mock.patch.object(trials, "plan", lambda *_: goal),
+        mock.patch.object(folder, "synthesize_play", lambda seed, side: play()),
     ):
         script("benchmark_grasping.py", argv)
     if jobs > 1:
@@ -112,7 +112,7 @@ def benchmark(seed: int, jobs: int = 1) -> None:
 
 def benchmarked(folder: Path) -> dict[str, str]:
     from geort_drake.benchmark.config import CONFIG, TRIALS, read_config
-    from geort_drake.benchmark.trial_log import key_of, read_records
+    from geort_drake.benchmark.records import key_of, read_records
 
     if (folder / CONFIG).exists():
         read_config(folder)

@@ -1,0 +1,221 @@
+"""The results file of a benchmark: one JSON line per trial, readable after an interruption at any time."""
+
+import fcntl
+import json
+import math
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple, NotRequired, TypedDict
+
+from geort_drake.benchmark.config import ERRORS
+from geort_drake.benchmark.schema import check, parse_json
+from geort_drake.errors import BenchmarkError
+from geort_drake.files import write_text, writing
+from geort_drake.simulation.trial import TrialResult
+
+Record = dict[str, Any]
+
+
+class _Identity(TypedDict):
+    method: str
+    object: str
+    seed: int
+    condition: NotRequired[str]
+
+
+class _Raised(_Identity):
+    """The line of a trial that raised an exception."""
+
+    error: str  # last line of the traceback
+    traceback: str  # file in the benchmark's folder with all of it
+
+
+class TrialKey(NamedTuple):
+    """Identifies a trial.
+
+    Attributes:
+        method: name of a method, or of a replayed session.
+        object: what is grasped.
+        seed: of the scenario.
+        condition: name of a changed scenario such as `delay=100`; empty for the scenario itself.
+    """
+
+    method: str
+    object: str
+    seed: int
+    condition: str = ""
+
+    @property
+    def file_stem(self) -> str:
+        """Name of the trial's own files, without folder and suffix."""
+        return "-".join(str(part) for part in self if part != "")
+
+    @property
+    def words(self) -> str:
+        """The key as arguments of a command."""
+        return " ".join(str(part) for part in self if part != "")
+
+    def __str__(self) -> str:
+        parts = [self.method, self.object, f"seed {self.seed}", self.condition]
+        return ", ".join(part for part in parts if part)
+
+
+def key_of(record: Record) -> TrialKey:
+    """The key of a line."""
+    return TrialKey(record["method"], record["object"], record["seed"], record.get("condition", ""))
+
+
+def identity(key: TrialKey) -> Record:
+    """The fields of a line that identify its trial."""
+    named = key._asdict()
+    return named if key.condition else {name: named[name] for name in ("method", "object", "seed")}
+
+
+def outcome_line(record: Record) -> str:
+    """A line's trial and how it ended, for a progress display."""
+    return f"{key_of(record)}: {'error' if 'error' in record else record['outcome']}"
+
+
+def check_record(record: Any, where: str) -> None:
+    """Checks a line's fields, their types, and that they agree on how the trial ended.
+
+    Args:
+        record: the line.
+        where: begins the message.
+
+    Raises:
+        BenchmarkError: names the field, what was expected and what was given.
+    """
+    check(record, _Identity, where)
+    if condition := record.get("condition"):
+        try:
+            valid = math.isfinite(float(condition.partition("=")[2]))
+        except ValueError:
+            valid = False
+        if not valid:
+            raise BenchmarkError(f"{where}: condition must be NAME=NUMBER, not '{condition}'")
+    if "error" in record:
+        check(record, _Raised, where)
+        return
+    check(record, TrialResult, where)
+    success, time, longest = record["success"], record["completion_time"], record["simulated_time"]
+    given = {name: record[name] for name in ("outcome", "completion_time", "first_attempt")}
+    if success:
+        consistent = record["outcome"] == "success" and time is not None and 0 <= time <= longest
+    else:
+        consistent = record["outcome"] != "success" and time is None and not record["first_attempt"]
+    if not consistent:
+        raise BenchmarkError(f"{where}: success is {success}, which contradicts {given}")
+
+
+def keep_error(folder: Path, record: Record) -> Record:
+    """A trial's line as it is kept in a benchmark's folder.
+
+    The traceback of a trial that raised goes into a file, which its line names. A result that `check_record`
+    refuses, such as a force that is not finite, counts as an error too.
+    """
+    if "error" not in record:
+        try:
+            check_record(record, "the simulation's result is invalid")
+            return record
+        except BenchmarkError as error:
+            record = {**identity(key_of(record)), "error": str(error)}
+    path = Path(ERRORS) / f"{key_of(record).file_stem}.txt"
+    write_text(folder / path, record["error"])
+    return {**record, "error": record["error"].strip().splitlines()[-1], "traceback": str(path)}
+
+
+def read_records(path: str | os.PathLike) -> list[Record]:
+    """The last line of each trial in a results file, without an incomplete line at its end.
+
+    Raises:
+        BenchmarkError: the file does not exist, or a line is invalid or follows the trial's result.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise BenchmarkError(f"{path}: there is no such results file")
+    return _parse(path, path.read_bytes().rpartition(b"\n")[0])
+
+
+class TrialLog:
+    """A results file opened for writing by this process alone; a context manager.
+
+    Opening removes an incomplete last line. A line that `append` has written survives the end of the process
+    and of the machine.
+
+    Attributes:
+        path: of the file.
+        records: the last line of each trial that was in the file when it was opened.
+        torn: whether an incomplete last line was removed.
+
+    Raises:
+        BenchmarkError: another process has the file open, or see `read_records`.
+    """
+
+    def __init__(self, path: str | os.PathLike):
+        self.path = Path(path)
+        with writing(self.path):
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            # Unbuffered: a buffer would keep a line that could not be written.
+            self._file = open(self.path, "a+b", buffering=0)
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            self._file.close()
+            raise BenchmarkError(f"{self.path}: another process is writing to this file") from error
+        try:
+            self._file.seek(0)
+            whole, newline, rest = self._file.read().rpartition(b"\n")
+            self.records = _parse(self.path, whole)
+            self.torn = bool(rest)
+            if self.torn:
+                self._file.truncate(len(whole) + len(newline))
+        except BaseException:
+            self.close()
+            raise
+
+    def unfinished(self, keys: Iterable[TrialKey]) -> list[TrialKey]:
+        """The trials without a result when the file was opened; trials that raised are among them."""
+        finished = {key_of(record) for record in self.records if "error" not in record}
+        return [key for key in keys if key not in finished]
+
+    def append(self, record: Record) -> None:
+        """Writes a trial's line to the disk; it supersedes an earlier line of the trial with an error.
+
+        Raises:
+            OutputError: the disk is full, for example; the next opening removes what was written of the line.
+        """
+        with writing(self.path):
+            line = json.dumps(record, allow_nan=False).encode() + b"\n"
+            while line:
+                line = line[self._file.write(line) :]
+            os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Releases the file."""
+        self._file.close()
+
+    def __enter__(self) -> "TrialLog":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _parse(path: Path, content: bytes) -> list[Record]:
+    records: dict[TrialKey, Record] = {}
+    for number, line in enumerate(content.splitlines(), start=1):
+        where = f"{path}, line {number}"
+        try:
+            record = parse_json(line, _Identity, "not a trial's result")
+            check_record(record, "not a trial's result")
+        except BenchmarkError as error:
+            raise BenchmarkError(
+                f"{where}: {error}; repair or delete the line, or choose another folder"
+            ) from error
+        key = key_of(record)
+        if "error" not in records.get(key, {"error": ""}):
+            raise BenchmarkError(f"{where}: a second result of {key}")
+        records[key] = record
+    return list(records.values())

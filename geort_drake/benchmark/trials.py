@@ -1,0 +1,100 @@
+"""Trials of a benchmark: planning, simulation in workers, and the results file.
+
+Workers load this module, so it imports neither training nor plots.
+"""
+
+import logging
+import os
+import traceback
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
+
+from geort_drake.benchmark.records import Record, TrialKey, TrialLog, identity, keep_error
+from geort_drake.benchmark.workers import call_in_workers
+from geort_drake.hands.description import load_hand
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.recording import Recording
+from geort_drake.simulation.diagram import Retarget
+from geort_drake.simulation.scenario import Scenario, parse_scenario
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
+from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
+from geort_drake.simulation.trial import run_trial
+
+
+class Trial(NamedTuple):
+    """Everything a worker needs to simulate one trial.
+
+    Attributes:
+        key: of the trial; its object and seed replace those of the scenario.
+        scenario_text: the resolved scenario, as YAML.
+        retarget: the method; it can be sent to another process.
+        latency: from keypoints to joint targets, s.
+        human: the simulated person and the planned grasp, or a recorded session.
+    """
+
+    key: TrialKey
+    scenario_text: str
+    retarget: Retarget
+    latency: float
+    human: tuple[HumanHand, GraspGoal] | Recording
+
+
+def run_trials(log: TrialLog, trials: Iterable[Trial], jobs: int, backend: str) -> Iterator[Record]:
+    """Simulates trials in workers; appends each line to the log as its trial ends, and yields it.
+
+    Args:
+        log: results file in the benchmark's folder.
+        trials: to simulate.
+        jobs, backend: see `workers`.
+
+    Raises:
+        BenchmarkError, GeortError: see `call_in_workers`. What is finished is kept.
+    """
+    for record in call_in_workers(simulate, ((trial,) for trial in trials), jobs, backend):
+        kept = keep_error(log.path.parent, record)
+        log.append(kept)
+        yield kept
+
+
+def plan_grasps(
+    scenario_text: str, objects: Sequence[str], jobs: int, backend: str
+) -> Iterator[tuple[str, GraspGoal]]:
+    """Plans a grasp of each object in workers; yields name and plan in the order of the objects."""
+    arguments = ((scenario_text, name) for name in objects)
+    yield from zip(objects, call_in_workers(plan, arguments, jobs, backend, ordered=True), strict=True)
+
+
+def plan(scenario_text: str, object_name: str) -> GraspGoal:
+    """The planned grasp of an object in a resolved scenario."""
+    scenario = _scenario(scenario_text, object_name)
+    return GraspPlanner(scenario, load_hand(scenario.hand)).plan()
+
+
+def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Record:
+    """Simulates a trial.
+
+    Args:
+        trial: to simulate.
+        rerun_path: where to write a Rerun recording; None writes none.
+
+    Returns:
+        Its line for the results file: the fields of `TrialResult`, `method` and `condition`. If the trial
+        raises an exception, `error` holds its traceback instead of a result.
+    """
+    key = trial.key
+    try:
+        scenario = _scenario(trial.scenario_text, key.object)
+        scenario.random_seed = key.seed
+        scenario.retargeting.latency = trial.latency
+        result, _ = run_trial(scenario, trial.retarget, trial.human, rerun_path, {"method": key.method})
+    except Exception:
+        return {**identity(key), "error": traceback.format_exc()}
+    return {**identity(key), **result.to_json()}
+
+
+def _scenario(text: str, object_name: str) -> Scenario:
+    # Drake repeats the same warnings at every step of every trial.
+    logging.getLogger("drake").setLevel(logging.ERROR)
+    scenario = parse_scenario(text)
+    scenario.object.name = object_name
+    return scenario
