@@ -13,11 +13,11 @@ from geort_drake.cli.options import add_seed_option, make_parser, output_file
 from geort_drake.colours import FINGER_COLOURS
 from geort_drake.console import run_main
 from geort_drake.files import atomic_path
+from geort_drake.people.coverage import fingertip_speeds, pinch_distances
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording
-from geort_drake.people.recording import Recording
-from geort_drake.people.summary import fingertip_speeds, summarize
+from geort_drake.people.recording import PINCH_M, Recording
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -98,9 +98,9 @@ def _draw_speeds(axis: Axes, recording: Recording) -> None:
 
 
 def _draw_pinches(axis: Axes, recording: Recording) -> None:
-    summary = summarize(recording)
     names = [*FINGER_NAMES[1:], "any"]
-    shares = 100 * np.append(summary.pinch_share, summary.any_pinch_share)
+    near = np.stack(list(pinch_distances(recording).values()), axis=1) < PINCH_M
+    shares = 100 * np.append(near.mean(axis=0), near.any(axis=1).mean())
     bars = axis.bar(names, shares, color=[FINGER_COLOURS.get(name, "0.5") for name in names])
     axis.bar_label(bars, fmt="%.0f %%", padding=2, fontsize=9)
     axis.set_ylim(0, 45)

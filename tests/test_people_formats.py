@@ -36,13 +36,13 @@ from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError, UnknownNameError
 from geort_drake.people.checks import examine
+from geort_drake.people.coverage import pinch_distances
 from geort_drake.people.formats import FORMATS
 from geort_drake.people.formats.unpickling import load_plain
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import bone_lengths
 from geort_drake.people.readers import ASSUMED_RATE_HZ, open_recording, read_recording
 from geort_drake.people.recording import PINCH_M
-from geort_drake.people.summary import pinch_distances
 
 # Files that hold the wrist's pose in the world.
 POSED = set(WRITERS) - {"geort", "mediapipe", "mediapipe_npy", "mano_npy", "dex_retargeting"}

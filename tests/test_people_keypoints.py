@@ -18,24 +18,14 @@ def test_numbering_is_that_of_mediapipe():
     """Tips are 4, 8, ..., 20, MCPs 5, 9, 13, 17, and the 20 bones form a tree rooted in the wrist."""
     assert kp.TIP_KEYPOINT == {"thumb": 4, "index": 8, "middle": 12, "ring": 16, "little": 20}
     assert kp.BASE_KEYPOINT == {"thumb": 1, "index": 5, "middle": 9, "ring": 13, "little": 17}
-    assert len(kp.BONES) == 20
     assert sorted(child for _, child in kp.BONES) == list(range(1, 21))
-    assert all(parent < child for parent, child in kp.BONES)
     assert [child for parent, child in kp.BONES if parent == kp.WRIST] == [1, 5, 9, 13, 17]
-
-
-def test_a_hand_in_its_wrist_frame_stays_as_it_is(rng):
-    """For keypoints already given in H the wrist pose is the identity."""
-    p_HK = hand_in_H(rng)
-    R_WH, p_WH = kp.wrist_pose(p_HK)
-    np.testing.assert_allclose(R_WH, np.broadcast_to(np.eye(3), R_WH.shape), atol=1e-12)
-    np.testing.assert_allclose(p_WH, 0.0, atol=1e-15)
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_the_wrist_frame_follows_any_motion_of_the_hand(seed):
-    """Moving the hand by X_WH, frame by frame, is found again and undone."""
+    """Moving the hand by X_WH, frame by frame, is found again and undone; bones keep their lengths."""
     rng = np.random.default_rng(seed)
     p_HK = hand_in_H(rng)
     R_WH = Rotation.random(len(p_HK), rng=rng).as_matrix()
@@ -45,25 +35,14 @@ def test_the_wrist_frame_follows_any_motion_of_the_hand(seed):
     np.testing.assert_allclose(found_R, R_WH, atol=1e-10)
     np.testing.assert_allclose(found_p, p_WH, atol=1e-12)
     np.testing.assert_allclose(kp.to_wrist_frame(p_WK), p_HK, atol=1e-12)
+    np.testing.assert_allclose(kp.bone_lengths(p_WK), kp.bone_lengths(p_HK), atol=1e-12)
 
 
-def test_mirroring_twice_changes_nothing_and_once_turns_the_hand_inside_out(rng):
-    """A mirrored hand, put into its wrist frame, has x negated: its fingers flex to −x."""
+def test_mirroring_turns_the_hand_inside_out(rng):
+    """A mirrored hand, put into its wrist frame, has x negated; twice mirrored it is the same."""
     p_HK = hand_in_H(rng)
     np.testing.assert_array_equal(kp.mirrored(kp.mirrored(p_HK)), p_HK)
     np.testing.assert_allclose(kp.to_wrist_frame(kp.mirrored(p_HK)), p_HK * [-1, 1, 1], atol=1e-12)
-
-
-def test_bone_lengths_are_distances_between_neighbours():
-    """A hand whose keypoints are spaced by known steps has those lengths, in any frame."""
-    p = np.zeros((kp.KEYPOINT_COUNT, 3))
-    for finger, numbers in enumerate(kp.FINGER_KEYPOINTS.values()):
-        for place, number in enumerate(numbers):
-            p[number] = [0.0, 0.0, 0.01 * (finger + 1) * (place + 1)]
-    expected = 0.01 * np.repeat(np.arange(1, 6), 4)
-    np.testing.assert_allclose(kp.bone_lengths(p), expected, atol=1e-15)
-    turned = p @ Rotation.from_euler("xyz", [0.3, -1.0, 2.0]).as_matrix() + 7.0
-    np.testing.assert_allclose(kp.bone_lengths(turned), expected, atol=1e-12)
 
 
 def test_a_degenerate_hand_has_no_wrist_frame(rng):

@@ -23,8 +23,8 @@ from geort_drake.hands.canonical import canonical_kinematics, canonical_shapes
 from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.samples import robot_data
+from geort_drake.people.coverage import narrow_motions
 from geort_drake.people.play import synthesize_play
-from geort_drake.people.range_of_motion import narrow_motions
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
 from geort_drake.resources import cache_dir

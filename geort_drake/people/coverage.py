@@ -1,17 +1,29 @@
-"""How much of what training needs a recording shows already, and what is still to be recorded."""
+"""How much of what training needs a recording shows: ranges of the fingers, pinches, and speeds."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
-from geort_drake.people.keypoints import FINGER_NAMES
-from geort_drake.people.range_of_motion import ranges_deg, wanted_motions
+from geort_drake.people.keypoints import FINGER_KEYPOINTS, FINGER_NAMES, TIP_KEYPOINT, WRIST
 from geort_drake.people.recording import PINCH_M, Recording
-from geort_drake.people.summary import pinch_distances
 
-# How often each finger should pinch. People who were asked for pinches make more than ten in five minutes.
+# The least range of each motion, deg, and how a person makes it: half of the smaller one of two recordings
+# with gloves (GeoRT's of its author, MANUS subject 000). There fingers bend by 175 to 272 and move sideways
+# by 14 to 40, the thumb bends by 54 to 108, sweeps by 49 to 54 and lifts by 42 to 44.
+_FINGER_MOTIONS = {
+    "bends": (90.0, "stretch it fully and close it to a fist"),
+    "moves sideways": (7.0, "spread the fingers and close them"),
+}
+_THUMB_MOTIONS = {
+    "bends": (25.0, "stretch it fully and bend it into the palm"),
+    "sweeps across the palm": (25.0, "move it to the little finger and back"),
+    "lifts off the palm": (20.0, "move it away from the palm and back"),
+}
+# How often each finger should pinch. People who are asked for pinches make more than ten in five minutes.
 PINCHES = 5
 _RELEASE_M = 1.5 * PINCH_M  # a pinch ends when the tips are this far apart: jitter is no second pinch
+_RIDGE = 0.01  # relative to the mean square of a bone's coordinate, which bending makes 0.1 and more
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,12 +66,7 @@ def coverage(recording: Recording) -> list[Motion]:
         recording: with at least one valid frame.
     """
     p_HK = recording.p_HK[recording.valid]
-    motions = []
-    for finger in FINGER_NAMES:
-        wanted = wanted_motions(finger)
-        for name, degrees in ranges_deg(p_HK, finger).items():
-            least, advice = wanted[name]
-            motions.append(Motion(f"{finger} {name}", degrees, least, "°", None, advice))
+    motions = [motion for finger in FINGER_NAMES for motion in _ranges(p_HK, finger)]
     for finger, distance in pinch_distances(recording).items():
         frames = int((distance < PINCH_M).sum())
         advice = f"pinch thumb and {finger} at different places"
@@ -67,9 +74,92 @@ def coverage(recording: Recording) -> list[Motion]:
     return motions
 
 
+def narrow_motions(p_HK: np.ndarray, keypoints: Sequence[int]) -> list[str]:
+    """Sentences about the motions that a recording holds too little of.
+
+    Args:
+        p_HK: (T, 21, 3) keypoints in H, m, of valid frames.
+        keypoints: the fingertips to be learned from; other keypoints name no finger.
+    """
+    fingers = [finger for finger, keypoint in TIP_KEYPOINT.items() if keypoint in keypoints]
+    return [
+        f"the recording's {motion.name} by only {motion.seen:.0f}°, expected at least {motion.wanted:.0f}°: "
+        + motion.advice
+        for finger in fingers
+        for motion in _ranges(p_HK, finger)
+        if not motion.enough
+    ]
+
+
+def _ranges(p_HK: np.ndarray, finger: str) -> list[Motion]:
+    motions = _THUMB_MOTIONS if finger == "thumb" else _FINGER_MOTIONS
+    return [
+        Motion(f"{finger} {name}", degrees, motions[name][0], "°", None, motions[name][1])
+        for name, degrees in ranges_deg(p_HK, finger).items()
+    ]
+
+
+def ranges_deg(p_HK: np.ndarray, finger: str) -> dict[str, float]:
+    """1st to 99th percentile of each of a finger's motions, deg, from keypoints p_HK (T, 21, 3) in H, m.
+
+    Bending is the sum of the angles between successive bones, from the metacarpal on. The other motions are
+    those of the first bone that moves: of a finger sideways, out of the plane in which it bends; of the thumb
+    its elevation over the x-z plane (across the palm) and over the y-z plane (off the palm).
+    """
+    chain = FINGER_KEYPOINTS[finger]
+    thumb = finger == "thumb"
+    bones = np.diff(np.asarray(p_HK, dtype=float)[:, chain if thumb else (WRIST, *chain)], axis=1)
+    bones = bones / np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), 1e-9)
+    cosines = np.clip((bones[:, 1:] * bones[:, :-1]).sum(-1), -1.0, 1.0)
+    first = np.clip(bones[:, 0 if thumb else 1], -1.0, 1.0)
+    angles = {"bends": np.arccos(cosines).sum(axis=1)}
+    if thumb:
+        angles["sweeps across the palm"] = np.arcsin(first[:, 1])
+        angles["lifts off the palm"] = np.arcsin(first[:, 0])
+    else:
+        angles["moves sideways"] = np.arcsin(_out_of_plane(first))
+    return {name: float(np.rad2deg(np.ptp(np.percentile(angle, (1, 99))))) for name, angle in angles.items()}
+
+
+def _out_of_plane(bones: np.ndarray) -> np.ndarray:
+    """Sines (T,) of the angles of unit vectors (T, 3) to the plane y = αx + βz that fits them best.
+
+    The fingers' planes converge by up to 9°, so bending alone changes a bone's elevation over the x-z plane.
+    """
+    xz, y = bones[:, [0, 2]], bones[:, 1]
+    # The ridge keeps the plane upright where a finger hardly bends; it would follow the motion sideways.
+    slopes = np.linalg.solve(xz.T @ xz + _RIDGE * len(xz) * np.eye(2), xz.T @ y)
+    return np.clip((y - xz @ slopes) / np.sqrt(1.0 + slopes @ slopes), -1.0, 1.0)
+
+
 def pinches(distance: np.ndarray) -> int:
     """How often tips at `distance` (N,), m, come together and part again."""
-    # +1 where they touch, −1 where they are apart, 0 between: what was last of the two is what holds.
+    # +1 where they touch, -1 where they are apart; between, the last of the two holds.
     state = np.where(distance < PINCH_M, 1, np.where(distance > _RELEASE_M, -1, 0))
     state = np.append(-1, state[state != 0])
     return int((np.diff(state) > 0).sum())
+
+
+def pinch_distances(recording: Recording) -> dict[str, np.ndarray]:
+    """Distances (N,), m, of the thumb's tip to that of each other finger, in the N valid frames."""
+    distance = tip_distances(recording.p_HK[recording.valid].astype(float))
+    return dict(zip(FINGER_NAMES[1:], distance.T, strict=True))
+
+
+def tip_distances(p_HK: np.ndarray) -> np.ndarray:
+    """Distances (..., 4), m, of the thumb's tip to those of index ... little, of keypoints (..., 21, 3)."""
+    p_HF = p_HK[..., list(TIP_KEYPOINT.values()), :]
+    return np.linalg.norm(p_HF[..., 1:, :] - p_HF[..., :1, :], axis=-1)
+
+
+def fingertip_speeds(recording: Recording) -> np.ndarray:
+    """Speeds (N, 5), m/s, of the tips relative to the wrist, between neighbouring valid frames.
+
+    Frames that repeat the one before are dropped first: a recorder that polls faster than the glove delivers
+    stores some frames twice, which would show a rest and then a jump.
+    """
+    fresh = np.concatenate([[True], np.any(np.diff(recording.p_HK, axis=0) != 0.0, axis=(1, 2))])
+    kept = np.flatnonzero(fresh)
+    both = recording.valid[kept[1:]] & recording.valid[kept[:-1]]
+    p_HF = recording.p_HK[:, 4::4][kept].astype(float)
+    return (np.linalg.norm(np.diff(p_HF, axis=0), axis=-1) / np.diff(recording.t[kept])[:, None])[both]

@@ -1,7 +1,7 @@
-"""The five minutes that a new user records: what to do, in which order, and our synthetic hand doing it.
+"""The five minutes that a new user records, step by step, and a synthetic hand demonstrating them.
 
 Training needs each fingertip everywhere it can go, and the thumb against every finger at many places. Free
-play forgets some of it; these steps ask for one thing after the other. `coverage` says what was seen.
+play forgets some of it. `coverage` tells how much of it a recording shows.
 """
 
 import dataclasses
@@ -14,17 +14,17 @@ from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.play import FLAT, Timeline, fists, pinch, pinch_postures, record, spread, sweep, wave
 from geort_drake.people.recording import Recording
 
-# What the hand does in a step, over and over until its time is up.
+# What the hand does in a step, repeated until its time is up.
 Gesture = Callable[[Timeline, HumanHand, np.random.Generator], None]
 
 
 @dataclasses.dataclass(frozen=True)
 class Step:
-    """One thing to do.
+    """One step of the protocol.
 
     Attributes:
-        name: short, what the time line of a demonstration shows.
-        instruction: what the person is told.
+        name: short, as on the time line of a demonstration.
+        instruction: what the person should do.
         seconds: for how long.
         gesture: how the synthetic hand does it.
     """
@@ -40,6 +40,10 @@ def _flat(timeline: Timeline, hand: HumanHand, rng: np.random.Generator) -> None
     timeline.hold(1.0)
 
 
+def _free(gesture: Callable[[Timeline, np.random.Generator], None]) -> Gesture:
+    return lambda timeline, hand, rng: gesture(timeline, rng)
+
+
 def _alone(finger: int) -> Gesture:
     return lambda timeline, hand, rng: sweep(timeline, finger, rng)
 
@@ -52,60 +56,38 @@ def _pinch_with(finger: int) -> Gesture:
     return gesture
 
 
-STEPS = (
-    Step("flat hand", "Hold the hand flat and still, the fingers together.", 5, _flat),
-    Step(
-        "fists",
-        "Close all fingers to a fist and stretch them as far as they go, again and again.",
-        20,
-        lambda timeline, hand, rng: fists(timeline, rng),
-    ),
-    Step(
-        "spread",
-        "Spread the fingers and bring them together: with the hand flat, and with the knuckles half bent.",
-        20,
-        lambda timeline, hand, rng: spread(timeline, rng),
-    ),
-    Step(
-        "wave",
-        "Let a wave of bending run from the little finger to the thumb and back.",
-        15,
-        lambda timeline, hand, rng: wave(timeline, rng),
-    ),
-    Step(
-        "thumb alone",
-        "Sweep the thumb to the little finger's base and back, lift it off the palm, bend it, draw circles.",
-        30,
-        _alone(0),
-    ),
-    *(
+def _steps() -> list[Step]:
+    steps = [
+        Step("flat hand", "Hold the hand flat and still, fingers together.", 5, _flat),
         Step(
-            f"{name} alone",
-            f"Move the {name} finger alone: sideways while stretched, half bent and bent; then anywhere.",
+            "fists", "Close all fingers to a fist and stretch them fully, again and again.", 20, _free(fists)
+        ),
+        Step(
+            "spread",
+            "Spread the fingers and close them: hand flat, then knuckles half bent.",
             20,
-            _alone(finger),
-        )
-        for finger, name in enumerate(FINGER_NAMES)
-        if finger > 0
-    ),
-    *(
+            _free(spread),
+        ),
+        Step("wave", "Let a wave of bending run from little finger to thumb and back.", 15, _free(wave)),
         Step(
-            f"thumb to {name}",
-            f"Pinch thumb and {name} finger, slide them along each other and let go; each time elsewhere, "
-            "near the palm and far from it.",
+            "thumb alone",
+            "Sweep the thumb to the little finger's base, lift it off the palm, bend it, draw circles.",
             30,
-            _pinch_with(finger),
-        )
-        for finger, name in enumerate(FINGER_NAMES)
-        if finger > 0
-    ),
-    Step(
-        "like a tool",
-        "Do what your robot shall do: reach for things, hold them, turn them between the fingers.",
-        10,
-        lambda timeline, hand, rng: wave(timeline, rng),
-    ),
-)
+            _alone(0),
+        ),
+    ]
+    fingers = list(enumerate(FINGER_NAMES))[1:]
+    for i, name in fingers:
+        told = f"Move the {name} finger alone: sideways while stretched, half bent and bent; then anywhere."
+        steps.append(Step(f"{name} alone", told, 20, _alone(i)))
+    for i, name in fingers:
+        told = f"Pinch thumb and {name} finger, slide the tips along each other, let go; each time elsewhere."
+        steps.append(Step(f"thumb to {name}", told, 30, _pinch_with(i)))
+    told = "Do what your robot will do: reach, hold, turn things between the fingers."
+    return [*steps, Step("like a tool", told, 10, _free(wave))]
+
+
+STEPS = tuple(_steps())
 DURATION_S = sum(step.seconds for step in STEPS)
 
 
@@ -115,10 +97,7 @@ def demonstrate(
     hand: HumanHand | None = None,
     jitter: float = 1.0,
 ) -> tuple[Recording, list[str]]:
-    """The synthetic hand follows the protocol.
-
-    Args:
-        seed, rate_hz, hand, jitter: as in `synthesize_play`.
+    """The synthetic hand follows the protocol; arguments as of `synthesize_play`.
 
     Returns:
         The recording, and the name of the step in each of its frames.
@@ -130,7 +109,7 @@ def demonstrate(
     for step in STEPS:
         begins.append(timeline.times[-1])
         end += step.seconds
-        # A gesture that runs over takes its time from the next step, so that the whole keeps its length.
+        # A gesture that runs over shortens the next step, so that the whole keeps its length.
         while timeline.times[-1] < end:
             step.gesture(timeline, hand, rng)
     recording = record(timeline, hand, DURATION_S, rate_hz, jitter, rng)

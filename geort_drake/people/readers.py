@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from geort_drake.errors import RecordingError, UnknownNameError
 from geort_drake.people.checks import examine, noted, refuse
 from geort_drake.people.checks.anatomy import UNITS_M
-from geort_drake.people.checks.findings import Finding, FrameFaults, Severity
+from geort_drake.people.checks.findings import Finding, FrameFaults, warning
 from geort_drake.people.formats import AUTO, FORMATS, choose
 from geort_drake.people.formats.files import load
 from geort_drake.people.formats.source import NO_HAND, Tracks
@@ -175,9 +175,8 @@ def _continuous(quaternions: np.ndarray) -> np.ndarray:
 
 
 def _no_times() -> Finding:
-    return Finding(
+    return warning(
         "timestamps",
-        Severity.WARNING,
         f"no timestamps: {ASSUMED_RATE_HZ:g} Hz assumed",
         advice="import the file with --rate if you know better",
     )
@@ -192,9 +191,7 @@ def _first_of_doubles(p_WK: np.ndarray, t: np.ndarray, findings: list[Finding]) 
         what = (
             f"{int(same.sum())} of {len(t)} frames are stored twice with the same time, the first is frame "
         )
-        findings.append(
-            Finding("duplicated frames", Severity.WARNING, f"{what}{first}", f"t[{first}]", "left out")
-        )
+        findings.append(warning("duplicated frames", f"{what}{first}", f"t[{first}]", "left out"))
     return np.flatnonzero(np.concatenate([[True], ~same]) if len(t) else np.ones(0, bool))
 
 

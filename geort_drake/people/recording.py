@@ -22,7 +22,7 @@ PINCH_M = 0.015  # a thumb–finger distance below this counts as a pinch
 # Of a file, packed and unpacked: the largest format takes 1.5 GB for an hour at 120 Hz.
 MOST_BYTES = 2 << 30
 
-# What programs take out of the metadata.
+# Types of the metadata that programs use.
 _METADATA = {
     "format": str,
     "source": str,
@@ -36,10 +36,8 @@ _METADATA = {
     "time_field": str,
     "time_unit": str,
 }
-
-
-# How a file's numbers were taken, which messages say; no concern of the file that is saved.
-_OF_THE_SOURCE = ("unit", "time_field", "time_unit")
+# What messages say about the source file; not saved.
+_SOURCE_METADATA = ("unit", "time_field", "time_unit")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,28 +59,26 @@ class Recording:
     metadata: dict = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        # float32 is what the file holds, so the digest survives a round trip.
+        # The file holds float32, so the digest survives a round trip.
         types = {"t": np.float64, "p_HK": np.float32, "valid": np.bool_, "X_WH": np.float64}
+        frames = np.size(self.t) if np.ndim(self.t) == 1 else -1
+        shapes = {
+            "t": (frames,),
+            "p_HK": (frames, KEYPOINT_COUNT, 3),
+            "valid": (frames,),
+            "X_WH": (frames, 7),
+        }
         for name, dtype in types.items():
             if getattr(self, name) is None and name == "X_WH":
                 continue
             array = np.asarray(getattr(self, name))
             if array.dtype.kind not in "fiub":
                 raise RecordingError(f"recording: {name} must hold numbers, not {array.dtype}")
-            # Numbers beyond what float32 holds become infinite, which counts as lost.
+            if array.shape != shapes[name]:
+                raise RecordingError(f"recording: {name} must have shape {shapes[name]}, not {array.shape}")
+            # Numbers beyond float32 become infinite, which counts as lost.
             with np.errstate(over="ignore"):
                 object.__setattr__(self, name, array.astype(dtype, copy=False))
-        frames = len(self.t) if self.t.ndim == 1 else -1
-        wanted = {
-            "t": (frames,),
-            "p_HK": (frames, KEYPOINT_COUNT, 3),
-            "valid": (frames,),
-            "X_WH": (frames, 7),
-        }
-        for name, shape in wanted.items():
-            value = getattr(self, name)
-            if value is not None and value.shape != shape:
-                raise RecordingError(f"recording: {name} must have shape {shape}, not {value.shape}")
 
     def __len__(self) -> int:
         return len(self.t)
@@ -99,7 +95,7 @@ class Recording:
 
     @property
     def rate_hz(self) -> float:
-        """Frames per second, from the median period, which gaps in tracking do not disturb."""
+        """Frames per second, from the median period, which gaps do not disturb."""
         return float(1.0 / np.median(np.diff(self.t)))
 
     @cached_property
@@ -120,7 +116,7 @@ class Recording:
     def mirrored(self) -> "Recording":
         """The same motion made by the other hand: each frame's mirror image in the xz-plane of H.
 
-        Keypoints and wrist poses stay as they are, since a left hand is described by its mirror image;
+        Numbers stay as they are, since a left hand is described by its mirror image;
         `metadata["recorded_side"]` keeps which hand was recorded.
         """
         metadata = {"recorded_side": self.side, **self.metadata, "side": SIDES[1 - SIDES.index(self.side)]}
@@ -133,7 +129,7 @@ class Recording:
         arrays: dict[str, np.ndarray] = {"t": self.t, "p_HK": self.p_HK, "valid": self.valid}
         if self.X_WH is not None:
             arrays["X_WH"] = self.X_WH
-        kept = {key: value for key, value in self.metadata.items() if key not in _OF_THE_SOURCE}
+        kept = {key: value for key, value in self.metadata.items() if key not in _SOURCE_METADATA}
         metadata = {**kept, "side": self.side, "convention": CONVENTION}
         with atomic_path(path) as draft:
             # The stub takes every array for the argument allow_pickle.
@@ -141,7 +137,7 @@ class Recording:
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> "Recording":
-        """Reads a file written by `save`, without judging its contents (see `read_recording`).
+        """Reads a file written by `save`, without repairs and checks (see `read_recording`).
 
         Raises:
             RecordingError: the file is missing, is no recording or is of another convention.
@@ -150,7 +146,7 @@ class Recording:
 
     @classmethod
     def from_arrays(cls, name: str, arrays: Mapping[str, np.ndarray]) -> "Recording":
-        """The recording whose arrays `save` wrote; errors call it `name` and are those of `load`."""
+        """The recording whose arrays `save` wrote; errors name it `name` and are those of `load`."""
         missing = [field for field in ("t", "p_HK", "valid", "metadata") if field not in arrays]
         if missing:
             raise RecordingError(f"{name}: not a recording, it lacks {', '.join(missing)}")
@@ -172,12 +168,12 @@ class Recording:
 
 
 def _checked_metadata(metadata: dict) -> dict:
-    """Metadata without the fields that are of another type than programs expect, which is noted."""
-    bad = [field for field, kind in _METADATA.items() if not isinstance(metadata.get(field, kind()), kind)]
+    """Metadata without fields of another type than programs expect, which is noted in its warnings."""
+    bad = [field for field, kind in _METADATA.items() if not isinstance(metadata.get(field), kind | None)]
     kept = {field: value for field, value in metadata.items() if field not in bad}
-    told = [f"metadata {field} must be of type {_METADATA[field].__name__}; left out" for field in bad]
+    new = [f"metadata {field} must be of type {_METADATA[field].__name__}; left out" for field in bad]
     warnings = [warning for warning in kept.get("warnings", []) if isinstance(warning, str)]
-    return kept | ({"warnings": warnings + told} if told or "warnings" in kept else {})
+    return kept | ({"warnings": warnings + new} if new or "warnings" in kept else {})
 
 
 def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
@@ -191,31 +187,29 @@ def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
     try:
         if zipfile.is_zipfile(path):
             with zipfile.ZipFile(path) as archive:
-                check_size(path, sum(member.file_size for member in archive.infolist()))
+                _check_size(path, sum(member.file_size for member in archive.infolist()))
         loaded = np.load(path, allow_pickle=False)
         if isinstance(loaded, np.ndarray):
             return {"data": loaded}
         with loaded:
             arrays = {name: loaded[name] for name in loaded.files}
-            arrays = {name: array for name, array in arrays.items() if isinstance(array, np.ndarray)}
+            return {name: array for name, array in arrays.items() if isinstance(array, np.ndarray)}
     except RecordingError:
         raise
     except Exception as error:  # a corrupt archive raises nearly anything
         reason = "it holds pickled objects, which are never read" if "pickle" in str(error) else str(error)
         raise RecordingError(f"{path}: not a readable NumPy file: {reason}") from None
-    return arrays
 
 
 def check_file(path: Path) -> None:
     """Raises RecordingError unless `path` is a file of at most `MOST_BYTES`, and no Git LFS pointer."""
     if not path.is_file():
         raise RecordingError(f"{path}: no such file")
-    check_size(path, path.stat().st_size)
+    _check_size(path, path.stat().st_size)
     require_fetched(path, RecordingError)
 
 
-def check_size(path: Path, size: int) -> None:
-    """Raises RecordingError for more than `MOST_BYTES`, from a corrupt or hostile file."""
+def _check_size(path: Path, size: int) -> None:
     if size > MOST_BYTES:
         raise RecordingError(
             f"{path}: holds {size / 2**30:.1f} GiB; recordings of up to {MOST_BYTES >> 30} GiB are read"

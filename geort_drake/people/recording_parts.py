@@ -1,8 +1,8 @@
 """A recording that is kept while it is made: numbered parts in a folder beside its file, joined at the end.
 
-Where the program is killed or the disk is full, the parts that were written stay. `read_recording` finds them
-under the file's name, as long as there is no such file, or under the folder's; the next program that records
-to the same file joins them into another one first.
+After a crash or on a full disk, the written parts stay. `read_recording` finds them under the file's name,
+while there is no such file, or under the folder's. The next session that records to the same file first
+joins them into another one.
 """
 
 import os
@@ -20,25 +20,23 @@ from geort_drake.files import writing
 from geort_drake.people.recording import Recording
 
 _SUFFIX = ".parts"
-# Parts that may wait for the disk; who records does not.
-_MOST_WAITING = 8
+_MOST_WAITING = 8  # parts that may wait for the disk
 
 
 class RecordingParts:
-    """Writes parts of a recording to the disk in a thread of its own, and joins them in the end.
+    """Writes parts of a recording to disk in a thread, and joins them at the end.
 
     Attributes:
-        path: of the recording that is made.
-        recovered: what an earlier session to the same path was recording when it was interrupted; None
-            where none was.
+        path: of the recording.
+        recovered: where an interrupted session's parts to the same path were joined; None without any.
 
     Args:
-        path: .npz; an earlier one is replaced when the recording is finished.
+        path: .npz; an earlier file is replaced when the recording is finished.
         metadata: of the recording.
 
     Raises:
         OutputError: the disk is full, or the place may not be written to.
-        RecordingError: the path is of another kind, or an interrupted session's parts cannot be read.
+        RecordingError: the path has another suffix, or an interrupted session's parts cannot be read.
     """
 
     def __init__(self, path: str | os.PathLike, metadata: dict):
@@ -56,10 +54,10 @@ class RecordingParts:
         self._thread.start()
 
     def append(self, t: np.ndarray, p_HK: np.ndarray, valid: np.ndarray, X_WH: np.ndarray) -> None:
-        """Hands a part over; shapes and units are those of `Recording`, t from any time on.
+        """Hands over a part without waiting; shapes and units as in `Recording`, t from any time on.
 
-        Does not wait. After an error of the disk, or where it is much too slow, parts are left out: a warning
-        says so at once, and `finish` raises the error.
+        After an error of the disk, or where it does not keep up, parts are dropped: a warning says so at
+        once, and `finish` raises the error.
         """
         if self._error is None:
             try:
@@ -71,7 +69,7 @@ class RecordingParts:
         """Joins the parts into the file and removes them; False where there are none, and so no file.
 
         Raises:
-            OutputError: a part or the file could not be written. The parts that could stay.
+            OutputError: a part or the file could not be written. Written parts stay.
         """
         self._waiting.put(None)
         self._thread.join()
@@ -100,13 +98,10 @@ class RecordingParts:
 
 
 def read_parts(path: str | os.PathLike) -> Recording | None:
-    """The parts of a recording that was not finished, joined.
+    """The joined parts of an unfinished recording; None without any, or where `path` is a finished one.
 
     Args:
         path: of the recording, or of the folder of its parts.
-
-    Returns:
-        None where there is no part, or where `path` is a recording that was finished.
 
     Raises:
         RecordingError: a part is no recording.
@@ -127,12 +122,12 @@ def read_parts(path: str | os.PathLike) -> Recording | None:
 
 
 def _recover(path: Path) -> Path | None:
-    """Joins the parts that an interrupted session left into a file of their own, and returns that."""
+    """Joins an interrupted session's parts into a file of their own, and returns it."""
     folder = _folder_of(path)
     if (recording := read_parts(folder)) is None:
         return None
     recovered = None
-    # Killed between the two steps of `finish`, the session has lost nothing.
+    # A session killed between the two steps of `finish` has lost nothing.
     if not (path.is_file() and Recording.load(path).digest == recording.digest):
         names = (path.with_name(f"{path.stem}-interrupted-{number}.npz") for number in range(1, 1_000_000))
         recovered = next(name for name in names if not name.exists())
@@ -146,7 +141,7 @@ def _folder_of(path: Path) -> Path:
 
 
 def _remove(folder: Path) -> None:
-    """Removes a folder in one step, as far as anybody who looks for it can see."""
+    """Removes a folder in one step, as seen from outside."""
     with writing(folder):
         aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-old-", dir=folder.parent))
         os.replace(folder, aside)

@@ -4,7 +4,7 @@ import bisect
 
 import numpy as np
 
-from geort_drake.people.checks.findings import Finding, FrameFaults, Severity
+from geort_drake.people.checks.findings import Finding, FrameFaults, warning
 
 # A single first or last frame farther from the others than this has a wrong time.
 _LONGEST_GAP_S, _LONGEST_GAP_PERIODS = 60.0, 1000.0
@@ -119,4 +119,4 @@ def repaired_poses(
     what = f"{int(scaled.sum())} of {len(X_WH)} quaternions of the wrist have a norm of "
     what += f"{norm[scaled].min():.3g} to {norm[scaled].max():.3g}"
     frame = int(np.argmax(scaled))
-    return repaired, [Finding("axes", Severity.WARNING, what, f"X_WH[{frame}]", "scaled to one")]
+    return repaired, [warning("axes", what, f"X_WH[{frame}]", "scaled to one")]

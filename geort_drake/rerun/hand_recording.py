@@ -8,9 +8,9 @@ from pydrake.math import RigidTransform
 
 from geort_drake.colours import FINGER_COLOURS, SKIN, rgb
 from geort_drake.export.episode import newest
+from geort_drake.people.coverage import tip_distances
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.recording import Recording
-from geort_drake.people.summary import tip_distances
 from geort_drake.rerun.file import Recording as RerunFile
 from geort_drake.rerun.hand import HandTrack
 from geort_drake.rerun.scene import Scene

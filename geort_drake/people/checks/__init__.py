@@ -1,4 +1,4 @@
-"""The health of a recording: checks that catch what spoils recordings, one small function each."""
+"""The health of a recording: one small function for each check."""
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator
@@ -10,7 +10,7 @@ from geort_drake.people.recording import Recording
 
 Check = Callable[[Recording], Iterator[Finding]]
 
-# In this order: what one check relies on, those before it have seen to.
+# Checks rely on those before them.
 CHECKS: tuple[Check, ...] = (
     timing.check_length,
     timing.check_clock,
@@ -39,7 +39,7 @@ def examine(recording: Recording) -> tuple[Recording, list[Finding]]:
         recording: in frame H; a left hand already mirrored.
 
     Returns:
-        The recording with frames marked invalid that mean nothing, and what was found.
+        The recording with unusable frames marked invalid, and what was found.
     """
     findings: list[Finding] = []
     for check in CHECKS:
@@ -49,7 +49,7 @@ def examine(recording: Recording) -> tuple[Recording, list[Finding]]:
                 valid = recording.valid.copy()
                 valid[list(finding.lost)] = False
                 recording = dataclasses.replace(recording, valid=valid)
-        if any(finding.severity is Severity.ERROR for finding in findings):
+        if verdict(findings) == "refused":
             break
     return recording, findings
 
@@ -59,8 +59,8 @@ def check_recording(recording: Recording, name: str = "recording", training: boo
 
     Args:
         recording: in frame H; a left hand already mirrored.
-        name: what error messages call it, usually the file.
-        training: also ask for what training needs: 300 valid frames and at least one pinch.
+        name: for messages, usually the file.
+        training: also require what training needs: 300 valid frames and at least one pinch.
 
     Raises:
         RecordingError: with the first finding that makes the recording unusable.
@@ -79,12 +79,11 @@ def refuse(name: str, findings: Iterable[Finding], training: bool = False) -> No
 
 
 def noted(recording: Recording, findings: Iterable[Finding]) -> Recording:
-    """The recording with its faults in `metadata["warnings"]`, each once; advice is left out."""
+    """The recording with findings other than advice in `metadata["warnings"]`, each once."""
     known = recording.metadata.get("warnings", [])
-    said = [str(finding) for finding in findings if finding.severity is not Severity.ADVICE]
-    return dataclasses.replace(
-        recording, metadata={**recording.metadata, "warnings": list(dict.fromkeys([*known, *said]))}
-    )
+    new = [str(finding) for finding in findings if finding.severity is not Severity.ADVICE]
+    warnings = list(dict.fromkeys([*known, *new]))
+    return dataclasses.replace(recording, metadata={**recording.metadata, "warnings": warnings})
 
 
 def verdict(findings: Iterable[Finding]) -> str:

@@ -1,10 +1,10 @@
-"""Checks that keypoints are a hand: order, unit, bones, side and frame."""
+"""Checks that keypoints are a hand: depth, order, unit, side, bones and frame."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from geort_drake.people.checks.findings import MOST_LOST, Finding, Severity, lost_frames
+from geort_drake.people.checks.findings import MOST_LOST, Finding, error, lost_frames, warning
 from geort_drake.people.checks.order import fitting_order, is_right, oddities
 from geort_drake.people.keypoints import (
     BONES,
@@ -20,46 +20,36 @@ from geort_drake.people.recording import SIDES, Recording
 UNITS_M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}
 
 _UNIT_NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres", "inch": "inches"}
-_PALM_M = (0.060, 0.110)  # wrist to middle knuckle of people from a child of ten to a large adult
-BENT = 0.02  # a mean sine of the fingers' bending beyond this tells the side
-# A bone farther than this from its median length is of no hand: trackers of images vary by 4 to 16 %.
-_ODD_BONE, _ODD_BONE_M = 0.75, 0.01
+_PALM_M = (0.060, 0.110)  # wrist to middle knuckle, from a child of ten to a large adult
+_BENT = 0.02  # a mean sine of the fingers' bending beyond this tells the side
 _FRAME_M = 0.005  # a keypoint may be so far from where the definition of H puts it
+# A bone farther than this from its median length is of no hand: camera trackers vary by 4 to 16 %.
+_ODD_BONE, _ODD_BONE_M = 0.75, 0.01
+_NOISY_BONES, _UNUSABLE_BONES = 0.03, 0.25  # standard deviation over mean
 
 
 def check_depth(recording: Recording) -> Iterator[Finding]:
     """The keypoints are not those of a flat picture."""
     p_HK = _valid(recording)
     if np.abs(p_HK[..., 0]).max() < 1e-3 * max(_palm(p_HK), 1e-12):
-        yield Finding(
-            "constant signal",
-            Severity.ERROR,
-            "all keypoints lie in one plane in every frame: one coordinate is constant, as of 2-D landmarks",
-            "p_HK",
-            "record 3-D landmarks, of MediaPipe its world landmarks",
-        )
+        what = "all keypoints lie in one plane in every frame: one coordinate is constant, as of 2-D points"
+        yield error("constant signal", what, "p_HK", "record 3-D landmarks, of MediaPipe its world landmarks")
 
 
 def check_order(recording: Recording) -> Iterator[Finding]:
-    """The 21 keypoints come in the order that is meant."""
+    """The 21 keypoints come in the expected order."""
     p_HK = _valid(recording)
     order = fitting_order(p_HK)
     if is_right(order):
         return
     if order is None:
         distance = np.median(np.linalg.norm(p_HK[:, :, None] - p_HK[:, None], axis=-1), axis=0)
-        told = f"they are no hand in any known order: {next(oddities(distance), 'bones change length')}"
+        given = f"they are no hand in any known order: {next(oddities(distance), 'bones change length')}"
     else:
-        told = f"they are a hand in this one: {order}"
+        given = f"they are a hand in this one: {order}"
+    what = "wrong joint order: the keypoints must be the wrist, then thumb, index, middle, ring and little "
     advice = "read it with format 'mano'" if order and "MANO" in order else "reorder them before importing"
-    yield Finding(
-        "joint order",
-        Severity.ERROR,
-        "wrong joint order: the keypoints must be the wrist, then thumb, index, middle, ring and little "
-        f"finger from base to tip; {told}",
-        "p_HK",
-        advice,
-    )
+    yield error("joint order", f"{what}finger from base to tip; {given}", "p_HK", advice)
 
 
 def check_unit(recording: Recording) -> Iterator[Finding]:
@@ -68,20 +58,29 @@ def check_unit(recording: Recording) -> Iterator[Finding]:
     low, high = _PALM_M
     if low <= palm <= high:
         return
-    # What the reader took the file's numbers for; our own files know nothing but metres.
-    taken = recording.metadata.get("unit")
-    number = palm / UNITS_M.get(taken or "m", 1.0)
-    fits = [unit for unit in _UNIT_NAMES if unit != taken and low <= number * UNITS_M[unit] <= high]
-    given = f" with the file's lengths in {taken}" if taken not in (None, "m") else ""
+    # The unit that the reader assumed; our own files are in metres.
+    assumed = recording.metadata.get("unit")
+    number = palm / UNITS_M.get(assumed or "m", 1.0)
+    fits = [unit for unit in _UNIT_NAMES if unit != assumed and low <= number * UNITS_M[unit] <= high]
+    given = f" with the file's lengths in {assumed}" if assumed not in (None, "m") else ""
     guess = f"; it would be right if the numbers were {_UNIT_NAMES[fits[0]]}" if fits else ""
-    yield Finding(
-        "unit",
-        Severity.ERROR,
-        f"wrist to middle knuckle must be {1e3 * low:.0f} to {1e3 * high:.0f} mm, but is {palm:.4g} m{given}"
-        f"{guess}",
-        "p_HK",
-        f"import them with --unit {fits[0]}" if fits and taken else "give keypoints in metres",
-    )
+    what = f"wrist to middle knuckle must be {1e3 * low:.0f} to {1e3 * high:.0f} mm, but is {palm:.4g} m"
+    advice = f"import them with --unit {fits[0]}" if fits and assumed else "give keypoints in metres"
+    yield error("unit", what + given + guess, "p_HK", advice)
+
+
+def check_side(recording: Recording) -> Iterator[Finding]:
+    """The hand is of the side that was asked for, and not in mirrored coordinates."""
+    side, bending = recording.side, mean_bending(_valid(recording))
+    if bending < -_BENT:
+        other = SIDES[1 - SIDES.index(side)]
+        what = f"the fingers bend backwards (mean sine {bending:.2f}), so this is a {other} hand or a "
+        what += f"{side} one in mirrored axes (such as Unity's, which are left-handed)"
+        advice = f"read it with side '{other}', and if the axes are mirrored also with --mirror"
+        yield error("handedness", what, "p_HK", advice)
+    elif bending < _BENT:
+        what = "the fingers hardly bend, so whether this is a left or a right hand cannot be checked"
+        yield warning("handedness", what, "p_HK", "make a fist while recording")
 
 
 def mean_bending(p_HK: np.ndarray) -> float:
@@ -99,59 +98,14 @@ def mean_bending(p_HK: np.ndarray) -> float:
 
 
 def bent_side(p_WK: np.ndarray, side: str) -> str:
-    """The side that keypoints p_WK (T, 21, 3), of any frame and said to be of `side`, have by their bending.
+    """The side that the bending of the fingers tells, of keypoints p_WK (T, 21, 3) in any frame.
 
-    That is `side` where the fingers hardly bend, or no frame is whole.
+    It is `side`, which the file states, where the fingers hardly bend or no frame is complete.
     """
     p_HK = to_wrist_frame(mirrored(p_WK) if side == "left" else p_WK)
     p_HK = p_HK[np.isfinite(p_HK).all(axis=(1, 2))]
-    backwards = len(p_HK) > 0 and mean_bending(p_HK) < -BENT
+    backwards = len(p_HK) > 0 and mean_bending(p_HK) < -_BENT
     return SIDES[1 - SIDES.index(side)] if backwards else side
-
-
-def check_side(recording: Recording) -> Iterator[Finding]:
-    """The hand is of the side that was asked for, and not in mirrored coordinates."""
-    side, bending = recording.side, mean_bending(_valid(recording))
-    if bending < -BENT:
-        other = SIDES[1 - SIDES.index(side)]
-        yield Finding(
-            "handedness",
-            Severity.ERROR,
-            f"the fingers bend backwards (mean sine {bending:.2f}), so this is a {other} hand or a "
-            f"{side} one in mirrored axes (such as Unity's, which are left-handed)",
-            "p_HK",
-            f"read it with side '{other}', and if the axes are mirrored also with --mirror",
-        )
-    elif bending < BENT:
-        yield Finding(
-            "handedness",
-            Severity.WARNING,
-            "the fingers hardly bend, so whether this is a left or a right hand cannot be checked",
-            "p_HK",
-            "make a fist while recording",
-        )
-
-
-def check_frame(recording: Recording) -> Iterator[Finding]:
-    """Keypoints are given in the wrist frame H: its origin, and the directions of its axes."""
-    p_HK = _valid(recording)
-    off = np.linalg.norm(to_wrist_frame(p_HK) - p_HK, axis=-1).max(axis=1)
-    if not np.nanmedian(off) < _FRAME_M:
-        knuckle = np.median(p_HK[:, MIDDLE_MCP] - p_HK[:, WRIST], axis=0)
-        axis = "xyz"[int(np.argmax(np.abs(knuckle)))]
-        sign = "-" if knuckle.min() == -np.abs(knuckle).max() else "+"
-        yield Finding(
-            "axes",
-            Severity.ERROR,
-            "keypoints must be given in the wrist frame H (origin at the wrist, z to the middle knuckle, y "
-            f"to the index side), but are off by {1e3 * np.nanmedian(off):.0f} mm; the middle knuckle is "
-            f"towards {sign}{axis}, the wrist at "
-            f"{np.round(1e3 * np.median(p_HK[:, WRIST], axis=0)).tolist()} mm",
-            "p_HK",
-            "save other frames as (T, 21, 3) .npy, which is brought to H when it is read",
-        )
-    else:
-        yield from _lost(recording, ~(off < _FRAME_M), "are not in the wrist frame H")
 
 
 def check_bones(recording: Recording) -> Iterator[Finding]:
@@ -160,32 +114,45 @@ def check_bones(recording: Recording) -> Iterator[Finding]:
     median = np.median(length, axis=0)
     if median.min() < 1e-3:
         parent, child = BONES[int(np.argmin(median))]
-        yield Finding(
-            "bone lengths",
-            Severity.ERROR,
-            f"keypoints {parent} and {child} coincide; 21 distinct ones are needed",
-            f"p_HK[:, {child}]",
-        )
+        what = f"keypoints {parent} and {child} coincide; 21 distinct ones are needed"
+        yield error("bone lengths", what, f"p_HK[:, {child}]")
         return
     odd = (np.abs(length - median) > _ODD_BONE * median + _ODD_BONE_M).any(axis=1)
-    # Where bones change their lengths in many frames, their spread tells it.
-    if odd.mean() <= MOST_LOST:
+    if odd.mean() <= MOST_LOST:  # else the spread below tells it
         yield from _lost(recording, odd, "have bones of another length")
         length = length[~odd]
     spread = length.std(axis=0) / length.mean(axis=0)
     worst = int(np.argmax(spread))
     parent, child = BONES[worst]
-    if spread[worst] < 0.03:
-        return
-    bad = spread[worst] > 0.25
-    yield Finding(
-        "bone lengths",
-        Severity.ERROR if bad else Severity.WARNING,
+    what = (
         f"bone {parent}–{child} changes its length by {100 * spread[worst]:.0f} % (standard deviation over "
-        "mean)" + (", at most 25 % is usable" if bad else ": a tracker's noise, gloves stay below 3 %"),
-        f"p_HK[:, {child}]",
-        "look whether these are 3-D keypoints in metres" if bad else "",
     )
+    what, where = f"{what}mean)", f"p_HK[:, {child}]"
+    if spread[worst] > _UNUSABLE_BONES:
+        what += f", at most {100 * _UNUSABLE_BONES:.0f} % is usable"
+        yield error("bone lengths", what, where, "look whether these are 3-D keypoints in metres")
+    elif spread[worst] >= _NOISY_BONES:
+        what += f": a tracker's noise, gloves stay below {100 * _NOISY_BONES:.0f} %"
+        yield warning("bone lengths", what, where)
+
+
+def check_frame(recording: Recording) -> Iterator[Finding]:
+    """Keypoints are given in the wrist frame H: its origin, and the directions of its axes."""
+    p_HK = _valid(recording)
+    off = np.linalg.norm(to_wrist_frame(p_HK) - p_HK, axis=-1).max(axis=1)
+    if np.nanmedian(off) < _FRAME_M:
+        yield from _lost(recording, ~(off < _FRAME_M), "are not in the wrist frame H")
+        return
+    knuckle = np.median(p_HK[:, MIDDLE_MCP] - p_HK[:, WRIST], axis=0)
+    axis = int(np.argmax(np.abs(knuckle)))
+    wrist_mm = np.round(1e3 * np.median(p_HK[:, WRIST], axis=0)).tolist()
+    what = "keypoints must be given in the wrist frame H (origin at the wrist, z to the middle knuckle, y to "
+    what += (
+        f"the index side), but are off by {1e3 * np.nanmedian(off):.0f} mm; the middle knuckle is towards "
+    )
+    what += f"{'-' if knuckle[axis] < 0 else '+'}{'xyz'[axis]}, the wrist at {wrist_mm} mm"
+    advice = "save other frames as (T, 21, 3) .npy, which is brought to H when it is read"
+    yield error("axes", what, "p_HK", advice)
 
 
 def _lost(recording: Recording, bad: np.ndarray, what: str) -> Iterator[Finding]:

@@ -44,6 +44,16 @@ class Finding:
         return f"{self.what}{place}" + (f"; {self.advice}" if self.advice else "")
 
 
+def error(check: str, what: str, where: str = "", advice: str = "") -> Finding:
+    """A finding for which the recording is refused."""
+    return Finding(check, Severity.ERROR, what, where, advice)
+
+
+def warning(check: str, what: str, where: str = "", advice: str = "", lost: Sequence[int] = ()) -> Finding:
+    """A finding about a usable recording."""
+    return Finding(check, Severity.WARNING, what, where, advice, tuple(int(frame) for frame in lost))
+
+
 def lost_frames(
     frames: Sequence[int], count: int, what: str, detail: str = "", where: str = "", too_many: bool = False
 ) -> Finding:

@@ -1,18 +1,19 @@
-"""The health of a recording as a table of numbers, for people and for programs."""
+"""The health of a recording as JSON: verdict, findings and figures."""
 
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from geort_drake.people.checks import verdict
 from geort_drake.people.checks.findings import Finding, Severity
-from geort_drake.people.coverage import coverage
-from geort_drake.people.keypoints import FINGER_NAMES
+from geort_drake.people.coverage import coverage, fingertip_speeds, pinch_distances
+from geort_drake.people.keypoints import FINGER_NAMES, bone_lengths
 from geort_drake.people.recording import PINCH_M, Recording
-from geort_drake.people.summary import pinch_distances, summarize
 
 
 def report(name: str, recording: Recording | None, findings: Sequence[Finding]) -> dict[str, Any]:
-    """What is known of a recording, in JSON types; without its figures where it was refused.
+    """The verdict, the findings and, unless the recording was refused, its figures.
 
     Args:
         name: the file.
@@ -42,11 +43,9 @@ def report(name: str, recording: Recording | None, findings: Sequence[Finding]) 
 
 
 def _figures(recording: Recording) -> dict[str, Any]:
-    summary = summarize(recording)
-    pinches = {finger: int((d < PINCH_M).sum()) for finger, d in pinch_distances(recording).items()}
+    lengths = bone_lengths(recording.p_HK[recording.valid])
+    speed = fingertip_speeds(recording)
     tracked = recording.metadata.get("wrist_position_tracked", True)
-    pose = "none" if recording.X_WH is None else "pose" if tracked else "orientation"
-    length, spread = 1e3 * summary.bone_length.reshape(5, 4), 100 * summary.bone_spread.reshape(5, 4)
     return {
         "format": recording.metadata.get("format", "geort_drake"),
         "side": recording.side,
@@ -56,26 +55,28 @@ def _figures(recording: Recording) -> dict[str, Any]:
         "duration_s": recording.duration_s,
         "rate_hz": recording.rate_hz,
         "rate_known": bool(recording.metadata.get("rate_known", True)),
-        "wrist": pose,
+        "wrist": "none" if recording.X_WH is None else "pose" if tracked else "orientation",
         "sha256": recording.digest,
         "fingers": {
             finger: {
-                "bones_mm": length[i].tolist(),
-                "bones_vary_percent": float(spread[i].max()),
-                "speed_median_m_s": float(summary.speed_median[i]),
-                "speed_p95_m_s": float(summary.speed_p95[i]),
-                "pinch_frames": pinches.get(finger),
+                "bones_mm": bones.tolist(),
+                "bones_vary_percent": float(spread.max()),
+                "speed_median_m_s": float(np.median(of_tip)),
+                "speed_p95_m_s": float(np.percentile(of_tip, 95)),
+                "pinch_frames": None if distance is None else int((distance < PINCH_M).sum()),
             }
-            for i, finger in enumerate(FINGER_NAMES)
+            for finger, bones, spread, of_tip, distance in zip(
+                FINGER_NAMES,
+                1e3 * np.median(lengths, axis=0).reshape(5, 4),
+                100 * (lengths.std(axis=0) / lengths.mean(axis=0)).reshape(5, 4),
+                speed.T,
+                (None, *pinch_distances(recording).values()),
+                strict=True,
+            )
         },
         "coverage": [
-            {
-                "motion": motion.name,
-                "seen": motion.seen,
-                "wanted": motion.wanted,
-                "unit": motion.unit,
-                "enough": motion.enough,
-            }
+            {"motion": motion.name}
+            | {key: getattr(motion, key) for key in ("seen", "wanted", "unit", "enough")}
             for motion in coverage(recording)
         ],
     }

@@ -1,14 +1,13 @@
-"""Checks of when frames were taken: clocks, gaps, repeats and jumps."""
+"""Checks of the frames' times and of the motion between frames: clock, gaps, repeats and jumps."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from geort_drake.people.checks.findings import Finding, Severity, lost_frames
+from geort_drake.people.checks.findings import Finding, error, lost_frames, warning
 from geort_drake.people.keypoints import FINGER_KEYPOINTS
 from geort_drake.people.recording import Recording
 
-# Units of times: how long they are, s, and what they are called.
 TIME_UNITS_S = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9}
 _TIME_UNIT_NAMES = {"s": "seconds", "ms": "milliseconds", "µs": "microseconds", "ns": "nanoseconds"}
 _RATE_HZ = (2.0, 2000.0)
@@ -17,8 +16,8 @@ _MISSING_SHARE = 0.05  # a glove at 118 Hz over radio loses 4 %
 _FROZEN_S = 0.5
 _REPEATED_SHARE = 0.02
 _SAME_M = 2e-7  # what rounding leaves of a still hand when the wrist moves; a glove's jitter is 0.05 mm
-# A frame is a spike where a keypoint leaves by more than this and is back in the next frame: ten
-# times the glove's jitter. Two people's free play at 30 and 118 Hz holds no such frame.
+# In a spike, a keypoint leaves by more than this and is back in the next frame. It is ten times a glove's
+# jitter; two people's free play at 30 and 118 Hz holds no such frame.
 _SPIKE_M = 0.02
 _JUMP_M = 0.05
 _JUMP_RATIO = 5.0  # of a jump to the steps before and after it, which separates it from fast motion
@@ -28,104 +27,73 @@ _WRIST_M_S = 10.0  # an arm throws at that speed
 def check_length(recording: Recording) -> Iterator[Finding]:
     """At least two frames."""
     if len(recording) < 2:
-        yield Finding("length", Severity.ERROR, f"at least 2 frames are needed, {len(recording)} given", "t")
+        yield error("length", f"at least 2 frames are needed, {len(recording)} given", "t")
 
 
 def check_clock(recording: Recording) -> Iterator[Finding]:
-    """Times are finite, increase, and are in the unit that the format says."""
+    """Times are finite, increase, and are in the unit of the format."""
     t = recording.t
-    if not np.isfinite(t).all():
-        frame = int(np.argmin(np.isfinite(t)))
-        yield Finding("clock", Severity.ERROR, f"t is not a finite number in frame {frame}", f"t[{frame}]")
+    bad = ~np.isfinite(t) | (np.diff(t, prepend=-np.inf) <= 0)
+    if bad.any():
+        frame = int(np.argmax(bad))
+        what = f"t must increase, but frame {frame} has {t[frame]:.6f} s"
+        what += f" after {t[frame - 1]:.6f} s" if frame else ""
+        yield error("clock", what, f"t[{frame}]", "give every frame its own time, in order")
         return
-    step = np.diff(t)
-    if step.min() <= 0:
-        frame = int(np.argmax(step <= 0)) + 1
-        yield Finding(
-            "clock",
-            Severity.ERROR,
-            f"t must increase, but frame {frame} has {t[frame]:.6f} s after {t[frame - 1]:.6f} s",
-            f"t[{frame}]",
-            "sort the frames by time, and give every frame its own",
-        )
-        return
-    rate = 1.0 / float(np.median(step))
+    rate = 1.0 / float(np.median(np.diff(t)))
     if not _RATE_HZ[0] <= rate <= _RATE_HZ[1]:
-        # Of a file that was just read; in our own, t is in seconds.
+        # A file that was just read states field and unit; in our own, t is in seconds.
         field, unit = recording.metadata.get("time_field", "t"), recording.metadata.get("time_unit", "s")
         if unit not in TIME_UNITS_S:
             field, unit = "t", "s"
-        wanted = _TIME_UNIT_NAMES[unit]
-        fits = [
-            name
-            for other, name in _TIME_UNIT_NAMES.items()
-            if other != unit and 10 <= rate * TIME_UNITS_S[unit] / TIME_UNITS_S[other] <= 1000
-        ]
-        yield Finding(
-            "clock",
-            Severity.ERROR,
-            f"{field} must be in {wanted}, with {_RATE_HZ[0]:g} to {_RATE_HZ[1]:g} frames in a second, but "
-            f"gives {rate:.3g}" + (f"; it would be right if the numbers were {fits[0]}" if fits else ""),
-            field,
-            f"give {field} in {wanted}",
-        )
-
-
-def check_dropped(recording: Recording) -> Iterator[Finding]:
-    """Frames that are missing between those that are there, by the median period."""
-    step = np.diff(recording.t)
-    missing = int((np.round(step / np.median(step)) - 1).clip(0).sum())
-    gaps, frame = int((step > _GAP_S).sum()), int(np.argmax(step)) + 1
-    longest = f"the longest {step.max():.2f} s before frame {frame}"
-    if gaps:
-        yield Finding(
-            "dropped frames", Severity.WARNING, f"{gaps} gaps in time, {longest}", f"t[{frame}]",
-            "a replay interpolates across them",
-        )  # fmt: skip
-    elif missing > _MISSING_SHARE * (len(step) + missing):
-        yield Finding(
-            "dropped frames",
-            Severity.WARNING,
-            f"{missing} frames are missing in {len(recording) + missing} "
-            f"({100 * missing / (len(step) + missing):.0f} %), {longest}",
-            f"t[{frame}]",
-            "look at the radio link or the recorder's load",
-        )
+        expected = f"{field} must be in {_TIME_UNIT_NAMES[unit]}"
+        rates = {other: rate * TIME_UNITS_S[unit] / TIME_UNITS_S[other] for other in TIME_UNITS_S}
+        fits = [other for other in rates if other != unit and 10 <= rates[other] <= 1000]
+        what = f"{expected}, with {_RATE_HZ[0]:g} to {_RATE_HZ[1]:g} frames in a second, but gives {rate:.3g}"
+        what += f"; it would be right if the numbers were {_TIME_UNIT_NAMES[fits[0]]}" if fits else ""
+        yield error("clock", what, field, f"give {field} in {_TIME_UNIT_NAMES[unit]}")
 
 
 def check_lost(recording: Recording) -> Iterator[Finding]:
     """Frames that are not finite numbers become invalid; some frames must be left."""
-    bad = recording.valid & ~np.isfinite(recording.p_HK).all(axis=(1, 2))
-    field = "p_HK"
+    known = np.isfinite(recording.p_HK).all(axis=2)
+    never = np.flatnonzero(~known.any(axis=0))
+    if 0 < len(never) < known.shape[1]:
+        named = ", ".join(_named(int(keypoint)) for keypoint in never)
+        what = (
+            f"{named} {'is' if len(never) == 1 else 'are'} lost in all {len(recording)} frames; every frame "
+        )
+        advice = "look at that finger's sensor, or at what the recorder leaves out"
+        yield error("lost frames", f"{what}needs all 21 keypoints", "p_HK", advice)
+        return
+    bad, field = recording.valid & ~known.all(axis=1), "p_HK"
     if recording.X_WH is not None:
         poses = recording.valid & ~np.isfinite(recording.X_WH).all(axis=1)
         field = "X_WH" if poses.any() and not bad.any() else field
         bad = bad | poses
     lost = np.flatnonzero(bad)
-    if missing := _missing(recording):
-        yield Finding(
-            "lost frames",
-            Severity.ERROR,
-            f"{missing} in all {len(bad)} frames; every frame needs all 21 keypoints",
-            "p_HK",
-            "look at that finger's sensor, or at what the recorder leaves out",
-        )
-    elif len(lost):
-        yield lost_frames(lost.tolist(), len(bad), "are not finite numbers", where=f"{field}[{lost[0]}]")
     valid = int((recording.valid & ~bad).sum())
-    if valid < 2 and not len(lost):
-        what = f"only {valid} of {len(recording)} frames are valid"
-        yield Finding("lost frames", Severity.ERROR, what, "valid")
+    if len(lost):
+        yield lost_frames(lost.tolist(), len(bad), "are not finite numbers", where=f"{field}[{lost[0]}]")
+    elif valid < 2:
+        yield error("lost frames", f"only {valid} of {len(recording)} frames are valid", "valid")
 
 
-def _missing(recording: Recording) -> str:
-    """Which keypoints no frame has, in words; empty where there are none, or no keypoint at all."""
-    known = np.isfinite(recording.p_HK).all(axis=2)
-    never = np.flatnonzero(~known.any(axis=0))
-    if len(never) in (0, known.shape[1]):
-        return ""
-    named = ", ".join(_named(int(keypoint)) for keypoint in never)
-    return f"{named} {'is' if len(never) == 1 else 'are'} lost"
+def check_dropped(recording: Recording) -> Iterator[Finding]:
+    """Frames that are missing between others, by the median period."""
+    step = np.diff(recording.t)
+    missing = int((np.round(step / np.median(step)) - 1).clip(0).sum())
+    count = len(step) + missing
+    gaps, frame = int((step > _GAP_S).sum()), int(np.argmax(step)) + 1
+    longest = f"the longest {step.max():.2f} s before frame {frame}"
+    if gaps:
+        what, advice = f"{gaps} gaps in time, {longest}", "a replay interpolates across them"
+    elif missing > _MISSING_SHARE * count:
+        what = f"{missing} frames are missing in {count + 1} ({100 * missing / count:.0f} %), {longest}"
+        advice = "look at the radio link or the recorder's load"
+    else:
+        return
+    yield warning("dropped frames", what, f"t[{frame}]", advice)
 
 
 def check_repeats(recording: Recording) -> Iterator[Finding]:
@@ -134,53 +102,41 @@ def check_repeats(recording: Recording) -> Iterator[Finding]:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
     starts, ends = edges[::2], edges[1::2]
     held = recording.t[ends] - recording.t[starts]
-    long = held > _FROZEN_S
-    if long.any():
+    frozen = held[held > _FROZEN_S].sum()
+    if frozen:
         longest = int(np.argmax(held))
-        most = held[long].sum() > 0.5 * recording.duration_s
-        yield Finding(
-            "constant signal",
-            Severity.ERROR if most else Severity.WARNING,
-            f"frozen signal: frames repeat for {held[longest]:.1f} s from frame {starts[longest]}, "
-            f"{held[long].sum():.1f} s of {recording.duration_s:.1f} s in all",
-            f"p_HK[{starts[longest]}]",
-            "look whether the glove was connected",
+        what = f"frozen signal: frames repeat for {held[longest]:.1f} s from frame {starts[longest]}, "
+        what += f"{frozen:.1f} s of {recording.duration_s:.1f} s in all"
+        kind = error if frozen > 0.5 * recording.duration_s else warning
+        yield kind(
+            "constant signal", what, f"p_HK[{starts[longest]}]", "look whether the glove was connected"
         )
     elif same.sum() > _REPEATED_SHARE * len(same):
         first = int(np.argmax(same)) + 1
-        yield Finding(
-            "duplicated frames",
-            Severity.WARNING,
-            f"{int(same.sum())} of {len(recording)} frames repeat the one before exactly, the first is "
-            f"frame {first}",
-            f"p_HK[{first}]",
-            "training and speeds leave them out; record at the glove's own rate",
+        what = (
+            f"{int(same.sum())} of {len(recording)} frames repeat the one before exactly, the first is frame "
         )
+        advice = "training and speeds leave them out; record at the glove's own rate"
+        yield warning("duplicated frames", f"{what}{first}", f"p_HK[{first}]", advice)
 
 
 def check_spikes(recording: Recording) -> Iterator[Finding]:
-    """Single frames in which a keypoint is somewhere else; they become invalid."""
+    """Single frames in which a keypoint is somewhere else become invalid."""
     p = recording.p_HK.astype(float)
     off = np.linalg.norm(p[1:-1] - 0.5 * (p[:-2] + p[2:]), axis=-1)
     across = np.linalg.norm(p[2:] - p[:-2], axis=-1)
     usable = recording.valid[1:-1] & recording.valid[:-2] & recording.valid[2:]
-    spike = (off > _SPIKE_M) & (across < 0.5 * off) & usable[:, None]
+    height = np.where((off > _SPIKE_M) & (across < 0.5 * off) & usable[:, None], off, 0.0)
+    highest = height.max(axis=1, initial=0.0)
     # The frames beside a spike differ from their neighbours as well, by half as much.
-    height = np.where(spike, off, 0.0).max(axis=1, initial=0.0)
-    beside = np.maximum(np.append(height[1:], 0.0), np.append(0.0, height[:-1]))
-    frames = np.flatnonzero(spike.any(axis=1) & (height >= beside)) + 1
+    beside = np.maximum(np.append(highest[1:], 0.0), np.append(0.0, highest[:-1]))
+    frames = np.flatnonzero((highest > 0.0) & (highest >= beside)) + 1
     if len(frames):
-        worst = int(frames[np.argmax(height[frames - 1])])
-        keypoint = int(np.argmax(np.where(spike, off, 0.0)[worst - 1]))
-        yield Finding(
-            "jumps",
-            Severity.WARNING,
-            f"in {len(frames)} single frames a keypoint jumps away and back, the farthest by "
-            f"{1e3 * height[worst - 1]:.0f} mm: {_named(keypoint)} in frame {worst}",
-            f"p_HK[{worst}, {keypoint}]",
-            "marked invalid",
-            tuple(frames.tolist()),
-        )
+        worst = int(frames[np.argmax(highest[frames - 1])])
+        keypoint = int(np.argmax(height[worst - 1]))
+        what = f"in {len(frames)} single frames a keypoint jumps away and back, the farthest by "
+        what += f"{1e3 * highest[worst - 1]:.0f} mm: {_named(keypoint)} in frame {worst}"
+        yield warning("jumps", what, f"p_HK[{worst}, {keypoint}]", "marked invalid", frames.tolist())
 
 
 def check_jumps(recording: Recording) -> Iterator[Finding]:
@@ -192,29 +148,21 @@ def check_jumps(recording: Recording) -> Iterator[Finding]:
     jump &= (both[1:-1] & both[:-2] & both[2:])[:, None]
     frames = np.flatnonzero(jump.any(axis=1)) + 2
     if len(frames):
-        size = np.where(jump, step[1:-1], 0.0)
-        keypoint = int(np.argmax(size[frames[0] - 2]))
-        yield Finding(
-            "jumps",
-            Severity.WARNING,
-            f"{len(frames)} jumps between frames that are otherwise smooth, the first by "
-            f"{1e3 * size[frames[0] - 2, keypoint]:.0f} mm before frame {frames[0]}: {_named(keypoint)}",
-            f"p_HK[{frames[0]}, {keypoint}]",
-            "look whether frames were lost or recordings joined there",
-        )
+        size = np.where(jump, step[1:-1], 0.0)[frames[0] - 2]
+        keypoint = int(np.argmax(size))
+        what = f"{len(frames)} jumps between frames that are otherwise smooth, the first by "
+        what += f"{1e3 * size[keypoint]:.0f} mm before frame {frames[0]}: {_named(keypoint)}"
+        advice = "look whether frames were lost or recordings joined there"
+        yield warning("jumps", what, f"p_HK[{frames[0]}, {keypoint}]", advice)
     if recording.X_WH is None:
         return
     speed = np.linalg.norm(np.diff(recording.X_WH[:, 4:], axis=0), axis=-1) / np.diff(recording.t)
     fast = np.flatnonzero((speed > _WRIST_M_S) & both) + 1
     if len(fast):
-        yield Finding(
-            "jumps",
-            Severity.WARNING,
-            f"the wrist jumps {len(fast)} times, the first before frame {fast[0]}, at "
-            f"{speed[fast[0] - 1]:.0f} m/s",
-            f"X_WH[{fast[0]}]",
-            "look whether the tracker lost its base stations or started anew",
-        )
+        what = f"the wrist jumps {len(fast)} times, the first before frame {fast[0]}, at "
+        what += f"{speed[fast[0] - 1]:.0f} m/s"
+        advice = "look whether the tracker lost its base stations or started anew"
+        yield warning("jumps", what, f"X_WH[{fast[0]}]", advice)
 
 
 def _named(keypoint: int) -> str:

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from geort_drake.people.checks.findings import Finding, Severity
+from geort_drake.people.checks.findings import warning
 from geort_drake.people.checks.order import MANO_ORDER, ORDERS, fitting_order
 from geort_drake.people.formats.source import Format, Source, Tracks, any_frame, shape_in
 from geort_drake.people.keypoints import KEYPOINT_COUNT, mirrored, to_wrist_frame
@@ -51,7 +51,7 @@ def _read_geort(file: Source, side: str) -> Tracks:
     if moved <= _MOVED_M:
         return Tracks(p_HK)
     what = f"not given in the wrist frame: moved by {1e3 * moved:.0f} mm to get there"
-    return Tracks(p_HK, findings=[Finding("axes", Severity.WARNING, what, "array")])
+    return Tracks(p_HK, findings=[warning("axes", what, "array")])
 
 
 def _moved(p: np.ndarray) -> float:

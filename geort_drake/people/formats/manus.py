@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from geort_drake.people.checks.anatomy import bent_side
-from geort_drake.people.checks.findings import Finding, Severity
+from geort_drake.people.checks.findings import Finding, warning
 from geort_drake.people.checks.timing import TIME_UNITS_S
 from geort_drake.people.formats.source import (
     KEYPOINTS_OF_25,
@@ -95,9 +95,8 @@ def _read_csv(file: Source, side: str) -> Tracks:
     if stated == side and bent_side(p_WK, side) != side:
         p_WK = p_WK * [-1, 1, 1]
         findings.append(
-            Finding(
+            warning(
                 "axes",
-                Severity.WARNING,
                 f"the axes are left-handed: in them the fingers of this {side} hand, as the file's name has "
                 "it, bend backwards",
                 "*_X",
@@ -151,7 +150,7 @@ def _skipped_frames(number: np.ndarray) -> list[Finding]:
     after = int(np.argmax(skipped > 0))
     what = f"{int(skipped.sum())} frames are missing, the first after frame {int(number[after])}"
     advice = "look at the radio link or the recorder's load"
-    return [Finding("dropped frames", Severity.WARNING, what, f"Frame, line {after + 3}", advice)]
+    return [warning("dropped frames", what, f"Frame, line {after + 3}", advice)]
 
 
 RAW = Format("raw MANUS skeleton, 25 nodes", (".npz",), _is_raw, _read_raw)

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from geort_drake.people.checks.anatomy import bent_side
-from geort_drake.people.checks.findings import Finding, Severity
+from geort_drake.people.checks.findings import Finding, warning
 from geort_drake.people.formats.source import (
     NO_HAND,
     BadFrame,
@@ -81,9 +81,8 @@ def _label_of_side(file: Source, labelled: Mapping[str, np.ndarray], side: str) 
     label = max(fitting, key=lambda label: np.isfinite(labelled[label]).sum()) if fitting else side
     if label == side:
         return label, []
-    finding = Finding(
+    finding = warning(
         "handedness",
-        Severity.WARNING,
         f"labelled {label}, but the fingers bend as a {side} hand's: taken for a {side} one, as MediaPipe's "
         "labels are often those of mirrored images",
         "handedness",

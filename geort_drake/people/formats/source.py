@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from geort_drake.errors import RecordingError
-from geort_drake.people.checks.findings import Finding, FrameFaults, Severity
+from geort_drake.people.checks.findings import Finding, FrameFaults, warning
 from geort_drake.people.checks.timing import TIME_UNITS_S
 from geort_drake.people.recording import SIDES, Recording
 
@@ -282,9 +282,8 @@ class Source:
         if rows == columns or turned == column_major:
             return X, []
         expected, given = ("columns", "rows") if column_major else ("rows", "columns")
-        finding = Finding(
+        finding = warning(
             "axes",
-            Severity.WARNING,
             f"transforms are transposed: their numbers were to stand in {expected} and stand in {given}",
             field,
             "read the other way, which their zeros and ones prove right",

@@ -1,8 +1,9 @@
-"""A `HumanHand` as an SDF model, to be shown or simulated beside a robot.
+"""Prints the SDF model of an average human hand, `models/sdf/human_right.sdf`, from `HumanHand`.
 
-`models/sdf/human_right.sdf` is `human_hand_sdf(HumanHand.anatomical(), "human_right")`.
+python studies/human_hand_model.py > models/sdf/human_right.sdf
 """
 
+import sys
 from collections.abc import Iterable
 
 import numpy as np
@@ -32,7 +33,7 @@ _FRAMES = {"thumb": ("cmc", "mcp", "ip", "tip")}
 _HEADER = """<?xml version="1.0"?>
 <!--
   A human right hand with the kinematics of geort_drake.people.human_hand.HumanHand, from which this
-  file is made (geort_drake/people/human_hand_sdf.py); the anatomy's sources are named there.
+  file is made (studies/human_hand_model.py); the anatomy's sources are named there.
 
   Link "palm" is the wrist frame H: +x out of the palm, +y towards the index side, +z along the
   fingers. Every finger flexes and then abducts at its base, whence the small link "knuckle" between.
@@ -184,3 +185,7 @@ def _links(finger: str) -> tuple[str, str, str]:
 
 def _frames(finger: str) -> tuple[str, str, str, str]:
     return _FRAMES.get(finger, ("mcp", "pip", "dip", "tip"))
+
+
+if __name__ == "__main__":
+    sys.stdout.write(human_hand_sdf(HumanHand.anatomical(), "human_right"))

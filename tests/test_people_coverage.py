@@ -1,4 +1,4 @@
-"""The capture protocol, its demonstration, and what is said of a recording that lacks something."""
+"""The capture protocol, its demonstration, and what a recording lacks."""
 
 import re
 import threading
@@ -12,13 +12,19 @@ from rerun.chunk import RrdReader
 from script_modules import load_script
 
 from geort_drake.people.checks import examine, verdict
-from geort_drake.people.coverage import PINCHES, coverage, pinches
+from geort_drake.people.coverage import (
+    PINCHES,
+    coverage,
+    narrow_motions,
+    pinch_distances,
+    pinches,
+    ranges_deg,
+)
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_KEYPOINTS, FINGER_NAMES
+from geort_drake.people.play import synthesize_play
 from geort_drake.people.protocol import DURATION_S, STEPS, demonstrate
-from geort_drake.people.range_of_motion import ranges_deg
 from geort_drake.people.recording import Recording
-from geort_drake.people.summary import pinch_distances
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
@@ -112,15 +118,6 @@ def test_a_pinch_that_trembles_counts_once():
     assert pinches(np.array([near, near])) == 0
 
 
-def test_coverage_says_what_was_measured(shown):
-    """Its ranges are those of `ranges_deg`."""
-    recording, _ = shown
-    seen = {motion.name: motion.seen for motion in coverage(recording)}
-    for finger in FINGER_NAMES:
-        for name, degrees in ranges_deg(recording.p_HK, finger).items():
-            assert seen[f"{finger} {name}"] == degrees
-
-
 def test_the_watch_ends_when_nothing_is_missing(tmp_path, shown, capsys):
     """A file that grows while it is watched: first something is missing, then nothing."""
     recording, _ = shown
@@ -145,16 +142,47 @@ def test_the_watch_ends_when_nothing_is_missing(tmp_path, shown, capsys):
 
 
 def test_the_protocol_is_written_down():
-    """The table of capture.md is that of the program."""
-    text = (DOCS / "capture.md").read_text("utf-8")
-    rows = re.findall(r"^\| (\d):(\d\d) \| (\d+) s \| ([^|]+) \| ([^|]+) \|$", text, re.MULTILINE)
-    begin, wanted = 0, []
-    for step in STEPS:
-        wanted.append(
-            (str(begin // 60), f"{begin % 60:02d}", f"{step.seconds:g}", step.name, step.instruction)
-        )
-        begin += int(step.seconds)
-    assert rows == wanted
+    """The table of the guide has the program's steps, and when each begins."""
+    text = (DOCS / "how-to" / "record-a-hand.md").read_text("utf-8")
+    rows = re.findall(r"^\| (\d):(\d\d) \| (\d+) s \| ([^|]+) \| [^|]+ \|$", text, re.MULTILINE)
+    begins = np.cumsum([0, *(int(step.seconds) for step in STEPS)])
+    assert rows == [
+        (str(begin // 60), f"{begin % 60:02d}", f"{step.seconds:g}", step.name)
+        for begin, step in zip(begins, STEPS, strict=False)
+    ]
+
+
+def swept(joint: str, degrees: float) -> np.ndarray:
+    """Keypoints (101, 21, 3) of a hand of which one joint turns evenly by so much, from 10° on."""
+    hand = HumanHand.anatomical()
+    theta = np.full((101, 20), np.deg2rad(10.0))
+    theta[:, hand.joint_index(joint)] += np.deg2rad(np.linspace(0.0, degrees, 101))
+    return hand.keypoints(theta)
+
+
+def test_ranges_are_the_turns_of_the_joints():
+    """Less the percentiles' 2 %; bending is no motion sideways, and none of another finger."""
+    for joint in ("index_mcp_flexion", "index_pip_flexion", "index_dip_flexion"):
+        p_HK = swept(joint, 50.0)
+        # The metacarpal is a little out of the plane in which the first joint bends.
+        assert ranges_deg(p_HK, "index")["bends"] == pytest.approx(49.0, abs=3.0)
+        assert ranges_deg(p_HK, "middle")["bends"] == pytest.approx(0.0, abs=1e-6)
+    sideways = ranges_deg(swept("index_mcp_abduction", 20.0), "index")["moves sideways"]
+    assert sideways == pytest.approx(19.6, abs=1.0)
+    for finger in FINGER_NAMES[1:]:
+        assert ranges_deg(swept(f"{finger}_mcp_flexion", 60.0), finger)["moves sideways"] < 2.0
+
+
+def test_narrow_motions_are_told_of_the_fingers_learned_from():
+    """A still hand lacks every motion of them; other fingers do not matter; play lacks nothing."""
+    said = narrow_motions(swept("index_mcp_abduction", 0.0), (4, 8))
+    assert [text.split(" by only ")[0].removeprefix("the recording's ") for text in said] == [
+        "thumb bends", "thumb sweeps across the palm", "thumb lifts off the palm",
+        "index bends", "index moves sideways",
+    ]  # fmt: skip
+    assert said[3].endswith("by only 0°, expected at least 90°: stretch it fully and close it to a fist")
+    play = synthesize_play(1, duration_s=60.0, rate_hz=30.0)
+    assert narrow_motions(play.p_HK, (4, 8, 12, 16, 20)) == []
 
 
 def test_the_demonstration_is_a_rerun_recording(tmp_path):
