@@ -2,16 +2,12 @@
 
 import pytest
 
-from geort_drake.benchmark.sensitivity import (
-    make_conditions,
-    parse_values,
-    summarize_sensitivity,
-    usual_values,
-)
+from geort_drake.benchmark.conditions import ASSUMPTIONS, make_conditions, parse_values
+from geort_drake.benchmark.sensitivity import summarize_sensitivity
 from geort_drake.errors import BenchmarkError, ScenarioError, UnknownNameError
 from geort_drake.simulation.scenario import Scenario, dump_scenario, load_scenario
 
-USUAL = usual_values()
+USUAL = {name: list(parameter.values) for name, parameter in ASSUMPTIONS.items()}
 
 
 def trial(method: str, seed: int, success: bool, condition: str = "") -> dict:
@@ -30,21 +26,21 @@ def trials(rates: dict[str, int], condition: str = "") -> list[dict]:
 
 def test_values_are_read_and_the_usual_ones_filled_in():
     """A name with values, a name alone, and no name at all."""
-    assert parse_values(["delay=0,250", "noise"], USUAL) == {"delay": [0, 250], "noise": [0, 2, 4]}
-    assert parse_values([], USUAL) == {name: list(values) for name, values in USUAL.items()}
+    assert parse_values(["delay=0,250", "noise"], ASSUMPTIONS) == {"delay": [0, 250], "noise": [0, 2, 4]}
+    assert parse_values([], ASSUMPTIONS) == USUAL
 
 
 @pytest.mark.parametrize("text", ["delay=", "delay=1,x", "gain=nan", "noise=-1", "noise=inf"])
 def test_senseless_values_are_refused(text):
     """By the parameter's name."""
     with pytest.raises(BenchmarkError, match=f"{text.split('=')[0]} takes finite numbers"):
-        parse_values([text], USUAL)
+        parse_values([text], ASSUMPTIONS)
 
 
 def test_an_unknown_parameter_is_refused_with_the_choices():
     """The message lists them."""
     with pytest.raises(UnknownNameError, match=r"parameter 'speed'.*delay, friction, gain, noise, stiffness"):
-        parse_values(["speed=1"], USUAL)
+        parse_values(["speed=1"], ASSUMPTIONS)
 
 
 def test_a_condition_changes_what_its_name_says_and_the_nominal_value_makes_none():
@@ -52,7 +48,7 @@ def test_a_condition_changes_what_its_name_says_and_the_nominal_value_makes_none
     scenario = load_scenario()
     before = dump_scenario(scenario)
     wanted = {"delay": [180, 300], "gain": [2.5, 0.5], "noise": [1, 2], "stiffness": [4], "friction": [0.5]}
-    conditions = make_conditions(scenario, wanted)
+    conditions = make_conditions(scenario, wanted, ASSUMPTIONS)
     assert list(conditions) == ["delay=300", "gain=0.5", "noise=2", "stiffness=4", "friction=0.5"]
     assert conditions["delay=300"].operator.visual_delay == 0.3
     assert conditions["gain=0.5"].operator.correction_rate == 0.5
@@ -62,13 +58,13 @@ def test_a_condition_changes_what_its_name_says_and_the_nominal_value_makes_none
     assert conditions["stiffness=4"].hand_stiffness_factor == 4
     assert conditions["friction=0.5"].object.friction_factor == 0.5
     assert dump_scenario(scenario) == before
-    assert set(make_conditions(scenario, USUAL)) == {
+    assert set(make_conditions(scenario, USUAL, ASSUMPTIONS)) == {
         f"{name}={value:g}" for name, values in USUAL.items() for value in values
     }
     with pytest.raises(ScenarioError, match="visual_delay"):
-        make_conditions(scenario, {"delay": [5]})
+        make_conditions(scenario, {"delay": [5]}, ASSUMPTIONS)
     with pytest.raises(ScenarioError, match=r"friction_factor must be positive and finite, not 0"):
-        make_conditions(scenario, {"friction": [0]})
+        make_conditions(scenario, {"friction": [0]}, ASSUMPTIONS)
 
 
 # -- the ranking

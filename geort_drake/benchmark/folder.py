@@ -16,6 +16,7 @@ from typing import Any
 
 import yaml
 
+from geort_drake.benchmark.conditions import ASSUMPTIONS, make_conditions, parse_values
 from geort_drake.benchmark.config import (
     CONFIG,
     METHODS,
@@ -27,7 +28,6 @@ from geort_drake.benchmark.config import (
 )
 from geort_drake.benchmark.methods import Method, make_retargeter, measure_latency, names_of
 from geort_drake.benchmark.records import Record, TrialKey, key_of, read_records
-from geort_drake.benchmark.sensitivity import make_conditions, parse_values, usual_values
 from geort_drake.benchmark.trials import Trial, plan_grasps, simulate
 from geort_drake.benchmark.workers import code_digest
 from geort_drake.comparison.versions import versions
@@ -205,7 +205,7 @@ def repeat_trial(folder: Path, key: TrialKey) -> tuple[Record, Path]:
     notes, settings = config["notes"], config["settings"]
     scenario, conditions = load_scenario(folder / SCENARIO, "Resolved"), {}
     if key.condition:
-        conditions = make_conditions(scenario, parse_values([key.condition], usual_values()))
+        conditions = make_conditions(scenario, parse_values([key.condition], ASSUMPTIONS), ASSUMPTIONS)
     recorded = Path(notes["recording"]) if notes.get("recording") else None
     recording, _ = read_person(recorded, notes.get("side", "right"), settings["training_seed"])
     checkpoint = folder / METHODS / key.method

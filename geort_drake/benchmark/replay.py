@@ -13,16 +13,16 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple, TypedDict
+from typing import TypedDict
 
 import numpy as np
 import yaml
 
+from geort_drake.benchmark.conditions import PERTURBATIONS, group_by_value, make_conditions
 from geort_drake.benchmark.config import CONFIG, require_no_trials, require_same
 from geort_drake.benchmark.folder import simulation_settings
 from geort_drake.benchmark.records import Record, TrialKey
 from geort_drake.benchmark.schema import read_json
-from geort_drake.benchmark.sensitivity import condition_name, parameter_and_value
 from geort_drake.benchmark.statistics import proportion
 from geort_drake.benchmark.trials import Trial
 from geort_drake.errors import ScenarioError, UnknownNameError
@@ -36,30 +36,6 @@ from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.simulation.diagram import Retarget
 from geort_drake.simulation.scenario import Scenario, dump_scenario, object_names
 from geort_drake.simulation.world import draw_placement
-
-
-class Perturbation(NamedTuple):
-    """A way to change the object.
-
-    Attributes:
-        field: of the scenario's object that holds the largest change.
-        unit: of a size, in the field's unit.
-        label: of the plot's axis.
-        sizes: tried if none are given.
-    """
-
-    field: str
-    unit: float
-    label: str
-    sizes: tuple[float, ...]
-
-
-PERTURBATIONS = {
-    "position": Perturbation("position_range", 1e-3, "largest shift in x and y, mm", (5, 10, 20)),
-    "yaw": Perturbation("yaw_range", math.radians(1), "largest turn, °", (5, 15, 30)),
-    "mass": Perturbation("mass_range", 1.0, "largest change of mass, fraction", (0.2, 0.5, 0.8)),
-    "friction": Perturbation("friction_range", 1.0, "largest change of friction, fraction", (0.2, 0.5, 0.8)),
-}
 
 
 class _Config(TypedDict):
@@ -76,7 +52,7 @@ class Replay:
         side: of the recorded hands; None: the robot hand's.
         object_name: what was grasped; None: as noted in each session.
         retargeter: directory of a checkpoint.
-        perturbations: name → sizes, in the units of `PERTURBATIONS`.
+        perturbations: name in `PERTURBATIONS` → sizes.
         trials: draws per session and perturbation.
 
     Raises:
@@ -95,12 +71,6 @@ class Replay:
     ):
         description = load_hand(scenario.hand)
         self.recordings = _read_sessions(sessions, side or description.side)
-        self.conditions = {
-            condition_name(name, size): (name, size)
-            for name, sizes in perturbations.items()
-            for size in sizes
-            if size > 0
-        }
         self.trials = trials
         self.hand = HandModel(description)
         self.retarget: Retarget = load_retargeter(retargeter, self.hand)
@@ -108,22 +78,26 @@ class Replay:
         self._scenarios = {
             name: as_recorded(scenario, recording, object_name) for name, recording in self.recordings.items()
         }
-        for key in self.keys():
-            self._scenario(key).validate()
+        # Name of a condition → session → scenario; the unchanged scenarios are under "".
+        self._conditions: dict[str, dict[str, Scenario]] = {"": self._scenarios}
+        for session, own in self._scenarios.items():
+            own.validate()
+            for name, changed in make_conditions(own, perturbations, PERTURBATIONS).items():
+                self._conditions.setdefault(name, {})[session] = changed
 
     def keys(self) -> list[TrialKey]:
         """Every trial; only one per session without a perturbation, because nothing is random in it."""
         return [
             TrialKey(session, scenario.object.name, seed, condition)
             for seed in range(self.trials)
-            for condition in ("", *self.conditions)
+            for condition in self._conditions
             for session, scenario in self._scenarios.items()
             if condition or seed == 0
         ]
 
     def trial(self, key: TrialKey) -> Trial:
         """What a worker needs to simulate a trial."""
-        scenario = self._scenario(key)
+        scenario = self._conditions[key.condition][key.method]
         recording = self.recordings[key.method]
         return Trial(key, dump_scenario(scenario), self.retarget, scenario.retargeting.latency, recording)
 
@@ -154,19 +128,6 @@ class Replay:
         else:
             require_no_trials(folder)
         write_text(path, json.dumps(config, indent=2, allow_nan=False) + "\n")
-
-    def _scenario(self, key: TrialKey) -> Scenario:
-        scenario = copy.deepcopy(self._scenarios[key.method])
-        if key.condition:
-            name, size = self.conditions[key.condition]
-            perturbation = PERTURBATIONS[name]
-            setattr(scenario.object, perturbation.field, perturbation.unit * size)
-        return scenario
-
-
-def usual_sizes() -> dict[str, tuple[float, ...]]:
-    """The sizes of each perturbation that are tried if none are given."""
-    return {name: perturbation.sizes for name, perturbation in PERTURBATIONS.items()}
 
 
 def as_recorded(scenario: Scenario, recording: Recording, object_name: str | None) -> Scenario:
@@ -207,12 +168,9 @@ def summarize_replay(records: Iterable[Record]) -> dict:
     unchanged = [record for record in judged if not record.get("condition")]
     panels = {}
     for name, perturbation in PERTURBATIONS.items():
-        groups = {0.0: unchanged} if unchanged else {}
-        for record in judged:
-            changed, size = parameter_and_value(record)
-            if changed == name:
-                groups.setdefault(size, []).append(record)
-        if groups.keys() - {0.0}:
+        groups = group_by_value(judged, name)
+        if groups:
+            groups |= {0.0: unchanged} if unchanged else {}
             panels[name] = {
                 "label": perturbation.label,
                 "conditions": [

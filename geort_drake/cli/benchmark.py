@@ -107,10 +107,10 @@ def run(arguments: argparse.Namespace) -> int:
 def run_unfinished(arguments: argparse.Namespace) -> None:
     """Runs the unfinished trials of the benchmark."""
     from geort_drake.benchmark import folder
+    from geort_drake.benchmark.conditions import ASSUMPTIONS, make_conditions, parse_values
     from geort_drake.benchmark.config import TRIALS
     from geort_drake.benchmark.methods import names_of
     from geort_drake.benchmark.records import TrialLog, outcome_line
-    from geort_drake.benchmark.sensitivity import make_conditions, parse_values, usual_values
     from geort_drake.benchmark.trials import plan_grasps, run_trials
     from geort_drake.benchmark.workers import require_workers
     from geort_drake.console import say, track
@@ -127,7 +127,7 @@ def run_unfinished(arguments: argparse.Namespace) -> None:
     side = arguments.side or load_hand(scenario.hand).side
     conditions = {}
     if arguments.sensitivity is not None:
-        conditions = make_conditions(scenario, parse_values(arguments.sensitivity, usual_values()))
+        conditions = make_conditions(scenario, parse_values(arguments.sensitivity, ASSUMPTIONS), ASSUMPTIONS)
     recording, notes = folder.read_person(arguments.recording, side, arguments.seed)
     with TrialLog(arguments.output / TRIALS) as log:
         if log.torn:

@@ -47,11 +47,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    from geort_drake.benchmark.conditions import PERTURBATIONS, parse_values
     from geort_drake.benchmark.config import TRIALS
     from geort_drake.benchmark.records import TrialLog, outcome_line
-    from geort_drake.benchmark.replay import Replay, usual_sizes
+    from geort_drake.benchmark.replay import Replay
     from geort_drake.benchmark.report import MARKDOWN, write_replay_report
-    from geort_drake.benchmark.sensitivity import parse_values
     from geort_drake.benchmark.trials import run_trials
     from geort_drake.console import console, say, track, warn
 
@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.side,
         arguments.object,
         arguments.retargeter,
-        parse_values(arguments.perturb, usual_sizes()),
+        parse_values(arguments.perturb, PERTURBATIONS),
         arguments.trials,
     )
     with TrialLog(arguments.output / TRIALS) as log:

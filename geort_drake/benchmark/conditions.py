@@ -1,0 +1,137 @@
+"""Conditions: scenarios with one parameter changed, named after it, such as `delay=100`.
+
+A grasp benchmark changes its `ASSUMPTIONS`; a replay changes the object by `PERTURBATIONS`.
+"""
+
+import copy
+import dataclasses as dc
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+from geort_drake.benchmark.records import Record
+from geort_drake.errors import BenchmarkError, UnknownNameError
+from geort_drake.simulation.scenario import Scenario
+
+
+@dc.dataclass(frozen=True)
+class Parameter:
+    """A parameter of a scenario that conditions change.
+
+    Attributes:
+        label: of the plot's axis.
+        values: tried if none are given.
+        change: sets a value in a scenario.
+        nominal: the scenario's own value.
+    """
+
+    label: str
+    values: tuple[float, ...]
+    change: Callable[[Scenario, float], None]
+    nominal: Callable[[Scenario], float]
+
+
+def _set_delay(scenario: Scenario, milliseconds: float) -> None:
+    scenario.operator.visual_delay = milliseconds / 1000
+
+
+def _set_gain(scenario: Scenario, rate: float) -> None:
+    scenario.operator.correction_rate = rate
+
+
+def _scale_noise(scenario: Scenario, factor: float) -> None:
+    for field in ("visual_noise", "visual_turn_noise", "contact_noise", "motor_noise", "tremor"):
+        setattr(scenario.operator, field, factor * getattr(scenario.operator, field))
+
+
+def _scale_stiffness(scenario: Scenario, factor: float) -> None:
+    scenario.hand_stiffness_factor *= factor
+
+
+def _scale_friction(scenario: Scenario, factor: float) -> None:
+    scenario.object.friction_factor *= factor
+
+
+def _factor(label: str, values: tuple[float, ...], scale: Callable[[Scenario, float], None]) -> Parameter:
+    return Parameter(f"{label}, factor", values, scale, lambda _: 1.0)
+
+
+ASSUMPTIONS = {
+    "delay": Parameter(
+        "visual delay, ms", (0, 100, 300), _set_delay, lambda s: round(1000 * s.operator.visual_delay, 9)
+    ),
+    "gain": Parameter("naive gain, 1/s", (0.5, 1, 3), _set_gain, lambda s: s.operator.correction_rate),
+    "noise": _factor("the person's noise", (0, 2, 4), _scale_noise),
+    "stiffness": _factor("hand stiffness", (0.5, 2), _scale_stiffness),
+    "friction": _factor("object friction", (0.5, 2), _scale_friction),
+}
+
+
+def _range(label: str, sizes: tuple[float, ...], field: str, unit: float = 1.0) -> Parameter:
+    """The range of a random change of the object, whose field of the scenario is in units of `unit`."""
+
+    def change(scenario: Scenario, size: float) -> None:
+        setattr(scenario.object, field, unit * size)
+
+    return Parameter(label, sizes, change, lambda _: 0.0)
+
+
+PERTURBATIONS = {
+    "position": _range("largest shift in x and y, mm", (5, 10, 20), "position_range", 1e-3),
+    "yaw": _range("largest turn, °", (5, 15, 30), "yaw_range", math.radians(1)),
+    "mass": _range("largest change of mass, fraction", (0.2, 0.5, 0.8), "mass_range"),
+    "friction": _range("largest change of friction, fraction", (0.2, 0.5, 0.8), "friction_range"),
+}
+
+
+def parse_values(texts: Iterable[str], parameters: Mapping[str, Parameter]) -> dict[str, list[float]]:
+    """Name → values from texts `NAME=V1,V2`, or `NAME` for its usual values; no texts: all usual values.
+
+    Raises:
+        UnknownNameError: a name is none of the parameters.
+        BenchmarkError: a value is not a finite number of at least 0.
+    """
+    result: dict[str, list[float]] = {}
+    for text in texts or parameters:
+        name, equals, values = text.partition("=")
+        if name not in parameters:
+            raise UnknownNameError("parameter", name, parameters)
+        try:
+            numbers = list(map(float, values.split(",") if equals else parameters[name].values))
+        except ValueError:
+            numbers = [math.nan]
+        if not all(math.isfinite(number) and number >= 0 for number in numbers):
+            raise BenchmarkError(
+                f"{name} takes finite numbers of at least 0 with commas between, not '{values}'"
+            )
+        result.setdefault(name, []).extend(numbers)
+    return result
+
+
+def make_conditions(
+    scenario: Scenario, values: Mapping[str, Sequence[float]], parameters: Mapping[str, Parameter]
+) -> dict[str, Scenario]:
+    """Name → changed scenario for each value of each parameter, except for nominal values.
+
+    Raises:
+        ScenarioError: a value makes no valid scenario.
+    """
+    conditions = {}
+    for name, numbers in values.items():
+        parameter = parameters[name]
+        for number in numbers:
+            if number != parameter.nominal(scenario):
+                changed = copy.deepcopy(scenario)
+                parameter.change(changed, number)
+                changed.validate()
+                conditions[f"{name}={number:g}"] = changed
+    return conditions
+
+
+def group_by_value(records: Iterable[Record], parameter: str) -> dict[float, list[Record]]:
+    """Value → records of the conditions in which a parameter has it."""
+    groups: dict[float, list[Record]] = {}
+    for record in records:
+        name, _, value = record.get("condition", "").partition("=")
+        if name == parameter:
+            groups.setdefault(float(value), []).append(record)
+    return groups
