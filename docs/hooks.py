@@ -149,14 +149,11 @@ def commands_help() -> str:
 
 def commands() -> list[tuple[str, str, str]]:
     """Name, summary and help of every subcommand, in the order of `geort-drake --help`."""
-    from geort_drake.cli import COMMANDS, load_command
-    from geort_drake.cli.options import make_parser
+    from geort_drake.cli import COMMANDS, parser_of
 
     os.environ["COLUMNS"] = "100"  # argparse's width
     found = []
     for name in COMMANDS:
-        command = load_command(name)
-        parser = make_parser(f"geort-drake {name}", command.__doc__, getattr(command, "EPILOG", None))
-        command.add_arguments(parser)
-        found.append((name, command.__doc__.splitlines()[0], parser.format_help()))
+        parser = parser_of(name)
+        found.append((name, parser.description.splitlines()[0], parser.format_help()))
     return found

@@ -17,6 +17,7 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.table import Table
 
 from geort_drake.errors import GeortError
 
@@ -37,6 +38,28 @@ def say(text: str) -> None:
 def warn(message: Warning | str) -> None:
     """Prints a warning, also in a quiet run."""
     _print_labelled("warning", "yellow", message)
+
+
+def print_table(
+    headings: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    title: str = "",
+    caption: str = "",
+    text: Sequence[str] = (),
+) -> None:
+    """Prints a table.
+
+    Args:
+        rows: cells, which may hold rich's markup.
+        text: headings of the columns that hold text besides the first; all others hold numbers.
+    """
+    table = Table(title=title or None, caption=caption or None)
+    for heading in headings:
+        left = heading == headings[0] or heading in text
+        table.add_column(heading, justify="left" if left else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
 
 
 def progress_bar() -> Progress:

@@ -20,7 +20,7 @@ from joblib import Parallel, delayed
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from geort_drake.cli.options import add_json_option, make_parser, write_json
+from geort_drake.cli.options import CommandParser, write_json
 from geort_drake.console import console, progress_bar, run_main
 
 # The maps are shared with the tests.
@@ -72,13 +72,13 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = make_parser(None, __doc__)
+    parser = CommandParser(None, __doc__)
     parser.add_argument("--objects", nargs="+", default=list(OBJECTS), metavar="OBJECT")
     parser.add_argument("--maps", nargs="+", default=list(MAPS), choices=list(MAPS), metavar="MAP")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--scenario_text", help="YAML merged into the scenario, such as an operator's field")
-    add_json_option(parser, "date, table and every trial")
+    parser.add_json("date, table and every trial")
     arguments = parser.parse_args(argv)
     cases = list(itertools.product(arguments.maps, arguments.objects, range(arguments.seeds)))
     results = []

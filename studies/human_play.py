@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from geort_drake.cli.options import add_seed_option, make_parser, output_file
+from geort_drake.cli.options import CommandParser, output_file
 from geort_drake.colours import FINGER_COLOURS
 from geort_drake.console import run_main
 from geort_drake.files import atomic_path
@@ -21,10 +21,10 @@ from geort_drake.people.recording import PINCH_M, Recording
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    parser = make_parser(None, __doc__)
+    parser = CommandParser(None, __doc__)
     parser.add_argument("output", type=output_file(".png"), help="picture to write")
     parser.add_argument("--glove", type=Path, help="recording to draw below, for comparison")
-    add_seed_option(parser, "the play")
+    parser.add_seed("the play")
     arguments = parser.parse_args(argv)
     recordings = {f"synthetic play, seed {arguments.seed}": synthesize_play(arguments.seed)}
     if arguments.glove is not None:

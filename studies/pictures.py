@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 from rich.progress import track
 
-from geort_drake.cli.options import make_parser
+from geort_drake.cli.options import CommandParser
 from geort_drake.console import console, run_main
 from geort_drake.errors import GeortError
 from geort_drake.files import atomic_path, require_writable
@@ -51,7 +51,7 @@ class Picture:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = make_parser(None, __doc__, EPILOG)
+    parser = CommandParser(None, __doc__, EPILOG)
     add = parser.add_argument
     add(
         "--only",

@@ -13,19 +13,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from script_modules import SCRIPTS
 
-from geort_drake.cli import COMMANDS, load_command, main, run_command
+from geort_drake.cli import COMMANDS, main, parser_of, run_command
 from geort_drake.cli.check_recording import FORMATS
 from geort_drake.cli.options import (
     DEFAULT_METHOD,
-    METHOD_SUMMARIES,
+    METHODS,
     SIDES,
     TRAINED_METHODS,
-    add_json_option,
-    add_scenario_options,
+    CommandParser,
     at_least,
     command,
     finite,
-    make_parser,
     output_file,
     output_folder,
     positive,
@@ -37,12 +35,6 @@ from geort_drake.console import console, progress_bar, run_main, warn
 from geort_drake.errors import OutputError, RecordingError, UsageError
 
 HEAVY = {"numpy", "rich", "torch", "pydrake", "rerun", "scipy", "matplotlib", "pyarrow", "joblib"}
-
-
-def parser_of(name: str) -> argparse.ArgumentParser:
-    parser = make_parser(name, "")
-    load_command(name).add_arguments(parser)
-    return parser
 
 
 # -- commands
@@ -115,7 +107,7 @@ def test_facts_repeated_for_help_agree_with_their_modules():
     from geort_drake.retargeting.methods.coupled import FINE_TUNING_STEPS
     from geort_drake.retargeting.methods.geort.config import FORWARD_KINEMATICS, PRESETS
 
-    assert METHOD_SUMMARIES == {name: method.summary for name, method in methods.all_methods().items()}
+    assert METHODS == {name: method.summary for name, method in methods.all_methods().items()}
     assert set(TRAINED_METHODS) == set(methods.trained_methods()) and DEFAULT_METHOD == methods.DEFAULT_METHOD
     assert {name: entry.title for name, entry in formats.FORMATS.items()} == FORMATS
     assert set(SIDES) == set(recording.SIDES)
@@ -151,7 +143,7 @@ def test_numbers_are_whole_positive_or_finite_as_asked(value):
 
 def test_old_spellings_of_options_are_accepted():
     """Underscores in names, also with =; values keep theirs."""
-    parser = make_parser(None, None)
+    parser = CommandParser(None, None)
     parser.add_argument("--held-out", type=int)
     parser.add_argument("--set", action="append")
     for words in (["--held_out", "3"], ["--held-out=3"], ["--held_out=3"]):
@@ -162,8 +154,8 @@ def test_old_spellings_of_options_are_accepted():
 
 def test_scenario_options_choose_and_change_a_scenario():
     """Without any, it is the package's; the given hand and text replace the file's."""
-    parser = make_parser(None, "What it does.\n\n  as it is laid out")
-    add_scenario_options(parser, "{timeout: 7}")
+    parser = CommandParser(None, "What it does.\n\n  as it is laid out")
+    parser.add_scenario("{timeout: 7}")
     assert "\n  as it is laid out\n" in parser.format_help()
     usual = scenario_of(parser.parse_args([]))
     changed = scenario_of(parser.parse_args(["--hand", "allegro_left", "--scenario-text", "{timeout: 7}"]))
@@ -184,7 +176,7 @@ def test_outputs_are_checked_before_the_work(tmp_path):
 
 
 def test_help_shows_every_default_once():
-    parser = make_parser(None, None)
+    parser = CommandParser(None, None)
     add = parser.add_argument
     add("--seed", type=int, default=0, help="of it")
     add("--methods", nargs="+", default=["a", "b"], help="to try")
@@ -231,8 +223,8 @@ def test_a_quiet_run_prints_warnings_alone(loud, capsys):
 
 def test_json_goes_to_stdout_or_into_a_file(tmp_path, capsys):
     """One object; nothing without the option; null for what is not finite; drafts only into files."""
-    parser = make_parser(None, None)
-    add_json_option(parser, "the figures")
+    parser = CommandParser(None, None)
+    parser.add_json("the figures")
     parser.add_argument("recording", nargs="?")
     file = tmp_path / "new" / "figures.json"
     targets = [parser.parse_args(words).json for words in ([], ["--json"], ["--json", str(file)])]

@@ -14,7 +14,6 @@ from geort_drake.comparison import train as comparison_train
 from geort_drake.comparison.train import train_checkpoint
 from geort_drake.files import sha256_of
 from geort_drake.people.play import synthesize_play
-from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
 QUICK = {
@@ -287,7 +286,7 @@ def test_a_folder_without_write_permission_is_refused(refused, monkeypatch, comm
 
 def test_grasps_are_labelled_with_what_their_checkpoint_is(checkpoints):
     """Not with the method that would have been trained."""
-    properties = describe(load_checkpoint(checkpoints / "good"))
+    properties = describe(checkpoints / "good")
     assert (properties["method"], properties["hand"]) == ("geort", "allegro_right")
     assert properties["retargeting_call_us"] > 0
 

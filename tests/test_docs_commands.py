@@ -12,8 +12,7 @@ import pytest
 from light_metrics import lighten
 from script_modules import SCRIPTS
 
-from geort_drake.cli import COMMANDS, load_command, run_command
-from geort_drake.cli.options import make_parser
+from geort_drake.cli import COMMANDS, load_command, parser_of, run_command
 from geort_drake.comparison import train as comparison_train
 from geort_drake.comparison.train import train_checkpoint
 from geort_drake.console import console
@@ -48,8 +47,7 @@ def test_a_documented_command_parses(line, tmp_path, monkeypatch):
     """The command exists, it has these options, and they take these values."""
     monkeypatch.chdir(tmp_path)
     name, *words = shlex.split(line.replace("[", "").replace("]", ""), comments=True)
-    parser = make_parser(name, "")
-    load_command(name).add_arguments(parser)
+    parser = parser_of(name)
     words = [{"N": "1", "K": "5"}.get(word, word) for word in words]
     required = [action for action in parser._actions if action.required]
     if words and words != ["--help"] and (len(words) > 2 or not required):
@@ -158,9 +156,7 @@ def check_suggestion(words: list[str]) -> None:
         assert list(Path().glob(words[1]))
         return
     name, *rest = words[3 if words[1] == "-m" else 1 :]
-    parser = make_parser(name, "")
-    load_command(name).add_arguments(parser)
-    arguments = parser.parse_args(rest)
+    arguments = parser_of(name).parse_args(rest)
     given = [getattr(arguments, key, None) for key in ("recording", "retargeter", "input")]
     assert all(path.exists() for path in given if isinstance(path, Path) and name != "capture")
 
@@ -188,9 +184,7 @@ def test_one_line_gives_another_object_or_seed(edit, options, trials, tmp_path, 
     line = {"o": "# object: { name: bottle }", "r": "random_seed: 0"}.get(edit[:1], "")
     assert line in text
     Path("edited.yaml").write_text(text.replace(line, edit, 1))
-    grasp, parser = load_command("grasp"), make_parser("grasp", "")
-    grasp.add_arguments(parser)
-    arguments = parser.parse_args([*shlex.split(options), "--scenario-file", "edited.yaml"])
+    arguments = parser_of("grasp").parse_args([*shlex.split(options), "--scenario-file", "edited.yaml"])
     base = load_scenario("edited.yaml", "Grasp", arguments.scenario_text)
-    found = grasp.scenarios_of(arguments, base)
+    found = load_command("grasp").scenarios_of(arguments, base)
     assert [(scenario.object.name, scenario.random_seed) for scenario in found] == trials

@@ -9,6 +9,10 @@ import importlib
 import sys
 from collections.abc import Sequence
 from types import ModuleType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from geort_drake.cli.options import CommandParser
 
 # In the order of `geort-drake --help`.
 COMMANDS = (
@@ -69,16 +73,21 @@ def run_command(name: str, argv: Sequence[str]) -> int:
         GeortError: the request cannot be met; `main` turns this into a message and exit code 2.
         SystemExit: the arguments cannot be parsed, or they ask for help.
     """
-    from geort_drake.cli.options import make_parser
-
-    command = load_command(name)
-    parser = make_parser(f"geort-drake {name}", command.__doc__, getattr(command, "EPILOG", None))
-    command.add_arguments(parser)
-    arguments = parser.parse_args(argv)
+    arguments = parser_of(name).parse_args(argv)
     from geort_drake.console import console
 
     console.quiet = arguments.quiet
-    return command.run(arguments)
+    return load_command(name).run(arguments)
+
+
+def parser_of(name: str) -> "CommandParser":
+    """The parser of a subcommand."""
+    from geort_drake.cli.options import CommandParser
+
+    command = load_command(name)
+    parser = CommandParser(f"geort-drake {name}", command.__doc__, getattr(command, "EPILOG", None))
+    command.add_arguments(parser)
+    return parser
 
 
 def load_command(name: str) -> ModuleType:

@@ -5,10 +5,11 @@ geort-drake train --hand models/hands/my_hand.yaml --output runs/my_hand
 """
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from geort_drake.cli.options import add_json_option, command, finish, output_file, view, write_json
+from geort_drake.cli.options import CommandParser, command, finish, output_file, view, write_json
 from geort_drake.errors import OutputError, UsageError
 from geort_drake.files import require_writable
 from geort_drake.resources import is_checkout, models_dir
@@ -27,7 +28,7 @@ Exit codes: 0 the description was written, or checked; 2 the model or an option 
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("model", type=Path, help="URDF, SDF or MJCF file; or a description (.yaml) to check")
     add("--name", help="of the hand (default: that of the file)")
@@ -39,20 +40,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     folder = "models/hands/" if is_checkout() else ""
     add("--output", type=Path, metavar="FILE", help=f"description to write (default: {folder}NAME.yaml)")
     add("--overwrite", action="store_true", help="replace the description if it exists")
-    add(
-        "--hulls",
-        action="store_true",
-        help="in a copy, give links without collision geometry the convex hull of their visual geometry",
-    )
+    hulls = "in a copy, give links without collision geometry the convex hull of their visual geometry"
+    add("--hulls", action="store_true", help=hulls)
     add("--rrd", type=output_file(".rrd"), metavar="FILE", help="Rerun recording of the hand to write")
-    add_json_option(parser, "the findings")
+    parser.add_json("the findings")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from geort_drake.console import say
-    from geort_drake.hands.description import load_hand
+    from geort_drake import HandModel, load_hand
+    from geort_drake.console import print_table, say
     from geort_drake.hands.importers.checks import examine
-    from geort_drake.hands.model import HandModel
 
     given: Path = arguments.model
     notes: list[str] = []
@@ -66,7 +63,9 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         path, description, notes = _describe(arguments)
     hand = HandModel(description)
-    _print(description, hand)
+    columns = ("finger", "joints, base to tip", "follow", "tip link", "tip radius", "reach")
+    title = f"{description.name}, a {description.side} hand of {len(hand.joint_names)} joints"
+    print_table(columns, _rows(hand), title, text=columns[1:4])
     for note in notes:
         say(f"note: {note}")
     found = examine(hand)
@@ -79,12 +78,11 @@ def run(arguments: argparse.Namespace) -> int:
 
         record_hand(hand, arguments.rrd)
     write_json(arguments.json, {"description": str(path), "notes": notes, "to_correct": found})
-    watch = [] if arguments.rrd is None else [view(arguments.rrd)]
     if found:
         following = command("add-hand", path)
     else:
         following = command("train", "--hand", path, "--output", Path("runs") / path.stem)
-    finish({"Description": path}, *watch, following)
+    finish({"Description": path}, view(arguments.rrd), following)
     return 0
 
 
@@ -120,23 +118,17 @@ def _describe(arguments: argparse.Namespace) -> "tuple[Path, HandDescription, li
     return path, proposal.description, notes
 
 
-def _print(description: "HandDescription", hand: "HandModel") -> None:
+def _rows(hand: "HandModel") -> Iterator[tuple[str, ...]]:
+    """One row a finger."""
     import numpy as np
-    from rich.table import Table
 
-    from geort_drake.console import console
-
-    table = Table(title=f"{description.name}, a {description.side} hand of {len(hand.joint_names)} joints")
-    for column in ("finger", "joints, base to tip", "follow", "tip link", "tip radius", "reach"):
-        right = column in ("tip radius", "reach")
-        table.add_column(column, justify="right" if right else "left", overflow="fold")
     rng = np.random.default_rng(0)
     p_BF = hand.fingertips(rng.uniform(hand.lower, hand.upper, (200, len(hand.joint_names))))
-    for number, finger in enumerate(description.fingers):
+    for number, finger in enumerate(hand.description.fingers):
         chain = hand.kinematics().fingers[number]
         followers = [joint for joint in chain.all_joint_names if joint not in chain.joint_names]
         reach = np.linalg.norm(p_BF[:, number] - chain.X_PJ[0, :3, 3], axis=1).max()
-        table.add_row(
+        yield (
             finger.name,
             " ".join(finger.joints),
             " ".join(followers),
@@ -144,4 +136,3 @@ def _print(description: "HandDescription", hand: "HandModel") -> None:
             f"{1e3 * finger.tip_radius:.1f} mm",
             f"{1e3 * reach:.0f} mm",
         )
-    console.print(table)

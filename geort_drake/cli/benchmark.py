@@ -6,31 +6,13 @@ and methods, objects and trials can be added.
 """
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from geort_drake.cli.options import (
-    METHOD_SUMMARIES,
-    add_json_option,
-    add_scenario_options,
-    add_seed_option,
-    add_side_option,
-    add_worker_options,
-    at_least,
-    finish,
-    method_help,
-    output_folder,
-    scenario_of,
-    view,
-    write_json,
-)
+from geort_drake.cli.options import CommandParser, METHODS, at_least, finish, method_help, scenario_of, view, write_json
 from geort_drake.errors import UnknownNameError, UsageError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
-# The others are compared with the first.
-METHODS = tuple(METHOD_SUMMARIES)
 # Methods that need no training beyond that of `geort-drake grasp`.
 QUICK = {
     "methods": ("geort_coupled", "vector_online", "dexpilot_online", "nearest_neighbour", "hold"),
@@ -38,40 +20,30 @@ QUICK = {
     "trials": 2,
 }
 EPILOG = f"""\
-{method_help(METHODS)}
+{method_help()}
 The folder given by --output gets trials.jsonl (one line per trial, as it finishes), summary.json, report.html
 and report.md. Exit code 1 if a trial raised an error.
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
-    add("--output", type=output_folder, default="runs/benchmark", help="folder for the results")
-    add(
-        "--methods",
-        nargs="+",
-        metavar="NAME",
-        help="of those below, or directories of checkpoints; the first is the reference (default: all)",
-    )
+    parser.add_output("runs/benchmark")
+    methods = "of those below, or directories of checkpoints; the first is the reference (default: all)"
+    add("--methods", nargs="+", metavar="NAME", help=methods)
     add("--objects", nargs="+", metavar="NAME", help="what to grasp (default: every object)")
-    add(
-        "--trials",
-        type=at_least(1),
-        help="trials per method and object, each with its own seed (default: 30)",
-    )
+    add("--trials", type=at_least(1), help="trials per method and object (default: 30)")
     add("--quick", action="store_true", help="a small benchmark of two to five minutes on two cores")
-    add_worker_options(parser)
+    parser.add_workers()
     add("--zero-latency", action="store_true", help="let every method answer without delay")
     add("--recording", type=Path, help="the person's glove recording (default: synthetic play)")
-    add(
-        "--sensitivity",
-        nargs="*",
-        metavar="NAME=V1,V2",
-        help="also run the trials with one assumption changed: delay (ms), gain (1/s), and factors on "
-        "noise, stiffness and friction; a NAME alone takes its usual values, no NAME takes all",
+    assumptions = (
+        "also run the trials with one assumption changed: delay (ms), gain (1/s), and factors on noise, "
+        "stiffness and friction; a NAME alone takes its usual values, no NAME takes all"
     )
-    add_side_option(parser)
-    add_seed_option(parser, "training and synthetic play")
+    add("--sensitivity", nargs="*", metavar="NAME=V1,V2", help=assumptions)
+    parser.add_side()
+    parser.add_seed("training and synthetic play")
     add(
         "--rrd",
         nargs="+",
@@ -80,8 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "one of --sensitivity, such as delay=100, and may be left out",
     )
     add("--report", action="store_true", help="only write the report of --output again")
-    add_json_option(parser, "the summary")
-    add_scenario_options(parser)
+    parser.add_json("the summary")
+    parser.add_scenario()
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -95,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"--rrd: SEED must be a whole number, not {seed}")
     if arguments.rrd and not arguments.report:
         return repeat(arguments.output, method, thing, int(seed), *condition)
-    chosen = QUICK if arguments.quick else {"methods": METHODS, "objects": None, "trials": 30}
+    chosen = QUICK if arguments.quick else {"methods": tuple(METHODS), "objects": None, "trials": 30}
     for name, default in chosen.items():
         if getattr(arguments, name) is None:
             setattr(arguments, name, default)
@@ -180,10 +152,15 @@ def repeat(folder: Path, method: str, thing: str, seed: int, condition: str = ""
 
 def report(arguments: argparse.Namespace, summary: dict) -> int:
     """Prints the summary; returns the exit code."""
-    from geort_drake.console import console, warn
+    from geort_drake.console import print_table, warn
 
     folder, errors = arguments.output, summary["errors"]
-    console.print(results_table(summary))
+    headings = ("method", "at once", "95 %", "success", "mean time", "points")
+    caption = (
+        "at once: lifted and held at the first closing, and in points against the first method; "
+        "mean time: failures count as the timeout"
+    )
+    print_table(headings, _rows(summary), "Grasps", caption)
     if errors:
         warn(f"{errors} trials raised an error: see {folder / 'errors'}")
     write_json(arguments.json, summary)
@@ -191,30 +168,20 @@ def report(arguments: argparse.Namespace, summary: dict) -> int:
     return 1 if errors else 0
 
 
-def results_table(summary: dict) -> "Table":
+def _rows(summary: dict) -> Iterator[list[str]]:
     """One row a method."""
-    from rich.table import Table
-
-    table = Table(title="Grasps")
-    for heading in ("method", "at once", "95 %", "success", "mean time", "points"):
-        table.add_column(heading, justify="left" if heading == "method" else "right", no_wrap=True)
     for name, entry in summary["methods"].items():
         of = entry["overall"]
         once, success = of["one_time_success"], of["success"]
         if not once["trials"]:
-            table.add_row(name, *["–"] * 5)
+            yield [name, *["–"] * 5]
             continue
         against = summary["differences"].get(name, {}).get("overall", {}).get("one_time_success", {})
-        table.add_row(
+        yield [
             name,
             f"{once['successes']} of {once['trials']}",
             f"{100 * once['low']:.0f}–{100 * once['high']:.0f} %",
             f"{100 * success['rate']:.0f} %",
             f"{of['completion_time_s']['restricted_mean']['mean']:.1f} s",
             "–" if against.get("mean") is None else f"{100 * against['mean']:+.0f}",
-        )
-    table.caption = (
-        "at once: lifted and held at the first closing, and in points against the first method; "
-        "mean time: failures count as the timeout"
-    )
-    return table
+        ]

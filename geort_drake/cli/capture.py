@@ -2,34 +2,31 @@
 
 import argparse
 
-from geort_drake.cli.options import add_seed_option, command, finish, output_file, view
+from geort_drake.cli.options import CommandParser, command, finish, output_file, view
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("--output", type=output_file(".rrd"), help=".rrd to write: the synthetic hand in Rerun")
     add("--recording", type=output_file(".npz"), help=".npz to write: the same as a recording")
-    add_seed_option(parser, "the demonstration")
+    parser.add_seed("the demonstration")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from rich.table import Table
-
-    from geort_drake.console import console
+    from geort_drake.console import print_table
     from geort_drake.people.protocol import STEPS, demonstrate
 
-    table = Table("from", "for", "step", "what to do", box=None)
-    begin = 0.0
+    rows, begin = [], 0.0
     for step in STEPS:
         start = f"{begin // 60:.0f}:{begin % 60:02.0f}"
-        table.add_row(start, f"{step.seconds:g} s", step.name, step.instruction)
+        rows.append((start, f"{step.seconds:g} s", step.name, step.instruction))
         begin += step.seconds
-    console.print(table)
+    print_table(("from", "for", "step", "what to do"), rows, text=("step", "what to do"))
     if arguments.output is None and arguments.recording is None:
         finish({}, command("capture", "--output", "capture.rrd"))
         return 0
     recording, names = demonstrate(arguments.seed)
-    written, following = {}, []
+    written = {}
     if arguments.recording is not None:
         recording.save(arguments.recording)
         written["Recording"] = arguments.recording
@@ -37,6 +34,5 @@ def run(arguments: argparse.Namespace) -> int:
         from geort_drake.rerun.hand_recording import write_hand
 
         write_hand(recording, arguments.output, states={"step": names})
-        following = [view(arguments.output)]
-    finish(written, *following)
+    finish(written, view(arguments.output))
     return 0

@@ -9,20 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geort_drake.cli.options import (
-    SIDES,
-    add_hand_option,
-    add_json_option,
-    command,
-    finish,
-    finite,
-    output_file,
-    write_json,
-)
+from geort_drake.cli.options import SIDES, CommandParser, command, finish, finite, output_file, write_json
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from geort_drake import Recording
     from geort_drake.people.checks.findings import Finding
 
 # Name → title, as in geort_drake.people.formats; a test compares them.
@@ -43,24 +35,19 @@ _ROBOT_SAMPLES = 4000
 _POLL_PERIOD_S = 1.0
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     add_reading_arguments(parser)
     # The script import_recording.py converts when it is given a second file.
     parser.add_argument("output", type=output_file(".npz"), nargs="?", help=argparse.SUPPRESS)
-    add_json_option(parser, "the report")
-    parser.add_argument(
-        "--picture",
-        type=output_file(".png"),
-        metavar="FILE",
-        help=".png to write: the fingertips against a robot's",
-    )
-    add_hand_option(parser)
-    parser.add_argument(
-        "--watch", action="store_true", help="first show what is still missing, while the file is recorded"
-    )
+    parser.add_json("the report")
+    add = parser.add_argument
+    picture = ".png to write: the fingertips against a robot's"
+    add("--picture", type=output_file(".png"), metavar="FILE", help=picture)
+    parser.add_hand()
+    add("--watch", action="store_true", help="first show what is still missing, while the file is recorded")
 
 
-def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
+def add_reading_arguments(parser: CommandParser) -> None:
     """The file to read and how to read it."""
     add = parser.add_argument
     add("input", type=Path, help="recording, in one of the formats below")
@@ -102,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     result = report(name, recording, findings)
     _print(result, findings)
     write_json(arguments.json, result)
-    written, following = {}, []
+    written, following = {}, None
     if arguments.picture is not None:
         _draw(recording, arguments.hand, arguments.picture)
         written["Picture"] = arguments.picture
@@ -110,16 +97,14 @@ def run(arguments: argparse.Namespace) -> int:
         noted(recording, findings).save(arguments.output)
         written["Recording"] = arguments.output
     if result["fit_for_training"] and (arguments.output or not arguments.mirror):
-        hand = [] if recording.side == "right" else ["--hand", "allegro_left"]
-        following = [command("grasp", "--recording", arguments.output or arguments.input, *hand)]
-    finish(written, *following)
+        hand = None if recording.side == "right" else "allegro_left"
+        following = command("grasp", "--recording", arguments.output or arguments.input, "--hand", hand)
+    finish(written, following)
     return 0
 
 
 def _print(result: dict[str, Any], findings: "Sequence[Finding]") -> None:
-    from rich.table import Table
-
-    from geort_drake.console import console, say, warn
+    from geort_drake.console import print_table, say, warn
     from geort_drake.people.checks.findings import Severity
 
     kind = FORMATS.get(result["format"], result["format"])
@@ -130,17 +115,17 @@ def _print(result: dict[str, Any], findings: "Sequence[Finding]") -> None:
         f"{result['frames']} frames, {result['valid_frames']} valid, {result['duration_s']:.1f} s at "
         f"{result['rate_hz']:.1f} Hz ({known}); wrist: {result['wrist']}"
     )
-    table = Table("finger", "bones from the wrist, mm", "vary by", "speed, m/s", "pinch frames", box=None)
-    for finger, figures in result["fingers"].items():
-        pinches = figures["pinch_frames"]
-        table.add_row(
+    rows = [
+        (
             finger,
             " ".join(f"{value:5.1f}" for value in figures["bones_mm"]),
             f"{figures['bones_vary_percent']:.1f} %",
             f"{figures['speed_median_m_s']:.2f} (p95 {figures['speed_p95_m_s']:.2f})",
-            "" if pinches is None else f"{pinches} ({100 * pinches / result['valid_frames']:.0f} %)",
+            "" if figures["pinch_frames"] is None else str(figures["pinch_frames"]),
         )
-    console.print(table)
+        for finger, figures in result["fingers"].items()
+    ]
+    print_table(("finger", "bones from the wrist, mm", "vary by", "speed, m/s", "pinch frames"), rows)
     for finding in findings:
         if finding.severity in (Severity.UNFIT, Severity.WARNING):
             warn(str(finding))
@@ -207,19 +192,18 @@ def _coverage_table(arguments: argparse.Namespace) -> "tuple[Table, bool]":
     return table, all(motion.enough for motion in motions)
 
 
-def _draw(recording: Any, hand_name: str, path: Path) -> None:
+def _draw(recording: "Recording", hand_name: str, path: Path) -> None:
+    """Draws the fingertips against those of random postures of a robot hand."""
     import numpy as np
 
-    from geort_drake.hands.description import load_hand
-    from geort_drake.hands.model import HandModel
+    from geort_drake import HandModel, load_hand
     from geort_drake.people.keypoints import mirrored
     from geort_drake.people.picture import draw_fingertips
 
-    description = load_hand(hand_name)
-    hand = HandModel(description)
+    hand = HandModel(load_hand(hand_name))
     shape = (_ROBOT_SAMPLES, len(hand.joint_names))
     p_BF = hand.fingertips(np.random.default_rng(0).uniform(hand.lower, hand.upper, shape))
     # Recordings hold canonical right hands, so a left robot hand is mirrored for the picture.
-    p_BF = mirrored(p_BF) if description.side == "left" else p_BF
+    p_BF = mirrored(p_BF) if hand.description.side == "left" else p_BF
     tips = {finger: p_BF[:, i] for i, finger in enumerate(hand.finger_names)}
-    draw_fingertips(recording, tips, description.name, path)
+    draw_fingertips(recording, tips, hand.description.name, path)

@@ -6,15 +6,15 @@ It reports the recording's health as `geort-drake check-recording` does. Exit co
 import argparse
 
 from geort_drake.cli import check_recording
-from geort_drake.cli.options import add_json_option, output_file
+from geort_drake.cli.options import CommandParser, output_file
 
 EPILOG = check_recording.EPILOG
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     check_recording.add_reading_arguments(parser)
     parser.add_argument("output", type=output_file(".npz"), help=".npz to write")
-    add_json_option(parser, "the report")
+    parser.add_json("the report")
     parser.set_defaults(picture=None, watch=False)
 
 

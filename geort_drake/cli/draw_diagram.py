@@ -6,12 +6,12 @@ Graphviz's `dot`.
 
 import argparse
 
-from geort_drake.cli.options import add_scenario_options, finish, output_file, scenario_of
+from geort_drake.cli.options import CommandParser, finish, output_file, scenario_of
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     parser.add_argument("--output", type=output_file(".svg"), default="diagram.svg", help="picture to write")
-    add_scenario_options(parser)
+    parser.add_scenario()
 
 
 def run(arguments: argparse.Namespace) -> int:

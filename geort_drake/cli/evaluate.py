@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 from geort_drake.cli.options import (
     STDOUT,
-    add_hand_option,
-    add_json_option,
+    CommandParser,
     at_least,
     finish,
     method_help,
@@ -48,45 +47,29 @@ Exit code 1 if something could not be scored; the rest is shown all the same.
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
-    add_hand_option(parser)
+    parser.add_hand()
     add("--recording", type=Path, required=True, help="what methods are trained on")
     add("--held-out", type=int, metavar="K", help="also score on K held-out blocks, for example 5")
     add("--score-on", type=Path, nargs="+", metavar="FILE", help="also score on recordings of other people")
-    add(
-        "--methods",
-        nargs="+",
-        metavar="NAME",
-        help="of those below, or directories of checkpoints (default: all of them)",
-    )
-    add(
-        "--seeds",
-        type=at_least(0),
-        nargs="+",
-        metavar="SEED",
-        default=[0],
-        help="seeds of training and metrics; of several, mean and worst are shown",
-    )
-    add(
-        "--frames",
-        type=at_least(10),
-        metavar="N",
-        help="score on the first N valid frames only, also of each block (default: all)",
-    )
-    add_json_option(parser, "all figures")
+    methods = "of those below, or directories of checkpoints (default: all of them)"
+    add("--methods", nargs="+", metavar="NAME", help=methods)
+    seeds = "seeds of training and metrics; of several, mean and worst are shown"
+    add("--seeds", type=at_least(0), nargs="+", metavar="SEED", default=[0], help=seeds)
+    frames = "score on the first N valid frames only, also of each block (default: all)"
+    add("--frames", type=at_least(10), metavar="N", help=frames)
+    parser.add_json("all figures")
     add("--plots", type=output_folder, metavar="FOLDER", help="plot the first seed, same person, here")
 
 
 def run(arguments: argparse.Namespace) -> int:
+    from geort_drake import HandModel, load_hand, read_recording
     from geort_drake.comparison.comparison import Comparison, check_methods, method_names
     from geort_drake.comparison.plots import write_plots
     from geort_drake.comparison.protocols import SAME_PERSON, held_out, other_person, same_person
     from geort_drake.comparison.report import failures, report, tables
     from geort_drake.console import console, progress_bar, warn
-    from geort_drake.hands.description import load_hand
-    from geort_drake.hands.model import HandModel
-    from geort_drake.people.readers import read_recording
 
     # Contradictions are found before anything is read.
     require_distinct("--seeds", arguments.seeds)

@@ -8,8 +8,7 @@ import argparse
 from pathlib import Path
 
 from geort_drake.cli.options import (
-    add_hand_option,
-    add_seed_option,
+    CommandParser,
     finish,
     finite,
     method_help,
@@ -29,32 +28,26 @@ may also be the directory of a checkpoint.
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("--recording", type=Path, metavar="FILE", help="of a hand (default: synthetic play)")
-    add(
-        "--methods",
-        nargs="+",
-        metavar="NAME",
-        default=["geort_coupled", "vector_online"],
-        help="of those below, or directories of checkpoints",
-    )
+    methods = "of those below, or directories of checkpoints"
+    default = ["geort_coupled", "vector_online"]
+    add("--methods", nargs="+", metavar="NAME", default=default, help=methods)
     add("--output", type=output_file(".rrd"), required=True, metavar="FILE.rrd", help="recording to write")
-    add_hand_option(parser)
+    parser.add_hand()
     add("--start", type=float, metavar="S", help="where to begin, s (default: where most pinches are)")
     add("--duration", type=finite, default=20.0, metavar="S", help="how long, s, from 0.1 to 600")
-    add_seed_option(parser, "training and synthetic play")
+    parser.add_seed("training and synthetic play")
 
 
 def run(arguments: argparse.Namespace) -> int:
+    from geort_drake import HandModel, load_hand, load_retargeter
     from geort_drake.cli.retargeters import retargeter_of
     from geort_drake.comparison.comparison import check_methods
     from geort_drake.comparison.exploration import answers, excerpt
     from geort_drake.console import track
-    from geort_drake.hands.description import load_hand
-    from geort_drake.hands.model import HandModel
     from geort_drake.rerun.explorer import write_exploration
-    from geort_drake.retargeting.retargeter import load_retargeter
 
     if not 0.1 <= arguments.duration <= 600:
         raise UsageError(f"--duration must be from 0.1 to 600, not {arguments.duration:g}")

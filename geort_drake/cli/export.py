@@ -8,39 +8,28 @@ rrd:     a Rerun recording of a hand; a run's trials are such recordings already
 import argparse
 from pathlib import Path
 
-from geort_drake.cli.options import (
-    add_json_option,
-    add_side_option,
-    at_least,
-    finish,
-    output_file,
-    view,
-    write_json,
-)
+from geort_drake.cli.options import CommandParser, at_least, finish, output_file, view, write_json
 from geort_drake.errors import OutputError, UsageError
 from geort_drake.files import require_writable
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("input", type=Path, help="folder that `geort-drake grasp` wrote, or a recording of a hand")
     add("output", type=Path, help="folder to write; for rrd a file")
     add("--format", choices=("parquet", "lerobot", "rrd"), default="parquet", help="what to write")
-    add(
-        "--fps",
-        type=at_least(1),
-        help="frames per second of lerobot and rrd (default: the recording's, and 30 of rrd)",
-    )
-    add_side_option(parser, "right")
-    add_json_option(parser, "what was exported")
+    rate = "frames per second of lerobot and rrd (default: the recording's, and 30 of rrd)"
+    add("--fps", type=at_least(1), help=rate)
+    parser.add_side("right")
+    parser.add_json("what was exported")
 
 
 def run(arguments: argparse.Namespace) -> int:
+    from geort_drake import read_recording
     from geort_drake.console import track
     from geort_drake.export.episode import RESULTS, episode_of, read_episodes
     from geort_drake.export.lerobot import write_lerobot
     from geort_drake.export.parquet import write_parquet
-    from geort_drake.people.readers import read_recording
 
     source, output = arguments.input, arguments.output
     if arguments.format == "parquet" and arguments.fps:
@@ -71,7 +60,5 @@ def run(arguments: argparse.Namespace) -> int:
     results = {"Exported": f"{output} ({len(names)} episodes)"}
     if arguments.format == "parquet":
         results["Read it"] = f'pyarrow.dataset.dataset("{output / "frames"}").to_table()'
-        finish(results)
-    else:
-        finish(results, view(output))
+    finish(results, None if arguments.format == "parquet" else view(output))
     return 0

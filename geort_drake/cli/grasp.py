@@ -11,22 +11,16 @@ import copy
 import dataclasses
 import json
 import time
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geort_drake.cli.options import (
     DEFAULT_METHOD,
-    METHOD_SUMMARIES,
-    add_json_option,
-    add_scenario_options,
-    add_seed_option,
-    add_side_option,
+    METHODS,
+    CommandParser,
     at_least,
     finish,
     method_help,
-    output_folder,
     recording_of,
     scenario_of,
     view,
@@ -35,12 +29,7 @@ from geort_drake.cli.options import (
 from geort_drake.errors import ScenarioError, UnknownNameError
 
 if TYPE_CHECKING:
-    import numpy as np
-    from rich.progress import Progress, TaskID
-    from rich.table import Table
-
-    from geort_drake.people.recording import Recording
-    from geort_drake.retargeting.checkpoint import Checkpoint
+    from geort_drake import Recording
     from geort_drake.simulation.scenario import Scenario
 
 # Grasped if neither --objects nor the scenario names an object.
@@ -51,54 +40,44 @@ objects: those of models/objects.yaml; the documentation lists them and how each
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
-    add("--output", type=output_folder, default="runs/grasp", help="folder for the results")
-    add(
-        "--objects",
-        nargs="+",
-        metavar="NAME",
-        help=f"what to grasp (default: the scenario's object, or {' '.join(DEFAULT_OBJECTS)} if it has none)",
-    )
+    parser.add_output("runs/grasp")
+    objects = f"what to grasp (default: the scenario's object, or {' '.join(DEFAULT_OBJECTS)} if it has none)"
+    add("--objects", nargs="+", metavar="NAME", help=objects)
     add("--trials", type=at_least(1), default=1, help="trials per object, each with its own seed")
     add("--recording", type=Path, help="glove recording to train on (default: synthetic play)")
-    add_side_option(parser)
+    parser.add_side()
     add("--retargeter", type=Path, help="use this checkpoint and do not train; also give its --recording")
     add("--method", metavar="NAME", default=DEFAULT_METHOD, help="retargeting method, one of those below")
     add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train")
-    add_seed_option(parser, "training and synthetic play")
+    parser.add_seed("training and synthetic play")
     add("--replay", type=Path, help="replay this recording, with its wrist poses, in the operator's place")
     add("--no-rerun", action="store_true", help="write no .rrd files")
-    add_json_option(parser, "the results")
-    add_scenario_options(parser)
+    parser.add_json("the results")
+    parser.add_scenario()
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from geort_drake import __version__
-    from geort_drake.cli.retargeters import retargeter_of
-    from geort_drake.console import console, progress_bar, say, track
+    from geort_drake import HandModel, __version__, load_hand, load_retargeter, run_trial
+    from geort_drake.cli.retargeters import Retarget, retargeter_of
+    from geort_drake.console import print_table, progress_bar, say, track
     from geort_drake.files import write_text
-    from geort_drake.hands.description import load_hand
-    from geort_drake.hands.model import HandModel
     from geort_drake.people.human_hand import HumanHand
-    from geort_drake.retargeting.checkpoint import load_checkpoint
-    from geort_drake.retargeting.retargeter import load_retargeter
     from geort_drake.simulation.scenario import dump_scenario
     from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
-    from geort_drake.simulation.trial import run_trial
 
     # Everything wrong with the request is found before anything is computed or written.
-    if arguments.method not in METHOD_SUMMARIES:
-        raise UnknownNameError("retargeting method", arguments.method, METHOD_SUMMARIES)
+    if arguments.method not in METHODS:
+        raise UnknownNameError("retargeting method", arguments.method, METHODS)
     base = scenario_of(arguments)
     description = load_hand(base.hand)
     side = arguments.side or description.side
     scenarios = scenarios_of(arguments, base)
     replay = _replay(arguments, base, side)
     recording = recording_of(arguments.recording, side, arguments.seed)
-    source = str(arguments.recording or f"synthetic play, seed {arguments.seed}")
     checkpoint, reused = arguments.retargeter, True
-    retarget: Callable[[np.ndarray], np.ndarray] | None = None
+    retarget: Retarget | None = None
     if checkpoint is not None:
         retarget = load_retargeter(checkpoint, HandModel(description))
 
@@ -113,13 +92,14 @@ def run(arguments: argparse.Namespace) -> int:
         retarget, checkpoint, reused = retargeter_of(
             arguments.method, base.hand, recording, arguments.seed, arguments.device
         )
+    source = str(arguments.recording or f"synthetic play, seed {arguments.seed}")
     say(f"Human motion: {source}")
     properties: dict[str, str | float] = {"method": arguments.method, "hand": description.name}
     if checkpoint is None:
         say(f"Retargeter:   {arguments.method} (needs no training)")
     else:
         say(f"Retargeter:   {checkpoint} ({'reused' if reused else 'trained now'})")
-        properties = describe(load_checkpoint(checkpoint))
+        properties = describe(checkpoint)
 
     person = HumanHand.fit(recording)
     results = []
@@ -127,13 +107,17 @@ def run(arguments: argparse.Namespace) -> int:
         task = progress.add_task("grasping", total=len(scenarios), note="")
         for scenario in scenarios:
             stem = f"{scenario.object.name}-{scenario.random_seed}"
+
+            def show(t: float, stem: str = stem) -> None:
+                progress.update(task, note=f"{stem}: {t:.1f} s simulated")
+
             result, glove = run_trial(
                 scenario,
                 retarget,
                 replay or (person, goals[scenario.object.name]),
                 None if arguments.no_rerun else arguments.output / f"{stem}.rrd",
                 properties,
-                partial(_show, progress, task, stem),
+                show,
             )
             glove.save(arguments.output / f"{stem}.glove.npz")
             results.append(result)
@@ -151,19 +135,21 @@ def run(arguments: argparse.Namespace) -> int:
     write_json(arguments.output / "results.json", report)
     # The first trial's; the others differ in object and seed, which results.json has.
     write_text(arguments.output / "scenario.yaml", dump_scenario(scenarios[0]))
-    console.print(results_table(results))
+    print_table(
+        ("object", "seed", "outcome", "hold at", "tries", "lifted", "force", "speed"),
+        [_row(result) for result in results],
+        title="Grasps",
+        caption="hold at: start of the successful hold; force: peak; speed: of real time",
+        text=("outcome",),
+    )
     write_json(arguments.json, report)
-    watch = [] if arguments.no_rerun else [view(arguments.output, "/*.rrd")]
-    finish({"Results": arguments.output / "results.json"}, *watch)
+    watch = None if arguments.no_rerun else view(arguments.output, "/*.rrd")
+    finish({"Results": arguments.output / "results.json"}, watch)
     return 0
 
 
-def _show(progress: "Progress", task: "TaskID", trial: str, t: float) -> None:
-    progress.update(task, note=f"{trial}: {t:.1f} s simulated")
-
-
 def scenarios_of(arguments: argparse.Namespace, base: "Scenario") -> list["Scenario"]:
-    """One scenario per trial."""
+    """One scenario per trial: `base` with its object and seed."""
     from geort_drake.simulation.scenario import names_object
 
     objects = arguments.objects or DEFAULT_OBJECTS
@@ -182,60 +168,51 @@ def scenarios_of(arguments: argparse.Namespace, base: "Scenario") -> list["Scena
 
 
 def _replay(arguments: argparse.Namespace, base: "Scenario", side: str) -> "Recording | None":
-    """The recording of --replay, which a fixed base needs and which the others want with wrist poses."""
-    from geort_drake.people.readers import read_recording
+    """The recording of --replay, which a fixed base needs and which other scenarios need with wrist poses."""
+    from geort_drake import read_recording
 
-    if arguments.replay is None:
+    name, path = arguments.scenario_name, arguments.replay
+    if path is None:
         if base.fixed_base:
             raise ScenarioError(
-                f"scenario '{arguments.scenario_name}': the operator cannot grasp with a fixed base; "
-                "give a --replay"
+                f"scenario '{name}': the operator cannot grasp with a fixed base; give a --replay"
             )
         return None
-    replay = read_recording(arguments.replay, side)
+    replay = read_recording(path, side)
     if base.fixed_base:
         return dataclasses.replace(replay, X_WH=None)  # the base cannot follow the wrist
     if replay.X_WH is None:
         raise ScenarioError(
-            f"{arguments.replay}: a replay needs wrist poses (X_WH), and it has none; use "
-            "--scenario-name Fixed to keep the hand in place"
+            f"{path}: a replay needs wrist poses (X_WH), and it has none; use --scenario-name Fixed to keep "
+            "the hand in place"
         )
     return replay
 
 
-def describe(checkpoint: "Checkpoint") -> dict[str, str | float]:
-    """What the recordings say of the retargeter, with the measured time of one call if there is one."""
-    from geort_drake.retargeting.checkpoint import METRICS
+def describe(checkpoint: Path) -> dict[str, str | float]:
+    """What recordings note of a checkpoint, with the measured time of one call if there is one."""
+    from geort_drake.retargeting.checkpoint import METRICS, load_checkpoint
 
+    loaded = load_checkpoint(checkpoint)
     properties = {
-        "checkpoint": str(checkpoint.path),
-        "method": checkpoint.config["method"],
-        "hand": checkpoint.hand["name"],
+        "checkpoint": str(checkpoint),
+        "method": loaded.config["method"],
+        "hand": loaded.hand["name"],
     }
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-        metrics = json.loads((checkpoint.path / METRICS).read_text(encoding="utf-8"))
+        metrics = json.loads((checkpoint / METRICS).read_text(encoding="utf-8"))
         properties["retargeting_call_us"] = float(metrics["latency_us"]["median"])
     return properties
 
 
-def results_table(results: list) -> "Table":
-    """One row a trial."""
-    from rich.table import Table
-
-    table = Table(title="Grasps")
-    for heading in ("object", "seed", "outcome", "hold at", "tries", "lifted", "force", "speed"):
-        left = heading in ("object", "outcome")
-        table.add_column(heading, justify="left" if left else "right", no_wrap=True)
-    for r in results:
-        table.add_row(
-            r.object,
-            str(r.seed),
-            f"[{'green' if r.success else 'red'}]{r.outcome}[/]",
-            "–" if r.completion_time is None else f"{r.completion_time:.1f} s",
-            "–" if r.attempts is None else str(r.attempts),
-            f"{100 * r.peak_height:.0f} cm",
-            f"{r.peak_force:.0f} N",
-            f"{r.simulated_time / r.wall_time:.1f} ×",
-        )
-    table.caption = "hold at: start of the successful hold; force: peak; speed: of real time"
-    return table
+def _row(result: Any) -> tuple[str, ...]:
+    return (
+        result.object,
+        str(result.seed),
+        f"[{'green' if result.success else 'red'}]{result.outcome}[/]",
+        "–" if result.completion_time is None else f"{result.completion_time:.1f} s",
+        "–" if result.attempts is None else str(result.attempts),
+        f"{100 * result.peak_height:.0f} cm",
+        f"{result.peak_force:.0f} N",
+        f"{result.simulated_time / result.wall_time:.1f} ×",
+    )

@@ -13,8 +13,7 @@ from pathlib import Path
 
 from geort_drake.cli.options import (
     DEFAULT_METHOD,
-    add_json_option,
-    add_scenario_options,
+    CommandParser,
     command,
     finish,
     output_file,
@@ -25,16 +24,15 @@ from geort_drake.cli.options import (
 from geort_drake.errors import UsageError
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("--glove", required=True, metavar="SOURCE", help="where the hand's motion comes from")
     add("--robot", default="simulation", metavar="TARGET", help="what is driven")
-    add(
-        "--retargeter",
-        type=Path,
-        help="directory of the checkpoint (default: one trained on synthetic play; if the cache has none, "
-        "training it takes minutes before anything moves)",
+    trained = (
+        "directory of the checkpoint (default: one trained on synthetic play; if the cache has none, "
+        "training it takes minutes before anything moves)"
     )
+    add("--retargeter", type=Path, help=trained)
     add("--backend", default="numpy", choices=["numpy", "numba"], help="numba takes half the time per call")
     add("--glove-id", help="serial number of the MANUS glove, if a bridge sends several")
     add("--engage", default="key", choices=["key", "now"], help="engage with Enter, or at once")
@@ -47,22 +45,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=0.5,
         help="s of silence from the robot that stop the session",
     )
-    add(
-        "--record",
-        type=output_file(".npz"),
-        metavar="FILE",
-        help="keep the glove's data (.npz), to train on or replay",
-    )
+    record = "keep the glove's data (.npz), to train on or replay"
+    add("--record", type=output_file(".npz"), metavar="FILE", help=record)
     add("--meshcat", action="store_true", help="show the simulation in a browser on this machine")
-    add_json_option(parser, "a report")
-    add_scenario_options(parser, "{correction: {kind: guard}}")
+    parser.add_json("a report")
+    parser.add_scenario("{correction: {kind: guard}}")
 
 
 def run(arguments: argparse.Namespace) -> int:
+    from geort_drake import (
+        GloveReplay,
+        HandModel,
+        load_hand,
+        load_retargeter,
+        read_recording,
+        synthesize_play,
+    )
     from geort_drake.cli.retargeters import cached_or_trained
     from geort_drake.console import console, say, warn
-    from geort_drake.hands.description import load_hand
-    from geort_drake.hands.model import HandModel
     from geort_drake.live.devices import require_hand_messages
     from geort_drake.live.glove_stream import GloveStream
     from geort_drake.live.real_time import stopping
@@ -72,12 +72,8 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.live.teleoperation import RobotModel, make_teleoperation
     from geort_drake.live.transports import is_address, open_receiver, split_address
     from geort_drake.live.watchdog import WatchdogConfig
-    from geort_drake.people.play import synthesize_play
-    from geort_drake.people.readers import read_recording
     from geort_drake.people.recording_parts import RecordingParts
-    from geort_drake.retargeting.retargeter import load_retargeter
     from geort_drake.systems.glove_recorder import GloveRecorder
-    from geort_drake.systems.glove_replay import GloveReplay
 
     if arguments.meshcat and arguments.robot != "simulation":
         raise UsageError("--meshcat shows the simulation; give it to `geort-drake stand-in-robot`")

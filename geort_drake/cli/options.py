@@ -1,4 +1,4 @@
-"""Options, checks and outputs that several commands share.
+"""The parser of all commands with their shared options, types of options, and outputs.
 
 Words go to stderr, and `--quiet` leaves only warnings and errors. Stdout holds nothing but the JSON that
 `--json` asks for. A command's last lines name its results and the commands that go on from there.
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 # Facts of heavier modules, repeated here so that --help does not import those; tests compare them.
 DEFAULT_HAND = "allegro_right"
 SIDES = ("left", "right")
-METHOD_SUMMARIES = {
+METHODS = {
     "geort_coupled": "all five criteria, by fingers that see each other; the default",
     "geort": "the paper's: one network per finger, each on its own",
     "linear_offline": "a network trained on Eq. 1 of the paper (Robotic Telekinesis)",
@@ -54,8 +54,19 @@ class _Help(argparse.RawDescriptionHelpFormatter):
         return f"{text} (default: {shown.removesuffix('.0')})".strip()
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser that also takes options spelled with underscores, and options between the files."""
+class CommandParser(argparse.ArgumentParser):
+    """A parser with --quiet and the options that commands share.
+
+    Options may be spelled with underscores, and may stand between positional arguments.
+
+    Args:
+        program: name in the usage line.
+        description, epilog: texts above and below the options, whose layout is kept.
+    """
+
+    def __init__(self, program: str | None, description: str | None, epilog: str | None = None):
+        super().__init__(prog=program, description=description, epilog=epilog, formatter_class=_Help)
+        self.add_argument("--quiet", action="store_true", help="print only warnings and errors")
 
     def parse_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
@@ -66,75 +77,50 @@ class _Parser(argparse.ArgumentParser):
         ]
         return self.parse_intermixed_args(words, namespace)
 
+    def add_json(self, what: str) -> None:
+        """The option --json, for `write_json`; `what` is what is written, such as "the metrics"."""
+        text = f"write {what} as JSON to stdout, or to FILE (.json)"
+        self.add_argument("--json", nargs="?", type=_json_file, const=STDOUT, metavar="FILE", help=text)
 
-def make_parser(
-    program: str | None, description: str | None, epilog: str | None = None
-) -> argparse.ArgumentParser:
-    """A parser with --quiet, whose help keeps the layout of both texts and shows every option's default."""
-    parser = _Parser(prog=program, description=description, epilog=epilog, formatter_class=_Help)
-    parser.add_argument("--quiet", action="store_true", help="print only warnings and errors")
-    return parser
+    def add_output(self, default: str) -> None:
+        """The option --output: a folder for results."""
+        self.add_argument("--output", type=output_folder, default=default, help="folder for the results")
 
+    def add_hand(self, default: str | None = DEFAULT_HAND, note: str = "", group: Any = None) -> None:
+        """The option --hand; `note` says in the help what happens without it."""
+        names = ", ".join(sorted(path.stem for path in (models_dir() / "hands").glob("*.yaml")))
+        text = f"robot hand: a description's file, or one of {names}{note}"
+        (group or self).add_argument("--hand", default=default, help=text)
 
-# -- options
+    def add_seed(self, what: str) -> None:
+        """The option --seed; `what` is what the seed decides."""
+        self.add_argument("--seed", type=at_least(0), default=0, help=f"seed of {what}")
 
+    def add_side(self, default: str | None = None) -> None:
+        """The option --side: which of the person's hands was recorded."""
+        note = "" if default else " (default: the robot hand's)"
+        self.add_argument("--side", choices=SIDES, default=default, help=f"side of the recorded hand{note}")
 
-def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
-    """The option --json, for `write_json`; `what` is what is written, such as "the metrics"."""
-    parser.add_argument(
-        "--json",
-        nargs="?",
-        type=_json_file,
-        const=STDOUT,
-        metavar="FILE",
-        help=f"write {what} as JSON to stdout, or to FILE (.json)",
-    )
+    def add_workers(self) -> None:
+        """The options --jobs and --backend of commands that run many trials."""
+        text = "trials at a time (default: the number of processors)"
+        self.add_argument("--jobs", type=at_least(1), default=os.cpu_count() or 1, help=text)
+        text = "processes on this machine, or a Ray cluster"
+        self.add_argument("--backend", default="loky", choices=["loky", "ray"], help=text)
 
-
-def add_hand_option(parser: Any, default: str | None = DEFAULT_HAND, note: str = "") -> None:
-    """The option --hand; `note` says in the help what happens without it."""
-    names = ", ".join(sorted(path.stem for path in (models_dir() / "hands").glob("*.yaml")))
-    parser.add_argument(
-        "--hand", default=default, help=f"robot hand: a description's file, or one of {names}{note}"
-    )
-
-
-def add_seed_option(parser: argparse.ArgumentParser, what: str) -> None:
-    """The option --seed; `what` is what the seed decides."""
-    parser.add_argument("--seed", type=at_least(0), default=0, help=f"seed of {what}")
-
-
-def add_side_option(parser: argparse.ArgumentParser, default: str | None = None) -> None:
-    """The option --side: which of the person's hands was recorded."""
-    note = "" if default else " (default: the robot hand's)"
-    parser.add_argument("--side", choices=SIDES, default=default, help=f"side of the recorded hand{note}")
+    def add_scenario(self, example: str = "{timeout: 30}") -> None:
+        """The options that choose and change a scenario, for `scenario_of`; `example` is a change in YAML."""
+        group = self.add_argument_group("scenario")
+        self.add_hand(None, " (default: the scenario's)", group)
+        group.add_argument("--scenario-file", type=Path, help="scenarios in YAML (default: the package's)")
+        group.add_argument("--scenario-name", default="Grasp", help="name of the scenario in the file")
+        text = f"YAML merged into the scenario, for example '{example}'"
+        group.add_argument("--scenario-text", help=text)
 
 
-def add_worker_options(parser: argparse.ArgumentParser) -> None:
-    """The options --jobs and --backend of commands that run many trials."""
-    parser.add_argument(
-        "--jobs",
-        type=at_least(1),
-        default=os.cpu_count() or 1,
-        help="trials at a time (default: the number of processors)",
-    )
-    parser.add_argument(
-        "--backend", default="loky", choices=["loky", "ray"], help="processes here, or a Ray cluster"
-    )
-
-
-def add_scenario_options(parser: argparse.ArgumentParser, example: str = "{timeout: 30}") -> None:
-    """The options that choose and change a scenario, for `scenario_of`; `example` is a change in YAML."""
-    group = parser.add_argument_group("scenario")
-    add_hand_option(group, None, " (default: the scenario's)")
-    group.add_argument("--scenario-file", type=Path, help="scenarios in YAML (default: the package's)")
-    group.add_argument("--scenario-name", default="Grasp", help="name of the scenario in the file")
-    group.add_argument("--scenario-text", help=f"YAML merged into the scenario, for example '{example}'")
-
-
-def method_help(names: Iterable[str] = tuple(METHOD_SUMMARIES)) -> str:
+def method_help(names: Iterable[str] = tuple(METHODS)) -> str:
     """A paragraph for a command's EPILOG: each of these methods in one line."""
-    return "methods:\n" + "".join(f"  {name:18} {METHOD_SUMMARIES[name]}\n" for name in names)
+    return "methods:\n" + "".join(f"  {name:18} {METHODS[name]}\n" for name in names)
 
 
 # -- types of options
@@ -215,12 +201,8 @@ def require_distinct(option: str, values: Iterable[Any]) -> None:
 
 
 def scenario_of(arguments: argparse.Namespace) -> "Scenario":
-    """The scenario that the options of `add_scenario_options` stand for.
-
-    Raises:
-        ScenarioError, HandError, UnknownNameError: see `load_scenario`.
-    """
-    from geort_drake.simulation.scenario import load_scenario
+    """The scenario that the options of `CommandParser.add_scenario` stand for; raises as `load_scenario`."""
+    from geort_drake import load_scenario
 
     return load_scenario(
         arguments.scenario_file, arguments.scenario_name, arguments.scenario_text, arguments.hand
@@ -233,8 +215,7 @@ def recording_of(path: Path | None, side: str, seed: int) -> "Recording":
     Raises:
         RecordingError: the file is unfit for training, or of the other hand.
     """
-    from geort_drake.people.play import synthesize_play
-    from geort_drake.people.readers import read_recording
+    from geort_drake import read_recording, synthesize_play
 
     return synthesize_play(seed, side=side) if path is None else read_recording(path, side, training=True)
 
@@ -259,24 +240,31 @@ def write_json(target: Path | None, content: Any, done: bool = True) -> None:
         write_text(target, text + "\n")
 
 
-def finish(results: dict[str, Any], *commands: str) -> None:
+def finish(results: dict[str, Any], *commands: str | None) -> None:
     """Prints a command's last lines: results with their paths, then commands to go on with."""
     from geort_drake.console import say
 
     for what, where in results.items():
         say(f"{what}: {where}")
     for line in commands:
-        say(f"next: {line}")
+        if line is not None:
+            say(f"next: {line}")
 
 
-def command(*words: str | os.PathLike) -> str:
-    """A `geort-drake` command as one would type it in this folder."""
-    return shlex.join([*_program("geort-drake"), *map(str, words)])
+def command(*words: str | os.PathLike | None) -> str:
+    """A `geort-drake` command as typed in this folder; an option whose value is None is left out."""
+    kept: list[str] = []
+    for word in words:
+        if word is None:
+            kept.pop()
+        else:
+            kept.append(str(word))
+    return shlex.join([*_program("geort-drake"), *kept])
 
 
-def view(path: str | os.PathLike, pattern: str = "") -> str:
+def view(path: str | os.PathLike | None, pattern: str = "") -> str | None:
     """A command that opens a Rerun recording, or all whose paths go on with a pattern such as "/*.rrd"."""
-    return shlex.join([*_program("rerun"), str(path)]) + pattern
+    return None if path is None else shlex.join([*_program("rerun"), str(path)]) + pattern
 
 
 def _program(name: str) -> list[str]:

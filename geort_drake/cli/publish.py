@@ -8,23 +8,23 @@ import argparse
 import time
 from pathlib import Path
 
-from geort_drake.cli.options import add_side_option
+from geort_drake.cli.options import CommandParser
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("recording", type=Path, help="a recording in any known format")
     add("--to", default="pub+tcp://127.0.0.1:5556", metavar="ADDRESS", help="where the messages go")
-    add_side_option(parser, "right")
+    parser.add_side("right")
     add("--loop", action="store_true", help="begin again at the end")
 
 
 def run(arguments: argparse.Namespace) -> int:
+    from geort_drake import read_recording
     from geort_drake.console import say, warn
     from geort_drake.live.playback import play
     from geort_drake.live.real_time import stopping
     from geort_drake.live.transports import is_local, open_sender
-    from geort_drake.people.readers import read_recording
 
     recording = read_recording(arguments.recording, arguments.side)
     sender = open_sender(arguments.to)

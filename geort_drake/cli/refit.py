@@ -7,34 +7,23 @@ import argparse
 import json
 from pathlib import Path
 
-from geort_drake.cli.options import (
-    add_hand_option,
-    add_json_option,
-    add_seed_option,
-    at_least,
-    command,
-    finish,
-    output_folder,
-    write_json,
-)
+from geort_drake.cli.options import CommandParser, at_least, command, finish, output_folder, write_json
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("checkpoint", type=Path, help="directory of the checkpoint to start from")
     add("recording", type=Path, help="about a minute of the new person's hand")
     add("output", type=output_folder, help="directory of the new checkpoint")
-    add_hand_option(parser, None, " (default: the checkpoint's)")
+    parser.add_hand(None, " (default: the checkpoint's)")
     add("--steps", type=at_least(0), default=600, help="fine-tuning steps; 0 skips it, which takes a second")
-    add_seed_option(parser, "fine-tuning and metrics")
-    add_json_option(parser, "the metrics")
+    parser.add_seed("fine-tuning and metrics")
+    parser.add_json("the metrics")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from rich.table import Table
-
-    from geort_drake.comparison.refit import refit_checkpoint
-    from geort_drake.console import TrainingBars, console
+    from geort_drake import refit_checkpoint
+    from geort_drake.console import TrainingBars, print_table, say
     from geort_drake.retargeting.checkpoint import METRICS, load_checkpoint
 
     with TrainingBars() as bars:
@@ -50,24 +39,24 @@ def run(arguments: argparse.Namespace) -> int:
         )
     provenance = load_checkpoint(path).provenance
     metrics = json.loads((path / METRICS).read_text(encoding="utf-8"))
-    table = Table("finger", "scale, x y z", "shift, mm", "residual", box=None)
-    for finger, maps in provenance["refit"]["affine"].items():
-        table.add_row(
+    rows = [
+        (
             finger,
             "  ".join(f"{row[axis]:.2f}" for axis, row in enumerate(maps["A"])),
             "  ".join(f"{1e3 * value:+.0f}" for value in maps["b"]),
             f"{maps['miss_mm']:.1f} mm",
         )
-    console.print(table)
+        for finger, maps in provenance["refit"]["affine"].items()
+    ]
+    print_table(("finger", "scale, x y z", "shift, mm", "residual"), rows)
     closed = metrics["pinch"]["closed"]
-    console.print(
+    say(
         f"motion preservation {metrics['motion_preservation']:.3f}, "
         f"coverage {metrics['coverage']['10mm']:.2f}, "
         f"pinches closed {'–' if closed is None else f'{100 * closed:.0f} %'}, self-collision "
         f"{100 * metrics['self_collision']:.1f} %; fitted in {provenance['timings']['fit_s']:.1f} s"
     )
     write_json(arguments.json, metrics)
-    hand = [] if arguments.hand is None else ["--hand", arguments.hand]
-    grasp = command("grasp", "--retargeter", path, "--recording", arguments.recording, *hand)
-    finish({"Checkpoint": path}, grasp)
+    words = ("--retargeter", path, "--recording", arguments.recording, "--hand", arguments.hand)
+    finish({"Checkpoint": path}, command("grasp", *words))
     return 0

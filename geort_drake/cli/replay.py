@@ -6,44 +6,24 @@ evaluation continues with the same command.
 """
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from geort_drake.cli.options import (
-    add_json_option,
-    add_scenario_options,
-    add_side_option,
-    add_worker_options,
-    at_least,
-    finish,
-    output_folder,
-    scenario_of,
-    write_json,
-)
+from geort_drake.cli.options import CommandParser, at_least, finish, scenario_of, write_json
 
-if TYPE_CHECKING:
-    from rich.table import Table
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("sessions", nargs="+", type=Path, metavar="SESSION", help="recordings with wrist poses (.npz)")
     add("--retargeter", type=Path, required=True, help="directory of the checkpoint to replay through")
     add("--object", help="what was grasped (default: as noted in the session)")
-    add(
-        "--perturb",
-        nargs="+",
-        default=(),
-        metavar="NAME=S1,S2",
-        help="largest changes to try: position (mm), yaw (°), and fractions of mass and friction "
-        "(default: all four with their usual sizes)",
-    )
+    changes = "largest changes to try: position (mm), yaw (°), fractions of mass and friction (default: all)"
+    add("--perturb", nargs="+", default=(), metavar="NAME=S1,S2", help=changes)
     add("--trials", type=at_least(1), default=20, help="draws per session and size")
-    add_worker_options(parser)
-    add("--output", type=output_folder, default="runs/replay", help="folder for the results")
-    add_side_option(parser)
-    add_json_option(parser, "the summary")
-    add_scenario_options(parser, "{retargeting: {latency: 0.01}}")
+    parser.add_workers()
+    parser.add_output("runs/replay")
+    parser.add_side()
+    parser.add_json("the summary")
+    parser.add_scenario("{retargeting: {latency: 0.01}}")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -53,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.benchmark.replay import Replay
     from geort_drake.benchmark.report import MARKDOWN, write_replay_report
     from geort_drake.benchmark.trials import run_trials
-    from geort_drake.console import console, say, track, warn
+    from geort_drake.console import print_table, say, track, warn
 
     replay = Replay(
         scenario_of(arguments),
@@ -75,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
             for _ in track("replaying", records, len(left), outcome_line):
                 pass
     summary = write_replay_report(arguments.output)
-    console.print(_table(summary))
+    print_table(("change", "size", "success", "95 %"), _rows(summary), "Replayed sessions")
     if summary["errors"]:
         warn(f"{summary['errors']} trials raised an error: see {arguments.output}/errors")
     write_json(arguments.json, summary)
@@ -83,20 +63,14 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if summary["errors"] else 0
 
 
-def _table(summary: dict) -> "Table":
+def _rows(summary: dict) -> Iterator[tuple[str, ...]]:
     """One row a perturbation and size."""
-    from rich.table import Table
-
-    table = Table(title="Replayed sessions")
-    for heading in ("change", "size", "success", "95 %"):
-        table.add_column(heading, justify="left" if heading == "change" else "right", no_wrap=True)
     for panel in summary["perturbations"].values():
         for condition in panel["conditions"]:
             (share,) = condition["methods"].values()
-            table.add_row(
+            yield (
                 panel["label"],
                 f"{condition['value']:g}",
                 f"{share['successes']} of {share['trials']}",
                 f"{100 * share['low']:.0f}–{100 * share['high']:.0f} %",
             )
-    return table

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from geort_drake.cli.options import finish, output_file
+from geort_drake.cli.options import CommandParser, finish, output_file
 
 EPILOG = """\
 On a machine without a graphics card, Rerun's viewer draws with Mesa's software driver (Debian and Ubuntu:
@@ -11,7 +11,7 @@ apt-get install mesa-vulkan-drivers).
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("recording", type=Path, metavar="FILE.rrd", help="the recording")
     add("picture", type=output_file(".png"), metavar="OUT.png", help="the picture to write")

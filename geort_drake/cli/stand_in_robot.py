@@ -7,15 +7,15 @@ command when no more come. Ctrl-C stops it.
 import argparse
 import math
 
-from geort_drake.cli.options import add_scenario_options, positive, scenario_of
+from geort_drake.cli.options import CommandParser, positive, scenario_of
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("--lcm", default="lcm", metavar="ADDRESS", help="the bus: lcm, or lcm+URL")
     add("--duration", type=positive, default=math.inf, help="stop after so many seconds (default: never)")
     add("--meshcat", action="store_true", help="show it in a browser on this machine")
-    add_scenario_options(parser, "{object: {name: sphere}}")
+    parser.add_scenario("{object: {name: sphere}}")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -3,35 +3,27 @@
 import argparse
 from pathlib import Path
 
-from geort_drake.cli.options import (
-    add_seed_option,
-    add_side_option,
-    command,
-    finish,
-    finite,
-    output_file,
-)
+from geort_drake.cli.options import CommandParser, command, finish, finite, output_file
 from geort_drake.errors import UsageError
 
 _MOST_FRAMES = 5_000_000  # half a day at 120 Hz, and two gigabytes while they are made
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("output", type=output_file(".npz"), help=".npz to write")
-    add_seed_option(parser, "the motions")
+    parser.add_seed("the motions")
     add("--duration", type=finite, default=300.0, help="s")
     add("--rate", type=finite, default=120.0, help="frames per second")
     add("--hand-of", type=Path, help="recording whose hand to use (default: an average adult's)")
-    add_side_option(parser, "right")
+    parser.add_side("right")
 
 
 def run(arguments: argparse.Namespace) -> int:
+    from geort_drake import read_recording, synthesize_play
     from geort_drake.console import warn
     from geort_drake.people.checks import check_recording
     from geort_drake.people.human_hand import HumanHand
-    from geort_drake.people.play import synthesize_play
-    from geort_drake.people.readers import read_recording
 
     if arguments.duration * arguments.rate > _MOST_FRAMES:
         raise UsageError(f"--duration by --rate may be at most {_MOST_FRAMES:,} frames")
