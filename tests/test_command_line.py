@@ -125,17 +125,17 @@ def test_facts_repeated_for_help_agree_with_their_modules():
 def test_numbers_are_whole_positive_or_finite_as_asked(value):
     """Everything else is refused by name, and NaN by all."""
     text = str(value)
-    for kind, good in (
-        (at_least(1), lambda: int(text) >= 1),
-        (positive, lambda: float(text) > 0),
-        (finite, lambda: 0 < float(text) < float("inf")),
+    for kind, read in (
+        (at_least(1), lambda: int(text) if int(text) >= 1 else None),
+        (positive, lambda: float(text) if float(text) > 0 else None),
+        (finite, lambda: float(text) if 0 < float(text) < float("inf") else None),
     ):
         try:
-            fine = good()
+            expected = read()
         except ValueError:
-            fine = False
-        if fine:
-            assert kind(text) == (int(text) if text.lstrip("+-").isdecimal() else float(text))
+            expected = None
+        if expected is not None:
+            assert kind(text) == expected
         else:
             with pytest.raises(argparse.ArgumentTypeError, match="must be"):
                 kind(text)

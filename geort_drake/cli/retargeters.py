@@ -1,23 +1,19 @@
 """Retargeters that commands ask for by a method's name, trained first where the cache has none."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from geort_drake.comparison.train import cached_checkpoint
 from geort_drake.console import warn
 from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
+from geort_drake.retargeting.method import Retarget
 from geort_drake.retargeting.methods import make_untrained, untrained_methods
 from geort_drake.retargeting.retargeter import load_retargeter
 
 if TYPE_CHECKING:
     from geort_drake.people.recording import Recording
-
-Retarget = Callable[[np.ndarray], np.ndarray]
 
 
 def retargeter_of(
