@@ -9,10 +9,18 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
-from geort_drake.cli.options import CommandParser, METHODS, at_least, finish, method_help, scenario_of, view, write_json
+from geort_drake.cli.options import (
+    METHODS,
+    CommandParser,
+    at_least,
+    finish,
+    method_help,
+    scenario_of,
+    view,
+    write_json,
+)
 from geort_drake.errors import UnknownNameError, UsageError
 
-if TYPE_CHECKING:
 # Methods that need no training beyond that of `geort-drake grasp`.
 QUICK = {
     "methods": ("geort_coupled", "vector_online", "dexpilot_online", "nearest_neighbour", "hold"),

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from geort_drake.cli.options import CommandParser, at_least, finish, scenario_of, write_json
 
+
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("sessions", nargs="+", type=Path, metavar="SESSION", help="recordings with wrist poses (.npz)")
