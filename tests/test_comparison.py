@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from script_modules import load_script
 
-from geort_drake.comparison.comparison import Comparison, Judged, Outcome
+from geort_drake.comparison.comparison import Comparison, Evaluation, Outcome
 from geort_drake.comparison.metric_table import mean
 from geort_drake.comparison.metrics import evaluate_frames, pinch, robot_space
 from geort_drake.comparison.protocols import held_out, same_person
@@ -22,9 +22,9 @@ QUICK = {"steps": 5, "hidden": 8}
 QUICK_BY_METHOD = {"geort": QUICK | {"points": 16, "targets": 32, "classifier_steps": 5, "refreshes": 0}}
 
 
-def judged(figures: dict, p_HF: np.ndarray, p_BF: np.ndarray) -> Judged:
+def judged(figures: dict, p_HF: np.ndarray, p_BF: np.ndarray) -> Evaluation:
     """What is known of a method that put the fingertips there."""
-    return Judged(figures, False, p_HF, p_BF)
+    return Evaluation(figures, False, p_HF, p_BF)
 
 
 @pytest.fixture(scope="module")
@@ -194,7 +194,7 @@ def test_pinches_of_all_blocks_count_alike(play):
     assert summary["mean"]["pinch"]["closed"] == pytest.approx(3 / 4)
     assert summary["mean"]["pinch"]["frames"] == 4
     assert summary["worst_part"]["pinch"]["closed"] == 0.0
-    motions = [outcome.judged.metrics["motion_preservation"] for outcome in outcomes]
+    motions = [outcome.evaluation.metrics["motion_preservation"] for outcome in outcomes]
     assert summary["mean"]["motion_preservation"] == pytest.approx(np.mean(motions))
     assert summary["worst_part"]["motion_preservation"] == min(motions)
 
@@ -233,8 +233,8 @@ def test_recorded_frames_are_answered_in_their_order_from_rest(play, quick):
         for outcome in outcomes:
             frames = outcome.case.scored_on.fingertips(keypoints)[:20]
             p_BF = hand.fingertips(VectorOnline(hand.kinematics())(frames))
-            np.testing.assert_allclose(outcome.judged.p_BF, p_BF, atol=1e-12)
-            assert outcome.judged.remembers and outcome.judged.metrics["motion_preservation"] > 0.5
+            np.testing.assert_allclose(outcome.evaluation.p_BF, p_BF, atol=1e-12)
+            assert outcome.evaluation.remembers and outcome.evaluation.metrics["motion_preservation"] > 0.5
 
 
 def test_unrecorded_hands_are_answered_without_memory(play, quick):

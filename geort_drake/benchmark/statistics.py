@@ -1,7 +1,7 @@
-"""Figures of a grasp benchmark: success, time, slip and failures, with intervals and paired differences.
+"""Statistics of a grasp benchmark: success, time, slip and failures, with intervals and paired differences.
 
-A completion time is the time from the start to the beginning of the successful hold. A trial without
-success is censored at the timeout, whenever it ended.
+A completion time runs from the start to the beginning of the successful hold. A trial without success is
+censored at the timeout, whenever it ended.
 """
 
 import warnings
@@ -13,9 +13,8 @@ from scipy.stats import CensoredData, binomtest, bootstrap, ecdf
 
 from geort_drake.benchmark.records import Record
 
-# Bootstrap resamples, and the seed they are drawn by: equal results give equal intervals.
-_RESAMPLES = 4000
-_SEED = 0
+# A fixed seed, so that equal results give equal intervals.
+_BOOTSTRAP_RESAMPLES, _BOOTSTRAP_SEED = 4000, 0
 
 
 def summarize(
@@ -25,9 +24,9 @@ def summarize(
 
     Args:
         records: lines of the results file, in any order.
-        methods: in the order of the report; differences are against the first one.
+        methods: in the order of the report; the first is the reference of the differences.
         timeout: at which failures are censored, s.
-        grips: object → the grip that it is made for, which is its class.
+        grips: object → its class, the grip that it is made for.
 
     Returns:
         `reference`, `timeout_s`, `objects`; `classes`: grip → its objects; `methods`: name → `overall`,
@@ -39,10 +38,10 @@ def summarize(
     classes: dict[str, list[str]] = {grip: [] for grip in sorted({grips[name] for name in objects})}
     for name in objects:
         classes[grips[name]].append(name)
-    of = {name: [record for record in records if record["method"] == name] for name in methods}
+    by_method = {name: [record for record in records if record["method"] == name] for name in methods}
 
     def each(calculate: Callable[..., dict], *groups: Sequence[Record]) -> dict:
-        """Overall, then class by class and object by object."""
+        """Overall, for each class and for each object."""
 
         def of_objects(names: Sequence[str]) -> dict:
             return calculate(*([r for r in group if r["object"] in names] for group in groups), timeout)
@@ -59,21 +58,20 @@ def summarize(
         "timeout_s": timeout,
         "objects": objects,
         "classes": classes,
-        "methods": {name: each(figures, of[name]) for name in methods},
-        "differences": {name: each(difference, of[name], of[reference]) for name in others},
+        "methods": {name: each(figures, by_method[name]) for name in methods},
+        "differences": {name: each(difference, by_method[name], by_method[reference]) for name in others},
     }
 
 
 def figures(records: Sequence[Record], timeout: float) -> dict:
-    """Figures of some trials of one method; what there are no trials for is None.
+    """Statistics of some trials of one method; None where no trial has the quantity.
 
     Returns:
-        `trials` that were judged and `errors` that were not; `one_time_success` and `success`, see
+        Numbers of `trials` and of `errors`, which are not among them; `one_time_success` and `success`, see
         `proportion`; `completion_time_s`: `restricted_mean` up to the timeout with its interval, and
-        `median_of_successes`; `phase_s`: mean time in each phase; `slip_mm`: median and 95th percentile
-        over the trials in which something was lifted; `drops_per_trial`; `peak_force_n`, median;
-        `self_contact`, mean share of the time; `failures`: how often each ending but success was had, see
-        `ending`.
+        `median_of_successes`; `phase_s`: mean time in each phase; `slip_mm`: median and 95th percentile over
+        trials with a lift; `drops_per_trial`; `peak_force_n`, median; `self_contact`, mean fraction of the
+        time; `failures`: how often each `ending` other than success occurred.
     """
     judged = [record for record in records if "error" not in record]
     by_object: dict[str, list[float]] = defaultdict(list)
@@ -107,13 +105,12 @@ def figures(records: Sequence[Record], timeout: float) -> dict:
 
 
 def difference(records: Sequence[Record], reference: Sequence[Record], timeout: float) -> dict:
-    """A method less the reference, over the objects and seeds that both were judged on.
+    """A method minus the reference, over the objects and seeds that both have results for.
 
     Returns:
-        `pairs`; `one_time_success`: mean difference with its interval, `won` and `lost`, the pairs in
-        which only this method succeeded or only the reference, and `p`, McNemar's exact probability of
-        so uneven a split between equal methods; `completion_time_s`: mean difference of the restricted
-        times with its interval.
+        `pairs`; `one_time_success`: mean difference with its interval, `won` and `lost`: pairs in which only
+        this method or only the reference succeeded, and `p` of McNemar's exact test; `completion_time_s`:
+        mean difference of the restricted times with its interval.
     """
     mine, theirs = (
         {(r["object"], r["seed"]): r for r in group if "error" not in r} for group in (records, reference)
@@ -139,7 +136,7 @@ def difference(records: Sequence[Record], reference: Sequence[Record], timeout: 
 
 
 def ending(record: Record) -> str:
-    """How a trial ended: its outcome, and for a failure what the person was about where somebody was."""
+    """How a trial ended: its outcome, and after a failure the simulated person's phase if there was one."""
     phase = None if record["success"] else record["operator_phase"]
     return record["outcome"] if phase is None else f"{record['outcome']} ({phase})"
 
@@ -166,8 +163,8 @@ def proportion(successes: int, trials: int) -> dict:
 def mean_and_interval(strata: Sequence[Sequence[float]]) -> dict:
     """`mean` over all values, and its 95 % percentile bootstrap interval `low` to `high`.
 
-    Resampled is within each stratum (the trials with one object), as the objects are chosen and not
-    drawn. With fewer than two values in a stratum there is no interval.
+    Values are resampled within each stratum (the trials with one object), because objects are chosen and not
+    drawn at random. With fewer than two values in a stratum there is no interval.
     """
     if not strata:
         return {"mean": None, "low": None, "high": None}
@@ -181,16 +178,16 @@ def mean_and_interval(strata: Sequence[Sequence[float]]) -> dict:
     interval = bootstrap(
         [np.asarray(stratum, float) for stratum in strata],
         pooled,
-        n_resamples=_RESAMPLES,
+        n_resamples=_BOOTSTRAP_RESAMPLES,
         vectorized=True,
         method="percentile",
-        rng=np.random.default_rng(_SEED),
+        rng=np.random.default_rng(_BOOTSTRAP_SEED),
     ).confidence_interval
     return {"mean": mean, "low": float(interval.low), "high": float(interval.high)}
 
 
 def completed_share(records: Sequence[Record], timeout: float) -> dict[str, np.ndarray]:
-    """How many trials are completed by when: Kaplan and Meier's estimate with its 95 % interval.
+    """Fraction of trials completed over time: the Kaplan-Meier estimate with its 95 % interval.
 
     Returns:
         `t` from 0 to the timeout, s, and `share`, `low` and `high` from `t` on, all of one length.
@@ -205,7 +202,7 @@ def completed_share(records: Sequence[Record], timeout: float) -> dict[str, np.n
     failed = [timeout] * (len(judged) - len(times))
     completed = ecdf(CensoredData(uncensored=times, right=failed)).cdf
     with warnings.catch_warnings():
-        # Where all are completed there is no interval, which is said below in another way.
+        # Where all trials are completed the interval is NaN, which is replaced below.
         warnings.simplefilter("ignore", RuntimeWarning)
         low, high = (bound.evaluate(t) for bound in completed.confidence_interval(method="log-log"))
     share = completed.evaluate(t)

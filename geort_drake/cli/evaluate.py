@@ -98,8 +98,8 @@ def run(arguments: argparse.Namespace) -> int:
     write_json(arguments.json, report(comparison, results, recording, arguments.recording.name))
     written = {} if arguments.json in (None, STDOUT) else {"Figures": arguments.json}
     if arguments.plots:
-        firsts = {name: of_method[SAME_PERSON][0].judged for name, of_method in results.items()}
-        scored = {name: judged for name, judged in firsts.items() if judged is not None}
+        firsts = {name: of_method[SAME_PERSON][0].evaluation for name, of_method in results.items()}
+        scored = {name: evaluation for name, evaluation in firsts.items() if evaluation is not None}
         space = comparison.space(arguments.seeds[0])
         written["Plots"] = ", ".join(map(str, write_plots(arguments.plots, scored, hand.finger_names, space)))
     if not (arguments.json or arguments.plots):

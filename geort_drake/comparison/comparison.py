@@ -19,12 +19,12 @@ from geort_drake.retargeting.methods import all_methods, make_untrained, trained
 from geort_drake.retargeting.methods.online import VectorOnline
 from geort_drake.retargeting.retargeter import load_retargeter
 
-# From (recording, method, seed) to the directory of a checkpoint, trained or found.
+# (recording, method, seed) → directory of the checkpoint.
 CheckpointSource = Callable[[Recording, str, int], Path]
 
 
 @dataclass(frozen=True)
-class Judged:
+class Evaluation:
     """Metrics of one method on one recording, with the fingertips they were computed from.
 
     Attributes:
@@ -46,21 +46,21 @@ class Outcome:
 
     case: Case
     seed: int
-    judged: Judged | None = None
+    evaluation: Evaluation | None = None
     error: str = ""
 
 
 def method_names() -> tuple[str, ...]:
-    """Every method by name: those that are trained, then those that are not."""
+    """Names of all methods: first those that are trained, then the others."""
     return tuple(all_methods())
 
 
 def check_methods(names: Sequence[str], hand: HandModel | None = None) -> None:
-    """Checks methods before any is trained.
+    """Checks names of methods, or directories of checkpoints, before anything is trained.
 
     Args:
-        names: of methods, or directories of checkpoints.
-        hand: for which checkpoints must be made.
+        names: to check.
+        hand: for which the checkpoints must be made.
 
     Raises:
         UnknownNameError: a name is neither a method nor a checkpoint's directory.
@@ -76,19 +76,17 @@ def check_methods(names: Sequence[str], hand: HandModel | None = None) -> None:
 
 
 class Comparison:
-    """Judges methods one by one; what they have in common is worked out once.
+    """Evaluates methods one by one under the same protocols.
 
-    A method that optimises online is scored in two ways. Figures over the recorded frames (track,
-    coverage, pinch, collision, smoothness, latency) are of its answers to them in their order, from
-    rest. Figures that ask about hands which were not recorded are of its settled answers, see
-    `VectorOnline.settled_map`.
+    A method that optimises online answers the recorded frames in their order, from rest. Metrics that need
+    hands which were not recorded use its settled answers, see `VectorOnline.settled_map`.
 
     Args:
         hand: model of the robot hand.
-        protocols: what to train and to score on.
-        seeds: of training and metrics; everything is done once with each.
-        checkpoint_of: gives the checkpoint of a method that is trained.
-        frame_limit: score on the first so many valid frames of each recording or block only.
+        protocols: what to train and to evaluate on.
+        seeds: of training and metrics; everything is done with each of them.
+        checkpoint_of: trains a method, or finds its checkpoint.
+        frame_limit: evaluate on the first so many valid frames of each recording or block only.
     """
 
     def __init__(
@@ -107,18 +105,19 @@ class Comparison:
 
     @property
     def cases_per_method(self) -> int:
-        """How many cases `run` judges, all seeds counted."""
+        """How many cases `run` evaluates, over all seeds."""
         return len(self.seeds) * sum(len(protocol.cases) for protocol in self.protocols)
 
     def run(self, name: str, starts: Callable[[str], None] = lambda _note: None) -> dict[str, list[Outcome]]:
-        """Judges one method under every protocol: name of the protocol → outcomes.
+        """Evaluates one method under every protocol.
 
         Args:
             name: one of `method_names()`, or the directory of a checkpoint for this hand.
-            starts: called before each case with what it is.
+            starts: called before each case with its description.
 
-        A case that fails, say because a finger hardly moves in what is left to learn from, has its
-        error for an outcome; the others go on.
+        Returns:
+            Name of the protocol → outcomes. A case that fails, for example because a finger hardly moves in
+            its training frames, has an error as its outcome; the others are evaluated all the same.
         """
         results: dict[str, list[Outcome]] = {}
         for protocol in self.protocols:
@@ -127,39 +126,41 @@ class Comparison:
                 for case in protocol.cases:
                     starts(f"{Path(name).name}, {case.part}, seed {seed}")
                     try:
-                        outcomes.append(Outcome(case, seed, self._judge(name, protocol, case, seed)))
+                        outcomes.append(Outcome(case, seed, self._evaluate(name, protocol, case, seed)))
                     except GeortError as error:
                         outcomes.append(Outcome(case, seed, error=str(error)))
         return results
 
     def summary(self, outcomes: Sequence[Outcome]) -> dict[str, dict | None]:
-        """Figures of one method under one protocol, over its parts and seeds.
+        """Metrics of one method under one protocol, over its parts and seeds.
 
         Returns:
-            `mean`: over seeds of the mean over parts, where figures of pinches are of all parts' frames
-            together; `worst_part` and `worst_seed`: each metric's worst part with any seed, and worst
-            seed. None where there is nothing to choose from.
+            `mean`: over seeds, of the mean over parts, with pinch metrics over the frames of all parts
+            together; `worst_part`: each metric's worst value of any part and seed; `worst_seed`: each
+            metric's worst mean of a seed. The last two are None if there is only one.
         """
-        done = [outcome.judged for outcome in outcomes if outcome.judged]
+        done = [outcome.evaluation for outcome in outcomes if outcome.evaluation]
         pooled = [
             self._pooled(parts)
             for seed in self.seeds
-            if (parts := [o.judged for o in outcomes if o.seed == seed and o.judged])
+            if (parts := [o.evaluation for o in outcomes if o.seed == seed and o.evaluation])
         ]
         several_parts = len({outcome.case.part for outcome in outcomes}) > 1
         return {
             "mean": mean(pooled) if pooled else None,
-            "worst_part": worst([judged.metrics for judged in done]) if done and several_parts else None,
+            "worst_part": worst([evaluation.metrics for evaluation in done])
+            if done and several_parts
+            else None,
             "worst_seed": worst(pooled) if pooled and len(self.seeds) > 1 else None,
         }
 
-    def _pooled(self, parts: Sequence[Judged]) -> dict:
+    def _pooled(self, parts: Sequence[Evaluation]) -> dict:
         frames = np.concatenate([part.p_HF for part in parts])
         p_BF = np.concatenate([part.p_BF for part in parts])
         pinches = pinch(frames, p_BF, self.hand.finger_names, self.hand.tip_radius)
         return {**mean([part.metrics for part in parts]), "pinch": pinches}
 
-    def _judge(self, name: str, protocol: Protocol, case: Case, seed: int) -> Judged:
+    def _evaluate(self, name: str, protocol: Protocol, case: Case, seed: int) -> Evaluation:
         source = case.scored_on
         frames = source.fingertips(self._keypoints)[: self.frame_limit]
         if len(frames) < MIN_FRAMES:
@@ -169,17 +170,16 @@ class Comparison:
         if isinstance(retarget, VectorOnline):
             settled = retarget.settled_map(frames)
             retarget.reset()
-        space = self.space(seed)
         metrics, p_BF = evaluate_frames(
             retarget,
             self.hand,
             frames,
             source.rate_hz,
             seed,
-            space if protocol.with_coverage else None,
+            self.space(seed) if protocol.with_coverage else None,
             settled,
         )
-        return Judged(finite_json(metrics), settled is not None, frames, p_BF)
+        return Evaluation(finite_json(metrics), settled is not None, frames, p_BF)
 
     def _retargeter(self, name: str, protocol: Protocol, case: Case, seed: int) -> Callable:
         if name in untrained_methods():

@@ -1,4 +1,4 @@
-"""What retargeting methods make of a stretch of a recording, instant by instant."""
+"""Answers of retargeting methods to an excerpt of a recording, frame by frame."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,17 +10,17 @@ from geort_drake.hands.model import HandModel
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.recording import PINCH_M, Recording
 
-WINDOW = 0.1  # s; motions are compared from so long before an instant to so long after it
-SHORTEST = 0.003  # m; shorter motions of a human fingertip have no direction worth comparing
+WINDOW = 0.1  # s; a motion is from so long before a frame to so long after it
+SHORTEST = 0.003  # m; the direction of shorter motions of a human fingertip is not compared
 
 
 @dataclass(frozen=True)
 class Excerpt:
-    """Hands at equal distances in time.
+    """Hands at a constant rate.
 
     Attributes:
         t: (T,) time from the excerpt's beginning, s.
-        start: where that is in the recording, s.
+        start: time of the beginning in the recording, s.
         p_HK: (T, 21, 3) keypoints of a canonical right hand, m.
         rate_hz: hands per second.
     """
@@ -33,17 +33,17 @@ class Excerpt:
 
 @dataclass(frozen=True)
 class Answers:
-    """What one method makes of an excerpt with T hands, for F fingers.
+    """Answers of one method to an excerpt with T hands, for F fingers.
 
     Attributes:
         q: (T, n) joint positions, rad.
         p_BF: (T, F, 3) robot fingertips, m.
-        asked: (T, F, 3) where a proportional copy of the human fingertips would have them, m: one scale and
-            offset per finger, those that come nearest to `p_BF` (least squares). Such a copy keeps every
-            direction and is flat, so what it misses is the price of reach, pinches and collisions.
-        error: (T, F) distance of the two, m.
-        cosine: (T,) of the angle between human and robot fingertip motion, averaged over the fingers that
-            move; NaN where none does.
+        asked: (T, F, 3) proportional copy of the human fingertips, m, with the scale and offset per finger
+            that come nearest to `p_BF` in least squares. Such a copy preserves every direction, so the
+            difference is the price of reach, pinches and freedom from collisions.
+        error: (T, F) distance between the two, m.
+        cosine: (T,) cosine of the angle between human and robot fingertip motion, mean over the fingers that
+            move; NaN if none does.
     """
 
     q: np.ndarray
@@ -71,13 +71,13 @@ class Pinches:
 def excerpt(
     recording: Recording, rate_hz: float = 30.0, duration_s: float = 20.0, start_s: float | None = None
 ) -> Excerpt:
-    """A stretch of a recording; where tracking is lost, the last hand before that stays.
+    """An excerpt of a recording; while tracking is lost, the last hand stays.
 
     Args:
-        start_s: where it begins, s; by default where most pinches are.
+        start_s: its beginning, s; None: where the excerpt has most pinches.
 
     Raises:
-        RecordingError: the stretch begins after the recording's end, or holds fewer than two hands.
+        RecordingError: it begins after the recording's end, or holds fewer than two hands.
     """
     t = recording.t[recording.valid] - recording.t[0]
     p_HK = recording.p_HK[recording.valid].astype(float)
@@ -110,14 +110,14 @@ def find_pinches(tips: np.ndarray, finger_names: Sequence[str]) -> Pinches:
 
 
 def answers(retarget: Callable, hand: HandModel, hands: Excerpt) -> Answers:
-    """What a method makes of the hands, in their order.
+    """Answers of a method to the hands, in their order.
 
     Args:
         retarget: from human fingertips (T, F, 3) of a canonical right hand, m, to joint positions (T, n).
     """
     human = tips_of(hands.p_HK, hand)
     q = np.asarray(retarget(human))
-    # A left robot hand is where it is, and so is the left hand that was recorded in the mirror.
+    # For a left robot hand: recordings are mirrored to right hands.
     if hand.description.side == "left":
         human = mirrored(human)
     p_BF = hand.fingertips(q)
@@ -127,7 +127,7 @@ def answers(retarget: Callable, hand: HandModel, hands: Excerpt) -> Answers:
 
 
 def tips_of(p_HK: np.ndarray, hand: HandModel) -> np.ndarray:
-    """(T, F, 3) the tips that the robot's fingers follow."""
+    """(T, F, 3) human fingertips that the robot's fingers follow, m."""
     return p_HK[:, hand.description.human_keypoints]
 
 

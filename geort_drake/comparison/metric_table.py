@@ -1,4 +1,4 @@
-"""What each metric is called, how it is printed, and whether more of it is better."""
+"""Names and print formats of all metrics, and their mean and worst values."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,13 +9,13 @@ Direction = Literal["higher", "lower"]
 
 @dataclass(frozen=True)
 class Metric:
-    """One figure of a method.
+    """One metric.
 
     Attributes:
-        path: keys to it in the metrics, joined by dots.
-        heading: of its column; empty where it is in no table.
-        form: how it is printed.
-        better: "higher" or "lower"; None where neither is better, so that there is no worst.
+        path: keys to its value in the dictionary of metrics, joined by dots.
+        heading: of its column; empty if it is in no table.
+        form: format of its value.
+        better: "higher" or "lower"; None if neither is better, so that there is no worst value.
     """
 
     path: str
@@ -24,7 +24,7 @@ class Metric:
     better: Direction | None = None
 
     def of(self, metrics: Mapping) -> float | None:
-        """This metric's value; None where it, or a part on the way to it, is None."""
+        """The value in a dictionary of metrics; None if it, or a dictionary around it, is None."""
         value: Any = metrics
         for key in self.path.split("."):
             if value is None:
@@ -33,12 +33,12 @@ class Metric:
         return value
 
     def text(self, metrics: Mapping) -> str:
-        """The value as a cell of a table."""
+        """The value as the cell of a table."""
         value = self.of(metrics)
         return "–" if value is None else self.form.format(value)
 
     def worst(self, values: Iterable[float | None]) -> float | None:
-        """The worst of several values; None where there is none."""
+        """The worst of several values; None if there is none."""
         known = [value for value in values if value is not None]
         if self.better is None or not known:
             return None
@@ -91,7 +91,7 @@ METRICS: tuple[Metric, ...] = (
 
 
 def mean(metrics: Sequence[Mapping]) -> dict:
-    """Every metric's mean over those that have it, nested as in each of them."""
+    """The mean of every metric over the dictionaries that have it, nested as they are."""
     values: dict[str, float | None] = {}
     for metric in METRICS:
         known = [value for value in map(metric.of, metrics) if value is not None]
@@ -100,7 +100,7 @@ def mean(metrics: Sequence[Mapping]) -> dict:
 
 
 def worst(metrics: Sequence[Mapping]) -> dict:
-    """Every metric's worst value, each by itself, nested as in each of them."""
+    """The worst value of every metric, nested as in each of the dictionaries."""
     return _nested({metric.path: metric.worst(map(metric.of, metrics)) for metric in METRICS})
 
 

@@ -42,7 +42,7 @@ PENETRATION = 0.002  # m; deeper penetrations count as self-collision
 
 @dataclass(frozen=True)
 class RobotSpace:
-    """Where the robot's fingertips can go: its C-space, from uniform samples of the joint angles.
+    """The robot's C-space: where its fingertips can go, from uniform samples of the joint angles.
 
     Attributes:
         p_BF: (N, F, 3) fingertips of all samples, m; a left hand's in the mirror, as people are right hands.
@@ -56,7 +56,7 @@ class RobotSpace:
 
 
 def robot_space(hand: HandModel, seed: int = 0) -> RobotSpace:
-    """Samples the C-space of a hand; it is the same for all methods, so it is worth keeping."""
+    """Samples the C-space of a hand; all methods share it."""
     rng = np.random.default_rng(seed)
     q = rng.uniform(hand.lower, hand.upper, (ROBOT_SAMPLES, len(hand.joint_names)))
     p_BF = _fingertips_of(hand)(q)
@@ -154,10 +154,10 @@ def _coverages(g: FingertipMap, frames: np.ndarray, p_BF: np.ndarray, space: Rob
 
 
 def context_averaged(g: FingertipMap, frames: np.ndarray, contexts: int = 12) -> list[np.ndarray]:
-    """Per finger, where its tip goes, averaged over what the person's other fingers may be doing: (M, 3).
+    """Per finger, where its tip goes, averaged over postures of the other fingers: (M, 3).
 
-    Each visited 1 mm voxel of a finger's tip is tried with the other tips of the recorded frames whose
-    own tip is nearest; what a coupled map reaches only through the other fingers averages out.
+    Each visited 1 mm voxel of a fingertip is combined with the other fingertips of the recorded frames whose
+    own tip is nearest, so that what a coupled map reaches only through the other fingers averages out.
     """
     count = min(contexts, len(frames))
     result = []
@@ -193,7 +193,7 @@ def flatness_and_gain(
 def gain_ratio(gains: np.ndarray) -> float | None:
     """95th over 5th percentile of the gain (F, anchors), averaged over fingers.
 
-    None where a finger does not answer a twentieth of the steps.
+    None if a finger does not respond to a twentieth of the steps.
     """
     low, high = np.percentile(gains, (5, 95), axis=1)
     return float((high / low).mean()) if low.min() > UNANSWERED else None
@@ -204,10 +204,10 @@ def pinch(
 ) -> dict | None:
     """How well the robot's pinches reproduce the person's.
 
-    `closed`, `too_deep`, `mean_mm`, `p95_mm` and `frames` are of the nearest thumb–finger pair in
-    frames in which it is under 15 mm apart (None if there are none), `all_pairs` of all such pairs;
-    `false` is the share of pairs over 30 mm apart in which the robot's meet. Robot fingertips meet
-    when their spheres touch: centres at most two tip radii apart. None for a hand without a thumb.
+    `closed`, `too_deep`, `mean_mm`, `p95_mm` and `frames` refer to the nearest thumb–finger pair of frames in
+    which it is under 15 mm apart (None if there are none), `all_pairs` to all such pairs; `false` is the
+    fraction of pairs over 30 mm apart in which the robot's fingertips meet, that is, their spheres touch:
+    centres at most two tip radii apart. None for a hand without a thumb.
 
     Args:
         frames: (T, F, 3) human fingertips, m.
@@ -241,9 +241,9 @@ def pinch(
 
 
 def self_collision(hand: HandModel, q: np.ndarray) -> dict[str, float]:
-    """Shares of joint angles (T, n) that collide.
+    """Fractions of joint angles (T, n) that collide.
 
-    `deep` counts penetrations over 2 mm between links that are not both fingertips, `any` every contact.
+    `deep` counts penetrations over 2 mm except between two fingertips, `any` every contact.
     """
     touching = np.asarray(hand.collides(q), dtype=bool)
     deep = [
@@ -279,5 +279,5 @@ def call_times(retarget: Callable, frames: np.ndarray, calls: int = 2000) -> np.
 
 
 def _in_chunks(retarget: Callable, p_HF: np.ndarray, rows: int = 4096) -> np.ndarray:
-    """retarget(p_HF) in pieces, because hidden layers of a long recording would fill the memory."""
+    """retarget(p_HF) in pieces: hidden layers of a long recording would fill the memory."""
     return np.concatenate([retarget(p_HF[i : i + rows]) for i in range(0, len(p_HF), rows)])

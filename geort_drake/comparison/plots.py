@@ -13,7 +13,7 @@ from matplotlib.rcsetup import cycler
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from geort_drake.colours import FINGER_COLOURS
-from geort_drake.comparison.comparison import Judged
+from geort_drake.comparison.comparison import Evaluation
 from geort_drake.comparison.metric_table import Metric
 from geort_drake.comparison.metrics import RobotSpace
 from geort_drake.files import atomic_path
@@ -55,7 +55,7 @@ VIEWS = {"from the side": (0, 2), "from the front": (1, 2)}
 
 
 def write_plots(
-    folder: Path, results: Mapping[str, Judged], finger_names: Sequence[str], space: RobotSpace
+    folder: Path, results: Mapping[str, Evaluation], finger_names: Sequence[str], space: RobotSpace
 ) -> list[Path]:
     """Writes `frontier.png`, methods by pairs of metrics, and `fingertips.png`, where their fingertips go.
 
@@ -68,14 +68,14 @@ def write_plots(
     Returns:
         The files; none without results.
     """
-    named = {Path(name).name: judged for name, judged in results.items()}
+    named = {Path(name).name: evaluation for name, evaluation in results.items()}
     if not named:
         return []
     human = next(iter(named.values())).p_HF
-    clouds = {name: judged.p_BF for name, judged in named.items()}
+    clouds = {name: evaluation.p_BF for name, evaluation in named.items()}
     with mpl.rc_context(STYLE):
         figures = {
-            "frontier.png": frontier({name: judged.metrics for name, judged in named.items()}),
+            "frontier.png": frontier({name: evaluation.metrics for name, evaluation in named.items()}),
             "fingertips.png": fingertips(human, clouds, finger_names, space.reachable),
         }
         return [save(figure, folder / name) for name, figure in figures.items()]

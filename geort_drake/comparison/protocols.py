@@ -1,4 +1,4 @@
-"""Protocols of a comparison: from which frames a method learns, and on which it is scored."""
+"""Protocols of a comparison: which frames a method is trained on, and which it is evaluated on."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -10,15 +10,15 @@ from geort_drake.errors import RecordingError
 from geort_drake.people.recording import Recording
 
 SAME_PERSON, HELD_OUT, OTHER_PERSON = "same_person", "held_out", "other_person"
-# Hands a second apart still look alike, so frames this near to a held-out block are not learned from.
+# Successive hands look alike, so frames this near to a held-out block are not used for training.
 GUARD_S = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """One training and what it is scored on."""
+    """One training and the recording it is evaluated on."""
 
-    part: str  # of the protocol: a file's name, or which block
+    part: str  # name of the file or block
     trained_on: Recording
     scored_on: Recording
 
@@ -30,9 +30,9 @@ class Protocol:
     Attributes:
         name: SAME_PERSON, HELD_OUT or OTHER_PERSON.
         title: what tables call it.
-        meaning: what its figures stand for, and what is left out.
+        meaning: of its metrics, and what is left out.
         cases: one per part.
-        with_coverage: whether the share of the robot's C-space means anything here.
+        with_coverage: whether coverage of the robot's C-space is meaningful.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Protocol:
 
 
 def same_person(recording: Recording, name: str) -> Protocol:
-    """Scored on the frames that were learned from, as in the paper."""
+    """Trained and evaluated on the same recording, as in the paper."""
     return Protocol(
         SAME_PERSON,
         "same person, training recording",
@@ -53,11 +53,10 @@ def same_person(recording: Recording, name: str) -> Protocol:
 
 
 def held_out(recording: Recording, blocks: int) -> Protocol:
-    """Scored on each of `blocks` contiguous parts of the valid frames, trained on the others.
+    """Evaluated on each of `blocks` contiguous parts of the valid frames, trained on the others.
 
-    Frames of the block, and those less than GUARD_S before or after it, are invalid in the recording
-    that is learned from. Where they are missing two successive valid frames lie apart, as where
-    tracking was lost: training takes the pair for a step only if the hand is nearly where it was.
+    Frames of the block, and those less than GUARD_S before or after it, are invalid in the training
+    recording, as where tracking was lost.
 
     Raises:
         RecordingError: fewer than two blocks, or blocks too short to measure on.
@@ -93,10 +92,10 @@ def held_out(recording: Recording, blocks: int) -> Protocol:
 
 
 def other_person(recording: Recording, others: Mapping[str, Recording]) -> Protocol:
-    """Trained on one recording, scored on others: name → recording.
+    """Trained on one recording, evaluated on others: name → recording.
 
     Raises:
-        RecordingError: one of the others is the recording that is learned from.
+        RecordingError: one of the others is the training recording.
     """
     for name, other in others.items():
         if other.digest == recording.digest:

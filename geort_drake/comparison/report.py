@@ -1,4 +1,4 @@
-"""The results of a comparison: tables for people, one dictionary for programs."""
+"""Results of a comparison: tables for the terminal and a dictionary for JSON."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -22,13 +22,13 @@ FORMAT = 3  # raised when keys change; 1 had one protocol and one seed, 2 also h
 
 
 def report(comparison: Comparison, results: Results, recording: Recording, name: str) -> dict:
-    """Everything that was found, JSON-ready; docs/reference/comparison-file.md describes it.
+    """All results, JSON-ready; docs/reference/comparison-file.md describes them.
 
     Args:
-        comparison: what was run.
-        results: of all methods, or of those that are done.
-        recording: that was trained on.
-        name: of its file.
+        comparison: that produced them.
+        results: of all methods, or of those finished so far.
+        recording: of the training.
+        name: of the recording's file.
     """
     hand = comparison.hand
     return {
@@ -67,18 +67,22 @@ def report(comparison: Comparison, results: Results, recording: Recording, name:
 
 def _outcome(outcome: Outcome) -> dict:
     what = {"part": outcome.case.part, "seed": outcome.seed}
-    if outcome.judged is None:
+    if outcome.evaluation is None:
         return {**what, "error": outcome.error}
-    judged = outcome.judged
-    return {**what, "frames": len(judged.p_HF), "remembers": judged.remembers, "metrics": judged.metrics}
+    evaluation = outcome.evaluation
+    return {
+        **what,
+        "frames": len(evaluation.p_HF),
+        "remembers": evaluation.remembers,
+        "metrics": evaluation.metrics,
+    }
 
 
 def tables(comparison: Comparison, results: Results) -> Iterator[Group]:
-    """Each protocol with what it means, and a few tables with methods as rows.
+    """The protocols, each with its meaning and a few tables with methods as rows.
 
-    The first row of a method is its mean, below it are the worst part and the worst seed, if there
-    are several. A method that could not be scored on everything says on how much. Columns in which
-    no method has a figure are left out.
+    The first row of a method is its mean; below it are the worst part and the worst seed if there are
+    several. A method that failed on some cases shows how many succeeded. Empty columns are left out.
     """
     for protocol in comparison.protocols:
         rows = [
@@ -105,7 +109,7 @@ def _table(title: str, columns: Sequence[Metric], rows: Sequence[tuple[str, dict
 
 
 def _rows(comparison: Comparison, label: str, outcomes: Sequence[Outcome]) -> Iterator[tuple[str, dict]]:
-    done = sum(outcome.judged is not None for outcome in outcomes)
+    done = sum(outcome.evaluation is not None for outcome in outcomes)
     if done < len(outcomes):
         label += f" ({done} of {len(outcomes)})"
     if not done:
@@ -116,9 +120,9 @@ def _rows(comparison: Comparison, label: str, outcomes: Sequence[Outcome]) -> It
 
 
 def failures(results: Results) -> Iterator[str]:
-    """A line for each case that has no figures: method, part, seed and why."""
+    """A line for each case that failed: method, part, seed and error."""
     for method, of_method in results.items():
         for outcomes in of_method.values():
             for outcome in outcomes:
-                if outcome.judged is None:
+                if outcome.evaluation is None:
                     yield f"{Path(method).name}, {outcome.case.part}, seed {outcome.seed}: {outcome.error}"
