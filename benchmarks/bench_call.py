@@ -141,7 +141,7 @@ def dex_retargeting(description, hands: np.ndarray) -> dict[str, Callable[[], ob
             ours = make_untrained(name, kinematics, keypoints)
             urdf = Path(folder) / f"{name}.urdf"
             urdf.write_text(_urdf(kinematics), encoding="utf-8")
-            theirs = RetargetingConfig.from_dict(_settings(kind, urdf, description, ours.config)).build()
+            theirs = RetargetingConfig.from_dict(_settings(kind, urdf, description, ours.huber_delta)).build()
             origin, tip = theirs.optimizer.target_link_human_indices
             functions[f"dex-retargeting {kind}"] = over(theirs.retarget, hands[:, tip] - hands[:, origin])
     return functions

@@ -26,7 +26,7 @@ from geort_drake.files import require_writable, write_text
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.readers import read_recording
-from geort_drake.retargeting.methods import make_untrained
+from geort_drake.retargeting.methods import make_untrained, online
 
 TYPES = {"vector_online": "vector", "dexpilot_online": "dexpilot"}
 
@@ -61,7 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             ours = make_untrained(name, hand.kinematics(), keypoints)
             urdf = Path(folder) / f"{name}.urdf"
             urdf.write_text(_urdf(hand.kinematics()), encoding="utf-8")
-            theirs = RetargetingConfig.from_dict(_settings(kind, urdf, description, ours.config)).build()
+            theirs = RetargetingConfig.from_dict(_settings(kind, urdf, description, ours.huber_delta)).build()
             task = progress.add_task(name, total=len(hands), note="")
             q, spent = {"ours": [], "theirs": []}, {"ours": 0.0, "theirs": 0.0}
             origin, tip = theirs.optimizer.target_link_human_indices
@@ -118,24 +118,24 @@ def _figures(hand, q, spent, ours, hands) -> dict:
     }
 
 
-def _settings(kind: str, urdf: Path, description, config) -> dict:
+def _settings(kind: str, urdf: Path, description, huber_delta: float) -> dict:
     """dex-retargeting's settings with the names and numbers of ours."""
     tips = [f"{finger.name}_tip" for finger in description.fingers]
-    settings = {"type": kind, "urdf_path": str(urdf), "scaling_factor": config.scale, "low_pass_alpha": 1.0}
+    settings = {"type": kind, "urdf_path": str(urdf), "scaling_factor": online.SCALE, "low_pass_alpha": 1.0}
     if kind == "vector":
         keypoints = description.human_keypoints
         return settings | {
             "target_origin_link_names": ["wrist"] * len(tips),
             "target_task_link_names": tips,
             "target_link_human_indices": np.array([[0] * len(tips), keypoints]),
-            "huber_delta": config.huber_delta,
-            "normal_delta": config.norm_delta,
+            "huber_delta": huber_delta,
+            "normal_delta": online.NORM_DELTA,
         }
     return settings | {
         "wrist_link_name": "wrist",
         "finger_tip_link_names": tips,
-        "project_dist": config.project,
-        "escape_dist": config.escape,
+        "project_dist": online.PROJECT,
+        "escape_dist": online.ESCAPE,
     }
 
 

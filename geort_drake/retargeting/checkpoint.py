@@ -1,6 +1,6 @@
-"""A trained retargeter on disk: what it computes, for which hand, and where it came from.
+"""Checkpoints: a trained retargeter on disk, with the hand it is for and its origin.
 
-weights.safetensors   the arrays of `Retargeter`, and where training saw the fingertips
+weights.safetensors   the arrays of the retargeter, and the fingertips' places in training
 config.json           format, method, names, keypoints, units, training settings, digests
 hand.json             name, joint limits and model digest of the robot hand
 provenance.json       recording, seed, versions, timings, training figures
@@ -26,18 +26,12 @@ from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.retargeting.trained_space import TrainedSpace
 
 FORMAT = 1
-WEIGHTS, CONFIG, HAND, PROVENANCE, HISTORY, METRICS = (
-    "weights.safetensors",
-    "config.json",
-    "hand.json",
-    "provenance.json",
-    "history.csv",
-    "metrics.json",
-)
+WEIGHTS, CONFIG, HAND = "weights.safetensors", "config.json", "hand.json"
+PROVENANCE, HISTORY, METRICS = "provenance.json", "history.csv", "metrics.json"
 REQUIRED = (CONFIG, WEIGHTS, HAND, PROVENANCE, HISTORY)
 DIGESTED = (WEIGHTS, HAND, HISTORY, PROVENANCE)
 TRAINED_POINTS = "trained_points"
-MOST_BYTES = 1 << 30  # of one file; a trained map's weights are a megabyte
+MAX_BYTES = 1 << 30  # of one file; the weights of a trained map take a megabyte
 UNITS = {"human_points": "m, wrist frame H", "joint_angles": "rad"}
 
 _CONFIG_FIELDS = ("format", "method", "finger_names", "joint_names", "human_keypoints", "sha256")
@@ -45,7 +39,7 @@ _HAND_FIELDS = ("name", "joint_names", "finger_names", "lower", "upper", "model_
 
 
 class TrainedHand(Protocol):
-    """What of a hand model a checkpoint is for."""
+    """The part of a hand model that a checkpoint depends on."""
 
     @property
     def joint_names(self) -> Sequence[str]: ...
@@ -67,7 +61,7 @@ class Checkpoint:
 
     @property
     def trained_space(self) -> TrainedSpace | None:
-        """Where training saw the fingertips; None in a checkpoint of version 0.1, which does not say.
+        """The fingertips' places in training; None in a checkpoint of version 0.1, which lacks them.
 
         Raises:
             CheckpointError: the array is malformed.
@@ -77,17 +71,17 @@ class Checkpoint:
         return TrainedSpace(self.arrays[TRAINED_POINTS], self.config["human_keypoints"])
 
     def check_hand(self, hand: TrainedHand) -> None:
-        """Raises CheckpointError unless trained for `hand` (joint_names, finger_names, digest)."""
+        """Raises CheckpointError unless the checkpoint is for `hand`."""
         comparisons = {
             "joints": (tuple(hand.joint_names), tuple(self.hand["joint_names"])),
             "fingers": (tuple(hand.finger_names), tuple(self.hand["finger_names"])),
             "model digest": (hand.digest, self.hand["model_sha256"]),
         }
-        for what, (wanted, given) in comparisons.items():
-            if wanted != given:
+        for what, (expected, given) in comparisons.items():
+            if expected != given:
                 raise CheckpointError(
                     f"{self.path}: the checkpoint is for another hand, '{self.hand['name']}': its {what} "
-                    f"is {_listed(given)}, wanted is {_listed(wanted)}; train one for this hand"
+                    f"is {_listed(given)}, expected is {_listed(expected)}; train one for this hand"
                 )
 
 
@@ -103,11 +97,11 @@ def save_checkpoint(
     history: Sequence[Mapping],
     metrics: Mapping | None = None,
 ) -> Path:
-    """Writes a checkpoint directory; it is whole or absent, and replaces an earlier one.
+    """Writes a checkpoint directory atomically; replaces an earlier one.
 
     Args:
         path: the directory.
-        arrays: the arrays that `Retargeter` takes, and under `TRAINED_POINTS` those of a `TrainedSpace`.
+        arrays: of the retargeter, and under `TRAINED_POINTS` those of a `TrainedSpace`.
         method: name of the retargeting method.
         hand: name, joint_names, finger_names, lower, upper, model_sha256 and anything else.
         human_keypoints: keypoint of each finger, in the order of finger_names.
@@ -122,7 +116,7 @@ def save_checkpoint(
     if missing:
         raise CheckpointError(f"{path}: the hand lacks {', '.join(missing)}")
     with atomic_directory(path) as draft:
-        # Not save_file, whose error for a full disk is none of the system's.
+        # Not save_file, which raises no OSError when the disk is full.
         (draft / WEIGHTS).write_bytes(
             save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
         )
@@ -149,7 +143,7 @@ def save_checkpoint(
 
 
 def check_replaceable(path: str | os.PathLike) -> None:
-    """Raises CheckpointError where saving would replace something that is not a checkpoint."""
+    """Raises CheckpointError if saving would replace something that is not a checkpoint."""
     path = Path(path)
     if path.is_dir():
         harmless = (path / CONFIG).is_file() or not any(path.iterdir())
@@ -176,19 +170,17 @@ def load_checkpoint(path: str | os.PathLike) -> Checkpoint:
             f"{path}: {', '.join(missing)} missing; a checkpoint holds {', '.join(REQUIRED)}"
         )
     for name in REQUIRED:
-        if (size := (path / name).stat().st_size) > MOST_BYTES:
+        if (size := (path / name).stat().st_size) > MAX_BYTES:
             raise CheckpointError(
-                f"{path / name}: holds {size / 2**30:.1f} GiB; files of up to {MOST_BYTES >> 30} GiB are read"
+                f"{path / name}: holds {size / 2**30:.1f} GiB; files of up to {MAX_BYTES >> 30} GiB are read"
             )
     config = _read_json(path / CONFIG, _CONFIG_FIELDS)
-    if config["format"] != FORMAT:
-        raise CheckpointError(f"{path / CONFIG}: format is {config['format']}, this version reads {FORMAT}")
     _check_config(path / CONFIG, config)
     for name in DIGESTED:
-        wanted, given = config["sha256"].get(name), sha256_of(path / name)
-        if wanted != given:
+        expected, given = config["sha256"].get(name), sha256_of(path / name)
+        if expected != given:
             raise CheckpointError(
-                f"{path / name}: the file was altered: its sha256 is {given}, {CONFIG} says {wanted}"
+                f"{path / name}: the file was altered: its sha256 is {given}, {CONFIG} says {expected}"
             )
     hand = _read_json(path / HAND, _HAND_FIELDS)
     for name in ("joint_names", "finger_names"):
@@ -198,11 +190,6 @@ def load_checkpoint(path: str | os.PathLike) -> Checkpoint:
                 f"{CONFIG} has {_listed(config[name])}"
             )
     _check_hand(path / HAND, hand)
-    if len(config["human_keypoints"]) != len(config["finger_names"]):
-        raise CheckpointError(
-            f"{path / CONFIG}: {len(config['finger_names'])} fingers need as many human_keypoints, "
-            f"there are {len(config['human_keypoints'])}"
-        )
     try:
         arrays = load_file(path / WEIGHTS)
     except Exception as error:  # safetensors raises its own and plain exceptions alike
@@ -210,54 +197,52 @@ def load_checkpoint(path: str | os.PathLike) -> Checkpoint:
     return Checkpoint(path, config, hand, _read_json(path / PROVENANCE, ()), arrays)
 
 
+def _require(holds: bool, path: Path, message: str, value: object) -> None:
+    if not holds:
+        raise CheckpointError(f"{path}: {message}, not {value!r:.60}")
+
+
 def _check_config(path: Path, config: Mapping) -> None:
-    """Looks at the types of the fields that decide what is computed."""
-    if not isinstance(config["method"], str):
-        raise CheckpointError(f"{path}: method must be a text, not {config['method']!r:.60}")
+    """Checks the fields that decide what is computed."""
+    if config["format"] != FORMAT:
+        raise CheckpointError(f"{path}: format is {config['format']}, this version reads {FORMAT}")
+    _require(isinstance(config["method"], str), path, "method must be a text", config["method"])
     for field in ("finger_names", "joint_names"):
         names = config[field]
-        if not (isinstance(names, list) and names and all(isinstance(name, str) for name in names)):
-            raise CheckpointError(f"{path}: {field} must be a list of names, not {names!r:.60}")
+        is_list = isinstance(names, list) and names and all(isinstance(name, str) for name in names)
+        _require(bool(is_list), path, f"{field} must be a list of names", names)
     keypoints = config["human_keypoints"]
-    if not (isinstance(keypoints, list) and all(_is_keypoint(number) for number in keypoints)):
+    are_keypoints = isinstance(keypoints, list) and all(
+        isinstance(number, int) and not isinstance(number, bool) and 0 <= number < KEYPOINT_COUNT
+        for number in keypoints
+    )
+    expected = f"human_keypoints must be a list of numbers from 0 to {KEYPOINT_COUNT - 1}"
+    _require(are_keypoints, path, expected, keypoints)
+    if len(keypoints) != len(config["finger_names"]):
         raise CheckpointError(
-            f"{path}: human_keypoints must be a list of numbers from 0 to {KEYPOINT_COUNT - 1}, not "
-            f"{keypoints!r:.60}"
+            f"{path}: {len(config['finger_names'])} fingers need as many human_keypoints, "
+            f"there are {len(keypoints)}"
         )
     digests = config["sha256"]
-    if not isinstance(digests, dict):
-        raise CheckpointError(f"{path}: sha256 must be an object, not {digests!r:.60}")
+    _require(isinstance(digests, dict), path, "sha256 must be an object", digests)
     if foreign := sorted(set(digests) - set(DIGESTED)):
         raise CheckpointError(f"{path}: sha256 names {foreign[0]}, which is not one of {', '.join(DIGESTED)}")
 
 
-def _is_keypoint(number: object) -> bool:
-    return isinstance(number, int) and not isinstance(number, bool) and 0 <= number < KEYPOINT_COUNT
-
-
-def _is_angle(limit: object) -> bool:
-    # Compared as they are: an integer may be too large for a float.
-    return isinstance(limit, int | float) and not isinstance(limit, bool) and abs(limit) <= MAX_ANGLE
-
-
 def _check_hand(path: Path, hand: Mapping) -> None:
-    """Looks whether the hand has its texts, and every joint a lower limit below its upper one."""
+    """Checks texts, and that every joint has a lower limit below its upper one."""
     for field in ("name", "model_sha256"):
-        if not isinstance(hand[field], str):
-            raise CheckpointError(f"{path}: {field} must be a text, not {hand[field]!r:.60}")
+        _require(isinstance(hand[field], str), path, f"{field} must be a text", hand[field])
     joints = hand["joint_names"]
     for field in ("lower", "upper"):
         limits = hand[field]
-        if not (isinstance(limits, list) and len(limits) == len(joints)):
-            raise CheckpointError(
-                f"{path}: {field} must be a list of {len(joints)} numbers, not {limits!r:.60}"
-            )
+        is_list = isinstance(limits, list) and len(limits) == len(joints)
+        _require(is_list, path, f"{field} must be a list of {len(joints)} numbers", limits)
         for joint, limit in zip(joints, limits, strict=True):
-            if not _is_angle(limit):
-                raise CheckpointError(
-                    f"{path}: {field} of '{joint}' must be a number within ±{MAX_ANGLE:g} rad, not "
-                    f"{limit!r:.60}"
-                )
+            # Compared without conversion, because an integer may be too large for a float.
+            number = isinstance(limit, int | float) and not isinstance(limit, bool)
+            expected = f"{field} of '{joint}' must be a number within ±{MAX_ANGLE:g} rad"
+            _require(number and abs(limit) <= MAX_ANGLE, path, expected, limit)
     for joint, low, high in zip(joints, hand["lower"], hand["upper"], strict=True):
         if not low < high:
             raise CheckpointError(f"{path}: lower of '{joint}' must be below upper, {high:g}; it is {low:g}")
@@ -277,7 +262,7 @@ def _read_json(path: Path, fields: Sequence[str]) -> dict:
 
 
 def _write_json(path: Path, content: Mapping) -> None:
-    # allow_nan=False: NaN is no JSON, and a reader in another language would fail on it.
+    # allow_nan=False, because NaN is not valid JSON.
     path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 

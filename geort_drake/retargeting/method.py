@@ -5,9 +5,9 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from geort_drake.errors import TrainingError
 if TYPE_CHECKING:
     from geort_drake.retargeting.numpy_retargeter import Retargeter
     from geort_drake.retargeting.training.collision_geometry import CollisionShapes
-    from geort_drake.retargeting.training.descent import Report
     from geort_drake.retargeting.training.kinematics import HandKinematics
     from geort_drake.retargeting.training.networks import RetargetingNetwork
 
@@ -99,51 +98,6 @@ class TrainingResult:
     neural_kinematics: dict[str, float] = field(default_factory=dict)  # held-out errors; empty if exact
 
 
-class Trainer(Protocol):
-    """Trains a map."""
-
-    def __call__(
-        self,
-        data: TrainingData,
-        config: Any = None,
-        seed: int = 0,
-        device: str = "cpu",
-        report: "Report | None" = None,
-    ) -> TrainingResult:
-        """Trains a map without paired data; equal arguments give equal weights.
-
-        Args:
-            data: of the person and of the robot hand.
-            config: of the method's type; None takes the defaults.
-            seed: of the initial weights and every draw.
-            device: "cpu" or "cuda".
-            report: see `Report`.
-
-        Raises:
-            TrainingError: on unusable input, or when the loss is not finite from the start. When it stops
-                being finite later, the last good weights are returned with a RuntimeWarning.
-        """
-
-
-class FineTuner(Protocol):
-    """Trains the weights of a checkpoint further."""
-
-    def __call__(
-        self,
-        arrays: Mapping[str, np.ndarray],
-        data: TrainingData,
-        settings: Mapping[str, Any],
-        steps: int,
-        seed: int = 0,
-        report: "Report | None" = None,
-    ) -> TrainingResult:
-        """Starts from the weights `arrays`, with the `settings` of the checkpoint's config.json.
-
-        Raises:
-            TrainingError: the weights are of another hand; see `Trainer`.
-        """
-
-
 @dataclass(frozen=True)
 class TrainedMethod:
     """A method that learns a map, which a checkpoint then holds.
@@ -152,17 +106,23 @@ class TrainedMethod:
         name: as in commands and in a checkpoint's config.json.
         summary: one line for --help.
         config: type of its settings.
-        train: trains a map.
+        train: called as train(data, config=None, seed=0, device="cpu", report=None); returns a
+            `TrainingResult`. The seed decides the initial weights and every draw; the device is "cpu" or
+            "cuda"; for `report` see `Report`. Raises TrainingError on unusable input, or when the loss is not
+            finite from the start. When it stops being finite later, the last good weights are returned with a
+            RuntimeWarning.
         retargeter: makes the map from the arrays of a checkpoint, with the arguments of `Retargeter`.
-        fine_tune: fits a trained map to another person; None where the method cannot.
+        fine_tune: fits the weights of a checkpoint to another person, called as fine_tune(arrays, data,
+            settings, steps, seed=0, report=None) with the training settings in config.json; returns a
+            `TrainingResult`, raises as `train`. None where the method cannot.
     """
 
     name: str
     summary: str
     config: type[TrainingConfig]
-    train: Trainer
+    train: Callable[..., TrainingResult]
     retargeter: "Callable[..., Retargeter]"
-    fine_tune: FineTuner | None = None
+    fine_tune: Callable[..., TrainingResult] | None = None
 
 
 @dataclass(frozen=True)
@@ -171,12 +131,10 @@ class UntrainedMethod:
 
     Attributes:
         name, summary: as of `TrainedMethod`.
-        make: makes the map for a robot hand, see `methods.make_untrained`; called as (kinematics,
-            human_keypoints, frames, seed, **settings).
-        settings: names of its settings.
+        make: makes the map, called as make(kinematics, human_keypoints, frames, seed); see
+            `methods.make_untrained`.
     """
 
     name: str
     summary: str
-    make: "Callable[..., Retarget]"
-    settings: tuple[str, ...] = ()
+    make: Callable[..., Retarget]

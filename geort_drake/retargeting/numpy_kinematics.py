@@ -3,18 +3,12 @@
 The counterpart of `HandKinematics` for methods that optimise at run time, where torch is not wanted.
 """
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
-
-from geort_drake.errors import HandError
 
 if TYPE_CHECKING:
     from geort_drake.retargeting.training.kinematics import HandKinematics
-
-_FIELDS = ("finger_names", "joint_names", "lower", "upper", "tip_radius", "p_BW", "fingers")
 
 
 class NumpyKinematics:
@@ -28,45 +22,23 @@ class NumpyKinematics:
         p_BW: (3,) the hand's wrist in its base, m.
     """
 
-    def __init__(self, data: Mapping):
-        """Takes what `to_json` returns.
-
-        Raises:
-            HandError: a field is missing, or an array has a wrong shape or is not finite.
-        """
-        missing = [name for name in _FIELDS if name not in data]
-        if missing:
-            raise HandError(f"kinematics: {', '.join(missing)} missing; wanted are {', '.join(_FIELDS)}")
-        self._data = dict(data)
-        self.finger_names, self.joint_names = tuple(data["finger_names"]), tuple(data["joint_names"])
-        n, fingers = len(self.joint_names), len(self.finger_names)
-        self.lower, self.upper = (_array(name, data[name], (n,)) for name in ("lower", "upper"))
-        if not (self.lower < self.upper).all():
-            raise HandError("kinematics: every lower joint limit must be under its upper limit")
-        self.tip_radius = float(data["tip_radius"])
-        self.p_BW = _array("p_BW", data["p_BW"], (3,))
-        # Joints that follow others come after q: (N, n); absent where there are none.
-        self._coupling = None
-        if "coupling" in data:
-            self._coupling = _array("coupling", data["coupling"], (len(data["coupling"]), n))
-            n = len(self._coupling)
-        chains = data["fingers"]
-        if len(chains) != fingers:
-            raise HandError(f"kinematics: {len(chains)} chains for {fingers} fingers")
-        k = max(len(chain["joint_indices"]) for chain in chains)
+    def __init__(self, kinematics: "HandKinematics"):
+        """Takes the hand's kinematics, from `HandModel.kinematics()` for example."""
+        self.finger_names, self.joint_names = kinematics.finger_names, kinematics.joint_names
+        self.lower, self.upper = kinematics.lower, kinematics.upper
+        self.tip_radius, self.p_BW = kinematics.tip_radius, kinematics.p_BW
+        free, coupling = kinematics.uncoupled()
+        # Joints that follow others come after q: (N, n); None where there are none.
+        n = len(coupling)
+        self._coupling = coupling if n > len(self.joint_names) else None
+        fingers, k = len(free.fingers), max(len(finger.joint_indices) for finger in free.fingers)
         # A finger with fewer joints gets fixed ones at its base, which read the unused angle n.
         indices = np.full((fingers, k), n)
         X = np.tile(np.eye(4), (fingers, k, 1, 1))
         axes = np.zeros((fingers, k, 3))
-        p_tip = np.zeros((fingers, 3, 1))
-        for f, (name, chain) in enumerate(zip(self.finger_names, chains, strict=True)):
-            own = len(chain["joint_indices"])
-            indices[f, k - own :] = chain["joint_indices"]
-            X[f, k - own :] = _array(f"{name}: X_PJ", chain["X_PJ"], (own, 4, 4))
-            axes[f, k - own :] = _array(f"{name}: axes", chain["axes"], (own, 3))
-            p_tip[f, :, 0] = _array(f"{name}: p_tip", chain["p_tip"], (3,))
-        if indices.min() < 0 or indices.max() > n:
-            raise HandError(f"kinematics: joint indices must be 0 to {n - 1}")
+        for f, finger in enumerate(free.fingers):
+            own = slice(k - len(finger.joint_indices), k)
+            indices[f, own], X[f, own], axes[f, own] = finger.joint_indices, finger.X_PJ, finger.axes
         K = np.zeros((fingers, k, 3, 3))
         K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -axes[..., 2], axes[..., 1], -axes[..., 0]
         K -= np.swapaxes(K, -1, -2)
@@ -75,38 +47,13 @@ class NumpyKinematics:
         self._RK = self._R @ K
         self._RKK = self._RK @ K
         self._offset = X[..., :3, 3:]
-        self._p_tip, self._indices = p_tip, indices
+        self._p_tip = np.stack([finger.p_tip for finger in free.fingers])[:, :, None]
+        self._indices = indices
 
     @classmethod
     def of(cls, kinematics: "HandKinematics | NumpyKinematics") -> "NumpyKinematics":
-        """The same hand as `kinematics`, from `HandModel.kinematics()` for example."""
-        if isinstance(kinematics, NumpyKinematics):
-            return kinematics
-        free, coupling = kinematics.uncoupled()
-        return cls(
-            {
-                "finger_names": list(kinematics.finger_names),
-                "joint_names": list(kinematics.joint_names),
-                "lower": kinematics.lower.tolist(),
-                "upper": kinematics.upper.tolist(),
-                "tip_radius": float(kinematics.tip_radius),
-                "p_BW": kinematics.p_BW.tolist(),
-                "fingers": [
-                    {
-                        "joint_indices": list(map(int, finger.joint_indices)),
-                        "X_PJ": finger.X_PJ.tolist(),
-                        "axes": finger.axes.tolist(),
-                        "p_tip": finger.p_tip.tolist(),
-                    }
-                    for finger in free.fingers
-                ],
-            }
-            | ({} if len(coupling) == len(kinematics.joint_names) else {"coupling": coupling.tolist()})
-        )
-
-    def to_json(self) -> dict:
-        """Names and plain lists of numbers that describe the hand."""
-        return self._data
+        """The same hand as `kinematics`, which may be NumPy's already."""
+        return kinematics if isinstance(kinematics, NumpyKinematics) else cls(kinematics)
 
     def fingertips(self, q: np.ndarray) -> np.ndarray:
         """Fingertip points p_BF, (N, F, 3) in m, for joint angles (N, n) in rad."""
@@ -133,10 +80,3 @@ class NumpyKinematics:
         full[:, np.arange(fingers)[:, None], self._indices] = np.swapaxes(J, -1, -2)
         J = np.swapaxes(full[:, :, :n], -1, -2)
         return p[..., 0], J if self._coupling is None else J @ self._coupling
-
-
-def _array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
-    array = np.asarray(value, dtype=float)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise HandError(f"kinematics: {name} must be finite and of shape {shape}, it has {array.shape}")
-    return array

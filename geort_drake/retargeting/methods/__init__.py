@@ -9,11 +9,11 @@ import functools
 import importlib
 import pkgutil
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geort_drake.errors import GeortError, UnknownNameError
+from geort_drake.errors import UnknownNameError
 from geort_drake.retargeting.method import Retarget, TrainedMethod, UntrainedMethod
 
 if TYPE_CHECKING:
@@ -61,7 +61,6 @@ def make_untrained(
     human_keypoints: Sequence[int] | None = None,
     frames: np.ndarray | None = None,
     seed: int = 0,
-    **settings: Any,
 ) -> Retarget:
     """A retargeter that needs no training, called as `Retargeter` is.
 
@@ -71,19 +70,12 @@ def make_untrained(
         human_keypoints: keypoint of each finger's tip; None goes by the fingers' names.
         frames: recorded fingertips (T, F, 3), m, which nearest_neighbour draws from.
         seed: of that draw.
-        settings: of the method.
 
     Raises:
-        UnknownNameError: no such method or setting.
-        GeortError: a setting makes no sense, or frames are missing.
+        UnknownNameError: no such method.
+        GeortError: frames are missing.
     """
     methods = untrained_methods()
     if name not in methods:
         raise UnknownNameError("retargeting method without training", name, methods)
-    method = methods[name]
-    for setting in settings:
-        if not method.settings:
-            raise GeortError(f"{name} has no settings; given: {', '.join(settings)}")
-        if setting not in method.settings:
-            raise UnknownNameError(f"setting of {name}", setting, method.settings)
-    return method.make(kinematics, human_keypoints, frames, seed, **settings)
+    return methods[name].make(kinematics, human_keypoints, frames, seed)

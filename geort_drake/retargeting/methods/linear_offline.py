@@ -36,7 +36,7 @@ def train_linear_offline(
 ) -> TrainingResult:
     """Trains per-finger networks to minimise mean |α v_H − v_R|² + ε |(q − mid) / half range|².
 
-    v are the vectors from the wrist to each fingertip. Robot samples are not used. See `Trainer`.
+    v are the vectors from the wrist to each fingertip. Robot samples are not used. See `TrainedMethod.train`.
     """
     import torch
 

@@ -1,17 +1,15 @@
-"""Retargeters that optimise joint angles at every frame: AnyTeleop's vectors and DexPilot.
+"""Methods that optimise joint angles at every frame: AnyTeleop's vectors and DexPilot.
 
-Both follow Eq. 1 of the GeoRT paper with hand-made scale, weights and task vectors, start from the
-joint angles of the frame before and are pulled towards them, so what they answer depends on the past.
+Both solve Eq. 1 of the GeoRT paper with hand-made scale, weights and task vectors. They start from the joint
+angles of the previous frame and are pulled towards them, so answers depend on the past.
 """
 
-import dataclasses
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geort_drake.errors import GeortError, HandError
+from geort_drake.errors import HandError
 from geort_drake.retargeting.human_points import HumanPoints
 from geort_drake.retargeting.method import UntrainedMethod
 from geort_drake.retargeting.methods.task_vectors import WRIST, TaskVectors
@@ -20,55 +18,20 @@ from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 if TYPE_CHECKING:
     from geort_drake.retargeting.training.kinematics import HandKinematics
 
-# Metrics ask for many frames at once; more than this side by side would not fit the cache.
-CHUNK = 1024
-
-
-@dataclass(frozen=True)
-class VectorConfig:
-    """Settings of `VectorOnline`; the defaults are dex-retargeting's for the Allegro hand."""
-
-    scale: float = 1.6  # α, robot over human
-    huber_delta: float = 0.02  # m
-    norm_delta: float = 4e-3  # 1/rad², pull towards the previous joint angles
-    low_pass: float = 1.0  # share of the new answer, 1 is off; 0.2 is shipped: a lag of 4 frames
-
-    def validate(self) -> None:
-        """Raises GeortError where a value makes no sense."""
-        for name in ("scale", "huber_delta", "norm_delta", "low_pass"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and (value > 0 or (name == "norm_delta" and value == 0))):
-                raise GeortError(f"online retargeting: {name} must be positive, it is {value}")
-        if self.low_pass > 1:
-            raise GeortError(f"online retargeting: low_pass must be at most 1, it is {self.low_pass}")
-
-
-@dataclass(frozen=True)
-class DexPilotConfig(VectorConfig):
-    """Settings of `DexPilotOnline`; weights and distances are Handa et al.'s."""
-
-    huber_delta: float = 0.03  # m
-    project: float = 0.03  # m, a thumb-finger distance under this is projected
-    escape: float = 0.05  # m, until it is over this
-    pinch_distance: float = 1e-4  # m, η1: length of a projected thumb-finger vector
-    apart_distance: float = 3e-2  # m, η2: length of a projected finger-finger vector
-    pinch_weight: float = 200.0
-    apart_weight: float = 400.0
-
-    def validate(self) -> None:
-        super().validate()
-        if not 0 < self.project <= self.escape:
-            raise GeortError(
-                f"online retargeting: 0 < project <= escape is wanted, "
-                f"they are {self.project} and {self.escape} m"
-            )
+SCALE = 1.6  # α, robot over human, as in dex-retargeting's settings of the Allegro hand
+NORM_DELTA = 4e-3  # 1/rad², pull towards the previous joint angles
+# DexPilot: thumb-finger vectors are projected to contact below PROJECT until they are above ESCAPE, in m.
+PROJECT, ESCAPE = 0.03, 0.05
+PINCH_DISTANCE, APART_DISTANCE = 1e-4, 3e-2  # m, η1 and η2: lengths of projected vectors to thumb and fingers
+PINCH_WEIGHT, APART_WEIGHT = 200.0, 400.0  # of projected vectors
+CHUNK = 1024  # hands at a time in evaluations, so that their data fit the cache
 
 
 class VectorOnline:
     """AnyTeleop's retargeting (Qin et al. 2023): scaled vectors from the wrist to every fingertip.
 
-    Stateful: a call continues where the previous one ended, and a batch is a sequence of frames.
-    Not safe to share between threads.
+    Stateful: a call continues from the previous one, and a batch is a sequence of frames. Not safe to share
+    between threads.
 
     Attributes:
         finger_names: F fingers, in the order of the inputs.
@@ -76,42 +39,36 @@ class VectorOnline:
         lower, upper: (n,) joint limits, rad; outputs are always inside.
     """
 
-    config_type: type[VectorConfig] = VectorConfig
+    huber_delta = 0.02  # m
 
     def __init__(
         self,
         kinematics: "HandKinematics | NumpyKinematics",
-        config: VectorConfig | None = None,
         human_keypoints: Sequence[int] | None = None,
+        scale: float = SCALE,
     ):
         """Makes a retargeter at rest.
 
         Args:
-            kinematics: `HandKinematics` or `NumpyKinematics` of the robot hand, mirrored for a left one.
-            config: settings; None takes the defaults.
+            kinematics: of the robot hand, mirrored for a left one.
             human_keypoints: keypoint of each finger's tip; None goes by the fingers' names.
+            scale: α, robot over human.
 
         Raises:
-            GeortError: a setting makes no sense, or a finger's name has no keypoint.
+            UnknownNameError: a finger's name has no keypoint.
+            HandError: the method needs other fingers.
         """
-        self.config = config or self.config_type()
-        self.config.validate()
-        self.kinematics = NumpyKinematics.of(kinematics)
+        self.kinematics, self._scale = NumpyKinematics.of(kinematics), scale
         self.finger_names, self.joint_names = self.kinematics.finger_names, self.kinematics.joint_names
         self.lower, self.upper = self.kinematics.lower, self.kinematics.upper
         self._points = HumanPoints(self.finger_names, human_keypoints)
-        self._vectors = TaskVectors(
-            self.kinematics,
-            self._pairs(),
-            self.config.huber_delta,
-            self.config.norm_delta,
-        )
+        self._vectors = TaskVectors(self.kinematics, self._pairs(), self.huber_delta, NORM_DELTA)
         self.reset()
 
     def reset(self) -> None:
         """Forgets the past: joints in the middle of their ranges, nothing projected."""
         self._q = 0.5 * (self.lower + self.upper)
-        self._filtered: np.ndarray | None = None
+        self._answer: np.ndarray | None = None
         self._projected = np.zeros(len(self._vectors.pairs), dtype=bool)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
@@ -136,12 +93,11 @@ class VectorOnline:
     def settled_map(self, frames: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """The answers to hands that are held still, as a function without memory.
 
-        A method that optimises answers one frame depending on the frames before it. To ask what it
-        does with a hand that differs a little from a recorded one, the hand is held until the answer
-        no longer changes, starting from the state that the method had at the nearest recorded frame.
+        Evaluations ask for hands that differ a little from recorded ones. Such a hand is held until the
+        answer no longer changes, starting from the state of the method at the nearest recorded frame.
 
         Args:
-            frames: (T, F, 3) successive human fingertips, m; the retargeter is left as after them.
+            frames: (T, F, 3) successive human fingertips, m; they also set the state of this retargeter.
 
         Returns:
             A function from (N, F, 3) to joint angles (N, n).
@@ -171,10 +127,10 @@ class VectorOnline:
     def settle(
         self, p_HF: np.ndarray, start: np.ndarray | None = None, projected: np.ndarray | None = None
     ) -> np.ndarray:
-        """Joint angles (N, n) at which the method comes to rest for hands (N, F, 3) that are held still.
+        """Joint angles (N, n) at rest for hands (N, F, 3) that are held still.
 
-        `start` (N, n) are joint angles to begin with, `projected` (N, V) the vectors projected so far;
-        by default those after `reset`. At rest the pull towards the previous angles vanishes.
+        `start` (N, n) are initial joint angles, `projected` (N, V) the projected vectors; by default those
+        after `reset`. At rest the pull towards the previous angles vanishes.
         """
         count = len(p_HF)
         if start is None:
@@ -189,30 +145,28 @@ class VectorOnline:
         previous = self._q[None]
         self._q = self._vectors.solve(targets, weights, previous, previous)[0]
         self._projected = projected[0]
-        if self._filtered is None:
-            self._filtered = self._q
-        self._filtered = self._filtered + self.config.low_pass * (self._q - self._filtered)
-        return np.clip(self._filtered, self.lower, self.upper)
+        # a + (q − a) instead of q reproduces published figures to the last bit.
+        self._answer = self._q if self._answer is None else self._answer + (self._q - self._answer)
+        return np.clip(self._answer, self.lower, self.upper)
 
     def _pairs(self) -> list[tuple[int, int]]:
         return [(WRIST, finger) for finger in range(len(self.finger_names))]
 
     def _targets(self, p_HF: np.ndarray, projected: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Wanted vectors (N, V, 3), weights (N, V) and the switches (N, V) after these frames."""
-        targets = self.config.scale * self._vectors.human(p_HF)
+        """Target vectors (N, V, 3), weights (N, V) and updated switches (N, V) of hands (N, F, 3)."""
+        targets = self._scale * self._vectors.human(p_HF)
         return targets, np.ones(targets.shape[:2]), projected
 
 
 class DexPilotOnline(VectorOnline):
-    """DexPilot's retargeting (Handa et al. 2020): fingertips against each other come first.
+    """DexPilot's retargeting (Handa et al. 2020), which gives priority to distances between fingertips.
 
-    Vectors between the thumb and each finger (S1), between these fingers (S2) and from the wrist. When
-    the person's thumb comes near a finger their vector's target is projected to contact and weighs
-    more, with hysteresis; while two fingers pinch, the target between them keeps them apart.
+    Vectors between the thumb and each finger (S1), between these fingers (S2) and from the wrist. When the
+    person's thumb comes near a finger, the target of their vector is projected to contact and weighs more,
+    with hysteresis. While two fingers pinch, the target between them keeps them apart.
     """
 
-    config_type = DexPilotConfig
-    config: DexPilotConfig
+    huber_delta = 0.03  # m
 
     def _pairs(self) -> list[tuple[int, int]]:
         if "thumb" not in self.finger_names or len(self.finger_names) < 2:
@@ -228,24 +182,22 @@ class DexPilotOnline(VectorOnline):
         return pinches + between + super()._pairs()
 
     def _targets(self, p_HF: np.ndarray, projected: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        config, fingers = self.config, len(self.finger_names)
+        fingers = len(self.finger_names)
         pinches, pairs = fingers - 1, len(self._vectors.pairs) - fingers
         human = self._vectors.human(p_HF)
         distance = np.sqrt((human[:, :pairs] ** 2).sum(-1))
         near = projected.copy()
         first = distance[:, :pinches]
-        near[:, :pinches] = np.where(
-            first < config.project, True, near[:, :pinches] & (first <= config.escape)
-        )
+        near[:, :pinches] = np.where(first < PROJECT, True, near[:, :pinches] & (first <= ESCAPE))
         if len(self._deciding):
             both = near[:, self._deciding[:, 0]] & near[:, self._deciding[:, 1]]
-            near[:, pinches:pairs] = both & (distance[:, pinches:] <= config.project)
-        length = np.full(pairs, config.pinch_distance)
-        length[pinches:] = config.apart_distance
-        heavy = np.full(pairs, config.pinch_weight)
-        heavy[pinches:] = config.apart_weight
+            near[:, pinches:pairs] = both & (distance[:, pinches:] <= PROJECT)
+        length = np.full(pairs, PINCH_DISTANCE)
+        length[pinches:] = APART_DISTANCE
+        heavy = np.full(pairs, PINCH_WEIGHT)
+        heavy[pinches:] = APART_WEIGHT
         switched = near[:, :pairs]
-        targets = config.scale * human
+        targets = self._scale * human
         direction = human[:, :pairs] / (distance[..., None] + 1e-6)
         targets[:, :pairs] = np.where(switched[..., None], direction * length[:, None], targets[:, :pairs])
         # Without projection the wrist's vectors lead, as in dex-retargeting.
@@ -255,27 +207,10 @@ class DexPilotOnline(VectorOnline):
 
 
 def _make(method: type[VectorOnline]) -> Callable:
-    def make(
-        kinematics: "HandKinematics | NumpyKinematics",
-        human_keypoints: Sequence[int] | None,
-        _frames: np.ndarray | None,
-        _seed: int,
-        **settings: float,
-    ) -> VectorOnline:
-        return method(kinematics, method.config_type(**settings), human_keypoints)
-
-    return make
+    return lambda kinematics, human_keypoints, _frames, _seed: method(kinematics, human_keypoints)
 
 
-METHODS = tuple(
-    UntrainedMethod(
-        name,
-        f"{whose} vectors, optimised at every frame",
-        _make(method),
-        tuple(item.name for item in dataclasses.fields(method.config_type)),
-    )
-    for name, whose, method in (
-        ("vector_online", "AnyTeleop's", VectorOnline),
-        ("dexpilot_online", "DexPilot's", DexPilotOnline),
-    )
+METHODS = (
+    UntrainedMethod("vector_online", "AnyTeleop's vectors, optimised at every frame", _make(VectorOnline)),
+    UntrainedMethod("dexpilot_online", "DexPilot's vectors, optimised at every frame", _make(DexPilotOnline)),
 )

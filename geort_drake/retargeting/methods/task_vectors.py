@@ -3,9 +3,9 @@
 min over q of  Σ_i w_i h(|v_R^i(q) − v*^i|) / V  +  norm_delta · |q − q_previous|²,  lower ≤ q ≤ upper
 
 with h the Huber function of PyTorch's SmoothL1 (x² / 2δ under δ, x − δ/2 above). A task vector goes
-from the wrist or a fingertip to a fingertip. The problem is small, smooth in its tails and bounded, so
-a damped Gauss–Newton method on the free joints takes a handful of steps; many frames are solved side
-by side, which is what makes it possible to measure a method that optimises.
+from the wrist or a fingertip to a fingertip. The problem is small, smooth and bounded, so a damped
+Gauss–Newton method on the free joints takes a handful of steps. Many frames are solved at once, which makes
+evaluations of online methods feasible.
 """
 
 import numpy as np
@@ -29,7 +29,7 @@ class TaskVectors:
         huber_delta: float,
         norm_delta: float,
     ):
-        """`huber_delta` in m and `norm_delta` in 1/rad² are of the equation."""
+        """`huber_delta` in m and `norm_delta` in 1/rad² are those of the equation."""
         self.kinematics, self.pairs = kinematics, pairs
         self._huber_delta, self._norm_delta = huber_delta, norm_delta
         # v = difference · tips − origin
@@ -45,10 +45,6 @@ class TaskVectors:
     def human(self, p_HF: np.ndarray) -> np.ndarray:
         """The person's task vectors (N, V, 3) in m for fingertips (N, F, 3) in the wrist frame."""
         return self._difference @ p_HF
-
-    def robot(self, q: np.ndarray) -> np.ndarray:
-        """The robot's task vectors (N, V, 3) in m for joint angles (N, n)."""
-        return self._difference @ self.kinematics.fingertips(q) - self._origin
 
     def loss(
         self, q: np.ndarray, targets: np.ndarray, weights: np.ndarray, previous: np.ndarray | None
@@ -74,20 +70,20 @@ class TaskVectors:
         """Joint angles (N, n) that minimise the objective of N frames, each on its own.
 
         Args:
-            targets: (N, V, 3) wanted task vectors, m.
+            targets: (N, V, 3) task vectors, m.
             weights: (N, V).
             start: (N, n) joint angles inside the limits from which the descent starts.
-            previous: (N, n) joint angles that the regulariser pulls towards; None leaves it out.
+            previous: (N, n) joint angles that the regulariser pulls towards; None omits it.
             tolerance: a frame is done when its next step is shorter, rad.
             iterations: at most so many steps.
         """
         lower, upper = self.kinematics.lower, self.kinematics.upper
         q = np.clip(start, lower, upper)
-        rows = np.arange(len(q))  # frames that are not done
+        rows = np.arange(len(q))  # unfinished frames
         damping = np.full(len(q), 1e-3)
         loss, gradient, H = self._terms(q, targets, weights, previous)
         for _ in range(iterations):
-            # Joints pressed against a limit do not take part.
+            # Joints pressed against a limit are fixed.
             free = ~(((q[rows] <= lower) & (gradient > 0)) | ((q[rows] >= upper) & (gradient < 0)))
             # Damping relative to the mean curvature leaves redundant directions where they are.
             scale = np.einsum("nii->n", H) / H.shape[-1] + 1e-12

@@ -31,13 +31,13 @@ def train_coupled(
     report: "Report | None" = None,
     start: Mapping[str, np.ndarray] | None = None,
 ) -> TrainingResult:
-    """Trains a map in which fingers see each other; see `Trainer`.
+    """Trains a map in which fingers see each other; see `TrainedMethod.train`.
 
     Collisions are avoided where `data` has `shapes`. A finger that never pinches is named in a
     RuntimeWarning.
 
     Args:
-        data, config, seed, device, report: as of `Trainer`.
+        data, config, seed, device, report: see `TrainedMethod.train`.
         start: arrays of a checkpoint to start from, whose layers are as wide as the config says; None starts
             from random weights.
     """
@@ -54,7 +54,7 @@ def fine_tune(
     seed: int = 0,
     report: "Report | None" = None,
 ) -> TrainingResult:
-    """Trains weights further, on another person's hands; see `FineTuner`."""
+    """Trains weights further, on another person's hands; see `TrainedMethod.fine_tune`."""
     widths = {"hidden": arrays["weight0"].shape[2], "residual_hidden": arrays["residual_weight0"].shape[1]}
     config = fine_tuning_config({**settings, **widths}, steps)
     return train_coupled(data, config, seed, report=report, start=arrays)

@@ -19,7 +19,7 @@ def train_geort(
     device: str = "cpu",
     report: "Report | None" = None,
 ) -> TrainingResult:
-    """Trains one network per finger; see `Trainer`.
+    """Trains one network per finger; see `TrainedMethod.train`.
 
     It needs `labels`. With `collides` the collision classifier also learns from the retargeter's own outputs
     from time to time; without it the classifier is frozen. A finger that never pinches is named in a
