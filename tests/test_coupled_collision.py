@@ -20,22 +20,22 @@ def gap(R_A, R_B, p_AB, a, b) -> float:
 
 
 @pytest.mark.parametrize(
-    ("p_AB", "wanted"), [([3, 0, 0], 1.0), ([0, 1.5, 0], -0.5), ([0, 0, 2], 0.0), ([3, 3, 0], 2**0.5)]
+    ("p_AB", "expected"), [([3, 0, 0], 1.0), ([0, 1.5, 0], -0.5), ([0, 0, 2], 0.0), ([3, 3, 0], 2**0.5)]
 )
-def test_parallel_cubes_and_a_point(p_AB, wanted):
+def test_parallel_cubes_and_a_point(p_AB, expected):
     """Unit half edges: face to face; for a point at a corner the distance is Euclidean."""
     eye = np.eye(3)
-    b = [1, 1, 1] if wanted != 2**0.5 else [0, 0, 0]
-    p = p_AB if wanted != 2**0.5 else [2, 2, 0]
-    assert gap(eye, eye, p, [1, 1, 1], b) == pytest.approx(wanted, abs=1e-6)
+    b = [1, 1, 1] if expected != 2**0.5 else [0, 0, 0]
+    p = p_AB if expected != 2**0.5 else [2, 2, 0]
+    assert gap(eye, eye, p, [1, 1, 1], b) == pytest.approx(expected, abs=1e-6)
 
 
 def test_crossed_edges_are_separated_by_their_product():
     """Two cubes on edge, crossing at right angles: the gap along z is the height minus 2√2."""
     R_A, R_B = Rotation.from_euler("x", 45, True).as_matrix(), Rotation.from_euler("y", 45, True).as_matrix()
     for height in (2.5, 3.5):
-        wanted = height - 2 * 2**0.5
-        assert gap(R_A, R_B, [0, 0, height], [1, 1, 1], [1, 1, 1]) == pytest.approx(wanted, abs=1e-6)
+        expected = height - 2 * 2**0.5
+        assert gap(R_A, R_B, [0, 0, height], [1, 1, 1], [1, 1, 1]) == pytest.approx(expected, abs=1e-6)
 
 
 def test_the_sign_agrees_with_points_inside_both_boxes(rng):

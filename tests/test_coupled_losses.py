@@ -15,9 +15,9 @@ def normal(*shape, seed=0):
 def test_coverage_is_half_at_its_radius_and_bounded():
     """d⁴ / (d⁴ + c⁴) is 0 at d = 0, ½ at d = c and never above 1."""
     targets = torch.zeros(1, 3)
-    for distance, wanted in ((0.0, 0.0), (0.01, 0.5), (0.03, 81 / 82), (1e3, 1.0)):
+    for distance, expected in ((0.0, 0.0), (0.01, 0.5), (0.03, 81 / 82), (1e3, 1.0)):
         points = torch.tensor([[distance, 0.0, 0.0]])
-        assert float(losses.bounded_coverage_loss(points, targets, 0.01)) == pytest.approx(wanted, abs=1e-6)
+        assert float(losses.bounded_coverage_loss(points, targets, 0.01)) == pytest.approx(expected, abs=1e-6)
 
 
 def test_cross_talk_is_the_ratio_of_the_others_motion():
@@ -46,12 +46,12 @@ def test_an_even_response_costs_nothing_and_an_uneven_one_its_excess():
     d = 0.01 * torch.nn.functional.normalize(normal(1, 3, 3), dim=-1)
     assert float(losses.uniform_response_loss(d, 1.7 * d, 0.6)) == 0.0
     answer = d * torch.tensor([1.0, 1.0, 10.0])[:, None]
-    wanted = (math.log(10) - 0.6) / 3
-    assert float(losses.uniform_response_loss(d, answer, 0.6)) == pytest.approx(wanted, rel=1e-3)
+    expected = (math.log(10) - 0.6) / 3
+    assert float(losses.uniform_response_loss(d, answer, 0.6)) == pytest.approx(expected, rel=1e-3)
 
 
-def test_pinch_is_best_at_the_wanted_distance():
-    """e² / (1 + e): 0 where wanted, ½ one scale away; weights select the pairs."""
+def test_pinch_is_best_at_the_target_distance():
+    """e² / (1 + e): 0 where expected, ½ one scale away; weights select the pairs."""
     distances = torch.tensor([[0.012, 0.5], [0.020, 0.5]])
     weights = torch.tensor([[1.0, 0.0], [1.0, 0.0]])
     assert float(losses.pinch_distance_loss(distances, weights, 0.012, 0.008)) == pytest.approx(

@@ -42,7 +42,7 @@ def test_only_plain_fields_are_settings():
     ],
 )
 def test_what_is_no_setting_is_refused(text, message):
-    """Form, type and name, each with what was wanted."""
+    """Form, type and name, each with what was expected."""
     with pytest.raises(GeortError, match=message):
         parse_settings([text], Config, "the toy")
     assert issubclass(UnknownNameError, GeortError)

@@ -66,13 +66,13 @@ def test_outside_is_told_at_the_very_update_and_measured_only_where_needed(monke
     retarget.trained_space = space
     bench = Bench(retarget, checks=AT_ONCE)
     scales = 1.15 + 0.15 * np.sin(np.arange(400) / 15)
-    states, wanted = [], []
+    states, expected = [], []
     for keypoints, scale in zip(hands(400), scales, strict=True):
         *_, status = bench.tick(scale * keypoints)
         assert status.distance == distances(space, scale * keypoints).max()
         states.append(status.state == OUTSIDE)
-        wanted.append(status.distance > 0.02)
-    assert states == wanted
+        expected.append(status.distance > 0.02)
+    assert states == expected
     assert 0.2 < np.mean(states) < 0.8 and np.count_nonzero(np.diff(states)) > 5
     # Once for each status, which is asked for at every frame here.
     assert len(measured) - len(states) < 0.6 * len(states)
@@ -111,8 +111,8 @@ def test_the_map_has_exact_gradients_in_autodiff():
     context = differentiable.CreateDefaultContext()
     differentiable.get_input_port().FixValue(context, InitializeAutoDiff(keypoints.ravel())[:, 0])
     q = differentiable.get_output_port().Eval(context)
-    wanted = np.zeros((16, 21, 3))
-    wanted[:, list(TIPS)] = retarget.jacobian(keypoints)[::-1]
-    np.testing.assert_allclose(ExtractGradient(q[:, None]).reshape(16, 21, 3), wanted, atol=1e-12)
+    expected = np.zeros((16, 21, 3))
+    expected[:, list(TIPS)] = retarget.jacobian(keypoints)[::-1]
+    np.testing.assert_allclose(ExtractGradient(q[:, None]).reshape(16, 21, 3), expected, atol=1e-12)
     with pytest.raises(HandError, match="the retargeter moves"):
         RetargetingMap(retarget, ("a",))
