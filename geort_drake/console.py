@@ -62,18 +62,67 @@ def print_table(
     console.print(table)
 
 
-def progress_bar() -> Progress:
-    """A progress display for work that may take over two seconds; use as a context manager."""
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
-        console=console,
-        disable=console.quiet,
-    )
+class Display(Progress):
+    """Progress bars on stderr, one per task."""
+
+    def counter(self, label: str) -> Callable[..., None]:
+        """A callback (done, total, note="") that draws a bar; it appears with the first call."""
+        task: TaskID | None = None
+
+        def update(done: int, total: int | None, note: str = "") -> None:
+            nonlocal task
+            if task is None:
+                task = self.add_task(label, total=total, note="")
+            self.update(task, completed=done, total=total, note=note)
+
+        return update
+
+    def losses(self, label: str, also: "Report | None") -> "Report":
+        """A `Report` callback that shows the losses of a training and then calls `also`."""
+        update = self.counter(label)
+
+        def report(step: int, steps: int, losses: dict[str, float], network: Any) -> None:
+            note = "  ".join(f"{key} {losses[key]:.3f}" for key in _SHOWN_LOSSES if key in losses)
+            update(step, steps, note)
+            if also is not None:
+                also(step, steps, losses, network)
+
+        return report
+
+    @contextlib.contextmanager
+    def spinner(self, label: str) -> Iterator[None]:
+        """A bar of one step for the duration of a block."""
+        update = self.counter(label)
+        update(0, 1)
+        yield
+        update(1, 1)
+
+
+_display: Display | None = None
+
+
+@contextlib.contextmanager
+def progress_bar(shown: bool = True) -> Iterator[Display]:
+    """A display for work that may take over two seconds.
+
+    Bars of a display inside another join that one, and vanish with their block.
+    """
+    global _display  # noqa: PLW0603 (a terminal has one display)
+    if not shown or console.quiet:
+        yield Display(disable=True)
+    elif _display is not None:
+        before = {*_display.task_ids}
+        yield _display
+        for task in {*_display.task_ids} - before:
+            _display.remove_task(task)
+    else:
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        note = TextColumn("{task.fields[note]}")
+        with Display(*columns, TimeRemainingColumn(), note, console=console) as _display:
+            try:
+                yield _display
+            finally:
+                _display = None
 
 
 def track(
@@ -85,65 +134,12 @@ def track(
         total: how many items there are; None if unknown.
         note: text shown for the last item.
     """
-    with progress_bar() as progress:
-        task = progress.add_task(label, total=total, note="")
-        for item in items:
-            progress.update(task, note=note(item))
+    with progress_bar() as display:
+        update = display.counter(label)
+        for done, item in enumerate(items):
+            update(done, total, note(item))
             yield item
-            progress.advance(task)
-
-
-class TrainingBars:
-    """Progress bars of one training, as a context manager.
-
-    Args:
-        shown: False shows nothing.
-    """
-
-    def __init__(self, shown: bool = True):
-        self._progress = progress_bar() if shown else None
-
-    def __enter__(self) -> "TrainingBars":
-        if self._progress is not None:
-            self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._progress is not None:
-            self._progress.stop()
-
-    def counter(self, name: str) -> Callable[..., None]:
-        """A callback (done, total, note="") that draws a bar; it appears with the first call."""
-        task: TaskID | None = None
-
-        def update(done: int, total: int, note: str = "") -> None:
-            nonlocal task
-            if self._progress is not None:
-                if task is None:
-                    task = self._progress.add_task(name, total=total, note="")
-                self._progress.update(task, completed=done, total=total, note=note)
-
-        return update
-
-    def losses(self, name: str, also: "Report | None") -> "Report":
-        """A `Report` callback that shows the losses and then calls `also`."""
-        update = self.counter(name)
-
-        def report(step: int, steps: int, losses: dict[str, float], network: Any) -> None:
-            note = "  ".join(f"{key} {losses[key]:.3f}" for key in _SHOWN_LOSSES if key in losses)
-            update(step, steps, note)
-            if also is not None:
-                also(step, steps, losses, network)
-
-        return report
-
-    @contextlib.contextmanager
-    def spinner(self, name: str) -> Iterator[None]:
-        """A bar of one step for the duration of a block."""
-        update = self.counter(name)
-        update(0, 1)
-        yield
-        update(1, 1)
+            update(done + 1, total, note(item))
 
 
 def exit_code_of(function: Callable[[], int | None]) -> int:

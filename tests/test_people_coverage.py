@@ -125,7 +125,7 @@ def test_the_watch_ends_when_nothing_is_missing(tmp_path, shown, capsys):
     half = len(recording) // 2
     Recording(recording.t[:half], recording.p_HK[:half], recording.valid[:half]).save(path)
     module = load_script("import_recording.py")
-    module._LOOK_EVERY_S = 0.05
+    module._POLL_PERIOD_S = 0.05
     ended = threading.Event()
 
     def finish():

@@ -144,11 +144,11 @@ def repeat(folder: Path, method: str, thing: str, seed: int, condition: str = ""
     from geort_drake.benchmark.folder import code_has_changed, repeat_trial
     from geort_drake.benchmark.records import TrialKey
     from geort_drake.benchmark.report import write_grasp_report
-    from geort_drake.console import TrainingBars, say, warn
+    from geort_drake.console import progress_bar, say, warn
 
     if code_has_changed(folder):
         warn("the trials' code has changed since; the outcome may differ")
-    with TrainingBars() as bars, bars.spinner("simulating"):
+    with progress_bar() as display, display.spinner("simulating"):
         record, path = repeat_trial(folder, TrialKey(method, thing, seed, condition))
     if "error" in record:
         say(record["error"])

@@ -64,27 +64,19 @@ def add_reading_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake.errors import RecordingError
-    from geort_drake.people.checks import examine, noted, refuse
+    from geort_drake.people.checks import noted
     from geort_drake.people.checks.findings import Finding, Severity
     from geort_drake.people.checks.report import report
-    from geort_drake.people.readers import open_recording
 
-    name = str(arguments.input)
     if arguments.watch:
         _watch(arguments)
-    recording, findings = None, list[Finding]()
+    name, findings = str(arguments.input), list[Finding]()
     try:
-        recording, findings = open_recording(
-            arguments.input, arguments.side, arguments.format, arguments.unit, arguments.rate
-        )
-        recording, found = examine(recording)
-        findings += found
-        refuse(name, findings)
-        recording = recording.mirrored() if arguments.mirror else recording
+        recording = _read(arguments, findings)
     except RecordingError as error:
         # A file that cannot be read has no finding of a check.
         read = findings or [Finding("file", Severity.ERROR, str(error).removeprefix(f"{name}: "))]
-        write_json(arguments.json, report(name, recording, read))
+        write_json(arguments.json, report(name, None, read))
         raise
     result = report(name, recording, findings)
     _print(result, findings)
@@ -101,6 +93,20 @@ def run(arguments: argparse.Namespace) -> int:
         following = command("grasp", "--recording", arguments.output or arguments.input, "--hand", hand)
     finish(written, following)
     return 0
+
+
+def _read(arguments: argparse.Namespace, findings: "list[Finding]") -> "Recording":
+    """Reads and checks the recording; adds what was found to `findings`, also if it is refused."""
+    from geort_drake.people.checks import examine, refuse
+    from geort_drake.people.readers import open_recording
+
+    options = arguments.side, arguments.format, arguments.unit, arguments.rate
+    recording, found = open_recording(arguments.input, *options)
+    findings += found
+    recording, found = examine(recording)
+    findings += found
+    refuse(str(arguments.input), findings)
+    return recording.mirrored() if arguments.mirror else recording
 
 
 def _print(result: dict[str, Any], findings: "Sequence[Finding]") -> None:
@@ -163,16 +169,10 @@ def _coverage_table(arguments: argparse.Namespace) -> "tuple[Table, bool]":
     from rich.table import Table
 
     from geort_drake.errors import RecordingError
-    from geort_drake.people.checks import examine, refuse
     from geort_drake.people.coverage import coverage
-    from geort_drake.people.readers import open_recording
 
     try:
-        recording, _ = open_recording(
-            arguments.input, arguments.side, arguments.format, arguments.unit, arguments.rate
-        )
-        recording, findings = examine(recording)
-        refuse(str(arguments.input), findings)
+        recording = _read(arguments, [])
     except RecordingError as error:
         # A file that is being written may be empty, or end within a frame.
         table = Table("waiting", box=None)

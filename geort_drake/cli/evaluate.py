@@ -4,9 +4,8 @@ geort-drake evaluate --recording alex.npy --methods geort vector_online --json t
 """
 
 import argparse
-from collections.abc import Callable, Sequence
+import itertools
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from geort_drake.cli.options import (
     STDOUT,
@@ -18,12 +17,6 @@ from geort_drake.cli.options import (
     require_distinct,
     write_json,
 )
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
-
-    from geort_drake.comparison.comparison import Comparison, Outcome
-    from geort_drake.people.recording import Recording
 
 EPILOG = f"""\
 {method_help()}
@@ -64,11 +57,12 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from geort_drake import HandModel, load_hand, read_recording
-    from geort_drake.comparison.comparison import Comparison, check_methods, method_names
+    from geort_drake import HandModel, Recording, load_hand, read_recording
+    from geort_drake.comparison.comparison import Comparison, Outcome, check_methods, method_names
     from geort_drake.comparison.plots import write_plots
     from geort_drake.comparison.protocols import SAME_PERSON, held_out, other_person, same_person
     from geort_drake.comparison.report import failures, report, tables
+    from geort_drake.comparison.train import cached_checkpoint
     from geort_drake.console import console, progress_bar, warn
 
     # Contradictions are found before anything is read.
@@ -87,10 +81,19 @@ def run(arguments: argparse.Namespace) -> int:
         others = {str(path): read_recording(path, description.side) for path in arguments.score_on}
         protocols.append(other_person(recording, others))
 
-    with progress_bar() as progress:
-        trainer = _trainer(arguments.hand, progress)
-        comparison = Comparison(hand, protocols, arguments.seeds, trainer, arguments.frames)
-        results = _run(comparison, methods, arguments, recording, progress)
+    def checkpoint_of(learned: Recording, method: str, seed: int) -> Path:
+        return cached_checkpoint(arguments.hand, learned, method, seed)[0]
+
+    comparison = Comparison(hand, protocols, arguments.seeds, checkpoint_of, arguments.frames)
+    results: dict[str, dict[str, list[Outcome]]] = {}
+    done, total = itertools.count(), comparison.cases_per_method * len(methods)
+    with progress_bar() as display:
+        update = display.counter("evaluation")
+        for name in methods:
+            results[name] = comparison.run(name, lambda note: update(next(done), total, note))
+            draft = report(comparison, results, recording, arguments.recording.name)
+            write_json(arguments.json, draft, done=False)
+        update(total, total)
     for table in tables(comparison, results):
         console.print(table)
     for line in failures(results):
@@ -106,45 +109,3 @@ def run(arguments: argparse.Namespace) -> int:
         console.print("Nothing was written: --json FILE keeps these figures, and --plots FOLDER draws them.")
     finish(written)
     return 1 if any(failures(results)) else 0
-
-
-def _run(
-    comparison: "Comparison",
-    methods: Sequence[str],
-    arguments: argparse.Namespace,
-    recording: "Recording",
-    progress: "Progress",
-) -> dict[str, dict[str, list["Outcome"]]]:
-    """Judges every method, and writes what is known to the JSON file whenever one is done."""
-    from geort_drake.comparison.report import report
-
-    results = {}
-    total = comparison.cases_per_method * len(methods)
-    task = progress.add_task("evaluation", total=total, note="")
-    done = -1
-
-    def starts(note: str) -> None:
-        nonlocal done
-        done += 1
-        progress.update(task, completed=done, note=note)
-
-    for name in methods:
-        results[name] = comparison.run(name, starts)
-        content = report(comparison, results, recording, arguments.recording.name)
-        write_json(arguments.json, content, done=False)
-    progress.update(task, completed=total, note="")
-    return results
-
-
-def _trainer(hand_name: str, progress: "Progress") -> "Callable[[Recording, str, int], Path]":
-    """`cached_checkpoint`, with the bars of training in place of these ones."""
-    from geort_drake.comparison.train import cached_checkpoint
-
-    def train(recording: "Recording", method: str, seed: int) -> Path:
-        progress.stop()
-        try:
-            return cached_checkpoint(hand_name, recording, method, seed)[0]
-        finally:
-            progress.start()
-
-    return train

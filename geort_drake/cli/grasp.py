@@ -103,13 +103,13 @@ def run(arguments: argparse.Namespace) -> int:
 
     person = HumanHand.fit(recording)
     results = []
-    with progress_bar() as progress:
-        task = progress.add_task("grasping", total=len(scenarios), note="")
-        for scenario in scenarios:
+    with progress_bar() as display:
+        update = display.counter("grasping")
+        for done, scenario in enumerate(scenarios):
             stem = f"{scenario.object.name}-{scenario.random_seed}"
 
-            def show(t: float, stem: str = stem) -> None:
-                progress.update(task, note=f"{stem}: {t:.1f} s simulated")
+            def show(t: float, done: int = done, stem: str = stem) -> None:
+                update(done, len(scenarios), f"{stem}: {t:.1f} s simulated")
 
             result, glove = run_trial(
                 scenario,
@@ -121,7 +121,7 @@ def run(arguments: argparse.Namespace) -> int:
             )
             glove.save(arguments.output / f"{stem}.glove.npz")
             results.append(result)
-            progress.update(task, advance=1, note="")
+        update(len(scenarios), len(scenarios))
 
     report = {
         "version": __version__,

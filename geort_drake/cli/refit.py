@@ -23,11 +23,11 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import refit_checkpoint
-    from geort_drake.console import TrainingBars, print_table, say
+    from geort_drake.console import print_table, progress_bar, say
     from geort_drake.retargeting.checkpoint import METRICS, load_checkpoint
 
-    with TrainingBars() as bars:
-        update = bars.counter("fitting")
+    with progress_bar() as display:
+        update = display.counter("fitting")
         path = refit_checkpoint(
             arguments.checkpoint,
             arguments.recording,

@@ -16,7 +16,7 @@ import numpy as np
 
 from geort_drake.comparison.metrics import evaluate
 from geort_drake.comparison.versions import git_state, versions
-from geort_drake.console import TrainingBars
+from geort_drake.console import progress_bar
 from geort_drake.errors import CheckpointError, GeortError, HandError, RecordingError
 from geort_drake.files import digest_of
 from geort_drake.hands.canonical import canonical_kinematics, canonical_shapes
@@ -134,7 +134,7 @@ def train_checkpoint(
     hand = HandModel(description)
     kinematics = canonical_kinematics(hand)
     timings: dict[str, float] = {}
-    with TrainingBars(show_progress) as bars:
+    with progress_bar(show_progress) as bars:
         with _timed(timings, "recording_s"):
             if recording is None:
                 recording = synthesize_play(seed, side=description.side)
