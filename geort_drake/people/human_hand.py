@@ -1,12 +1,10 @@
 """A human hand as a kinematic model: 20 joints, four per finger, from angles to keypoints and back.
 
-Every finger, the thumb included, is the same chain. Its base frame B_i sits in the palm with z along
-the straight finger and x towards the side the finger closes to. A universal joint (MCP, of the thumb
-CMC) flexes about y of B_i and then abducts about the turned −x, the order of the ISB's joint
-coordinate system (Wu et al. 2005, J. Biomech. 38:981), which also fits recorded gloves: with the
-order reversed, the plane in which PIP and DIP bend would twist by 20° and more about the finger.
-Two parallel hinges follow (PIP and DIP, of the thumb MCP and IP), turned about the bone by a fixed
-twist. So a finger bends in a plane, and its forward kinematics has a short closed form.
+Every finger, the thumb included, is the same chain. Its base frame B sits in the palm with z along the
+straight finger and x towards the side the finger closes to. A universal joint (MCP, of the thumb CMC)
+flexes about y of B and then abducts about the turned −x, as in the ISB's joint coordinate system (Wu et al.
+2005, J. Biomech. 38:981). Two parallel hinges follow (PIP and DIP, of the thumb MCP and IP), turned about
+the bone by a fixed twist. So a finger bends in a plane, and its forward kinematics has a short closed form.
 """
 
 import dataclasses
@@ -33,15 +31,12 @@ _THUMB_AZIMUTH = np.deg2rad(25.0)
 
 # Anatomy of an adult, finger by finger from thumb to little.
 #
-# Bases: across (y) and along (z) the palm from An et al. 1979 and Buchholz et al. 1992 (J. Biomech.
-# 25:261) as shares of hand breadth and length; the heights x, and the thumb's CMC, which those
-# papers refer to another frame, are means of two calibrated MANUS gloves as shares of breadth
-# (x, y) and length (z).
+# Bases: y and z from An et al. 1979 and Buchholz et al. 1992 (J. Biomech. 25:261) as shares of hand breadth
+# and length; x and the thumb's CMC are means of two calibrated MANUS gloves.
 _BASE_BREADTH = np.array([[0.167, 0.240], [0.043, 0.252], [0.0, 0.0], [0.043, -0.206], [0.097, -0.402]])
 _BASE_LENGTH = np.array([0.101, 0.447, 0.446, 0.409, 0.368])
-# Bones as shares of hand length: Buchholz et al. 1992; the proximal ones are 1.853, 1.631, 1.570
-# and 1.760 times the middle ones. The last ones reach the skin: with the base, the shares of the
-# middle finger add up to one.
+# Bones as shares of hand length: Buchholz et al. 1992. The last ones reach the skin: with the base, the
+# shares of the middle finger add up to one.
 _BONE_LENGTH = np.array(
     [
         [0.251, 0.196, 0.158],
@@ -51,15 +46,14 @@ _BONE_LENGTH = np.array(
         [0.206, 0.117, 0.093],
     ]
 )
-# The planes in which the fingers bend converge towards the thumb by this much, and the thumb is
-# pronated by it: rounded means of the fits to two glove recordings (GeoRT's and MANUS).
+# How far the planes in which the fingers bend converge towards the thumb, and the thumb is pronated: rounded
+# means of the fits to two glove recordings (GeoRT's and MANUS).
 _CONVERGENCE_DEG = np.array([0.0, 3.0, 6.0, 9.0, 9.0])
 _THUMB_TWIST_DEG = 10.0
-# Limits, deg, as (lower, upper) of abduction and three flexions. Flexions: clinical norms (MCP 45
-# hyperextension to 90, PIP 0–100, DIP 0–80; thumb MCP −10–55, IP −15–80), of which active motion
-# uses 30° of MCP hyperextension and a little beyond straight in the DIP; thumb CMC −25–35 and
-# abduction −10–60 (clinical: palmar abduction 45, radial 60). Finger abduction: ranges of a MANUS
-# recording (0.5th to 99.5th percentile), which exceed clinical spreads taken with straight fingers.
+# Limits, deg, as (lower, upper) of abduction and three flexions. Flexions and the thumb: clinical norms, of
+# which active motion uses 30° of MCP hyperextension and a little beyond straight in the DIP. Finger
+# abduction: ranges of a MANUS recording (0.5th to 99.5th percentile), which exceed clinical spreads taken
+# with straight fingers.
 _LIMITS_DEG = np.array(
     [
         [(-10, 60), (-25, 35), (-10, 60), (-15, 80)],
@@ -75,9 +69,9 @@ _LIMITS_DEG = np.array(
 class HumanHand:
     """Geometry and joint limits of one hand; a right one, or a left one mirrored.
 
-    Joint order: finger by finger from the thumb, each with abduction, flexion, flexion, flexion
-    (`joint_names`). Abduction is positive towards the index side (+y), of the thumb away from the
-    palm (+x); flexion is positive. Angles in rad, lengths in m, points in the wrist frame H.
+    Joints: finger by finger from the thumb, each with abduction and three flexions (`joint_names`).
+    Abduction is positive towards the index side (+y), of the thumb away from the palm (+x); flexion is
+    positive. Angles in rad, lengths in m, points in the wrist frame H.
 
     Attributes:
         p_HB: (5, 3) the fingers' base points (thumb CMC, the other fingers' MCP).
@@ -150,13 +144,15 @@ class HumanHand:
         iterations: int = 20,
         damping_m: float = 2e-3,
     ) -> np.ndarray:
-        """Joint angles (..., 20) within the limits that bring the tips nearest to p_target (..., 5, 3).
+        """Joint angles (..., 20) within the limits that bring the tips nearest to p_target (..., 5, 3), m.
 
-        Damped least squares (Levenberg steps with fixed damping), every finger for itself; the
-        redundant motion stays where theta0 (..., 20) puts it.
+        Damped least squares with fixed damping, for each finger; redundant motion stays as in theta0.
 
         Args:
+            p_target: of the tips, m.
+            theta0: (..., 20) angles to start from, rad.
             weights: (5,) importance of each target; with 0 the finger stays at theta0.
+            iterations: number of steps.
             damping_m: steps are damped where a radian moves the tip by less than this.
         """
         theta = np.clip(np.asarray(theta0, dtype=float), self.lower, self.upper)
@@ -168,12 +164,12 @@ class HumanHand:
             J = weight[:, None, None] * self.fingertip_jacobians(theta)
             angles = theta.reshape(*theta.shape[:-1], 5, 4)
             free = np.ones_like(angles)
-            # A joint that would leave its range is taken out, so that the others make up for it.
+            # A joint that would leave its range is fixed, so that the others make up for it.
             for _ in range(2):
                 Jf = J * free[..., None, :]
                 Jt = np.swapaxes(Jf, -1, -2)
                 step = (Jt @ np.linalg.solve(Jf @ Jt + damping, error[..., None]))[..., 0]
-                # Far targets and straight fingers ask for steps beyond what the derivative is good for.
+                # Far targets and straight fingers give steps beyond the range of the derivative.
                 step /= np.maximum(np.abs(step).max(axis=-1, keepdims=True) / _LARGEST_STEP, 1.0)
                 moved = angles + step
                 free = free * ((moved >= lower) & (moved <= upper))
@@ -183,8 +179,7 @@ class HumanHand:
     def fit_angles(self, p_HK: np.ndarray, iterations: int = 8) -> np.ndarray:
         """Joint angles (T, 20), rad, within the limits that reproduce keypoints p_HK (T, 21, 3), m.
 
-        The bones' directions give the angles in closed form; a few damped least-squares steps then
-        move the remaining error from the tips to the joints between.
+        The bones' directions give the angles in closed form; least-squares steps then reduce the tips' error.
         """
         p_HK = np.asarray(p_HK, dtype=float)
         theta = np.clip(_angles(_bone_directions(p_HK), self.R_HB, self.twist), self.lower, self.upper)
@@ -213,9 +208,9 @@ class HumanHand:
     def fit(cls, recording: Recording) -> "HumanHand":
         """The hand of the person recorded.
 
-        Palm and bone lengths are medians over the valid frames; the base frames and twists are those
-        in which the recorded fingers bend most nearly in a plane; joint limits are the observed
-        range (0.5th to 99.5th percentile) widened by 2°.
+        Palm and bone lengths are medians over the valid frames. In the base frames and twists, the recorded
+        fingers bend most nearly in a plane. Joint limits are the observed range (0.5th to 99.5th percentile)
+        widened by 2°.
 
         Raises:
             RecordingError: fewer than ten valid frames.
@@ -239,8 +234,8 @@ class HumanHand:
         )
 
     def _first_bone(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
-        """In the base frames (..., 5, 3): the first bone z, the direction x its hinges bend it to,
-        y that abduction moves it to; sin of the twist (5,); angles (..., 5, 2) of bones two and three.
+        """In B (..., 5, 3): the first bone z, its directions x of bending and y of abduction; sin of the twist
+        (5,); angles (..., 5, 2) of bones two and three to the first.
         """
         angles = theta.reshape(*theta.shape[:-1], 5, 4)
         c, s = np.cos(angles[..., :2]), np.sin(angles[..., :2])

@@ -1,4 +1,4 @@
-"""A picture of where a person's fingertips went, against where a robot's can go."""
+"""Draws where a person's fingertips went, against where a robot's can go."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -6,7 +6,6 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from geort_drake.colours import FINGER_COLOURS
@@ -15,21 +14,17 @@ from geort_drake.people.keypoints import TIP_KEYPOINT
 from geort_drake.people.recording import Recording
 
 _POINTS = 4000
-# A grey that is read on white paper and on a dark page; there is no background of its own.
-_GREY = "#7f7f7f"
+_GREY = "#7f7f7f"  # readable on white paper and on a dark page; the background is transparent
+_GREY_PARTS = ("axes.edgecolor", "axes.labelcolor", "text.color", "xtick.color", "ytick.color")
 _STYLE: Any = {
-    "axes.edgecolor": _GREY,
-    "axes.facecolor": "none",
-    "axes.labelcolor": _GREY,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.titlecolor": _GREY,
-    "figure.facecolor": "none",
+    **dict.fromkeys(_GREY_PARTS, _GREY),
+    **dict.fromkeys(("axes.facecolor", "figure.facecolor", "savefig.facecolor"), "none"),
+    **dict.fromkeys(("axes.spines.right", "axes.spines.top"), False),
     "font.size": 9,
-    "savefig.facecolor": "none",
-    "text.color": _GREY,
-    "xtick.color": _GREY,
-    "ytick.color": _GREY,
+}
+_PLANES = {
+    "from the side": ((0, 2), "x, out of the palm, mm"),
+    "from the palm": ((1, 2), "y, to the index side, mm"),
 }
 
 
@@ -44,35 +39,30 @@ def draw_fingertips(
         robot_name: of the hand, for the title.
         path: of the picture.
     """
+    human = 1e3 * recording.fingertips([TIP_KEYPOINT[finger] for finger in robot])
+    reach = 1e3 * np.stack(list(robot.values()), axis=1)
+    # Wrist and hand base differ in place, so the clouds are centred on each other as a whole.
+    reach += human.mean(axis=(0, 1)) - reach.mean(axis=(0, 1))
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(2.3 * len(robot) + 0.8, 6.2), layout="constrained", dpi=130)
-        rows = figure.subplots(2, len(robot), sharey=True, sharex="row", squeeze=False)
-        human = 1e3 * recording.fingertips([TIP_KEYPOINT[finger] for finger in robot])
-        reach = 1e3 * np.stack(list(robot.values()), axis=1)
-        # Wrist and hand base are not the same place, so the hands are laid upon each other as a whole.
-        reach += human.mean(axis=(0, 1)) - reach.mean(axis=(0, 1))
-        for column, finger in enumerate(robot):
-            for row, plane in enumerate(((0, 2), (1, 2))):
-                axes = rows[row, column]
-                _cloud(axes, reach[:, column][:, plane], _GREY, 0.3)
-                _cloud(axes, human[:, column][:, plane], FINGER_COLOURS[finger], 0.6)
-                axes.set_aspect("equal")
+        grid = figure.subplots(2, len(robot), sharey=True, sharex="row", squeeze=False)
+        for row, (view, (plane, x_label)) in zip(grid, _PLANES.items(), strict=True):
+            for column, (finger, axes) in enumerate(zip(robot, row, strict=True)):
+                clouds = ((reach, _GREY, 0.3), (human, FINGER_COLOURS[finger], 0.6))
+                for points, colour, alpha in clouds:
+                    some = np.linspace(0, len(points) - 1, min(len(points), _POINTS)).astype(int)
+                    x, y = points[some, column][:, plane].T
+                    axes.plot(x, y, ".", ms=1.6, mew=0, alpha=alpha, color=colour, rasterized=True)
                 axes.plot(0.0, 0.0, "+", color=_GREY, ms=9)
-            rows[0, column].set_title(finger, color=FINGER_COLOURS[finger], weight="bold")
-            rows[0, column].set_xlabel("x, out of the palm, mm")
-            rows[1, column].set_xlabel("y, to the index side, mm")
-        for row, view in zip(rows, ("from the side", "from the palm"), strict=True):
+                axes.set_aspect("equal")
+                axes.set_title(finger if plane[0] == 0 else "", color=FINGER_COLOURS[finger], weight="bold")
+            row[0].set_xlabel(x_label)
             row[0].set_ylabel(f"{view}\nz, along the fingers, mm")
         source = recording.metadata.get("source", "recording")
         figure.suptitle(
             f"coloured: fingertips of {source}, measured from the wrist (+)\n"
-            f"grey: what the fingertips of {robot_name} reach, the whole hand moved to the person's",
+            f"grey: reach of {robot_name}'s fingertips, the whole hand moved to the person's",
             fontsize="medium",
         )
         with atomic_path(path) as draft:
             figure.savefig(draft)
-
-
-def _cloud(axes: Axes, points: np.ndarray, colour: str, alpha: float) -> None:
-    some = points[np.linspace(0, len(points) - 1, min(len(points), _POINTS)).astype(int)]
-    axes.plot(*some.T, ".", ms=1.6, mew=0, alpha=alpha, color=colour, rasterized=True)

@@ -1,10 +1,9 @@
-"""Synthetic "five minutes of play": the hand motion GeoRT asks of a person, made from a seed.
+"""Synthetic "five minutes of play": the hand motion that training needs, made from a seed.
 
-The hand sweeps every finger through its range, waves, makes fists, spreads, and pinches the thumb to
-each finger at varied places. Motion is a sequence of minimum-jerk movements between postures (Flash
-& Hogan 1985, J. Neurosci. 5:1688); then come the glove's faults, jitter and slow drift. The amounts
-are chosen so that the fingertips' workspace, speed and pinches lie between those of two recordings
-of real gloves; `tests/test_people_play.py` holds the figures.
+The hand sweeps every finger through its range, waves, makes fists, spreads, and pinches the thumb to each
+finger at varied places: minimum-jerk movements between postures (Flash & Hogan 1985, J. Neurosci. 5:1688),
+with a glove's jitter and slow drift. Workspace, speed and pinches of the fingertips lie between those of
+two recordings of real gloves; `tests/test_people_play.py` holds the figures.
 """
 
 import dataclasses
@@ -51,9 +50,9 @@ def synthesize_play(
         seed: seed or generator.
         duration_s: length of the recording, s.
         rate_hz: frames per second; the default is that of common gloves.
-        hand: whose hand; by default an adult's average one. Pinches it cannot reach are left out.
-        jitter: scale of jitter, tremor and drift; 0 leaves the movements alone.
-        side: of the hand; a left one, as it is described in its mirror image, moves as the right one does.
+        hand: by default an average adult's. Pinches it cannot reach are left out.
+        jitter: scale of jitter, tremor and drift.
+        side: of the hand; a left one is described by its mirror image, so the keypoints are the same.
 
     Raises:
         UnknownNameError: there is no such side.
@@ -85,7 +84,7 @@ def record(
     jitter: float,
     rng: np.random.Generator,
 ) -> Recording:
-    """What a glove would record of a hand on its way through a timeline, faults of the glove included."""
+    """The recording of a hand that follows a timeline, with a glove's noise."""
     t = np.arange(max(2, round(duration_s * rate_hz))) / rate_hz
     theta = _minimum_jerk(t, np.array(timeline.times), np.stack(timeline.postures))
     theta = np.clip(theta + jitter * _glove_noise(len(t), rate_hz, rng), hand.lower, hand.upper)
@@ -93,7 +92,7 @@ def record(
 
 
 class Timeline:
-    """Postures in the order they are reached, and when.
+    """Postures and the times at which they are reached.
 
     Attributes:
         times: s.
@@ -140,15 +139,14 @@ def _play(hand: HumanHand, duration_s: float, rng: np.random.Generator) -> Timel
 
 
 def sweep(timeline: Timeline, finger: int, rng: np.random.Generator) -> None:
-    """One finger through its range: abducting at several flexions, then anywhere; others follow a little."""
+    """Moves one finger through its range: abducting at several flexions, then anywhere."""
     rest = resting(rng)
     targets = [*_abduction_sweeps(finger, rng), *(_anywhere(finger, rng) for _ in range(5))]
     for target in targets:
-        theta = _around(rest, 9.0, rng)  # resting fingers never keep quite still
+        theta = _around(rest, 9.0, rng)  # resting fingers are never quite still
         theta[finger] = target
         if finger != _THUMB:
-            # Fingers are not independent: neighbours follow by a fifth ("enslaving",
-            # Zatsiorsky et al. 2000, Exp. Brain Res. 131:187).
+            # Neighbours follow by a fifth (Zatsiorsky et al. 2000, Exp. Brain Res. 131:187).
             for neighbour in {max(finger - 1, 1), min(finger + 1, 4)} - {finger}:
                 theta[neighbour, 1:] += 0.2 * (target[1:] - rest[finger, 1:])
         timeline.move(np.deg2rad(theta), rng.uniform(0.18, 0.36))
@@ -173,7 +171,7 @@ def _anywhere(finger: int, rng: np.random.Generator) -> np.ndarray:
     if finger == _THUMB:
         return rng.uniform((-5, -18, -5, -10), (40, 22, 38, 60))
     proximal = rng.uniform(-28, 82)
-    # Bending the outer joints alone while the knuckle is far back is a hook; it occurs, but seldom.
+    # A hook, outer joints bent and the knuckle far back, is rare.
     middle = 98 * rng.beta(0.55, 0.65)
     low, high = _ABDUCTION[finger]
     abduction = _freedom(proximal) * rng.uniform(low, high)
@@ -181,12 +179,12 @@ def _anywhere(finger: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def _freedom(flexion_deg: float) -> float:
-    """Share of its abduction a knuckle keeps: its ligaments tighten with flexion."""
+    """Share of its abduction that a knuckle keeps, as flexion tightens its ligaments."""
     return 1.0 - 0.8 * np.clip(flexion_deg / 90, 0.0, 1.0)
 
 
 def fists(timeline: Timeline, rng: np.random.Generator) -> None:
-    """All fingers closed and stretched, twice."""
+    """Closes and stretches all fingers, twice."""
     for _ in range(2):
         timeline.move(np.deg2rad(_around(_FIST, 4.0, rng)), rng.uniform(0.25, 0.5))
         timeline.hold(rng.uniform(0.1, 0.3))
@@ -194,7 +192,7 @@ def fists(timeline: Timeline, rng: np.random.Generator) -> None:
 
 
 def spread(timeline: Timeline, rng: np.random.Generator) -> None:
-    """All fingers apart and together, at several flexions."""
+    """Spreads and closes all fingers, at several flexions."""
     for flexion in rng.permutation([-15.0, 10.0, 40.0]):
         for share in (1.0, -0.6):
             theta = FLAT + rng.uniform(0.0, 0.25) * (_FIST - FLAT)
@@ -205,7 +203,7 @@ def spread(timeline: Timeline, rng: np.random.Generator) -> None:
 
 
 def wave(timeline: Timeline, rng: np.random.Generator) -> None:
-    """Flexion runs from finger to finger, back and forth."""
+    """Runs a wave of flexion from finger to finger, back and forth."""
     start = _around(FLAT, 4.0, rng)
     depth = rng.uniform(0.5, 1.0)
     for step in range(12):
@@ -249,7 +247,7 @@ def pinch_postures(hand: HumanHand, finger: int, rng: np.random.Generator, count
 def _close(
     hand: HumanHand, finger: int, theta: np.ndarray, shift: np.ndarray, gap: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Brings thumb and finger together to `gap` about their midpoint, shifted; and whether they got there."""
+    """Brings thumb and finger to `gap` about their shifted midpoint; also returns whether they reach it."""
     theta = np.clip(theta, hand.lower, hand.upper)
     p_HF = hand.fingertips(theta)
     middle = 0.5 * (p_HF[:, _THUMB] + p_HF[:, finger]) + shift
@@ -260,7 +258,7 @@ def _close(
         apart *= (0.5 * gap / np.maximum(np.linalg.norm(apart, axis=1), 1e-6))[:, None]
         p_HF[:, _THUMB], p_HF[:, finger] = middle - apart, middle + apart
         theta = hand.solve_fingertips(p_HF, theta, weights, iterations=3)
-        # Where one of the two cannot follow, the other comes to meet it.
+        # Where one of the two cannot follow, the other meets it.
         p_HF = hand.fingertips(theta)
         middle = 0.5 * (p_HF[:, _THUMB] + p_HF[:, finger])
     reached = np.linalg.norm(p_HF[:, finger] - p_HF[:, _THUMB], axis=1) < _TIP_GAP_M[1] + 0.001
@@ -296,7 +294,7 @@ def _glove_noise(frames: int, rate_hz: float, rng: np.random.Generator) -> np.nd
 
 
 def resting(rng: np.random.Generator) -> np.ndarray:
-    """A posture (5, 4), deg, of fingers that nothing is asked of, each somewhat open or closed."""
+    """A posture (5, 4), deg, of resting fingers, each somewhat open or closed."""
     knuckles, beyond = rng.uniform(0.0, 0.6, 5), rng.uniform(0.0, 0.8, 5) ** 1.5
     share = np.column_stack([knuckles, knuckles, beyond, beyond])
     return _around(FLAT + share * (_FIST - FLAT), 5.0, rng)

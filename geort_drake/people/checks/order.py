@@ -1,6 +1,6 @@
-"""Whether 21 keypoints come in the order that is meant, and which other known order they come in.
+"""Whether 21 keypoints come in the expected order, and which other known order they come in.
 
-All is judged by distances, which neither the frame, the unit's size nor a mirror image changes.
+Everything is judged by distances, which do not depend on frame, unit or mirroring.
 """
 
 import itertools
@@ -13,21 +13,20 @@ from geort_drake.people.keypoints import FINGER_KEYPOINTS as _F
 
 # Which keypoint stands at each of the 21 places of a file, in the orders that data sets use.
 MANO_ORDER = (0, 5, 6, 7, 9, 10, 11, 17, 18, 19, 13, 14, 15, 1, 2, 3, 4, 8, 12, 16, 20)
+_TIPS_FIRST = tuple(k for chain in _F.values() for k in chain[::-1])
 ORDERS: dict[str, tuple[int, ...]] = {
     "wrist, then thumb to little finger, base to tip (MediaPipe)": tuple(range(21)),
     "MANO's joints, then the tips (HO-3D)": MANO_ORDER,
-    "wrist, index to little finger, then the thumb": (0, *range(5, 21), *_F["thumb"]),
+    "wrist, index to little finger, then the thumb": (0, *range(5, 21), *range(1, 5)),
     "wrist, then little finger to thumb": (0, *(k for name in reversed(_F) for k in _F[name])),
     "wrist, thumb, then little to index finger": (
-        0, *_F["thumb"], *(k for name in ("little", "ring", "middle", "index") for k in _F[name])
+        *range(5), *(k for name in ("little", "ring", "middle", "index") for k in _F[name])
     ),
-    "wrist, then each finger from tip to base (RHD)": (0, *(k for f in _F.values() for k in f[::-1])),
-    "each finger from tip to base, then the wrist (InterHand2.6M)": (
-        *(k for f in _F.values() for k in f[::-1]), 0
-    ),
+    "wrist, then each finger from tip to base (RHD)": (0, *_TIPS_FIRST),
+    "each finger from tip to base, then the wrist (InterHand2.6M)": (*_TIPS_FIRST, 0),
     "thumb to little finger, then the wrist": (*range(1, 21), 0),
     "wrist, the knuckles, then joint by joint to the tips": (
-        0, *(finger[joint] for joint in range(4) for finger in _F.values())
+        0, *(chain[joint] for joint in range(4) for chain in _F.values())
     ),
 }  # fmt: skip
 _RIGHT = next(iter(ORDERS))
@@ -37,48 +36,47 @@ _THUMB_JOINTS, _FINGER_JOINTS = ("CMC", "MCP", "IP", "tip"), ("MCP", "PIP", "DIP
 
 def _exchanges() -> dict[str, tuple[int, ...]]:
     """Orders in which two fingers, or two neighbouring joints of one or of every finger, are exchanged."""
-    made: dict[str, Iterable[tuple[int, int]]] = {
-        f"{a} and {b} finger": zip(_F[a], _F[b], strict=True) for a, b in itertools.combinations(_F, 2)
+    pairs: dict[str, list[tuple[int, ...]]] = {
+        f"{a} and {b} finger": list(zip(_F[a], _F[b], strict=True)) for a, b in itertools.combinations(_F, 2)
     }
     for i in range(3):
-        pairs = {finger: (k[i], k[i + 1]) for finger, k in _F.items()}
-        for finger, pair in pairs.items():
+        for finger, chain in _F.items():
             joints = _THUMB_JOINTS if finger == "thumb" else _FINGER_JOINTS
             whose = finger if finger == "thumb" else f"{finger} finger"
-            made[f"{joints[i]} and {joints[i + 1]} of the {whose}"] = [pair]
-        what = f"{_FINGER_JOINTS[i]} and {_FINGER_JOINTS[i + 1]} of every finger"
-        made[what] = list(pairs.values())
-        made[f"{what} but the thumb"] = list(pairs.values())[1:]
-    return {f"the same, but {what} exchanged": _exchanged(pairs) for what, pairs in made.items()}
+            pairs[f"{joints[i]} and {joints[i + 1]} of the {whose}"] = [chain[i : i + 2]]
+        every = f"{_FINGER_JOINTS[i]} and {_FINGER_JOINTS[i + 1]} of every finger"
+        pairs[every] = [chain[i : i + 2] for chain in _F.values()]
+        pairs[f"{every} but the thumb"] = pairs[every][1:]
+    return {f"the same, but {what} exchanged": _exchanged(which) for what, which in pairs.items()}
 
 
-def _exchanged(pairs: Iterable[tuple[int, int]]) -> tuple[int, ...]:
+def _exchanged(pairs: Iterable[tuple[int, ...]]) -> tuple[int, ...]:
     order = list(range(21))
     for a, b in pairs:
         order[a], order[b] = order[b], order[a]
     return tuple(order)
 
 
-# What data sets do not do, but programs of one's own.
+# Mistakes of users' own programs.
 EXCHANGES = _exchanges()
 
 
 def fitting_order(p: np.ndarray) -> str | None:
     """The order of `ORDERS` or `EXCHANGES` in which keypoints p (T, 21, 3) of any frame and unit are a hand.
 
-    The order that is meant, the first, is preferred where it fits nearly as well as another. None
-    where no order makes a hand of them.
+    The expected order, the first, is preferred where it fits nearly as well as another. None where no order
+    makes a hand of them.
     """
     p = p[np.linspace(0, len(p) - 1, min(len(p), 200)).astype(int)].astype(float)
     distances = np.linalg.norm(p[:, :, None] - p[:, None], axis=-1)
     middle = np.median(distances, axis=0)
     spread = np.median(np.abs(distances - middle), axis=0)
+    parents, children = np.array(BONES).T
     fits: dict[str, float] = {}
     for name, order in (ORDERS | EXCHANGES).items():
-        places = np.argsort(order)
-        grid = np.ix_(places, places)
+        grid = np.ix_(np.argsort(order), np.argsort(order))
         if not any(oddities(middle[grid])):
-            fits[name] = _bone_spread(middle[grid], spread[grid])
+            fits[name] = float(spread[grid][parents, children].mean() / middle[grid][0, 9])
     if not fits:
         return None
     best = min(fits, key=lambda name: fits[name])
@@ -86,14 +84,13 @@ def fitting_order(p: np.ndarray) -> str | None:
 
 
 def is_right(order: str | None) -> bool:
-    """Whether `fitting_order` found the order that is meant."""
+    """Whether `fitting_order` found the expected order."""
     return order == _RIGHT
 
 
 def oddities(distance: np.ndarray) -> Iterator[str]:
     """What is unlike a hand in the median distances (21, 21) between its keypoints, if they are in order."""
     knuckles = distance[0, [5, 9, 13, 17]]
-    palm = distance[0, 9]
     if distance[0, 1] > 0.75 * knuckles.min():
         yield "keypoint 1, the thumb's base, is not nearer to the wrist than the knuckles are"
     if knuckles.min() < 0.7 * knuckles.max():
@@ -104,17 +101,11 @@ def oddities(distance: np.ndarray) -> Iterator[str]:
         yield "the knuckles 5, 9, 13 and 17 do not follow each other across the palm"
     if distance[2, 5] > distance[2, 17]:
         yield "keypoint 2, of the thumb, is nearer to 17, the little finger, than to 5, the index finger"
-    inner = [(a, b) for a, b in BONES if a != 0]
-    longest = max(inner, key=lambda bone: distance[bone])
-    if distance[longest] > 0.75 * palm:
+    longest = max((bone for bone in BONES if bone[0] != 0), key=lambda bone: distance[bone])
+    if distance[longest] > 0.75 * distance[0, 9]:
         yield f"{longest[0]} and {longest[1]}, the ends of a finger's bone, are nearly a palm apart"
     # Even in a fist the joint after the next one is a little farther than the next.
-    for finger, k in _F.items():
-        for a, b, c in zip(k, k[1:], k[2:], strict=False):
+    for finger, chain in _F.items():
+        for a, b, c in zip(chain, chain[1:], chain[2:], strict=False):
             if distance[a, c] < 0.9 * distance[a, b]:
                 yield f"keypoint {c}, of the {finger}, is nearer to {a} than {b}, which lies between them"
-
-
-def _bone_spread(middle: np.ndarray, spread: np.ndarray) -> float:
-    parents, children = np.array(BONES).T
-    return float(spread[parents, children].mean() / middle[0, 9])

@@ -1,7 +1,7 @@
 """What the reader of a format works with: a file's contents, checked access to them, and its result.
 
-Readers raise RecordingError only where the meaning of a file stays open. A fault of single frames is noted
-in `Source.faults`; these frames become invalid and are reported.
+Readers raise RecordingError only where the meaning of a file stays open. Faults of single frames are noted in
+`Source.faults`; these frames become invalid and are reported.
 """
 
 import dataclasses
@@ -16,8 +16,8 @@ from geort_drake.people.checks.findings import Finding, FrameFaults, warning
 from geort_drake.people.checks.timing import TIME_UNITS_S
 from geort_drake.people.recording import SIDES, Recording
 
-# Of hands with 25 joints: wrist, four of the thumb, then five per finger. The first of the five, the base of
-# the metacarpal, is none of the 21 keypoints.
+# Of hands with 25 joints: wrist, four of the thumb, then five per finger, of which the first, the base of the
+# metacarpal, is none of the 21 keypoints.
 KEYPOINTS_OF_25 = tuple(i for i in range(25) if i not in (5, 10, 15, 20))
 
 NO_HAND, UNREADABLE = "show no hand", "cannot be read"
@@ -41,13 +41,7 @@ class Table:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Clock:
-    """The times of a file's frames.
-
-    Attributes:
-        t: (T,) times, s; NaN where a frame has none.
-        field: name of the file's field.
-        unit: of the file's numbers, one of `TIME_UNITS_S`.
-    """
+    """The times t (T,), s, of a file's frames, NaN where one has none; the file's field and its unit."""
 
     t: np.ndarray
     field: str
@@ -125,14 +119,14 @@ class Source:
 
     def has(self, field: str) -> bool:
         """Whether the file, or one of its frames, holds a field."""
-        return field in self.header or any(field in frame for frame in _mappings(frames_of(self.contents)))
+        return field in self.header or any_frame(self.contents, lambda frame: field in frame)
 
     def array(self, field: str, *shapes: tuple[int, ...]) -> np.ndarray:
-        """A field of every frame as floats (T, ...), from an archive's array or from a list of frames.
+        """A field of every frame as floats (T, ...), from an archive's array or a list of frames.
 
         Args:
             field: its name.
-            shapes: which one frame may have.
+            shapes: those that one frame may have.
         """
         if field not in self.header and self.has(field):
             values = [frame.get(field) if isinstance(frame, Mapping) else frame for frame in self.frames()]
@@ -141,23 +135,16 @@ class Source:
             raise self.error(f"lacks {field}; it holds {description(self.contents)}")
         array = np.asarray(self.header[field])
         if array.ndim == 0 or array.shape[1:] not in shapes or array.dtype.kind not in "fiu":
-            raise self.error(
-                f"{'array' if self.header.keys() == {'data'} else field} must hold numbers of shape "
-                f"{_alternatives(shapes)}, not {array.dtype} {array.shape}"
-            )
+            name = "array" if self.header.keys() == {"data"} else field
+            expected = " or ".join(f"({', '.join(['T', *map(str, shape)])})" for shape in shapes)
+            raise self.error(f"{name} must hold numbers of shape {expected}, not {array.dtype} {array.shape}")
         return array.astype(float)
 
     def stack(self, field: str, values: Sequence[Any], *shapes: tuple[int, ...]) -> np.ndarray:
-        """One value for each frame as floats (T, ...), of that of the shapes which most frames have."""
+        """One value of each frame as floats (T, ...), with the shape that most frames have."""
         given = Counter(shape for value in values if (shape := shape_of(value)) in shapes)
         shape = given.most_common(1)[0][0] if given else shapes[0]
-
-        def checked(value: Any) -> Any:
-            if value is not None and shape_of(value) != shape:
-                raise BadFrame(f"{field} must have shape {shape}, not {shape_of(value)}")
-            return value
-
-        return self.each(values, checked, shape, field)
+        return self.each(values, lambda value: value, shape, field)
 
     def each(
         self, values: Sequence[Any], read: Callable[[Any], Any], shape: tuple[int, ...], field: str
@@ -165,19 +152,18 @@ class Source:
         """The numbers (T, *shape) that `read` makes of each frame; NaN where it cannot, or returns None."""
         result = np.full((len(values), *shape), np.nan)
 
-        def store(i: int, value: Any) -> bool:
-            if (numbers := read(value)) is None:
+        def store(i: int) -> bool:
+            if (numbers := read(values[i])) is None:
                 return False
-            try:
-                array = np.asarray(numbers)
-            except ValueError:  # rows of different lengths
-                array = np.array(None)
-            if array.shape != shape or array.dtype.kind not in "fiu":
-                raise BadFrame(f"{field} must be numbers of shape {shape}, not {value!r:.60}")
+            if shape_of(numbers) != shape:
+                raise BadFrame(f"{field} must have shape {shape}, not {shape_of(numbers) or numbers!r:.60}")
+            array = np.asarray(numbers)
+            if array.dtype.kind not in "fiu":
+                raise BadFrame(f"{field} must be numbers, not {array.tolist()!r:.60}")
             result[i] = array
             return True
 
-        stored = self.collect(list(enumerate(values)), lambda pair: store(*pair))
+        stored = self.collect(range(len(values)), store)
         self.faults.add(NO_HAND, (i for i, done in enumerate(stored) if not done))
         return result
 
@@ -187,7 +173,8 @@ class Source:
         Raises:
             RecordingError: nothing is read of any frame.
         """
-        results, bad = [], {}
+        results: list[Any] = []
+        bad: dict[int, str] = {}
         for i, value in enumerate(values):
             try:
                 results.append(read(value))
@@ -214,7 +201,8 @@ class Source:
         if field in self.header:
             t = self.array(field, ())
         else:
-            t = _relative([frame.get(field) for frame in _mappings(self.frames(), {})], TIME_UNITS_S[unit])
+            stamps = [frame.get(field) if isinstance(frame, Mapping) else None for frame in self.frames()]
+            t = _relative(stamps, TIME_UNITS_S[unit])
         if len(t) != count:
             raise self.error(f"{len(t)} {field} for {count} frames of data")
         return Clock(t, field, unit) if np.isfinite(t).any() else None
@@ -242,16 +230,13 @@ class Source:
             field: name for messages.
             p: (T, J, 3) points; (T, J, 7) `px py pz` and a quaternion, which is not used; (T, J, 4, 4)
                 transforms; or (T, J, 16) and (T, J * 16), the transforms' numbers in a row.
-            column_major: whether transforms in a row of numbers stand column by column, as graphics APIs
-                give them.
+            column_major: whether numbers in a row stand column by column, as graphics APIs give them.
         """
-        if p.shape[-1] == 3:
-            return p, []
         if p.shape[-1] == 7:
             self._check_quaternions(field, p)
+        if p.shape[-1] in (3, 7):
             return p[..., :3], []
-        X = p.reshape(len(p), -1, 4, 4)
-        X, findings = self.transforms(field, X, column_major and p.ndim < 4)
+        X, findings = self.transforms(field, p.reshape(len(p), -1, 4, 4), column_major and p.ndim < 4)
         return X[..., :3, 3], findings
 
     def transforms(
@@ -260,51 +245,46 @@ class Source:
         """Homogeneous transforms (T, J, 4, 4) with the translation in the last column, turned if need be.
 
         Raises:
-            RecordingError: most have neither 0 0 0 1 as last row nor as last column.
+            RecordingError: most have 0 0 0 1 neither as last row nor as last column.
         """
-        if not len(X):
-            return X, []
         end = np.array([0.0, 0.0, 0.0, 1.0])
         known = np.isfinite(X).all(axis=(1, 2, 3)) & ~empty_frames(X)
-        in_column = np.isclose(X[..., 3, :], end, atol=1e-5).all(axis=(1, 2))
-        in_row = np.isclose(X[..., :, 3], end, atol=1e-5).all(axis=(1, 2))
+        upright = np.isclose(X[..., 3, :], end, atol=1e-5).all(axis=(1, 2))
+        turned = np.isclose(X[..., :, 3], end, atol=1e-5).all(axis=(1, 2))
         # A matrix without translation may be either.
-        columns, rows = int((known & in_column & ~in_row).sum()), int((known & in_row & ~in_column).sum())
-        fits = in_row if rows > columns else in_column
-        bad = np.flatnonzero(known & ~fits)
-        if len(bad) > 0.5 * known.sum() or not known.any():
-            given = np.round(X[bad[0], 0, 3], 3).tolist() if len(bad) else "NaN"
+        uprights, turns = int((known & upright & ~turned).sum()), int((known & turned & ~upright).sum())
+        bad = known & ~(turned if turns > uprights else upright)
+        if len(X) and bad.sum() >= 0.5 * known.sum():
+            given = np.round(X[np.argmax(bad), 0, 3], 3).tolist() if bad.any() else "NaN"
             raise self.error(f"{field} must hold rigid transforms, whose last row is 0 0 0 1, not {given}")
-        self.faults.add(UNREADABLE, bad, f"{field}: no rigid transform, whose last row is 0 0 0 1")
-        X = np.where(np.isin(np.arange(len(X)), bad)[:, None, None, None], np.nan, X)
-        turned = rows > columns
-        X = np.swapaxes(X, -1, -2) if turned else X
-        if rows == columns or turned == column_major:
+        self.faults.add(
+            UNREADABLE, np.flatnonzero(bad), f"{field}: no rigid transform, whose last row is 0 0 0 1"
+        )
+        X = np.where(bad[:, None, None, None], np.nan, X)
+        X = np.swapaxes(X, -1, -2) if turns > uprights else X
+        if uprights == turns or (turns > uprights) == column_major:
             return X, []
         expected, given = ("columns", "rows") if column_major else ("rows", "columns")
-        finding = warning(
-            "axes",
-            f"transforms are transposed: their numbers were to stand in {expected} and stand in {given}",
-            field,
-            "read the other way, which their zeros and ones prove right",
-        )
-        return X, [finding]
+        what = f"transforms are transposed: their numbers were to stand in {expected} and stand in {given}"
+        advice = "read the other way, which their zeros and ones prove right"
+        return X, [warning("axes", what, field, advice)]
 
     def _check_quaternions(self, field: str, poses: np.ndarray) -> None:
         """Poses (T, J, 7) are positions and then quaternions, and not the other way round."""
         known = poses[~empty_frames(poses)]
-        last, first = (
-            float(np.median(np.abs(norms[np.isfinite(norms)] - 1.0))) if np.isfinite(norms).any() else 0.0
-            for norms in (np.linalg.norm(known[..., part], axis=-1) for part in (slice(3, 7), slice(0, 4)))
-        )
-        unset = not np.nan_to_num(known[..., 3:]).any()
-        if unset or last < 1e-2 or (last < 0.1 and first > 1e-2):
-            return
-        raise self.error(
-            f"{field} must hold px py pz and then a unit quaternion, but the norm of the last four numbers "
-            f"is off by {last:.3g}"
-            + ("; the quaternion stands first: move the position before it" if first < 1e-2 else "")
-        )
+
+        def off(part: slice) -> float:
+            norms = np.linalg.norm(known[..., part], axis=-1)
+            norms = norms[np.isfinite(norms)]
+            return float(np.median(np.abs(norms - 1.0))) if norms.any() else 0.0
+
+        last, first = off(slice(3, 7)), off(slice(0, 4))
+        if last >= 0.1 or (last >= 1e-2 > first):
+            advice = "; the quaternion stands first: move the position before it" if first < 1e-2 else ""
+            raise self.error(
+                f"{field} must hold px py pz and then a unit quaternion, but the norm of the last four "
+                f"numbers is off by {last:.3g}{advice}"
+            )
 
 
 def frames_of(contents: Any) -> list:
@@ -315,7 +295,7 @@ def frames_of(contents: Any) -> list:
 
 def any_frame(contents: Any, fits: Callable[[Mapping], bool]) -> bool:
     """Whether one of the frames that are objects fits."""
-    return any(fits(frame) for frame in _mappings(frames_of(contents)))
+    return any(fits(frame) for frame in frames_of(contents) if isinstance(frame, Mapping))
 
 
 def shape_in(contents: Any, field: str) -> tuple[int, ...]:
@@ -336,11 +316,12 @@ def empty_frames(values: np.ndarray) -> np.ndarray:
     return (values == 0.0).all(axis=tuple(range(1, values.ndim)))
 
 
-def is_number(value: Any) -> bool:
-    """Whether a value of a JSON file is a number that a float holds; JSON's integers have no bound."""
-    if isinstance(value, int) and not isinstance(value, bool):
-        return abs(value) < 1 << 1000
-    return isinstance(value, float) and np.isfinite(value)
+def shape_of(value: Any) -> tuple[int, ...] | None:
+    """The shape of a value in a frame; None where its rows differ in length."""
+    try:
+        return np.shape(value)
+    except ValueError:
+        return None
 
 
 def description(contents: Any) -> str:
@@ -357,34 +338,21 @@ def description(contents: Any) -> str:
     return type(contents).__name__
 
 
-def _mappings(frames: Iterable[Any], instead: Mapping | None = None) -> Iterable[Mapping]:
-    """The frames that are objects; `instead` stands for the others."""
-    for frame in frames:
-        if isinstance(frame, Mapping):
-            yield frame
-        elif instead is not None:
-            yield instead
+def _is_number(value: Any) -> bool:
+    """Whether a value of a JSON file is a number that a float holds; JSON's integers have no bound."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return abs(value) < 1 << 1000
+    return isinstance(value, float) and np.isfinite(value)
 
 
-def _relative(stamps: Sequence[Any], unit_s: float) -> np.ndarray:
+def _relative(stamps: Iterable[Any], unit_s: float) -> np.ndarray:
     """Times (T,), s, from the first; NaN for what is no number."""
-    numbers = sorted(stamp for stamp in stamps if is_number(stamp))
+    stamps = [stamp if _is_number(stamp) else None for stamp in stamps]
+    numbers = sorted(stamp for stamp in stamps if stamp is not None)
     if not numbers:
         return np.full(len(stamps), np.nan)
     # Nanoseconds since an epoch exceed what a double resolves, so the start is taken off first.
-    start = middle = numbers[len(numbers) // 2]
-    if is_number(stamps[0]) and abs(stamps[0] - middle) * unit_s < _ONE_WEEK_S:
+    start = numbers[len(numbers) // 2]
+    if stamps[0] is not None and abs(stamps[0] - start) * unit_s < _ONE_WEEK_S:
         start = stamps[0]
-    return np.array([(stamp - start) * unit_s if is_number(stamp) else np.nan for stamp in stamps])
-
-
-def shape_of(value: Any) -> tuple[int, ...] | None:
-    """The shape of a value in a frame; None where its rows differ in length."""
-    try:
-        return np.shape(value)
-    except ValueError:
-        return None
-
-
-def _alternatives(shapes: Sequence[tuple[int, ...]]) -> str:
-    return " or ".join(f"({', '.join(['T', *map(str, shape)])})" for shape in shapes)
+    return np.array([np.nan if stamp is None else (stamp - start) * unit_s for stamp in stamps])

@@ -1,7 +1,7 @@
-"""Unpickling of plain data alone: NumPy arrays and Python's own containers, and nothing that runs code.
+"""Unpickles plain data alone: NumPy arrays and Python's own containers, and nothing that runs code.
 
-NumPy takes for true what a pickle says of an array or its type, and ends the process where that is wrong.
-So its own functions are not called: what stands for them here looks first.
+NumPy trusts what a pickle says of an array or its type, and ends the process where that is wrong. So checked
+stand-ins replace its functions.
 """
 
 import math
@@ -21,25 +21,25 @@ class ForbiddenPickle(Exception):
 
 
 def _latin1(text: str, encoding: str) -> bytes:
-    """What the older protocols make bytes with; other codecs would let a small file grow without bound."""
+    """How the older protocols make bytes; other codecs would let a small file grow without bound."""
     if encoding not in ("latin1", "latin-1"):
         raise ForbiddenPickle(f"_codecs.encode to {encoding:.20}")
     return text.encode("latin1")
 
 
 class _Type:
-    """A NumPy type of numbers, texts or objects; NumPy's own is `made`."""
+    """A NumPy type of numbers, texts or objects; NumPy's own is `dtype`."""
 
     def __init__(self, code: str, *_: object):
         if not re.fullmatch(r"b1|[iufc][0-9]{1,2}|[SU][0-9]{1,6}|O8", code):
             raise ValueError(f"arrays of type {code!r:.40} are not read")
-        self.made = np.dtype(code)
+        self.dtype = np.dtype(code)
 
     def __setstate__(self, state: tuple) -> None:
         _, order, *structure = state
         if order not in ("<", ">", "=", "|") or any(part is not None for part in structure[:3]):
             raise ValueError("the type of an array is not one of numbers or texts")
-        self.made = self.made.newbyteorder(order)
+        self.dtype = self.dtype.newbyteorder(order)
 
 
 class _Array(np.ndarray):
@@ -47,17 +47,18 @@ class _Array(np.ndarray):
 
     def __new__(cls, _: object = None, shape: tuple = (), *more: object) -> "_Array":
         if shape != (0,):
-            raise ValueError(f"an array of shape {shape!r:.40} is asked for without numbers")
+            raise ValueError(f"an array of shape {shape!r:.40} without numbers")
         return super().__new__(cls, 0)
 
     def __setstate__(self, state: tuple) -> None:  # type: ignore[override]
         version, shape, kind, by_column, content = state
         if isinstance(content, str):
             content = content.encode("latin1")
-        held = len(content) if kind.made.hasobject else len(content) // kind.made.itemsize
-        if type(content) is not (list if kind.made.hasobject else bytes) or held != _size(shape):
-            raise ValueError(f"an array of shape {shape!r:.40} does not hold what it says")
-        super().__setstate__((version, shape, kind.made, bool(by_column), content))  # type: ignore[arg-type]
+        objects = kind.dtype.hasobject
+        held = len(content) if objects else len(content) // kind.dtype.itemsize
+        if type(content) is not (list if objects else bytes) or held != _size(shape):
+            raise ValueError(f"an array of shape {shape!r:.40} holds something else")
+        super().__setstate__((version, shape, kind.dtype, bool(by_column), content))  # type: ignore[arg-type]
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> Any:
         return np.asarray(self).__reduce_ex__(protocol)  # a copy in another process is NumPy's own
@@ -70,41 +71,39 @@ def _size(shape: tuple) -> int:
 
 
 def _scalar(kind: _Type, content: bytes | str) -> Any:
-    if kind.made.hasobject:
-        raise ValueError("a number cannot be an object")
+    return _from_buffer(content, kind, (1,))[0]
+
+
+def _from_buffer(content: bytes | str, kind: _Type, shape: tuple, *order: object) -> np.ndarray:
+    if kind.dtype.hasobject:
+        raise ValueError("bytes cannot hold objects")
     content = content.encode("latin1") if isinstance(content, str) else content
-    return np.frombuffer(content, kind.made, 1)[0]
+    values = np.frombuffer(content, kind.dtype, _size(shape))
+    return values.reshape(shape, order="F" if order[:1] == ("F",) else "C")
 
 
-def _from_buffer(content: bytes, kind: _Type, shape: tuple, order: str, *_: object) -> np.ndarray:
-    if kind.made.hasobject:
-        raise ValueError("a buffer cannot hold objects")
-    return np.frombuffer(content, kind.made, _size(shape)).reshape(shape, order="F" if order == "F" else "C")
-
-
-# What NumPy's pickles of arrays and scalars name, in its versions 1 and 2, and what stands for it. Other
-# containers, numbers and texts need no name in a pickle.
-_STANDING = {
+# What the pickles of arrays and scalars of NumPy 1 and 2 name, and what stands in for it. Other containers,
+# numbers and texts need no name.
+_STAND_INS: dict[tuple[str, str], Callable] = {
     ("numpy", "ndarray"): _Array,
     ("numpy", "dtype"): _Type,
     ("_codecs", "encode"): _latin1,
-    **{
-        (module.format(core), name): ours
-        for core in ("core", "_core")
-        for module, name, ours in (
-            ("numpy.{}.multiarray", "_reconstruct", _Array),
-            ("numpy.{}.multiarray", "scalar", _scalar),
-            ("numpy.{}.numeric", "_frombuffer", _from_buffer),
-        )
-    },
+} | {
+    (f"numpy.{core}.{module}", name): stand_in
+    for core in ("core", "_core")
+    for module, name, stand_in in (
+        ("multiarray", "_reconstruct", _Array),
+        ("multiarray", "scalar", _scalar),
+        ("numeric", "_frombuffer", _from_buffer),
+    )
 }
 
 
 class _PlainUnpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Callable:
-        if (module, name) not in _STANDING:
+        if (module, name) not in _STAND_INS:
             raise ForbiddenPickle(f"{module}.{name}")
-        return _STANDING[module, name]
+        return _STAND_INS[module, name]
 
     def persistent_load(self, pid: Any) -> Any:
         raise ForbiddenPickle(f"persistent id {pid!r:.40}")
@@ -114,16 +113,16 @@ def load_plain(path: Path) -> Any:
     """The contents of a pickle file that holds arrays, containers, numbers and texts only.
 
     Raises:
-        RecordingError: the file is no pickle, or names anything else, which is not run.
+        RecordingError: the file is no pickle, or names anything else; then its cause is `ForbiddenPickle`.
     """
     try:
         with path.open("rb") as file, np.errstate(all="ignore"):
             # Pickles of Python 2 (HO-3D's) hold their arrays' bytes as text of this encoding.
             return _PlainUnpickler(file, encoding="latin1").load()
-    except ForbiddenPickle as refused:
+    except ForbiddenPickle as forbidden:
         raise RecordingError(
-            f"{path}: the pickle asks for {refused}, which could run code; only NumPy arrays, lists, dicts, "
-            "numbers and texts are read"
-        ) from refused
+            f"{path}: the pickle asks for {forbidden}, which could run code; only NumPy arrays, lists, "
+            "dicts, numbers and texts are read"
+        ) from forbidden
     except Exception as error:  # a corrupt pickle raises nearly anything
         raise RecordingError(f"{path}: not a readable pickle: {error or type(error).__name__}") from None

@@ -136,7 +136,8 @@ def _in_world(file: Source, field: str, X_WJ: np.ndarray, p_JK: np.ndarray) -> n
             raise file.error(f"{field} must hold rotations, but frame {bad[0]}'s {what}")
         file.faults.add(UNREADABLE, bad, f"{field} is no rotation, it {what}")
     file.faults.add(NO_HAND, np.flatnonzero(empty_frames(R)))
-    return p_JK @ np.swapaxes(R, 1, 2) + X_WJ[:, None, :3, 3]
+    with np.errstate(invalid="ignore", over="ignore"):
+        return p_JK @ np.swapaxes(R, 1, 2) + X_WJ[:, None, :3, 3]
 
 
 VISION_PRO = Format(
