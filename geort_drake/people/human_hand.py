@@ -234,7 +234,7 @@ class HumanHand:
         )
 
     def _first_bone(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
-        """In B (..., 5, 3): the first bone z, its directions x of bending and y of abduction; sin of twist (5,);
+        """In B (..., 5, 3): first bone z, directions x of bending and y of abduction; sin of the twist (5,);
         angles (..., 5, 2) of bones two and three to the first.
         """
         angles = theta.reshape(*theta.shape[:-1], 5, 4)
