@@ -1,9 +1,10 @@
-"""Tries the simulated person out on known affine maps, which are no method under test.
-
-The person's parameters are chosen by looking at this table alone: maps of known gain, rotation and
-offset, objects of each grip, a few seeds. Trials run in parallel processes.
+"""Calibration of the simulated person: how well does it grasp through known affine maps?
 
 python studies/calibrate_operator.py --json calibration.json
+
+The person's parameters are chosen by this table alone, without any method under test: maps of known gain,
+rotation and offset, objects of each grip, a few seeds. Prints how many grasps succeed; --json keeps every
+trial.
 """
 
 import copy

@@ -1,11 +1,11 @@
-"""How much of a map is left on another person's hand, and how much a re-fit from a minute brings back.
+"""Re-fit: how much of a map survives on another person's hand, and how much does a re-fit restore?
 
 python studies/refit.py ben.npz alex.npy --json refit.json
 
-Each recording's map is given to every other person. Of that person's recording every other block of seven
-seconds is fitted to, the rest is scored by the metrics of `geort_drake.comparison`: the map as it is, after
-the affine step alone, after both steps, and the map that was trained on all of that person's own recording,
-the scored blocks included. Times are of the re-fit; measure on an idle machine.
+The map trained on each recording is given to every other person. It is fitted to every other block of seven
+seconds of that person's recording, and evaluated on the rest: as it is, after the affine step, after both
+steps, and compared with the map trained on all of that person's recording. Prints a Markdown table; --json
+keeps all metrics. Times are of the re-fit; measure them on an idle machine.
 """
 
 import argparse

@@ -1,11 +1,12 @@
-"""Puts faults into everything, and counts what came of them.
+"""Reliability: what happens when inputs, files, frames, disks and processes fail?
 
 python studies/reliability.py
 python studies/reliability.py --parts frames files
 
-It keeps the figures in docs/results/data/reliability.json and writes reliability.csv beside it, the table of
-docs/results/reliability.md; with --json or --quick it leaves both alone. The exit status is 1 when something
-went wrong. Needs the test extra, and the part "guided" needs atheris: pip install atheris
+Injects faults and counts the outcomes. Keeps the counts in docs/results/data/reliability.json and writes
+reliability.csv beside it, the table of docs/results/reliability.md; with --json or --quick both stay as
+they are. The exit code is 1 if a guarantee was broken. Needs the test extra, and the part "guided" needs
+atheris: pip install atheris
 """
 
 import argparse

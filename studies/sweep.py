@@ -1,4 +1,4 @@
-"""Sweep: what does each loss and setting of a trained method contribute to its metrics?
+"""Sweep: how do the metrics of a trained method depend on its losses and settings?
 
 python studies/sweep.py --recording hand.npy --output runs/sweep --seeds 0 1 2 --jobs 2
 python studies/sweep.py --recording hand.npy --output runs/widths hidden=64,256 coverage_weight=0,2
