@@ -8,7 +8,6 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake import add_rerun_recorder
-from geort_drake.rerun.recorder import grasp_blueprint
 
 OBJECTS = "package://drake/examples/kuka_iiwa_arm/models/objects"
 builder = DiagramBuilder()
@@ -28,8 +27,8 @@ for number, model in enumerate(falling):
     plant.SetDefaultFloatingBaseBodyPose(body, RigidTransform(RollPitchYaw(rng.uniform(-1, 1, 3)), p_WB))
 
 # Seen from above, because the box has walls.
-layout = grasp_blueprint(eye=(0.35, -0.35, 0.85), target=(0.0, 0.0, 0.1), early=True)
-recorder = add_rerun_recorder(builder, plant, scene_graph, "objects.rrd", blueprint=layout)
+view_from = (0.35, -0.35, 0.75)
+recorder = add_rerun_recorder(builder, plant, scene_graph, "objects.rrd", view_from=view_from)
 simulator = Simulator(builder.Build())
 with recorder:
     simulator.AdvanceTo(1.0)

@@ -43,14 +43,14 @@ if TYPE_CHECKING:
     from geort_drake.people.play import synthesize_play as synthesize_play
     from geort_drake.people.readers import read_recording as read_recording
     from geort_drake.people.recording import Recording as Recording
-    from geort_drake.rerun.recorder import add_rerun_recorder as add_rerun_recorder
-    from geort_drake.rerun.specs import CameraSpec as CameraSpec
-    from geort_drake.rerun.specs import CloseUpSpec as CloseUpSpec
-    from geort_drake.rerun.specs import ContactSpec as ContactSpec
-    from geort_drake.rerun.specs import HandSpec as HandSpec
-    from geort_drake.rerun.specs import PointsSpec as PointsSpec
-    from geort_drake.rerun.specs import SignalSpec as SignalSpec
-    from geort_drake.rerun.specs import StateSpec as StateSpec
+    from geort_drake.rerun import CameraSpec as CameraSpec
+    from geort_drake.rerun import CloseUpSpec as CloseUpSpec
+    from geort_drake.rerun import ContactSpec as ContactSpec
+    from geort_drake.rerun import HandSpec as HandSpec
+    from geort_drake.rerun import PointsSpec as PointsSpec
+    from geort_drake.rerun import SignalSpec as SignalSpec
+    from geort_drake.rerun import StateSpec as StateSpec
+    from geort_drake.rerun import add_rerun_recorder as add_rerun_recorder
     from geort_drake.retargeting.retargeter import Retargeter as Retargeter
     from geort_drake.retargeting.retargeter import load_retargeter as load_retargeter
     from geort_drake.simulation.diagram import make_grasp_diagram as make_grasp_diagram
@@ -72,14 +72,14 @@ _MODULES = {
     "Retargeter": "retargeting.retargeter",
     "RetargetingSystem": "systems.retargeting_system",
     "WristToArm": "systems.wrist_to_arm",
-    "CameraSpec": "rerun.specs",
-    "CloseUpSpec": "rerun.specs",
-    "ContactSpec": "rerun.specs",
-    "HandSpec": "rerun.specs",
-    "PointsSpec": "rerun.specs",
-    "SignalSpec": "rerun.specs",
-    "StateSpec": "rerun.specs",
-    "add_rerun_recorder": "rerun.recorder",
+    "CameraSpec": "rerun",
+    "CloseUpSpec": "rerun",
+    "ContactSpec": "rerun",
+    "HandSpec": "rerun",
+    "PointsSpec": "rerun",
+    "SignalSpec": "rerun",
+    "StateSpec": "rerun",
+    "add_rerun_recorder": "rerun",
     "evaluate": "comparison.metrics",
     "load_hand": "hands.description",
     "load_retargeter": "retargeting.retargeter",

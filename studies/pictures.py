@@ -125,7 +125,7 @@ def check(recording: Path) -> None:
 
 def photograph(recording: Path, picture: Path, time: float | None) -> None:
     """Writes a small .png of a recording, without the viewer's frame."""
-    from geort_drake.rerun.screenshot import take_screenshot
+    from geort_drake.rerun import take_screenshot
 
     take_screenshot(recording, picture, time=time, size=SIZE)
     with Image.open(picture) as whole:

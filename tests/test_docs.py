@@ -17,12 +17,12 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
+from geort_drake import rerun
 from geort_drake.comparison.train import train_checkpoint
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.checks import examine, verdict
 from geort_drake.people.formats import FORMATS
 from geort_drake.people.play import synthesize_play
-from geort_drake.rerun import recorder as rerun_recorder
 from geort_drake.resources import models_dir
 from geort_drake.retargeting.method import TrainingConfig
 from geort_drake.retargeting.methods.coupled import CoupledConfig
@@ -108,8 +108,8 @@ def names_of_a_diagram() -> dict:
         "valid_port": replay.GetOutputPort("valid"),
         "thumb_bodies": [plant.GetBodyByName("link_15")],
         "index_bodies": [plant.GetBodyByName("link_3")],
-        **{name: getattr(rerun_recorder, name) for name in dir(rerun_recorder) if name.endswith("Spec")},
-        "add_rerun_recorder": rerun_recorder.add_rerun_recorder,
+        **{name: getattr(rerun, name) for name in dir(rerun) if name.endswith("Spec")},
+        "add_rerun_recorder": rerun.add_rerun_recorder,
     }  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import mirrored
-from geort_drake.rerun.recorder import add_rerun_recorder
+from geort_drake.rerun import add_rerun_recorder
 from geort_drake.simulation import recording
 from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
 from geort_drake.simulation.object_shape import object_shape

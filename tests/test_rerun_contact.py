@@ -5,9 +5,7 @@ import pytest
 from rerun.chunk import RrdReader
 from rerun_world import GRAVITY, MASS, World, entities, read
 
-from geort_drake.rerun import file as _rerun_file
-from geort_drake.rerun.contact import ContactTrack
-from geort_drake.rerun.recorder import ContactSpec
+from geort_drake.rerun import ContactSpec, recorder
 
 
 def test_contact_arrows_appear_with_the_contact_and_vanish_with_it(tmp_path):
@@ -53,7 +51,7 @@ def test_samples_are_read_as_they_were_when_they_were_taken(tmp_path, monkeypatc
     """Many at once, later, or each at once: the simulation has gone on, and the recording is the same."""
     ids = []
     for at_once in (64, 1):
-        monkeypatch.setattr(_rerun_file, "_READ_AT_ONCE", at_once)
+        monkeypatch.setattr(recorder, "_READ_AT_ONCE", at_once)
         world = World(0.0499, contact_model=contact_model).finalize()
         world.record(tmp_path / f"{at_once}.rrd", period=0.004)
         with world.recorder:
@@ -86,14 +84,3 @@ def test_without_groups_each_touched_body_has_a_series(tmp_path):
     assert series == {"/contact/force/ball/body"}
     _, force = read(world.recorder.path, "/contact/force/ball/body", "Scalars:scalars")
     np.testing.assert_allclose(force[-1], [MASS * GRAVITY], atol=2e-2)
-
-
-def test_whether_forces_are_strongest_at_first(tmp_path):
-    """A ball that has just fallen hits hardest late, and early once it has lain for as long again."""
-    world = World(height=0.1).finalize().record(tmp_path / "fall.rrd", period=0.002)
-    (contact,) = (track for track in world.recorder._recording.tracks if isinstance(track, ContactTrack))
-    assert not contact.early()
-    for end, early in ((0.12, False), (0.5, True)):
-        world.simulator.AdvanceTo(end)
-        world.recorder.flush()
-        assert contact.early() is early

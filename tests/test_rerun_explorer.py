@@ -12,13 +12,13 @@ from geort_drake.comparison.exploration import (
     proportional_copy,
     tips_of,
 )
+from geort_drake.comparison.explorer_recording import write_exploration
 from geort_drake.errors import RecordingError
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.recording import Recording
-from geort_drake.rerun.explorer import write_exploration
 
 NAMES = ("thumb", "index", "middle")
 

@@ -12,7 +12,6 @@ from rerun_world import World
 from script_modules import load_script
 
 from geort_drake.errors import GeortError
-from geort_drake.rerun import screenshot as _rerun_screenshot
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -66,7 +65,7 @@ def test_a_photograph_is_without_the_viewers_frame(pictures, tmp_path, monkeypat
         shade[400, 700] = (10, 200, 30)
         Image.fromarray(shade).save(picture)
 
-    monkeypatch.setattr(_rerun_screenshot, "take_screenshot", viewer)
+    monkeypatch.setattr("geort_drake.rerun.take_screenshot", viewer)
     pictures.photograph(tmp_path / "any.rrd", tmp_path / "any.png", 2.5)
     assert asked == {"time": 2.5, "size": pictures.SIZE}
     with Image.open(tmp_path / "any.png") as picture:
@@ -90,7 +89,7 @@ def test_a_film_shows_the_scene_from_beginning_to_end(pictures, tmp_path, monkey
             Image.new("RGB", pictures.SIZE, (round(200 * time), 0, 0)).save(png, "PNG")
             return png.getvalue()
 
-    monkeypatch.setattr(_rerun_screenshot, "camera", lambda *_: contextlib.nullcontext(Camera()))
+    monkeypatch.setattr("geort_drake.rerun.screenshot.camera", lambda *_: contextlib.nullcontext(Camera()))
     pictures.film(tmp_path / "any.rrd", tmp_path / "any.webp")
     assert asked == [k / pictures.FILM_HZ for k in range(pictures.FILM_HZ)]
     width, height = pictures.SIZE

@@ -8,9 +8,7 @@ from rerun_world import GRAVITY, World, constant, pose_source, read, rerun, step
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError, ScenarioError
-from geort_drake.rerun.blueprint import lanes_share
-from geort_drake.rerun.recorder import HandSpec, PointsSpec, SignalSpec, StateSpec
-from geort_drake.rerun.screenshot import take_screenshot
+from geort_drake.rerun import HandSpec, PointsSpec, SignalSpec, StateSpec, take_screenshot
 
 
 def test_recordings_pass_reruns_own_verification(tmp_path):
@@ -90,11 +88,3 @@ def test_a_screenshot_is_a_picture_or_a_reason(tmp_path):
         assert not picture.exists()
     else:
         assert picture.read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.parametrize("others", [1.2, 4.8, 9.0])
-@pytest.mark.parametrize("lanes", [1, 2, 4, 6])
-def test_all_state_lanes_fit_a_low_window(lanes, others):
-    """In the viewer a title and a ruler are 47 px, a lane 40; of a window of 720 px, 650 are left."""
-    share = lanes_share(lanes, others)
-    assert share / (share + others) * 650 >= 47 + 40 * lanes

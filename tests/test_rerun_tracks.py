@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import ScenarioError
 from geort_drake.people.keypoints import BONES
-from geort_drake.rerun.recorder import (
+from geort_drake.rerun import (
     CameraSpec,
     CloseUpSpec,
     HandSpec,
@@ -24,7 +24,7 @@ from geort_drake.rerun.recorder import (
     SignalSpec,
     StateSpec,
 )
-from geort_drake.rerun.tracks import quaternions
+from geort_drake.rerun.drawing import quaternions
 
 
 def test_signals_are_grouped_by_what_stands_before_the_slash(tmp_path):
@@ -164,7 +164,7 @@ def test_what_is_derived_is_computed_when_it_is_written(tmp_path):
         world.simulator.AdvanceTo(0.12)
         p_WB = world.plant.EvalBodyPoseInWorld(world.context, world.ball).translation()
     inputs = [world.recorder.get_input_port(i).get_name() for i in range(world.recorder.num_input_ports())]
-    assert inputs == ["body_poses", "contact_results", "one/raw", "one/sum/y0"]
+    assert inputs == ["body_poses", "contact_results", "one/raw", "one/sum/1"]
     _, found = read(world.recorder.path, "/one/sum", "Scalars:scalars")
     np.testing.assert_allclose(found, [[11, 13], [11, 13], [12, 14]])
     assert calls == [(1, 3), (3, 3)]  # one to see what it makes
@@ -179,28 +179,28 @@ def test_what_is_derived_is_computed_when_it_is_written(tmp_path):
         (lambda w: {"view_from": (0, 0, 0)}, "view_from must be three numbers"),
         (
             lambda w: {"signals": {"q": SignalSpec(constant(w.builder, [1, 2]), ["a"])}},
-            "'q'.*size 2.*wanted 1",
+            "'q'.*size 2, but 1 names",
         ),
-        (lambda w: {"states": {"s": StateSpec(constant(w.builder, [1, 2]), [])}}, "'s'.*size 2; wanted 1"),
+        (lambda w: {"states": {"s": StateSpec(constant(w.builder, [1, 2]), [])}}, "'s'.*size 2; expected 1"),
         (
             lambda w: {"points": {"p": PointsSpec(constant(w.builder, [1] * 4))}},
-            "'p'.*4 numbers; wanted 3 per point",
+            "'p'.*4 numbers, not 3 per point",
         ),
         (
             lambda w: {"signals": {"x": SignalSpec(pose_source(w.builder, RigidTransform()), ["a"])}},
-            "'x'.*is abstract; wanted a vector",
+            "'x'.*is abstract; expected a vector",
         ),
         (
             lambda w: {"points": {"p": PointsSpec(constant(w.builder, [1] * 6), color=[(1, 2, 3)] * 3)}},
-            "'p'.*2 points and 3 colors",
+            "'p'.*2 points, but 3 colors",
         ),
         (
             lambda w: {"signals": {"q": SignalSpec(constant(w.builder, [1]), ["a"], colors=[])}},
-            "'q'.*1 names and 0 colors",
+            "'q'.*1 names, but 0 colors",
         ),
         (
             lambda w: {"signals": {"q": SignalSpec(constant(w.builder, [1, 2]), ["a"], derive=lambda x: x)}},
-            r"'q'.*\(1, 2\) values it makes \(1, 2\); wanted \(1, 1\)",
+            r"'q'.*derive makes \(1, 2\) of \(1, 2\) values; expected \(1, 1\)",
         ),
         (
             lambda w: {"close_ups": {"c": CloseUpSpec("left", (1, 0, 0))}},
@@ -208,7 +208,7 @@ def test_what_is_derived_is_computed_when_it_is_written(tmp_path):
         ),
         (
             lambda w: {"hands": {"h": HandSpec(constant(w.builder, [0] * 60), constant(w.builder, [0]))}},
-            "'h/keypoints'.*size 60; wanted 63",
+            "'h/keypoints'.*size 60; expected 63",
         ),
         (
             lambda w: {"hands": {"h": HandSpec(constant(w.builder, [0] * 63), constant(w.builder, [0]))}},

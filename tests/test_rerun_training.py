@@ -5,11 +5,11 @@ import pytest
 import torch
 from rerun_world import read, rerun
 
+from geort_drake.comparison import training_scene as scene
+from geort_drake.comparison.training_recording import TrainingRecorder
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.play import synthesize_play
-from geort_drake.rerun import training_scene as scene
-from geort_drake.rerun.training import TrainingRecorder
 from geort_drake.retargeting.training.descent import descend
 from geort_drake.retargeting.training.networks import RetargetingNetwork
 
@@ -109,13 +109,13 @@ def test_the_recording_holds_each_map_as_it_was(tmp_path, hand, play, network, m
 def test_a_lattice_joins_neighbours(rng):
     """Nodes lie in a plane where the fingertip was, edges along the axes, a spacing long."""
     frames = rng.uniform(0, 0.05, (3000, 2, 3))
-    lattice = scene._Lattice(frames, 1)
+    lattice = scene.Lattice(frames, 1)
     segments = lattice.segments(lattice.nodes)
     along = segments[:, 1] - segments[:, 0]
     np.testing.assert_allclose(
-        np.sort(along, axis=1), np.tile([0, 0, scene._SPACING], (len(along), 1)), atol=1e-12
+        np.sort(along, axis=1), np.tile([0, 0, scene._CELL], (len(along), 1)), atol=1e-12
     )
     np.testing.assert_array_equal(lattice.hands[:, 1], lattice.nodes)
     assert np.ptp(lattice.nodes, axis=0).min() < 1e-12
     distances = np.linalg.norm(frames[None, :, 1] - lattice.nodes[:, None], axis=-1).min(axis=1)
-    assert (distances < scene._SPACING / 2).all()
+    assert (distances < scene._CELL / 2).all()

@@ -74,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not found:
         say("the checks found nothing to correct")
     if arguments.rrd is not None:
-        from geort_drake.rerun.hand_view import record_hand
+        from geort_drake.export.hand_recordings import record_hand
 
         record_hand(hand, arguments.rrd)
     write_json(arguments.json, {"description": str(path), "notes": notes, "to_correct": found})

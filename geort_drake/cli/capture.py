@@ -31,7 +31,7 @@ def run(arguments: argparse.Namespace) -> int:
         recording.save(arguments.recording)
         written["Recording"] = arguments.recording
     if arguments.output is not None:
-        from geort_drake.rerun.hand_recording import write_hand
+        from geort_drake.export.hand_recordings import write_hand
 
         write_hand(recording, arguments.output, states={"step": names})
     finish(written, view(arguments.output))

@@ -46,8 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.cli.retargeters import retargeter_of
     from geort_drake.comparison.comparison import check_methods
     from geort_drake.comparison.exploration import answers, excerpt
+    from geort_drake.comparison.explorer_recording import write_exploration
     from geort_drake.console import track
-    from geort_drake.rerun.explorer import write_exploration
 
     if not 0.1 <= arguments.duration <= 600:
         raise UsageError(f"--duration must be from 0.1 to 600, not {arguments.duration:g}")

@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
     is_run = (source / RESULTS).is_file()
     names = [source.stem]
     if arguments.format == "rrd":
-        from geort_drake.rerun.hand_recording import write_hand
+        from geort_drake.export.hand_recordings import write_hand
 
         output_file(".rrd")(str(output))
         if is_run:

@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
     recording = recording_of(arguments.recording, description.side, arguments.seed)
     recorder = None
     if arguments.rrd is not None:
-        from geort_drake.rerun.training import TrainingRecorder
+        from geort_drake.comparison.training_recording import TrainingRecorder
 
         recorder = TrainingRecorder(HandModel(description), recording, arguments.seed)
     with warnings.catch_warnings():

@@ -1,4 +1,4 @@
-"""One recording as other programs want it: all signals at common times, the glove's and the robot's."""
+"""Episodes: recordings with all signals of the glove and the robot at common times."""
 
 import dataclasses
 import json
@@ -11,30 +11,25 @@ import yaml
 
 from geort_drake.errors import RecordingError
 from geort_drake.people.recording import Recording
-from geort_drake.rerun.trial_reader import read_trial
+from geort_drake.rerun.reader import read_samples
 from geort_drake.simulation.world import HAND
 
 RESULTS, SCENARIO = "results.json", "scenario.yaml"
-
-# A sample counts as there when its time is this close: recorded times are sums of binary fractions.
-_TIME_TOLERANCE = 1e-6
+_TIME_TOLERANCE = 1e-6  # s; recorded times are sums of binary fractions
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Episode:
-    """What happened from the beginning to the end of one recording.
-
-    Names of signals, states and poses are paths with dots: "joints.command.thumb.joint_12",
-    "grasp", "hand.base_link".
+    """One recording from beginning to end. Names of signals, states and poses are entity paths with dots.
 
     Attributes:
         name: of the recording, such as "cylinder-0".
         t: (T,) s from 0, increasing.
-        glove: of the human hand, sampled at `t`.
-        signals: (T,) each; joint angles in rad, contact forces in N.
+        glove: the human hand, sampled at `t`.
+        signals: (T,) each, such as "joints.command.thumb.joint_12"; joint angles in rad, forces in N.
         states: (T,) each, the state's name.
         poses: X_WB (T, 7) of every moving body, qw qx qy qz x y z.
-        facts: what is known of the whole episode, JSON types: of a trial its line in results.json.
+        facts: about the whole episode, JSON types: for a trial its line in results.json.
         robot: name of the robot hand; None without a robot.
     """
 
@@ -49,29 +44,24 @@ class Episode:
 
     @property
     def command_names(self) -> list[str]:
-        """The signals that the robot was asked for."""
+        """The signals that hold joint commands."""
         return [name for name in self.signals if name.split(".")[1:2] == ["command"]]
 
     @property
     def measured_names(self) -> list[str]:
-        """The signals that the robot's joints answered with."""
+        """The signals that hold measured joint positions."""
         return [name for name in self.signals if name.split(".")[1:2] == ["measured"]]
 
-    def body_pose(self, model: str) -> np.ndarray:
-        """X_WB (T, 7) of the first body of a model.
+    def body_pose(self, model: str = HAND) -> np.ndarray:
+        """X_WB (T, 7) of the first moving body of a model, by default the robot hand.
 
         Raises:
-            RecordingError: nothing of that model moves.
+            RecordingError: no body of that model moves.
         """
         for name, X_WB in self.poses.items():
             if name.partition(".")[0] == model:
                 return X_WB
-        raise RecordingError(f"{self.name}: nothing of '{model}' moves; there are {', '.join(self.poses)}")
-
-    @property
-    def hand_pose(self) -> np.ndarray:
-        """X_WB (T, 7) of the robot hand's base."""
-        return self.body_pose(HAND)
+        raise RecordingError(f"{self.name}: no body of '{model}' moves; there are {', '.join(self.poses)}")
 
     def resampled(self, t: np.ndarray) -> "Episode":
         """The episode at other times (T,), each with the newest sample until then."""
@@ -87,10 +77,10 @@ class Episode:
 
 
 def read_episodes(path: str | os.PathLike) -> Iterator[Episode]:
-    """The trials of a run, a folder that geort-drake grasp wrote, one after the other.
+    """The trials of a run, a folder that geort-drake grasp wrote.
 
     Raises:
-        RecordingError: the folder is no such run, or a trial lacks a file.
+        RecordingError: the folder is no such run, or a file of a trial is missing.
     """
     folder = Path(path)
     results = folder / RESULTS
@@ -107,32 +97,25 @@ def read_episodes(path: str | os.PathLike) -> Iterator[Episode]:
     if not names:
         raise RecordingError(f"{results}: the run has no trials")
     for name in names:
-        for suffix, why in ((".rrd", "commands and states; simulate without --no-rerun"), (".glove.npz", "")):
-            if not (folder / f"{name}{suffix}").is_file():
+        for file in (f"{name}.rrd", f"{name}.glove.npz"):
+            if not (folder / file).is_file():
                 raise RecordingError(
-                    f"{folder}: trial {name} lacks {name}{suffix}" + (f", which holds {why}" if why else "")
+                    f"{folder}: trial {name} lacks {file}; an export needs it: simulate without --no-rerun"
                 )
     for name, facts in zip(names, trials, strict=True):
-        trial = read_trial(folder / f"{name}.rrd")
-        yield Episode(
-            name,
-            trial.t,
-            glove_at(Recording.load(folder / f"{name}.glove.npz"), trial.t),
-            trial.signals,
-            trial.states,
-            trial.poses,
-            facts,
-            Path(robot).stem,
-        )
+        samples = read_samples(folder / f"{name}.rrd")
+        glove = glove_at(Recording.load(folder / f"{name}.glove.npz"), samples.t)
+        recorded = (samples.signals, samples.states, samples.poses)
+        yield Episode(name, samples.t, glove, *recorded, facts, Path(robot).stem)
 
 
 def episode_of(recording: Recording, name: str) -> Episode:
-    """A recording of a hand alone, without a robot."""
+    """A recording of a hand, without a robot."""
     return Episode(name, recording.t - recording.t[0], recording, facts=recording.metadata)
 
 
 def newest(sampled: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Row of the newest of the samples at times `sampled` (S,) for each of `t` (T,); at first the first."""
+    """Row of the newest sample, of those at times `sampled` (S,), for each of `t` (T,); or else the first."""
     return np.maximum(np.searchsorted(sampled, np.asarray(t) + _TIME_TOLERANCE, side="right") - 1, 0)
 
 

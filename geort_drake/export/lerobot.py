@@ -1,8 +1,7 @@
 """Episodes as a LeRobot dataset, codebase version 3.0.
 
-The layout is that of https://huggingface.co/docs/lerobot/lerobot-dataset-v3: frames of all episodes one
-after the other in data/, where each begins and ends in meta/episodes/, tasks, statistics and features
-in meta/. LeRobot's own library cannot be used here, as it asks for a Rerun and a torch of long ago.
+The layout is that of https://huggingface.co/docs/lerobot/lerobot-dataset-v3. LeRobot's own writer is not used
+because the package brings about a hundred others and pins old versions of torch and Rerun.
 """
 
 import json
@@ -27,16 +26,14 @@ _FILES_PER_CHUNK, _FILE_MB = 1000, 100
 _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 _POSE = ["qw", "qx", "qy", "qz", "x", "y", "z"]
 _KEYPOINTS = [f"{axis}{keypoint}" for keypoint in range(21) for axis in "xyz"]
-_COUNTERS = {
-    "timestamp": "float32",
-    **dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), "int64"),
-}
+# Name → values (T, n), and names of the n numbers.
+Features = dict[str, tuple[np.ndarray, list[str] | None]]
 
 
 def write_lerobot(
     episodes: Iterable[Episode], output: str | os.PathLike, fps: int | None = None
 ) -> Iterator[str]:
-    """Writes a dataset, whole or not at all, and yields the name of each episode that is done.
+    """Writes a dataset, whole or not at all, and yields the name of each finished episode.
 
     Args:
         episodes: of one robot.
@@ -46,7 +43,7 @@ def write_lerobot(
 
     Raises:
         RecordingError: an episode has no robot, or other joints than the first.
-        OutputError: `output` exists and is not a dataset.
+        OutputError: `output` exists and is no dataset.
     """
     check_replaceable(output, INFO)
     with atomic_directory(output) as draft:
@@ -57,8 +54,8 @@ def write_lerobot(
         writer.finish()
 
 
-def features_of(episode: Episode) -> dict[str, tuple[np.ndarray, list[str] | None]]:
-    """LeRobot's name of each feature → values (T, n) and the names of its n numbers.
+def features_of(episode: Episode) -> Features:
+    """What a policy observes and does.
 
     Raises:
         RecordingError: the episode has no commands or no measured joints.
@@ -66,33 +63,30 @@ def features_of(episode: Episode) -> dict[str, tuple[np.ndarray, list[str] | Non
     commands, measured = episode.command_names, episode.measured_names
     if not (commands and measured):
         raise RecordingError(
-            f"{episode.name}: a LeRobot dataset holds what a robot did and was asked for; this recording has "
-            "no robot: export it as Parquet"
+            f"{episode.name}: this recording has no robot: export it as Parquet; a LeRobot dataset needs a "
+            "robot's commands and measured joint positions"
         )
     frames = len(episode.t)
     last = np.arange(frames) == frames - 1
-    # Where the hand was lost it is where it was seen last.
+    # A lost hand stays where it was seen last.
     seen = np.maximum.accumulate(np.where(episode.glove.valid, np.arange(frames), 0))
-    X_WH = episode.glove.X_WH
-    features: dict[str, tuple[np.ndarray, list[str] | None]] = {
+    floats: Features = {
         "action": (_table(episode, commands), commands),
         "observation.state": (_table(episode, measured), measured),
-        "observation.hand_pose": (episode.hand_pose, _POSE),
+        "observation.hand_pose": (episode.body_pose(), _POSE),
         "observation.environment_state": (episode.body_pose(str(episode.facts["object"])), _POSE),
         "observation.glove": (episode.glove.p_HK[seen].reshape(frames, 63), _KEYPOINTS),
     }
-    if X_WH is not None:
-        features["observation.wrist"] = (X_WH[seen], _POSE)
+    if episode.glove.X_WH is not None:
+        floats["observation.wrist"] = (episode.glove.X_WH[seen], _POSE)
+    features: Features = {name: (values.astype(np.float32), of) for name, (values, of) in floats.items()}
     features["next.done"] = (last[:, None], None)
     features["next.success"] = ((last & bool(episode.facts["success"]))[:, None], None)
-    return {
-        name: (values if values.dtype == bool else values.astype(np.float32), names)
-        for name, (values, names) in features.items()
-    }
+    return features
 
 
 class _Writer:
-    """The files of a dataset, as far as they are written."""
+    """The files of a dataset that is being written."""
 
     def __init__(self, folder: Path, fps: int | None):
         self._folder, self._fps = folder, fps
@@ -103,32 +97,32 @@ class _Writer:
         self._file = 0
         self._frames = 0
         self._robot: str | None = None
-        self._moments: dict[str, list[np.ndarray]] = {}
+        self._values: dict[str, list[np.ndarray]] = {}
 
     def add(self, episode: Episode) -> None:
         if self._fps is None:
             self._fps = max(1, round(1.0 / float(np.median(np.diff(episode.t)))))
         frames = int(episode.t[-1] * self._fps + 1e-6) + 1
         episode = episode.resampled(np.arange(frames) / self._fps)
-        values = features_of(episode)
-        self._agree(episode, values)
-        number = len(self._episodes)
+        number, first = len(self._episodes), self._frames
+        features = features_of(episode)
         task = f"grasp the {str(episode.facts['object']).replace('_', ' ')}"
-        counters: dict[str, np.ndarray] = {
+        counters = {
             "timestamp": (np.arange(frames) / self._fps).astype(np.float32),
             "frame_index": np.arange(frames),
             "episode_index": np.full(frames, number),
-            "index": self._frames + np.arange(frames),
+            "index": first + np.arange(frames),
             "task_index": np.full(frames, self._tasks.setdefault(task, len(self._tasks))),
         }
-        columns = {name: _column(array) for name, (array, _) in values.items()}
-        self._waiting.append(pa.table(columns | {name: pa.array(c) for name, c in counters.items()}))
-        arrays = {name: array for name, (array, _) in values.items()}
-        arrays |= {name: counter[:, None] for name, counter in counters.items()}
-        for name, array in arrays.items():
-            self._moments.setdefault(name, []).append(array)
-        statistics = {name: _statistics(array) for name, array in arrays.items()}
+        features |= {name: (column[:, None], None) for name, column in counters.items()}
+        self._check_features(episode, features)
+        self._waiting.append(pa.table({name: _column(values) for name, (values, _) in features.items()}))
+        statistics = {}
+        for name, (values, _) in features.items():
+            self._values.setdefault(name, []).append(values)
+            statistics |= {f"stats/{name}/{key}": value for key, value in _statistics(values).items()}
         chunk, file = divmod(self._file, _FILES_PER_CHUNK)
+        self._frames += frames
         self._episodes.append(
             {
                 "episode_index": number,
@@ -136,28 +130,23 @@ class _Writer:
                 "length": frames,
                 "data/chunk_index": chunk,
                 "data/file_index": file,
-                "dataset_from_index": self._frames,
-                "dataset_to_index": self._frames + frames,
+                "dataset_from_index": first,
+                "dataset_to_index": self._frames,
                 "meta/episodes/chunk_index": 0,
                 "meta/episodes/file_index": 0,
                 "name": episode.name,
                 "outcome": episode.facts["outcome"],
-                **{
-                    f"stats/{name}/{key}": value
-                    for name, figures in statistics.items()
-                    for key, value in figures.items()
-                },
+                **statistics,
             }
         )
-        self._frames += frames
         if sum(table.nbytes for table in self._waiting) > _FILE_MB * 2**20:
             self._flush()
 
     def finish(self) -> None:
         self._flush()
         self._write(EPISODES_PATH, pa.Table.from_pylist(self._episodes))
-        self._write(TASKS, _indexed(list(self._tasks)))
-        statistics = {name: _statistics(np.concatenate(arrays)) for name, arrays in self._moments.items()}
+        self._write(TASKS, _task_table(list(self._tasks)))
+        statistics = {name: _statistics(np.concatenate(arrays)) for name, arrays in self._values.items()}
         info = {
             "codebase_version": VERSION,
             "robot_type": self._robot,
@@ -177,23 +166,19 @@ class _Writer:
             text = json.dumps(content, indent=2, allow_nan=False)
             (self._folder / name).write_text(text + "\n", encoding="utf-8")
 
-    def _agree(self, episode: Episode, values: dict[str, tuple[np.ndarray, list[str] | None]]) -> None:
-        features = {
-            name: {"dtype": str(array.dtype), "shape": [array.shape[1]], "names": names}
-            for name, (array, names) in values.items()
+    def _check_features(self, episode: Episode, features: Features) -> None:
+        described = {
+            name: {"dtype": str(values.dtype), "shape": [values.shape[1]], "names": names}
+            for name, (values, names) in features.items()
         }
-        features |= {name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in _COUNTERS.items()}
         if not self._features:
-            self._features, self._robot = features, episode.robot
-        elif self._features != features:
-            unlike = [
-                name
-                for name in {**self._features, **features}
-                if self._features.get(name) != features.get(name)
-            ]
+            self._features, self._robot = described, episode.robot
+        elif self._features != described:
+            names = {**self._features, **described}
+            differing = [name for name in names if self._features.get(name) != described.get(name)]
             raise RecordingError(
-                f"{episode.name}: its {', '.join(unlike)} is not as in the episodes before; all of a dataset "
-                "must be of one robot"
+                f"{episode.name}: its {', '.join(differing)} differs from earlier episodes; all episodes of "
+                "a dataset must be of one robot"
             )
 
     def _flush(self) -> None:
@@ -213,12 +198,12 @@ def _table(episode: Episode, names: list[str]) -> np.ndarray:
 
 
 def _column(values: np.ndarray) -> pa.Array:
-    """Plain numbers where a feature has one, else lists."""
+    """Plain numbers for a feature of one number, else lists."""
     return pa.array(values[:, 0]) if values.shape[1] == 1 else rows(values)
 
 
 def _statistics(values: np.ndarray) -> dict[str, list]:
-    """LeRobot's statistics of values (T, n), a list of n for each; the count is one number."""
+    """LeRobot's statistics of values (T, n): a list of n for each; the count is one number."""
     numbers = values.astype(float)
     quantiles = np.quantile(numbers, list(_QUANTILES.values()), axis=0)
     return {
@@ -231,17 +216,16 @@ def _statistics(values: np.ndarray) -> dict[str, list]:
     }
 
 
-def _indexed(tasks: list[str]) -> pa.Table:
-    """The table of tasks, whose index pandas takes from the column "task"."""
-    kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
-    described = [
-        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
-        for name, (kind, numpy) in kinds.items()
-    ]
+def _task_table(tasks: list[str]) -> pa.Table:
+    """The table of tasks, which pandas is to read with the column "task" as its index."""
+    types = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
     pandas = {
         "index_columns": ["task"],
         "column_indexes": [],
-        "columns": described,
+        "columns": [
+            {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
+            for name, (kind, numpy) in types.items()
+        ],
         "pandas_version": "2.0.0",
     }
     table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": pa.array(tasks)})

@@ -1,8 +1,4 @@
-"""Episodes as Parquet: a table of frames for each, and one table of the episodes.
-
-frames/NAME.parquet   one row per sample
-episodes.parquet      one row per episode
-"""
+"""Episodes as Parquet files: frames/NAME.parquet, one row per sample, and episodes.parquet, one row each."""
 
 import json
 import os
@@ -21,30 +17,23 @@ FRAMES, EPISODES = "frames", "episodes.parquet"
 
 
 def write_parquet(episodes: Iterable[Episode], output: str | os.PathLike) -> Iterator[str]:
-    """Writes a folder, whole or not at all, and yields the name of each episode that is done.
+    """Writes a folder, whole or not at all, and yields the name of each finished episode.
 
     Raises:
-        OutputError: `output` exists and is not such a folder.
+        OutputError: `output` exists and is no earlier export.
     """
     check_replaceable(output, EPISODES)
     with atomic_directory(output) as draft:
         (draft / FRAMES).mkdir()
         lines = []
         for episode in episodes:
-            table = frame_table(episode)
-            pq.write_table(table, draft / FRAMES / f"{episode.name}.parquet")
-            lines.append(
-                {
-                    "episode": episode.name,
-                    "frames": len(episode.t),
-                    "robot": episode.robot,
-                    **{
-                        # A table wants one type in a column; what is nested differs from trial to trial.
-                        key: json.dumps(value) if isinstance(value, dict | list) else value
-                        for key, value in episode.facts.items()
-                    },
-                }
-            )
+            pq.write_table(frame_table(episode), draft / FRAMES / f"{episode.name}.parquet")
+            # Nested facts differ from trial to trial, but a column has one type.
+            facts = {
+                key: json.dumps(value) if isinstance(value, dict | list) else value
+                for key, value in episode.facts.items()
+            }
+            lines.append({"episode": episode.name, "frames": len(episode.t), "robot": episode.robot, **facts})
             yield episode.name
         pq.write_table(pa.Table.from_pylist(lines), draft / EPISODES)
 
@@ -71,16 +60,14 @@ def rows(values: np.ndarray, missing: np.ndarray | None = None) -> pa.Array:
     n = values.shape[1]
     if missing is None:
         return pa.FixedSizeListArray.from_arrays(pa.array(np.ascontiguousarray(values).ravel()), n)
-    # Before version 26, Arrow writes or reads no null among lists of fixed size.
+    # Before version 26, Arrow cannot store nulls among lists of fixed size.
     ends = np.cumsum(np.where(missing, 0, n), dtype=np.int32)
     flat = pa.array(np.ascontiguousarray(values[~missing]).ravel())
     return pa.ListArray.from_arrays(pa.array(np.append(np.int32(0), ends)), flat, mask=pa.array(missing))
 
 
 def check_replaceable(output: str | os.PathLike, mark: str) -> None:
-    """Raises OutputError where writing would replace something other than an export with the file `mark`."""
+    """Raises OutputError unless `output` is absent, an empty folder, or an export with the file `mark`."""
     path = Path(output)
     if path.exists() and not (path.is_dir() and ((path / mark).is_file() or not any(path.iterdir()))):
-        raise OutputError(
-            f"{path} exists and is no earlier export; it would be replaced: choose another name"
-        )
+        raise OutputError(f"{path} exists and is no earlier export; choose another name")

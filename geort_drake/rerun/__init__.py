@@ -1,0 +1,43 @@
+"""Recordings for the Rerun viewer, of any Drake diagram and without one.
+
+A recorder is one more system of a diagram. It samples the bodies of a plant, and further ports on request:
+
+    recorder = add_rerun_recorder(builder, plant, scene_graph, "robot.rrd",
+                                  signals={"torque": SignalSpec(port, ["shoulder", "elbow"], unit="N m")})
+    simulator = Simulator(builder.Build())
+    with recorder:  # leaving the block writes the file
+        simulator.AdvanceTo(5.0)
+
+`HandSpec`, `PointsSpec`, `StateSpec`, `ContactSpec`, `CameraSpec` and `CloseUpSpec` add human hands, points,
+named states, contact forces, pictures and views. Without a simulation, `file_writer` opens a file and the
+functions of `geort_drake.rerun.drawing` fill it; `take_screenshot` makes a picture of a file.
+"""
+
+from geort_drake.rerun.add_recorder import add_rerun_recorder
+from geort_drake.rerun.recorder import RerunRecorder
+from geort_drake.rerun.screenshot import take_screenshot
+from geort_drake.rerun.specs import (
+    CameraSpec,
+    CloseUpSpec,
+    ContactSpec,
+    HandSpec,
+    PointsSpec,
+    SignalSpec,
+    StateSpec,
+)
+from geort_drake.rerun.writer import Writer, file_writer
+
+__all__ = [
+    "CameraSpec",
+    "CloseUpSpec",
+    "ContactSpec",
+    "HandSpec",
+    "PointsSpec",
+    "RerunRecorder",
+    "SignalSpec",
+    "StateSpec",
+    "Writer",
+    "add_rerun_recorder",
+    "file_writer",
+    "take_screenshot",
+]

@@ -1,8 +1,8 @@
-"""What a plant looks like, as Rerun entities: every body's path and every geometry's shape."""
+"""The bodies of a plant as Rerun entities: their paths, shapes and fixed poses."""
 
 import warnings
 from collections import defaultdict
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,24 +25,56 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, RigidBody
 
+from geort_drake.rerun.drawing import SOLID, WORLD, entity_path, transform, write_up_axis, xyzw
 from geort_drake.rerun.meshes import draw_mesh
+from geort_drake.rerun.writer import Writer
 
-WORLD = "world"
-_DEFAULT_COLOR = Rgba(0.75, 0.75, 0.78, 1.0)  # geometry that brings no colour
-_GLASS = 90  # opacity, of 255
+_DEFAULT_COLOR = Rgba(0.75, 0.75, 0.78, 1.0)
+_TRANSLUCENT = 90  # opacity, of 255
 _HALF_SPACE_SIDE = 2.0  # m; a half space is drawn as a square
+
+# Drake's shape → name of the entity, archetype, its dimensions, and offset along z of its origin, m.
+_SHAPES: dict[type, tuple[str, Any, Callable[[Any], dict], Callable[[Any], float]]] = {
+    Box: ("boxes", rr.Boxes3D, lambda s: {"sizes": s.size()}, lambda _: 0.0),
+    HalfSpace: (
+        "boxes",
+        rr.Boxes3D,
+        lambda _: {"sizes": [_HALF_SPACE_SIDE, _HALF_SPACE_SIDE, 0.002]},
+        lambda _: -0.001,
+    ),
+    Sphere: ("ellipsoids", rr.Ellipsoids3D, lambda s: {"half_sizes": [s.radius()] * 3}, lambda _: 0.0),
+    Ellipsoid: (
+        "ellipsoids",
+        rr.Ellipsoids3D,
+        lambda s: {"half_sizes": [s.a(), s.b(), s.c()]},
+        lambda _: 0.0,
+    ),
+    Cylinder: (
+        "cylinders",
+        rr.Cylinders3D,
+        lambda s: {"lengths": s.length(), "radii": s.radius()},
+        lambda _: 0.0,
+    ),
+    # Drake centres a capsule; Rerun's begins at its origin.
+    Capsule: (
+        "capsules",
+        rr.Capsules3D,
+        lambda s: {"lengths": s.length(), "radii": s.radius()},
+        lambda s: -s.length() / 2,
+    ),
+}
 
 
 @dataclass
 class Scene:
-    """The bodies of a plant that are worth drawing, and how to draw them.
+    """The bodies of a plant, and how to draw them.
 
     Attributes:
         paths: entity path of every body of the plant, by its index.
-        moving: indices of the drawn bodies whose pose changes, in plant order.
+        moving: indices of the bodies whose poses are recorded, in plant order.
         anchored: X_WB of the drawn bodies that are welded to the world, by index.
         shapes: entity path and archetype of all geometry, which does not change.
-        body_of_geometry: body index of every proximity geometry, for contact surfaces.
+        body_of_geometry: body index of every proximity geometry.
     """
 
     paths: list[str]
@@ -51,21 +83,40 @@ class Scene:
     shapes: list[tuple[str, rr.AsComponents]] = field(default_factory=list)
     body_of_geometry: dict[GeometryId, int] = field(default_factory=dict)
 
+    def write(self, writer: Writer) -> None:
+        """Sends everything that does not change."""
+        write_up_axis(writer)
+        for index, X_WB in self.anchored.items():
+            writer.static(self.paths[index], transform(X_WB))
+        for path, archetype in self.shapes:
+            writer.static(path, archetype)
+
+    def translucent_shapes(self, body: int) -> dict[str, rr.AsComponents]:
+        """Entity path of each shape of a body → what makes a view draw it translucent."""
+        inside = f"{self.paths[body]}/"
+        shapes = {path: _translucent(shape) for path, shape in self.shapes if path.startswith(inside)}
+        return {path: style for path, style in shapes.items() if style is not None}
+
 
 def describe_scene(
-    plant: MultibodyPlant, scene_graph: SceneGraph, role: Role, wanted: Collection = ()
+    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
+    role: Role = Role.kIllustration,
+    wanted: Collection = (),
+    root: str = f"/{WORLD}",
 ) -> Scene:
-    """Reads the geometry of a finalized plant from its scene graph.
+    """Reads the geometry of a finalized plant.
 
-    A body without geometry of the wanted role is drawn with its proximity geometry; one that has
-    neither is not drawn. A geometry that cannot be drawn is left out with a warning that names it.
+    A body without geometry of the role is drawn with its proximity geometry; one that has neither is not
+    drawn. A geometry that cannot be drawn is left out with a warning that names it.
 
     Args:
-        wanted: indices of bodies whose poses are wanted also where nothing of them is drawn.
+        wanted: indices of bodies whose poses are recorded even if they are not drawn.
+        root: entity path of the world frame.
     """
     inspector = scene_graph.model_inspector()
     bodies = [plant.get_body(index) for index in map(BodyIndex, range(plant.num_bodies()))]
-    scene = Scene(paths=[_body_path(plant, body) for body in bodies])
+    scene = Scene(paths=[root + _body_path(plant, body) for body in bodies])
     defaults = plant.CreateDefaultContext()
     for body in bodies:
         index = int(body.index())
@@ -87,82 +138,47 @@ def describe_scene(
     return scene
 
 
-def entity_path(*keys: str) -> str:
-    """An entity path of keys that may themselves hold slashes; odd characters are escaped."""
-    return "/" + "/".join(_part(part) for key in keys for part in key.split("/") if part)
-
-
 def _body_path(plant: MultibodyPlant, body: RigidBody) -> str:
     if body.index() == plant.world_body().index():
-        return f"/{WORLD}/environment"
+        return "/environment"
     model = plant.GetModelInstanceName(body.model_instance())
-    return entity_path(WORLD, *model.split("::"), body.name())
-
-
-def _part(name: str) -> str:
-    return rr.escape_entity_path_part(name)
+    return entity_path(*model.split("::"), body.name())
 
 
 def _draw(
     inspector: SceneGraphInspector, geometries: Sequence[GeometryId], role: Role, body_path: str
 ) -> list[tuple[str, rr.AsComponents]]:
-    """The archetypes that draw a body's geometry, placed in the body's frame.
+    """The archetypes that draw a body's geometry, in the body's frame.
 
     All shapes of one kind are one entity: a robot has hundreds, and entities cost space and time.
     """
-    batches: dict[str, _Batch] = defaultdict(_Batch)
+    batches: dict[tuple[str, Any], dict[str, list]] = defaultdict(lambda: defaultdict(list))
     drawn: list[tuple[str, rr.AsComponents]] = []
     for geometry in geometries:
         shape = inspector.GetShape(geometry)
         X_BG = inspector.GetPoseInFrame(geometry)
         color = _color(inspector, geometry)
         name = inspector.GetName(geometry).rsplit("::", 1)[-1]
-        if isinstance(shape, Box):
-            batches["boxes"].add(name, color, X_BG, sizes=shape.size())
-        elif isinstance(shape, HalfSpace):
-            sizes = [_HALF_SPACE_SIDE, _HALF_SPACE_SIDE, 0.002]
-            batches["boxes"].add(name, color, _shifted(X_BG, -0.001), sizes=sizes)
-        elif isinstance(shape, Sphere):
-            batches["ellipsoids"].add(name, color, X_BG, half_sizes=[shape.radius()] * 3)
-        elif isinstance(shape, Ellipsoid):
-            batches["ellipsoids"].add(name, color, X_BG, half_sizes=[shape.a(), shape.b(), shape.c()])
-        elif isinstance(shape, Cylinder):
-            batches["cylinders"].add(name, color, X_BG, lengths=shape.length(), radii=shape.radius())
-        elif isinstance(shape, Capsule):
-            # Drake centres a capsule; Rerun's runs from z = 0 to its length.
-            X_BC = _shifted(X_BG, -shape.length() / 2)
-            batches["capsules"].add(name, color, X_BC, lengths=shape.length(), radii=shape.radius())
+        if type(shape) in _SHAPES:
+            kind, archetype, dimensions, offset = _SHAPES[type(shape)]
+            center = "translations" if archetype is rr.Capsules3D else "centers"
+            row = {
+                "labels": name,
+                "colors": color,
+                "quaternions": xyzw(X_BG),
+                center: X_BG @ [0.0, 0.0, offset(shape)],
+            }
+            for key, value in (row | dimensions(shape)).items():
+                batches[kind, archetype][key].append(value)
         elif mesh := draw_mesh(inspector, geometry, role, color):
-            drawn += [(f"{body_path}/{_part(name)}", archetype) for archetype in mesh]
+            drawn += [(f"{body_path}{entity_path(name, *part)}", archetype) for part, archetype in mesh]
         else:
             kind = type(shape).__name__
             warnings.warn(f"geometry {inspector.GetName(geometry)}: cannot draw a {kind}", stacklevel=4)
-    drawn += [(f"{body_path}/{kind}", batch.archetype(kind)) for kind, batch in batches.items()]
+    for (kind, archetype), columns in batches.items():
+        # The names of the geometries are shown for a selected one.
+        drawn.append((f"{body_path}/{kind}", archetype(**columns, fill_mode=SOLID, show_labels=False)))
     return drawn
-
-
-class _Batch:
-    """Shapes of one kind on one body."""
-
-    def __init__(self) -> None:
-        self._columns: dict[str, list] = defaultdict(list)
-
-    def add(self, name: str, color: list[int], X_BG: RigidTransform, **dimensions: Any) -> None:
-        row = {"labels": name, "colors": color, "at": X_BG.translation(), "quaternions": _xyzw(X_BG)}
-        for key, value in (row | dimensions).items():
-            self._columns[key].append(value)
-
-    def archetype(self, kind: str) -> rr.AsComponents:
-        columns = dict(self._columns)
-        columns["translations" if kind == "capsules" else "centers"] = columns.pop("at")
-        maker = {
-            "boxes": rr.Boxes3D,
-            "ellipsoids": rr.Ellipsoids3D,
-            "cylinders": rr.Cylinders3D,
-            "capsules": rr.Capsules3D,
-        }[kind]
-        # The names of the geometries are kept for whoever selects one.
-        return maker(**columns, fill_mode=rr.components.FillMode.Solid, show_labels=False)
 
 
 def _color(inspector: SceneGraphInspector, geometry: GeometryId) -> list[int]:
@@ -179,28 +195,15 @@ def _color(inspector: SceneGraphInspector, geometry: GeometryId) -> list[int]:
     return [round(255 * value) for value in (rgba.r(), rgba.g(), rgba.b(), rgba.a())]
 
 
-def as_of_glass(shape: Any) -> rr.AsComponents | None:
-    """What makes a view draw a shape so that one sees through it; None where that is no shape."""
+def _translucent(shape: Any) -> rr.AsComponents | None:
+    """Overrides the opacity of a shape; None for other archetypes."""
     if isinstance(shape, rr.Mesh3D | rr.Asset3D):
-        # It is multiplied with the colours of the corners and of pictures.
+        # The factor multiplies the colours of textures.
         factor = shape.albedo_factor
         rgba = 0xFFFFFFFF if factor is None else int(factor.as_arrow_array()[0].as_py())
-        return type(shape).from_fields(albedo_factor=(rgba & 0xFFFFFF00) | _GLASS)
+        return type(shape).from_fields(albedo_factor=(rgba & 0xFFFFFF00) | _TRANSLUCENT)
     colors = getattr(shape, "colors", None)
     if colors is None:
         return None
     rgba = colors.as_arrow_array().to_numpy()
-    return type(shape).from_fields(colors=(rgba & np.uint32(0xFFFFFF00)) | np.uint32(_GLASS))
-
-
-def _shifted(X_BG: RigidTransform, z: float) -> RigidTransform:
-    return RigidTransform(X_BG.rotation(), X_BG @ [0.0, 0.0, z])
-
-
-def transform(X: RigidTransform) -> rr.Transform3D:
-    """A pose as Rerun's archetype."""
-    return rr.Transform3D(translation=X.translation(), quaternion=rr.Quaternion(xyzw=_xyzw(X)))
-
-
-def _xyzw(X: RigidTransform) -> np.ndarray:
-    return np.roll(X.rotation().ToQuaternion().wxyz(), -1)
+    return type(shape).from_fields(colors=(rgba & np.uint32(0xFFFFFF00)) | np.uint32(_TRANSLUCENT))

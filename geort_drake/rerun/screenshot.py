@@ -19,9 +19,9 @@ from geort_drake.errors import RecordingError
 from geort_drake.files import atomic_path
 from geort_drake.rerun.writer import STEPS, TIMELINE
 
-_GREETING = 6.0  # s; so long a notice of the viewer's covers a corner
+_NOTICE = 6.0  # s; for this long a notice of the viewer covers a corner
 _ATTEMPTS = 4
-_PAUSE = 0.3  # s, between two looks at whether anything still moves
+_PAUSE = 0.3  # s, between two pictures that are compared
 _DRIVER = (
     "The viewer needs a graphics driver; without a graphics card a software one will do "
     "(Debian and Ubuntu: apt-get install mesa-vulkan-drivers)."
@@ -49,36 +49,18 @@ class Camera:
         if self._timeline is None:
             raise RecordingError(f"{recording}: holds nothing on the timeline '{TIMELINE}' or '{STEPS}'")
         self.end: float = ends[self._timeline] * (1e-9 if self._timeline == TIMELINE else 1)
-        sleep(_GREETING)
+        sleep(_NOTICE)
 
-    def take(self, time: float | None = None, view: str | None = None) -> bytes:
-        """A .png of a time, by default the end; of the layout's view with a title, by default the window."""
+    def take(self, time: float | None = None) -> bytes:
+        """A .png of the window at a time, by default the end, once layout and plots have settled."""
         shown = self.end if time is None else time
         kind = {"duration": shown} if self._timeline == TIMELINE else {"sequence": round(shown)}
-        _patiently(lambda: self._client.set_time(self._timeline, play_state="paused", **kind))
-        return self._settled(view)
-
-    def _settled(self, view: str | None) -> bytes:
-        """What the viewer shows when nothing moves any more: layout and plots settle over many frames."""
-        shown = None
-        if view is not None:
-            views = _patiently(self._client.get_state).views
-            shown = next(one.view_id for one in views if one.name == view)
+        _retry(lambda: self._client.set_time(self._timeline, play_state="paused", **kind))
         end, before = monotonic() + self._timeout_s, b""
-        while True:
-            now = _patiently(lambda: self._client.take_screenshot(shown))
-            if now == before or monotonic() > end:
-                return now
+        while (now := _retry(lambda: self._client.take_screenshot(None))) != before and monotonic() < end:
             before = now
             sleep(_PAUSE)
-
-
-def _patiently(ask: Callable[[], Any]) -> Any:
-    """The answer of a viewer, which on a busy machine may not come within the client's own limit."""
-    for _ in range(_ATTEMPTS - 1):
-        with contextlib.suppress(RuntimeError):
-            return ask()
-    return ask()
+        return now
 
 
 @contextlib.contextmanager
@@ -90,7 +72,7 @@ def camera(
     Args:
         recording: the .rrd file.
         size: width and height of the window, px.
-        timeout_s: how long to wait for the viewer to start, the file to load, and the layout to settle.
+        timeout_s: longest wait for the viewer to start, for the file to load, and for the layout to settle.
 
     Raises:
         RecordingError: the recording is missing or empty, or the viewer cannot draw here.
@@ -105,7 +87,7 @@ def camera(
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    # Not ViewerClient.spawn, which listens on all network interfaces and fixes the window's size.
+    # ViewerClient.spawn would listen on all network interfaces, and fixes the window's size.
     command = [sys.executable, "-m", "rerun", "--headless", "--bind", "127.0.0.1", "--port", str(port)]
     command += ["--window-size", f"{size[0]}x{size[1]}", "--hide-welcome-screen"]
     with tempfile.TemporaryFile() as log:
@@ -135,7 +117,7 @@ def take_screenshot(
     Args:
         recording, size, timeout_s: as in `camera`.
         picture: the .png file.
-        time: what to show, on the recording's timeline: simulated s, or training steps; by default the end.
+        time: on the recording's timeline: simulated s, or training steps; by default the end.
 
     Raises:
         RecordingError: see `camera`; or the picture has another suffix.
@@ -149,14 +131,22 @@ def take_screenshot(
         draft.write_bytes(png)
 
 
+def _retry(ask: Callable[[], Any]) -> Any:
+    """The viewer's answer, which on a busy machine may exceed the client's time limit."""
+    for _ in range(_ATTEMPTS - 1):
+        with contextlib.suppress(RuntimeError):
+            return ask()
+    return ask()
+
+
 def _reason(viewer: subprocess.Popen, log: IO[bytes]) -> str:
-    """What the viewer said went wrong, and what to do if it died."""
+    """The errors that the viewer reported, and advice if it crashed."""
     with contextlib.suppress(subprocess.TimeoutExpired):
         viewer.wait(timeout=2)
     log.seek(0)
-    said = log.read().decode(errors="replace").splitlines()
-    telling = [line.strip() for line in said if "ERROR" in line or "adapter" in line]
-    return "\n".join([_DRIVER] * (viewer.poll() is not None) + telling[-3:])
+    lines = [line.strip() for line in log.read().decode(errors="replace").splitlines()]
+    errors = [line for line in lines if "ERROR" in line or "adapter" in line]
+    return "\n".join([_DRIVER] * (viewer.poll() is not None) + errors[-3:])
 
 
 def _end(viewer: subprocess.Popen) -> None:

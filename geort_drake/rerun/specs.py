@@ -1,4 +1,4 @@
-"""What else a recorder is asked for, beside the bodies of a plant."""
+"""Descriptions of what a recorder records beside the bodies of a plant."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,28 +11,28 @@ from pydrake.systems.sensors import RgbdSensor
 
 from geort_drake.colours import SKIN, Color
 
-# From the values (T, m) of ports at several times to what is recorded of them (T, n).
+# From the values (T, m) of ports at T times to what is recorded of them (T, n).
 Derive = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
 class SignalSpec:
-    """A vector output port as one time series per element.
+    """A vector output port as time series, one per element.
 
     Attributes:
-        port: vector output port of any system of the diagram; or several, whose values follow each other.
-        names: one name per element. A slash opens a level of the tree, and the series that share
-            it share a plot: "index/joint_0".
-        label: what the legend adds to each name, such as "command".
-        faint: drawn thin and pale, for what another signal is compared with.
-        title: of the plot; by default what stands before the slash. Signals share a plot by title and unit.
-        unit: what the title of the plot gives in brackets.
-        page: the tab that its plots stand on; pages lie on top of each other.
-        legend: whether the plot has one; without it, pointing at a line tells its name.
+        port: vector output port of any system of the diagram, or several, whose values are concatenated.
+        names: one per element. Elements that share the part before the last slash share a plot:
+            "index/joint_0".
+        label: added to each name in the plot, such as "command".
+        faint: drawn thin and pale.
+        title: of the plot; by default the part of the names before the slash. Signals with the same title
+            and unit share a plot.
+        unit: added to the title.
+        page: the tab that holds the plot.
         limits: lowest and highest value of the plot; by default those of the data.
         colors: one per element; by default a palette.
-        derive: makes the elements of the ports' values, when they are written: what is computed there does
-            not burden the simulation, and a port is read once for all that is derived from it.
+        derive: computes the elements from the ports' values when the recording is written, so that the
+            simulation does not wait for it.
     """
 
     port: OutputPort | Sequence[OutputPort]
@@ -42,7 +42,6 @@ class SignalSpec:
     title: str = ""
     unit: str = ""
     page: str = ""
-    legend: bool = False
     limits: tuple[float, float] | None = None
     colors: Sequence[Color] | None = None
     derive: Derive | None = None
@@ -50,14 +49,14 @@ class SignalSpec:
 
 @dataclass(frozen=True)
 class HandSpec:
-    """A human hand as a glove and a tracker give it; its tips have the colours of the fingers.
+    """A human hand as a glove and a tracker measure it.
 
     Attributes:
         keypoints_port: 63 numbers, p_HK, keypoint-major, m.
         wrist_pose_port: abstract `RigidTransform`, X_OH in the tracker's frame O.
-        valid_port: size 1; the hand is drawn where it is over 0.5. Without it, always.
+        valid_port: size 1; the hand is drawn where the value exceeds 0.5. Without the port, always.
         color: of the skin.
-        X_WO: pose of the tracker's frame in the world, to place the hand beside the robot.
+        X_WO: pose of the tracker's frame in the world.
     """
 
     keypoints_port: OutputPort
@@ -73,12 +72,12 @@ class PointsSpec:
 
     Attributes:
         port: vector output port, point-major, m.
-        frame: frame of the plant that the coordinates are measured in; the world by default.
+        frame: frame of the plant in which the coordinates are measured; by default the world.
         radius: m.
-        color: of all, or one for each point; with an opacity under 255 one sees through them.
-        trail: how much of the past is shown with the present, s; `math.inf` for all of it.
-        start: from when on the port holds points, s.
-        derive: makes coordinates of the port's values, when they are written; see `SignalSpec`.
+        color: one for all points, or one per point; an opacity below 255 makes them translucent.
+        trail: how much of the past is shown, s; `math.inf` for all of it.
+        start: time of the first valid value, s.
+        derive: computes coordinates from the port's values; see `SignalSpec`.
     """
 
     port: OutputPort
@@ -108,10 +107,10 @@ class ContactSpec:
     """How contact forces are shown.
 
     Attributes:
-        groups: bodies whose contact forces are summed to one time series each, such as the links
-            of a finger: {"thumb": [link_12, ...]}. By default every moving body that was touched.
+        groups: bodies whose contact forces are summed to one time series each, such as the links of a
+            finger: {"thumb": [link_12, ...]}. By default each moving body that is touched.
         metres_per_newton: length of the arrows.
-        max_length: longer arrows are cut to this, m.
+        max_length: longer arrows are cut to this length, m.
     """
 
     groups: Mapping[str, Sequence[RigidBody]] | None = None
@@ -121,13 +120,13 @@ class ContactSpec:
 
 @dataclass(frozen=True)
 class CloseUpSpec:
-    """One more view of the scene, which moves and turns with a frame.
+    """A second view of the scene, which moves with a frame.
 
     Attributes:
-        follows: frame F of the plant; or the entity path of a human hand, which is shown alone then, and
-            whose wrist frame H is F.
-        eye, target: where the eye stands and what it looks at, m, in F.
-        see_through: bodies that this view shows as of glass, such as what a hand holds.
+        follows: frame F of the plant; or the key of a human hand, which the view shows alone, with the
+            wrist frame H as F.
+        eye, target: where the eye is and what it looks at, m, in F.
+        see_through: bodies that this view shows translucent.
     """
 
     follows: Frame | str
@@ -138,11 +137,11 @@ class CloseUpSpec:
 
 @dataclass(frozen=True)
 class CameraSpec:
-    """Colour pictures of a camera of the diagram, and where it looks.
+    """Colour images of a camera of the diagram, and its pose.
 
     Attributes:
-        sensor: its colour image is rendered for each picture, which takes far longer than all the rest.
-        period: between pictures, s; not less than the recorder's.
+        sensor: rendered for each image, which takes far longer than everything else.
+        period: between images, s; at least the recorder's.
     """
 
     sensor: RgbdSensor

@@ -1,50 +1,59 @@
-"""What a recorder keeps at every sample, and how each kind becomes columns of a Rerun file.
+"""What a recorder samples: one class per kind, each of which reads ports and writes columns."""
 
-A track's `read` turns the values of its input ports into one row; `write` sends rows, all at once or
-batch by batch.
-"""
-
+import io
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import rerun as rr
+from PIL import Image
+from pydrake.common.value import Value
 from pydrake.math import RigidTransform
+from pydrake.multibody.plant import ContactResults, PointPairContactInfo
+from pydrake.multibody.tree import Frame
+from pydrake.systems.framework import OutputPort, PortDataType
+from pydrake.systems.sensors import ImageRgba8U
 
-from geort_drake.colours import Color
-from geort_drake.rerun.scene import Scene, entity_path
-from geort_drake.rerun.specs import Derive
+from geort_drake.colours import FINGER_COLOURS, Color, rgb
+from geort_drake.errors import ScenarioError
+from geort_drake.rerun.drawing import (
+    PALETTE,
+    SOLID,
+    WORLD,
+    entity_path,
+    write_human_hand,
+    write_points,
+    write_poses,
+    write_series,
+    write_states,
+)
+from geort_drake.rerun.scene import Scene
+from geort_drake.rerun.specs import CameraSpec, ContactSpec, HandSpec, PointsSpec, SignalSpec, StateSpec
 from geort_drake.rerun.writer import Writer
 
-# Matplotlib's "tab10", which stays apart for colour-blind readers too.
-PALETTE: tuple[Color, ...] = (
-    (31, 119, 180),
-    (255, 127, 14),
-    (44, 160, 44),
-    (214, 39, 40),
-    (148, 103, 189),
-    (140, 86, 75),
-    (227, 119, 194),
-    (127, 127, 127),
-    (188, 189, 34),
-    (23, 190, 207),
-)
+_CONTACT_COLOR: Color = (255, 200, 40)
+_NO_CONTACTS = np.empty((0, 8))
+_JPEG_QUALITY = 85  # a tenth of the size of PNG
+_IMAGE_DISTANCE = 0.15  # m; how far in front of the camera its image is drawn in the scene
 
 
 class Track:
-    """Rows sampled from the input ports named in `ports`, at most once per `period`, s.
-
-    A row is None where the track was not due.
+    """Rows sampled from output ports, at most once per `period`, s.
 
     Attributes:
+        ports: name of an input port of the recorder → output port to read.
+        inputs: names of the recorder's input ports that provide these values; set by the recorder, which
+            reads a port that several tracks share only once.
+        rows: one per sample; None where no value was due.
         large: whether the ports' values are too large to keep many of them.
     """
 
     large = False
 
-    def __init__(self, *ports: str, period: float = 0.0):
-        self.ports = ports
+    def __init__(self, ports: Mapping[str, OutputPort], period: float = 0.0):
+        self.ports = dict(ports)
+        self.inputs: list[str] = []
         self.rows: list = []
         self._period = period
         self._read_at = -math.inf
@@ -57,11 +66,8 @@ class Track:
         return True
 
     def read(self, *values: Any) -> Any:
-        """One row of the values of the ports."""
+        """One row from the values of the ports."""
         raise NotImplementedError
-
-    def describe(self, writer: Writer) -> None:
-        """Sends what does not change."""
 
     def write(self, writer: Writer, rows: Sequence) -> None:
         """Sends rows, one for each of the writer's times."""
@@ -71,162 +77,307 @@ class Track:
 class PoseTrack(Track):
     """Poses of all moving bodies: rows (bodies, 3, 4), X_WB."""
 
-    def __init__(self, scene: Scene):
-        super().__init__("body_poses")
+    def __init__(self, scene: Scene, port: OutputPort):
+        super().__init__({"body_poses": port})
         self._paths = [scene.paths[i] for i in scene.moving]
         self._indices = list(scene.moving)
 
     def read(self, body_poses: Sequence[RigidTransform]) -> np.ndarray:
-        return np.array([body_poses[i].GetAsMatrix34() for i in self._indices]).reshape(-1, 3, 4)
+        return np.array([body_poses[i].GetAsMatrix34() for i in self._indices])
 
-    def poses(self) -> np.ndarray:
+    def poses(self, rows: Sequence[np.ndarray]) -> np.ndarray:
         """X_WB (T, bodies, 3, 4) of the moving bodies, in plant order."""
-        return np.array(self.rows).reshape(len(self.rows), len(self._indices), 3, 4)
+        return np.reshape(rows, (len(rows), len(self._indices), 3, 4))
 
     def write(self, writer: Writer, rows: Sequence[np.ndarray]) -> None:
-        poses = np.array(rows).reshape(len(rows), len(self._indices), 3, 4)
-        finite = np.isfinite(poses).all(axis=(2, 3))
-        poses[~finite] = np.eye(3, 4)  # not drawn
-        translations = poses[..., 3].astype(np.float32)
-        rotations = quaternions(poses[..., :3]).astype(np.float32)
-        for k, path in enumerate(self._paths):
-            drawn = None if finite[:, k].all() else finite[:, k]
-            chosen = slice(None) if drawn is None else drawn
-            columns = rr.Transform3D.columns(
-                translation=translations[chosen, k], quaternion=rotations[chosen, k]
-            )
-            writer.columns(path, columns, drawn)
-
-
-def quaternions(R: np.ndarray) -> np.ndarray:
-    """Unit quaternions (..., 4), xyzw, of rotation matrices (..., 3, 3).
-
-    For matrices that are valid, as all of Drake's are; `scipy.spatial.transform.Rotation` takes several
-    times as long, most of it to see whether they are.
-    """
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(R, (-2, -1), (0, 1))
-    # Every row is the quaternion times four times one of its elements: the largest one is exact.
-    rows = np.array(
-        [
-            [1 + xx - yy - zz, xy + yx, zx + xz, zy - yz],
-            [xy + yx, 1 - xx + yy - zz, yz + zy, xz - zx],
-            [zx + xz, yz + zy, 1 - xx - yy + zz, yx - xy],
-            [zy - yz, xz - zx, yx - xy, 1 + xx + yy + zz],
-        ]
-    )
-    largest = np.argmax(np.einsum("ii...->i...", rows), axis=0)
-    q = np.take_along_axis(rows, largest[None, None], axis=0)[0]
-    return np.moveaxis(q / np.linalg.norm(q, axis=0), 0, -1)
+        write_poses(writer, self._paths, self.poses(rows))
 
 
 class SignalTrack(Track):
     """Vector ports as time series: rows (m,).
 
-    Names that share what stands before their last slash form a group, which is one entity.
-
-    Args:
-        key: entity path of the groups.
-        names, label, faint, title, unit, page, legend, limits, colors, derive: see `SignalSpec`.
-        ports: names of the input ports; by default one that is called like the key.
-
     Attributes:
-        groups: name of a group → indices of its elements.
+        groups: entity path of each group of series → indices of its elements. Names that share the part
+            before their last slash form a group.
+        titles: title of the plot of each group, with its unit.
     """
 
-    def __init__(
-        self,
-        key: str,
-        names: Sequence[str],
-        label: str = "",
-        faint: bool = False,
-        *,
-        title: str = "",
-        unit: str = "",
-        page: str = "",
-        legend: bool = False,
-        limits: tuple[float, float] | None = None,
-        colors: Sequence[Color] | None = None,
-        derive: Derive | None = None,
-        ports: Sequence[str] = (),
-    ):
-        super().__init__(*(ports or [key]))
-        self.key = key
-        self.page, self.legend, self.limits = page, legend, limits
+    def __init__(self, key: str, spec: SignalSpec):
+        ports = [spec.port] if isinstance(spec.port, OutputPort) else list(spec.port)
+        super().__init__({f"{key}/{i}" if len(ports) > 1 else key: port for i, port in enumerate(ports)})
+        n = len(spec.names)
+        size = sum(_vector_size(key, port) for port in ports)
+        if spec.derive is not None:
+            made = np.shape(spec.derive(np.zeros((1, size))))
+            if made != (1, n):
+                raise ScenarioError(
+                    f"recording of '{key}': derive makes {made} of (1, {size}) values; expected (1, {n}), "
+                    "one per name"
+                )
+        elif size != n:
+            raise ScenarioError(f"recording of '{key}': {port_name(ports[0])} has size {size}, but {n} names")
+        if spec.colors is not None and len(spec.colors) != n:
+            raise ScenarioError(f"recording of '{key}': {n} names, but {len(spec.colors)} colors")
+        self.spec = spec
         self.groups: dict[str, list[int]] = {}
-        for i, name in enumerate(names):
-            self.groups.setdefault(name.rpartition("/")[0], []).append(i)
-        self._labels = [f"{name.rpartition('/')[2]} {label}".strip() for name in names]
-        self._title, self._unit = title, unit
-        self._faint, self._colors, self._derive = faint, colors, derive
+        self.titles: dict[str, str] = {}
+        unit = f" [{spec.unit}]" if spec.unit else ""
+        for i, name in enumerate(spec.names):
+            group = name.rpartition("/")[0]
+            path = entity_path(key, group)
+            self.groups.setdefault(path, []).append(i)
+            self.titles[path] = (spec.title or group or key.partition("/")[0]) + unit
 
     def read(self, *values: np.ndarray) -> np.ndarray:
         return np.array(values[0]) if len(values) == 1 else np.concatenate(values)
 
-    def path(self, group: str) -> str:
-        return entity_path(self.key, group)
-
-    def title(self, group: str) -> str:
-        """Of the plot that shows a group, with its unit."""
-        title = self._title or group or self.key.partition("/")[0]
-        return f"{title} [{self._unit}]" if self._unit else title
-
-    def describe(self, writer: Writer) -> None:
-        for group, members in self.groups.items():
-            # The same joint has the same colour in every signal.
-            palette = [PALETTE[i % len(PALETTE)] for i in range(len(members))]
-            colors = np.array([self._colors[i] for i in members] if self._colors else palette)
-            style = rr.SeriesLines(
-                names=[self._labels[i] for i in members],
-                colors=(colors + 255) // 2 if self._faint else colors,
-                widths=[1.0 if self._faint else 1.75] * len(members),
-            )
-            writer.static(self.path(group), style)
-
     def write(self, writer: Writer, rows: Sequence[np.ndarray]) -> None:
+        spec = self.spec
         values = np.array(rows, dtype=float)
-        if self._derive is not None and len(rows):
-            values = self._derive(values)
-        values = values.reshape(len(rows), len(self._labels))
-        for group, members in self.groups.items():
-            writer.columns(self.path(group), scalars(values[:, members]))
-
-
-def scalars(values: np.ndarray) -> rr.ComponentColumnList:
-    """Columns of values (T, n): n series under one entity."""
-    return rr.Scalars.columns(scalars=values.ravel()).partition([values.shape[1]] * len(values))
+        if spec.derive is not None and len(rows):
+            values = spec.derive(values)
+        values = values.reshape(len(rows), len(spec.names))
+        for path, members in self.groups.items():
+            # A joint has the same colour in every signal.
+            colors = np.array([spec.colors[i] for i in members] if spec.colors else PALETTE)
+            if spec.faint:
+                colors = (colors + 255) // 2
+            names = [f"{spec.names[i].rpartition('/')[2]} {spec.label}".strip() for i in members]
+            write_series(writer, path, names, values[:, members], colors, 1.0 if spec.faint else 1.75)
 
 
 class StateTrack(Track):
-    """An integer code as a lane of named states: rows int; only changes are written."""
+    """An integer code as a lane of named states: rows float."""
 
-    def __init__(
-        self,
-        key: str,
-        labels: Mapping[int, str],
-        colors: Sequence[Color] = PALETTE,
-        port: str | None = None,
-    ):
-        super().__init__(port or key)
-        self.key = key
-        self._labels = dict(labels)
-        self._colors = colors
+    def __init__(self, key: str, spec: StateSpec):
+        super().__init__({key: spec.port})
+        _vector_size(key, spec.port, 1)
+        self.path = entity_path(key)
+        self._labels = dict(spec.labels if isinstance(spec.labels, Mapping) else enumerate(spec.labels))
 
     def read(self, value: np.ndarray) -> float:
         return float(value[0])
 
-    def _name(self, code: float) -> str:
-        return self._labels.get(int(code), f"code {code:g}") if np.isfinite(code) else "nan"
-
-    def describe(self, writer: Writer) -> None:
-        names = list(self._labels.values())
-        colors = [self._colors[i % len(self._colors)] for i in range(len(names))]
-        style = rr.StateConfiguration(values=names, labels=names, colors=colors)
-        writer.static(entity_path(self.key), style)
-
     def write(self, writer: Writer, rows: Sequence[float]) -> None:
-        path = entity_path(self.key)
-        names = [self._name(code) for code in rows]
-        before = [writer.memory.get(path), *names]
-        begin = np.array([i for i, name in enumerate(names) if name != before[i]], dtype=int)
-        writer.columns(path, rr.StateChange.columns(state=[names[i] for i in begin]), begin)
-        writer.memory[path] = before[-1]
+        write_states(writer, self.path, rows, self._labels)
+
+
+class HandTrack(Track):
+    """A human hand: rows (21, 3), p_WK, NaN while it is not tracked."""
+
+    def __init__(self, key: str, spec: HandSpec):
+        ports = {f"{key}/keypoints": spec.keypoints_port, f"{key}/wrist_pose": spec.wrist_pose_port}
+        _vector_size(f"{key}/keypoints", spec.keypoints_port, 63)
+        value: Any = spec.wrist_pose_port.Allocate()
+        if not isinstance(value, Value[RigidTransform]):
+            raise ScenarioError(
+                f"recording of '{key}/wrist_pose': {port_name(spec.wrist_pose_port)} holds no RigidTransform"
+            )
+        if spec.valid_port is not None:
+            _vector_size(f"{key}/valid", spec.valid_port, 1)
+            ports[f"{key}/valid"] = spec.valid_port
+        super().__init__(ports)
+        self.key, self.path = key, entity_path(WORLD, key)
+        self._color, self._X_WO = spec.color, spec.X_WO
+
+    def read(
+        self, keypoints: np.ndarray, X_OH: RigidTransform, valid: np.ndarray | None = None
+    ) -> np.ndarray:
+        if valid is not None and not valid[0] > 0.5:
+            return np.full((21, 3), np.nan)
+        return ((self._X_WO @ X_OH) @ keypoints.reshape(21, 3).T).T
+
+    def write(self, writer: Writer, rows: Sequence[np.ndarray]) -> None:
+        write_human_hand(writer, self.path, np.reshape(rows, (len(rows), 21, 3)), self._color)
+
+
+class PointTrack(Track):
+    """Points: rows of the port's values (m,), with X_WF (3, 4) if their frame F moves."""
+
+    def __init__(self, key: str, spec: PointsSpec, body_poses: OutputPort):
+        super().__init__({key: spec.port} | ({"body_poses": body_poses} if spec.frame is not None else {}))
+        size = _vector_size(key, spec.port)
+        if spec.derive is not None:
+            size = np.size(spec.derive(np.zeros((1, size))))
+        self._count = size // 3
+        if not size or size % 3:
+            raise ScenarioError(
+                f"recording of '{key}': {port_name(spec.port)} gives {size} numbers, not 3 per point"
+            )
+        if np.ndim(spec.color) == 2 and len(spec.color) != self._count:
+            raise ScenarioError(f"recording of '{key}': {self._count} points, but {len(spec.color)} colors")
+        self.path, self.trail = entity_path(WORLD, key), spec.trail
+        self._spec = spec
+        self._frame = None if spec.frame is None else body_and_pose(spec.frame)
+
+    def read(
+        self, value: np.ndarray, body_poses: Sequence[RigidTransform] | None = None
+    ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
+        if self._frame is None or body_poses is None:
+            return np.array(value)
+        body, X_BF = self._frame
+        return np.array(value), (body_poses[body] @ X_BF).GetAsMatrix34()
+
+    def _points(self, rows: Sequence) -> np.ndarray:
+        """p_WP (T, k, 3), NaN where a point is missing."""
+        if not len(rows):
+            return np.empty((0, self._count, 3))
+        values = np.array(rows if self._frame is None else [value for value, _ in rows])
+        points = values if self._spec.derive is None else self._spec.derive(values)
+        points = points.reshape(len(rows), self._count, 3)
+        if self._frame is None:
+            return points
+        X_WF = np.array([X for _, X in rows])
+        return points @ X_WF[:, :, :3].swapaxes(1, 2) + X_WF[:, None, :, 3]
+
+    def write(self, writer: Writer, rows: Sequence) -> None:
+        points = self._points(rows)
+        drawn = np.isfinite(points).all(axis=2)
+        drawn &= writer.times[:, None] >= self._spec.start - 1e-9
+        color: Any = self._spec.color
+        palette = np.atleast_2d(color)
+        # A point keeps its colour when others are missing.
+        colors: Any = [palette[mask] for mask in drawn] if len(palette) > 1 else palette[0]
+        fill = SOLID if (palette[:, 3:] < 255).any() else None
+        visible = [row[mask] for row, mask in zip(points, drawn, strict=True)]
+        write_points(writer, self.path, visible, self._spec.radius, colors, fill)
+
+
+class CameraTrack(Track):
+    """Images of a Drake camera: rows (JPEG, X_WC), C the colour camera, z forward and y down."""
+
+    large = True
+
+    def __init__(self, key: str, spec: CameraSpec):
+        ports = {
+            f"{key}/color_image": spec.sensor.color_image_output_port(),
+            f"{key}/body_pose": spec.sensor.body_pose_in_world_output_port(),
+        }
+        super().__init__(ports, spec.period)
+        self.path = entity_path(WORLD, key)
+        core = spec.sensor.default_color_render_camera().core()
+        self._intrinsics = core.intrinsics()
+        self._X_BC = core.sensor_pose_in_camera_body()
+
+    def read(self, image: ImageRgba8U, X_WB: RigidTransform) -> tuple[bytes, np.ndarray]:
+        file = io.BytesIO()
+        Image.fromarray(np.ascontiguousarray(image.data[..., :3])).save(file, "JPEG", quality=_JPEG_QUALITY)
+        return file.getvalue(), (X_WB @ self._X_BC).GetAsMatrix34()
+
+    def write(self, writer: Writer, rows: Sequence[tuple[bytes, np.ndarray] | None]) -> None:
+        optics = self._intrinsics
+        pinhole = rr.Pinhole(
+            image_from_camera=optics.intrinsic_matrix(),
+            resolution=[optics.width(), optics.height()],
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=_IMAGE_DISTANCE,
+        )
+        writer.static(self.path, pinhole)
+        X_WC = np.array([np.full((3, 4), np.nan) if row is None else row[1] for row in rows])
+        write_poses(writer, [self.path], X_WC.reshape(-1, 1, 3, 4))
+        taken = np.array([i for i, row in enumerate(rows) if row is not None], dtype=int)
+        images = [row[0] for row in rows if row is not None]
+        columns = rr.EncodedImage.columns(blob=images, media_type=["image/jpeg"] * len(images))
+        writer.columns(self.path, columns, taken)
+
+
+class ContactTrack(Track):
+    """Contact forces: rows (contacts, 8), body A, body B, p_WC (m), f_Bc_W (N)."""
+
+    ARROWS = f"/{WORLD}/contact/forces"
+    SERIES = "/contact/force"
+
+    def __init__(self, scene: Scene, port: OutputPort, spec: ContactSpec):
+        super().__init__({"contact_results": port})
+        self._scene = scene
+        self._spec = spec
+        self._groups: dict[str, list[int]] | None = None
+        if spec.groups is not None:
+            self._groups = {name: [int(b.index()) for b in bodies] for name, bodies in spec.groups.items()}
+
+    def read(self, results: ContactResults) -> np.ndarray:
+        points, patches = results.num_point_pair_contacts(), results.num_hydroelastic_contacts()
+        if not points + patches:
+            return _NO_CONTACTS
+        row = np.empty((points + patches, 8))
+        # Calls into C++ dominate the cost of recording: five for each contact, and no loop around them.
+        infos = list(map(results.point_pair_contact_info, range(points)))
+        row[:points, 0] = np.fromiter(map(PointPairContactInfo.bodyA_index, infos), int, points)
+        row[:points, 1] = np.fromiter(map(PointPairContactInfo.bodyB_index, infos), int, points)
+        row[:points, 2:5] = np.reshape(list(map(PointPairContactInfo.contact_point, infos)), (points, 3))
+        row[:points, 5:] = np.reshape(list(map(PointPairContactInfo.contact_force, infos)), (points, 3))
+        of_geometry = self._scene.body_of_geometry
+        for i in range(patches):
+            patch = results.hydroelastic_contact_info(i)
+            surface = patch.contact_surface()
+            row[points + i, :2] = of_geometry[surface.id_M()], of_geometry[surface.id_N()]
+            row[points + i, 2:5] = surface.centroid()
+            # F_Ac_W acts on the body of M, at the centroid.
+            row[points + i, 5:] = -patch.F_Ac_W().translational()
+        return row
+
+    def write(self, writer: Writer, rows: Sequence[np.ndarray]) -> None:
+        writer.static(self.ARROWS, rr.Arrows3D.from_fields(colors=[_CONTACT_COLOR], radii=[0.0025]))
+        contacts = np.concatenate([_NO_CONTACTS, *rows])
+        counts = np.array([len(row) for row in rows], dtype=int)
+        force = contacts[:, 5:]
+        arrows = self._spec.metres_per_newton * force
+        length = np.linalg.norm(arrows, axis=1, keepdims=True)
+        arrows *= np.minimum(1.0, self._spec.max_length / np.maximum(length, 1e-12))
+        # One of the two bodies usually hides one of the two arrows.
+        columns = rr.Arrows3D.columns(
+            origins=np.repeat(contacts[:, 2:5], 2, axis=0),
+            vectors=np.stack([arrows, -arrows], axis=1).reshape(-1, 3),
+        )
+        writer.columns(self.ARROWS, columns.partition(2 * counts))
+        bodies = contacts[:, :2].astype(int)
+        sample = np.repeat(np.arange(len(rows)), counts)
+        self._write_series(writer, bodies, np.linalg.norm(force, axis=1), sample)
+
+    def _write_series(
+        self, writer: Writer, bodies: np.ndarray, magnitude: np.ndarray, sample: np.ndarray
+    ) -> None:
+        """For each group, the sum of the magnitudes of the forces that act on it from outside, N.
+
+        Without groups, every moving body is one, from its first contact on.
+        """
+        groups: dict[str, tuple[str, list[int]]] = writer.memory.setdefault(self.SERIES, {})
+        if self._groups is not None:
+            groups |= {entity_path(self.SERIES, name): (name, of) for name, of in self._groups.items()}
+        else:
+            touched = set(bodies.ravel())
+            for i in self._scene.moving:
+                if i in touched:
+                    path = self._scene.paths[i].removeprefix(f"/{WORLD}")
+                    groups.setdefault(self.SERIES + path, (path[1:], [i]))
+        for number, (path, (name, members)) in enumerate(groups.items()):
+            member = np.zeros(len(self._scene.paths), dtype=bool)
+            member[members] = True
+            A, B = member[bodies].T
+            crossing = A != B
+            force = np.bincount(sample[crossing], magnitude[crossing], minlength=len(writer.times))
+            finger = FINGER_COLOURS.get(name)
+            color = PALETTE[number % len(PALETTE)] if finger is None else rgb(finger)
+            write_series(writer, path, [name], force[:, None], [color], 1.5)
+
+
+def body_and_pose(frame: Frame) -> tuple[int, RigidTransform]:
+    """Index of the body that carries a frame F, and X_BF."""
+    return int(frame.body().index()), frame.GetFixedPoseInBodyFrame()
+
+
+def _vector_size(key: str, port: OutputPort, wanted: int | None = None) -> int:
+    """The size of a vector port, which must be `wanted` if that is given."""
+    if port.get_data_type() != PortDataType.kVectorValued:
+        raise ScenarioError(f"recording of '{key}': {port_name(port)} is abstract; expected a vector port")
+    if wanted is not None and port.size() != wanted:
+        raise ScenarioError(
+            f"recording of '{key}': {port_name(port)} has size {port.size()}; expected {wanted}"
+        )
+    return port.size()
+
+
+def port_name(port: OutputPort) -> str:
+    """A port and its system, for messages."""
+    system: Any = port.get_system()
+    return f"port '{port.get_name()}' of '{system.get_name()}'"

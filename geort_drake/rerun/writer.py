@@ -1,4 +1,4 @@
-"""Where columns of data go: a Rerun file that is whole or absent, and viewers that look on."""
+"""Writers of columns to Rerun: to a file that is whole or absent, and to open viewers."""
 
 import contextlib
 import warnings
@@ -16,23 +16,25 @@ from geort_drake.files import atomic_path
 
 TIMELINE = "sim_time"  # s
 STEPS = "step"  # of a training
-FLUSH_TIMEOUT = 5.0  # s; a viewer that went away must not hold up whoever simulates
+FLUSH_TIMEOUT = 5.0  # s; a viewer that was closed must not block the simulation
 Property = str | int | float | bool
 LiveSink = rr.GrpcSink | rr.GrpcServerSink
+# The end of every complete file.
+_FOOTER, _FOOTER_BYTES = b"RRF2FOOT", 12
 
 
 class Writer:
-    """Sends arrays to one recording stream, and fails instead of dropping what is malformed.
+    """Sends arrays to one recording; malformed data raise an error instead of being dropped.
 
     Attributes:
-        memory: what the writers of columns remember from one batch to the next.
-        times: (T,) of the rows to come: s, or steps.
+        times: (T,) of the rows that are sent next: s as floats, or steps as integers.
+        memory: what the drawing functions keep from one batch to the next.
     """
 
     def __init__(self, stream: rr.RecordingStream, timeline: str = TIMELINE):
         self.memory: dict[str, Any] = {}
-        self._stream = stream
-        self._timeline = timeline
+        self._stream, self._timeline = stream, timeline
+        self._sent: set[tuple[str, type]] = set()
         self.at(np.empty(0))
 
     def at(self, times: np.ndarray) -> "Writer":
@@ -42,22 +44,28 @@ class Writer:
         return self
 
     def static(self, path: str, archetype: rr.AsComponents) -> None:
-        """Sends what holds at all times."""
-        self._stream.log(path, archetype, static=True, strict=True)
+        """Sends data that hold at all times; further data of the same kind for that path are ignored."""
+        if (path, type(archetype)) not in self._sent:
+            self._sent.add((path, type(archetype)))
+            self._stream.log(path, archetype, static=True, strict=True)
 
     def columns(self, path: str, columns: rr.ComponentColumnList, rows: np.ndarray | None = None) -> None:
-        """Sends one entry per time, or one per time of which the mask or indices `rows` hold."""
+        """Sends one entry per time; with `rows`, a mask or indices, one per time that it selects."""
         index = self._all_times if rows is None else self._column(self.times[rows])
         if len(index.as_arrow_array()):
             self._stream.send_columns(path, [index], columns, strict=True)
 
+    def close(self) -> None:
+        """Ends the recording; a viewer that does not receive the last data in time causes a warning."""
+        try:
+            self._stream.flush(timeout_sec=FLUSH_TIMEOUT)
+        except (RuntimeError, ValueError) as error:
+            warnings.warn(f"the viewer did not get everything: {error}", stacklevel=4)
+        self._stream.disconnect()
+
     def _column(self, times: np.ndarray) -> rr.TimeColumn:
         kind = "sequence" if np.issubdtype(times.dtype, np.integer) else "duration"
         return rr.TimeColumn(self._timeline, **{kind: times})
-
-
-# At the end of every whole file.
-_FOOTER, _FOOTER_BYTES = b"RRF2FOOT", 12
 
 
 @contextlib.contextmanager
@@ -69,30 +77,28 @@ def file_writer(
     blueprint: rrb.Blueprint,
     properties: Mapping[str, Property],
     timeline: str = TIMELINE,
-) -> Iterator[Writer | None]:
-    """Yields the writer of a file, which appears when the block is left without an error.
+) -> Iterator[Writer]:
+    """Yields the writer of a file, which appears when the block ends without an error.
 
-    Equal data give equal columns, without log times and the properties that Rerun adds; ids of rows differ.
-    Yields None, with a warning, where the environment says RERUN=off.
+    Equal data give equal columns; log times are left out. With the environment variable RERUN=off no file
+    is written, and a warning says so.
 
     Raises:
-        OutputError: the disk is full, or the place may not be written to.
+        OutputError: the disk is full, or the place is not writable.
     """
-    stream = rr.RecordingStream(application_id, recording_id=recording_id, send_properties=False)
+    stream = _stream(application_id, recording_id)
     if not rr.is_enabled(stream):
         warnings.warn(f"{path}: not written, as the environment says RERUN=off", stacklevel=4)
-        yield None
+        yield Writer(stream, timeline)
         return
     with atomic_path(path) as draft:
         try:
-            stream.set_log_time_enabled(False)
-            stream.set_log_tick_enabled(False)
             stream.save(draft, default_blueprint=blueprint)
             _send_properties(stream, path.stem, properties)
             yield Writer(stream, timeline)
         finally:
             stream.disconnect()
-        # What Rerun could not write it says on stderr alone.
+        # Rerun reports failed writes on stderr only.
         with draft.open("rb") as file:
             file.seek(max(0, draft.stat().st_size - _FOOTER_BYTES))
             whole = _FOOTER in file.read()
@@ -100,32 +106,19 @@ def file_writer(
             raise OutputError(f"{path}: cannot be written to its end: is the disk full?")
 
 
-class LiveWriter(Writer):
+def live_writer(
+    sinks: Sequence[LiveSink],
+    *,
+    application_id: str,
+    blueprint: rrb.Blueprint,
+    name: str,
+    properties: Mapping[str, Property],
+) -> Writer:
     """A writer to viewers that are open while the data come in."""
-
-    def __init__(
-        self,
-        sinks: Sequence[LiveSink],
-        *,
-        application_id: str,
-        recording_id: str | None,
-        blueprint: rrb.Blueprint,
-        name: str,
-        properties: Mapping[str, Property],
-    ):
-        super().__init__(rr.RecordingStream(application_id, recording_id=recording_id, send_properties=False))
-        self._stream.set_log_time_enabled(False)
-        self._stream.set_log_tick_enabled(False)
-        self._stream.set_sinks(*sinks, default_blueprint=blueprint)
-        _send_properties(self._stream, name, properties)
-
-    def disconnect(self) -> None:
-        """Sends what is on its way, or gives it up after a while, and says good-bye."""
-        try:
-            self._stream.flush(timeout_sec=FLUSH_TIMEOUT)
-        except (RuntimeError, ValueError) as error:
-            warnings.warn(f"the viewer did not get everything: {error}", stacklevel=4)
-        self._stream.disconnect()
+    stream = _stream(application_id, None)
+    stream.set_sinks(*sinks, default_blueprint=blueprint)
+    _send_properties(stream, name, properties)
+    return Writer(stream)
 
 
 def is_live(target: object) -> bool:
@@ -135,14 +128,17 @@ def is_live(target: object) -> bool:
     )
 
 
-def live_sink(target: str | LiveSink) -> LiveSink:
-    """A sink for an address; one that is a sink already is returned."""
-    return rr.GrpcSink(target) if isinstance(target, str) else target
+def _stream(application_id: str, recording_id: str | None) -> rr.RecordingStream:
+    stream = rr.RecordingStream(application_id, recording_id=recording_id, send_properties=False)
+    stream.set_log_time_enabled(False)
+    stream.set_log_tick_enabled(False)
+    return stream
 
 
 def _send_properties(stream: rr.RecordingStream, name: str, properties: Mapping[str, Property]) -> None:
     stream.send_recording_name(name)
     if properties:
-        # Typed arrays, because Rerun keeps the first type it sees under a name for good.
-        typed = {key: pa.array([value]) for key, value in properties.items()}
-        stream.send_property("run", rr.AnyValues(**typed))
+        # Typed arrays, because Rerun keeps the first type of each name for the whole process.
+        stream.send_property(
+            "run", rr.AnyValues(**{key: pa.array([value]) for key, value in properties.items()})
+        )

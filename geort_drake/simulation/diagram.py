@@ -44,7 +44,7 @@ from geort_drake.systems.scene_view import SceneView
 from geort_drake.systems.wrist_to_arm import WristToArm
 
 if TYPE_CHECKING:
-    from geort_drake.rerun.recorder import RerunRecorder
+    from geort_drake.rerun import RerunRecorder
 
 Retarget = Callable[[np.ndarray], np.ndarray]
 

@@ -24,7 +24,7 @@ _FORK.set_forkserver_preload(
         "geort_drake.benchmark.folder",
         "geort_drake.benchmark.report",
         "geort_drake.simulation.trial",
-        "geort_drake.rerun.recorder",
+        "geort_drake.rerun",
     ]
 )
 

@@ -1,0 +1,118 @@
+"""Rerun recordings of a hand alone: of a person's, and of a robot's that moves joint by joint."""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from geort_drake.colours import FINGER_COLOURS, SKIN, rgb
+from geort_drake.export.episode import newest
+from geort_drake.hands.model import HandModel
+from geort_drake.people.coverage import tip_distances
+from geort_drake.people.keypoints import FINGER_NAMES
+from geort_drake.people.recording import Recording
+from geort_drake.rerun.blueprint import blueprint, column, lanes_view, row, scene_view, time_series
+from geort_drake.rerun.drawing import (
+    SOLID,
+    entity_path,
+    write_human_hand,
+    write_lines,
+    write_points,
+    write_series,
+    write_states,
+    write_up_axis,
+)
+from geort_drake.rerun.robot_hand import write_robot_hand
+from geort_drake.rerun.writer import Property, Writer, file_writer
+
+_RATE, _FRAMES_PER_JOINT = 30.0, 24  # of a robot hand: frames per second, and for each joint
+_AXES = {"x": (230, 60, 60), "y": (60, 180, 60), "z": (60, 90, 230)}
+_AXIS_LENGTH = 0.12  # m
+
+
+def write_hand(
+    recording: Recording,
+    path: str | os.PathLike,
+    fps: float = 30.0,
+    states: Mapping[str, Sequence[str]] | None = None,
+) -> None:
+    """Writes a person's hand in its wrist frame H, and the distances of the thumb's tip to the others.
+
+    Args:
+        recording: of the hand.
+        path: .rrd to write.
+        fps: frames per second; each holds the newest sample.
+        states: name of a lane → state in each frame of the recording.
+    """
+    t = recording.t - recording.t[0]
+    times = np.arange(int(t[-1] * fps + 1e-6) + 1) / fps
+    rows = newest(t, times)
+    p_HK = np.where(recording.valid[:, None, None], recording.p_HK.astype(float), np.nan)[rows]
+    facts = {key: value for key, value in recording.metadata.items() if isinstance(value, str | int | float)}
+    plots = [time_series("distance from the thumb's tip [mm]", ["/gap/**"], legend="left")]
+    if states:
+        plots.append(lanes_view([entity_path(key) for key in states], "phase"))
+    scene = scene_view((0.34, -0.30, 0.33), (0.02, 0.0, 0.09))
+    layout = blueprint(row(scene, column(*plots), shares=[3, 2]))
+    with file_writer(
+        Path(path),
+        application_id="geort_drake_hand",
+        recording_id=f"hand-{recording.digest}-{fps:g}",
+        blueprint=layout,
+        properties=facts,
+    ) as writer:
+        writer.at(times)
+        write_up_axis(writer)
+        write_human_hand(writer, "/world/human", p_HK, SKIN)
+        others = FINGER_NAMES[1:]
+        colors = [rgb(FINGER_COLOURS[finger]) for finger in others]
+        write_series(writer, "/gap/thumb", others, 1e3 * tip_distances(p_HK), colors)
+        for key, names in (states or {}).items():
+            labels = list(dict.fromkeys(names))
+            codes = [labels.index(names[frame]) for frame in rows]
+            write_states(writer, entity_path(key), codes, dict(enumerate(labels)))
+
+
+def record_hand(hand: HandModel, path: Path) -> None:
+    """Writes a robot hand in which each joint goes through its range, with its fingertips and its base frame.
+
+    The base's axes are x red, y green, z blue.
+    """
+    q = _sweep(hand)
+    tips = hand.fingertips(q)
+    reach = float(np.abs(tips).max())
+    properties: dict[str, Property] = {"hand": hand.description.name}
+    with file_writer(
+        path,
+        application_id="geort_drake_robot_hand",
+        recording_id=f"hand-{hand.digest}",
+        blueprint=blueprint(scene_view(2.0 * reach * np.array([1.0, -0.8, 0.8]), (0.0, 0.0, 0.4 * reach))),
+        properties=properties,
+    ) as writer:
+        writer.at(np.arange(len(q)) / _RATE)
+        write_robot_hand(writer, "/world/hand", hand, q)
+        _write_marks(writer, hand, tips)
+
+
+def _write_marks(writer: Writer, hand: HandModel, tips: np.ndarray) -> None:
+    for number, (axis, color) in enumerate(_AXES.items()):
+        line = np.array([[np.zeros(3), _AXIS_LENGTH * np.eye(3)[number]]])
+        write_lines(writer, f"/world/hand_base/{axis}", line, 0.002, color)
+    for number, finger in enumerate(hand.description.fingers):
+        # Translucent, around the tip that the model draws.
+        color = (*rgb(FINGER_COLOURS[finger.name]), 130)
+        rows = list(tips[:, [number]])
+        write_points(writer, f"/world/tips/{finger.name}", rows, 1.25 * finger.tip_radius, color, SOLID)
+
+
+def _sweep(hand: HandModel) -> np.ndarray:
+    """(N, n) postures: from the start, each joint to its lower limit, to its upper one, and back."""
+    start = hand.default_position
+    postures = [start[None]]
+    for joint, (low, high) in enumerate(zip(hand.lower, hand.upper, strict=True)):
+        stops = np.array([start[joint], low, high, start[joint]])
+        rows = np.tile(start, (_FRAMES_PER_JOINT, 1))
+        rows[:, joint] = np.interp(np.linspace(0, 3, _FRAMES_PER_JOINT), np.arange(4), stops)
+        postures.append(rows)
+    return np.concatenate(postures)

@@ -1,0 +1,157 @@
+"""The default layout of a recording."""
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import rerun.blueprint as rrb
+
+from geort_drake.errors import ScenarioError
+from geort_drake.people.keypoints import FINGER_NAMES, wrist_pose
+from geort_drake.rerun import blueprint as views
+from geort_drake.rerun.drawing import HAND_FRAME, WORLD, entity_path
+from geort_drake.rerun.scene import Scene
+from geort_drake.rerun.specs import CloseUpSpec
+from geort_drake.rerun.tracks import (
+    CameraTrack,
+    ContactTrack,
+    HandTrack,
+    PointTrack,
+    PoseTrack,
+    SignalTrack,
+    StateTrack,
+    Track,
+    body_and_pose,
+)
+from geort_drake.rerun.writer import TIMELINE
+
+VIEW_FROM = (0.62, -0.62, 0.48)  # from the scene to the eye: from the front left, above
+_VIEWS, _PLOTS = 3.0, 2.0  # relative heights
+
+
+def _visible_past(seconds: float) -> rrb.VisibleTimeRanges:
+    past = rrb.TimeRangeBoundary.infinite()
+    if math.isfinite(seconds):
+        past = rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds)
+    present = rrb.TimeRangeBoundary.cursor_relative(seconds=0.0)
+    return rrb.VisibleTimeRanges(rrb.VisibleTimeRange(TIMELINE, start=past, end=present))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Makes the default layout: views and images in a row, states below them, plots at the bottom.
+
+    Attributes:
+        scene: the plant.
+        close_ups: name → spec.
+        view_from: direction in W from the scene to the eye.
+    """
+
+    scene: Scene
+    close_ups: Mapping[str, CloseUpSpec]
+    view_from: np.ndarray
+
+    def blueprint(self, tracks: Sequence[Track]) -> rrb.Blueprint:
+        """The layout for what has been sampled."""
+
+        def of(kind: type) -> list[Any]:
+            return [track for track in tracks if isinstance(track, kind)]
+
+        hands, (poses,) = of(HandTrack), of(PoseTrack)
+        trails = {track.path: _visible_past(track.trail) for track in of(PointTrack) if track.trail}
+        target, eye = self._target_and_eye(poses, hands)
+        shown = [views.scene_view(eye, target, overrides=trails)]
+        shown += [self._close_up(name, spec, poses, hands, trails) for name, spec in self.close_ups.items()]
+        shown += [views.image_view(track.path) for track in of(CameraTrack)]
+        pages = _plots(of(SignalTrack))
+        if of(ContactTrack):
+            forces = views.time_series("contact force [N]", ["/contact/**"], legend="left")
+            pages.setdefault(next(iter(pages), ""), []).insert(0, forces)
+        rows, shares = [views.row(*shown)], [_VIEWS]
+        if states := [track.path for track in of(StateTrack)]:
+            rows.append(views.lanes_view(states, "phase"))
+            shares.append(views.lanes_share(len(states), _VIEWS + (_PLOTS if pages else 0.0)))
+        if pages:
+            rows.append(views.tabs(*(views.row(*plots, name=page) for page, plots in pages.items())))
+            shares.append(_PLOTS)
+        return views.blueprint(views.column(*rows, shares=shares))
+
+    def _close_up(
+        self,
+        name: str,
+        spec: CloseUpSpec,
+        poses: PoseTrack,
+        hands: Sequence[HandTrack],
+        trails: Mapping[str, rrb.VisibleTimeRanges],
+    ) -> views.View:
+        # The view turns with what it follows, so it is upright at the end only.
+        eye, target, R_WF = np.asarray(spec.eye, float), np.asarray(spec.target, float), np.eye(3)
+        if isinstance(spec.follows, str):
+            path = entity_path(WORLD, spec.follows)
+            origin, contents = f"{path}/{HAND_FRAME}", f"{path}/**"
+            (hand,) = (track for track in hands if track.key == spec.follows)
+            tracked = (row for row in reversed(hand.rows) if np.isfinite(row).all())
+            if (row := next(tracked, None)) is not None:
+                R_WF = wrist_pose(row)[0]
+        else:
+            body, X_BF = body_and_pose(spec.follows)
+            origin, contents = self.scene.paths[body], f"/{WORLD}/**"
+            eye, target = X_BF @ eye, X_BF @ target
+            if body in self.scene.anchored:
+                R_WF = self.scene.anchored[body].rotation().matrix()
+            elif poses.rows:
+                R_WF = poses.rows[-1][self.scene.moving.index(body), :, :3]
+        overrides: dict[str, Any] = dict(trails)
+        for body in spec.see_through:
+            overrides |= self.scene.translucent_shapes(int(body.index()))
+        return views.close_view(origin, name, [contents], eye, target, R_WF[2], overrides)
+
+    def _target_and_eye(self, poses: PoseTrack, hands: Sequence[HandTrack]) -> tuple[np.ndarray, np.ndarray]:
+        """Target and eye, m, in W, for a view of the moving bodies and the hands.
+
+        The outermost two percent are left out, so that one thrown object does not shrink everything else.
+        """
+        points = [poses.poses(poses.rows)[..., 3].reshape(-1, 3)]
+        points += [np.array(track.rows).reshape(-1, 3) for track in hands]
+        cloud = np.concatenate(points)
+        cloud = cloud[np.isfinite(cloud).all(axis=1)]
+        low, high = np.percentile(cloud, [2, 98], axis=0) if len(cloud) else np.zeros((2, 3))
+        target = (low + high) / 2
+        distance = 0.17 + 0.78 * float(np.linalg.norm(high - low))
+        return target, target + distance * self.view_from / np.linalg.norm(self.view_from)
+
+
+def followed_bodies(close_ups: Mapping[str, CloseUpSpec], hands: Collection[str]) -> list[int]:
+    """Indices of the bodies that close-ups follow.
+
+    Raises:
+        ScenarioError: a close-up follows a hand that is not recorded.
+    """
+    bodies = []
+    for name, spec in close_ups.items():
+        if not isinstance(spec.follows, str):
+            bodies.append(body_and_pose(spec.follows)[0])
+        elif spec.follows not in hands:
+            raise ScenarioError(
+                f"close-up '{name}' follows the hand '{spec.follows}'; the recorded hands are: "
+                f"{', '.join(hands) or 'none'}"
+            )
+    return bodies
+
+
+def _plots(signals: Sequence[SignalTrack]) -> dict[str, list[views.View]]:
+    """The plots of each page; fingers in their usual order, whatever the order of the joints."""
+    # Signals with the same title, such as commanded and measured, share a plot.
+    paths: dict[tuple[str, str], list[str]] = {}
+    limits: dict[str, tuple[float, float] | None] = {}
+    for track in signals:
+        for path, title in track.titles.items():
+            paths.setdefault((track.spec.page, title), []).append(path)
+            limits.setdefault(title, track.spec.limits)
+    order = {name: number for number, name in enumerate(FINGER_NAMES)}
+    pages: dict[str, list[views.View]] = {page: [] for page, _ in paths}
+    for page, title in sorted(paths, key=lambda key: order.get(key[1].partition(" ")[0], len(order))):
+        pages[page].append(views.time_series(title, paths[page, title], limits=limits[title]))
+    return pages
