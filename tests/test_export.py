@@ -10,7 +10,7 @@ from rerun.experimental import LeRobotReader
 from scipy.spatial.transform import Rotation
 from script_modules import load_script
 
-from geort_drake.errors import OutputError, RecordingError
+from geort_drake.errors import OutputError, RecordingError, UsageError
 from geort_drake.export.episode import episode_of, glove_at, newest, read_episodes
 from geort_drake.export.lerobot import features_of, write_lerobot
 from geort_drake.export.parquet import write_parquet
@@ -249,7 +249,7 @@ def test_the_script_exports_runs_and_recordings(run, tmp_path):
     assert pq.read_metadata(table).num_rows == 360
     with pytest.raises(OutputError, match="Rerun recordings already"):
         export([str(run), str(tmp_path / "x.rrd"), "--format", "rrd"])
-    with pytest.raises(SystemExit):
+    with pytest.raises(UsageError, match=r"must end with \.rrd"):
         export([str(hand), str(tmp_path / "x"), "--format", "rrd"])
 
 
