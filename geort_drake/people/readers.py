@@ -198,6 +198,6 @@ def _first_of_doubles(p_WK: np.ndarray, t: np.ndarray, findings: list[Finding]) 
 def _agree_on_side(path: Path, given: str | None, wanted: str) -> None:
     if given is not None and given != wanted:
         raise RecordingError(
-            f"{path}: the file holds a {given} hand, a {wanted} one was asked for; import_recording.py makes "
-            f"it a {wanted} one's with --side {given} --mirror"
+            f"{path}: the file holds a {given} hand, a {wanted} one was asked for; convert it with "
+            f"--side {given} --mirror"
         )
