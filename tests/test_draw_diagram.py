@@ -1,28 +1,17 @@
 """The drawn diagram shows every system and connected port, and the one in the docs is up to date."""
 
-import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from geort_drake.cli import run_command
+from geort_drake.errors import GeortError
+
 ROOT = Path(__file__).resolve().parents[1]
-SCRIPT = ROOT / "scripts" / "draw_diagram.py"
 
 needs_dot = pytest.mark.skipif(shutil.which("dot") is None, reason="Graphviz is not installed")
-
-
-def draw(*arguments: object, **environment: str) -> subprocess.CompletedProcess:
-    return subprocess.run(
-        [sys.executable, SCRIPT, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, **environment},
-    )
 
 
 def words(svg: Path) -> list[str]:
@@ -33,8 +22,7 @@ def words(svg: Path) -> list[str]:
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("diagram") / "diagram.svg"
-    done = draw("--output", path)
-    assert done.returncode == 0, done.stderr
+    assert run_command("draw-diagram", ["--output", str(path)]) == 0
     return path
 
 
@@ -65,7 +53,7 @@ def test_the_picture_tells_nothing_of_where_or_when_it_was_drawn(drawn):
 
 @needs_dot
 def test_the_picture_in_the_docs_is_up_to_date(drawn):
-    """docs/diagram.svg holds the words of the present diagram; redraw it with scripts/draw_diagram.py."""
+    """docs/diagram.svg holds the words of the present diagram; redraw it with draw-diagram."""
     assert words(ROOT / "docs" / "diagram.svg") == words(drawn)
 
 
@@ -73,24 +61,14 @@ def test_the_picture_in_the_docs_is_up_to_date(drawn):
 def test_the_delay_in_the_picture_is_the_scenarios(tmp_path):
     """What the scenario changes is in the picture."""
     path = tmp_path / "slow.svg"
-    done = draw("--output", path, "--scenario_text", "{operator: {visual_delay: 0.3}}")
-    assert done.returncode == 0, done.stderr
+    slow = ["--scenario-text", "{operator: {visual_delay: 0.3}}"]
+    assert run_command("draw-diagram", ["--output", str(path), *slow]) == 0
     assert any("300 ms" in text for text in words(path))
 
 
-def test_without_graphviz_the_message_says_what_to_install(tmp_path):
-    """Exit code 2, and nothing is written."""
-    done = draw("--output", tmp_path / "diagram.svg", PATH=str(tmp_path))
-    assert done.returncode == 2
-    assert "Graphviz" in done.stderr and "install" in done.stderr
-    assert "Traceback" not in done.stderr
-    assert list(tmp_path.iterdir()) == []
-
-
-@needs_dot
-def test_an_unknown_scenario_is_refused_with_the_choices(tmp_path):
-    """Exit code 2, and the names there are."""
-    done = draw("--output", tmp_path / "diagram.svg", "--scenario_name", "Nothing")
-    assert done.returncode == 2
-    assert "Nothing" in done.stderr and "Grasp" in done.stderr
+def test_without_graphviz_the_message_says_what_to_install(tmp_path, monkeypatch):
+    """Nothing is written."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(GeortError, match=r"Graphviz.*install"):
+        run_command("draw-diagram", ["--output", str(tmp_path / "diagram.svg")])
     assert list(tmp_path.iterdir()) == []
