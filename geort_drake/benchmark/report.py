@@ -10,7 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 
 from geort_drake.benchmark.config import CONFIG, SCENARIO, TRIALS, read_config
 from geort_drake.benchmark.folder import rerun_path
-from geort_drake.benchmark.plots import grasp_plots, success_panels
+from geort_drake.benchmark.plots import completion_plot, success_panels
 from geort_drake.benchmark.records import Record, key_of, read_records
 from geort_drake.benchmark.replay import summarize_replay
 from geort_drake.benchmark.sensitivity import summarize_sensitivity
@@ -49,10 +49,9 @@ def write_grasp_report(folder: Path) -> dict:
     sensitivity = summarize_sensitivity(everything, order, load_scenario(folder / SCENARIO, "Resolved"))
     errors = [{**record, "trial": str(key_of(record))} for record in everything if "error" in record]
     summary = {**summary, "errors": len(errors), "sensitivity": sensitivity, "config": config}
-    plots = grasp_plots(records, summary)
-    files = {"completion": plots["completion"]}
+    plots = {"completion": completion_plot(records, order, summary["timeout_s"])}
     if sensitivity:
-        files["sensitivity"] = plots["sensitivity"] = success_panels(sensitivity)
+        plots["sensitivity"] = success_panels(sensitivity)
     content = {
         "config": config,
         "overall": _group(summary, "overall"),
@@ -66,7 +65,7 @@ def write_grasp_report(folder: Path) -> dict:
         "expected": len(config["methods"]) * len(config["objects"]) * config["trials"],
         "command": f"geort-drake benchmark --output {shlex.quote(str(folder))} --rrd",
     }
-    _write(folder, "grasp", (MARKDOWN, HTML), summary, files, content)
+    _write(folder, "grasp", (MARKDOWN, HTML), summary, plots, content)
     return summary
 
 
