@@ -1,6 +1,7 @@
 """The arm of the Allegro hand as teleoperation drives it, by itself: wrist checks and inverse kinematics."""
 
 import numpy as np
+from faults.bench import Watch
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
@@ -10,13 +11,14 @@ from geort_drake.hands.description import load_hand
 from geort_drake.live.teleoperation import RobotModel
 from geort_drake.simulation.scenario import load_scenario
 from geort_drake.simulation.world import ARM, HAND
+from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.wrist_checks import WristChecks
 from geort_drake.systems.wrist_to_arm import WristToArm
 
 PERIOD = 0.01
-# The Panda's limits, rad/s² and rad/s: libfranka, kMaxJointAcceleration and kMaxJointVelocity.
-ACCELERATION = np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0])
+# The Panda's limits, rad/s and rad/s²: libfranka, kMaxJointVelocity and kMaxJointAcceleration.
 SPEED = np.array([2.175] * 4 + [2.61] * 3)
+ACCELERATION = np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0])
 
 
 class ArmBench:
@@ -29,7 +31,9 @@ class ArmBench:
         plant = robot.plant()
         arm, hand = (plant.GetModelInstanceByName(name) for name in (ARM, HAND))
         base = plant.GetFrameByName(description.base_frame, hand)
-        self.lower, self.upper = plant.GetPositionLowerLimits()[:7], plant.GetPositionUpperLimits()[:7]
+        lower, upper = plant.GetPositionLowerLimits()[:7], plant.GetPositionUpperLimits()[:7]
+        start = plant.GetPositions(plant.CreateDefaultContext())[:7]
+        self.watch = Watch(JointLimits(lower, upper, SPEED, ACCELERATION), PERIOD, start)
         builder = DiagramBuilder()
         self.checks = builder.AddSystem(WristChecks(PERIOD))
         self.arm = builder.AddSystem(
@@ -59,25 +63,3 @@ class ArmBench:
         desired = self.arm.get_output_port().Eval(self.arm.GetMyContextFromRoot(self.context)).copy()
         state = self.checks.GetOutputPort("state").Eval(self.checks.GetMyContextFromRoot(self.context))
         return desired[:7], desired[7:], state
-
-
-class ArmWatch:
-    """Holds every command of the arm against the limits, and the one before it."""
-
-    def __init__(self, bench: ArmBench):
-        self._lower, self._upper = bench.lower, bench.upper
-        self._q: np.ndarray | None = None
-        self._v = np.zeros(7)
-
-    def broken(self, q: np.ndarray, v: np.ndarray) -> list[str]:
-        """Which limits positions (rad) and velocities (rad/s) of the next update break."""
-        checks = {
-            "finite": bool(np.isfinite(q).all() and np.isfinite(v).all()),
-            "position": bool(((self._lower <= q) & (q <= self._upper)).all()),
-            "speed": bool((np.abs(v) <= SPEED).all()),
-            "acceleration": bool((np.abs(v - self._v) <= ACCELERATION * PERIOD + 1e-9).all()),
-        }
-        if self._q is not None:
-            checks["consistent velocity"] = bool((np.abs((q - self._q) / PERIOD - v) <= 1e-9).all())
-        self._q, self._v = q, v
-        return [name for name, kept in checks.items() if not kept]

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from arm_bench import PERIOD, ArmBench, ArmWatch
+from arm_bench import PERIOD, ArmBench
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
@@ -24,11 +24,10 @@ def reach(tick: int) -> RigidTransform:
 def test_a_disengaged_arm_brakes_and_stays():
     """Within its limits, from full motion; however far the hand was behind the wrist, it goes no farther."""
     bench = ArmBench()
-    watch = ArmWatch(bench)
     broken, path = [], []
     for tick in range(200):
         q, v, _ = bench.tick(reach(min(tick, 40)), valid=float(tick < 40))
-        broken += watch.broken(q, v)
+        broken += bench.watch.broken(q, v)
         path.append((q, v))
     assert np.abs(path[39][1]).max() > 0.3
     assert broken == []
@@ -44,18 +43,17 @@ def test_a_disengaged_arm_brakes_and_stays():
 def test_an_arm_that_is_engaged_again_does_not_jump(gap):
     """Wherever the wrist is by then: the hand stays where it was held."""
     bench = ArmBench()
-    watch = ArmWatch(bench)
     far = RigidTransform([0.5, -0.2, 0.1])
     broken = []
     for tick in range(40):
-        broken += watch.broken(*bench.tick(reach(tick))[:2])
+        broken += bench.watch.broken(*bench.tick(reach(tick))[:2])
     for _ in range(gap):
         q, v, _ = bench.tick(far, valid=0.0)
-        broken += watch.broken(q, v)
+        broken += bench.watch.broken(q, v)
     held = bench.hand_position(q)
     for _ in range(100):
         q, v, _ = bench.tick(far)
-        broken += watch.broken(q, v)
+        broken += bench.watch.broken(q, v)
         assert np.linalg.norm(bench.hand_position(q) - held) < (0.1 if gap == 5 else 1e-3)
     assert np.linalg.norm(bench.hand_position(q) - held) < 5e-3
     assert broken == []
@@ -81,12 +79,11 @@ def test_a_tracker_that_jumps_is_not_followed_there():
 def test_the_arm_keeps_its_acceleration_limits():
     """A wrist that starts and stops abruptly, to where the arm can hardly reach."""
     bench = ArmBench()
-    watch = ArmWatch(bench)
     broken = []
     for tick in range(400):
         way = 0.02 * abs((tick % 60) - 30)  # 2 m/s, to and fro
         q, v, _ = bench.tick(RigidTransform(RollPitchYaw(0, way, 0), [way, -0.5 * way, 0.3 * way]))
-        broken += watch.broken(q, v)
+        broken += bench.watch.broken(q, v)
     assert broken == []
 
 

@@ -1,11 +1,13 @@
 """Whole grasps: a person lifts an object through a known map, the same way twice, and from the recording."""
 
 import dataclasses as dc
+import gc
 import itertools
 import json
 import subprocess
 import sys
 import sysconfig
+import weakref
 from functools import cache
 from pathlib import Path
 
@@ -163,6 +165,16 @@ def test_the_time_in_self_contact_is_the_trials():
     assert 0.5 < crossed.self_contact < 1.0
     rest, _ = run_trial(scenario, HoldPose(), still_hand())
     assert rest.self_contact == 0.0
+
+
+def test_a_trial_is_freed():
+    """Nothing refers to the map after its trial, though Drake never frees systems written in Python."""
+    retarget = HoldPose()
+    freed = weakref.ref(retarget)
+    run_trial(scenario_with("cylinder", "{timeout: 0.1}"), retarget, still_hand())
+    del retarget
+    gc.collect()
+    assert freed() is None
 
 
 # -- what is written and reported

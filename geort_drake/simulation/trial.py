@@ -15,6 +15,7 @@ from geort_drake.simulation.diagram import GraspDiagram, Retarget, make_grasp_di
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.monitor import GraspOutcome, GraspPhase
+from geort_drake.systems.release import release
 
 _REPORT_PERIOD = 0.25  # simulated s
 
@@ -91,21 +92,20 @@ def run_trial(
                 report(root.get_time())
             simulator.AdvanceTo(min(root.get_time() + _REPORT_PERIOD, scenario.timeout))
         result = _result(scenario, parts, outcome, root, time.perf_counter() - started)
-        if parts.recorder is not None:
-            parts.recorder.set_properties({"outcome": result.outcome})
-    finally:
-        if parts.recorder is not None:
-            parts.recorder.close()
-    recording = parts.glove_recorder.recording(
-        {
+        metadata = {
             "side": parts.description.side,
             "source": "simulated trial",
             "object": scenario.object.name,
             "seed": scenario.random_seed,
             "outcome": result.outcome,
         }
-    )
-    return result, recording
+        if parts.recorder is not None:
+            parts.recorder.set_properties({"outcome": result.outcome})
+        return result, parts.glove_recorder.recording(metadata)
+    finally:
+        if parts.recorder is not None:
+            parts.recorder.close()
+        release(parts.diagram)
 
 
 def _result(

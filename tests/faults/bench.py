@@ -38,11 +38,15 @@ class Bench:
 
 
 class Watch:
-    """Holds every command against the limits, and the one before it."""
+    """Checks every command against the limits and against the command before it.
 
-    def __init__(self, limits: JointLimits, period: float):
+    Args:
+        start: positions before the first command, rad; a number for all joints.
+    """
+
+    def __init__(self, limits: JointLimits, period: float, start: np.ndarray | float = START):
         self._limits, self._period = limits, period
-        self._q, self._v = np.full(len(limits.lower), START), np.zeros(len(limits.lower))
+        self._q, self._v = start + np.zeros(len(limits.lower)), np.zeros(len(limits.lower))
 
     def broken(self, q: np.ndarray, v: np.ndarray) -> list[str]:
         """Which guarantees positions (rad) and velocities (rad/s) of the next update break."""

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from arm_bench import PERIOD, ArmBench, ArmWatch
+from arm_bench import PERIOD, ArmBench
 from pydrake.math import RigidTransform, RollPitchYaw
 
 from faults.bench import Bench, Watch
@@ -98,7 +98,6 @@ def fuzz_arm(count: int, seed: int) -> dict:
     """
     rng = np.random.default_rng(seed)
     names, bench = list(WRIST_FAULTS), ArmBench()
-    watch = ArmWatch(bench)
     spoilt: Counter[str] = Counter()
     broken: Counter[str] = Counter()
     left, fault, held, in_a_row, creeping = 0, "", 0, 0, 0.0
@@ -112,7 +111,7 @@ def fuzz_arm(count: int, seed: int) -> dict:
         if fault:
             X_WH, valid = WRIST_FAULTS[fault](X_WH, valid, rng)
         q, v, state = bench.tick(X_WH, valid)
-        broken.update(watch.broken(q, v))
+        broken.update(bench.watch.broken(q, v))
         spoilt[fault] += 1
         in_a_row = 0 if valid >= 0.5 and not state else in_a_row + 1
         held += in_a_row > 0
