@@ -65,10 +65,17 @@ def synthesize_play(
     hand = hand or HumanHand.anatomical()
     rng = np.random.default_rng(seed)
     recording = record(_play(hand, duration_s, rng), hand, duration_s, rate_hz, jitter, rng)
+    return described(recording, "geort_drake.people.play", seed, side)
+
+
+def described(
+    recording: Recording, source: str, seed: int | np.random.Generator, side: str = "right"
+) -> Recording:
+    """The synthetic recording with its metadata."""
     metadata = {
         "side": side,
         "subject": "synthetic",
-        "source": "geort_drake.people.play",
+        "source": source,
         "rate_known": True,
         "seed": seed if isinstance(seed, int) else None,
         "warnings": [],

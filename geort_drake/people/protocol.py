@@ -11,7 +11,18 @@ import numpy as np
 
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES
-from geort_drake.people.play import FLAT, Timeline, fists, pinch, pinch_postures, record, spread, sweep, wave
+from geort_drake.people.play import (
+    FLAT,
+    Timeline,
+    described,
+    fists,
+    pinch,
+    pinch_postures,
+    record,
+    spread,
+    sweep,
+    wave,
+)
 from geort_drake.people.recording import Recording
 
 # What the hand does in a step, repeated until its time is up.
@@ -113,13 +124,5 @@ def demonstrate(
         while timeline.times[-1] < end:
             step.gesture(timeline, hand, rng)
     recording = record(timeline, hand, DURATION_S, rate_hz, jitter, rng)
-    metadata = {
-        "side": "right",
-        "subject": "synthetic",
-        "source": "geort_drake.people.protocol",
-        "rate_known": True,
-        "seed": seed if isinstance(seed, int) else None,
-        "warnings": [],
-    }
     rows = np.searchsorted(begins, recording.t, side="right") - 1
-    return dataclasses.replace(recording, metadata=metadata), [STEPS[row].name for row in rows]
+    return described(recording, "geort_drake.people.protocol", seed), [STEPS[row].name for row in rows]

@@ -26,14 +26,8 @@ def report(name: str, recording: Recording | None, findings: Sequence[Finding]) 
         "verdict": verdict(findings),
         "fit_for_training": not unfit,
         "findings": [
-            {
-                "check": finding.check,
-                "severity": str(finding.severity),
-                "what": finding.what,
-                "where": finding.where,
-                "advice": finding.advice,
-                "lost_frames": len(finding.lost),
-            }
+            {key: str(getattr(finding, key)) for key in ("check", "severity", "what", "where", "advice")}
+            | {"lost_frames": len(finding.lost)}
             for finding in findings
         ],
     }
