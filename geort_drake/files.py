@@ -1,4 +1,4 @@
-"""Files that are either whole or absent, and digests that say which contents were used."""
+"""Atomic writing of files and folders, and digests of their contents."""
 
 import contextlib
 import ctypes
@@ -14,7 +14,7 @@ from typing import Any
 
 from geort_drake.errors import GeortError, OutputError
 
-# What the system says when a disk is full or a place is not to be written to.
+# Errors of a full disk or a read-only place.
 _UNWRITABLE = {
     errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ENOSPC, errno.ENOTDIR, errno.EPERM, errno.EROFS,
 }  # fmt: skip
@@ -36,7 +36,7 @@ def require_fetched(path: str | os.PathLike, error: type[GeortError]) -> None:
 
 @contextlib.contextmanager
 def writing(target: str | os.PathLike) -> Iterator[None]:
-    """Turns the system's errors for a full disk or a read-only place into OutputError with its name."""
+    """Turns errors of a full disk or a read-only place into OutputError with the target's name."""
     try:
         yield
     except OutputError:
@@ -49,11 +49,10 @@ def writing(target: str | os.PathLike) -> Iterator[None]:
 
 @contextlib.contextmanager
 def atomic_path(target: str | os.PathLike) -> Iterator[Path]:
-    """Yields a path beside `target`; what was written there becomes `target` on success.
+    """Yields a path beside `target`, which replaces `target` on success.
 
-    On an exception nothing is left behind and an earlier `target` stays as it was. Where the process or the
-    machine ends meanwhile, `target` is the earlier or the later one, whole; a hidden draft may be left beside
-    it, which nothing reads.
+    On an exception nothing is left behind and an earlier `target` stays. If the process or the machine ends,
+    `target` is whole, the earlier or the new one; a hidden draft may remain beside it.
 
     Raises:
         OutputError: the disk is full, or the place may not be written to.
@@ -61,7 +60,7 @@ def atomic_path(target: str | os.PathLike) -> Iterator[Path]:
     target = Path(target)
     with writing(target):
         target.parent.mkdir(parents=True, exist_ok=True)
-        # The target's suffix is kept because writers such as np.savez append their own otherwise.
+        # With the target's suffix, because writers such as np.savez append theirs otherwise.
         handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent)
         os.close(handle)
         draft = Path(name)
@@ -77,10 +76,10 @@ def atomic_path(target: str | os.PathLike) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
-    """Yields a new directory beside `target` that takes its place on success; else as `atomic_path`."""
+    """Yields a new directory beside `target`, which replaces it on success; see `atomic_path`."""
     target = Path(target)
     if target.exists() and not target.is_dir():
-        raise OutputError(f"{target}: is a file; a directory was wanted")
+        raise OutputError(f"{target}: is a file, not a directory")
     with writing(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         draft = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
@@ -113,13 +112,13 @@ def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
 
 
 def _to_disk(path: Path) -> None:
-    """Waits until a file's contents are on the disk, so that it is never found empty after a power cut."""
+    """Flushes a file to the disk, so that it is not empty after a power cut."""
     with path.open("rb") as file:
         os.fsync(file.fileno())
 
 
 def _exchange(one: Path, other: Path) -> bool:
-    """Lets two paths change places in one step; False where the system cannot (Linux can on most disks)."""
+    """Exchanges two paths atomically; False where the system cannot (Linux can on most disks)."""
     try:
         renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
     except AttributeError:
@@ -129,13 +128,13 @@ def _exchange(one: Path, other: Path) -> bool:
 
 
 def require_writable(target: str | os.PathLike, directory: bool = False) -> None:
-    """Checks, before long work, that `target` can be written later; creates nothing.
+    """Checks that `target` can be written, before long work; creates nothing.
 
     Args:
         target: a file, or with `directory` a folder that may exist already.
 
     Raises:
-        OutputError: the nearest existing folder is none, or may not be written to.
+        OutputError: the nearest existing parent is not a folder or not writable.
     """
     target = Path(target)
     candidates = (target, *target.parents) if directory else target.parents
@@ -143,7 +142,7 @@ def require_writable(target: str | os.PathLike, directory: bool = False) -> None
     if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
         raise OutputError(f"{target}: {nearest} is not a directory that can be written to")
     if not directory and target.is_dir():
-        raise OutputError(f"{target}: is a directory; a file was wanted")
+        raise OutputError(f"{target}: is a directory, not a file")
 
 
 def write_text(target: str | os.PathLike, text: str) -> None:
@@ -181,7 +180,7 @@ def _umask() -> int:
 
 
 def finite_json(content: Any) -> Any:
-    """The same dicts, lists and values, with None for numbers that are not finite, which JSON cannot hold."""
+    """A copy with None for numbers that are not finite, which JSON cannot hold."""
     if isinstance(content, dict):
         return {key: finite_json(value) for key, value in content.items()}
     if isinstance(content, list | tuple):

@@ -1,4 +1,4 @@
-"""Settings given as NAME=VALUE texts, held against the dataclass whose fields they are."""
+"""Settings given as NAME=VALUE texts, checked against the fields of a dataclass."""
 
 import dataclasses
 from collections.abc import Iterable, Sequence
@@ -10,16 +10,16 @@ _BOOLEANS = {"true": True, "false": False}
 
 
 def parse_settings(assignments: Sequence[str], config: Any, what: str) -> dict[str, Any]:
-    """Fields and values, of the type that each field's default has, from texts such as "steps=100".
+    """Parses texts such as "steps=100" into values of the types that the fields' defaults have.
 
     Args:
-        assignments: the texts; a later one replaces an earlier one of the same name.
+        assignments: the texts; later ones replace earlier ones of the same name.
         config: a dataclass with a default for every field, or an object of one.
         what: whose settings these are, for messages.
 
     Raises:
         GeortError: a text is not NAME=VALUE, or the value is not of the field's type.
-        UnknownNameError: the name is none of a field that can be given as text; lists those that are.
+        UnknownNameError: no such setting; the message lists those there are.
     """
     defaults = settings_of(config)
     settings: dict[str, Any] = {}
@@ -32,8 +32,8 @@ def parse_settings(assignments: Sequence[str], config: Any, what: str) -> dict[s
         try:
             settings[name] = _BOOLEANS[text.lower()] if kind is bool else kind(text)
         except (ValueError, KeyError):
-            wanted = "true or false" if kind is bool else kind.__name__
-            raise GeortError(f"setting {name} of {what}: wants {wanted}, not '{text}'") from None
+            expected = "true or false" if kind is bool else kind.__name__
+            raise GeortError(f"setting {name} of {what}: must be {expected}, not '{text}'") from None
     return settings
 
 

@@ -182,7 +182,7 @@ def test_a_recording_unfit_for_training_is_refused_before_training(refused, comm
     [
         ("--retargeter @c/altered", ["weights.safetensors", "altered", "sha256"]),
         ("--retargeter @c/incomplete", ["weights.safetensors missing", "a checkpoint holds"]),
-        ("--retargeter @c/other_joints", ["another hand", "axis_12", "wanted is joint_12"]),
+        ("--retargeter @c/other_joints", ["another hand", "axis_12", "expected is joint_12"]),
         ("--retargeter @c/other_model", ["another hand", "model digest is 00"]),
         ("--retargeter @c/not_json", ["config.json: not valid JSON"]),
         ("--retargeter @c/other_method", ["unknown retargeting method 'magic'", "geort"]),

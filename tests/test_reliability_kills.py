@@ -114,7 +114,7 @@ def test_a_directory_does_not_take_a_files_place(tmp_path):
     """The file stays."""
     file = tmp_path / "notes.txt"
     write_text(file, "before")
-    with pytest.raises(OutputError, match="is a file; a directory was wanted"), atomic_directory(file):
+    with pytest.raises(OutputError, match="is a file, not a directory"), atomic_directory(file):
         pytest.fail("there is nowhere to write to")
     assert file.read_text() == "before"
     assert list(tmp_path.iterdir()) == [file]

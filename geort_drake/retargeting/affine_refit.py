@@ -27,7 +27,7 @@ class AffineMaps:
     Attributes:
         A: (F, 3, 3).
         b: (F, 3), m.
-        miss: (F,) mean distance of the mapped fingertips to the nearest place of training, m.
+        miss: (F,) mean distance of the mapped fingertips to the nearest place in training, m.
     """
 
     A: np.ndarray

@@ -11,9 +11,9 @@ from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.retargeting.aligned import aligned
 
 _LINE = 8  # numbers in a cache line
-# Sums may be reordered and fused, and numbers that are not finite count.
+# Sums may be reordered and fused; infinities and NaN stay exact.
 _FREEDOM = {"reassoc", "contract", "arcp", "nsz"}
-# As read-only arrays, which others are taken for.
+# Read-only arrays, to which numba converts writable ones.
 _POINTS, _PLAN, _WEIGHTS = (
     types.Array(kind, dimensions, "C", readonly=True)
     for kind, dimensions in ((types.float64, 2), (types.int64, 1), (types.float64, 1))
@@ -21,10 +21,10 @@ _POINTS, _PLAN, _WEIGHTS = (
 
 
 class Layers(NamedTuple):
-    """A map of F fingers with H hidden units: those of each finger, w, and those that all share, r.
+    """A map of F fingers with H = F·w + r hidden units, w of each finger and r of the shared residual.
 
-    It is tanh(silu(2 (silu(2 (x W0 + b0)) W1 + b1)) W2 + b2) · half_range + centre, where W1 has the blocks
-    `own` and `shared` on its diagonal.
+    It is tanh(silu(2 (silu(2 (x W0 + b0)) W1 + b1)) W2 + b2) · half_range + centre; W1 has the blocks `own`
+    and `shared` on its diagonal.
     """
 
     bias0: np.ndarray  # (H,)
@@ -39,9 +39,9 @@ class Layers(NamedTuple):
 
 
 class OneHand:
-    """What `Retargeter.__call__` gives for one hand, to rounding, in half the time.
+    """The call of a `Retargeter` for one hand, in half the time; results are equal to rounding.
 
-    None where it would be refused, and for several hands.
+    None for several hands and for unusable input, which the retargeter then handles.
     """
 
     def __init__(self, layers: Layers, human_keypoints: Sequence[int]):
@@ -76,7 +76,7 @@ def _padded(part: np.ndarray) -> np.ndarray:
 
 @njit(fastmath=_FREEDOM, error_model="numpy", cache=True)
 def _add_product(x: np.ndarray, W: np.ndarray, y: np.ndarray) -> None:
-    """y += x W, with W of len(x) rows one after the other; eight at a time, as y is read and written less."""
+    """y += x W, with W flat, row by row; eight rows at a time, so that y is read and written less often."""
     n = len(y)
     eights = len(x) // 8 * 8
     for i in range(0, eights, 8):
@@ -97,7 +97,7 @@ def _add_product(x: np.ndarray, W: np.ndarray, y: np.ndarray) -> None:
 
 @njit(fastmath=_FREEDOM, error_model="numpy", inline="always")
 def _exp(x: float) -> float:
-    """exp(x) to 1e-12, at ±40 at most; by its series at x/64, which can be computed for several x at once."""
+    """exp(x) to 1e-12, with x clipped to ±40; its series at x/64 is vectorised by the compiler."""
     x = x if x < 40.0 else 40.0
     x = x if x > -40.0 else -40.0
     x *= 1.0 / 64.0
@@ -125,7 +125,7 @@ def _tanh(y: np.ndarray) -> None:
 
 @njit(fastmath=_FREEDOM, error_model="numpy", cache=True)
 def _add_dots(W: np.ndarray, x: np.ndarray, y: np.ndarray) -> None:
-    """y += W x, with W of len(y) rows one after the other; four at a time, as x is read less."""
+    """y += W x, with W flat, row by row; four rows at a time, so that x is read less often."""
     n = len(x)
     fours = len(y) // 4 * 4
     for i in range(0, fours, 4):
@@ -148,13 +148,13 @@ def _add_dots(W: np.ndarray, x: np.ndarray, y: np.ndarray) -> None:
 
 @njit
 def _split(weights: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """The first numbers, and those from the next cache line on."""
+    """The first `size` numbers, and those from the next cache line on."""
     return weights[:size], weights[(size + _LINE - 1) // _LINE * _LINE :]
 
 
 @njit(types.float64[::1](_POINTS, _PLAN, _WEIGHTS), fastmath=_FREEDOM, error_model="numpy", cache=True)
 def _angles(points: np.ndarray, plan: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Joint angles of the fingertips in rows plan[3:] of points; none where a coordinate is not finite."""
+    """Joint angles of the fingertips in rows plan[3:] of points; empty if a coordinate is not finite."""
     width, shared, joints = plan[0], plan[1], plan[2]
     fingers = len(plan) - 3
     x = np.empty(3 * fingers)

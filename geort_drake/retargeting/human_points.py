@@ -1,4 +1,4 @@
-"""Human fingertips out of what a retargeter is called with; NumPy alone."""
+"""Human fingertips from the input of a retargeter."""
 
 import math
 from collections.abc import Sequence
@@ -10,14 +10,14 @@ from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
 
 
 class HumanPoints:
-    """Takes the fingertips of whole hands, and refuses what is no hand; every retargeter's first step.
+    """Selects the fingertips of whole hands and checks them; the first step of every retargeter.
 
     Attributes:
         keypoints: (F,) numbers of the keypoints that are the fingertips.
     """
 
     def __init__(self, finger_names: Sequence[str], human_keypoints: Sequence[int] | None = None):
-        """`human_keypoints` are the fingers' tips; None goes by the names.
+        """`human_keypoints` are the keypoints of the fingertips; None goes by the names.
 
         Raises:
             UnknownNameError: a finger's name has no keypoint.
@@ -51,8 +51,7 @@ class HumanPoints:
             )
         if points.shape[-2] != fingers:
             points = points.take(self.keypoints, axis=-2)
-        # The sum of squares, the quickest of sums, is finite if and only if every term is (lengths in metres
-        # do not overflow).
+        # The sum of squares is the fastest test: lengths in metres do not overflow.
         if not math.isfinite(np.vdot(points, points)):
             raise GeortError("human points must be finite; at least one coordinate is NaN or infinite")
         return points

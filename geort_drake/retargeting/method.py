@@ -1,4 +1,4 @@
-"""The interface of a retargeting method: its settings, what it learns from, and what it returns.
+"""The interface of a retargeting method: its settings, its training data and its result.
 
 `geort_drake.retargeting.methods` lists the methods.
 """
@@ -54,7 +54,7 @@ class TrainingConfig:
 
 @dataclass(frozen=True)
 class TrainingData:
-    """What a method can learn from. Expensive parts are functions, called by the methods that need them.
+    """The data for training. Expensive parts are functions, called by the methods that need them.
 
     Attributes:
         p_HF: (T, F, 3) human fingertips in H, m: successive frames, fingers as in `kinematics`.

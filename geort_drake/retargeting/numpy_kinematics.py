@@ -1,6 +1,6 @@
 """Exact fingertip kinematics and Jacobians of a hand in NumPy, batched.
 
-The counterpart of `HandKinematics` for methods that optimise at run time, where torch is not wanted.
+The counterpart of `HandKinematics` for methods that optimise at run time, without torch.
 """
 
 from typing import TYPE_CHECKING
@@ -71,7 +71,7 @@ class NumpyKinematics:
         dM = cosine * self._RK + sine * self._RKK
         p = np.broadcast_to(self._p_tip, (count, fingers, 3, 1))
         J = np.empty((count, fingers, 3, k))
-        # From the tip to the base: each joint turns the point and what the joints beyond it do to it.
+        # From the tip to the base: each joint rotates the point and the columns of the joints beyond it.
         for j in reversed(range(k)):
             J[..., j + 1 :] = M[:, :, j] @ J[..., j + 1 :]
             J[..., j : j + 1] = dM[:, :, j] @ p

@@ -1,4 +1,4 @@
-"""Where the human fingertips were during training, and how far a hand is from there; NumPy alone."""
+"""The space of human fingertips that a map was trained on, and the distance of a hand from it."""
 
 from collections.abc import Sequence
 
@@ -8,21 +8,21 @@ from geort_drake.errors import CheckpointError
 from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.retargeting.clouds import voxel_thinned
 
-VOXEL = 0.006  # m; thinning of the points that are kept
+VOXEL = 0.006  # m; edge of the voxels that thin the points
 
 
 class TrainedSpace:
     """The places of each fingertip in the training recording, thinned.
 
-    A fingertip that is far from all of its own places asks the map for what it never learned. That all
-    are near says less: together they may still form a hand that was never seen.
+    A fingertip far from all of its places is outside of the training data. The converse does not hold:
+    fingertips near their places may together form a hand that was never recorded.
 
     Attributes:
         points: (F, M, 3) float32 places p_HF, m; of a finger with fewer than M, the last one repeats.
     """
 
     def __init__(self, points: np.ndarray, human_keypoints: Sequence[int]):
-        """Takes what `trained_points` returns, and the keypoint (0 to 20) of each finger.
+        """Takes the result of `trained_points`, and the keypoint (0 to 20) of each finger.
 
         Raises:
             CheckpointError: the points have a wrong shape or are not finite.

@@ -93,7 +93,7 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str, str]] = {
             "train_retargeter.py", "--output", "out", "--set", "steps=__import__('os').system('touch harm')"
         ),
         "GeortError",
-        "wants int",
+        "must be int",
     ),
     "a setting that is not finite": (
         words("train_retargeter.py", "--output", "out", "--set", "pinch_weight=nan"),

@@ -33,7 +33,7 @@ class Hold:
 
 
 class NearestNeighbour(Hold):
-    """Answers with the stored hand whose fingertips are nearest in the mean square.
+    """Returns the joint angles of the stored hand with the nearest fingertips.
 
     The stored hands are frames of a recording, mapped by `VectorOnline` at rest.
     """

@@ -1,6 +1,6 @@
-"""How far apart the parts of a hand are, from their shapes, batched and differentiable in torch.
+"""Gaps between the collision shapes of a hand, batched and differentiable in torch.
 
-Parts are boxes and spheres. Between two of them the gap is the largest separation over the face normals
+Shapes are boxes and spheres. Between two of them the gap is the largest separation over the face normals
 and edge products of the boxes (the separating-axis theorem: Gottschalk et al. 1996, "OBBTree") and over
 the direction from the first box to the second's centre. It is negative if and only if they
 overlap, exact for a sphere, and never more than the true distance.
@@ -48,8 +48,8 @@ class CollisionGaps:
 
     Args:
         kinematics, shapes: of one hand.
-        allowance: by how much parts of one chain count as further apart than they are, m: two links of a
-            finger, or one and what is fixed to the base. Not those of fingertips, which reach far.
+        allowance: added to the gaps within a chain, m: between two links of a finger, or a link and the base.
+            Not to those of fingertips, which reach far.
     """
 
     def __init__(self, kinematics: HandKinematics, shapes: CollisionShapes, allowance: float = 0.0):
@@ -153,7 +153,7 @@ class CollisionGaps:
         Args:
             row, pair: (M,) numbers of q and of the pair of shapes, as `near` gives them.
         """
-        # Few of the pairs that may touch do, and only those need to be followed by autograd.
+        # Only rows with near pairs need gradients.
         rows, row = torch.unique(row, return_inverse=True)
         if len(rows) == 0:
             return 0.0 * q.sum()
@@ -201,10 +201,10 @@ def box_gap(
 
 
 def _up(x: torch.Tensor) -> torch.Tensor:
-    """What follows each axis of (M, 3, ...), in a circle."""
+    """The next axis of (M, 3, ...), cyclically."""
     return x.roll(-1, 1)
 
 
 def _down(x: torch.Tensor) -> torch.Tensor:
-    """What precedes each axis of (M, 3, ...), in a circle."""
+    """The previous axis of (M, 3, ...), cyclically."""
     return x.roll(1, 1)

@@ -72,7 +72,7 @@ def pinch_loss(
     instead of by the number of frames, so it does not depend on how often a person pinched.
 
     Args:
-        p_BF: (N, F, 3) robot fingertips, all fingers of a row from one human instant.
+        p_BF: (N, F, 3) robot fingertips; a row is one human hand.
         pairs: P pairs of finger indices.
         pair_weights: (N, P) weights; see `pinch_weights`.
 

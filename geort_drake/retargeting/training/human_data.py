@@ -18,7 +18,7 @@ class HumanData:
 
     Attributes:
         finger_names: F names.
-        frames: (T, F, 3) real instants without exact repeats, m.
+        frames: (T, F, 3) recorded frames without exact repeats, m.
         clouds: F arrays (M, 3), each fingertip's places, one per voxel.
         mean, scale: (F, 3) mean and standard deviation of the clouds, m.
         points: number of places per finger name.
@@ -27,7 +27,7 @@ class HumanData:
     """
 
     def __init__(self, p_HF: np.ndarray, finger_names: Sequence[str], voxel: float = HUMAN_VOXEL):
-        """Takes fingertips (T, F, 3) in H, m, whose rows are instants.
+        """Takes the fingertips (T, F, 3) of a recording, in H, m.
 
         Raises:
             TrainingError: wrong shape, values that are not finite, or a finger that hardly moved.

@@ -1,9 +1,8 @@
 """Exact forward kinematics of a hand's fingertips in torch, batched and differentiable.
 
-Fingers are serial chains of revolute joints that start at the hand base B; some of them may follow others
-of the same finger. The chain is evaluated
-from the tip to the base on a point instead of from the base to the tip on a frame, so a joint costs
-one product of a constant 9×3 matrix with a vector, and no rotation matrix is ever formed.
+Fingers are serial chains of revolute joints that start at the hand base B; joints may follow others of the
+same finger. Chains are evaluated on a point, from the tip to the base, so a joint costs one product of a
+constant 9×3 matrix with a vector.
 """
 
 from collections.abc import Sequence
@@ -45,11 +44,11 @@ class FingerChain:
         if self.coupling is None:
             object.__setattr__(self, "coupling", np.eye(m, k))
         shapes = {"X_PJ": (m, 4, 4), "axes": (m, 3), "p_tip": (3,), "coupling": (m, k)}
-        for attribute, wanted in shapes.items():
+        for attribute, expected in shapes.items():
             value = np.asarray(getattr(self, attribute), dtype=float)
-            if value.shape != wanted or not np.isfinite(value).all():
+            if value.shape != expected or not np.isfinite(value).all():
                 raise ValueError(
-                    f"finger '{self.name}': {attribute} must be finite and of shape {wanted}, "
+                    f"finger '{self.name}': {attribute} must be finite and of shape {expected}, "
                     f"it has shape {value.shape}"
                 )
             object.__setattr__(self, attribute, value)
@@ -128,8 +127,7 @@ class HandKinematics:
         """Fingertip points p_BF (F, N, 3) in m, each finger at joint angles of its own.
 
         Args:
-            angles: (F, N, k) rad of each finger's joints, base to tip, k those of the longest; what a
-                shorter finger has too many is not read.
+            angles: (F, N, k) rad of each finger's joints, base to tip, padded to the longest finger.
         """
         groups, order = self._groups(angles.dtype, angles.device)
         tips = [group.tips(angles[group.members, :, : group.shape[1]]) for group in groups]
@@ -150,11 +148,11 @@ class HandKinematics:
         return HandKinematics(tuple(fingers), self.joint_names, self.lower, self.upper, self.tip_radius, p_BW)
 
     def uncoupled(self) -> tuple["HandKinematics", np.ndarray]:
-        """The hand in which joints that follow others move by themselves, and what it takes to move it alike.
+        """The hand with independent joints in place of coupled ones.
 
         Returns:
-            A hand with the N ≥ n joints of this one and then those that follow, and (N, n) by which joint
-            angles of this hand are multiplied to be that hand's.
+            A hand with the n joints of this one and then the followers, N in total, and the matrix (N, n)
+            that maps joint angles of this hand to those of that hand.
         """
         names = list(self.joint_names)
         rows = [*np.eye(len(names))]
@@ -237,8 +235,8 @@ class _EqualChains:
 class _Tips(torch.autograd.Function):
     """Fingertip points (G, N, 3) of joint angles (G, N, m), with a gradient of a few large operations.
 
-    What autograd would make of the same steps is some eighty small ones. Numbers of the same kind follow each
-    other here, (…, 3, N), which is what processors are fast with.
+    Autograd would record some eighty small operations. The batch is the last axis, (…, 3, N), which is
+    fastest.
     """
 
     @staticmethod

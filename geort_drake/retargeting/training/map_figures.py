@@ -1,4 +1,4 @@
-"""Motion preservation, coverage, cross-talk and pinches: what a training steers by and an evaluation reports.
+"""Figures of a map that evaluations report and trainings constrain: motion, coverage, cross-talk, pinches.
 
 Functions take g = FK∘f, "where do the robot's fingertips (N, F, 3) go for human fingertips (N, F, 3)",
 in metres; randomness enters as a NumPy Generator.
@@ -86,9 +86,10 @@ def cross_talk(g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, an
 
 
 def pinched_distances(human: np.ndarray, robot: np.ndarray, threshold: float) -> np.ndarray:
-    """How far apart the robot's fingertips are where a person pinches, (n,) in m.
+    """Distances (n,) of the robot's fingertips where a person pinches, m.
 
-    Of each hand whose nearest pair is less than `threshold` apart, that pair; human, robot: (T, P) in m.
+    A hand pinches with its nearest pair if that is closer than `threshold`; human, robot: (T, P) distances,
+    m.
     """
     nearest, rows = human.argmin(axis=1), np.arange(len(human))
     return robot[rows, nearest][human[rows, nearest] < threshold]

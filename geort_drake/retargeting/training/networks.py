@@ -37,7 +37,7 @@ class StackedMlp(nn.Module):
         """`some`: which of the perceptrons x is for; all by default."""
         last = len(self.weights) - 1
         for number, layer in enumerate(zip(self.weights, self.biases, strict=True)):
-            # Autograd copies what is sliced, all of it too.
+            # Not sliced without need, because autograd copies slices.
             weight, bias = layer if some == slice(None) else (parameter[some] for parameter in layer)
             x = torch.baddbmm(bias, x, weight)
             if number < last:
@@ -92,7 +92,7 @@ class RetargetingNetwork(nn.Module):
         return self.centre + self.half_range * torch.tanh(y)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """What `Retargeter` is made of, in float64: the input normalisation is folded into layer 0."""
+        """Arrays for `Retargeter`, in float64; the input normalisation is folded into layer 0."""
         weights = [weight.detach().cpu().double() for weight in self.mlp.weights]
         biases = [bias.detach().cpu().double() for bias in self.mlp.biases]
         # (x − mean) / scale · W + b = x · (W / scale) + (b − mean / scale · W)

@@ -1,7 +1,7 @@
 """SOAP: Adam in the eigenbasis of Shampoo's preconditioner (Vyas et al. 2024, arXiv 2409.11321).
 
-For matrices of a small network it needs about a third of Adam's steps. The layers of all fingers are stacked
-along a first axis, and each finger's matrix keeps bases of its own.
+Small networks need about a third of Adam's steps. The layers of all fingers are stacked along a first axis,
+and each finger's matrix has its own bases.
 """
 
 import math
@@ -14,7 +14,7 @@ import torch
 class Soap:
     """Minimises over parameters (..., a, b); every leading index is a matrix by itself.
 
-    Used as torch's optimisers are; their base class takes a second to import what is not needed here.
+    Used like torch's optimisers, but not derived from their base class, whose import takes a second.
 
     Attributes:
         param_groups: dicts of "params" and their settings, which may be changed between steps.
@@ -31,16 +31,16 @@ class Soap:
         refresh: int = 10,
         clip: float = math.inf,
     ):
-        """Takes parameters, or dicts of "params" and of what is different for these.
+        """Takes parameters, or dicts of "params" and settings of their own.
 
         Args:
             lr: learning rate.
             betas: Adam's.
-            basis_beta: averages what the bases are of.
+            basis_beta: decay of the averages whose eigenvectors are the bases.
             eps: keeps Adam from dividing by zero.
             weight_decay: decoupled from the gradients.
             refresh: steps between renewals of the bases.
-            clip: the norm of all gradients together is kept at most this.
+            clip: greatest norm of all gradients together.
         """
         defaults: dict[str, Any] = {"lr": lr, "betas": betas, "basis_beta": basis_beta, "eps": eps}
         defaults |= {"weight_decay": weight_decay, "refresh": refresh}
@@ -68,9 +68,9 @@ class Soap:
 
 
 class _State:
-    """What is kept of the parameters of one group.
+    """The state of one group of parameters.
 
-    A small network costs by the call, so what is done number by number is done to all parameters at once.
+    Elementwise operations treat all parameters at once, because small networks cost by the call.
     """
 
     def __init__(self, parameters: Sequence[torch.Tensor]):
@@ -121,7 +121,7 @@ class _State:
 class _Bases:
     """Eigenvectors of the averaged G Gᵀ and Gᵀ G of gradients G (M, a, b), a basis for either side.
 
-    A row, such as a layer's biases, has one basis that is worth as little as its axes, and gets none.
+    Rows, such as biases, have no bases.
     """
 
     def __init__(self, gradient: torch.Tensor):
@@ -135,20 +135,20 @@ class _Bases:
         return torch.bmm(torch.bmm(self._left.mT, x), self._right) if self._matrix else x
 
     def out(self, x: torch.Tensor) -> torch.Tensor:
-        """What is x (M, a, b) in the bases."""
+        """x (M, a, b) from the bases back to the axes."""
         return torch.bmm(torch.bmm(self._left, x), self._right.mT) if self._matrix else x
 
-    def average(self, gradient: torch.Tensor, share: float) -> None:
-        """Takes a gradient into the averages by a share."""
+    def average(self, gradient: torch.Tensor, weight: float) -> None:
+        """Includes a gradient in the averages."""
         if self._matrix:
             for square, (a, b) in zip(
                 self._squares, ((gradient, gradient.mT), (gradient.mT, gradient)), strict=True
             ):
-                square.baddbmm_(a, b, beta=1.0 - share, alpha=share)
+                square.baddbmm_(a, b, beta=1.0 - weight, alpha=weight)
 
     def refresh(self) -> None:
-        """Follows the averages."""
-        # A step of power iteration keeps the basis near the eigenvectors, far cheaper than finding them.
+        """Updates the bases."""
+        # One step of power iteration is far cheaper than an eigendecomposition.
         if self._matrix:
             bases = zip(self._squares, (self._left, self._right), strict=True)
             self._left, self._right = (torch.linalg.qr(torch.bmm(*pair)).Q for pair in bases)

@@ -1,6 +1,6 @@
 """`geort_coupled`, the default method: one network per finger and a residual that sees all fingertips.
 
-Import from this module only; what is below it may change. docs/concepts/derivations.md derives the
+Import from this module only; its submodules may change. docs/concepts/derivations.md derives the
 losses.
 """
 

@@ -34,7 +34,7 @@ NEARLY = 0.001  # m beyond the margin, within which a hand nearly collides
 
 @dataclass(frozen=True)
 class NearCollisions:
-    """Hands (N, F, 3), m, most of them near self-collision; hand and pair numbers (M,) of what is near."""
+    """Hands (N, F, 3), m, most of them near self-collision; hand and pair numbers (M,) of near shapes."""
 
     hands: torch.Tensor
     row: torch.Tensor

@@ -45,8 +45,8 @@ class CoverageTargets:
         self._anchors = [torch.tensor(first) for first in rows]
         self._contexts = []
         for i, first in enumerate(rows):
-            _, alike = cKDTree(tips[:, i]).query(tips[first, i], k=min(CONTEXTS, len(tips)))
-            self._contexts.append(torch.tensor(alike.reshape(len(first), -1)))
+            _, similar = cKDTree(tips[:, i]).query(tips[first, i], k=min(CONTEXTS, len(tips)))
+            self._contexts.append(torch.tensor(similar.reshape(len(first), -1)))
         self._means: list[torch.Tensor] = []
 
     def nearest(self, network: CoupledNetwork, count: int) -> tuple[torch.Tensor, torch.Tensor]:

@@ -30,7 +30,7 @@ ROBOT_VOXEL = 0.005  # m
 COVERAGE_RADIUS = 0.010  # m; a target at this distance counts half
 RESPONSE_BAND = 0.6  # of log gain around its median
 PINCH_TARGET = 0.0105  # m; between a touch (two tip radii) and fingertips in one place
-TIP_MARGIN = 0.003  # m; apart fingertips are kept this far from touching
+TIP_MARGIN = 0.003  # m; fingertips that the person holds apart keep this distance from touching
 FALSE_PINCH_SCALE = 0.005  # m
 COLLISION_SCALE = 0.005  # m
 CHAIN_MARGIN = (
@@ -150,7 +150,7 @@ class _Training:
         angles = self.network.angles_apart(torch.cat(whole), torch.cat(own, dim=1))
         sizes = [len(hands) for hands in whole] + [hands.shape[1] for hands in own]
         p_BF = self.kinematics.fingertips_apart(angles).split(sizes, dim=1)
-        here, ahead, before, after, pinching, _, behind, reached, alike = p_BF
+        here, ahead, before, after, pinching, _, behind, reached, in_contexts = p_BF
         here, ahead = (tips.reshape(fingers, fingers, n, 3) for tips in (here, ahead))
         return _Answers(
             _of_each(here, 1),
@@ -161,7 +161,7 @@ class _Training:
             after.transpose(0, 1),
             pinching.transpose(0, 1),
             reached,
-            alike.reshape(fingers, -1, AVERAGED, 3).mean(2),
+            in_contexts.reshape(fingers, -1, AVERAGED, 3).mean(2),
             self.network.in_order(angles.split(sizes, dim=1)[len(whole) - 1]),
         )
 

@@ -40,8 +40,8 @@ class GeortConfig(TrainingConfig):
                 raise UnknownNameError(name, getattr(self, name), choices)
 
 
-# What the authors' public code does otherwise than their paper, as far as the terms here can express it;
-# docs/results/open-loop.md lists the differences and what they cost.
+# Choices of the authors' public code that differ from their paper, as far as these settings can express them;
+# docs/results/open-loop.md lists the differences and their cost.
 PUBLIC_CHOICES: Mapping[str, int | float | str] = {
     "resampling": "independent",
     "fk": "neural",
