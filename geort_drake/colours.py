@@ -1,6 +1,6 @@
-"""Colours that mean the same in every plot and every recording."""
+"""Colours with one meaning in all plots and recordings."""
 
-Color = tuple[int, ...]  # red, green, blue, and, where it is given, opacity, 0–255
+Color = tuple[int, ...]  # red, green, blue and optional opacity, 0–255
 
 # Five of Okabe and Ito's, which colour-blind readers can tell apart, and which are read on white and on dark
 # backgrounds. Red and bright green are left for what is wrong or right.

@@ -1,4 +1,4 @@
-"""How far a joint can be said to turn."""
+"""Bound on plausible joint angles."""
 
-# Limits beyond many turns are mistakes, and what is computed from them may overflow.
+# Limits beyond many turns are mistakes, and computing with them may overflow.
 MAX_ANGLE = 100.0  # rad

@@ -1,4 +1,4 @@
-"""Worker processes: how many, and that they end with the process that started them."""
+"""Worker processes: their number, and their end with the process that started them."""
 
 import multiprocessing
 import os
@@ -11,14 +11,14 @@ _WATCH_PERIOD = 1.0  # s
 
 
 def usable_cores() -> int:
-    """How many processes may share the work of this one, itself included: a worker starts no others."""
+    """Number of processes that may share the work of this one, itself included; 1 in a worker."""
     return 1 if multiprocessing.parent_process() is not None else joblib.cpu_count()
 
 
 def end_with(starter: int) -> None:
-    """Ends this process when its parent, of number `starter`, has ended, were it by `kill -9`.
+    """Ends this process when its parent, of number `starter`, has ended, even by `kill -9`.
 
-    Left alone, workers of loky hold their memory for five minutes more.
+    Otherwise workers of loky would hold their memory for five more minutes.
     """
 
     def watch() -> None:
