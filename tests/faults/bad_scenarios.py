@@ -35,35 +35,13 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str, str]] = {
         SCENARIO,
         "Grasp|tag",
     ),
-    "a tag that runs code, in the text": (
-        text("{timeout: !!python/object/apply:os.system ['touch harm']}"),
-        SCENARIO,
-        "text merged into",
-    ),
     "a tag that makes an object": (file("Grasp: {hand: !!python/name:os.system ''}"), SCENARIO, "Grasp"),
     "aliases of aliases, 10⁹ in all": (file(laughs(9)), SCENARIO, "arm_posture|Grasp|alias"),
     "an alias of itself": (file("Grasp: &a {arm_posture: *a}"), SCENARIO, "Grasp|alias"),
-    "lists 2,000 deep, in the text": (
-        text("{directives: " + "[" * 2_000 + "]" * 2_000 + "}"),
-        SCENARIO,
-        "text",
-    ),
     "two documents": (file("Grasp: {}\n---\nGrasp: {}\n"), SCENARIO, "bad.scenarios.yaml"),
-    "not UTF-8": (file(b"Grasp: {hand: \xff\xfe}"), SCENARIO, "bad.scenarios.yaml"),
     "a null byte": (file(b"Grasp: {hand: a\0b}"), SCENARIO, "bad.scenarios.yaml"),
-    "a time that is infinite": (
-        text("{timeout: .inf}"),
-        SCENARIO,
-        "timeout must be positive and finite, not inf",
-    ),
-    "a seed that is a fraction": (text("{random_seed: 1.5}"), SCENARIO, "text merged"),
     "a step of an hour": (text("{plant_config: {time_step: 3600}}"), SCENARIO, "multiple of plant_config"),
     "a hand elsewhere": (text("{hand: ../../../../etc/passwd}"), "HandError", "passwd"),
-    "a hand in a folder that climbs": (
-        text("{hand: ../../models/hands/nobody.yaml}"),
-        "HandError",
-        "nobody.yaml is missing",
-    ),
     "an object elsewhere": (text("{object: {name: ../../../etc/passwd}}"), NAME, "unknown object"),
     "a model elsewhere": (
         text("{directives: [{add_model: {name: arm, file: 'package://geort_drake/../../../etc/passwd'}}]}"),
@@ -80,9 +58,6 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str, str]] = {
         SCENARIO,
         "directives",
     ),
-    "a policy with another kind": (text("{correction: {policy: a.onnx}}"), SCENARIO, "correction.policy"),
-    "an empty name": (file("'': {}\nB: {}\n"), NAME, "unknown scenario"),
-    "a scenario that is a text": (file("Grasp: soon\n"), SCENARIO, "Grasp"),
     "a scenario that is nothing": (file("Grasp:\n"), SCENARIO, "Grasp"),
 }
 
