@@ -131,9 +131,9 @@ def test_methods_objects_and_conditions_can_be_added(copy):
     records = read_records(copy / "trials.jsonl")
     assert records[:4] == before
     assert [str(key_of(record)) for record in records[4:]] == [
-        "vector_online, sphere, seed 0",
-        "hold, cylinder, seed 0, delay=0",
-        "hold, cylinder, seed 0, stiffness=2",
+        "vector_online sphere 0",
+        "hold cylinder 0 delay=0",
+        "hold cylinder 0 stiffness=2",
     ]
     config = read_config(copy)
     assert list(config["methods"]) == ["hold", "nearest_neighbour", "vector_online"]

@@ -5,7 +5,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from geort_drake.comparison import plots
-from geort_drake.retargeting.training.map_figures import ROBOT_VOXEL, robot_voxels
+from geort_drake.retargeting.training.map_figures import robot_voxels
 
 NAMES = ("thumb", "index")
 
@@ -41,23 +41,6 @@ def test_the_frontier_has_a_point_for_every_method_that_has_the_metric():
     assert np.isnan(points_of(pinches, "theirs")).tolist() == [[False, True]]
     assert points_of(context, "theirs") == [pytest.approx((0.72, 0.7))]
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["ours", "theirs"]
-
-
-def test_the_c_space_is_shaded_where_its_voxels_are(rng):
-    """A voxel's square is filled, its neighbour outside is not."""
-    points = rng.uniform([0.01, -0.02], [0.05, 0.06], (500, 2))
-    centres = (np.unique(np.floor(points / ROBOT_VOXEL), axis=0) + 0.5) * ROBOT_VOXEL
-    ax = Figure().subplots()
-    plots._shade(ax, centres, "C0")
-    (image,) = ax.images
-    left, right, bottom, top = image.get_extent()
-    shown = np.ma.filled(image.get_array(), 0.0)
-    rows, columns = np.nonzero(np.nan_to_num(shown))
-    height, width = shown.shape
-    x = left + (columns + 0.5) * (right - left) / width
-    y = bottom + (rows + 0.5) * (top - bottom) / height
-    found = np.stack([x, y], axis=1)
-    np.testing.assert_allclose(found[np.lexsort(found.T)], 1000 * centres[np.lexsort(centres.T)], atol=1e-9)
 
 
 def test_both_fingertip_spaces_are_shown_from_two_sides(rng):

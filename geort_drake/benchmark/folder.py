@@ -200,8 +200,8 @@ def repeat_trial(folder: Path, key: TrialKey) -> tuple[Record, Path]:
     records = {key_of(record): record for record in read_records(folder / TRIALS)}
     if key not in records:
         alike = [other for other in records if other.condition == key.condition] or list(records)
-        named = [other.words for other in alike if other.object == key.object]
-        raise UnknownNameError("finished trial", key.words, named or [other.words for other in alike])
+        named = [str(other) for other in alike if other.object == key.object]
+        raise UnknownNameError("finished trial", str(key), named or map(str, alike))
     notes, settings = config["notes"], config["settings"]
     scenario, conditions = load_scenario(folder / SCENARIO, "Resolved"), {}
     if key.condition:

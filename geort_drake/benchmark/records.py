@@ -49,16 +49,11 @@ class TrialKey(NamedTuple):
     @property
     def file_stem(self) -> str:
         """Name of the trial's own files, without folder and suffix."""
-        return "-".join(str(part) for part in self if part != "")
-
-    @property
-    def words(self) -> str:
-        """The key as arguments of a command."""
-        return " ".join(str(part) for part in self if part != "")
+        return "-".join(str(self).split(" "))
 
     def __str__(self) -> str:
-        parts = [self.method, self.object, f"seed {self.seed}", self.condition]
-        return ", ".join(part for part in parts if part)
+        """The key as arguments of a command."""
+        return " ".join(str(part) for part in self if part != "")
 
 
 def key_of(record: Record) -> TrialKey:
