@@ -1,17 +1,20 @@
 """The source files of this package that some of its modules run through."""
 
 import ast
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parent
 
 
-def imported_sources(entries: Iterable[str], left_out: Iterable[str] = ()) -> list[Path]:
-    """The files `entries` and all that they import from this package, at once or inside functions.
+def imported_sources(
+    entries: Iterable[str], rooms: Collection[str], left_out: Iterable[str] = ()
+) -> list[Path]:
+    """The files `entries` and all that they import from these rooms, at once or inside functions.
 
     Args:
         entries: files relative to the package, such as "hands/samples.py".
+        rooms: folders of the package, such as "hands".
         left_out: files, relative as well, that are neither listed nor followed.
     """
     found = {PACKAGE / path for path in left_out}
@@ -22,7 +25,8 @@ def imported_sources(entries: Iterable[str], left_out: Iterable[str] = ()) -> li
         if path not in found:
             found.add(path)
             result.add(path)
-            pending += _imports(ast.parse(path.read_bytes()).body)
+            imported = _imports(ast.parse(path.read_bytes()).body)
+            pending += [path for path in imported if path.relative_to(PACKAGE).parts[0] in rooms]
     return sorted(result)
 
 

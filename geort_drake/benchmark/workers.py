@@ -118,7 +118,7 @@ def code_digest() -> str:
 
 def trial_sources() -> list[Path]:
     """The modules that a trial can run through: everything imported, now or later, from `_ENTRY_MODULES`."""
-    sources = imported_sources(_ENTRY_MODULES)
+    sources = imported_sources(_ENTRY_MODULES, (*_TRIAL_ROOMS, "benchmark"))
     return [path for path in sources if path.relative_to(PACKAGE).parts[0] in _TRIAL_ROOMS]
 
 

@@ -51,12 +51,12 @@ def training_sources(method: str) -> list[Path]:
     """
     module = trained_method(method).train.__module__.partition(".")[2].replace(".", "/")  # type: ignore[attr-defined]
     entry = f"{module}.py" if (PACKAGE / f"{module}.py").is_file() else f"{module}/__init__.py"
-    sources = imported_sources(
+    return imported_sources(
         [entry, "hands/samples.py", "hands/canonical.py"],
+        rooms=("retargeting", "hands"),
         # They evaluate the weights, which do not depend on them.
         left_out=["retargeting/numpy_retargeter.py", "retargeting/methods/coupled/retargeter.py"],
     )
-    return [path for path in sources if path.relative_to(PACKAGE).parts[0] in ("retargeting", "hands")]
 
 
 def training_config(

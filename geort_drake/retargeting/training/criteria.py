@@ -1,10 +1,8 @@
 """The five criteria of GeoRT (Yin et al. 2025, Section II), one pure function each.
 
-All take points in one length unit of the caller's choice. Direction and collision are
-dimensionless, the others are squared lengths, so a weight means something only together with that
-unit; training.py works in decimetres, roughly the length of a finger, where all five are of order
-one. Where the paper sums over fingers these functions average, so that weights do not depend on
-the number of fingers.
+Points are in any one length unit. Direction and collision are dimensionless, the others are squared lengths,
+so their weights belong to a unit. The paper sums over fingers; these functions average, so that weights do
+not depend on the number of fingers.
 """
 
 from collections.abc import Sequence
@@ -14,70 +12,52 @@ from torch.nn.functional import softplus
 
 
 def direction_loss(d: torch.Tensor, displacement: torch.Tensor, floor: float = 1e-6) -> torch.Tensor:
-    """Criterion I, motion preservation: −E ⟨d/|d|, Δ/|Δ|⟩ with Δ = FK∘f(x + d) − FK∘f(x).
+    """Criterion I, motion preservation: −E ⟨d/|d|, Δ/|Δ|⟩ with Δ = FK∘f(x + d) − FK∘f(x), in [−1, 1].
 
     Args:
         d: (..., 3) steps of human fingertips.
-        displacement: (..., 3) the steps Δ of the robot's fingertips that answer them.
-        floor: length added in quadrature to |d| and |Δ|, so that a step that is not answered counts
-            as 0 and its gradient stays finite.
-
-    Returns:
-        Scalar in [−1, 1]; −1 where every step is answered in its own direction.
+        displacement: (..., 3) the steps Δ of the robot's fingertips.
+        floor: length added in quadrature to |d| and |Δ|, so that an unanswered step counts 0 and its gradient
+            stays finite.
     """
     norms = torch.sqrt((d.square().sum(-1) + floor**2) * (displacement.square().sum(-1) + floor**2))
     return -((d * displacement).sum(-1) / norms).mean()
 
 
 def chamfer_loss(targets: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
-    """Criterion II, C-space coverage: Chamfer(P_R, FK∘f(P_H)).
-
-    Chamfer(A, B) = mean_a min_b |a − b|² + mean_b min_a |b − a|², averaged over fingers.
+    """Criterion II, C-space coverage: mean_a min_b |a − b|² + mean_b min_a |b − a|², averaged over fingers.
 
     Args:
-        targets: (F, M, 3) samples P_R of each robot fingertip's C-space.
-        points: (F, N, 3) where each human fingertip's samples are mapped to.
-
-    Returns:
-        Scalar in squared length units; 0 where the clouds coincide.
+        targets: (F, M, 3) samples of each robot fingertip's C-space.
+        points: (F, N, 3) the map of samples of each human fingertip.
     """
     with torch.no_grad():
         distances = torch.cdist(targets, points)
         nearest_point = distances.argmin(dim=2)
         nearest_target = distances.argmin(dim=1)
-    # Only the winners take part in the gradient: the same value as through cdist, in a tenth of the time.
+    # Only the nearest have gradients: the same value as through cdist, in a tenth of the time.
     uncovered = (targets - _gather(points, nearest_point)).square().sum(-1).mean()
     outside = (points - _gather(targets, nearest_target)).square().sum(-1).mean()
     return uncovered + outside
 
 
 def flatness_loss(ahead: torch.Tensor, here: torch.Tensor, behind: torch.Tensor) -> torch.Tensor:
-    """Criterion III, high flatness: E |FK∘f(x + d) + FK∘f(x − d) − 2 FK∘f(x)|².
-
-    Args:
-        ahead, here, behind: (..., 3) robot fingertips for the human fingertip at x + d, x, x − d.
-
-    Returns:
-        Scalar in squared length units; 0 for every affine map.
-    """
+    """Criterion III: E |g(x + d) + g(x − d) − 2 g(x)|² of robot fingertips (..., 3); 0 for affine maps."""
     return (ahead + behind - 2.0 * here).square().sum(-1).mean()
 
 
 def pinch_loss(
     p_BF: torch.Tensor, pairs: Sequence[tuple[int, int]], pair_weights: torch.Tensor
 ) -> torch.Tensor:
-    """Criterion IV, pinch correspondence: Σ w_ij |p_i − p_j|² / Σ w_ij over real frames.
+    """Criterion IV, pinch correspondence: Σ w_ij |p_i − p_j|² / Σ w_ij; 0 without pinches.
 
-    With weights 1(|x_i − x_j| < d) this is the paper's sum divided by the number of pinching pairs
-    instead of by the number of frames, so it does not depend on how often a person pinched.
+    The paper divides by the number of frames; dividing by the weights makes the loss independent of how often
+    a person pinched.
 
     Args:
         p_BF: (N, F, 3) robot fingertips; a row is one human hand.
         pairs: P pairs of finger indices.
-        pair_weights: (N, P) weights; see `pinch_weights`.
-
-    Returns:
-        Scalar in squared length units; 0 where no pair pinches.
+        pair_weights: (N, P), see `pinch_weights`.
     """
     if not pairs:
         return p_BF.new_zeros(())
@@ -90,10 +70,10 @@ def pinch_loss(
 def pinch_weights(
     p_HF: torch.Tensor, pairs: Sequence[tuple[int, int]], threshold: float, other_pairs: float = 1.0
 ) -> torch.Tensor:
-    """(N, P) weights of the pinch criterion from the human fingertips (N, F, 3) of real frames.
+    """(N, P) weights of the pinch criterion for human fingertips (N, F, 3) of recorded frames.
 
-    A pair closer than `threshold` weighs 1 if it is the nearest of its frame and `other_pairs` if it
-    is not, every other pair 0; `other_pairs=1` is the paper's indicator.
+    The nearest pair of a frame weighs 1 if it is closer than `threshold`, other such pairs `other_pairs`; 1
+    is the paper's indicator. All other pairs weigh 0.
     """
     if not pairs:
         return p_HF.new_zeros((len(p_HF), 0))
@@ -105,14 +85,7 @@ def pinch_weights(
 
 
 def collision_loss(logits: torch.Tensor) -> torch.Tensor:
-    """Criterion V, collision-free retargeting: −E log(1 − C(f(x))), C = sigmoid(logit).
-
-    Args:
-        logits: (N,) outputs of a frozen classifier for the retargeted joint angles of real frames.
-
-    Returns:
-        Scalar ≥ 0. −log(1 − sigmoid(z)) = softplus(z), which does not overflow.
-    """
+    """Criterion V: −E log(1 − sigmoid(logit)) = E softplus(logit), for the classifier's logits (N,)."""
     return softplus(logits).mean()
 
 

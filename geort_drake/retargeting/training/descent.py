@@ -53,8 +53,8 @@ def descend(
 
     Args:
         network: trained in place.
-        losses: called with the step, returns the loss and the terms it is the sum of.
-        steps: how many.
+        losses: called with the step, returns the loss and its terms.
+        steps: number of gradient steps.
         learning_rate: of the first step after the warm-up.
         report: see `Report`.
         optimiser: of the network's parameters; None takes Adam.
@@ -63,9 +63,10 @@ def descend(
             at the end. 0: it keeps the last weights.
 
     Raises:
-        TrainingError: the loss is not finite at the first step. When it stops being finite later, the
-            last good weights, at most a hundredth of the descent old, are put back with a RuntimeWarning.
-            One whose last tenth is no better than its start gives a RuntimeWarning as well.
+        TrainingError: the loss is not finite at the first step. When it stops being finite later, weights
+        from
+            at most a hundredth of the descent earlier are restored with a RuntimeWarning. A loss that did not
+            fall gives a RuntimeWarning as well.
     """
     optimiser = optimiser or torch.optim.Adam(network.parameters(), lr=learning_rate)
     average = None

@@ -12,11 +12,19 @@ from geort_drake.errors import TrainingError
 from geort_drake.processes import usable_cores
 from geort_drake.retargeting.clouds import voxel_centres
 from geort_drake.retargeting.method import TrainingData, TrainingResult
-from geort_drake.retargeting.methods.coupled import losses
 from geort_drake.retargeting.methods.coupled.batches import COLLIDE_EVERY, Batch, Batches, BatchMaker
 from geort_drake.retargeting.methods.coupled.config import CoupledConfig
 from geort_drake.retargeting.methods.coupled.coverage import AVERAGED, CoverageTargets
 from geort_drake.retargeting.methods.coupled.hands import PINCH_REACH, STEP_RANGE, TrainingHands
+from geort_drake.retargeting.methods.coupled.losses import (
+    bounded_coverage_loss,
+    cross_talk_loss,
+    curvature_loss,
+    false_pinch_loss,
+    pair_distances,
+    pinch_distance_loss,
+    uniform_response_loss,
+)
 from geort_drake.retargeting.methods.coupled.multipliers import LagrangeMultipliers
 from geort_drake.retargeting.methods.coupled.network import CoupledNetwork
 from geort_drake.retargeting.methods.coupled.violations import ConstraintViolations
@@ -171,22 +179,22 @@ class _Training:
         moved = answers.ahead - answers.here
         step, answer = batch.after - batch.before, answers.after - answers.before
         long = step.norm(dim=-1) > STEP_RANGE[0]
-        human_apart = losses.pair_distances(torch.cat([batch.after, batch.pinching]), pairs)
-        robot_apart = losses.pair_distances(torch.cat([answers.after, answers.pinching]), pairs)
+        human_apart = pair_distances(torch.cat([batch.after, batch.pinching]), pairs)
+        robot_apart = pair_distances(torch.cat([answers.after, answers.pinching]), pairs)
         pinched = robot_apart[len(batch.after) :]
         zero = moved.new_zeros(())
         row = {
             "direction": direction_loss(batch.d, moved),
             "track": direction_loss(step[long], answer[long]) if len(batch.after) else zero,
-            "coverage": losses.bounded_coverage_loss(answers.reached, batch.targets, COVERAGE_RADIUS),
-            "context": losses.bounded_coverage_loss(answers.averaged, batch.context_targets, COVERAGE_RADIUS)
+            "coverage": bounded_coverage_loss(answers.reached, batch.targets, COVERAGE_RADIUS),
+            "context": bounded_coverage_loss(answers.averaged, batch.context_targets, COVERAGE_RADIUS)
             if config.context_weight > 0
             else zero,
-            "cross_talk": losses.cross_talk_loss(answers.all_moved),
-            "flatness": losses.curvature_loss(answers.ahead, answers.here, answers.behind),
-            "response": losses.uniform_response_loss(batch.d, moved, RESPONSE_BAND),
-            "pinch": losses.pinch_distance_loss(pinched, batch.weights, PINCH_TARGET, config.pinch_scale),
-            "false_pinch": losses.false_pinch_loss(
+            "cross_talk": cross_talk_loss(answers.all_moved),
+            "flatness": curvature_loss(answers.ahead, answers.here, answers.behind),
+            "response": uniform_response_loss(batch.d, moved, RESPONSE_BAND),
+            "pinch": pinch_distance_loss(pinched, batch.weights, PINCH_TARGET, config.pinch_scale),
+            "false_pinch": false_pinch_loss(
                 robot_apart,
                 human_apart > 0.9 * PINCH_REACH,
                 2 * self.kinematics.tip_radius + TIP_MARGIN,
