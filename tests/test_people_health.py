@@ -285,7 +285,6 @@ REFUSED = {
         lambda f, h: write_mediapipe(f, h, relabelled(left(h), handedness=[["Right"]])),
         "bend backwards .* read it with side 'left', and if the axes are mirrored also with --mirror",
     ),
-    "mediapipe cut off": (lambda f, h: cut(write_mediapipe(f, h)), "not JSON"),
     "openxr with the palm second": (
         lambda f, h: write_openxr(f, h, joints=stacked(h.joints(), ["wrist", "palm", *FROM_WRIST_25[1:]])),
         "joint 0 must be the palm and joint 1 the wrist",

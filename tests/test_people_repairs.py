@@ -120,8 +120,15 @@ def spoil_objects(frames: list, i: int, draw) -> None:
 
 def spoil_json(path: Path, i: int, draw) -> None:
     contents = json.loads(path.read_text())
-    spoil_objects(contents["frames"] if isinstance(contents, dict) else contents, i, draw)
-    path.write_text(json.dumps(contents))
+    frames = contents["frames"] if isinstance(contents, dict) else contents
+    if draw(st.booleans()):
+        text, frame = path.read_text(), json.dumps(frames[i])
+        begin = text.index(frame)
+        at = begin + draw(st.integers(0, len(frame) - 1))
+        path.write_text(text[:at] + draw(st.sampled_from(["#", "{", "]", '"'])) + text[at + 1 :])
+    else:
+        spoil_objects(frames, i, draw)
+        path.write_text(json.dumps(contents))
 
 
 def spoil_lines(path: Path, i: int, draw) -> None:
@@ -203,6 +210,18 @@ def test_a_fault_in_one_frame_costs_that_frame_at_most(written, i, data):
     elif not np.allclose(recording.p_HK[i], sound.p_HK[i], atol=1e-6, equal_nan=True):
         new = {finding.check for finding in findings} - {finding.check for finding in [*known, *known_too]}
         assert new, [str(finding) for finding in findings]
+
+
+@pytest.mark.parametrize("written", ["openxr_json", "mediapipe", "vision_pro_app", "manus_csv"])
+def test_a_text_that_was_cut_off_is_read_up_to_there(tmp_path, written):
+    """As of a recorder that was killed."""
+    path = WRITERS[written](tmp_path, moving())
+    sound, _ = open_recording(path)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 9 // 10])
+    recording = read_recording(path)
+    assert 350 < len(recording) < 370
+    assert recording.valid[:-1].all() and not recording.valid[-1]
+    np.testing.assert_array_equal(recording.p_HK[:-1], sound.p_HK[: len(recording) - 1])
 
 
 def test_quaternions_that_are_not_used_do_not_matter(tmp_path):

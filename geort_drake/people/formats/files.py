@@ -1,7 +1,10 @@
 """Reads a file's contents by its suffix, before its format is known."""
 
 import csv
+import itertools
 import json
+import re
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +18,7 @@ _MOST_REPLACED = 1e-3  # share of a text's characters that are not UTF-8
 
 
 def load(path: Path) -> Source:
-    """A file, or a folder of pickles with one frame each. Lines or pickles that are damaged become {}.
+    """A file, or a folder of pickles with one frame each. Damaged frames become {} and are noted.
 
     Raises:
         RecordingError: no such file, one too large, a suffix that is not read, or contents that do not fit
@@ -26,10 +29,10 @@ def load(path: Path) -> Source:
         return Source(str(path), _load_folder(path, faults), faults)
     check_file(path)
     suffix = path.suffix.lower()
-    if suffix == ".jsonl":
-        return Source(str(path), _load_json_lines(path, faults), faults)
+    if suffix in _JSON_LOADERS:
+        return Source(str(path), _JSON_LOADERS[suffix](path, faults), faults)
     if suffix not in _LOADERS:
-        suffixes = ", ".join(sorted([*_LOADERS, ".jsonl"]))
+        suffixes = ", ".join(sorted([*_LOADERS, *_JSON_LOADERS]))
         raise RecordingError(f"{path}: recordings are read from {suffixes}, not '{path.suffix}'")
     return Source(str(path), _LOADERS[suffix](path), faults)
 
@@ -65,11 +68,54 @@ def _load_table(path: Path) -> Table:
     return Table([name.strip() for name in rows[0]], rows[1:])
 
 
-def _load_json(path: Path) -> Any:
+def _load_json(path: Path, faults: FrameFaults) -> Any:
+    text = _text(path)
     try:
-        return json.loads(_text(path))
+        return json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise RecordingError(f"{path}: not JSON: {error}") from None
+        contents = _damaged_json(text, faults)
+        if contents is None:
+            raise RecordingError(f"{path}: not JSON: {error}") from None
+        return contents
+
+
+def _damaged_json(text: str, faults: FrameFaults) -> Any:
+    """A list of frames, or an object with one, though some are damaged or cut off; None without any."""
+    head = re.match(r'\s*(\{[^[]*"frames"\s*:\s*)?\[', text)
+    mark = _frame_mark(text) if head else None
+    if head is None or mark is None:
+        return None
+    frames: list = []
+    end = head.end()
+    while end >= 0 and (rest := text[end:].lstrip(", \t\r\n")) and not rest.startswith("]"):
+        start = len(text) - len(rest)
+        try:
+            frame, end = json.JSONDecoder().raw_decode(text, start)
+        except (ValueError, RecursionError) as error:
+            faults.add(UNREADABLE, [len(frames)], f"not JSON: {error}")
+            frame, end = {}, text.find(mark, start + 1)
+        frames.append(frame)
+    if head[1] is None:
+        return frames
+    try:
+        return json.loads(head[0] + "]}") | {"frames": frames}
+    except ValueError:
+        return None
+
+
+def _frame_mark(text: str) -> str | None:
+    """How each frame of a JSON file begins, with its first key; None if objects do not follow each other."""
+    marks = Counter(re.findall(r'\{\s*"[^"]*"\s*:', text))
+    # Objects within frames are more frequent.
+    for mark, _ in sorted(marks.items(), key=lambda item: item[1]):
+        for place in itertools.islice(re.finditer(re.escape(mark), text), 4):
+            try:
+                _, end = json.JSONDecoder().raw_decode(text, place.start())
+            except (ValueError, RecursionError):
+                continue
+            if re.compile(r",\s*" + re.escape(mark)).match(text, end):
+                return mark
+    return None
 
 
 def _load_json_lines(path: Path, faults: FrameFaults) -> list:
@@ -92,9 +138,9 @@ def _text(path: Path) -> str:
     return text
 
 
+_JSON_LOADERS = {".json": _load_json, ".jsonl": _load_json_lines}
 _LOADERS = {
     ".csv": _load_table,
-    ".json": _load_json,
     ".npy": load_arrays,
     ".npz": load_arrays,
     ".pickle": load_plain,
