@@ -162,7 +162,7 @@ def test_unusable_checkpoints_and_recordings_are_refused(trained):
         trained / "blind", arrays, method="geort_coupled", hand=old.hand,
         human_keypoints=old.config["human_keypoints"], training={}, provenance={}, history=[],
     )  # fmt: skip
-    with pytest.raises(CheckpointError, match="does not say where training saw"):
+    with pytest.raises(CheckpointError, match="lacks the fingertips of its training"):
         refit_checkpoint(trained / "blind", synthesize_play(5, 12.0, 30.0), trained / "x")
     with pytest.raises(RecordingError, match="of a left hand, the robot's is a right hand"):
         refit_checkpoint(trained / "old", synthesize_play(5, 12.0, 30.0, side="left"), trained / "x")

@@ -1,4 +1,4 @@
-"""From a checkpoint and another person's recording to an evaluated checkpoint for that person."""
+"""Re-fit: from a checkpoint and another person's recording to an evaluated checkpoint for that person."""
 
 import os
 import time
@@ -44,25 +44,25 @@ def refit_checkpoint(
         checkpoint: directory of the checkpoint to start from.
         recording: about a minute of the new person's hand, or its file.
         output: the new checkpoint's directory.
-        hand_name: name or file of the robot hand's description; None: by the checkpoint's name of it.
-        steps: of the fine-tuning; 0 leaves it out, as methods other than geort_coupled do.
+        hand_name: name or file of the robot hand's description; None: the name in the checkpoint.
+        steps: of the fine-tuning; 0 leaves it out, and so do methods other than geort_coupled.
         seed: of the fine-tuning and of the metrics.
         report: see `Report`.
 
     Returns:
-        The new checkpoint's directory. What the fit cost is in its provenance under "timings".
+        The new checkpoint's directory. Its provenance has the time of the fit under "timings".
 
     Raises:
-        CheckpointError: the checkpoint is unusable, for another hand, or does not know where it was trained.
-        UnknownNameError: its method is not known to this version.
-        RecordingError, TrainingError: the recording is unusable for this.
+        CheckpointError: the checkpoint is damaged, for another hand, or lacks the fingertips of its training.
+        UnknownNameError: this version does not know its method.
+        RecordingError, TrainingError: the recording is unsuitable.
     """
     check_replaceable(output)
     old = load_checkpoint(checkpoint)
     space = old.trained_space
     if space is None:
         raise CheckpointError(
-            f"{old.path}: does not say where training saw the fingertips, as checkpoints before version 0.2; "
+            f"{old.path}: lacks the fingertips of its training, as checkpoints before version 0.2 do; "
             "train a new one"
         )
     method = trained_method(old.config["method"])
@@ -103,11 +103,7 @@ def refit_checkpoint(
             "affine": {
                 finger: {"A": A.tolist(), "b": b.tolist(), "miss_mm": round(1e3 * float(miss), 3)}
                 for finger, A, b, miss in zip(
-                    old.config["finger_names"],
-                    maps.A,
-                    maps.b,
-                    maps.miss,
-                    strict=True,
+                    old.config["finger_names"], maps.A, maps.b, maps.miss, strict=True
                 )
             },
         },

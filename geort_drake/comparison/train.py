@@ -1,4 +1,4 @@
-"""From a robot hand and a recording to an evaluated checkpoint, cached if wanted."""
+"""Training: from a robot hand and a recording to an evaluated checkpoint, which a cache can keep."""
 
 import contextlib
 import dataclasses
@@ -54,7 +54,7 @@ def training_sources(method: str) -> list[Path]:
     return imported_sources(
         [entry, "hands/samples.py", "hands/canonical.py"],
         rooms=("retargeting", "hands"),
-        # They evaluate the weights, which do not depend on them.
+        # They use the weights, but do not change them.
         left_out=["retargeting/numpy_retargeter.py", "retargeting/methods/coupled/retargeter.py"],
     )
 
@@ -62,12 +62,12 @@ def training_sources(method: str) -> list[Path]:
 def training_config(
     method: str, settings: Mapping | None = None, hand: HandDescription | None = None
 ) -> TrainingConfig:
-    """The configuration of a method: its defaults, then what the hand's description sets, then `settings`.
+    """The configuration of a method: its defaults, overridden by the hand's description and then `settings`.
 
     Raises:
-        UnknownNameError: no such method or setting; the message lists those there are.
-        HandError: the description's settings are unusable.
-        TrainingError: a value makes no sense.
+        UnknownNameError: no such method or setting; the message lists the known ones.
+        HandError: the description's settings are invalid.
+        TrainingError: a value is invalid.
     """
     kind = trained_method(method).config
     check_names(settings or {}, kind, method)
@@ -77,18 +77,18 @@ def training_config(
 
 
 def hand_settings(hand: HandDescription, method: str) -> dict[str, Any]:
-    """The settings of a method that a hand's description has in place of defaults.
+    """The settings of a method in a hand's description.
 
     Raises:
-        HandError: those of any method are of no method, or none of the method's, or make no sense.
+        HandError: the description has an unknown method, or an unknown or invalid setting of any method.
     """
     settings = {}
     try:
-        for of, numbers in hand.training.items():
-            kind = trained_method(of).config
-            texts = [f"{name}={number:.15g}" for name, number in numbers.items()]
-            settings[of] = parse_settings(texts, kind, of)
-            kind(**settings[of]).validate()
+        for name, numbers in hand.training.items():
+            kind = trained_method(name).config
+            texts = [f"{setting}={number:.15g}" for setting, number in numbers.items()]
+            settings[name] = parse_settings(texts, kind, name)
+            kind(**settings[name]).validate()
     except GeortError as error:
         raise HandError(f"hand '{hand.name}': training: {error}") from error
     return settings.get(method, {})
@@ -111,7 +111,7 @@ def train_checkpoint(
     Args:
         hand_name: name or file of a hand description.
         recording: of the person's hand, or its file; None synthesises five minutes of play.
-        output: the checkpoint directory, written whole at the end.
+        output: the checkpoint directory, written at the end.
         method: name of the retargeting method.
         seed: of everything random: robot samples, synthetic play, training and metrics.
         device: "cpu" or "cuda".
@@ -121,11 +121,11 @@ def train_checkpoint(
         report: see `Report`.
 
     Returns:
-        The checkpoint directory. What the recording lacks and what went wrong in training is in its
-        provenance under "warnings", and is warned of as RuntimeWarning at the end.
+        The checkpoint directory. Warnings about the recording and the training are in its provenance under
+        "warnings", and are issued as RuntimeWarning at the end.
 
     Raises:
-        HandError, RecordingError, TrainingError, UnknownNameError: something asked for is unusable.
+        HandError, RecordingError, TrainingError, UnknownNameError: an argument is unusable.
         CheckpointError: `output` exists and is not a checkpoint.
     """
     description = load_hand(hand_name)
@@ -141,7 +141,7 @@ def train_checkpoint(
             recording = training_recording(recording, description.side)
             keypoints = description.human_keypoints
             p_HF = recording.fingertips(keypoints)
-            said = narrow_motions(recording.p_HK[recording.valid], keypoints)
+            messages = narrow_motions(recording.p_HK[recording.valid], keypoints)
         with _timed(timings, "robot_data_s"):
             samples = robot_data(hand, robot_samples, seed, labels=False)
         labelled: list[np.ndarray] = []
@@ -149,16 +149,18 @@ def train_checkpoint(
         def labels() -> np.ndarray:
             with _timed(timings, "robot_data_s"):
                 counter = bars.counter("robot samples")
-                labelled.append(robot_data(hand, robot_samples, seed, progress=counter).collides_beyond_tips)
-            return labelled[0]
+                found = robot_data(hand, robot_samples, seed, progress=counter).collides_beyond_tips
+            assert found is not None
+            labelled.append(found)
+            return found
 
         data = TrainingData(
             p_HF, kinematics, samples.q, labels, hand.collides_beyond_tips, partial(canonical_shapes, hand)
         )
         trained = trained_method(method)
-        with _timed(timings, "fit_s"), _collected(said):
+        with _timed(timings, "fit_s"), _collect_warnings(messages):
             result = trained.train(data, config, seed, device, bars.losses("training", report))
-        if labelled:  # which took part of that time
+        if labelled:  # within the time of the fit
             timings["fit_s"] -= timings["robot_data_s"]
         arrays = result.network.arrays()
         names = (hand.finger_names, hand.joint_names)
@@ -196,7 +198,7 @@ def train_checkpoint(
                 "labels": bool(labelled),
             },
             "seed": seed,
-            "warnings": said,
+            "warnings": messages,
             "versions": versions(),
             "git": git_state(),
             "timings": {key: round(value, 3) for key, value in (timings | result.timings).items()},
@@ -211,7 +213,7 @@ def train_checkpoint(
         history=result.history,
         metrics=metrics,
     )
-    for text in said:
+    for text in messages:
         warnings.warn(text, RuntimeWarning, stacklevel=2)
     return path
 
@@ -270,10 +272,10 @@ def cached_checkpoint(
 
 
 def training_recording(source: Recording | str | os.PathLike, side: str) -> Recording:
-    """A recording of a person's hand, or that of a file, for a robot hand of that side.
+    """A recording, or that of a file, checked for training a robot hand of that side.
 
     Raises:
-        RecordingError: it is of the other hand, or the file is unfit for training.
+        RecordingError: it is of the other hand, or the file is unsuitable for training.
     """
     if not isinstance(source, Recording):
         return read_recording(source, side=side, training=True)
@@ -283,14 +285,14 @@ def training_recording(source: Recording | str | os.PathLike, side: str) -> Reco
 
 
 @contextlib.contextmanager
-def _collected(said: list[str]) -> Iterator[None]:
-    """Appends the RuntimeWarnings of the block to `said`; warnings of other kinds stay what they are."""
+def _collect_warnings(messages: list[str]) -> Iterator[None]:
+    """Appends the RuntimeWarnings of the block to `messages`, and issues all other warnings."""
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("default")  # what is said at every step counts once
+        warnings.simplefilter("default")  # a warning of every step is kept once
         yield
     for warning in caught:
         if issubclass(warning.category, RuntimeWarning):
-            said.append(str(warning.message))
+            messages.append(str(warning.message))
         else:
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
 
