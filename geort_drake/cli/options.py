@@ -5,6 +5,7 @@ Words go to stderr, and `--quiet` leaves only warnings and errors. Stdout holds 
 """
 
 import argparse
+import contextlib
 import json
 import math
 import os
@@ -126,38 +127,23 @@ def method_help(names: Iterable[str] = tuple(METHODS)) -> str:
 # -- types of options
 
 
+def _number(read: Callable[[str], Any], fits: Callable[[Any], bool], expected: str) -> Callable[[str], Any]:
+    def number(text: str) -> Any:
+        with contextlib.suppress(ValueError):
+            if fits(value := read(text)):
+                return value
+        raise argparse.ArgumentTypeError(f"must be {expected}, not '{text}'")
+
+    return number
+
+
 def at_least(lowest: int) -> Callable[[str], int]:
     """A whole number from `lowest` on."""
-
-    def whole_number(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"must be a whole number, not '{text}'") from None
-        if value < lowest:
-            raise argparse.ArgumentTypeError(f"must be at least {lowest}, not {text}")
-        return value
-
-    return whole_number
+    return _number(int, lambda value: value >= lowest, f"a whole number, at least {lowest}")
 
 
-def positive(text: str) -> float:
-    """A positive number, or inf."""
-    try:
-        value = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"must be a number, not '{text}'") from None
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"must be positive, not {text}")
-    return value
-
-
-def finite(text: str) -> float:
-    """A positive, finite number."""
-    value = positive(text)
-    if value == math.inf:
-        raise argparse.ArgumentTypeError(f"must be finite, not {text}")
-    return value
+positive = _number(float, lambda value: value > 0, "a positive number")  # or inf
+finite = _number(float, lambda value: 0 < value < math.inf, "a positive, finite number")
 
 
 def output_file(suffix: str) -> Callable[[str], Path]:
