@@ -20,8 +20,8 @@ from geort_drake.comparison.metrics import motion_preservation_track, pinch, sel
 from geort_drake.comparison.train import cached_checkpoint
 from geort_drake.console import run_main
 from geort_drake.files import write_text
-from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.description import load_hand
+from geort_drake.hands.mirror import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording

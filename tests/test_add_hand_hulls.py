@@ -10,9 +10,9 @@ from script_modules import load_script
 
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.importers.checks import examine
-from geort_drake.hands.importers.hulls import add_hulls
+from geort_drake.hands.importers.conversion import add_hulls
+from geort_drake.hands.importers.fingertips import surface_points
 from geort_drake.hands.importers.proposal import propose
-from geort_drake.hands.importers.tip_points import surface_points
 from geort_drake.hands.model import HandModel
 
 # A rigid part that hangs on the index finger's last link, off its axes, and how far it reaches along them.

@@ -11,9 +11,9 @@ from scipy.spatial import ConvexHull
 
 from geort_drake.errors import HandError
 from geort_drake.hands.clearance import HandClearance
+from geort_drake.hands.importers.conversion import convert_model, unreadable_meshes
+from geort_drake.hands.importers.fingertips import surface_points
 from geort_drake.hands.importers.proposal import propose
-from geort_drake.hands.importers.tip_points import surface_points
-from geort_drake.hands.meshes import convert_model, unreadable_meshes
 from geort_drake.hands.model import HandModel
 
 # A box off its mesh's origin, longer along z than along y.

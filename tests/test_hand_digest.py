@@ -8,8 +8,7 @@ from hand_family import HandSpec, write_hand
 from model_scene import SHIPPED_HANDS
 
 from geort_drake.files import sha256_of
-from geort_drake.hands.description import load_hand
-from geort_drake.hands.importers.description_file import write_description
+from geort_drake.hands.description import load_hand, write_description
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.model_files import digest_of_contents, model_files

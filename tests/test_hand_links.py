@@ -8,13 +8,11 @@ from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.assembly import add_hand_model
+from geort_drake.hands.chains import finger_links, palm_links
 from geort_drake.hands.description import CouplingDescription, HandDescription, load_hand
-from geort_drake.hands.importers.description_file import write_description
 from geort_drake.hands.importers.proposal import propose
-from geort_drake.hands.links import finger_links, palm_links
 from geort_drake.hands.model import HandModel
 from geort_drake.simulation.scenario import load_scenario
-from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.world import add_object, add_robot
 from geort_drake.systems.scene_view import SceneView
 
@@ -113,21 +111,3 @@ def test_self_contact_is_what_the_hand_model_calls_a_collision_beyond_tips():
             plant.GetJointByName(name, hand).set_angle(context, angle)
         seen = view.GetOutputPort("self_contact").Eval(view.GetMyContextFromRoot(root))
         assert seen.tolist() == [float(expected)]
-
-
-def test_a_grasp_is_planned_for_fingers_of_few_joints(description, tmp_path):
-    """One motor each: a finger that cannot leave a surface straight opens whole."""
-    for finger in description.fingers[1:]:
-        description.couplings = [c for c in description.couplings if not c.joint.startswith(finger.name)]
-        finger.joints = [f"{finger.name}_j1"]
-        description.couplings += [
-            CouplingDescription(f"{finger.name}_j2", f"{finger.name}_j1", 0.8),
-            CouplingDescription(f"{finger.name}_j3", f"{finger.name}_j2", 0.8),
-        ]
-    write_description(description, tmp_path / "hand.yaml")
-    scenario = load_scenario(text="{object: {name: ball_small}}", hand=str(tmp_path / "hand.yaml"))
-    planner = GraspPlanner(scenario, description)
-    goal = planner.plan()
-    assert goal.touches.tolist() == [True, True, False]
-    opened = np.linalg.norm(goal.X_OB.multiply(goal.p_BF_open.T).T - goal.p_OF_touch, axis=1)
-    assert (opened[goal.touches] > 0.02).all()

@@ -82,9 +82,3 @@ def test_the_check_of_a_description_covers_them(described):
     check([str(described(OWN))])
     with pytest.raises(HandError, match="training: unknown setting of linear_offline 'closed_target'"):
         check([str(described({"linear_offline": {"closed_target": 0.9}}))])
-
-
-def test_what_is_no_number_is_refused_with_the_file(described):
-    """By the loader of descriptions."""
-    with pytest.raises(HandError, match=r"mine\.yaml is malformed.*'many'"):
-        load_hand(described({"geort": {"steps": "many"}}))

@@ -14,10 +14,14 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import HandError
-from geort_drake.hands.couplings import read_couplings
+from geort_drake.hands.importers.conversion import convert_model, drake_misreadings
+from geort_drake.hands.importers.couplings import (
+    coupling_notes,
+    read_couplings,
+    tendon_couplings,
+)
 from geort_drake.hands.importers.proposal import propose
-from geort_drake.hands.meshes import convert_model, what_drake_misreads
-from geort_drake.hands.mjcf import hand_down_defaults, remarks, tendon_couplings
+from geort_drake.hands.mjcf import inherit_defaults
 from geort_drake.hands.model import HandModel
 
 # The fingers' hinges take axis and range from two classes further out; "inner" has a joint of its own again.
@@ -41,11 +45,11 @@ def joint_settings(model: ET.Element, name: str) -> dict[str, str]:
 def test_classes_get_what_those_further_out_have():
     """Two classes down, with what the class itself sets, and in a class that sets nothing of the kind."""
     model = tree('<joint class="inner"/><geom class="between"/>', CLASSES)
-    assert hand_down_defaults(model) == ["inner"]
+    assert inherit_defaults(model) == ["inner"]
     assert joint_settings(model, "inner") == {"axis": "0 1 0", "range": "0 1", "damping": "0.1"}
     assert joint_settings(model, "between") == {"axis": "0 1 0", "range": "0 1.5", "damping": "0.1"}
     assert joint_settings(model, "drawn") == {"damping": "0.1"}
-    assert hand_down_defaults(model) == []
+    assert inherit_defaults(model) == []
 
 
 @pytest.mark.parametrize(
@@ -59,7 +63,7 @@ def test_classes_get_what_those_further_out_have():
 )
 def test_only_classes_that_joints_and_shapes_take_are_named(body, lacking):
     """By their own class, or that of the bodies around them."""
-    assert hand_down_defaults(tree(body, CLASSES)) == lacking
+    assert inherit_defaults(tree(body, CLASSES)) == lacking
 
 
 def test_drake_reads_what_was_handed_down(tmp_path):
@@ -71,7 +75,7 @@ def test_drake_reads_what_was_handed_down(tmp_path):
         '<default class="b"><site/><default class="c"><geom rgba="1 0 0 1"/></default></default>'
         '</default></default><actuator><position joint="j" class="c"/></actuator>',
     )
-    assert hand_down_defaults(model) == ["c"]
+    assert inherit_defaults(model) == ["c"]
     model.set("model", "handed_down")
     path = tmp_path / "model.xml"
     path.write_text(ET.tostring(model, encoding="unicode"), encoding="utf-8")
@@ -98,14 +102,14 @@ def classy(tmp_path) -> Path:
 
 def test_a_copy_has_the_limits_that_the_model_means(classy, tmp_path):
     """The same hand as without classes; the model itself is refused, as Drake gives it no limits."""
-    (said,) = what_drake_misreads(classy)
-    assert "'inner'" in said
+    (said,) = drake_misreadings(classy)
+    assert said.endswith("the default classes inner")
     hand = HandModel(propose(convert_model(classy, tmp_path / "copy")).description)
     plain = HandModel(propose(write_hand(tmp_path, HandSpec(3, "xml", mimic=False), "plain")).description)
     assert hand.joint_names == plain.joint_names
     np.testing.assert_allclose(hand.lower, plain.lower)
     np.testing.assert_allclose(hand.upper, plain.upper)
-    with pytest.raises(HandError, match=r"the classes inner take defaults that Drake.*add-hand"):
+    with pytest.raises(HandError, match=r"Drake loses defaults of the classes inner.*geort-drake add-hand"):
         propose(classy)
 
 
@@ -145,7 +149,7 @@ def test_a_tendon_that_couples_two_joints(model, wanted):
     assert (joint, follows) == wanted[:2]
     assert (ratio, offset) == (pytest.approx(wanted[2]), pytest.approx(wanted[3]))
     assert found.assumed == ("<actuator><position" in ET.tostring(model, encoding="unicode"))
-    assert bool(remarks(model)) == found.assumed
+    assert bool(coupling_notes(model)) == found.assumed
 
 
 @pytest.mark.parametrize(

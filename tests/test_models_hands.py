@@ -182,14 +182,6 @@ def test_every_finger_weighs_on_its_joints(allegro):
     assert link.default_com()[2] * 1e3 == pytest.approx(wanted, abs=0.01)
 
 
-def test_default_positions_lie_inside_the_limits_and_free_of_contact(allegro):
-    """The pose a hand is loaded in respects every limit, joint_12's positive lower limit included."""
-    q = allegro.default_position
-    assert ((allegro.lower <= q) & (q <= allegro.upper)).all()
-    assert allegro.lower[allegro.joint_names.index("joint_12")] > 0
-    assert not allegro.collides(q)
-
-
 @pytest.mark.parametrize(
     ("name", "wanted", "speed"),
     [

@@ -1,6 +1,5 @@
 """Training for hands other than the Allegro right: a left one in the mirror, and LEAP."""
 
-import dataclasses
 import json
 
 import numpy as np
@@ -26,14 +25,6 @@ def train(hand: str, recording: Recording, output):
     return train_checkpoint(
         hand, recording, output, show_progress=False, settings={"steps": 5}, robot_samples=1000
     )
-
-
-def test_synthetic_play_of_a_left_hand_is_the_mirrored_right_one():
-    """As left hands are described in the mirror, only the side differs, and with it the digest."""
-    left = play("left")
-    assert left.side == "left"
-    np.testing.assert_array_equal(left.p_HK, play().p_HK)
-    assert left.digest != play().digest
 
 
 def test_a_left_hand_learns_what_the_right_one_learns(tmp_path):
@@ -76,11 +67,3 @@ def test_leap_is_trained_and_evaluated(tmp_path):
     assert figures["hand"] == "leap_right"
     for name in ("motion_preservation", "flatness", "gain_p95_p5", "self_collision"):
         assert np.isfinite(figures[name]), name
-
-
-def test_a_description_of_a_left_hand_may_lie_anywhere(tmp_path):
-    """By path as by name, side and mount included."""
-    shipped = load_hand("allegro_left")
-    text = json.dumps(dataclasses.asdict(shipped))
-    (tmp_path / "mine.yaml").write_text(text, encoding="utf-8")
-    assert load_hand(tmp_path / "mine.yaml") == shipped

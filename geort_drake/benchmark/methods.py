@@ -12,7 +12,7 @@ from geort_drake.comparison.comparison import check_methods, method_names
 from geort_drake.comparison.train import cached_checkpoint
 from geort_drake.errors import BenchmarkError
 from geort_drake.files import atomic_directory, sha256_of
-from geort_drake.hands.canonical import canonical_kinematics
+from geort_drake.hands.mirror import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import WEIGHTS

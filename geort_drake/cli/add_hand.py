@@ -88,10 +88,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _describe(arguments: argparse.Namespace) -> "tuple[Path, HandDescription, list[str]]":
     """Writes a model's description; returns its path, the description and notes for the user."""
-    from geort_drake.hands.importers.description_file import write_description
-    from geort_drake.hands.importers.hulls import add_hulls
+    from geort_drake.hands.description import write_description
+    from geort_drake.hands.importers.conversion import add_hulls, convert_model, drake_misreadings
     from geort_drake.hands.importers.proposal import propose
-    from geort_drake.hands.meshes import convert_model, what_drake_misreads
 
     given = arguments.model
     if arguments.output is not None and arguments.output.suffix not in (".yaml", ".yml"):
@@ -103,7 +102,7 @@ def _describe(arguments: argparse.Namespace) -> "tuple[Path, HandDescription, li
         raise OutputError(f"{path} exists; choose another --output, or give --overwrite")
     require_writable(path)
     model, notes = given, []
-    misread = what_drake_misreads(given)
+    misread = drake_misreadings(given)
     if misread or arguments.hulls:
         model = convert_model(given, path.with_name(f"{path.stem}_model"))
         notes += [f"{what}; a corrected model is in {model.parent.name}" for what in misread]

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 from geort_drake.comparison.train import cached_checkpoint
 from geort_drake.console import warn
-from geort_drake.hands.canonical import canonical_kinematics
 from geort_drake.hands.description import load_hand
+from geort_drake.hands.mirror import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.method import Retarget
 from geort_drake.retargeting.methods import make_untrained, untrained_methods

@@ -11,7 +11,7 @@ from geort_drake.comparison.metrics import MIN_FRAMES, RobotSpace, evaluate_fram
 from geort_drake.comparison.protocols import HELD_OUT, SAME_PERSON, Case, Protocol
 from geort_drake.errors import CheckpointError, GeortError, RecordingError, UnknownNameError
 from geort_drake.files import finite_json
-from geort_drake.hands.canonical import canonical_kinematics
+from geort_drake.hands.mirror import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import CONFIG, load_checkpoint

@@ -13,7 +13,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from geort_drake.errors import RecordingError
-from geort_drake.hands.canonical import canonical_kinematics
+from geort_drake.hands.mirror import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import PINCH_M, Recording
 from geort_drake.retargeting.clouds import voxel_thinned

@@ -9,8 +9,8 @@ from geort_drake.comparison.train import training_recording
 from geort_drake.comparison.versions import versions
 from geort_drake.errors import CheckpointError
 from geort_drake.files import sha256_of
-from geort_drake.hands.canonical import canonical_kinematics, canonical_shapes
 from geort_drake.hands.description import load_hand
+from geort_drake.hands.mirror import canonical_kinematics, canonical_shapes
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.samples import robot_data
 from geort_drake.people.recording import Recording

@@ -19,8 +19,8 @@ from geort_drake.comparison.versions import git_state, versions
 from geort_drake.console import progress_bar
 from geort_drake.errors import CheckpointError, GeortError, HandError, RecordingError
 from geort_drake.files import digest_of
-from geort_drake.hands.canonical import canonical_kinematics, canonical_shapes
 from geort_drake.hands.description import HandDescription, load_hand
+from geort_drake.hands.mirror import canonical_kinematics, canonical_shapes
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.samples import robot_data
 from geort_drake.people.coverage import narrow_motions

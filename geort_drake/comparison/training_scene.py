@@ -12,7 +12,7 @@ from geort_drake.colours import SKIN
 from geort_drake.comparison import metrics
 from geort_drake.comparison.exploration import find_pinches, tips_of
 from geort_drake.comparison.hand_marks import RIGHT, WRONG, collisions, finger_colors, pinch_closed
-from geort_drake.hands.canonical import canonical_kinematics
+from geort_drake.hands.mirror import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.recording import Recording

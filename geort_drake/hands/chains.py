@@ -1,50 +1,143 @@
-"""The fingers of a hand in a Drake plant as serial chains."""
+"""Links, serial chains and fingertips of a hand in a Drake plant."""
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Frame, Joint, RigidBody, WeldJoint
+from pydrake.multibody.tree import BodyIndex, Frame, Joint, ModelInstanceIndex, RigidBody, WeldJoint
 
 from geort_drake.errors import HandError
-from geort_drake.hands.couplings import JointCouplings
+from geort_drake.hands.couplings import JointCouplings, followers
 from geort_drake.hands.description import FingerDescription, HandDescription
-from geort_drake.hands.links import inboard_joints
-from geort_drake.retargeting.training.kinematics import FingerChain
+
+if TYPE_CHECKING:
+    from geort_drake.retargeting.training.kinematics import FingerChain
+
+
+def inboard_joints(plant: MultibodyPlant, model: ModelInstanceIndex | None = None) -> dict[BodyIndex, Joint]:
+    """The joint towards the base of each link, of one model or of all."""
+    indices = plant.GetJointIndices() if model is None else plant.GetJointIndices(model)
+    return {joint.child_body().index(): joint for joint in map(plant.get_joint, indices)}
+
+
+def moving_joint(link: RigidBody, inboard: Mapping[BodyIndex, Joint], names: Collection[str]) -> Joint | None:
+    """The nearest of the named joints between a link and the base; None if none of them moves the link."""
+    joint = inboard.get(link.index())
+    while joint is not None and joint.name() not in names:
+        joint = inboard.get(joint.parent_body().index())
+    return joint
+
+
+def finger_links(
+    plant: MultibodyPlant, description: HandDescription, hand: ModelInstanceIndex
+) -> list[list[RigidBody]]:
+    """The links of each finger: all that its joints or their followers move.
+
+    Args:
+        plant: with the hand.
+        description: of the hand.
+        hand: its model instance, from `add_hand_model`.
+    """
+    finger_of = {
+        joint: number for number, finger in enumerate(description.fingers) for joint in finger.joints
+    }
+    finger_of |= {follower: finger_of[leader] for follower, leader, *_ in followers(description)}
+    inboard = inboard_joints(plant, hand)
+    links: list[list[RigidBody]] = [[] for _ in description.fingers]
+    for link in map(plant.get_body, plant.GetBodyIndices(hand)):
+        joint = moving_joint(link, inboard, finger_of)
+        if joint is not None:
+            links[finger_of[joint.name()]].append(link)
+    return links
+
+
+def palm_links(
+    plant: MultibodyPlant, description: HandDescription, hand: ModelInstanceIndex
+) -> list[RigidBody]:
+    """The links that no finger moves; arguments as for `finger_links`."""
+    moved = {body.index() for links in finger_links(plant, description, hand) for body in links}
+    return [plant.get_body(index) for index in plant.GetBodyIndices(hand) if index not in moved]
+
+
+class PlantFingertips:
+    """Forward kinematics of a hand that is part of a plant.
+
+    Not thread-safe: the object owns the context in which it computes.
+
+    Args:
+        plant: finalized.
+        description: of the hand.
+        hand: its model instance.
+        joint_names: the n joints of the description in the order of q.
+    """
+
+    def __init__(
+        self,
+        plant: MultibodyPlant,
+        description: HandDescription,
+        hand: ModelInstanceIndex,
+        joint_names: Sequence[str],
+    ):
+        names = list(joint_names)
+        self._columns = [names.index(name) for name in description.joint_names]
+        self._couplings = JointCouplings.of(description)
+        moving = [*description.joint_names, *self._couplings.names]
+        self._order = [plant.GetJointByName(name, hand).position_start() for name in moving]
+        self._plant, self._context = plant, plant.CreateDefaultContext()
+        self._positions = plant.GetPositions(self._context).copy()
+        self._base = plant.GetFrameByName(description.base_frame, hand)
+        self._tips = [
+            (plant.GetFrameByName(finger.tip_link, hand), np.array(finger.tip_point, float))
+            for finger in description.fingers
+        ]
+
+    def __call__(self, q: np.ndarray) -> np.ndarray:
+        """p_BF (N, F, 3), m, at joint positions q (N, n), rad."""
+        rows = self._couplings.with_followers(q[:, self._columns])
+        p_BF = np.empty((len(rows), len(self._tips), 3))
+        for row, tips in zip(rows, p_BF, strict=True):
+            self._positions[self._order] = row
+            self._plant.SetPositions(self._context, self._positions)
+            for tip, (frame, point) in zip(tips, self._tips, strict=True):
+                tip[:] = self._plant.CalcPointsPositions(self._context, frame, point, self._base)[:, 0]
+        return p_BF
 
 
 def finger_chain(
-    plant: MultibodyPlant,
-    base: Frame,
-    finger: FingerDescription,
-    couplings: JointCouplings,
-    description: HandDescription,
-    source: str,
-) -> FingerChain:
-    """Walks from a finger's tip link to the hand base: joints must be the finger's or follow them.
+    plant: MultibodyPlant, base: Frame, finger: FingerDescription, description: HandDescription, source: str
+) -> "FingerChain":
+    """A finger as a serial chain, from the hand base to its tip.
 
     Args:
         plant: finalized, with the hand.
         base: the hand base B.
-        source: what errors begin with.
+        finger: of the description.
+        description: of the hand.
+        source: how errors begin.
 
     Raises:
-        HandError: the finger's list is not what lies between base and tip.
+        HandError: the joints between base and tip are other than the finger's and their followers.
     """
+    from geort_drake.retargeting.training.kinematics import FingerChain  # loads PyTorch
+
     where = f"{source}: finger '{finger.name}'"
+    couplings = JointCouplings.of(description)
     moving: list[Joint] = []
     poses: list[RigidTransform] = []
     tip = plant.GetBodyByName(finger.tip_link, base.model_instance())
-    X = RigidTransform()  # the part below, in the current body
+    X = RigidTransform()  # pose, in the current body, of the part towards the tip
     p_tip = np.array(finger.tip_point)
     body = tip
-    for joint in _inboard(plant, tip, base, where):
+    for joint in _joints_to_base(plant, tip, base, where):
         X_PF = joint.frame_on_parent().GetFixedPoseInBodyFrame()
         X_MC = joint.frame_on_child().GetFixedPoseInBodyFrame().inverse()
         if isinstance(joint, WeldJoint):
             X = X_PF @ joint.X_FM() @ X_MC @ X
         else:
-            # What lies below the joint is the next joint's frame or, at the end, the tip.
+            # The next part towards the tip is a joint's frame or the fingertip point.
             if moving:
                 poses.append(X_MC @ X)
             else:
@@ -52,12 +145,11 @@ def finger_chain(
             moving.append(joint)
             X = X_PF
         body = joint.parent_body()
-    X_BaseB = base.GetFixedPoseInBodyFrame()
     if body.index() != base.body().index():
-        # The palm may be of several links that are welded together.
+        # The palm may consist of several welded links.
         context = plant.CreateDefaultContext()
         X = plant.CalcRelativeTransform(context, base.body().body_frame(), body.body_frame()) @ X
-    poses.append(X_BaseB.inverse() @ X)
+    poses.append(base.GetFixedPoseInBodyFrame().inverse() @ X)
     names = [joint.name() for joint in moving[::-1]]
     own = [name for name in names if name not in couplings.names]
     if own != finger.joints:
@@ -76,8 +168,8 @@ def finger_chain(
         leader = description.joint_names[couplings.leaders[number]]
         if leader not in own:
             raise HandError(
-                f"{where}: joint '{name}', which moves it, follows '{leader}' of another finger; what moves "
-                f"several fingers can only be held: take '{leader}' out of the fingers' joints"
+                f"{where}: its joint '{name}' follows '{leader}' of another finger; a joint that moves "
+                f"several fingers can only be held: remove '{leader}' from the fingers' joints"
             )
         coupling[row, own.index(leader)] = couplings.ratio[number, couplings.leaders[number]]
         turned = RotationMatrix(AngleAxis(couplings.offset[number], axes[row]))
@@ -94,8 +186,8 @@ def finger_chain(
     )
 
 
-def _inboard(plant: MultibodyPlant, tip: RigidBody, base: Frame, where: str) -> list[Joint]:
-    """The joints between a link and what is welded to the base, from the link on."""
+def _joints_to_base(plant: MultibodyPlant, tip: RigidBody, base: Frame, where: str) -> list[Joint]:
+    """The joints from a link up to the links that are welded to the base."""
     inboard = inboard_joints(plant)
     still = {body.index() for body in plant.GetBodiesWeldedTo(base.body())}
     path: list[Joint] = []
@@ -103,7 +195,7 @@ def _inboard(plant: MultibodyPlant, tip: RigidBody, base: Frame, where: str) -> 
     while body.index() not in still:
         joint = inboard.get(body.index())
         if joint is None:
-            raise HandError(f"{where}: link '{tip.name()}' does not hang on '{base.name()}'")
+            raise HandError(f"{where}: link '{tip.name()}' is not connected to '{base.name()}'")
         path.append(joint)
         body = joint.parent_body()
     return path

@@ -1,9 +1,8 @@
-"""Whether the parts of a hand are far enough apart, quick enough for a control loop.
+"""Distances between the parts of a hand, fast enough for a control loop.
 
-Drake tells several times faster whether geometries overlap than how far apart they are. So the hand is looked
-at with larger geometries: where these are apart, each larger by half a distance, the true ones are at least
-that distance apart. Boxes become larger boxes, which hold what is near their edges and corners, too: a gap
-given here is never more than the true distance, and may be less.
+Drake detects overlaps several times faster than it computes distances. So every geometry is enlarged by
+half of the clearance: where the enlarged ones do not overlap, the true ones keep the clearance. Enlarged
+boxes have sharp edges and corners, so a gap may be less than the true distance, but never more.
 """
 
 from collections.abc import Iterable, Sequence
@@ -29,22 +28,22 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.tree import BodyIndex, Frame, JacobianWrtVariable, RigidBody
 from pydrake.systems.framework import Context
 
-from geort_drake.errors import HandError
-from geort_drake.hands.links import inboard_joints, moving_joint
+from geort_drake.hands.chains import inboard_joints, moving_joint
+from geort_drake.hands.collision_shapes import unsupported_shape
 from geort_drake.hands.model import HandModel
 
-# Pairs whose distance depends on so few joints are tried on a grid of this many angles per joint.
-_FEW, _GRID = 2, 13
-_UP, _DOWN = np.array([1, 2, 0]), np.array([2, 0, 1])
+# Pairs whose distance depends on this few joints are checked on a grid of this many angles per joint.
+_GRID_JOINTS, _GRID_SIZE = 2, 13
+_NEXT_AXIS, _PREVIOUS_AXIS = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 class Near(NamedTuple):
-    """Pairs of geometries that are near each other: K of them, which may be none.
+    """The K ≥ 0 pairs of geometries that are near each other.
 
     Attributes:
         pairs: K pairs of geometries.
         gap: (K,) lower bound of the distance, m; negative where they may overlap.
-        gradient: (K, n) of the gap with respect to q, m/rad; between two edges it is approximate.
+        gradient: (K, n) of the gap with respect to q, m/rad; approximate between two edges.
     """
 
     pairs: list[tuple[GeometryId, GeometryId]]
@@ -53,21 +52,20 @@ class Near(NamedTuple):
 
 
 class HandClearance:
-    """Looks at the pairs of a hand's collision geometries that must keep a distance.
+    """Gaps between the pairs of a hand's collision geometries that must keep a clearance.
 
-    Left out are pairs that Drake filters, pairs of two fingers' tips, and pairs of one finger, or of it and
-    the palm, with at most two joints between them that touch at no angles of a grid over these joints'
-    ranges: what lies so close along a finger was built so, and is kept apart by the joint limits. A mesh is
-    taken for the box around its convex hull.
+    Left out are pairs that Drake filters and pairs of fingertips. Left out are also pairs along one finger,
+    or of a finger and the palm, with at most two joints between them, that never touch on a grid over the
+    ranges of these joints: joint limits keep them apart. The box around its convex hull replaces a mesh.
 
-    Not thread-safe: the object owns the contexts that it computes in.
+    Not thread-safe: the object owns the contexts in which it computes.
 
     Attributes:
-        pairs: those that are looked at.
+        pairs: those that are checked.
 
     Args:
         hand: the model of the hand.
-        clearance: the distance to be kept, m.
+        clearance: the distance to keep, m.
         joints: the order of q; `hand.joint_names` if not given.
 
     Raises:
@@ -77,7 +75,7 @@ class HandClearance:
     def __init__(self, hand: HandModel, clearance: float, joints: Sequence[str] | None = None):
         self._hand, self._clearance = hand, clearance
         self._plant, self._inspector = hand.plant, hand.scene_graph.model_inspector()
-        # All joints that move: those of q, and those that follow them.
+        # The joints of q and their followers.
         self._names = [*hand.joint_names, *hand.couplings.names]
         given = list(joints or hand.joint_names)
         self._to_hand = np.array([given.index(name) for name in hand.joint_names])
@@ -111,16 +109,16 @@ class HandClearance:
         return self._between(*self._rows(pairs)) @ self._coupling != 0
 
     def _rows(self, pairs: Sequence[tuple[GeometryId, GeometryId]]) -> tuple[list[int], list[int]]:
-        """The geometries' numbers, of the first of each pair and of the second."""
+        """The numbers of the first and of the second geometry of each pair."""
         row = self._row
         return [row[id.get_value()] for id, _ in pairs], [row[id.get_value()] for _, id in pairs]
 
     def _between(self, first: Sequence[int], second: Sequence[int]) -> np.ndarray:
-        """(K, N): 1 for a joint that moves the first against the second, −1 for the other way round."""
+        """(K, N): 1 for a joint that moves only the first geometry, −1 for one that moves only the second."""
         return self._moves.take(first, 0) - self._moves.take(second, 0)
 
     def _read_chains(self) -> None:
-        """Which joints move which geometry, and the links at which the velocities of all can be read."""
+        """Finds which joints move which geometry, and the few links whose Jacobians cover all joints."""
         inboard = inboard_joints(self._plant)
         names, plant = self._names, self._plant
         movers: dict[BodyIndex, np.ndarray] = {}
@@ -154,9 +152,9 @@ class HandClearance:
         self._ends_of = [{int(end) for end in end_of[moves > 0]} for moves in self._moves]
 
     def _joint_velocities(self, ends: Iterable[int]) -> np.ndarray:
-        """(6, N): joint axes ω, and under them velocities u of the base's origin as if a joint carried it.
+        """(6, N): joint axes ω, and below them the velocities u of a body-fixed point at the base's origin.
 
-        They are zero for joints that are read at other links than those of these numbers.
+        Only joints that move the numbered links are computed; the others are zero.
         """
         plant, context, world, n = self._plant, self._context, self._world, self._num_velocities
         J = np.zeros((6, len(self._ends) * n))
@@ -178,7 +176,7 @@ class HandClearance:
             first, second = (self._moves[self._row[geometry.get_value()]] for geometry in pair)
             between = self._coupling[first != second].any(axis=0)[self._to_hand]
             one_chain = (first <= second).all() or (first >= second).all()
-            if one_chain and between.sum() <= _FEW:
+            if one_chain and between.sum() <= _GRID_JOINTS:
                 by_joints.setdefault(tuple(np.flatnonzero(between)), []).append(pair)
             else:
                 pairs.append(pair)
@@ -193,8 +191,10 @@ class HandClearance:
         return sorted(inspector.GetCollisionCandidates(), key=lambda pair: [id.get_value() for id in pair])
 
     def _ever_touching(self, root: Context, joints: Sequence[int]) -> set[frozenset[GeometryId]]:
-        """Pairs that touch somewhere on a grid over these joints' ranges, the others at their defaults."""
-        grids = [np.linspace(self._hand.lower[joint], self._hand.upper[joint], _GRID) for joint in joints]
+        """Pairs that touch on a grid over the ranges of these joints, the others at their defaults."""
+        grids = [
+            np.linspace(self._hand.lower[joint], self._hand.upper[joint], _GRID_SIZE) for joint in joints
+        ]
         found: set[frozenset[GeometryId]] = set()
         q = self._hand.default_position
         for angles in product(*grids):
@@ -204,7 +204,7 @@ class HandClearance:
         return found
 
     def _enlarged_hand(self) -> Context:
-        """A context in which all geometries are larger by half of the clearance."""
+        """A context in which all geometries are enlarged by half of the clearance."""
         root, scene_graph = self._hand.contact_context(), self._hand.scene_graph
         context = scene_graph.GetMyMutableContextFromRoot(root)
         for geometry in self._geometries:
@@ -212,7 +212,7 @@ class HandClearance:
             X_GS, larger = _enlarged(shape, name, 0.5 * self._clearance)
             X_FS = self._inspector.GetPoseInFrame(geometry) @ X_GS
             scene_graph.ChangeShape(context, self._plant.get_source_id(), geometry, larger, X_FS)
-        # Only now, as a changed shape forgets what it does not collide with.
+        # Last, because a changed shape loses its collision filters.
         filters, watched = scene_graph.collision_filter_manager(context), {frozenset(p) for p in self.pairs}
         for pair in self._candidates(root):
             if frozenset(pair) not in watched:
@@ -222,12 +222,14 @@ class HandClearance:
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Row by row, (K, 3); `np.cross` takes several times as long for few rows."""
-    return a.take(_UP, 1) * b.take(_DOWN, 1) - a.take(_DOWN, 1) * b.take(_UP, 1)
+    """Cross products of the rows of a and b (K, 3); several times faster than `np.cross` for few rows."""
+    return a.take(_NEXT_AXIS, 1) * b.take(_PREVIOUS_AXIS, 1) - a.take(_PREVIOUS_AXIS, 1) * b.take(
+        _NEXT_AXIS, 1
+    )
 
 
 def _enlarged(shape: Shape, name: str, by: float) -> tuple[RigidTransform, Shape]:
-    """A shape that holds all within a distance of another, m, and its pose in the other's frame."""
+    """A shape that contains all points within a distance of another, m, and its pose in the other's frame."""
     X_GS = RigidTransform()
     if isinstance(shape, Box):
         return X_GS, Box(shape.size() + 2.0 * by)
@@ -240,7 +242,4 @@ def _enlarged(shape: Shape, name: str, by: float) -> tuple[RigidTransform, Shape
     if isinstance(shape, Convex | Mesh):
         box = CalcObb(shape)
         return box.pose(), Box(2.0 * (box.half_width() + by))
-    raise HandError(
-        f"collision geometry '{name}' is a {type(shape).__name__}; "
-        "choose one of: box, sphere, cylinder, capsule, mesh"
-    )
+    raise unsupported_shape(shape, name)

@@ -1,25 +1,31 @@
 """A hand's collision geometry as plain arrays, for training without Drake."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from pydrake.geometry import Box, CalcObb, Capsule, Convex, Cylinder, Mesh, Role, Shape, Sphere
 from scipy.spatial import ConvexHull
 
 from geort_drake.errors import HandError
-from geort_drake.hands.links import inboard_joints, moving_joint
+from geort_drake.hands.chains import inboard_joints, moving_joint
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.training.collision_geometry import CollisionShapes
+
+if TYPE_CHECKING:
+    from geort_drake.retargeting.training.collision_geometry import CollisionShapes
 
 
-def collision_shapes(hand: HandModel) -> CollisionShapes:
+def collision_shapes(hand: HandModel) -> "CollisionShapes":
     """The boxes and spheres of a hand, and the pairs of them that must not touch.
 
-    Boxes and spheres are taken as they are. A cylinder becomes the box of equal length and
-    cross-section, a capsule such a box with its two end spheres, a mesh the box around its convex hull,
-    shrunk to the hull's volume. Pairs that Drake filters and pairs of two fingers' tips are left out.
+    Boxes and spheres stay as they are. A cylinder becomes a box of equal length and cross-section, a capsule
+    such a box with two spheres at its ends, a mesh the box around its convex hull, shrunk to the hull's
+    volume. Pairs that Drake filters and pairs of fingertips are left out.
 
     Raises:
         HandError: the hand has collision geometry of another kind.
     """
+    from geort_drake.retargeting.training.collision_geometry import CollisionShapes  # loads PyTorch
+
     plant, inspector = hand.plant, hand.scene_graph.model_inspector()
     context = plant.CreateDefaultContext()
     moving = list(hand.kinematics().uncoupled()[0].joint_names)
@@ -60,7 +66,7 @@ def collision_shapes(hand: HandModel) -> CollisionShapes:
 
 
 def _parts(shape: Shape, name: str) -> list[tuple[np.ndarray, tuple[float, float, float], float]]:
-    """Pose in the geometry's frame, half edges and radius of each box or sphere that stands for a shape."""
+    """The boxes and spheres that replace a shape: pose in the shape's frame, half edges and radius."""
     if isinstance(shape, Box):
         return [(np.eye(4), tuple(0.5 * shape.size()), 0.0)]
     if isinstance(shape, Sphere):
@@ -79,7 +85,12 @@ def _parts(shape: Shape, name: str) -> list[tuple[np.ndarray, tuple[float, float
         volume = ConvexHull([hull.vertex(i) for i in range(hull.num_vertices())]).volume
         half = box.half_width()
         return [(box.pose().GetAsMatrix4(), tuple(half * np.cbrt(volume / (8.0 * half.prod()))), 0.0)]
-    raise HandError(
+    raise unsupported_shape(shape, name)
+
+
+def unsupported_shape(shape: Shape, name: str) -> HandError:
+    """The error for collision geometry that is no box, sphere, cylinder, capsule or mesh."""
+    return HandError(
         f"collision geometry '{name}' is a {type(shape).__name__}; "
         "choose one of: box, sphere, cylinder, capsule, mesh"
     )

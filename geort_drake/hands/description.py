@@ -1,13 +1,16 @@
-"""The facts about a robot hand that its model does not hold: fingers, fingertip points, human partners."""
+"""The description of a robot hand: its model file, fingers, hand base, couplings and mount."""
 
 import dataclasses as dc
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+import yaml
 from pydrake.common.yaml import yaml_load_typed
 
 from geort_drake.errors import HandError, UnknownNameError
+from geort_drake.files import require_fetched, write_text
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.recording import SIDES
 from geort_drake.resources import PACKAGE_NAME, models_dir
@@ -33,9 +36,9 @@ class FingerDescription:
 
 @dc.dataclass
 class MountDescription:
-    """How a hand sits on the arm, or the adapter, that carries it."""
+    """The pose of a hand on the arm or adapter that carries it."""
 
-    # Frame or link of the model that meets the carrier, and counts as the hand's wrist; empty: the hand base.
+    # Frame or link of the model at the carrier, which is also the hand's wrist; empty: the hand base.
     frame: str = ""
     # Its pose in the carrier's frame, whose z axis points at the hand: m, and roll, pitch, yaw in degrees.
     translation: list[float] = dc.field(default_factory=lambda: [0.0, 0.0, 0.0])
@@ -44,7 +47,7 @@ class MountDescription:
 
 @dc.dataclass
 class BasePoseDescription:
-    """The pose of the hand base B, for a model that has no frame of its own there."""
+    """The pose of the hand base B, for a model without a frame there."""
 
     # Frame or link of the model that B is fixed to; empty: `base_frame` is a frame of the model.
     relative_to: str = ""
@@ -55,11 +58,11 @@ class BasePoseDescription:
 
 @dc.dataclass
 class CouplingDescription:
-    """A joint that has no motor of its own: its angle is `ratio` times that of another plus `offset`."""
+    """A joint without a motor: its angle is `ratio` times the angle of another joint plus `offset`."""
 
-    # The joint that follows.
+    # The follower.
     joint: str = ""
-    # The joint that it follows, which a finger lists or which itself follows one.
+    # Its leader: a joint that a finger lists, or another follower.
     follows: str = ""
     ratio: float = 1.0
     # rad.
@@ -68,9 +71,9 @@ class CouplingDescription:
 
 @dc.dataclass
 class ActuationDescription:
-    """PD gains for every joint that a finger lists; 0: those of the model."""
+    """PD gains of every joint that a finger lists; 0 keeps the model's."""
 
-    # N·m/rad, N·m·s/rad, and N·m; without an effort limit the model's is kept.
+    # N·m/rad, N·m·s/rad and N·m; an effort limit of 0 keeps the model's.
     stiffness: float = 0.0
     damping: float = 0.0
     effort_limit: float = 0.0
@@ -78,9 +81,9 @@ class ActuationDescription:
 
 @dc.dataclass
 class HandDescription:
-    """A robot hand: which model it is and how its parts relate to a human hand.
+    """A robot hand: its model, and how its parts correspond to a human hand's.
 
-    `q` of the hand is always in the order of `joint_names`: finger by finger as listed, base to tip.
+    Joint positions q are in the order of `joint_names`: finger by finger as listed, base to tip.
     """
 
     name: str = ""
@@ -91,20 +94,20 @@ class HandDescription:
     # Frame or link of the model that is the hand base B: +x out of the palm, +z along the fingers, and so
     # +y towards the index side of a right hand and the ring side of a left one.
     base_frame: str = ""
-    # Where that frame is, if the model has none of the name.
+    # The pose of that frame, if the model has no frame of this name.
     base_pose: BasePoseDescription = dc.field(default_factory=BasePoseDescription)
-    # In the order thumb, index, middle, ring, little; fingers that the hand lacks are left out.
+    # In the order thumb, index, middle, ring, little, without the fingers that the hand lacks.
     fingers: list[FingerDescription] = dc.field(default_factory=list)
-    # Where the joints start, by name, rad. Joints that are not listed start at the model's default, 0.
-    # A joint that no finger lists and that follows none is held there.
+    # Initial joint positions by name, rad; by default 0. A joint that no finger lists and that follows no
+    # other is held there.
     default_positions: dict[str, float] = dc.field(default_factory=dict)
-    # Joints that follow others; they are not listed with the fingers.
+    # Joints that follow others; fingers do not list them.
     couplings: list[CouplingDescription] = dc.field(default_factory=list)
-    # Pairs of links whose contact does not count, because it is there in every posture.
+    # Pairs of links whose contacts are ignored, because they touch in every posture.
     ignored_collisions: list[list[str]] = dc.field(default_factory=list)
     actuation: ActuationDescription = dc.field(default_factory=ActuationDescription)
     mount: MountDescription = dc.field(default_factory=MountDescription)
-    # Settings of training that suit this hand better than a method's defaults: method, name, number.
+    # Training settings for this hand in place of a method's defaults: method → name → number.
     training: dict[str, dict[str, float]] = dc.field(default_factory=dict)
 
     @property
@@ -114,102 +117,94 @@ class HandDescription:
 
     @property
     def finger_names(self) -> list[str]:
-        """In the order of fingertips."""
+        """The fingers, in the order of fingertips."""
         return [finger.name for finger in self.fingers]
 
     @property
     def human_keypoints(self) -> list[int]:
-        """The human keypoint that each fingertip follows, likewise."""
+        """The human keypoint that each fingertip follows, in the order of fingertips."""
         return [finger.human_keypoint for finger in self.fingers]
 
     def validate(self) -> None:
-        """Checks what can be checked without the model.
+        """Checks everything that can be checked without the model.
 
         Raises:
-            HandError: a field is missing or wrong; names hand, field, what was wanted and what was given.
+            HandError: a field is missing or wrong; names hand, field, what was expected and what was given.
         """
+        require = self._require
         for field in ("name", "model", "base_frame"):
-            self._require(getattr(self, field), field, "given", "nothing")
-        self._require(self.side in SIDES, "side", f"one of {', '.join(SIDES)}", f"'{self.side}'")
-        self._require(self.fingers, "fingers", "a list of at least one finger", "none")
+            require(getattr(self, field), field, "given", "nothing")
+        require(self.side in SIDES, "side", f"one of {', '.join(SIDES)}", f"'{self.side}'")
+        require(self.fingers, "fingers", "a list of at least one finger", "none")
         for number, finger in enumerate(self.fingers):
             self._validate_finger(finger, f"fingers[{number}]")
         names = self.finger_names
         ordered = [name for name in FINGER_NAMES if name in names]
-        self._require(names == ordered, "fingers", f"each at most once, as {', '.join(FINGER_NAMES)}", names)
+        require(names == ordered, "fingers", f"each at most once, as {', '.join(FINGER_NAMES)}", names)
         joints = self.joint_names
         twice = sorted({joint for joint in joints if joints.count(joint) > 1})
-        self._require(not twice, "fingers", "every joint once", f"twice: {', '.join(twice)}")
+        require(not twice, "fingers", "every joint once", f"twice: {', '.join(twice)}")
         for joint, position in self.default_positions.items():
-            self._require(np.isfinite(position), f"default_positions.{joint}", "finite", position)
+            require(np.isfinite(position), f"default_positions.{joint}", "finite", position)
         for place in ("mount", "base_pose"):
             for field in ("translation", "rpy_deg"):
                 value = getattr(getattr(self, place), field)
-                good = len(value) == 3 and np.isfinite(value).all()
-                self._require(good, f"{place}.{field}", "three finite numbers", value)
+                require(_is_vector(value), f"{place}.{field}", "three finite numbers", value)
         for field in ("stiffness", "damping", "effort_limit"):
             value = getattr(self.actuation, field)
-            self._require(np.isfinite(value) and value >= 0, f"actuation.{field}", "at least 0", value)
+            require(np.isfinite(value) and value >= 0, f"actuation.{field}", "at least 0", value)
         for number, pair in enumerate(self.ignored_collisions):
             good = len(pair) == 2 and pair[0] != pair[1]
-            self._require(good, f"ignored_collisions[{number}]", "the names of two links", pair)
+            require(good, f"ignored_collisions[{number}]", "the names of two links", pair)
         self._validate_couplings()
+
+    def _validate_finger(self, finger: FingerDescription, where: str) -> None:
+        names, radius, keypoint = ", ".join(FINGER_NAMES), finger.tip_radius, finger.human_keypoint
+        for good, field, expected, given in (
+            (finger.name in FINGER_NAMES, "name", f"one of {names}", f"'{finger.name}'"),
+            (0 < keypoint <= 20, "human_keypoint", "from 1 to 20", keypoint),
+            (finger.joints, "joints", "a list of joint names", "none"),
+            (finger.tip_link, "tip_link", "the name of a link", "nothing"),
+            (_is_vector(finger.tip_point), "tip_point", "three finite coordinates in m", finger.tip_point),
+            (np.isfinite(radius) and radius > 0, "tip_radius", "positive, in m", radius),
+        ):
+            self._require(good, f"{where}.{field}", expected, given)
 
     def _validate_couplings(self) -> None:
         leaders = {coupling.joint: coupling.follows for coupling in self.couplings}
-        twice = len(self.couplings) - len(leaders)
-        self._require(not twice, "couplings", "one for each joint that follows", f"{twice} too many")
+        surplus = len(self.couplings) - len(leaders)
+        self._require(not surplus, "couplings", "one for each joint that follows", f"{surplus} too many")
         for number, coupling in enumerate(self.couplings):
-            where = f"couplings[{number}]"
-            self._require(coupling.joint and coupling.follows, where, "of two joints", "a name is missing")
-            listed = coupling.joint in self.joint_names
-            self._require(not listed, f"{where}.joint", "listed with no finger", f"'{coupling.joint}'")
-            good = np.isfinite(coupling.ratio) and coupling.ratio != 0
-            self._require(good, f"{where}.ratio", "finite and not 0", coupling.ratio)
-            self._require(np.isfinite(coupling.offset), f"{where}.offset", "finite", coupling.offset)
             seen, leader = {coupling.joint}, coupling.follows
             while leader in leaders and leader not in seen:
                 seen.add(leader)
                 leader = leaders[leader]
-            self._require(leader not in seen, where, "free of circles", f"'{coupling.joint}' follows itself")
+            ratio, joint = coupling.ratio, coupling.joint
+            for good, field, expected, given in (
+                (joint and coupling.follows, "", "of two joints", "a name is missing"),
+                (joint not in self.joint_names, ".joint", "listed with no finger", f"'{joint}'"),
+                (np.isfinite(ratio) and ratio != 0, ".ratio", "finite and not 0", ratio),
+                (np.isfinite(coupling.offset), ".offset", "finite", coupling.offset),
+                (leader not in seen, "", "free of circles", f"'{joint}' follows itself"),
+            ):
+                self._require(good, f"couplings[{number}]{field}", expected, given)
 
-    def _validate_finger(self, finger: FingerDescription, where: str) -> None:
-        self._require(
-            finger.name in FINGER_NAMES,
-            f"{where}.name",
-            f"one of {', '.join(FINGER_NAMES)}",
-            f"'{finger.name}'",
-        )
-        self._require(
-            0 < finger.human_keypoint <= 20, f"{where}.human_keypoint", "from 1 to 20", finger.human_keypoint
-        )
-        self._require(finger.joints, f"{where}.joints", "a list of joint names", "none")
-        self._require(finger.tip_link, f"{where}.tip_link", "the name of a link", "nothing")
-        self._require(
-            len(finger.tip_point) == 3 and np.isfinite(finger.tip_point).all(),
-            f"{where}.tip_point",
-            "three finite coordinates in m",
-            finger.tip_point,
-        )
-        self._require(
-            np.isfinite(finger.tip_radius) and finger.tip_radius > 0,
-            f"{where}.tip_radius",
-            "positive, in m",
-            finger.tip_radius,
-        )
-
-    def _require(self, condition: object, field: str, wanted: str, given: object) -> None:
+    def _require(self, condition: object, field: str, expected: str, given: object) -> None:
         if not condition:
-            raise HandError(f"hand '{self.name}': {field} must be {wanted}; given: {given}")
+            raise HandError(f"hand '{self.name}': {field} must be {expected}; given: {given}")
+
+
+def _is_vector(value: list[float]) -> bool:
+    return len(value) == 3 and bool(np.isfinite(value).all())
 
 
 def hand_names() -> list[str]:
-    """Names of the hands in models/hands: those that come with the package, and those added to them."""
+    """Names of the hands in models/hands: the shipped ones and those that users added."""
     return sorted(path.stem for path in (models_dir() / "hands").glob("*.yaml"))
 
 
 def load_hand(name_or_path: str | os.PathLike) -> HandDescription:
-    """Loads a hand description: by name one of `hand_names()`, by path any `.yaml` file.
+    """Loads a hand description by name, one of `hand_names()`, or by the path of a `.yaml` file.
 
     Raises:
         UnknownNameError: no hand has that name.
@@ -224,6 +219,7 @@ def load_hand(name_or_path: str | os.PathLike) -> HandDescription:
         raise UnknownNameError("hand", text, hand_names())
     if not path.is_file():
         raise HandError(f"the hand description {path} is missing")
+    require_fetched(path, HandError)
     try:
         hand = yaml_load_typed(schema=HandDescription, filename=str(path))
     except Exception as error:  # the loader raises RuntimeError, YAMLError, TypeError, ValueError, ...
@@ -235,3 +231,39 @@ def load_hand(name_or_path: str | os.PathLike) -> HandDescription:
     if not hand.model.startswith(f"package://{PACKAGE_NAME}/"):
         hand.model = str(path.resolve().parent / hand.model)  # an absolute model path replaces the parent
     return hand
+
+
+def write_description(description: HandDescription, path: Path, comments: Iterable[str] = ()) -> None:
+    """Writes a description as YAML, atomically, without the fields that have their default values.
+
+    A model below the folder of the description is named relative to it.
+
+    Args:
+        description: the hand.
+        path: of the file.
+        comments: lines to put before it.
+    """
+    content = _without_defaults(description)
+    model = Path(description.model)
+    folder = path.resolve().parent
+    if model.is_absolute() and model.is_relative_to(folder):
+        content["model"] = os.path.relpath(model, folder)
+    head = "".join(f"# {line}\n" for line in comments)
+    # Short lists and mappings stay on one line.
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True, width=110)
+    write_text(path, head + text)
+
+
+def _without_defaults(value: object) -> dict:
+    """The fields of a dataclass that differ from its defaults."""
+    kept = {}
+    for field in dc.fields(value):  # type: ignore[arg-type]
+        given = getattr(value, field.name)
+        if given == getattr(type(value)(), field.name):
+            continue
+        if dc.is_dataclass(given):
+            given = _without_defaults(given)
+        elif isinstance(given, list) and given and dc.is_dataclass(given[0]):
+            given = [_without_defaults(item) for item in given]
+        kept[field.name] = given
+    return kept

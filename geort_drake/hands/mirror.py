@@ -1,17 +1,25 @@
-"""The SDF of a left hand, made from that of the right one.
+"""Left hands as mirror images: their canonical kinematics and shapes, and the SDF of a left hand.
 
-`models/sdf/allegro_left.sdf` is `left_sdf` of the text of `models/sdf/allegro_right.sdf`.
+Human hands are canonical right hands (docs/conventions.md), so left robot hands are trained and evaluated in
+the mirror. `models/sdf/allegro_left.sdf` is `left_sdf` of `models/sdf/allegro_right.sdf`.
 """
 
 import re
+from typing import TYPE_CHECKING
 
 from geort_drake.errors import HandError
+from geort_drake.hands.collision_shapes import collision_shapes
+from geort_drake.hands.model import HandModel
 
-# The signs that a reflection in the xz-plane gives to what stands in an element: to x y z roll pitch yaw of
-# a pose, to a joint's axis, which is an axial vector, and to two products of inertia.
+if TYPE_CHECKING:
+    from geort_drake.retargeting.training.collision_geometry import CollisionShapes
+    from geort_drake.retargeting.training.kinematics import HandKinematics
+
+# Signs of the numbers in an element under reflection in the xz-plane: x y z roll pitch yaw of a pose, a
+# joint's axis, which is an axial vector, and two products of inertia.
 _SIGNS = {"pose": (1, -1, 1, -1, 1, -1), "xyz": (-1, 1, -1), "ixy": (-1,), "iyz": (-1,)}
-# Shapes that are not their own mirror images, and other ways of writing a rotation.
-_UNKNOWN = ("<mesh", "<polyline", "<heightmap", "degrees=", "rotation_format=")
+# Shapes without mirror symmetry, and other notations of rotations.
+_UNSUPPORTED = ("<mesh", "<polyline", "<heightmap", "degrees=", "rotation_format=")
 
 _HEADER = """<?xml version="1.0"?>
 <!--
@@ -25,18 +33,33 @@ _HEADER = """<?xml version="1.0"?>
 """
 
 
-def left_sdf(right: str) -> str:
-    """The SDF text of the left hand whose every frame, mass and shape is the right hand's mirror image.
+def canonical_kinematics(hand: HandModel) -> "HandKinematics":
+    """The hand's kinematics, of a left hand mirrored in the plane y = 0 of the hand base."""
+    return hand.kinematics().mirrored() if hand.description.side == "left" else hand.kinematics()
 
-    Args:
-        right: SDF text of the right hand, with primitives for shapes and its model's name on "_right".
+
+def canonical_shapes(hand: HandModel) -> "CollisionShapes":
+    """The hand's collision shapes, of a left hand mirrored likewise.
 
     Raises:
-        HandError: the text holds what cannot be mirrored, or its model is not called a right hand.
+        HandError: as for `collision_shapes`.
     """
-    for word in _UNKNOWN:
+    shapes = collision_shapes(hand)
+    return shapes.mirrored() if hand.description.side == "left" else shapes
+
+
+def left_sdf(right: str) -> str:
+    """The SDF of the left hand that is the mirror image of a right hand.
+
+    Args:
+        right: SDF of the right hand, with primitive shapes and a model name that ends in "_right".
+
+    Raises:
+        HandError: the SDF holds something that cannot be mirrored, or the model has another name.
+    """
+    for word in _UNSUPPORTED:
         if word in right:
-            raise HandError(f"a model with '{word}' cannot be mirrored; wanted: primitives, poses in rad")
+            raise HandError(f"a model with '{word}' cannot be mirrored; expected primitives and poses in rad")
     name = re.search(r'<model name="(\w+)_right">', right)
     if name is None:
         raise HandError("the model to mirror must have a name that ends in '_right'")
@@ -50,7 +73,7 @@ def left_sdf(right: str) -> str:
 
 
 def _signed(numbers: str, signs: tuple[int, ...]) -> str:
-    """The numbers with these signs put before them, digit by digit as they were."""
+    """The numbers times these signs, with their digits as given."""
     texts = numbers.split()
     if len(texts) != len(signs):
         raise HandError(f"'{numbers}' must be {len(signs)} numbers to be mirrored")

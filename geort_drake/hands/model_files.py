@@ -1,26 +1,101 @@
-"""The files that decide how a hand moves and what it touches."""
+"""The files of a hand's model: reading them, finding meshes and includes, and checking their values."""
 
 import hashlib
+import math
 import re
-from collections.abc import Iterable
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from pydrake.geometry import Convex, Mesh, SceneGraphInspector
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 
-from geort_drake.files import sha256_of
-from geort_drake.hands.meshes import resolved
+from geort_drake.errors import HandError
+from geort_drake.files import require_fetched, sha256_of
+from geort_drake.hands.mjcf import inherit_defaults
+
+_MODEL_SUFFIXES = (".sdf", ".urdf", ".xml", ".mjcf")
+_PRODUCTS_OF_INERTIA = ("ixy", "ixz", "iyz")
+_CHECKED_NAMES = (
+    *("mass", "density", "ixx", "iyy", "izz", *_PRODUCTS_OF_INERTIA),
+    *("size", "radius", "length", "radii"),
+)
+# A vertex line of an OBJ file that does not begin with three finite numbers.
+_NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE](?:-\d+|\+?0*\d{1,2}))?"
+_BAD_VERTEX = re.compile(
+    rb"^[ \t]*v[ \t](?![ \t]*" + rb"[ \t]+".join([_NUMBER] * 3) + rb"(?:\s|#|$)).*", re.M
+)
+
+
+def read_model(path: Path) -> ET.Element:
+    """The XML of a URDF, SDF or MJCF file; MJCF with the files that it includes.
+
+    Raises:
+        HandError: the file is missing, a Git LFS pointer or not XML.
+    """
+    if not path.is_file():
+        raise HandError(f"the model file {path} is missing")
+    require_fetched(path, HandError)
+    text = path.read_text(encoding="utf-8", errors="replace")
+    if "<drake:" in text and "xmlns:drake" not in text:  # an undeclared prefix, which Drake accepts
+        text = text.replace("<drake:mimic", "<mimic").replace("</drake:mimic", "</mimic")
+        text = text.replace("<drake:", "<drake_").replace("</drake:", "</drake_")
+    try:
+        tree = ET.fromstring(text)
+    except ET.ParseError as error:
+        raise HandError(f"{path}: not XML: {error}; expected a URDF, SDF or MJCF file") from error
+    if tree.tag == "mujoco":
+        for parent in list(tree.iter()):
+            for include in parent.findall("include"):
+                file = path.parent / include.get("file", "")
+                if file.is_file():
+                    parent.remove(include)
+                    parent.extend(read_model(file))
+    return tree
+
+
+def mesh_elements(model: Path, tree: ET.Element) -> list[tuple[ET.Element, Path]]:
+    """The elements of a model that name a mesh file, and these files."""
+    if tree.tag == "mujoco":
+        folder = model.resolve().parent
+        for compiler in tree.iter("compiler"):
+            folder = folder / (compiler.get("meshdir") or compiler.get("assetdir") or "")
+        meshes = [(mesh, mesh.get("file")) for mesh in tree.iterfind(".//asset/mesh")]
+        return [(mesh, (folder / name).resolve()) for mesh, name in meshes if name]
+    named = [(mesh, mesh.get("filename")) for mesh in tree.iter("mesh")]
+    named += [(uri, (uri.text or "").strip()) for uri in tree.iterfind(".//mesh/uri")]
+    return [(element, resolve_reference(model, name)) for element, name in named if name]
+
+
+def resolve_reference(model: Path, name: str) -> Path:
+    """The file that a model names: relative to it, or of a package in one of the folders above it."""
+    folder = model.resolve().parent
+    package = re.match(r"(?:package|model)://([^/]+)(?:/(.*))?$", name)
+    if package:
+        for parent in (folder, *folder.parents):
+            place = parent if parent.name == package[1] else parent / package[1]
+            if place.is_dir():
+                return (place / (package[2] or "")).resolve()
+    return (folder / name.removeprefix("file://")).resolve()
+
+
+def require_fetched_meshes(model: Path) -> None:
+    """Raises HandError if a model is not XML, or if it or a mesh that it names is a Git LFS pointer."""
+    for _, mesh in mesh_elements(model, read_model(model)):
+        if mesh.is_file():
+            require_fetched(mesh, HandError)
 
 
 def model_files(
     plant: MultibodyPlant, inspector: SceneGraphInspector | None, hand: ModelInstanceIndex, model: Path
 ) -> list[Path]:
-    """A hand's model file, what that includes, and the meshes of its collision geometry as Drake found them.
+    """A hand's model file, the files that it includes, and the meshes of its collision geometry.
 
     Args:
-        inspector: of the plant's scene graph; None without one, and then without the meshes.
-        hand: the model instance of the hand in `plant`.
+        plant: with the hand.
+        inspector: of the plant's scene graph; None leaves out the meshes.
+        hand: the model instance of the hand.
         model: its SDF, URDF or MJCF file.
     """
     bodies = [plant.get_body(index) for index in plant.GetBodyIndices(hand)]
@@ -28,24 +103,76 @@ def model_files(
     shapes = [inspector.GetShape(id) for id in geometries] if inspector is not None else []
     sources = [shape.source() for shape in shapes if isinstance(shape, Convex | Mesh)]
     meshes = [Path(source.path()) for source in sources if source.is_path()]
-    return list(dict.fromkeys([model, *_included(model), *meshes]))
+    return list(dict.fromkeys([model, *_included_files(model), *meshes]))
 
 
 def digest_of_contents(files: Iterable[Path]) -> str:
-    """Hexadecimal SHA-256 of a file, or of the digests of several in their order; names do not count."""
+    """Hexadecimal SHA-256 of a file, or of the digests of several files in order; names do not count."""
     digests = [sha256_of(file) for file in files]
     return digests[0] if len(digests) == 1 else hashlib.sha256("\n".join(digests).encode()).hexdigest()
 
 
-def _included(model: Path) -> list[Path]:
-    """What SDF and MJCF files include, and what that does, in order; a folder's model.sdf for the folder."""
+def _included_files(model: Path) -> list[Path]:
+    """The files that an SDF or MJCF file includes, recursively and in order."""
     text = model.read_text(encoding="utf-8", errors="replace")
     names = re.findall(r"<include\s[^>]*?file\s*=\s*[\"']([^\"']+)", text)
     names += re.findall(r"<include\b[^/]*?>.*?<uri>\s*(.*?)\s*</uri>", text, flags=re.DOTALL)
     found: list[Path] = []
     for name in names:
-        file = resolved(model, name)
+        file = resolve_reference(model, name)
         file = file / "model.sdf" if file.is_dir() else file
         if file.is_file():
-            found += [file, *_included(file)]
+            found += [file, *_included_files(file)]
     return found
+
+
+def check_model_values(files: Iterable[Path], source: str) -> None:
+    """Refuses values that Drake would replace by its own with a warning at most.
+
+    Args:
+        files: from `model_files`; only URDF, SDF, MJCF and OBJ files are checked.
+        source: of the hand, for the message.
+
+    Raises:
+        HandError: a mass, moment of inertia or size is negative or not finite; a product of inertia or a
+            vertex is not finite; or Drake loses defaults of an MJCF file.
+    """
+    for file in files:
+        if file.suffix.lower() in _MODEL_SUFFIXES:
+            tree = read_model(file)
+            for name, expected, given in _bad_values(tree):
+                raise HandError(f"{source}: {name} in {file.name} must be {expected}; given: {given[:60]}")
+            if tree.tag == "mujoco" and (classes := inherit_defaults(tree)):
+                raise HandError(
+                    f"{source}: in {file.name} Drake loses defaults of the classes {', '.join(classes)}; use "
+                    "the copy of the model that `geort-drake add-hand` writes"
+                )
+        elif file.suffix.lower() == ".obj" and (found := _BAD_VERTEX.search(file.read_bytes())):
+            line = found[0].decode(errors="replace").strip()
+            raise HandError(
+                f"{source}: {file}: every vertex must be three finite numbers; given: {line[:60]}"
+            )
+
+
+def _bad_values(tree: ET.Element) -> Iterator[tuple[str, str, str]]:
+    """Name, expected and given value of each bad number of inertias and collision shapes."""
+    for owner in tree.iter():
+        for part in owner:
+            if part.tag not in ("inertial", "collision", "geom"):
+                continue
+            of = f"of {owner.tag} '{owner.get('name', '')}'"
+            for element in part.iter():
+                values = {**element.attrib, element.tag: element.get("value") or element.text}
+                for name in _CHECKED_NAMES:
+                    expected = "finite" if name in _PRODUCTS_OF_INERTIA else "finite and not negative"
+                    for text in (values.get(name) or "").split():
+                        if not _is_good(text, signed=name in _PRODUCTS_OF_INERTIA):
+                            yield f"{name} {of}", expected, text
+
+
+def _is_good(text: str, signed: bool) -> bool:
+    try:
+        value = float(text)
+    except ValueError:
+        return False
+    return math.isfinite(value) and (signed or value >= 0.0)

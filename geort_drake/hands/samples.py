@@ -1,4 +1,4 @@
-"""The robot's side of training: random joint positions, with their fingertips and collisions as labels."""
+"""Random joint positions of a robot hand for training, with fingertips and collisions as labels."""
 
 import hashlib
 import logging
@@ -16,19 +16,19 @@ from geort_drake.resources import cache_dir
 
 # Part of the cache key: raise it when the meaning of the stored arrays changes.
 FORMAT_VERSION = 1
-_CHUNK = 500  # samples that one process labels at a time, 0.02 s
-_START = 40  # chunks in the time that a process takes to start
+_CHUNK_SIZE = 500  # samples that one process labels at a time, in 0.02 s
+_CHUNKS_IN_START = 40  # that are labelled in the time that a process takes to start
 
 
 @dataclass(frozen=True)
 class RobotData:
-    """N joint positions of a robot hand, uniform within the joint limits; as labels, what follows from them.
+    """N joint positions of a robot hand, uniform within the joint limits, with labels.
 
     Attributes:
         q: (N, n) joint positions, rad, in the hand description's order.
         digest: the `HandModel.digest` of the hand.
         p_BF: (N, F, 3) fingertip points in the hand base, m; None without labels.
-        collides_beyond_tips: (N,) whether any two parts of the hand touch, not counting tip against tip; None
+        collides_beyond_tips: (N,) whether any two parts of the hand other than two fingertips touch; None
             without labels.
     """
 
@@ -47,7 +47,7 @@ def robot_data(
     labels: bool = True,
     processes: int | None = None,
 ) -> RobotData:
-    """Samples a hand; labels are computed once for the same hand, count and seed, and stored.
+    """Samples a hand; labels are cached by hand, count and seed.
 
     Args:
         hand: the hand.
@@ -55,9 +55,9 @@ def robot_data(
         seed: seed of the uniform distribution within the joint limits.
         cache: directory of stored samples; by default `resources.cache_dir()`.
         progress: called with (done, total) while labelling.
-        labels: whether they are wanted; the positions are the same without.
-        processes: how many share the labelling, which changes nothing in the result; by default one per core,
-            and this one alone where there is little to do.
+        labels: whether to compute them; the positions are the same without.
+        processes: how many share the labelling, without effect on the result; by default one per core, or
+            only this one for few samples.
 
     Raises:
         ValueError: `count` is less than 1.
@@ -83,9 +83,9 @@ def _labelled(
     progress: Callable[[int, int], None] | None,
 ) -> RobotData:
     count = len(data.q)
-    chunks = np.split(data.q, range(_CHUNK, count, _CHUNK))
+    chunks = np.split(data.q, range(_CHUNK_SIZE, count, _CHUNK_SIZE))
     if processes is None:
-        processes = worthwhile_processes(len(chunks), _START)
+        processes = worthwhile_processes(len(chunks), _CHUNKS_IN_START)
     answers = shared_work(
         chunks, lambda q: _answers(hand, q), _answers_in_worker, processes, _start, (hand.description,)
     )
@@ -104,7 +104,7 @@ def _answers(hand: HandModel, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return hand.fingertips(q), hand.collides_beyond_tips(q)
 
 
-_worker: dict[str, HandModel] = {}  # the hand of a process that takes part
+_worker: dict[str, HandModel] = {}  # the hand of a worker process
 
 
 def _start(description: HandDescription) -> None:
@@ -121,12 +121,12 @@ def _key(hand: HandModel, count: int, seed: int) -> str:
 
 
 def _read(path: Path, data: RobotData, fingers: int) -> RobotData | None:
-    """The labels of `data` that are stored at `path`, or None if nothing usable is."""
+    """`data` with the labels stored at `path`, or None if there are none or they are damaged."""
     count = len(data.q)
-    wanted = {"p_BF": ((count, fingers, 3), "f"), "collides_beyond_tips": ((count,), "b")}
+    expected = {"p_BF": ((count, fingers, 3), "f"), "collides_beyond_tips": ((count,), "b")}
     try:
         with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in wanted}
+            arrays = {name: file[name] for name in expected}
             whole = str(file["digest"]) == data.digest and np.array_equal(file["q"], data.q)
     except FileNotFoundError:
         return None
@@ -134,10 +134,10 @@ def _read(path: Path, data: RobotData, fingers: int) -> RobotData | None:
         whole, arrays = False, {}
     whole = whole and all(
         (arrays[name].shape, arrays[name].dtype.kind) == shape_and_kind and np.isfinite(arrays[name]).all()
-        for name, shape_and_kind in wanted.items()
+        for name, shape_and_kind in expected.items()
     )
     if not whole:
-        logging.getLogger(__name__).warning("the cached samples %s are damaged and are made anew", path)
+        logging.getLogger(__name__).warning("the cached samples %s are damaged and are computed again", path)
         return None
     return RobotData(data.q, data.digest, **arrays)
 
@@ -147,5 +147,5 @@ def _write(path: Path, data: RobotData) -> None:
         with atomic_path(path) as draft:
             np.savez(draft, **vars(data))
     except OSError as error:
-        # A read-only or full home costs time, not the result.
+        # Without a cache, only time is lost.
         logging.getLogger(__name__).warning("the samples cannot be cached at %s: %s", path, error)

@@ -1,4 +1,4 @@
-"""Work on the parts of a whole, in this process and in others beside it."""
+"""Shares work between this process and worker processes."""
 
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -13,7 +13,7 @@ Result = TypeVar("Result")
 
 
 def worthwhile_processes(parts: int, parts_in_start: int) -> int:
-    """One process per core, but no more than pay, as each starts in the time of some parts."""
+    """One process per core, but no more than save time, as a start takes as long as `parts_in_start`."""
     return max(1, min(usable_cores(), parts // (2 * parts_in_start)))
 
 
@@ -27,14 +27,15 @@ def shared_work(
 ) -> Iterator[Result]:
     """Yields the results of all parts, in order.
 
-    Workers begin at the end, as they start late. This process begins at the front and waits for nobody: what
-    is not there when its turn comes is done here, were it that a worker failed.
+    Workers begin with the last part, because they start late. This process begins with the first one and
+    does not wait: a result that is not ready in time, or that a worker failed to compute, is computed here.
 
     Args:
         parts: of the work.
-        here, there: what is done with a part, in this process and in a worker; both give the same.
-        processes: how many take part, this one included.
+        here, there: compute the same result from a part, in this process and in a worker.
+        processes: how many take part, including this one.
         start: called once in every worker, with `arguments`.
+        arguments: of `start`.
     """
     if processes < 2:
         yield from map(here, parts)

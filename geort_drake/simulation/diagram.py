@@ -15,8 +15,8 @@ from pydrake.planning import RobotDiagramBuilder
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, OutputPort
 from pydrake.systems.primitives import DiscreteTimeDelay, Gain
 
+from geort_drake.hands.assembly import remove_visuals
 from geort_drake.hands.description import HandDescription, load_hand
-from geort_drake.hands.visuals import forget_visuals
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
 from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
@@ -71,7 +71,7 @@ class GraspDiagram:
 
         It also removes shapes that are only seen; the recorder has read them before.
         """
-        forget_visuals(self.plant, self.scene_graph, root)
+        remove_visuals(self.plant, self.scene_graph, root)
         context = self.plant.GetMyMutableContextFromRoot(root)
         body, factor = self.object_body, self.placement.mass_factor
         M = body.CalcSpatialInertiaInBodyFrame(context)

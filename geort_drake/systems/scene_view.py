@@ -8,8 +8,8 @@ from pydrake.multibody.plant import ContactResults, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 
+from geort_drake.hands.chains import finger_links
 from geort_drake.hands.description import HandDescription
-from geort_drake.hands.links import finger_links
 from geort_drake.hands.model import tip_geometries
 from geort_drake.systems.port_values import pose_to_vector
 

@@ -69,7 +69,7 @@ def first_joint(**changes: object) -> Callable[[Path], tuple]:
     return fields(fingers=fingers)
 
 
-MODEL = "not one readable model"
+MODEL = "not one readable model|not XML"
 
 _MAKERS: dict[str, tuple[Callable[[Path], tuple], str]] = {
     "a tag that runs code": (described("!!python/object/apply:os.system ['touch harm']"), "is malformed"),
@@ -121,11 +121,11 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str]] = {
     ),
     "a mass that is not a number": (
         modelled(re.sub(r"<mass>[^<]*", "<mass>nan", sdf(), count=1)),
-        "the mass of link 'base_link' in hand.sdf must be finite and not negative; given: nan",
+        "mass of link 'base_link' in hand.sdf must be finite and not negative; given: nan",
     ),
     "a negative mass": (
         modelled(re.sub(r"<mass>[^<]*", "<mass>-1", sdf(), count=1)),
-        "the mass of link 'base_link' in hand.sdf must be finite and not negative; given: -1",
+        "mass of link 'base_link' in hand.sdf must be finite and not negative; given: -1",
     ),
     "an inertia that is not a number": (
         modelled(re.sub(r"<ixy>[^<]*", "<ixy>nan", sdf(), count=1)),
@@ -137,7 +137,7 @@ _MAKERS: dict[str, tuple[Callable[[Path], tuple], str]] = {
     ),
     "a joint of many turns": (
         modelled(re.sub(r"<lower>[^<]*", "<lower>-1e308", sdf(), count=1)),
-        r"joint 'joint_0' needs position limits within ±100 rad, it has \[-1e\+308",
+        r"joint 'joint_0' needs position limits within ±100 rad; given: \[-1e\+308",
     ),
     "a mesh with a vertex that is not finite": (
         meshed("v 0 0 0\nv nan 0 0\nv 0 1 0\nv 0 0 1\n"),

@@ -16,8 +16,7 @@ from faults.sound import checkpoint
 from geort_drake.benchmark.config import CONFIG, TRIALS, read_config
 from geort_drake.benchmark.records import read_records
 from geort_drake.files import sha256_of
-from geort_drake.hands.description import load_hand
-from geort_drake.hands.importers.description_file import write_description
+from geort_drake.hands.description import load_hand, write_description
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.samples import robot_data

@@ -1,71 +1,82 @@
-"""What is wrong with a hand description and its model, in plain words."""
+"""Checks a hand description and its model, and names what to correct."""
 
 import itertools
+from collections import Counter
 
 import numpy as np
 from pydrake.geometry import Convex, Mesh, Role
 from scipy.optimize import minimize
 
-from geort_drake.hands.importers.resting import contact_shares
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
-# Ranges of joints outside of these are mistakes more often than not, rad.
-_NARROW, _WIDE = np.deg2rad(5.0), 2.0 * np.pi
-# A joint should be left this part of its range by the limits of what follows it.
-_LEFT = 0.75
-# Links that touch in this part of random postures leave the hand little to do.
-_OFTEN = 0.4
-_SAMPLES, _STARTS = 2000, 4
-# Fingers lie on the wrong side of each other if they do so by this much, m.
-_ASIDE = 0.005
-# Shorter links are joints' bodies, which need no collision geometry, m.
-_LONG = 0.012
+# Ranges of joints outside of these are probably mistakes, rad.
+_NARROW_RANGE, _WIDE_RANGE = np.deg2rad(5.0), 2.0 * np.pi
+# The share of its range that a joint should keep despite the limits of its followers.
+_FREE_SHARE = 0.75
+# Links that touch in this share of random postures hinder the hand.
+_FREQUENT_SHARE = 0.4
+_POSTURES = 100
+_PINCH_SAMPLES, _PINCH_STARTS = 2000, 4
+# By how much fingers must lie in the wrong order for a finding, m.
+_ORDER_MARGIN = 0.005
+# Shorter links need no collision geometry, m.
+_SHORT_LINK = 0.012
 
 
 def examine(hand: HandModel) -> list[str]:
-    """Sentences on what to correct, most important first; none for a hand without fault."""
+    """Sentences on what to correct, most important first; none for a hand without faults."""
     return [*_limits(hand), *_pinches(hand), *_orientation(hand), *_collisions(hand), *_masses(hand)]
 
 
+def contact_shares(hand: HandModel, seed: int = 0) -> dict[tuple[str, str], float]:
+    """The share of random postures in which two links touch, by pairs; pairs of fingertips left out."""
+    rng = np.random.default_rng(seed)
+    counts: Counter[tuple[str, str]] = Counter()
+    for q in rng.uniform(hand.lower, hand.upper, (_POSTURES, len(hand.joint_names))):
+        counts.update({(a, b) for _, a, b, tips in hand.penetrations(q) if not tips})
+    return {pair: count / _POSTURES for pair, count in counts.items()}
+
+
 def _limits(hand: HandModel) -> list[str]:
-    said = []
+    found = []
     for name, low, high in zip(hand.joint_names, hand.lower, hand.upper, strict=True):
         degrees = f"from {np.rad2deg(low):.0f} to {np.rad2deg(high):.0f} degrees"
-        if high - low < _NARROW:
-            said.append(f"joint '{name}' moves only {degrees}: are its limits in radians?")
-        elif high - low > _WIDE:
-            said.append(f"joint '{name}' moves {degrees}, more than a turn: give it narrower limits")
+        if high - low < _NARROW_RANGE:
+            found.append(f"joint '{name}' moves only {degrees}: are its limits in radians?")
+        elif high - low > _WIDE_RANGE:
+            found.append(f"joint '{name}' moves {degrees}, more than a turn: give it narrower limits")
         joint = hand.plant.GetJointByName(name)
-        if high - low < _LEFT * (joint.position_upper_limit() - joint.position_lower_limit()):
-            said.append(f"joint '{name}' moves only {degrees}, because what follows it has limits, too")
-    return said
+        if high - low < _FREE_SHARE * (joint.position_upper_limit() - joint.position_lower_limit()):
+            found.append(f"joint '{name}' moves only {degrees}, because of its followers' limits")
+    return found
 
 
 def _pinches(hand: HandModel) -> list[str]:
     if "thumb" not in hand.finger_names:
-        return ["there is no finger called thumb, so nothing pinches"]
+        return ["no finger is called thumb, so the hand cannot pinch"]
     kinematics = NumpyKinematics.of(hand.kinematics())
     thumb = hand.description.fingers[0]
-    said = []
+    found = []
     for number, finger in enumerate(hand.description.fingers[1:], start=1):
-        reach = 1e3 * nearest_pinch(kinematics, number)
+        distance = 1e3 * nearest_pinch(kinematics, number)
         touch = 1e3 * (thumb.tip_radius + finger.tip_radius)
-        if reach > touch:
-            said.append(
-                f"thumb and {finger.name} tips come no nearer than {reach:.0f} mm, and touch at {touch:.0f}: "
-                "their pinch is out of reach, or tip_point, tip_radius, base or limits are wrong"
+        if distance > touch:
+            found.append(
+                f"the tips of thumb and {finger.name} touch at {touch:.0f} mm, but come no nearer than "
+                f"{distance:.0f} mm: the pinch is out of reach, or tip_point, tip_radius, base or limits are "
+                "wrong"
             )
-    return said
+    return found
 
 
 def nearest_pinch(kinematics: NumpyKinematics, number: int, seed: int = 0) -> float:
-    """How near the first finger's tip can come to that of finger `number`, m; self-collision aside."""
+    """The smallest distance of the first finger's tip and that of finger `number`, m, without collisions."""
     q = np.random.default_rng(seed).uniform(
-        kinematics.lower, kinematics.upper, (_SAMPLES, len(kinematics.joint_names))
+        kinematics.lower, kinematics.upper, (_PINCH_SAMPLES, len(kinematics.joint_names))
     )
     p_BF = kinematics.fingertips(q)
-    starts = q[np.argsort(np.linalg.norm(p_BF[:, 0] - p_BF[:, number], axis=1))[:_STARTS]]
+    starts = q[np.argsort(np.linalg.norm(p_BF[:, 0] - p_BF[:, number], axis=1))[:_PINCH_STARTS]]
 
     def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
         p_BF, J = kinematics.fingertips_and_jacobians(x[None])
@@ -73,72 +84,74 @@ def nearest_pinch(kinematics: NumpyKinematics, number: int, seed: int = 0) -> fl
         return 1e4 * v @ v, 2e4 * v @ (J[0, 0] - J[0, number])
 
     bounds = list(zip(kinematics.lower, kinematics.upper, strict=True))
-    found = [minimize(cost, start, jac=True, bounds=bounds, method="L-BFGS-B").fun for start in starts]
-    return float(np.sqrt(min(found) / 1e4))
+    minima = [minimize(cost, start, jac=True, bounds=bounds, method="L-BFGS-B").fun for start in starts]
+    return float(np.sqrt(min(minima) / 1e4))
 
 
 def _orientation(hand: HandModel) -> list[str]:
-    """Whether the fingers lie and close as the hand base's axes promise."""
-    said = []
+    """Whether the fingers' places agree with the axes of the hand base."""
+    found = []
     rng = np.random.default_rng(0)
-    p_BF = hand.fingertips(rng.uniform(hand.lower, hand.upper, (_SAMPLES // 4, len(hand.joint_names))))
+    p_BF = hand.fingertips(rng.uniform(hand.lower, hand.upper, (_PINCH_SAMPLES // 4, len(hand.joint_names))))
     sign = 1.0 if hand.description.side == "right" else -1.0
     names = hand.finger_names
     fingers = [number for number, name in enumerate(names) if name != "thumb"]
     if "thumb" in names and fingers:
         thumb = names.index("thumb")
         y = sign * p_BF[..., 1].mean(axis=0)
-        if y[thumb] < y[fingers].min() - _ASIDE:
-            said.append(
+        if y[thumb] < y[fingers].min() - _ORDER_MARGIN:
+            found.append(
                 f"the thumb lies on the little finger's side of a {hand.description.side} hand: side or "
                 "base_pose is wrong, or the fingers' names are"
             )
     knuckles = [sign * chain.X_PJ[0, 1, 3] for chain in hand.kinematics().fingers]
     order = [knuckles[number] for number in fingers]
-    if any(second > first + _ASIDE for first, second in itertools.pairwise(order)):
-        said.append(f"the fingers {', '.join(names[f] for f in fingers)} do not lie in this order")
-    return said
+    if any(second > first + _ORDER_MARGIN for first, second in itertools.pairwise(order)):
+        found.append(f"the fingers {', '.join(names[f] for f in fingers)} do not lie in this order")
+    return found
 
 
 def _collisions(hand: HandModel) -> list[str]:
     plant, inspector = hand.plant, hand.scene_graph.model_inspector()
     if inspector.NumGeometriesWithRole(Role.kProximity) == 0:
         return [
-            "the model has no collision geometry: self-collision is not avoided and nothing can be grasped; "
-            "add_hand.py --hulls makes some of what is drawn"
+            "the model has no collision geometry: it can neither avoid self-collision nor grasp; "
+            "`geort-drake add-hand --hulls` makes some from the visual geometry"
         ]
-    said = []
+    found = []
 
-    def shapes(link: str) -> list:
+    def geometries(link: str) -> list:
         bodies = plant.GetBodiesWeldedTo(plant.GetBodyByName(link))
         frames = [plant.GetBodyFrameIdOrThrow(body.index()) for body in bodies]
-        found = [id for frame in frames for id in inspector.GetGeometries(frame, Role.kProximity)]
-        return [inspector.GetShape(geometry) for geometry in found]
+        return [id for frame in frames for id in inspector.GetGeometries(frame, Role.kProximity)]
 
-    bare = [finger.tip_link for finger in hand.description.fingers if not shapes(finger.tip_link)]
+    bare = [finger.tip_link for finger in hand.description.fingers if not geometries(finger.tip_link)]
     if bare:
-        said.append(f"fingertips without collision geometry touch nothing: {', '.join(bare)}")
+        found.append(f"fingertips without collision geometry touch nothing: {', '.join(bare)}")
     without = [
-        link for link, length in _links(hand) if length > _LONG and link not in bare and not shapes(link)
+        link
+        for link, length in _links(hand)
+        if length > _SHORT_LINK and link not in bare and not geometries(link)
     ]
     if without:
-        said.append(f"links of fingers without collision geometry: {', '.join(without)}")
-    meshes = [id for id in inspector.GetAllGeometryIds(Role.kProximity) if _is_mesh(inspector.GetShape(id))]
+        found.append(f"links of fingers without collision geometry: {', '.join(without)}")
+    shapes = [inspector.GetShape(id) for id in inspector.GetAllGeometryIds(Role.kProximity)]
+    meshes = [shape for shape in shapes if isinstance(shape, Mesh | Convex)]
     if meshes:
-        said.append(
-            f"{len(meshes)} collision shapes are meshes: their hulls count, in training boxes as large; "
+        found.append(
+            f"{len(meshes)} collision shapes are meshes, which convex hulls replace, and boxes in training; "
             "boxes, spheres, cylinders and capsules are exact and faster"
         )
     for (a, b), share in sorted(contact_shares(hand).items(), key=lambda item: -item[1]):
-        if share >= _OFTEN:
-            said.append(
+        if share >= _FREQUENT_SHARE:
+            found.append(
                 f"'{a}' and '{b}' touch in {share:.0%} of postures: correct their shapes, or put the pair "
                 "under ignored_collisions"
             )
     if hand.collides(hand.default_position):
         pairs = {f"'{a}' and '{b}'" for _, a, b, _ in hand.penetrations(hand.default_position)}
-        said.append(f"the hand starts in self-collision: {', '.join(sorted(pairs))}; see default_positions")
-    return said
+        found.append(f"the hand starts in self-collision: {', '.join(sorted(pairs))}; see default_positions")
+    return found
 
 
 def _masses(hand: HandModel) -> list[str]:
@@ -154,7 +167,3 @@ def _links(hand: HandModel) -> list[tuple[str, float]]:
         for name, length in zip(chain.all_joint_names, lengths, strict=True):
             links.append((hand.plant.GetJointByName(name).child_body().name(), float(length)))
     return links
-
-
-def _is_mesh(shape: object) -> bool:
-    return isinstance(shape, Mesh | Convex)

@@ -1,4 +1,4 @@
-"""Which finger is which, and whether a hand is a right or a left one: by names, else by places."""
+"""Identifies fingers and the side of a hand by the names in its model, else by the fingers' places."""
 
 import re
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ import numpy as np
 
 from geort_drake.people.keypoints import FINGER_NAMES
 
-# What models call fingers; two letters are the way of Shadow and others.
+# Names of fingers in models; Shadow and others use two letters.
 _WORDS = {
     "thumb": r"thumb|pollex|(?<![a-z])th(?![a-z])|(?<![a-z])thj",
     "index": r"index|fore|point(?!_)|(?<![a-z])ff|(?<![a-z])if(?![a-z])",
@@ -22,7 +22,7 @@ _SIDES = {
 
 
 def fingers_by_name(names: Sequence[Sequence[str]]) -> list[str] | None:
-    """The finger of each chain of joints and links, by their names; None if they do not tell.
+    """The finger of each chain of joints and links by their names; None if these are ambiguous.
 
     Args:
         names: of each chain's joints and links.
@@ -33,17 +33,17 @@ def fingers_by_name(names: Sequence[Sequence[str]]) -> list[str] | None:
             finger: sum(bool(re.search(word, name.lower())) for name in group)
             for finger, word in _WORDS.items()
         }
-        # "Middle" may also be a phalanx.
+        # "Middle" may also mean a phalanx.
         best = max(counts, key=lambda finger: (counts[finger], finger != "middle"))
         found.append(best if counts[best] else "")
     return found if "" not in found and len(set(found)) == len(found) else None
 
 
 def thumb_by_place(p_base: np.ndarray, directions: np.ndarray, reach: np.ndarray) -> int:
-    """Number of the finger that stands apart, in place and direction; of two, the shorter one.
+    """Number of the finger that differs most in place and direction; of two fingers, the shorter.
 
     Args:
-        p_base: (F, 3) where the fingers begin, m.
+        p_base: (F, 3) first joints of the fingers, m.
         directions: (F, 3) unit vectors along the stretched fingers.
         reach: (F,) their lengths, m.
     """
@@ -61,7 +61,7 @@ def thumb_by_place(p_base: np.ndarray, directions: np.ndarray, reach: np.ndarray
 
 
 def side_by_name(texts: Sequence[str]) -> str | None:
-    """The side that most of the texts name; None if none does, or both as often."""
+    """The side that most of the texts name; None for a tie."""
     counts = {
         side: sum(bool(re.search(word, text.lower())) for text in texts) for side, word in _SIDES.items()
     }
@@ -71,12 +71,12 @@ def side_by_name(texts: Sequence[str]) -> str | None:
 
 
 def fingers_by_place(count: int, thumb: int, sideways: np.ndarray) -> list[str]:
-    """The thumb's neighbour is the index finger, and so on.
+    """Names of fingers by their distance from the thumb, which the index finger is next to.
 
     Args:
         count: F.
         thumb: its number.
-        sideways: (F,) how far towards the thumb's side each finger begins, m.
+        sideways: (F,) places of the fingers' first joints towards the thumb's side, m.
     """
     names = [""] * count
     names[thumb] = FINGER_NAMES[0]

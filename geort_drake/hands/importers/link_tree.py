@@ -1,5 +1,6 @@
-"""The links of a model as a tree: which are rigidly connected, and what joints lie between them."""
+"""The links of a model as a tree: groups of welded links, the palm, and the chains that leave it."""
 
+import itertools
 from collections.abc import Iterator
 
 from pydrake.multibody.plant import MultibodyPlant
@@ -7,21 +8,21 @@ from pydrake.multibody.tree import Joint, ModelInstanceIndex, RevoluteJoint, Rig
 
 from geort_drake.errors import HandError, UnknownNameError
 
-MOST_FINGERS = 5
-# How many joints of its own a second branch of a finger must have to be a finger.
+MAX_FINGERS = 5
+# A second branch of a finger is a finger itself if it has this many joints of its own.
 _OWN_JOINTS = 2
-# So many joints in a row that move several chains are an arm. Palms that fold have one, and fingers branch
-# sooner.
+# This many joints in a row that move several chains are an arm; folding palms have one.
 _ARM_JOINTS = 4
+_HAND_FINGERS = 3  # chains that make a link the palm of another hand
 
 
 class LinkTree:
-    """Links grouped by welds, and the joints between the groups.
+    """Groups of welded links, and the joints between them.
 
     Args:
         plant: not finalized.
-        hand: the model's instance in it.
-        palm: name of a link of the group that is to be the palm; by default the one that most joints leave.
+        hand: the model's instance.
+        palm: a link of the palm; by default the palm is the group that most joints leave.
 
     Raises:
         UnknownNameError: there is no such link.
@@ -33,43 +34,50 @@ class LinkTree:
         self.group = {body.index(): number for number, body in enumerate(self.bodies)}
         for joint in everything:
             if isinstance(joint, WeldJoint):
-                old = self.group[joint.child_body().index()]
-                new = self.group[joint.parent_body().index()]
+                old, new = self.end(joint), self.group[joint.parent_body().index()]
                 self.group = {body: new if number == old else number for body, number in self.group.items()}
         self.joints: list[Joint] = [joint for joint in everything if not isinstance(joint, WeldJoint)]
-        self.leaving: dict[int, list[Joint]] = {}
+        self._leaving: dict[int, list[Joint]] = {number: [] for number in range(len(self.bodies))}
         for joint in self.joints:
-            self.leaving.setdefault(self.group[joint.parent_body().index()], []).append(joint)
+            self._leaving[self.group[joint.parent_body().index()]].append(joint)
         children = {joint.child_body().index() for joint in everything}
         roots = [body for body in self.bodies if body.index() not in children]
-        # What else is in the file, such as a floor, has fewer joints than the hand.
-        self.root = max(roots, key=lambda body: self._size(self.group[body.index()]))
-        self.palm_group = self._find_palm() if palm is None else self._group_of(palm)
-        self.palm = next(body for body in self.bodies if self.group[body.index()] == self.palm_group)
+        # Anything else in the file, such as a floor, has fewer joints than the hand.
+        self.root = max(roots, key=lambda body: len(self._carried(self.group[body.index()])))
+        if palm is None:
+            groups = self._carried(self.group[self.root.index()])
+            self._palm = max(
+                groups, key=lambda group: len(self._leaving[group])
+            )  # first: nearest to the root
+        else:
+            named = {body.name(): self.group[body.index()] for body in self.bodies}
+            if palm not in named:
+                raise UnknownNameError("link of the model", palm, named)
+            self._palm = named[palm]
+        self.palm = next(body for body in self.bodies if self.group[body.index()] == self._palm)
 
     def require_one_hand(self, source: str) -> None:
-        """Looks whether the palm that was found carries one hand's fingers, and no arms or second hand.
+        """Refuses a model of several hands, or with an arm beside other chains, unless the palm was given.
 
         Args:
-            source: what errors begin with.
+            source: how errors begin.
 
         Raises:
-            HandError: it carries more than that, which cannot be told apart without the palm's name.
+            HandError: the palm is ambiguous.
         """
-        reason = ""
-        arm = max(self._shared_runs(), key=len, default=[])
-        if len(arm) >= _ARM_JOINTS:
-            reason = f"{len(arm)} joints in a row, from '{arm[0]}' to '{arm[-1]}', move several of its chains"
-        elif arm and len(self._branches()) > MOST_FINGERS:
-            reason = f"of the {len(self._branches())} chains that leave it '{arm[0]}' moves several"
-        elif (rival := next(filter(self._is_rival, self._palms()), None)) is not None:
-            reason = f"as many chains leave '{self._carrier(rival)}'"
-        if reason:
-            choices = ", ".join(f"'{self._carrier(group)}'" for group in self._palms())
+        groups = self._carried(self.group[self.root.index()])
+        branching = [group for group in groups if len(self._leaving[group]) > 1]
+        least = min(_HAND_FINGERS, len(self._leaving[self._palm]))
+        palms = [group for group in branching if len(self._leaving[group]) >= least]
+        apart = any(
+            a not in self._carried(b) and b not in self._carried(a)
+            for a, b in itertools.combinations(palms, 2)
+        )
+        if apart or self._longest_arm() >= _ARM_JOINTS:
+            choices = ", ".join(f"'{self._carrier(group)}'" for group in branching)
             raise HandError(
-                f"{source}: more than a hand: '{self.palm.name()}' was taken for its palm, but {reason}; "
-                f"give the link with the fingers as --palm (several chains leave {choices}), or cut the hand "
-                "out into a file of its own"
+                f"{source}: more than one hand: several chains of joints leave each of {choices}; give the "
+                "palm as --palm, or put the hand into a file of its own"
             )
 
     def end(self, joint: Joint) -> int:
@@ -77,33 +85,32 @@ class LinkTree:
         return self.group[joint.child_body().index()]
 
     def fingers(self, source: str) -> list[list[Joint]]:
-        """The joints of each finger from the palm on, the longest fingers where there are too many.
+        """The joints of each finger, from the palm on; the longest fingers if there are too many.
 
         Raises:
-            HandError: of too many none are the longest.
+            HandError: there are too many of equal length.
         """
         kept = self._branches()
         longest = sorted(kept, key=len, reverse=True)
-        if len(kept) > MOST_FINGERS and len(longest[MOST_FINGERS]) == len(longest[MOST_FINGERS - 1]):
+        if len(kept) > MAX_FINGERS and len(longest[MAX_FINGERS]) == len(longest[MAX_FINGERS - 1]):
             raise HandError(
-                f"{source}: {len(kept)} chains of joints leave its palm, the link '{self.palm.name()}', and "
-                f"no {MOST_FINGERS} are longer than the rest; wanted: one hand of 2 to {MOST_FINGERS} fingers"
+                f"{source}: {len(kept)} chains of joints leave its palm, the link '{self.palm.name()}'; "
+                f"expected one hand of 2 to {MAX_FINGERS} fingers"
             )
-        return [path for path in kept if path in longest[:MOST_FINGERS]]
+        return [path for path in kept if path in longest[:MAX_FINGERS]]
 
     def palm_links(self, paths: list[list[Joint]]) -> list[RigidBody]:
-        """The palm's links, the one that carries most fingers first."""
-        links = [body for body in self.bodies if self.group[body.index()] == self.palm_group]
+        """The palm's links, first the one that carries most fingers."""
+        links = [body for body in self.bodies if self.group[body.index()] == self._palm]
         carried = [path[0].parent_body().index() for path in paths]
         return sorted(links, key=lambda body: -carried.count(body.index()))
 
     def _branches(self) -> list[list[Joint]]:
         """The joints of each chain that may be a finger."""
         kept: list[list[Joint]] = []
-        for joint in self.leaving.get(self.palm_group, []):
-            branches = sorted(self._paths([joint]), key=len, reverse=True)
+        for joint in self._leaving[self._palm]:
             mine: list[list[Joint]] = []
-            for path in branches:
+            for path in sorted(self._paths([joint]), key=len, reverse=True):
                 taken = {id(joint) for other in mine for joint in other}
                 own = [joint for joint in path if id(joint) not in taken]
                 if any(isinstance(joint, RevoluteJoint) for joint in path) and (
@@ -113,65 +120,34 @@ class LinkTree:
             kept += mine
         return kept
 
-    def _shared_runs(self) -> list[list[str]]:
-        """The joints in a row that move several chains at once, each row up to where chains part."""
-        runs = []
-        for group in self._below(self.palm_group):
-            starts = self.leaving.get(group, [])
-            for joint in starts if group == self.palm_group or len(starts) > 1 else []:
-                run, further = [joint], self.leaving.get(self.end(joint), [])
-                while len(further) == 1:
-                    run, further = [*run, *further], self.leaving.get(self.end(further[0]), [])
-                if further:
-                    runs.append([joint.name() for joint in run])
-        return runs
-
-    def _palms(self) -> list[int]:
-        """The groups of the hand's tree that several joints leave, those with most first."""
-        several = [
-            group
-            for group in self._below(self.group[self.root.index()])
-            if len(self.leaving.get(group, [])) > 1
-        ]
-        return sorted(several, key=lambda group: -len(self.leaving[group]))
-
-    def _is_rival(self, group: int) -> bool:
-        """Whether as many joints leave another group, which the palm neither carries nor is carried by."""
-        if len(self.leaving[group]) < len(self.leaving[self.palm_group]):
-            return False
-        return group not in self._below(self.palm_group) and self.palm_group not in self._below(group)
-
-    def _below(self, group: int) -> set[int]:
-        """The group itself, and what it carries."""
-        return {group}.union(*(self._below(self.end(joint)) for joint in self.leaving.get(group, [])))
-
-    def _carrier(self, group: int) -> str:
-        """The link of a group that most joints leave."""
-        parents = [joint.parent_body().name() for joint in self.leaving[group]]
-        return max(parents, key=parents.count)
-
-    def _group_of(self, link: str) -> int:
-        named = {body.name(): self.group[body.index()] for body in self.bodies}
-        if link not in named:
-            raise UnknownNameError("link of the model", link, named)
-        return named[link]
-
     def _paths(self, path: list[Joint]) -> Iterator[list[Joint]]:
-        further = self.leaving.get(self.end(path[-1]), [])
+        further = self._leaving[self.end(path[-1])]
         if not further:
             yield path
         for joint in further:
             yield from self._paths([*path, joint])
 
-    def _size(self, group: int) -> int:
-        return sum(1 + self._size(self.end(joint)) for joint in self.leaving.get(group, []))
+    def _carried(self, group: int) -> list[int]:
+        """A group and all groups that it carries, from near to far."""
+        groups = [group]
+        for near in groups:
+            groups += [self.end(joint) for joint in self._leaving[near]]
+        return groups
 
-    def _find_palm(self) -> int:
-        """The group that most joints leave; of several, the one nearest to the root."""
-        best, level = self.group[self.root.index()], [self.group[self.root.index()]]
-        while level:
-            for group in level:
-                if len(self.leaving.get(group, [])) > len(self.leaving.get(best, [])):
-                    best = group
-            level = [self.end(joint) for group in level for joint in self.leaving.get(group, [])]
-        return best
+    def _longest_arm(self) -> int:
+        """The most joints in a row, beyond the palm, that move several chains together."""
+        longest = 0
+        for group in self._carried(self._palm):
+            starts = self._leaving[group]
+            for joint in starts if group == self._palm or len(starts) > 1 else []:
+                length, further = 1, self._leaving[self.end(joint)]
+                while len(further) == 1:
+                    length, further = length + 1, self._leaving[self.end(further[0])]
+                if further:
+                    longest = max(longest, length)
+        return longest
+
+    def _carrier(self, group: int) -> str:
+        """The link of a group that most joints leave."""
+        parents = [joint.parent_body().name() for joint in self._leaving[group]]
+        return max(parents, key=parents.count)

@@ -1,4 +1,4 @@
-"""A hand description for a model that nobody described, as far as it can be read off the model."""
+"""Proposes a hand description for a model: fingers, fingertips, hand base, side, couplings and gains."""
 
 import re
 from dataclasses import dataclass
@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
-from geort_drake.hands.couplings import model_tree
 from geort_drake.hands.description import (
     ActuationDescription,
     BasePoseDescription,
@@ -15,42 +14,47 @@ from geort_drake.hands.description import (
     FingerDescription,
     HandDescription,
 )
+from geort_drake.hands.importers.checks import contact_shares
+from geort_drake.hands.importers.couplings import coupling_notes
 from geort_drake.hands.importers.finger_names import (
     fingers_by_name,
     fingers_by_place,
     side_by_name,
     thumb_by_place,
 )
-from geort_drake.hands.importers.resting import free_posture, resting_contacts
+from geort_drake.hands.importers.fingertips import Fingertip, find_fingertip, palm_points
 from geort_drake.hands.importers.structure import Chain, HandStructure, read_structure
-from geort_drake.hands.importers.tip_points import TipPoint, palm_points, tip_point
-from geort_drake.hands.mjcf import remarks
 from geort_drake.hands.model import HandModel
+from geort_drake.hands.model_files import read_model
 from geort_drake.people.keypoints import FINGER_NAMES, TIP_KEYPOINT
 
-BASE = "hand_base"
-# Frames of palms lie along them; fingers may be bent at rest. So a hand base this near to the axes of the
-# palm's link is put there, and from the second angle on that is said.
-_SNAP, _SAID = np.deg2rad(30.0), np.deg2rad(5.0)
-_GRID = 7
-_MANY = 8  # joints, each of which is not worth a sentence
-# Fingers close to a side if their tips are there on average, by this part of how far they are to any side.
-_CLOSING = 0.6
-# A thumb is beside the fingers, not opposite to them, if it is by this part of how far it stands before them.
-_BESIDE = 0.35
-# On the shipped adapter a left hand is the mirror image of a right one when turned so, degrees.
+_BASE_NAME = "hand_base"
+# A hand base this close to the axes of the palm's link is aligned with them, because fingers may be bent at
+# zero angles; above the second angle, a note says so.
+_SNAP_ANGLE, _NOTED_ANGLE = np.deg2rad(30.0), np.deg2rad(5.0)
+_POSTURES, _STRETCH_GRID = 300, 7
+_NOTED_JOINTS = 8  # more held joints with the same reason share one note
+# Fingers close to one side if their mean tip offset is this share of their mean distance from straight.
+_CLOSING_SHARE = 0.6
+# A thumb is beside the fingers if it is sideways by this share of how far it is in front of them.
+_SIDEWAYS_SHARE = 0.35
+# Links that touch in this share of random postures always do.
+_PERMANENT_SHARE = 0.95
+# How far the joints are opened towards the middle of their ranges to find a start without collision.
+_OPENINGS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
+# Mounted on the shipped adapter with this turn, a left hand is the mirror image of a right one, degrees.
 _LEFT_MOUNT = (0.0, 0.0, 90.0)
-# Gains for joints of a model without motors, those of the Allegro hand: N·m/rad, N·m·s/rad, N·m.
+# Gains for models without position controllers, those of the Allegro hand: N·m/rad, N·m·s/rad, N·m.
 _GAINS = ActuationDescription(stiffness=1.0, damping=0.1, effort_limit=1.0)
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A hand description, and what its reader should know of how it came about.
+    """A hand description, and notes for its user.
 
     Attributes:
-        description: it names the model by its absolute path.
-        notes: one sentence on each thing that was guessed or left out.
+        description: with the absolute path of the model.
+        notes: one sentence on each guess or omission.
     """
 
     description: HandDescription
@@ -61,11 +65,11 @@ class Proposal:
 class _Finger:
     """A chain with its tip, and how it lies and closes in the root link R.
 
-    `p_RF` are (N, 3) places of its tip at random postures, `p_stretched` is where it is farthest out, m.
+    `p_RF` (N, 3) are places of its tip at random postures, `p_stretched` is the farthest one, m.
     """
 
     chain: Chain
-    tip: TipPoint
+    tip: Fingertip
     p_stretched: np.ndarray
     p_RF: np.ndarray
 
@@ -75,19 +79,19 @@ class _Finger:
         return _unit(self.p_stretched - self.chain.p_base)
 
     @property
-    def reach(self) -> float:
-        """Length of the stretched finger, m."""
+    def length(self) -> float:
+        """Of the stretched finger, m."""
         return float(np.linalg.norm(self.p_stretched - self.chain.p_base))
 
     @property
-    def aside(self) -> np.ndarray:
-        """(N, 3) how far the tip is to the side of the stretched finger, m."""
+    def sideways(self) -> np.ndarray:
+        """(N, 3) offsets of the tip perpendicular to the stretched finger, m."""
         v = self.p_RF - self.p_stretched
         return v - np.outer(v @ self.direction, self.direction)
 
 
 def propose(model: Path, name: str | None = None, palm: str | None = None) -> Proposal:
-    """Describes a model: fingers and their names, tips, side, hand base, joints that follow, gains.
+    """Describes a model as far as it can be read or guessed.
 
     Args:
         model: URDF, SDF or MJCF file.
@@ -99,6 +103,7 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
         UnknownNameError: it has no such link.
     """
     structure = read_structure(model.resolve(), palm)
+    plant = structure.plant
     notes: list[str] = []
     fingers = [_finger(structure, chain) for chain in structure.chains]
     names, X_RB, side = _arrange(structure, fingers, notes)
@@ -106,17 +111,17 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
     for finger, label in zip(fingers, names, strict=True):
         if not finger.tip.source.startswith("a sphere"):
             guessed.setdefault(finger.tip.source, []).append(f"{label} {1e3 * finger.tip.radius:.1f} mm")
-    notes += [f"tips and their radii were taken from {what}: {', '.join(of)}" for what, of in guessed.items()]
+    notes += [f"tips and their radii come from {source}: {', '.join(of)}" for source, of in guessed.items()]
     notes += _held_notes(structure.held)
-    notes += remarks(model_tree(structure.path))
+    notes += coupling_notes(read_model(structure.path))
     palm_link = structure.palm[0]
-    X_RP = structure.plant.EvalBodyPoseInWorld(structure.plant.CreateDefaultContext(), palm_link)
-    X_PB = X_RP.inverse() @ X_RB
+    X_PB = plant.EvalBodyPoseInWorld(plant.CreateDefaultContext(), palm_link).inverse() @ X_RB
     rpy_deg = np.rad2deg(RollPitchYaw(X_PB.rotation()).vector())
     order = sorted(range(len(fingers)), key=lambda number: FINGER_NAMES.index(names[number]))
-    frames = structure.plant.GetFrameIndices(structure.hand)
-    taken = {structure.plant.get_frame(index).name() for index in frames}
-    base = next(f"{BASE}{extra}" for extra in ("", *range(2, 100)) if f"{BASE}{extra}" not in taken)
+    taken = {plant.get_frame(index).name() for index in plant.GetFrameIndices(structure.hand)}
+    base = next(
+        f"{_BASE_NAME}{extra}" for extra in ("", *range(2, 100)) if f"{_BASE_NAME}{extra}" not in taken
+    )
     description = HandDescription(
         name=name or re.sub(r"\W+", "_", model.stem),
         model=str(model.resolve()),
@@ -124,92 +129,95 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
         base_frame=base,
         base_pose=BasePoseDescription(palm_link.name(), _rounded(X_PB.translation()), _rounded(rpy_deg, 2)),
         fingers=[_describe(names[number], fingers[number]) for number in order],
-        couplings=_couplings(structure),
+        couplings=[
+            CouplingDescription(c.joint, c.follows, round(c.ratio, 6), round(c.offset, 6))
+            for c in structure.couplings
+        ],
         actuation=_actuation(structure, notes),
     )
     if side == "left":
         description.mount.rpy_deg = list(_LEFT_MOUNT)
     description.default_positions = _default_positions(structure)
-    description.ignored_collisions = resting_contacts(HandModel(description))
+    shares = contact_shares(HandModel(description))
+    description.ignored_collisions = sorted(
+        [a, b] for (a, b), share in shares.items() if share >= _PERMANENT_SHARE and a != b
+    )
     hand = HandModel(description)
-    start = free_posture(hand)
+    start = _free_posture(hand)
     if start is None:
-        notes.append("no posture without self-collision was found to start in")
+        notes.append("no initial posture without self-collision was found")
     elif (start != hand.default_position).any():
         description.default_positions |= dict(zip(hand.joint_names, _rounded(start), strict=True))
     return Proposal(description, notes)
 
 
 def _finger(structure: HandStructure, chain: Chain) -> _Finger:
-    tip = tip_point(structure, chain)
-    rng = np.random.default_rng(0)
-    angles = structure.postures(chain, rng)
-    p_RF = structure.tips(chain, tip.body, tip.point, angles)
-    distance = np.linalg.norm(p_RF - chain.p_base, axis=1)
-    best = angles[distance.argmax()]
+    """Moves a chain through random postures, and stretches it."""
+    tip = find_fingertip(structure, chain)
+    tip_at = structure.kinematics(chain, tip.body, tip.point)
     low, high = structure.limits(chain)
-    # Stretched joint by joint from the best sample on, from the tip to the base.
+    angles = np.random.default_rng(0).uniform(low, high, (_POSTURES, len(chain.joints)))
+    p_RF = tip_at(angles)
+    best = angles[np.linalg.norm(p_RF - chain.p_base, axis=1).argmax()]
+    # From the most stretched sample, stretch one joint after the other, from the tip to the base.
     for joint in reversed(range(len(best))):
-        trials = np.tile(best, (_GRID, 1))
-        trials[:, joint] = np.linspace(low[joint], high[joint], _GRID)
+        trials = np.tile(best, (_STRETCH_GRID, 1))
+        trials[:, joint] = np.linspace(low[joint], high[joint], _STRETCH_GRID)
         if low[joint] < 0 < high[joint]:
-            trials[_GRID // 2, joint] = 0.0
-        reached = np.linalg.norm(structure.tips(chain, tip.body, tip.point, trials) - chain.p_base, axis=1)
-        # A joint that does not change the length, such as abduction, stays where the finger is straight.
+            trials[_STRETCH_GRID // 2, joint] = 0.0
+        reached = np.linalg.norm(tip_at(trials) - chain.p_base, axis=1)
+        # A joint that does not change the length, such as abduction, goes to zero.
         flat = np.ptp(reached) < 0.02 * reached.max()
         best[joint] = np.clip(0.0, low[joint], high[joint]) if flat else trials[reached.argmax(), joint]
-    p_stretched = structure.tips(chain, tip.body, tip.point, best[None])[0]
-    return _Finger(chain, tip, p_stretched, p_RF)
+    return _Finger(chain, tip, tip_at(best[None])[0], p_RF)
 
 
 def _arrange(
     structure: HandStructure, fingers: list[_Finger], notes: list[str]
 ) -> tuple[list[str], RigidTransform, str]:
-    """The fingers' names, the pose of the hand base in the root link, and the side."""
+    """The fingers' names, the pose X_RB of the hand base in the root link, and the side."""
     p_base = np.array([finger.chain.p_base for finger in fingers])
     directions = np.array([finger.direction for finger in fingers])
     named = fingers_by_name([finger.chain.names for finger in fingers])
     if named is not None and "thumb" in named:
         thumb = named.index("thumb")
     else:
-        thumb = thumb_by_place(p_base, directions, np.array([finger.reach for finger in fingers]))
+        named = None
+        thumb = thumb_by_place(p_base, directions, np.array([finger.length for finger in fingers]))
         joints = ", ".join(fingers[thumb].chain.joints)
-        notes.append(f"no name tells which finger is the thumb; taken is the one with the joints {joints}")
+        notes.append(f"no name identifies the thumb; it is taken to be the finger with the joints {joints}")
     others = [number for number in range(len(fingers)) if number != thumb]
     z = _unit(directions[others].mean(axis=0))
-    aside = np.concatenate([fingers[number].aside for number in others])
-    x = aside.mean(axis=0)
-    if np.linalg.norm(x) < _CLOSING * np.linalg.norm(aside, axis=1).mean():
+    sideways = np.concatenate([fingers[number].sideways for number in others])
+    x = sideways.mean(axis=0)
+    if np.linalg.norm(x) < _CLOSING_SHARE * np.linalg.norm(sideways, axis=1).mean():
         x = p_base[thumb] - p_base[others].mean(axis=0)
-        notes.append("the fingers bend to either side alike; the palm's side is taken to be the thumb's")
+        notes.append("the fingers bend to both sides alike; the palm's side is taken to be the thumb's")
     x = _unit(x - (x @ z) * z)
-    context = structure.plant.CreateDefaultContext()
-    X_RP = structure.plant.EvalBodyPoseInWorld(context, structure.palm[0])
-    R_RB = X_RP.rotation().matrix() @ _snapped(
-        X_RP.rotation().matrix().T @ np.column_stack([x, np.cross(z, x), z]), notes
-    )
+    plant, hand = structure.plant, structure.hand
+    R_RP = plant.EvalBodyPoseInWorld(plant.CreateDefaultContext(), structure.palm[0]).rotation().matrix()
+    R_RB = R_RP @ _snapped(R_RP.T @ np.column_stack([x, np.cross(z, x), z]), notes)
     knuckles = p_base[others].mean(axis=0)
     thumb_place = 0.5 * (p_base[thumb] + fingers[thumb].p_RF.mean(axis=0)) - knuckles
-    forwards, sideways, _ = thumb_place @ R_RB
-    side = "right" if sideways > 0 else "left"
-    bodies = structure.plant.GetBodyIndices(structure.hand)
-    links = [structure.plant.get_body(index).name() for index in bodies]
-    # Links of a whole robot are of both sides.
-    told = (
+    forward, to_left, _ = thumb_place @ R_RB
+    side = "right" if to_left > 0 else "left"
+    links = [plant.get_body(index).name() for index in plant.GetBodyIndices(hand)]
+    # The links come last, because those of a whole robot are of both sides.
+    named_side = (
         side_by_name([structure.path.stem])
         or side_by_name([structure.palm[0].name()])
-        or side_by_name([structure.plant.GetModelInstanceName(structure.hand), *links])
+        or side_by_name([plant.GetModelInstanceName(hand), *links])
     )
-    if abs(sideways) < _BESIDE * abs(forwards):
-        side = told or "right"
-        notes.append(f"the thumb stands opposite to the fingers, not beside them; taken for a {side} hand")
-    elif told is not None and told != side:
+    if abs(to_left) < _SIDEWAYS_SHARE * abs(forward):
+        side = named_side or "right"
+        notes.append(f"the thumb is opposite to the fingers, not beside them; taken for a {side} hand")
+    elif named_side is not None and named_side != side:
         notes.append(
-            f"names speak of a {told} hand, but its thumb lies as on a {side} hand: one of them is wrong, or "
-            "the joint limits let the fingers close backwards; look at base_pose and side"
+            f"names say that this is a {named_side} hand, but the thumb's place says a {side} hand; check "
+            "base_pose and side, and the joint limits, which may close the fingers backwards"
         )
-    towards_thumb = (p_base - knuckles) @ R_RB[:, 1] * (1 if side == "right" else -1)
-    if named is None or "thumb" not in named:
+    if named is None:
+        towards_thumb = (p_base - knuckles) @ R_RB[:, 1] * (1 if side == "right" else -1)
         named = fingers_by_place(len(fingers), thumb, towards_thumb)
     rotation = RotationMatrix(R_RB)
     palm = palm_points(structure, RigidTransform(rotation, knuckles))
@@ -219,33 +227,32 @@ def _arrange(
 
 
 def _snapped(R: np.ndarray, notes: list[str]) -> np.ndarray:
-    """The rotation to the nearest axes, where these are near."""
+    """The rotation aligned with the nearest axes, if they are near."""
     nearest = np.zeros((3, 3))
     rows = np.abs(R).argmax(axis=0)
     nearest[rows, range(3)] = np.sign(R[rows, range(3)])
     if len(set(rows.tolist())) == 3 and np.linalg.det(nearest) > 0:
         angle = np.arccos(np.clip(0.5 * (np.trace(nearest.T @ R) - 1.0), -1.0, 1.0))
-        if angle < _SNAP:
-            if angle > _SAID:
+        if angle < _SNAP_ANGLE:
+            if angle > _NOTED_ANGLE:
                 notes.append(
-                    f"stretched fingers lean by {np.rad2deg(angle):.0f} degrees against the axes of the "
-                    "palm's link, which the hand base was given"
+                    f"the hand base has the axes of the palm's link; stretched fingers lean against them by "
+                    f"{np.rad2deg(angle):.0f} degrees"
                 )
             return nearest
-    notes.append("no axes of the palm's link lie along the fingers, so the hand base is turned as they are")
+    notes.append("no axes of the palm's link lie along the fingers, so the hand base is aligned with these")
     return R
 
 
 def _held_notes(held: dict[str, str]) -> list[str]:
-    """A sentence on each joint that is held; on many with the same reason, as of a whole robot, one."""
+    """One note on each held joint, or on all with the same reason if they are many."""
     notes = []
     for reason in dict.fromkeys(held.values()):
-        joints = [joint for joint, why in held.items() if why == reason]
-        if len(joints) > _MANY:
-            named = ", ".join(f"'{joint}'" for joint in joints[:3])
-            notes.append(f"{len(joints)} joints are held, as each {reason}: {named}, ...")
+        joints = [f"'{joint}'" for joint, why in held.items() if why == reason]
+        if len(joints) > _NOTED_JOINTS:
+            notes.append(f"{len(joints)} joints are held, as each {reason}: {', '.join(joints[:3])}, ...")
         else:
-            notes += [f"joint '{joint}' {reason}: it is held at its default position" for joint in joints]
+            notes += [f"joint {joint} {reason}: it is held at its default position" for joint in joints]
     return notes
 
 
@@ -260,27 +267,32 @@ def _describe(name: str, finger: _Finger) -> FingerDescription:
     )
 
 
-def _couplings(structure: HandStructure) -> list[CouplingDescription]:
-    return [
-        CouplingDescription(c.joint, c.follows, round(c.ratio, 6), round(c.offset, 6))
-        for c in structure.couplings
-    ]
-
-
 def _default_positions(structure: HandStructure) -> dict[str, float]:
-    """Of joints that do not start within their limits: a tenth of the range from the nearer one."""
+    """For joints whose default is outside their limits: a tenth of the range from the nearer limit."""
     positions = {}
     for chain in structure.chains:
-        low, high = structure.limits(chain)
-        for name, a, b in zip(chain.joints, low, high, strict=True):
+        for name, low, high in zip(chain.joints, *structure.limits(chain), strict=True):
             start = structure.plant.GetJointByName(name, structure.hand).get_default_angle()
-            if not a <= start <= b:
-                positions[name] = round(float(a + 0.1 * (b - a) if start < a else b - 0.1 * (b - a)), 4)
+            if not low <= start <= high:
+                margin = 0.1 * (high - low)
+                positions[name] = round(float(low + margin if start < low else high - margin), 4)
     return positions
 
 
+def _free_posture(hand: HandModel) -> np.ndarray | None:
+    """(n,) joint positions without self-collision, near the default ones; None if none was found."""
+    start = hand.default_position
+    for opening in _OPENINGS:
+        q = start + opening * (0.5 * (hand.lower + hand.upper) - start)
+        if not hand.collides(q):
+            return q
+    q = np.random.default_rng(0).uniform(hand.lower, hand.upper, (_POSTURES, len(start)))
+    free = q[~hand.collides(q)]
+    return free[np.linalg.norm(free - start, axis=1).argmin()] if len(free) else None
+
+
 def _actuation(structure: HandStructure, notes: list[str]) -> ActuationDescription:
-    """Nothing where the model's motors have gains; else those of a hand of usual size."""
+    """The model's own gains if every joint has some, else default ones."""
     plant = structure.plant
     actuators = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices(structure.hand)]
     ready = {actuator.joint().name() for actuator in actuators if actuator.has_controller()}
@@ -290,8 +302,9 @@ def _actuation(structure: HandStructure, notes: list[str]) -> ActuationDescripti
         return ActuationDescription()
     some = f"{len(without)} of {len(joints)} joints, such as {without[0]}, have" if ready else "the model has"
     notes.append(
-        f"{some} no position controllers; under actuation, put your hand's gains "
-        f"for {_GAINS.stiffness:g} N·m/rad, {_GAINS.damping:g} N·m·s/rad and {_GAINS.effort_limit:g} N·m"
+        f"{some} no position controllers; under actuation, replace the default gains "
+        f"{_GAINS.stiffness:g} N·m/rad, {_GAINS.damping:g} N·m·s/rad and {_GAINS.effort_limit:g} N·m by "
+        "your hand's"
     )
     return _GAINS
 

@@ -9,9 +9,9 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.assembly import add_hand_model
+from geort_drake.hands.chains import palm_links
 from geort_drake.hands.couplings import followers
 from geort_drake.hands.description import HandDescription
-from geort_drake.hands.links import palm_links
 from geort_drake.simulation.world import add_object
 from geort_drake.simulation.wrist_motion import WristMovement
 

@@ -16,9 +16,9 @@ from pydrake.multibody.tree import RigidBody
 from pydrake.solvers import SnoptSolver, SolverOptions
 from pydrake.systems.framework import DiagramBuilder
 
+from geort_drake.hands.chains import palm_links
 from geort_drake.hands.couplings import followers
 from geort_drake.hands.description import FingerDescription, HandDescription
-from geort_drake.hands.links import palm_links
 from geort_drake.hands.model import tip_geometries
 from geort_drake.simulation.object_shape import ObjectShape, half_extents, object_shape
 from geort_drake.simulation.scenario import Scenario
