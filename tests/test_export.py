@@ -18,7 +18,6 @@ from geort_drake.people.play import synthesize_play
 from geort_drake.people.recording import Recording
 from geort_drake.rerun import file_writer
 from geort_drake.rerun.blueprint import blueprint, scene_view
-from geort_drake.rerun.drawing import write_poses, write_series, write_states
 
 # Joints of each plot, and their places in `command`.
 SERIES = {"joints/thumb": {"j0": 0, "j1": 1}, "joints/index": {"j2": 2}, "arm": {"shoulder": 3, "elbow": 4}}
@@ -62,13 +61,13 @@ def run(tmp_path):
         ) as writer:  # fmt: skip
             writer.at(t)
             poses = np.array([[pose(body, time) for body in (0, 1)] for time in t])
-            write_poses(writer, ["/world/hand/palm", "/world/cube/cube"], poses)
+            writer.poses(["/world/hand/palm", "/world/cube/cube"], poses)
             for key, columns in SERIES.items():
                 for kind, lag in (("command", 0.0), ("measured", 0.1)):
                     names = [f"{joint} {kind}" for joint in columns]
                     path = "/".join(["", *key.split("/")[:1], kind, *key.split("/")[1:]])
-                    write_series(writer, path, names, asked[:, list(columns.values())] - lag)
-            write_states(writer, "/grasp", t > 0.1, {0: "reach", 1: "hold"})
+                    writer.series(path, names, asked[:, list(columns.values())] - lag)
+            writer.states("/grasp", t > 0.1, {0: "reach", 1: "hold"})
         glove(frames * PERIOD).save(folder / f"{name}.glove.npz")
         trials.append({"object": "cube", "seed": number, "success": number == 0, "outcome": "success",
                        "phase_times": {"HOLD": 0.1}})  # fmt: skip

@@ -122,8 +122,8 @@ def test_the_recording_shows_what_the_methods_answer(tmp_path, hand, play):
         deep = any(depth > 0.002 and not tip_tip for depth, _, _, tip_tip in hand.penetrations(q))
         _, balls = read(path, f"/world/{name}/collisions", "Ellipsoids3D:centers")
         assert [len(row) > 0 for row in balls] == [deep] * len(hands.t)
-        _, lines = read(path, f"/world/{name}/pinch/line", "LineStrips3D:strips")
-        assert [len(row) for row in lines] == pinches.asked.astype(int).tolist()
+        _, cages = read(path, f"/world/{name}/pinch", "Ellipsoids3D:centers")
+        assert [len(row) for row in cages] == pinches.asked.astype(int).tolist()
         _, states = read(path, f"/{name}", "StateChange:state")
         assert ("collides" in {state[0] for state in states}) == deep
     assert any(entity.startswith("/world/fist/allegro_right") for entity in entities(path))

@@ -24,7 +24,7 @@ from geort_drake.rerun import (
     SignalSpec,
     StateSpec,
 )
-from geort_drake.rerun.drawing import quaternions
+from geort_drake.rerun.writer import quaternions
 
 
 def test_signals_are_grouped_by_what_stands_before_the_slash(tmp_path):

@@ -14,33 +14,10 @@ from geort_drake.comparison.exploration import Answers, Excerpt, Pinches, find_p
 from geort_drake.comparison.hand_marks import RIGHT, WRONG, collisions, finger_colors, pinch_closed
 from geort_drake.hands.model import HandModel
 from geort_drake.people.keypoints import mirrored
-from geort_drake.rerun.blueprint import (
-    View,
-    blueprint,
-    column,
-    lanes_share,
-    lanes_view,
-    row,
-    scene_view,
-    text_view,
-    time_series,
-)
-from geort_drake.rerun.drawing import (
-    CAGE,
-    SOLID,
-    WORLD,
-    entity_path,
-    write_human_hand,
-    write_label,
-    write_lines,
-    write_points,
-    write_series,
-    write_states,
-    write_text,
-    write_up_axis,
-)
+from geort_drake.rerun import blueprint as views
 from geort_drake.rerun.robot_hand import write_robot_hand
-from geort_drake.rerun.writer import Property, Writer, file_writer
+from geort_drake.rerun.streams import Property, file_writer
+from geort_drake.rerun.writer import CAGE, SOLID, WORLD, Writer, entity_path
 
 APPLICATION = "geort_drake_explorer"
 _SPACING = 0.26  # m, between neighbouring hands
@@ -107,11 +84,11 @@ def write_exploration(
         Path(path),
         application_id=APPLICATION,
         recording_id=f"explorer-{properties['recording_sha256']}-{hands.start:g}-{'-'.join(methods)}",
-        blueprint=blueprint(_layout(list(methods))),
+        blueprint=views.blueprint(_layout(list(methods))),
         properties=properties,
     ) as writer:
-        write_up_axis(writer)
-        write_text(writer, "/about", _text(hands, methods, marks, pinches))
+        writer.up_axis()
+        writer.text("/about", _text(hands, methods, marks, pinches))
         writer.at(hands.t)
         _write_human(writer, hand, p_HK, pinches)
         for number, (color, (name, answers)) in enumerate(
@@ -121,7 +98,7 @@ def write_exploration(
             # Wrists are side by side.
             X_WB = RigidTransform([0.0, _SPACING * number, -hand.p_BW[2]])
             write_robot_hand(writer, hand_path, hand, answers.q, X_WB)
-            write_label(writer, f"{hand_path}/name", name, color, (0.0, 0.0, _LABEL_HEIGHT))
+            writer.label(f"{hand_path}/name", name, color, (0.0, 0.0, _LABEL_HEIGHT))
             _write_marks(writer, hand_path, hand, answers, marks[name], pinches)
             curves = {
                 "error": 1e3 * answers.error.mean(axis=1),
@@ -129,7 +106,7 @@ def write_exploration(
                 "gap": 1e3 * marks[name].gap,
             }
             for key, values in curves.items():
-                write_series(writer, entity_path(key, name), [name], values[:, None], [color])
+                writer.series(entity_path(key, name), [name], values[:, None], [color])
         _write_lanes(writer, hand, marks, pinches)
 
 
@@ -141,67 +118,65 @@ def _marks(hand: HandModel, answers: Answers, pinches: Pinches) -> _Marks:
 
 def _write_human(writer: Writer, hand: HandModel, p_HK: np.ndarray, pinches: Pinches) -> None:
     path = entity_path(WORLD, "human")
-    write_human_hand(writer, path, p_HK, SKIN)
+    writer.human_hand(path, p_HK, SKIN)
     tips = tips_of(p_HK, hand)
-    write_points(writer, f"{path}/tips", list(tips), _HUMAN_TIP, finger_colors(hand), SOLID)
-    white = np.full(len(tips), 255)[:, None, None].repeat(3, axis=2)
-    _write_pinches(writer, path, tips, pinches, white, 1.8 * _HUMAN_TIP)
-    write_label(writer, f"{path}/name", "recorded hand", SKIN, (0.0, 0.0, _LABEL_HEIGHT))
-    write_series(writer, "/gap/human", ["human"], 1e3 * pinches.distance[:, None], [SKIN], 2.5)
+    writer.points(f"{path}/tips", list(tips), _HUMAN_TIP, finger_colors(hand), SOLID)
+    _write_pinches(writer, path, tips, pinches, np.full((len(tips), 3), 255), 1.8 * _HUMAN_TIP)
+    writer.label(f"{path}/name", "recorded hand", SKIN, (0.0, 0.0, _LABEL_HEIGHT))
+    writer.series("/gap/human", ["human"], 1e3 * pinches.distance[:, None], [SKIN], 2.5)
 
 
 def _write_marks(
     writer: Writer, path: str, hand: HandModel, answers: Answers, marks: _Marks, pinches: Pinches
 ) -> None:
     radius = 1.1 * hand.tip_radius  # covers the model's own tip
-    write_points(writer, f"{path}/tips", list(answers.p_BF), radius, finger_colors(hand), SOLID)
-    write_points(writer, f"{path}/copy", list(answers.asked), 1.1 * radius, _COPY_COLOR, CAGE)
-    colors = np.where(marks.closed[:, None, None], RIGHT, WRONG)
+    writer.points(f"{path}/tips", list(answers.p_BF), radius, finger_colors(hand), SOLID)
+    writer.points(f"{path}/copy", list(answers.asked), 1.1 * radius, _COPY_COLOR, CAGE)
+    colors = np.where(marks.closed[:, None], RIGHT, WRONG)
     _write_pinches(writer, path, answers.p_BF, pinches, colors, 2.2 * radius)
-    write_points(writer, f"{path}/collisions", marks.collisions, 0.014, WRONG, SOLID)
+    writer.points(f"{path}/collisions", marks.collisions, 0.014, WRONG, SOLID)
 
 
 def _write_pinches(
     writer: Writer, path: str, tips: np.ndarray, pinches: Pinches, colors: np.ndarray, radius: float
 ) -> None:
-    """Sends a line between the tips that should meet, and a cage around its middle, in colours (T, 1, 3)."""
-    pairs = tips[np.arange(len(tips))[:, None], pinches.pair][:, None]
-    asked = [slice(int(pinch)) for pinch in pinches.asked]
-    lines = [pair[some] for pair, some in zip(pairs, asked, strict=True)]
-    shades = [color[some] for color, some in zip(colors, asked, strict=True)]
-    write_lines(writer, f"{path}/pinch/line", lines, 0.003, shades)
-    write_points(writer, f"{path}/pinch/cage", [line.mean(axis=1) for line in lines], radius, shades, CAGE)
+    """Sends a cage between the tips that should meet, in colours (T, 3)."""
+    middle = tips[np.arange(len(tips))[:, None], pinches.pair].mean(axis=1)
+    asked = pinches.asked.astype(int)
+    rows = [point[None][:count] for point, count in zip(middle, asked, strict=True)]
+    shades = [color[None][:count] for color, count in zip(colors, asked, strict=True)]
+    writer.points(f"{path}/pinch", rows, radius, shades, CAGE)
 
 
 def _write_lanes(writer: Writer, hand: HandModel, marks: Mapping[str, _Marks], pinches: Pinches) -> None:
     codes = np.where(pinches.asked, 1.0 + pinches.pair[:, 1], 0.0)
     labels = dict(enumerate(("–", *hand.finger_names)))
-    write_states(writer, entity_path(_PINCH_LANE), codes, labels, [_IDLE, *finger_colors(hand)])
+    writer.states(entity_path(_PINCH_LANE), codes, labels, [_IDLE, *finger_colors(hand)])
     for name, of_method in marks.items():
         collides = np.array([len(points) > 0 for points in of_method.collisions])
         pinch = np.where(of_method.closed, 1.0, 2.0)
         codes = np.where(collides, 3.0, np.where(pinches.asked, pinch, 0.0))
-        write_states(writer, entity_path(name), codes, _STATES, _STATE_COLORS)
+        writer.states(entity_path(name), codes, _STATES, _STATE_COLORS)
 
 
-def _layout(methods: Sequence[str]) -> View:
+def _layout(methods: Sequence[str]) -> views.View:
     middle = np.array([0.0, _SPACING * len(methods) / 2, 0.115])
     distance = max(0.42, 0.08 + 0.62 * _SPACING * (len(methods) + 1))
     eye = middle + np.array([distance, 0.0, 0.2 * distance])
     lanes = [entity_path(name) for name in (_PINCH_LANE, *methods)]
-    left = column(
-        scene_view(eye, middle, "recorded hand and robot hands"),
-        lanes_view(lanes, "pinches and collisions"),
-        shares=[1.0, lanes_share(len(lanes), 1.0)],
+    left = views.column(
+        views.scene_view(eye, middle, "recorded hand and robot hands"),
+        views.lanes_view(lanes, "pinches and collisions"),
+        shares=[1.0, views.lanes_share(len(lanes), 1.0)],
     )
-    right = column(
-        text_view("/about", "what you see"),
-        time_series("fingertips against a proportional copy [mm]", ["/error/**"]),
-        time_series("direction of motion kept (cosine)", ["/motion/**"]),
-        time_series("nearest thumb and finger [mm]", ["/gap/**"]),
+    right = views.column(
+        views.text_view("/about", "what you see"),
+        views.time_series("fingertips against a proportional copy [mm]", ["/error/**"]),
+        views.time_series("direction of motion kept (cosine)", ["/motion/**"]),
+        views.time_series("nearest thumb and finger [mm]", ["/gap/**"]),
         shares=[2.3, 1.2, 1.0, 1.0],
     )
-    return row(left, right, shares=[5, 3])
+    return views.row(left, right, shares=[5, 3])
 
 
 def _text(

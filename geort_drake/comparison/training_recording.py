@@ -4,6 +4,7 @@ import copy
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,9 +12,9 @@ import torch
 from geort_drake.comparison.training_scene import CRITERIA, Map, TrainingScene
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import Recording
-from geort_drake.rerun.blueprint import View, blueprint, column, row, scene_view, text_view, time_series
-from geort_drake.rerun.drawing import PALETTE, write_series, write_text
-from geort_drake.rerun.writer import STEPS, Property, file_writer
+from geort_drake.rerun import blueprint as views
+from geort_drake.rerun.streams import Property, file_writer
+from geort_drake.rerun.writer import PALETTE, STEPS
 
 APPLICATION = "geort_drake_training"
 _PLAYING_TIME = 10.0  # s
@@ -92,22 +93,20 @@ class TrainingRecorder:
         """
         maps = {step: self._map(weights) for step, weights in self._weights.items()} | {self._steps: trained}
         names = [name for name in self._losses[0] if name not in ("step", "seconds", "total")]
-        losses = np.array([[row[name] for name in names] for row in self._losses])
+        losses = np.array([[line[name] for name in names] for line in self._losses])
         id = "-".join(str(properties[key]) for key in ("method", "hand", "seed"))
         with file_writer(
             Path(path),
             application_id=APPLICATION,
             recording_id=f"training-{id}-{self._recording.digest}",
-            blueprint=blueprint(_layout(self._steps, losses), STEPS, max(self._steps / _PLAYING_TIME, 1.0)),
+            blueprint=_blueprint(self._steps, losses),
             properties=properties,
             timeline=STEPS,
         ) as writer:
-            write_text(writer, "/about", _TEXT.format(**properties))
-            writer.at(np.array([row["step"] for row in self._losses], dtype=np.int64))
+            writer.text("/about", _TEXT.format(**properties))
+            writer.at(np.array([line["step"] for line in self._losses], dtype=np.int64))
             for i, name in enumerate(names):
-                write_series(
-                    writer, f"/losses/{name}", [name], losses[:, [i]], PALETTE[i % len(PALETTE) :], 1.5
-                )
+                writer.series(f"/losses/{name}", [name], losses[:, [i]], PALETTE[i % len(PALETTE) :], 1.5)
             writer.at(np.array(list(maps), dtype=np.int64))
             TrainingScene(self._hand, self._recording, self._seed).write(writer, list(maps.values()))
 
@@ -122,22 +121,23 @@ class TrainingRecorder:
         return answer
 
 
-def _layout(steps: int, losses: np.ndarray) -> View:
-    """Of a training of so many steps with these losses (observations, losses)."""
-    scenes = [scene_view(eye, target, title, contents) for title, eye, target, contents in _VIEWS]
+def _blueprint(steps: int, losses: np.ndarray) -> Any:
+    """The layout for so many steps and losses (observations, losses)."""
+    scenes = [views.scene_view(eye, target, title, contents) for title, eye, target, contents in _VIEWS]
     criteria = [
-        time_series(title, [f"/criteria/{key}"], steps=steps, limits=limits)
+        views.time_series(title, [f"/criteria/{key}"], steps=steps, limits=limits)
         for key, (title, limits) in CRITERIA.items()
     ]
     # The highest peaks are cut, as they would flatten everything else.
     low, high = np.percentile(losses, [0, 97])
     margin = 0.05 * max(high - low, 1e-6)
     # The axis is longer than the training, to leave room for the legend.
-    curves = time_series("losses", ["/losses/**"], "right", round(1.7 * steps), (low - margin, high + margin))
-    below = row(
-        text_view("/about", "what you see"),
-        column(row(*criteria[:3]), row(*criteria[3:]), name="criteria"),
-        curves,
+    shown = round(1.7 * steps), (low - margin, high + margin)
+    below = views.row(
+        views.text_view("/about", "what you see"),
+        views.column(views.row(*criteria[:3]), views.row(*criteria[3:]), name="criteria"),
+        views.time_series("losses", ["/losses/**"], "right", *shown),
         shares=[4, 6, 4],
     )
-    return column(row(*scenes), below, shares=[5, 4])
+    layout = views.column(views.row(*scenes), below, shares=[5, 4])
+    return views.blueprint(layout, STEPS, max(steps / _PLAYING_TIME, 1.0))

@@ -16,16 +16,8 @@ from geort_drake.hands.mirror import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.recording import Recording
-from geort_drake.rerun.drawing import (
-    SOLID,
-    write_human_hand,
-    write_lines,
-    write_points,
-    write_series,
-    write_up_axis,
-)
 from geort_drake.rerun.robot_hand import write_robot_hand
-from geort_drake.rerun.writer import Writer
+from geort_drake.rerun.writer import SOLID, Writer
 from geort_drake.retargeting.clouds import voxel_centres, voxel_thinned
 from geort_drake.retargeting.training.map_figures import motion_preservation
 
@@ -83,7 +75,7 @@ class TrainingScene:
 
     def write(self, writer: Writer, maps: Sequence[Map]) -> None:
         """Sends everything; one map for each of the writer's times."""
-        write_up_axis(writer)
+        writer.up_axis()
         self._write_human(writer, len(maps))
         instant = tips_of(self._closest_pinch[None], self._hand)
         X_WB = RigidTransform([0.0, _SPACING, -self._hand.p_BW[2]])
@@ -98,9 +90,7 @@ class TrainingScene:
             "collision": self._write_collisions(writer, maps),
         }
         for key, values in curves.items():
-            write_series(
-                writer, f"/criteria/{key}", [key], np.array(values)[:, None], [_CRITERION_COLOR], 2.0
-            )
+            writer.series(f"/criteria/{key}", [key], np.array(values)[:, None], [_CRITERION_COLOR], 2.0)
 
     def _fingertips(self, q: np.ndarray) -> np.ndarray:
         return self._kinematics.fingertips(torch.from_numpy(q)).numpy()
@@ -114,19 +104,19 @@ class TrainingScene:
         return metric(fingertips, self._frames, np.random.default_rng([self._seed, 1]), anchors=_ANCHORS)
 
     def _write_human(self, writer: Writer, steps: int) -> None:
-        write_human_hand(writer, _HUMAN, np.array([self._shown(self._closest_pinch)] * steps), SKIN)
+        writer.human_hand(_HUMAN, np.array([self._shown(self._closest_pinch)] * steps), SKIN)
         for i, (name, color) in enumerate(zip(self._hand.finger_names, self._colors, strict=True)):
             cloud = self._shown(voxel_thinned(self._frames[:, i], _VOXEL))
-            write_points(writer, f"{_HUMAN}/cloud/{name}", cloud, _DOT, color)
+            writer.points(f"{_HUMAN}/cloud/{name}", cloud, _DOT, color)
             lines = self._shown(self._lattices[i].segments(self._lattices[i].nodes))
-            write_lines(writer, f"{_HUMAN}/lattice/{name}", lines, _LATTICE_RADIUS, color)
+            writer.lines(f"{_HUMAN}/lattice/{name}", lines, _LATTICE_RADIUS, color)
 
     def _write_lattices(self, writer: Writer, maps: Sequence[Map]) -> None:
         for i, (name, color) in enumerate(zip(self._hand.finger_names, self._colors, strict=True)):
             lattice = self._lattices[i]
             nodes = [self._fingertips(answer(lattice.hands))[:, i] for answer in maps]
             lines = [self._shown(lattice.segments(of_step)) for of_step in nodes]
-            write_lines(writer, f"{_ROBOT}/lattice/{name}", lines, _LATTICE_RADIUS, color)
+            writer.lines(f"{_ROBOT}/lattice/{name}", lines, _LATTICE_RADIUS, color)
 
     def _write_reach(self, writer: Writer, maps: Sequence[Map]) -> list[float]:
         """Sends which reachable places the fingertips come near to, and returns their share."""
@@ -142,7 +132,7 @@ class TrainingScene:
             )
             shares.append(near.mean(axis=1))
             colors = list(np.where(near[..., None], color, _UNREACHED))
-            write_points(writer, f"{_ROBOT}/reach/{name}", self._shown(places), _DOT, colors)
+            writer.points(f"{_ROBOT}/reach/{name}", self._shown(places), _DOT, colors)
         return list(np.mean(shares, axis=0))
 
     def _write_pinches(self, writer: Writer, maps: Sequence[Map]) -> list[float]:
@@ -153,7 +143,7 @@ class TrainingScene:
         tips = [self._fingertips(answer(self._pinching))[each, self._pairs] for answer in maps]
         closed = [pinch_closed(self._hand, of_step) for of_step in tips]
         colors = [np.where(of_step[:, None], RIGHT, WRONG) for of_step in closed]
-        write_lines(writer, f"{_ROBOT}/pinches", [self._shown(of_step) for of_step in tips], 0.0012, colors)
+        writer.lines(f"{_ROBOT}/pinches", [self._shown(of_step) for of_step in tips], 0.0012, colors)
         return [float(of_step.mean()) for of_step in closed]
 
     def _write_collisions(self, writer: Writer, maps: Sequence[Map]) -> list[float]:
@@ -161,7 +151,7 @@ class TrainingScene:
         frames = self._frames[_evenly(len(self._frames), _COLLIDING)]
         found = [collisions(self._hand, answer(frames)) for answer in maps]
         rows = [np.concatenate(of_step) for of_step in found]
-        write_points(writer, f"{_ROBOT}/collisions", rows, 0.004, WRONG, SOLID)
+        writer.points(f"{_ROBOT}/collisions", rows, 0.004, WRONG, SOLID)
         return [float(np.mean([len(points) > 0 for points in of_step])) for of_step in found]
 
 

@@ -12,19 +12,10 @@ from geort_drake.hands.model import HandModel
 from geort_drake.people.coverage import tip_distances
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.recording import Recording
-from geort_drake.rerun.blueprint import blueprint, column, lanes_view, row, scene_view, time_series
-from geort_drake.rerun.drawing import (
-    SOLID,
-    entity_path,
-    write_human_hand,
-    write_lines,
-    write_points,
-    write_series,
-    write_states,
-    write_up_axis,
-)
+from geort_drake.rerun import blueprint as views
 from geort_drake.rerun.robot_hand import write_robot_hand
-from geort_drake.rerun.writer import Property, Writer, file_writer
+from geort_drake.rerun.streams import Property, file_writer
+from geort_drake.rerun.writer import SOLID, Writer, entity_path
 
 _RATE, _FRAMES_PER_JOINT = 30.0, 24  # of a robot hand: frames per second, and for each joint
 _AXES = {"x": (230, 60, 60), "y": (60, 180, 60), "z": (60, 90, 230)}
@@ -50,11 +41,11 @@ def write_hand(
     rows = newest(t, times)
     p_HK = np.where(recording.valid[:, None, None], recording.p_HK.astype(float), np.nan)[rows]
     facts = {key: value for key, value in recording.metadata.items() if isinstance(value, str | int | float)}
-    plots = [time_series("distance from the thumb's tip [mm]", ["/gap/**"], legend="left")]
+    plots = [views.time_series("distance from the thumb's tip [mm]", ["/gap/**"], legend="left")]
     if states:
-        plots.append(lanes_view([entity_path(key) for key in states], "phase"))
-    scene = scene_view((0.34, -0.30, 0.33), (0.02, 0.0, 0.09))
-    layout = blueprint(row(scene, column(*plots), shares=[3, 2]))
+        plots.append(views.lanes_view([entity_path(key) for key in states], "phase"))
+    scene = views.scene_view((0.34, -0.30, 0.33), (0.02, 0.0, 0.09))
+    layout = views.blueprint(views.row(scene, views.column(*plots), shares=[3, 2]))
     with file_writer(
         Path(path),
         application_id="geort_drake_hand",
@@ -63,15 +54,15 @@ def write_hand(
         properties=facts,
     ) as writer:
         writer.at(times)
-        write_up_axis(writer)
-        write_human_hand(writer, "/world/human", p_HK, SKIN)
+        writer.up_axis()
+        writer.human_hand("/world/human", p_HK, SKIN)
         others = FINGER_NAMES[1:]
         colors = [rgb(FINGER_COLOURS[finger]) for finger in others]
-        write_series(writer, "/gap/thumb", others, 1e3 * tip_distances(p_HK), colors)
+        writer.series("/gap/thumb", others, 1e3 * tip_distances(p_HK), colors)
         for key, names in (states or {}).items():
             labels = list(dict.fromkeys(names))
             codes = [labels.index(names[frame]) for frame in rows]
-            write_states(writer, entity_path(key), codes, dict(enumerate(labels)))
+            writer.states(entity_path(key), codes, dict(enumerate(labels)))
 
 
 def record_hand(hand: HandModel, path: Path) -> None:
@@ -83,11 +74,12 @@ def record_hand(hand: HandModel, path: Path) -> None:
     tips = hand.fingertips(q)
     reach = float(np.abs(tips).max())
     properties: dict[str, Property] = {"hand": hand.description.name}
+    scene = views.scene_view(2.0 * reach * np.array([1.0, -0.8, 0.8]), (0.0, 0.0, 0.4 * reach))
     with file_writer(
         path,
         application_id="geort_drake_robot_hand",
         recording_id=f"hand-{hand.digest}",
-        blueprint=blueprint(scene_view(2.0 * reach * np.array([1.0, -0.8, 0.8]), (0.0, 0.0, 0.4 * reach))),
+        blueprint=views.blueprint(scene),
         properties=properties,
     ) as writer:
         writer.at(np.arange(len(q)) / _RATE)
@@ -98,12 +90,12 @@ def record_hand(hand: HandModel, path: Path) -> None:
 def _write_marks(writer: Writer, hand: HandModel, tips: np.ndarray) -> None:
     for number, (axis, color) in enumerate(_AXES.items()):
         line = np.array([[np.zeros(3), _AXIS_LENGTH * np.eye(3)[number]]])
-        write_lines(writer, f"/world/hand_base/{axis}", line, 0.002, color)
+        writer.lines(f"/world/hand_base/{axis}", line, 0.002, color)
     for number, finger in enumerate(hand.description.fingers):
         # Translucent, around the tip that the model draws.
         color = (*rgb(FINGER_COLOURS[finger.name]), 130)
         rows = list(tips[:, [number]])
-        write_points(writer, f"/world/tips/{finger.name}", rows, 1.25 * finger.tip_radius, color, SOLID)
+        writer.points(f"/world/tips/{finger.name}", rows, 1.25 * finger.tip_radius, color, SOLID)
 
 
 def _sweep(hand: HandModel) -> np.ndarray:

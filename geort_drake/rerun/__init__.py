@@ -25,7 +25,8 @@ from geort_drake.rerun.specs import (
     SignalSpec,
     StateSpec,
 )
-from geort_drake.rerun.writer import Writer, file_writer
+from geort_drake.rerun.streams import file_writer
+from geort_drake.rerun.writer import Writer
 
 __all__ = [
     "CameraSpec",

@@ -26,6 +26,7 @@ from geort_drake.rerun.specs import (
     SignalSpec,
     StateSpec,
 )
+from geort_drake.rerun.streams import LiveSink, Property, is_live
 from geort_drake.rerun.tracks import (
     CameraTrack,
     ContactTrack,
@@ -37,7 +38,6 @@ from geort_drake.rerun.tracks import (
     Track,
     port_name,
 )
-from geort_drake.rerun.writer import LiveSink, Property, is_live
 
 Target = str | os.PathLike | LiveSink
 

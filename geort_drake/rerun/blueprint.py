@@ -7,8 +7,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from geort_drake.rerun.drawing import WORLD
-from geort_drake.rerun.writer import TIMELINE
+from geort_drake.rerun.writer import TIMELINE, WORLD
 
 # A grey on which black hands, white arms and skin are visible; the grid is hardly brighter.
 _BACKGROUND, _GRID = (70, 76, 88), (92, 99, 112, 255)
@@ -64,46 +63,28 @@ def scene_view(
     name: str = "scene",
     contents: Sequence[str] = ("$origin/**",),
     overrides: Mapping[Any, Any] | None = None,
+    origin: str = f"/{WORLD}",
+    up: Vector = (0.0, 0.0, 1.0),
 ) -> View:
-    """The world, or `contents` of it, with a grid on the ground; `eye` looks at `target`, m, in W."""
+    """The world, with a grid on the ground, or another entity in its own frame.
+
+    Args:
+        eye, target, up: eye, what it looks at, and up direction, m, in the frame of `origin`.
+        contents: entities that are shown.
+        overrides: entity path → components that the view replaces.
+    """
     # A little below z = 0, where tables often have their tops.
     plane = rr.components.Plane3D.XY.with_distance(-0.005)
     grid = rrb.LineGrid3D(visible=True, spacing=0.1, stroke_width=0.5, color=_GRID, plane=plane)
-    return _view_3d(f"/{WORLD}", name, contents, eye, target, (0.0, 0.0, 1.0), grid, overrides)
-
-
-def close_view(
-    origin: str,
-    name: str,
-    contents: Sequence[str],
-    eye: Vector,
-    target: Vector,
-    up: Vector,
-    overrides: Mapping[Any, Any] | None = None,
-) -> View:
-    """A view in the frame of the entity `origin`; eye, target and up direction are in that frame, m."""
-    return _view_3d(origin, name, contents, eye, target, up, False, overrides)
-
-
-def _view_3d(
-    origin: str,
-    name: str,
-    contents: Sequence[str],
-    eye: Vector,
-    target: Vector,
-    up: Vector,
-    grid: Any,
-    overrides: Mapping[Any, Any] | None,
-) -> View:
     controls = rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=eye, look_target=target, eye_up=up)
     return rrb.Spatial3DView(
         origin=origin,
         contents=list(contents),
         name=name,
         background=_BACKGROUND,
-        line_grid=grid,
+        line_grid=grid if origin == f"/{WORLD}" else False,
         eye_controls=controls,
-        overrides=dict(overrides or {}),
+        overrides=overrides,
     )
 
 

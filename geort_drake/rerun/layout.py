@@ -11,7 +11,6 @@ import rerun.blueprint as rrb
 from geort_drake.errors import ScenarioError
 from geort_drake.people.keypoints import FINGER_NAMES, wrist_pose
 from geort_drake.rerun import blueprint as views
-from geort_drake.rerun.drawing import HAND_FRAME, WORLD, entity_path
 from geort_drake.rerun.scene import Scene
 from geort_drake.rerun.specs import CloseUpSpec
 from geort_drake.rerun.tracks import (
@@ -25,7 +24,7 @@ from geort_drake.rerun.tracks import (
     Track,
     body_and_pose,
 )
-from geort_drake.rerun.writer import TIMELINE
+from geort_drake.rerun.writer import HAND_FRAME, TIMELINE, WORLD, entity_path
 
 VIEW_FROM = (0.62, -0.62, 0.48)  # from the scene to the eye: from the front left, above
 _VIEWS, _PLOTS = 3.0, 2.0  # relative heights
@@ -106,7 +105,7 @@ class Layout:
         overrides: dict[str, Any] = dict(trails)
         for body in spec.see_through:
             overrides |= self.scene.translucent_shapes(int(body.index()))
-        return views.close_view(origin, name, [contents], eye, target, R_WF[2], overrides)
+        return views.scene_view(eye, target, name, [contents], overrides, origin, R_WF[2])
 
     def _target_and_eye(self, poses: PoseTrack, hands: Sequence[HandTrack]) -> tuple[np.ndarray, np.ndarray]:
         """Target and eye, m, in W, for a view of the moving bodies and the hands.

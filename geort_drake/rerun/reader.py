@@ -11,8 +11,7 @@ import pyarrow as pa
 from rerun.chunk import RrdReader
 
 from geort_drake.errors import RecordingError
-from geort_drake.rerun.drawing import WORLD
-from geort_drake.rerun.writer import TIMELINE
+from geort_drake.rerun.writer import TIMELINE, WORLD
 
 _NAMES = "SeriesLines:names"
 _SCALARS, _STATE = "Scalars:scalars", "StateChange:state"

@@ -25,8 +25,9 @@ from pydrake.systems.framework import (
 )
 
 from geort_drake.rerun.layout import Layout
+from geort_drake.rerun.streams import LiveSink, Property, file_writer, live_writer
 from geort_drake.rerun.tracks import Track
-from geort_drake.rerun.writer import LiveSink, Property, Writer, file_writer, live_writer
+from geort_drake.rerun.writer import Writer
 
 _BATCH_S = 0.1  # wall time between two batches for viewers
 _READ_AT_ONCE = 64  # samples

@@ -4,9 +4,8 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from geort_drake.hands.model import HandModel
-from geort_drake.rerun.drawing import transform, write_poses
 from geort_drake.rerun.scene import describe_scene
-from geort_drake.rerun.writer import Writer
+from geort_drake.rerun.writer import Writer, transform
 
 
 def write_robot_hand(
@@ -29,4 +28,4 @@ def write_robot_hand(
         hand.query(positions, root)
         poses = port.Eval(context)
         row[:] = [poses[i].GetAsMatrix34() for i in scene.moving]
-    write_poses(writer, [scene.paths[i] for i in scene.moving], rows)
+    writer.poses([scene.paths[i] for i in scene.moving], rows)

@@ -25,43 +25,21 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, RigidBody
 
-from geort_drake.rerun.drawing import SOLID, WORLD, entity_path, transform, write_up_axis, xyzw
 from geort_drake.rerun.meshes import draw_mesh
-from geort_drake.rerun.writer import Writer
+from geort_drake.rerun.writer import SOLID, WORLD, Writer, entity_path, transform, xyzw
 
 _DEFAULT_COLOR = Rgba(0.75, 0.75, 0.78, 1.0)
 _TRANSLUCENT = 90  # opacity, of 255
 _HALF_SPACE_SIDE = 2.0  # m; a half space is drawn as a square
 
-# Drake's shape → name of the entity, archetype, its dimensions, and offset along z of its origin, m.
-_SHAPES: dict[type, tuple[str, Any, Callable[[Any], dict], Callable[[Any], float]]] = {
-    Box: ("boxes", rr.Boxes3D, lambda s: {"sizes": s.size()}, lambda _: 0.0),
-    HalfSpace: (
-        "boxes",
-        rr.Boxes3D,
-        lambda _: {"sizes": [_HALF_SPACE_SIDE, _HALF_SPACE_SIDE, 0.002]},
-        lambda _: -0.001,
-    ),
-    Sphere: ("ellipsoids", rr.Ellipsoids3D, lambda s: {"half_sizes": [s.radius()] * 3}, lambda _: 0.0),
-    Ellipsoid: (
-        "ellipsoids",
-        rr.Ellipsoids3D,
-        lambda s: {"half_sizes": [s.a(), s.b(), s.c()]},
-        lambda _: 0.0,
-    ),
-    Cylinder: (
-        "cylinders",
-        rr.Cylinders3D,
-        lambda s: {"lengths": s.length(), "radii": s.radius()},
-        lambda _: 0.0,
-    ),
-    # Drake centres a capsule; Rerun's begins at its origin.
-    Capsule: (
-        "capsules",
-        rr.Capsules3D,
-        lambda s: {"lengths": s.length(), "radii": s.radius()},
-        lambda s: -s.length() / 2,
-    ),
+# Drake's shape → name of the entity, archetype, and its dimensions.
+_SHAPES: dict[type, tuple[str, Any, Callable[[Any], dict]]] = {
+    Box: ("boxes", rr.Boxes3D, lambda s: {"sizes": s.size()}),
+    HalfSpace: ("boxes", rr.Boxes3D, lambda _: {"sizes": [_HALF_SPACE_SIDE, _HALF_SPACE_SIDE, 0.0]}),
+    Sphere: ("ellipsoids", rr.Ellipsoids3D, lambda s: {"half_sizes": [s.radius()] * 3}),
+    Ellipsoid: ("ellipsoids", rr.Ellipsoids3D, lambda s: {"half_sizes": [s.a(), s.b(), s.c()]}),
+    Cylinder: ("cylinders", rr.Cylinders3D, lambda s: {"lengths": s.length(), "radii": s.radius()}),
+    Capsule: ("capsules", rr.Capsules3D, lambda s: {"lengths": s.length(), "radii": s.radius()}),
 }
 
 
@@ -85,7 +63,7 @@ class Scene:
 
     def write(self, writer: Writer) -> None:
         """Sends everything that does not change."""
-        write_up_axis(writer)
+        writer.up_axis()
         for index, X_WB in self.anchored.items():
             writer.static(self.paths[index], transform(X_WB))
         for path, archetype in self.shapes:
@@ -160,14 +138,13 @@ def _draw(
         color = _color(inspector, geometry)
         name = inspector.GetName(geometry).rsplit("::", 1)[-1]
         if type(shape) in _SHAPES:
-            kind, archetype, dimensions, offset = _SHAPES[type(shape)]
-            center = "translations" if archetype is rr.Capsules3D else "centers"
-            row = {
-                "labels": name,
-                "colors": color,
-                "quaternions": xyzw(X_BG),
-                center: X_BG @ [0.0, 0.0, offset(shape)],
-            }
+            kind, archetype, dimensions = _SHAPES[type(shape)]
+            row = {"labels": name, "colors": color, "quaternions": xyzw(X_BG)}
+            if isinstance(shape, Capsule):
+                # Drake centres a capsule; Rerun's begins at its origin.
+                row["translations"] = X_BG @ [0.0, 0.0, -shape.length() / 2]
+            else:
+                row["centers"] = X_BG.translation()
             for key, value in (row | dimensions(shape)).items():
                 batches[kind, archetype][key].append(value)
         elif mesh := draw_mesh(inspector, geometry, role, color):

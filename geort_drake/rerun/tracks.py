@@ -17,20 +17,9 @@ from pydrake.systems.sensors import ImageRgba8U
 
 from geort_drake.colours import FINGER_COLOURS, Color, rgb
 from geort_drake.errors import ScenarioError
-from geort_drake.rerun.drawing import (
-    PALETTE,
-    SOLID,
-    WORLD,
-    entity_path,
-    write_human_hand,
-    write_points,
-    write_poses,
-    write_series,
-    write_states,
-)
 from geort_drake.rerun.scene import Scene
 from geort_drake.rerun.specs import CameraSpec, ContactSpec, HandSpec, PointsSpec, SignalSpec, StateSpec
-from geort_drake.rerun.writer import Writer
+from geort_drake.rerun.writer import PALETTE, SOLID, WORLD, Writer, entity_path
 
 _CONTACT_COLOR: Color = (255, 200, 40)
 _NO_CONTACTS = np.empty((0, 8))
@@ -90,7 +79,7 @@ class PoseTrack(Track):
         return np.reshape(rows, (len(rows), len(self._indices), 3, 4))
 
     def write(self, writer: Writer, rows: Sequence[np.ndarray]) -> None:
-        write_poses(writer, self._paths, self.poses(rows))
+        writer.poses(self._paths, self.poses(rows))
 
 
 class SignalTrack(Track):
@@ -143,7 +132,7 @@ class SignalTrack(Track):
             if spec.faint:
                 colors = (colors + 255) // 2
             names = [f"{spec.names[i].rpartition('/')[2]} {spec.label}".strip() for i in members]
-            write_series(writer, path, names, values[:, members], colors, 1.0 if spec.faint else 1.75)
+            writer.series(path, names, values[:, members], colors, 1.0 if spec.faint else 1.75)
 
 
 class StateTrack(Track):
@@ -159,7 +148,7 @@ class StateTrack(Track):
         return float(value[0])
 
     def write(self, writer: Writer, rows: Sequence[float]) -> None:
-        write_states(writer, self.path, rows, self._labels)
+        writer.states(self.path, rows, self._labels)
 
 
 class HandTrack(Track):
@@ -188,7 +177,7 @@ class HandTrack(Track):
         return ((self._X_WO @ X_OH) @ keypoints.reshape(21, 3).T).T
 
     def write(self, writer: Writer, rows: Sequence[np.ndarray]) -> None:
-        write_human_hand(writer, self.path, np.reshape(rows, (len(rows), 21, 3)), self._color)
+        writer.human_hand(self.path, np.reshape(rows, (len(rows), 21, 3)), self._color)
 
 
 class PointTrack(Track):
@@ -240,7 +229,7 @@ class PointTrack(Track):
         colors: Any = [palette[mask] for mask in drawn] if len(palette) > 1 else palette[0]
         fill = SOLID if (palette[:, 3:] < 255).any() else None
         visible = [row[mask] for row, mask in zip(points, drawn, strict=True)]
-        write_points(writer, self.path, visible, self._spec.radius, colors, fill)
+        writer.points(self.path, visible, self._spec.radius, colors, fill)
 
 
 class CameraTrack(Track):
@@ -274,7 +263,7 @@ class CameraTrack(Track):
         )
         writer.static(self.path, pinhole)
         X_WC = np.array([np.full((3, 4), np.nan) if row is None else row[1] for row in rows])
-        write_poses(writer, [self.path], X_WC.reshape(-1, 1, 3, 4))
+        writer.poses([self.path], X_WC.reshape(-1, 1, 3, 4))
         taken = np.array([i for i, row in enumerate(rows) if row is not None], dtype=int)
         images = [row[0] for row in rows if row is not None]
         columns = rr.EncodedImage.columns(blob=images, media_type=["image/jpeg"] * len(images))
@@ -358,7 +347,7 @@ class ContactTrack(Track):
             force = np.bincount(sample[crossing], magnitude[crossing], minlength=len(writer.times))
             finger = FINGER_COLOURS.get(name)
             color = PALETTE[number % len(PALETTE)] if finger is None else rgb(finger)
-            write_series(writer, path, [name], force[:, None], [color], 1.5)
+            writer.series(path, [name], force[:, None], [color], 1.5)
 
 
 def body_and_pose(frame: Frame) -> tuple[int, RigidTransform]:

@@ -1,34 +1,46 @@
-"""Writers of columns to Rerun: to a file that is whole or absent, and to open viewers."""
+"""`Writer`: arrays over time as Rerun entities, such as poses, time series, points and human hands."""
 
-import contextlib
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
-import rerun.blueprint as rrb
+from pydrake.math import RigidTransform
 
-from geort_drake.errors import OutputError
-from geort_drake.files import atomic_path
+from geort_drake.colours import FINGER_COLOURS, Color, rgb
+from geort_drake.people.keypoints import BONES, TIP_KEYPOINT, wrist_pose
 
 TIMELINE = "sim_time"  # s
 STEPS = "step"  # of a training
 FLUSH_TIMEOUT = 5.0  # s; a viewer that was closed must not block the simulation
-Property = str | int | float | bool
-LiveSink = rr.GrpcSink | rr.GrpcServerSink
-# The end of every complete file.
-_FOOTER, _FOOTER_BYTES = b"RRF2FOOT", 12
+WORLD = "world"
+HAND_FRAME = "wrist"  # entity below a human hand that holds the pose of its wrist frame
+SOLID, CAGE = rr.components.FillMode.Solid, rr.components.FillMode.MajorWireframe
+# Matplotlib's "tab10", which colour-blind readers can tell apart, too.
+PALETTE: tuple[Color, ...] = tuple(
+    rgb(f"#{color}")
+    for color in "1f77b4 ff7f0e 2ca02c d62728 9467bd 8c564b e377c2 7f7f7f bcbd22 17becf".split()
+)
+# One colour for all items; one for each item of a row; or (k, 3 or 4) for the k items of each row.
+Colors = Color | Sequence[Color] | Sequence[np.ndarray]
+
+_BONE_RADII = np.tile([0.007, 0.0085, 0.0075, 0.0065], 5)  # of an average hand, base to tip, m
+
+
+def entity_path(*keys: str) -> str:
+    """An entity path of keys that may themselves hold slashes; special characters are escaped."""
+    return "/" + "/".join(rr.escape_entity_path_part(part) for key in keys for part in key.split("/") if part)
 
 
 class Writer:
-    """Sends arrays to one recording; malformed data raise an error instead of being dropped.
+    """Sends arrays to one recording, one row for each of its `times`, in one batch or several.
+
+    Malformed data raise an error instead of being dropped.
 
     Attributes:
         times: (T,) of the rows that are sent next: s as floats, or steps as integers.
-        memory: what the drawing functions keep from one batch to the next.
+        memory: what is kept from one batch to the next.
     """
 
     def __init__(self, stream: rr.RecordingStream, timeline: str = TIMELINE):
@@ -55,6 +67,146 @@ class Writer:
         if len(index.as_arrow_array()):
             self._stream.send_columns(path, [index], columns, strict=True)
 
+    def text(self, path: str, markdown: str) -> None:
+        """Sends a text that holds at all times."""
+        self.static(path, rr.TextDocument(markdown, media_type="text/markdown"))
+
+    def up_axis(self) -> None:
+        """Tells the viewer that z is up in the world."""
+        self.static(f"/{WORLD}", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+
+    def poses(self, paths: Sequence[str], X: np.ndarray) -> None:
+        """Sends poses X (T, B, 3, 4) of B entities in their parents' frames; any with a NaN is left out."""
+        finite = np.isfinite(X).all(axis=(2, 3))
+        X = np.where(finite[..., None, None], X, np.eye(3, 4))
+        translations = X[..., 3].astype(np.float32)
+        rotations = quaternions(X[..., :3]).astype(np.float32)
+        for k, path in enumerate(paths):
+            rows = None if finite[:, k].all() else finite[:, k]
+            chosen = slice(None) if rows is None else rows
+            columns = rr.Transform3D.columns(
+                translation=translations[chosen, k], quaternion=rotations[chosen, k]
+            )
+            self.columns(path, columns, rows)
+
+    def series(
+        self,
+        path: str,
+        names: Sequence[str],
+        values: np.ndarray,
+        colors: Sequence[Color] | np.ndarray = PALETTE,
+        width: float = 1.75,
+    ) -> None:
+        """Sends values (T, n) as n time series of one entity."""
+        n = len(names)
+        shades = [colors[i % len(colors)] for i in range(n)]
+        self.static(path, rr.SeriesLines(names=list(names), colors=shades, widths=[width] * n))
+        self.columns(path, rr.Scalars.columns(scalars=np.ravel(values)).partition([n] * len(values)))
+
+    def states(
+        self,
+        path: str,
+        codes: Sequence[float],
+        labels: Mapping[int, str],
+        colors: Sequence[Color] = PALETTE,
+    ) -> None:
+        """Sends codes (T,) as a lane of named states, where they change."""
+        names = list(labels.values())
+        shades = [colors[i % len(colors)] for i in range(len(names))]
+        self.static(path, rr.StateConfiguration(values=names, labels=names, colors=shades))
+        states = [labels.get(int(c), f"code {c:g}") if np.isfinite(c) else "nan" for c in codes]
+        before = [self.memory.get(path), *states]
+        changes = np.array([i for i, state in enumerate(states) if state != before[i]], dtype=int)
+        self.columns(path, rr.StateChange.columns(state=[states[i] for i in changes]), changes)
+        self.memory[path] = before[-1]
+
+    def points(
+        self,
+        path: str,
+        rows: list[np.ndarray] | np.ndarray,
+        radius: float,
+        colors: Colors,
+        fill: rr.components.FillMode | None = None,
+    ) -> None:
+        """Sends points, m.
+
+        Args:
+            rows: a list of (k, 3), where k may change from time to time; or an array (k, 3) of fixed points.
+            fill: SOLID or CAGE for balls, which can be translucent; by default dots, which are opaque.
+        """
+        if fill is None:
+            self._items(path, rr.Points3D, "positions", rows, colors, {"radii": [radius]})
+        else:
+            style = {"fill_mode": fill, "line_radii": [0.0007]}
+            self._items(path, rr.Ellipsoids3D, "centers", rows, colors, style, half_size=radius)
+
+    def lines(self, path: str, rows: list[np.ndarray] | np.ndarray, radius: float, colors: Colors) -> None:
+        """Sends line segments, m: a list of (k, 2, 3), or an array (k, 2, 3) of fixed segments."""
+        self._items(path, rr.LineStrips3D, "strips", rows, colors, {"radii": [radius]})
+
+    def _items(
+        self,
+        path: str,
+        archetype: Any,
+        name: str,
+        rows: list[np.ndarray] | np.ndarray,
+        colors: Any,
+        style: Mapping[str, Any],
+        half_size: float | None = None,
+    ) -> None:
+        """Sends items whose places, component `name`, and colours are fixed or change from time to time."""
+        fixed, varying = dict(style), {}
+        places, items = (fixed, rows) if isinstance(rows, np.ndarray) else (varying, _stack(rows))
+        places[name] = items
+        if half_size is not None:
+            places["half_sizes"] = np.full_like(items, half_size)
+        counts = [len(rows)] * len(self.times) if isinstance(rows, np.ndarray) else [len(row) for row in rows]
+        if len(colors) and np.ndim(colors[0]) == 0:
+            fixed["colors"] = [colors]
+        else:
+            shades = list(colors) if not len(colors) or np.ndim(colors[0]) == 2 else [colors] * len(counts)
+            varying["colors"] = _stack(shades).astype(np.uint8)
+        self.static(path, archetype.from_fields(**fixed))
+        if varying:
+            self.columns(path, archetype.columns(**varying).partition(counts))
+
+    def label(self, path: str, text: str, color: Color, position: Sequence[float]) -> None:
+        """Sends a text at a position, m, that holds at all times."""
+        self.static(
+            path, rr.Points3D([position], labels=[text], show_labels=True, radii=[0.0], colors=[color])
+        )
+
+    def human_hand(self, path: str, p_WK: np.ndarray, color: Color) -> None:
+        """Sends a human hand of keypoints p_WK (T, 21, 3), m; hands with a NaN are not drawn.
+
+        Bones are capsules, joints spheres, fingertips spheres in the colours of the fingers.
+        """
+        bones, points = f"{path}/bones", f"{path}/keypoints"
+        skin = np.array(color)
+        self.static(bones, rr.Capsules3D.from_fields(radii=_BONE_RADII, colors=[skin], fill_mode=SOLID))
+        # Joints stand out from the skin a little, and are darker.
+        radii = np.r_[0.011, 1.08 * _BONE_RADII.reshape(5, 4)[:, [1, 2, 3, 3]].ravel()]
+        colors = np.tile((0.72 * skin).astype(np.uint8), (21, 1))
+        for finger, tip in TIP_KEYPOINT.items():
+            colors[tip], radii[tip] = rgb(FINGER_COLOURS[finger]), 1.3 * radii[tip]
+        self.static(points, rr.Points3D.from_fields(radii=radii, colors=colors))
+        p_WK = np.reshape(p_WK, (-1, 21, 3))
+        R_WH, p_WH = wrist_pose(p_WK)
+        self.poses([f"{path}/{HAND_FRAME}"], np.concatenate([R_WH, p_WH[..., None]], axis=2)[:, None])
+        drawn = np.isfinite(p_WK).all(axis=(1, 2))
+        p_WK = p_WK[drawn]
+        # An empty entry takes a lost hand off the screen.
+        count = drawn.astype(int)
+        parents, children = np.array(BONES).T
+        along = p_WK[:, children] - p_WK[:, parents]
+        capsules = rr.Capsules3D.columns(
+            lengths=np.linalg.norm(along, axis=2).ravel(),
+            translations=p_WK[:, parents].reshape(-1, 3),
+            quaternions=_turn_z_to(along.reshape(-1, 3)),
+        )
+        self.columns(bones, capsules.partition(20 * count))
+        self.columns(points, rr.Points3D.columns(positions=p_WK.reshape(-1, 3)).partition(21 * count))
+
     def close(self) -> None:
         """Ends the recording; a viewer that does not receive the last data in time causes a warning."""
         try:
@@ -68,77 +220,44 @@ class Writer:
         return rr.TimeColumn(self._timeline, **{kind: times})
 
 
-@contextlib.contextmanager
-def file_writer(
-    path: Path,
-    *,
-    application_id: str,
-    recording_id: str,
-    blueprint: rrb.Blueprint,
-    properties: Mapping[str, Property],
-    timeline: str = TIMELINE,
-) -> Iterator[Writer]:
-    """Yields the writer of a file, which appears when the block ends without an error.
+def transform(X: RigidTransform) -> rr.Transform3D:
+    """A pose that holds at all times."""
+    return rr.Transform3D(translation=X.translation(), quaternion=rr.Quaternion(xyzw=xyzw(X)))
 
-    Equal data give equal columns; log times are left out. With the environment variable RERUN=off no file
-    is written, and a warning says so.
 
-    Raises:
-        OutputError: the disk is full, or the place is not writable.
+def xyzw(X: RigidTransform) -> np.ndarray:
+    """The rotation as a quaternion in Rerun's order."""
+    return np.roll(X.rotation().ToQuaternion().wxyz(), -1)
+
+
+def quaternions(R: np.ndarray) -> np.ndarray:
+    """Unit quaternions (..., 4), xyzw, of valid rotation matrices (..., 3, 3).
+
+    `scipy.spatial.transform.Rotation` takes several times as long, mostly to check the matrices.
     """
-    stream = _stream(application_id, recording_id)
-    if not rr.is_enabled(stream):
-        warnings.warn(f"{path}: not written, as the environment says RERUN=off", stacklevel=4)
-        yield Writer(stream, timeline)
-        return
-    with atomic_path(path) as draft:
-        try:
-            stream.save(draft, default_blueprint=blueprint)
-            _send_properties(stream, path.stem, properties)
-            yield Writer(stream, timeline)
-        finally:
-            stream.disconnect()
-        # Rerun reports failed writes on stderr only.
-        with draft.open("rb") as file:
-            file.seek(max(0, draft.stat().st_size - _FOOTER_BYTES))
-            whole = _FOOTER in file.read()
-        if not whole:
-            raise OutputError(f"{path}: cannot be written to its end: is the disk full?")
-
-
-def live_writer(
-    sinks: Sequence[LiveSink],
-    *,
-    application_id: str,
-    blueprint: rrb.Blueprint,
-    name: str,
-    properties: Mapping[str, Property],
-) -> Writer:
-    """A writer to viewers that are open while the data come in."""
-    stream = _stream(application_id, None)
-    stream.set_sinks(*sinks, default_blueprint=blueprint)
-    _send_properties(stream, name, properties)
-    return Writer(stream)
-
-
-def is_live(target: object) -> bool:
-    """Whether this is a viewer or its address rather than a file."""
-    return isinstance(target, LiveSink) or (
-        isinstance(target, str) and target.startswith(("rerun://", "rerun+http://", "rerun+https://"))
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(R, (-2, -1), (0, 1))
+    # Every row is the quaternion times four times one of its elements; the largest one is exact.
+    rows = np.array(
+        [
+            [1 + xx - yy - zz, xy + yx, zx + xz, zy - yz],
+            [xy + yx, 1 - xx + yy - zz, yz + zy, xz - zx],
+            [zx + xz, yz + zy, 1 - xx - yy + zz, yx - xy],
+            [zy - yz, xz - zx, yx - xy, 1 + xx + yy + zz],
+        ]
     )
+    largest = np.argmax(np.einsum("ii...->i...", rows), axis=0)
+    q = np.take_along_axis(rows, largest[None, None], axis=0)[0]
+    return np.moveaxis(q / np.linalg.norm(q, axis=0), 0, -1)
 
 
-def _stream(application_id: str, recording_id: str | None) -> rr.RecordingStream:
-    stream = rr.RecordingStream(application_id, recording_id=recording_id, send_properties=False)
-    stream.set_log_time_enabled(False)
-    stream.set_log_tick_enabled(False)
-    return stream
+def _stack(rows: Sequence[np.ndarray]) -> np.ndarray:
+    return np.concatenate(rows) if len(rows) else np.empty((0, 3))
 
 
-def _send_properties(stream: rr.RecordingStream, name: str, properties: Mapping[str, Property]) -> None:
-    stream.send_recording_name(name)
-    if properties:
-        # Typed arrays, because Rerun keeps the first type of each name for the whole process.
-        stream.send_property(
-            "run", rr.AnyValues(**{key: pa.array([value]) for key, value in properties.items()})
-        )
+def _turn_z_to(directions: np.ndarray) -> np.ndarray:
+    """Shortest rotations (n, 4), xyzw, that turn the z axis to the directions (n, 3)."""
+    length = np.maximum(np.linalg.norm(directions, axis=1), 1e-12)
+    x, y, z = (directions / length[:, None]).T
+    turns = np.stack([-y, x, np.zeros_like(x), 1 + z], axis=1)
+    turns[z < -1 + 1e-9] = (1.0, 0.0, 0.0, 0.0)  # straight down: half a turn about x
+    return turns / np.linalg.norm(turns, axis=1, keepdims=True)

@@ -1,0 +1,95 @@
+"""Where recordings are written: to a file that is whole or absent, and to open viewers."""
+
+import contextlib
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import pyarrow as pa
+import rerun as rr
+import rerun.blueprint as rrb
+
+from geort_drake.errors import OutputError
+from geort_drake.files import atomic_path
+from geort_drake.rerun.writer import TIMELINE, Writer
+
+Property = str | int | float | bool
+LiveSink = rr.GrpcSink | rr.GrpcServerSink
+# The end of every complete file.
+_FOOTER, _FOOTER_BYTES = b"RRF2FOOT", 12
+
+
+@contextlib.contextmanager
+def file_writer(
+    path: Path,
+    *,
+    application_id: str,
+    recording_id: str,
+    blueprint: rrb.Blueprint,
+    properties: Mapping[str, Property],
+    timeline: str = TIMELINE,
+) -> Iterator[Writer]:
+    """Yields the writer of a file, which appears when the block ends without an error.
+
+    Equal data give equal columns; log times are left out. With the environment variable RERUN=off no file
+    is written, and a warning says so.
+
+    Raises:
+        OutputError: the disk is full, or the place is not writable.
+    """
+    stream = _stream(application_id, recording_id)
+    if not rr.is_enabled(stream):
+        warnings.warn(f"{path}: not written, as the environment says RERUN=off", stacklevel=4)
+        yield Writer(stream, timeline)
+        return
+    with atomic_path(path) as draft:
+        try:
+            stream.save(draft, default_blueprint=blueprint)
+            _send_properties(stream, path.stem, properties)
+            yield Writer(stream, timeline)
+        finally:
+            stream.disconnect()
+        # Rerun reports failed writes on stderr only.
+        with draft.open("rb") as file:
+            file.seek(max(0, draft.stat().st_size - _FOOTER_BYTES))
+            whole = _FOOTER in file.read()
+        if not whole:
+            raise OutputError(f"{path}: cannot be written to its end: is the disk full?")
+
+
+def live_writer(
+    sinks: Sequence[LiveSink],
+    *,
+    application_id: str,
+    blueprint: rrb.Blueprint,
+    name: str,
+    properties: Mapping[str, Property],
+) -> Writer:
+    """A writer to viewers that are open while the data come in."""
+    stream = _stream(application_id, None)
+    stream.set_sinks(*sinks, default_blueprint=blueprint)
+    _send_properties(stream, name, properties)
+    return Writer(stream)
+
+
+def is_live(target: object) -> bool:
+    """Whether this is a viewer or its address rather than a file."""
+    return isinstance(target, LiveSink) or (
+        isinstance(target, str) and target.startswith(("rerun://", "rerun+http://", "rerun+https://"))
+    )
+
+
+def _stream(application_id: str, recording_id: str | None) -> rr.RecordingStream:
+    stream = rr.RecordingStream(application_id, recording_id=recording_id, send_properties=False)
+    stream.set_log_time_enabled(False)
+    stream.set_log_tick_enabled(False)
+    return stream
+
+
+def _send_properties(stream: rr.RecordingStream, name: str, properties: Mapping[str, Property]) -> None:
+    stream.send_recording_name(name)
+    if properties:
+        # Typed arrays, because Rerun keeps the first type of each name for the whole process.
+        stream.send_property(
+            "run", rr.AnyValues(**{key: pa.array([value]) for key, value in properties.items()})
+        )
