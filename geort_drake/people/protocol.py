@@ -89,13 +89,13 @@ def _steps() -> list[Step]:
     ]
     fingers = list(enumerate(FINGER_NAMES))[1:]
     for i, name in fingers:
-        told = f"Move the {name} finger alone: sideways while stretched, half bent and bent; then anywhere."
-        steps.append(Step(f"{name} alone", told, 20, _alone(i)))
+        text = f"Move the {name} finger alone: sideways while stretched, half bent and bent; then anywhere."
+        steps.append(Step(f"{name} alone", text, 20, _alone(i)))
     for i, name in fingers:
-        told = f"Pinch thumb and {name} finger, slide the tips along each other, let go; each time elsewhere."
-        steps.append(Step(f"thumb to {name}", told, 30, _pinch_with(i)))
-    told = "Do what your robot will do: reach, hold, turn things between the fingers."
-    return [*steps, Step("like a tool", told, 10, _free(wave))]
+        text = f"Pinch thumb and {name} finger, slide the tips along each other, let go; each time elsewhere."
+        steps.append(Step(f"thumb to {name}", text, 30, _pinch_with(i)))
+    text = "Do what your robot will do: reach, hold, turn things between the fingers."
+    return [*steps, Step("like a tool", text, 10, _free(wave))]
 
 
 STEPS = tuple(_steps())

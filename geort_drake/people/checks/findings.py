@@ -2,7 +2,7 @@
 
 import dataclasses
 import enum
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -86,16 +86,17 @@ class FrameFaults:
     def __init__(self) -> None:
         self._kinds: dict[str, dict[int, str]] = {}
 
-    def add(self, kind: str, frames: Iterable[int], detail: str = "") -> None:
+    def add(self, kind: str, frames: Iterable[int] | Mapping[int, str], detail: str = "") -> None:
         """Notes that frames cannot be used.
 
         Args:
             kind: completes "3 of 400 frames ...".
-            frames: their numbers.
-            detail: what is wrong with them.
+            frames: their numbers, or what is wrong with each of them.
+            detail: what is wrong with all of them.
         """
+        details = frames if isinstance(frames, Mapping) else dict.fromkeys(map(int, frames), detail)
         known = self._frames()
-        if new := {int(frame): detail for frame in frames if frame not in known}:
+        if new := {frame: details[frame] for frame in details if frame not in known}:
             self._kinds.setdefault(kind, {}).update(new)
 
     def valid(self, count: int) -> np.ndarray:

@@ -14,6 +14,7 @@ from geort_drake.people.formats.source import UNREADABLE, Source, Table
 from geort_drake.people.formats.unpickling import ForbiddenPickle, load_plain
 from geort_drake.people.recording import check_file, load_arrays
 
+_SEPARATORS = re.compile(r"[,\s]*")
 _MOST_REPLACED = 1e-3  # share of a text's characters that are not UTF-8
 
 
@@ -87,13 +88,19 @@ def _damaged_json(text: str, faults: FrameFaults) -> Any:
         return None
     frames: list = []
     end = head.end()
-    while end >= 0 and (rest := text[end:].lstrip(", \t\r\n")) and not rest.startswith("]"):
-        start = len(text) - len(rest)
+    while end >= 0:
+        separators = _SEPARATORS.match(text, end)
+        start = separators.end() if separators else end
+        following = text.find(mark, start + 1)
+        if start == len(text) or (text[start] == "]" and following < 0):
+            break
         try:
+            if text[start] != "{":
+                raise ValueError("a frame must begin with {")
             frame, end = json.JSONDecoder().raw_decode(text, start)
         except (ValueError, RecursionError) as error:
             faults.add(UNREADABLE, [len(frames)], f"not JSON: {error}")
-            frame, end = {}, text.find(mark, start + 1)
+            frame, end = {}, following
         frames.append(frame)
     if head[1] is None:
         return frames
@@ -120,14 +127,16 @@ def _frame_mark(text: str) -> str | None:
 
 def _load_json_lines(path: Path, faults: FrameFaults) -> list:
     frames: list = []
+    bad: dict[int, str] = {}
     for number, line in enumerate(_text(path).splitlines(), 1):
         if not line.strip():
             continue
         try:
             frames.append(json.loads(line))
         except (ValueError, RecursionError) as error:
-            faults.add(UNREADABLE, [len(frames)], f"line {number} is not JSON: {error}")
+            bad[len(frames)] = f"line {number} is not JSON: {error}"
             frames.append({})
+    faults.add(UNREADABLE, bad)
     return frames
 
 

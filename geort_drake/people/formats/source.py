@@ -183,8 +183,7 @@ class Source:
                 bad[i] = str(error)
         if bad and not any(results):
             raise self.error(f"frame {min(bad)}: {bad[min(bad)]}")
-        for i, what in bad.items():
-            self.faults.add(UNREADABLE, [i], what)
+        self.faults.add(UNREADABLE, bad)
         return results
 
     def times(self, count: int, field: str | None = None, unit: str = "s") -> Clock | None:
