@@ -46,4 +46,5 @@ def _imports(nodes: Iterable[ast.AST]) -> Iterator[Path]:
                 module = PACKAGE.joinpath(*inner)
                 files = (module.with_suffix(".py"), module / "__init__.py")
                 yield from (path for path in files if path.is_file())
-        yield from _imports(ast.iter_child_nodes(node))
+        # Expressions hold no imports.
+        yield from _imports(child for child in ast.iter_child_nodes(node) if not isinstance(child, ast.expr))

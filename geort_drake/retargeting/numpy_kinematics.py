@@ -39,9 +39,7 @@ class NumpyKinematics:
         for f, finger in enumerate(free.fingers):
             own = slice(k - len(finger.joint_indices), k)
             indices[f, own], X[f, own], axes[f, own] = finger.joint_indices, finger.X_PJ, finger.axes
-        K = np.zeros((fingers, k, 3, 3))
-        K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -axes[..., 2], axes[..., 1], -axes[..., 0]
-        K -= np.swapaxes(K, -1, -2)
+        K = cross_matrices(axes)
         # Rodrigues: R_PJ Rot(a, θ) = R_PJ + sin θ · R_PJ K + (1 − cos θ) · R_PJ K²
         self._R = X[..., :3, :3]
         self._RK = self._R @ K
@@ -80,3 +78,10 @@ class NumpyKinematics:
         full[:, np.arange(fingers)[:, None], self._indices] = np.swapaxes(J, -1, -2)
         J = np.swapaxes(full[:, :, :n], -1, -2)
         return p[..., 0], J if self._coupling is None else J @ self._coupling
+
+
+def cross_matrices(axes: np.ndarray) -> np.ndarray:
+    """K (..., 3, 3) of axes a (..., 3) with K x = a × x."""
+    K = np.zeros((*axes.shape, 3))
+    K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -axes[..., 2], axes[..., 1], -axes[..., 0]
+    return K - np.swapaxes(K, -1, -2)

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
+from geort_drake.retargeting.numpy_kinematics import cross_matrices
 from geort_drake.retargeting.training.kinematics import HandKinematics
 
 _CHUNK = 1000
@@ -67,9 +68,7 @@ class CollisionGaps:
             # A missing joint turns about no axis at all.
             X[row, :count], axes[row, :count] = chain.X_PJ, chain.axes
             index[row, :count] = chain.joint_indices
-        K = np.zeros((*axes.shape, 3))
-        K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -axes[..., 2], axes[..., 1], -axes[..., 0]
-        K -= np.swapaxes(K, -1, -2)
+        K = cross_matrices(axes)
         self._offset, self._turn = constant(X[..., :3, 3]), constant(X[..., :3, :3])
         self._K, self._K2 = constant(K), constant(K @ K)
         self._index = torch.tensor(index)

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from geort_drake.retargeting.numpy_kinematics import cross_matrices
+
 
 @dataclass(frozen=True)
 class FingerChain:
@@ -199,10 +201,7 @@ class _EqualChains:
         fingers = [hand[number] for number in members]
         self.members = slice(None) if len(members) == len(hand) else members
         X = np.stack([finger.X_PJ for finger in fingers])
-        a = np.stack([finger.axes for finger in fingers])
-        K = np.zeros((*a.shape, 3))
-        K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -a[..., 2], a[..., 1], -a[..., 0]
-        K -= np.swapaxes(K, -1, -2)
+        K = cross_matrices(np.stack([finger.axes for finger in fingers]))
         R = X[..., :3, :3]
         # Rodrigues: R_PJ Rot(a, θ) = R_PJ + sin θ · R_PJ K + (1 − cos θ) · R_PJ K²
         stacked = np.concatenate([R, R @ K, R @ K @ K], axis=-2)  # (G, k, 9, 3)

@@ -126,9 +126,7 @@ class NeuralKinematics(nn.Module):
         used = [[1.0] * len(f.joint_indices) + [0.0] * (widest - len(f.joint_indices)) for f in chains]
         self.register_buffer("indices", torch.tensor(indices).reshape(-1))
         self.register_buffer("used", torch.tensor(used)[:, None, :])
-        lower, upper = torch.tensor(kinematics.lower), torch.tensor(kinematics.upper)
-        self.register_buffer("centre", (0.5 * (lower + upper)).float())
-        self.register_buffer("half_range", (0.5 * (upper - lower)).float())
+        _register_joint_ranges(self, kinematics)
         self.register_buffer("mean", p_BF.mean(0)[:, None].float())
         self.register_buffer("scale", p_BF.std(0).mean(-1)[:, None, None].float())
         self.mlp = StackedMlp(len(chains), (widest, hidden, hidden, 3), generator)
@@ -149,11 +147,16 @@ class CollisionClassifier(nn.Module):
 
     def __init__(self, kinematics: HandKinematics, hidden: int, generator: torch.Generator):
         super().__init__()
-        lower, upper = torch.tensor(kinematics.lower), torch.tensor(kinematics.upper)
-        self.register_buffer("centre", (0.5 * (lower + upper)).float())
-        self.register_buffer("half_range", (0.5 * (upper - lower)).float())
+        _register_joint_ranges(self, kinematics)
         self.mlp = StackedMlp(1, (len(kinematics.joint_names), hidden, hidden, 1), generator)
 
     def forward(self, q: torch.Tensor) -> torch.Tensor:
         """Logits (N,) for joint angles (N, n) in rad."""
         return self.mlp(((q - self.centre) / self.half_range)[None])[0, :, 0]
+
+
+def _register_joint_ranges(module: nn.Module, kinematics: HandKinematics) -> None:
+    """Buffers `centre` and `half_range` (n,) of the joint limits, rad."""
+    lower, upper = torch.tensor(kinematics.lower), torch.tensor(kinematics.upper)
+    module.register_buffer("centre", (0.5 * (lower + upper)).float())
+    module.register_buffer("half_range", (0.5 * (upper - lower)).float())

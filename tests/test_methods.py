@@ -1,0 +1,47 @@
+"""The list of retargeting methods."""
+
+import pytest
+
+from geort_drake.comparison.train import train_checkpoint
+from geort_drake.errors import UnknownNameError
+from geort_drake.people.play import synthesize_play
+from geort_drake.retargeting import methods
+from geort_drake.retargeting.checkpoint import load_checkpoint
+from geort_drake.retargeting.retargeter import load_retargeter
+
+MODULE = """
+from geort_drake.retargeting.method import TrainedMethod
+from geort_drake.retargeting.methods.linear_offline import LinearConfig, train_linear_offline
+from geort_drake.retargeting.numpy_retargeter import Retargeter
+
+METHODS = (TrainedMethod("mine", "of a newcomer", LinearConfig, train_linear_offline, Retargeter),)
+"""
+
+
+@pytest.mark.usefixtures("light_evaluation")
+def test_one_module_adds_a_method(tmp_path, monkeypatch):
+    """It is listed, trained, stored and loaded under its name."""
+    (tmp_path / "newcomer.py").write_text(MODULE)
+    monkeypatch.setattr(methods, "__path__", [*methods.__path__, str(tmp_path)])
+    methods.all_methods.cache_clear()
+    try:
+        assert methods.trained_method("mine").summary == "of a newcomer"
+        play = synthesize_play(0, 60.0, 30.0)
+        path = train_checkpoint(
+            "allegro_right", play, tmp_path / "map", "mine", show_progress=False,
+            settings={"steps": 2, "hidden": 4}, robot_samples=1000,
+        )  # fmt: skip
+        assert load_checkpoint(path).config["method"] == "mine"
+        assert load_retargeter(path)(play.p_HK[:3]).shape == (3, 16)
+    finally:
+        methods.all_methods.cache_clear()
+
+
+def test_unknown_methods_are_refused_with_those_there_are():
+    """The trained ones are listed first."""
+    trained = ("geort", "geort_coupled", "linear_offline")
+    assert tuple(methods.all_methods())[:3] == trained
+    with pytest.raises(
+        UnknownNameError, match="retargeting method 'hold'; choose one of: " + ", ".join(trained)
+    ):
+        methods.trained_method("hold")
