@@ -104,7 +104,7 @@ class RecordingConfig:
 
     # Time between recorded frames, s.
     period: float = 0.02
-    # Without effect; kept so that scenarios of version 0.1 load.
+    # Without effect; kept so that earlier scenarios load.
     public_meshes: bool = False
 
 
