@@ -22,7 +22,7 @@ RENEWED_AFTER = 25  # tasks of a worker on a cluster; see `call_in_workers`
 _ENTRY_MODULES = (
     "benchmark/trials.py",
     "people/human_hand.py",
-    "hands/canonical.py",
+    "hands/mirror.py",
     "retargeting/methods/online.py",
     "retargeting/methods/trivial.py",
     "retargeting/methods/coupled/retargeter.py",
