@@ -3,7 +3,7 @@
 python benchmarks/bench_call.py --json call.json
 
 Every function gets the frames of the same motion in order, in NumPy, and gives joint angles in NumPy. Rows:
-  call                 this package's call on the fingertips, all checks on; the ratios are over it
+  call                 this package's call on the fingertips, all checks on; the reference of the ratios
   call, whole hand     the same on 21 keypoints
   bare arithmetic      the products of the call's weights with vectors alone, by BLAS, nothing else
   published, PyTorch   one network per finger with batch normalisation, as the paper's authors run it
@@ -14,13 +14,12 @@ Every function gets the frames of the same motion in order, in NumPy, and gives 
 
 import argparse
 import itertools
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
-from compare_dex_retargeting import TYPES, _settings, _urdf
+from dex_package import TYPES, make_dex_retargeter
 from side_by_side import measure, parse, parser, report
 from untrained import FINGERS, add_retargeter_options, dense_layers, untrained
 
@@ -128,22 +127,16 @@ class Published:
 
 def dex_retargeting(description, hands: np.ndarray) -> dict[str, Callable[[], object]]:
     """The package's optimisers on hands (T, 21, 3), or nothing where it is not installed."""
-    try:
-        from dex_retargeting.retargeting_config import RetargetingConfig
-    except ImportError as error:
-        console.print(f"without dex-retargeting: {error}")
-        return {}
-    kinematics = HandModel(description).kinematics()
-    keypoints = description.human_keypoints
-    functions = {}
-    with tempfile.TemporaryDirectory() as folder:
-        for name, kind in TYPES.items():
-            ours = make_untrained(name, kinematics, keypoints)
-            urdf = Path(folder) / f"{name}.urdf"
-            urdf.write_text(_urdf(kinematics), encoding="utf-8")
-            theirs = RetargetingConfig.from_dict(_settings(kind, urdf, description, ours.huber_delta)).build()
-            origin, tip = theirs.optimizer.target_link_human_indices
-            functions[f"dex-retargeting {kind}"] = over(theirs.retarget, hands[:, tip] - hands[:, origin])
+    hand, functions = HandModel(description), {}
+    for name, kind in TYPES.items():
+        ours = make_untrained(name, hand.kinematics(), description.human_keypoints)
+        try:
+            theirs = make_dex_retargeter(name, hand, ours.huber_delta)
+        except ImportError as error:
+            console.print(f"without dex-retargeting: {error}")
+            return {}
+        origin, tip = theirs.optimizer.target_link_human_indices
+        functions[f"dex-retargeting {kind}"] = over(theirs.retarget, hands[:, tip] - hands[:, origin])
     return functions
 
 

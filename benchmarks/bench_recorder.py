@@ -1,10 +1,10 @@
-"""Times the Rerun recorder, and weighs its files.
+"""Times the Rerun recorder and measures the size of its files.
 
 python benchmarks/bench_recorder.py --json recorder.json
 
-Free bodies are simulated and recorded at 60 Hz: all of them tumbling through the air, a third of them
-rolling on the ground with a contact each, which is a few more contacts than a grasp has, and all of them
-rolling. A frame costs its sample and its share of writing the file, in CPU time of the thread.
+Free bodies are simulated and recorded at 60 Hz: all in the air, a third of them rolling on the ground with a
+contact each (a few more contacts than in a grasp), and all of them rolling. A frame costs its sample and its
+part of writing the file, in CPU time of the thread.
 """
 
 import argparse

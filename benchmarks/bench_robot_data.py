@@ -2,8 +2,8 @@
 
 python benchmarks/bench_robot_data.py --json robot_data.json
 
-Each number of processes labels the same postures in turns, without a cache; results must be equal to the last
-bit. Ratios are of wall time over that of one process, turn by turn.
+Each number of processes labels the same postures in turns, without a cache; results must be bitwise equal.
+Ratios are wall time over that of one process, turn by turn.
 """
 
 import tempfile

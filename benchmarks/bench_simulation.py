@@ -2,15 +2,14 @@
 
 python benchmarks/bench_simulation.py --json simulation.json
 
-The same trial is simulated several times over, all in turns of a quarter of a simulated second, by the CPU
-time of the thread. The speeds are of turns, and of all of them together. Rows:
+Several copies of the same trial are simulated in turns of a quarter of a simulated second. Speeds use the CPU
+time of the thread, for each turn and in total. Rows:
   everything on   arm, hand, object, contact, operator, retargeting, inverse kinematics, monitor, recording
-  no recording    the same without the Rerun recorder; the ratios are over it
-  1 ms            everything on at half the step, which is another trial as physics goes
-  replay          the motion of that trial's hand and wrist played back, everything else on, at both steps:
-                  what the robot and its teleoperation cost without the simulated person
-The shares are from a further simulation whose Python systems are timed, each without what it calls for from
-others; what remains is Drake's: dynamics, contact, and the framework.
+  no recording    the same without the Rerun recorder; the reference of the ratios
+  1 ms            everything on at half the time step, which changes the course of the trial
+  replay          the recorded motion of hand and wrist in place of the simulated person, at both steps
+Shares come from another simulation in which each Python system is timed without the calls it makes to others;
+the rest is Drake: dynamics, contact and the framework.
 """
 
 import argparse

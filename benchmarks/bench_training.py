@@ -2,9 +2,9 @@
 
 python benchmarks/bench_training.py --recording human_alex.npy --json training.json
 
-Rows, by wall time, all with the cores that they take by themselves:
+Rows, in wall time, each with as many cores as it uses:
   geort_coupled   from the recording to the weights, robot samples included
-  one core        the same in a process that is held to one core, where the system can do that
+  one core        the same restricted to one core, if the system can do that
   public recipe   50 epochs of 25 batches of 2,048, each finger's points drawn by themselves, the Chamfer term
                   through all distances between two clouds; written from the paper. A few batches are timed
                   before and after each training and multiplied; its pretraining is left out, in its favour

@@ -3,7 +3,7 @@
 python benchmarks/bench_update.py --json update.json
 
 Every function gets the frames of the same motion in order, one per period. Rows:
-  call          the bare retargeter on a whole hand; the ratios are over it
+  call          the bare retargeter on a whole hand; the reference of the ratios
   update        keypoints written into the input port, the system's update through Drake, its new state kept
   and status    the same, and the status read
   ports alone   as `update`, of a system that computes nothing, with ports and states of the same sizes

@@ -3,10 +3,10 @@
 python benchmarks/bench_workers.py --retargeter runs/allegro_right --json workers.json
 
 Each number of workers runs the same trials in turns, in new processes; results must be equal.
-  trials/min      of the whole turn, the workers' start included
-  once begun      of the trials alone: their mean time against the number of workers
-  start           from the beginning of the turn to that of the last worker's first trial
-  memory          the largest of a worker's, at its largest
+  trials/min      of the whole turn, including the start of the workers
+  once begun      of the trials alone: number of workers over the mean time of a trial
+  start           until the last worker begins its first trial
+  memory          the largest peak of a worker
 """
 
 import argparse

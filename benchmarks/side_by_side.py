@@ -1,7 +1,4 @@
-"""Times of several functions in one run, so that what slows the machine slows all of them.
-
-A library of the benchmarks, no program.
-"""
+"""Timing of several functions in turns, so that other load affects all of them alike; for the benchmarks."""
 
 import argparse
 import datetime

@@ -1,7 +1,4 @@
-"""Retargeters with random weights and the sizes of trained ones: their calls take as long.
-
-A library of the benchmarks, no program.
-"""
+"""Retargeters with random weights in the sizes of trained ones, for timing the calls of trained ones."""
 
 import argparse
 

@@ -11,14 +11,13 @@ times; --json keeps them.
 
 import argparse
 import json
-import tempfile
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from rich.table import Table
-from scipy.spatial.transform import Rotation
 
 from geort_drake.comparison.metrics import pinch
 from geort_drake.console import console, progress_bar, run_main
@@ -27,9 +26,11 @@ from geort_drake.files import require_writable, write_text
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.readers import read_recording
-from geort_drake.retargeting.methods import make_untrained, online
+from geort_drake.retargeting.methods import make_untrained
 
-TYPES = {"vector_online": "vector", "dexpilot_online": "dexpilot"}
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+from dex_package import TYPES, make_dex_retargeter
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -43,26 +44,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(argv)
     if arguments.json:
         require_writable(arguments.json)
-    try:
-        from dex_retargeting.retargeting_config import RetargetingConfig
-    except ImportError as error:
-        raise GeortError(
-            f"{error}: this benchmark needs the package; pip install dex-retargeting six"
-        ) from error
     description = load_hand(arguments.hand)
     if description.side != "right":
-        raise GeortError(f"hand '{description.name}' is a left one; this benchmark compares right hands")
+        raise GeortError(f"hand '{description.name}' is a left one; this study compares right hands")
     recording = read_recording(arguments.recording, description.side)
     hands = recording.p_HK[recording.valid].astype(float)[: arguments.frames]
     hand = HandModel(description)
     results = {}
-    with tempfile.TemporaryDirectory() as folder, progress_bar() as progress:
-        for name, kind in TYPES.items():
+    with progress_bar() as progress:
+        for name in TYPES:
             keypoints = description.human_keypoints
             ours = make_untrained(name, hand.kinematics(), keypoints)
-            urdf = Path(folder) / f"{name}.urdf"
-            urdf.write_text(_urdf(hand.kinematics()), encoding="utf-8")
-            theirs = RetargetingConfig.from_dict(_settings(kind, urdf, description, ours.huber_delta)).build()
+            try:
+                theirs = make_dex_retargeter(name, hand, ours.huber_delta)
+            except ImportError as error:
+                raise GeortError(f"{error}; pip install dex-retargeting six") from error
             task = progress.add_task(name, total=len(hands), note="")
             q, spent = {"ours": [], "theirs": []}, {"ours": 0.0, "theirs": 0.0}
             origin, tip = theirs.optimizer.target_link_human_indices
@@ -117,58 +113,6 @@ def _figures(hand, q, spent, ours, hands) -> dict:
         "ours_lower": float((np.array(loss["ours"]) <= np.array(loss["theirs"])).mean()),
         "call_ms": {side: 1000 * seconds / len(hands) for side, seconds in spent.items()},
     }
-
-
-def _settings(kind: str, urdf: Path, description, huber_delta: float) -> dict:
-    """dex-retargeting's settings with the names and numbers of ours."""
-    tips = [f"{finger.name}_tip" for finger in description.fingers]
-    settings = {"type": kind, "urdf_path": str(urdf), "scaling_factor": online.SCALE, "low_pass_alpha": 1.0}
-    if kind == "vector":
-        keypoints = description.human_keypoints
-        return settings | {
-            "target_origin_link_names": ["wrist"] * len(tips),
-            "target_task_link_names": tips,
-            "target_link_human_indices": np.array([[0] * len(tips), keypoints]),
-            "huber_delta": huber_delta,
-            "normal_delta": online.NORM_DELTA,
-        }
-    return settings | {
-        "wrist_link_name": "wrist",
-        "finger_tip_link_names": tips,
-        "project_dist": online.PROJECT,
-        "escape_dist": online.ESCAPE,
-    }
-
-
-def _urdf(kinematics) -> str:
-    """The hand as a URDF of frames: base, wrist, one link per joint and one per fingertip."""
-
-    def fixed(name: str, parent: str, p: Sequence[float]) -> str:
-        return (
-            f'<link name="{name}"/><joint name="{name}_joint" type="fixed"><parent link="{parent}"/>'
-            f'<child link="{name}"/><origin xyz="{_numbers(p)}" rpy="0 0 0"/></joint>'
-        )
-
-    parts = ['<link name="base"/>', fixed("wrist", "base", kinematics.p_BW)]
-    for finger in kinematics.fingers:
-        parent = "base"
-        for k, joint in enumerate(finger.joint_names):
-            X, i = finger.X_PJ[k], finger.joint_indices[k]
-            rpy = Rotation.from_matrix(X[:3, :3]).as_euler("xyz")
-            link = f"{joint}_link"
-            parts.append(
-                f'<link name="{link}"/><joint name="{joint}" type="revolute"><parent link="{parent}"/>'
-                f'<child link="{link}"/><origin xyz="{_numbers(X[:3, 3])}" rpy="{_numbers(rpy)}"/>'
-                f'<axis xyz="{_numbers(finger.axes[k])}"/><limit lower="{float(kinematics.lower[i])!r}" '
-                f'upper="{float(kinematics.upper[i])!r}" effort="1" velocity="1"/></joint>'
-            )
-            parent = link
-        parts.append(fixed(f"{finger.name}_tip", parent, finger.p_tip))
-    return '<?xml version="1.0"?><robot name="hand">' + "\n".join(parts) + "</robot>\n"
-
-
-def _numbers(values: Sequence[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)
 
 
 if __name__ == "__main__":

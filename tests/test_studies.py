@@ -1,4 +1,4 @@
-"""The studies start, and the sweep trains what is missing and compares it with the default run."""
+"""Studies and benchmarks start; the sweep trains what is missing and compares it with the default run."""
 
 import json
 from pathlib import Path
@@ -11,14 +11,18 @@ from geort_drake.comparison.metric_table import mean
 from geort_drake.errors import TrainingError, UnknownNameError
 from geort_drake.retargeting.checkpoint import METRICS
 
-STUDIES = Path(__file__).resolve().parents[1] / "studies"
+ROOT = Path(__file__).resolve().parents[1]
+STUDIES = {path.name for path in (ROOT / "studies").glob("*.py")} - {"human_hand_model.py"}
+BENCHMARKS = {path.name for path in (ROOT / "benchmarks").glob("bench_*.py")}
+PROGRAMS = [*(f"studies/{name}" for name in STUDIES), *(f"benchmarks/{name}" for name in BENCHMARKS)]
 
 
-@pytest.mark.parametrize("study", sorted({p.name for p in STUDIES.glob("*.py")} - {"human_hand_model.py"}))
-def test_a_study_explains_itself(study, capsys):
-    """Its help names its command and its options."""
+@pytest.mark.parametrize("program", sorted(PROGRAMS))
+def test_a_program_starts_and_explains_itself(program, capsys, monkeypatch):
+    """Everything it imports exists, and its help names its options."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
     with pytest.raises(SystemExit) as stopped:
-        load_script(f"../studies/{study}").main(["--help"])
+        load_script(f"../{program}").main(["--help"])
     assert stopped.value.code == 0
     assert capsys.readouterr().out.startswith("usage:")
 
