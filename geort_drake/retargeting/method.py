@@ -5,7 +5,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -25,13 +25,7 @@ Retarget = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """Settings that all trained methods have; each method adds its own in a subclass.
-
-    Numbers must be positive. Those named `*_weight` or `*_spread`, and those in `may_be_zero`, may be zero;
-    those named `*_fraction` are from 0 to 1.
-    """
-
-    may_be_zero = ()
+    """Settings that all trained methods have; each method adds its own in a subclass."""
 
     steps: int = 5000  # gradient steps
     learning_rate: float = 5e-3  # of the first step; falls to zero along half a cosine
@@ -39,17 +33,28 @@ class TrainingConfig:
 
     def validate(self) -> None:
         """Raises TrainingError for a number that makes no sense."""
-        for item in dataclasses.fields(self):
-            name, value = item.name, getattr(self, item.name)
-            if isinstance(value, str):
-                continue
-            fraction = name.endswith("_fraction")
-            may_be_zero = fraction or name.endswith(("_weight", "_spread")) or name in self.may_be_zero
-            if not math.isfinite(value) or value < 0 or (value == 0 and not may_be_zero):
-                expected = "zero or positive" if may_be_zero else "positive"
-                raise TrainingError(f"training config: {name} must be {expected}, it is {value}")
-            if fraction and value > 1:
-                raise TrainingError(f"training config: {name} must be from 0 to 1, it is {value}")
+        check_numbers(self)
+
+
+def check_numbers(config: TrainingConfig, may_be_zero: Collection[str] = ()) -> None:
+    """Checks that settings are finite and positive.
+
+    Those named `*_weight` and `*_spread`, and those in `may_be_zero`, may be zero; those named `*_fraction`
+    are from 0 to 1. Texts are not checked.
+
+    Raises:
+        TrainingError: a number makes no sense.
+    """
+    for name, value in dataclasses.asdict(config).items():
+        if isinstance(value, str):
+            continue
+        fraction = name.endswith("_fraction")
+        zero = fraction or name.endswith(("_weight", "_spread")) or name in may_be_zero
+        if not math.isfinite(value) or value < 0 or (value == 0 and not zero):
+            expected = "zero or positive" if zero else "positive"
+            raise TrainingError(f"training config: {name} must be {expected}, it is {value}")
+        if fraction and value > 1:
+            raise TrainingError(f"training config: {name} must be from 0 to 1, it is {value}")
 
 
 @dataclass(frozen=True)

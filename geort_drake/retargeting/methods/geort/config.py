@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from geort_drake.errors import UnknownNameError
-from geort_drake.retargeting.method import TrainingConfig
+from geort_drake.retargeting.method import TrainingConfig, check_numbers
 
 FORWARD_KINEMATICS = ("exact", "neural")
 RESAMPLING = ("frames", "independent")
@@ -13,8 +13,6 @@ RESAMPLING = ("frames", "independent")
 @dataclass(frozen=True)
 class GeortConfig(TrainingConfig):
     """Settings of `train_geort`. Weights refer to lengths measured in `length_unit`."""
-
-    may_be_zero = ("refreshes", "other_pinches")
 
     points: int = 256  # human fingertips per finger and step, criteria I to III
     targets: int = 512  # robot fingertips per finger and step, criterion II
@@ -34,7 +32,7 @@ class GeortConfig(TrainingConfig):
 
     def validate(self) -> None:
         """Raises TrainingError for a number that makes no sense, UnknownNameError for an unknown choice."""
-        super().validate()
+        check_numbers(self, may_be_zero=("refreshes", "other_pinches"))
         for name, choices in (("fk", FORWARD_KINEMATICS), ("resampling", RESAMPLING)):
             if getattr(self, name) not in choices:
                 raise UnknownNameError(name, getattr(self, name), choices)
