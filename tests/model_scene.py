@@ -1,10 +1,8 @@
-"""Models in a plant, and what data sheets say of them, for the tests of models/sdf."""
+"""Models in a plant, for the tests of models/sdf."""
 
 from pathlib import Path
 
 import numpy as np
-import pytest
-import yaml
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.framework import DiagramBuilder
@@ -12,7 +10,6 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake.hands.model import HandModel
 from geort_drake.resources import models_dir
 
-FACTS_DIR = Path(__file__).resolve().parents[2] / "shared" / "facts"
 SDF_FILES = sorted((models_dir() / "sdf").rglob("*.sdf"))
 # By name, as whoever adds a hand of their own has it in models/hands too.
 SHIPPED_HANDS = ("allegro_left", "allegro_right", "leap_right")
@@ -44,14 +41,6 @@ class Scene:
 
     def collides(self) -> bool:
         return self.plant.get_geometry_query_input_port().Eval(self.context).HasCollisions()
-
-
-def facts_of(name: str) -> dict:
-    """A fact sheet; the test skips where it is not at hand."""
-    path = FACTS_DIR / name
-    if not path.is_file():
-        pytest.skip(f"the facts {name} are not at hand")
-    return yaml.safe_load(path.read_text(encoding="utf-8"))
 
 
 def tips_mm(hand: HandModel, by_number: list[float]) -> dict[str, np.ndarray]:

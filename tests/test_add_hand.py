@@ -1,4 +1,4 @@
-"""From a model file to a hand description: what is found, what is said of it, and what it is good for."""
+"""From a model file to a hand description, its notes and checks, and to training and simulation."""
 
 import dataclasses as dc
 import json
@@ -26,7 +26,6 @@ from geort_drake.hands.importers.checks import examine
 from geort_drake.hands.importers.couplings import read_couplings
 from geort_drake.hands.importers.finger_names import fingers_by_name
 from geort_drake.hands.importers.proposal import propose
-from geort_drake.hands.importers.structure import read_structure
 from geort_drake.hands.model import HandModel
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.play import synthesize_play
@@ -57,7 +56,7 @@ def spec(request) -> HandSpec:
 
 
 def test_fingers_base_and_side_are_found(spec, tmp_path):
-    """The proposal is what the hand was made with, but for a tip without geometry, which is a guess."""
+    """The proposal equals the specification, except for tips without geometry, which are guessed."""
     description = propose(write_hand(tmp_path, spec)).description
     assert description.side == spec.side
     assert description.finger_names == spec.finger_names
@@ -84,30 +83,19 @@ def test_fingers_base_and_side_are_found(spec, tmp_path):
         ["th_cmc", "if_mcp", "mf_mcp", "rf_mcp", "lf_mcp"],
     ],
 )
-def test_fingers_are_known_by_what_models_call_them(names):
-    """In words, and in two letters of either way; a word that only holds them tells nothing."""
+def test_fingers_are_known_by_usual_names(names):
+    """Words, and two letters in either case; other words that contain these do not count."""
     assert fingers_by_name([[name] for name in names]) == list(FINGER_NAMES)
     assert fingers_by_name([[names[0]], ["shift_j0"]]) is None
 
 
 @pytest.mark.parametrize("kind", ["urdf", "sdf", "xml"])
-def test_what_follows_is_read_the_same_from_every_format(kind, tmp_path):
-    """Ratio and offset, whatever a format measures them from."""
+def test_couplings_are_read_from_every_format(kind, tmp_path):
+    """Ratio and offset, in the notation of each format."""
     found = read_couplings(write_hand(tmp_path, HandSpec(3, kind)))
     assert [(c.joint, c.follows) for c in found] == [("index_j3", "index_j2"), ("middle_j3", "middle_j2")]
     for coupling in found:
         assert (coupling.ratio, coupling.offset) == (pytest.approx(0.8), pytest.approx(0.1))
-
-
-def test_drakes_own_element_in_sdf_is_read_too(tmp_path):
-    """Which stands in the joint, not in its axis."""
-    model = write_hand(tmp_path, HandSpec(2, "sdf"))
-    text = re.sub(
-        "<mimic.*?</mimic></axis>", "</axis><drake:mimic joint='index_j2' multiplier='2'/>", model.read_text()
-    )
-    model.write_text(text.replace("<sdf ", "<sdf xmlns:drake='http://drake.mit.edu' "), encoding="utf-8")
-    (found,) = read_couplings(model)
-    assert dc.astuple(found) == ("index_j3", "index_j2", 2.0, 0.0)
 
 
 @pytest.fixture(params=["urdf", "sdf", "xml"])
@@ -116,7 +104,7 @@ def coupled(request, tmp_path) -> HandModel:
     return HandModel(propose(write_hand(tmp_path, HandSpec(4, request.param))).description)
 
 
-def test_all_kinematics_turn_what_follows(coupled, rng):
+def test_all_kinematics_agree_on_followers(coupled, rng):
     """Drake, torch and NumPy agree on fingertips; NumPy's Jacobian is torch's."""
     q = rng.uniform(coupled.lower, coupled.upper, (40, len(coupled.joint_names)))
     p_BF = coupled.fingertips(q)
@@ -134,8 +122,8 @@ def test_all_kinematics_turn_what_follows(coupled, rng):
     np.testing.assert_allclose(mirrored, p_BF * [1, -1, 1], atol=1e-12)
 
 
-def test_what_follows_keeps_its_limits(coupled):
-    """0.8 q + 0.1 rad is at most 1.5 rad, as it would not be at the leader's own limit of 1.5 + 0.3 rad."""
+def test_followers_keep_their_limits(coupled):
+    """The leader's range ends where the follower reaches its own limit of 1.5 rad."""
     text = coupled.description
     low = HandModel(dc.replace(text, couplings=[dc.replace(c, ratio=2.0) for c in text.couplings]))
     leader = low.joint_names.index("index_j2")
@@ -144,24 +132,8 @@ def test_what_follows_keeps_its_limits(coupled):
         HandModel(dc.replace(text, couplings=[dc.replace(c, offset=9.0) for c in text.couplings]))
 
 
-def test_a_leader_is_tried_only_where_its_follower_keeps_its_limits(tmp_path):
-    """Else fingers that close to one side seem to bend to both, and the hand is turned around."""
-    model = write_hand(tmp_path, HandSpec(4))
-    text = model.read_text().replace('lower="0.0"', 'lower="-3"')
-    for name in ("index_j3", "middle_j3", "ring_j3"):
-        head, tail = text.split(f'<joint name="{name}"')
-        text = f'{head}<joint name="{name}"' + tail.replace('lower="-3"', 'lower="0"', 1)
-    model.write_text(text, encoding="utf-8")
-    structure = read_structure(model)
-    (index,) = (chain for chain in structure.chains if "index_j2" in chain.joints)
-    low, high = structure.limits(index)
-    number = index.joints.index("index_j2")
-    assert (low[number], high[number]) == (pytest.approx(-0.1 / 0.8), 1.5)  # 0 = 0.8 q + 0.1
-    assert low[index.joints.index("index_j1")] == -3
-
-
 def test_collision_shapes_lie_where_drake_has_them(coupled, rng):
-    """Those of links that follow, too; and the gaps' gradient is that of the gaps."""
+    """Also on followers; and the clearance's gradient is that of its gaps."""
     shapes = collision_shapes(coupled)
     gaps = CollisionGaps(coupled.kinematics(), shapes)
     q = rng.uniform(coupled.lower, coupled.upper, (3, len(coupled.joint_names)))
@@ -185,12 +157,12 @@ def test_collision_shapes_lie_where_drake_has_them(coupled, rng):
     here, there = ([found.pairs.index(pair) for pair in both] for found in (near, moved))
     change = moved.gap[there] - near.gap[here]
     assert len(both) > 5
-    # Between two edges the gradient is approximate, so most of them is what can be asked for.
+    # Between two edges the gradient is only approximate, so the median is compared.
     assert np.median(np.abs(change - near.gradient[here] @ step)) < 0.05 * np.linalg.norm(step) * 0.05
 
 
-def test_in_simulation_what_follows_has_no_motor_and_follows(coupled):
-    """Only listed joints have motors; the others keep their angle to 1 mrad while these move."""
+def test_followers_follow_in_simulation(coupled):
+    """Without motors; they keep their coupled angle to 1 mrad while their leaders move."""
     builder = DiagramBuilder()
     config = MultibodyPlantConfig(time_step=0.002, discrete_contact_approximation="sap")
     plant, _ = AddMultibodyPlant(config, builder)
@@ -212,8 +184,9 @@ def test_in_simulation_what_follows_has_no_motor_and_follows(coupled):
 
 
 @pytest.mark.usefixtures("light_evaluation")
-def test_from_a_model_file_to_an_evaluated_retargeter(spec, tmp_path):
+def test_from_a_model_file_to_an_evaluated_retargeter(tmp_path):
     """One command describes the hand, one trains for it; no code knows its joints."""
+    spec = FAMILY[2]
     model = write_hand(tmp_path, spec)
     file = tmp_path / "mine.yaml"
     add_hand.main([str(model), "--output", str(file)])
@@ -251,7 +224,7 @@ def test_a_description_is_written_as_it_is_read(tmp_path):
     assert load_hand(file).name == "hand"
 
 
-def test_the_hand_can_be_looked_at(tmp_path):
+def test_the_hand_is_recorded(tmp_path):
     """The recording holds the fingertip points and the axes of the hand base."""
     pytest.importorskip("rerun")
     model = write_hand(tmp_path, HandSpec(2))
@@ -261,7 +234,7 @@ def test_the_hand_can_be_looked_at(tmp_path):
 
 
 def _findings(tmp_path, spec: HandSpec, change=lambda text: text, correct=lambda description: None) -> str:
-    """What is said of a hand whose model text and then whose description were changed."""
+    """The findings on a hand after changes to its model text and to its description."""
     model = write_hand(tmp_path, spec)
     model.write_text(change(model.read_text()), encoding="utf-8")
     description = propose(model).description
@@ -271,7 +244,7 @@ def _findings(tmp_path, spec: HandSpec, change=lambda text: text, correct=lambda
 
 
 def test_a_sound_hand_has_nothing_to_correct(tmp_path):
-    """No check cries wolf."""
+    """No check gives a false alarm."""
     assert _findings(tmp_path, HandSpec(4)) == ""
 
 
@@ -280,7 +253,7 @@ def _wide_palm(text: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "finding"),
     [
         (lambda text: text.replace('upper="1.5"', 'upper="0.01"', 1), "moves only from 0 to 1 degrees"),
         (lambda text: text.replace('upper="1.5"', 'upper="90"', 1), "more than a turn"),
@@ -293,16 +266,9 @@ def _wide_palm(text: str) -> str:
     ],
     ids=["degrees", "turn", "bare", "massless", "palm"],
 )
-def test_faults_of_a_model_are_named(change, said, tmp_path):
-    """Limits in the wrong unit, shapes that are missing or useless, links that weigh nothing."""
-    assert said in _findings(tmp_path, HandSpec(4, mimic=False), change)
-
-
-def test_links_without_shapes_are_named(tmp_path):
-    """All fingers' here, while the palm has its box."""
-    said = _findings(tmp_path, HandSpec(3, collision=False))
-    assert "fingertips without collision geometry touch nothing: thumb_l2, index_l3, middle_l3" in said
-    assert "links of fingers without collision geometry: thumb_l1, index_l1" in said
+def test_faults_of_a_model_are_named(change, finding, tmp_path):
+    """Limits in the wrong unit, missing or useless collision geometry, links without mass."""
+    assert finding in _findings(tmp_path, HandSpec(4, mimic=False), change)
 
 
 def test_faults_of_a_description_are_named(tmp_path):
@@ -332,8 +298,8 @@ def test_faults_of_a_description_are_named(tmp_path):
     )
 
 
-def test_contacts_at_rest_are_left_out(tmp_path):
-    """A link that always sticks in another one is found, and no longer counts as a collision."""
+def test_permanent_contacts_are_ignored(tmp_path):
+    """Links that always overlap are found, and their contact is ignored."""
     model = write_hand(tmp_path, HandSpec(4, mimic=False))
     text = model.read_text().replace('<box size="0.02 0.066 0.08"/>', '<box size="0.06 0.066 0.125"/>')
     model.write_text(text, encoding="utf-8")
@@ -357,8 +323,8 @@ def test_a_floor_in_the_file_is_not_part_of_the_hand(tmp_path):
     assert len(HandClearance(hand, 0.002).pairs) == len(HandClearance(plain, 0.002).pairs)
 
 
-def test_what_moves_several_fingers_is_held(tmp_path):
-    """A motor that others follow in two fingers is no finger's; it is named, and the rest is described."""
+def test_a_joint_that_moves_several_fingers_is_held(tmp_path):
+    """A joint with followers in two fingers cannot belong to one; a note names it."""
     model = write_hand(tmp_path, HandSpec(4))
     text = model.read_text().replace('<mimic joint="middle_j2"', '<mimic joint="index_j2"')
     model.write_text(text, encoding="utf-8")
@@ -369,7 +335,7 @@ def test_what_moves_several_fingers_is_held(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("kind", "change", "said"),
+    ("kind", "change", "message"),
     [
         ("urdf", lambda text: text.replace('joint="index_j2"', 'joint="wrist"'), "'wrist'"),
         ("urdf", lambda text: text.replace('multiplier="0.8"', 'multiplier="four"'), "four"),
@@ -379,17 +345,17 @@ def test_what_moves_several_fingers_is_held(tmp_path):
     ],
     ids=["unknown leader", "no number", "polynomial", "prismatic", "no XML"],
 )
-def test_models_that_cannot_be_used_are_refused(kind, change, said, tmp_path):
+def test_models_that_cannot_be_used_are_refused(kind, change, message, tmp_path):
     """The message names the file and the fault."""
     model = write_hand(tmp_path, HandSpec(3, kind))
     model.write_text(change(model.read_text()), encoding="utf-8")
-    with pytest.raises(HandError, match=said) as error:
+    with pytest.raises(HandError, match=message) as error:
         propose(model)
     assert str(model) in str(error.value)
 
 
 def test_on_the_arm_only_listed_joints_are_commanded(tmp_path):
-    """The shipped scenario takes a described hand; a replayed glove moves it, and what follows goes along."""
+    """A replayed glove moves a described hand in the shipped scenario, with its followers."""
     add_hand.main([str(write_hand(tmp_path, HandSpec(4))), "--output", str(tmp_path / "mine.yaml")])
     hand = HandModel(load_hand(tmp_path / "mine.yaml"))
     play = synthesize_play(seed=0, duration_s=0.4, rate_hz=30.0)

@@ -68,14 +68,6 @@ def test_links_that_are_drawn_get_one_hull_each(kind, tmp_path):
     assert add_hulls(model) == []
 
 
-def test_shapes_that_touch_are_left_alone(tmp_path):
-    """Of a link that has some, as of all others."""
-    model = write_hand(tmp_path, HandSpec(2))
-    before = model.read_bytes()
-    assert add_hulls(model) == []
-    assert model.read_bytes() == before
-
-
 def test_what_is_flat_gets_none(tmp_path):
     """A mesh of one plane has no hull; the other links have theirs."""
     model = drawn_alone(tmp_path, "urdf")

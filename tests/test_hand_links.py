@@ -1,4 +1,4 @@
-"""Which links are whose in a hand with joints that follow, and that contacts and palm go by it."""
+"""Links of fingers and palm of a hand with followers, and contacts on them."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Settings of training that a hand's description has."""
+"""Training settings in a hand's description."""
 
 import json
 
@@ -31,7 +31,7 @@ def described(tmp_path):
     return write
 
 
-def test_they_replace_defaults_and_give_way_to_what_is_asked_for(described):
+def test_they_replace_defaults_and_yield_to_explicit_settings(described):
     """Of the method in question alone, and with the type that the setting has."""
     hand = load_hand(described(OWN))
     assert training_config("geort", hand=hand) == GeortConfig(steps=6, coverage_weight=3.5)
@@ -70,7 +70,7 @@ def test_the_training_script_uses_and_keeps_them(described, tmp_path):
         ({"geort": {"coverage_weight": float("nan")}}, "training: .*coverage_weight must be"),
     ],
 )
-def test_what_makes_no_sense_is_refused_with_the_hand_and_the_field(described, training, message):
+def test_bad_settings_are_refused_with_hand_and_field(described, training, message):
     """Before anything is trained."""
     with pytest.raises(HandError, match=f"hand 'allegro_right': {message}"):
         training_config("geort", hand=load_hand(described(training)))

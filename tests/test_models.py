@@ -1,8 +1,8 @@
-"""What holds of every model in models/sdf, and of the objects."""
+"""Every model in models/sdf, and the objects."""
 
 import numpy as np
 import pytest
-from model_scene import OBJECTS, SDF_FILES, SHIPPED_HANDS, Scene
+from model_scene import OBJECTS, SDF_FILES, Scene
 from pydrake.geometry import Role
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import BodyIndex
@@ -40,32 +40,6 @@ def test_models_need_no_file_but_themselves(path):
     text = path.read_text(encoding="utf-8").replace("http://drake.mit.edu", "")
     for reference in ("<mesh", "<uri", "package://", "drake_models", "http", "<include"):
         assert reference not in text
-
-
-@pytest.mark.parametrize("name", [*SHIPPED_HANDS, "panda"])
-def test_robots_look_like_more_than_their_collision_shapes(name):
-    """Every link has coloured visual geometry of its own."""
-    scene = Scene(models_dir() / "sdf" / f"{name}.sdf")
-    inspector = scene.scene_graph.model_inspector()
-    for frame in inspector.GetAllFrameIds():
-        if frame == inspector.world_frame_id():
-            continue
-        visuals = inspector.GetGeometries(frame, Role.kIllustration)
-        assert len(visuals) >= 3
-        colours = {
-            tuple(inspector.GetIllustrationProperties(id).GetProperty("phong", "diffuse").rgba)
-            for id in visuals
-        }
-        assert len(colours) >= 2
-
-
-def test_there_are_ten_objects_named_after_their_files():
-    """Each object is one free link that bears the file's name."""
-    assert len(OBJECTS) >= 10
-    for path in OBJECTS:
-        scene = Scene(path)
-        assert scene.plant.num_bodies() == 2
-        assert scene.plant.GetBodyByName(path.stem).is_floating_base_body()
 
 
 def test_the_objects_span_what_the_hand_should_manage():

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from model_scene import facts_of
 from pydrake.math import RigidTransform, RotationMatrix
 
 READY = [0.0, -0.7854, 0.0, -2.35619, 0.0, 1.5708, 0.7854]
@@ -30,28 +29,6 @@ def test_panda_agrees_with_its_denavit_hartenberg_table(panda, rng):
             X = X @ RigidTransform([0, 0, d])
         flange = panda.plant.GetFrameByName("panda_link8").CalcPoseInWorld(panda.context)
         np.testing.assert_allclose(flange.GetAsMatrix4(), X.GetAsMatrix4(), atol=1e-9)
-
-
-def test_panda_agrees_with_the_fact_sheet(panda):
-    """Link origins, flange orientation and all limits of the fact sheet hold."""
-    facts = facts_of("panda.yaml")
-    for case in facts["fk_check"].values():
-        panda.set_joints({f"panda_joint{i + 1}": angle for i, angle in enumerate(case["q"])})
-        for link, origin in case["link_origins_mm"].items():
-            X_WL = panda.plant.GetFrameByName(link).CalcPoseInWorld(panda.context)
-            np.testing.assert_allclose(X_WL.translation() * 1e3, origin, atol=0.1)
-        R = panda.plant.GetFrameByName("panda_link8").CalcPoseInWorld(panda.context).rotation().matrix()
-        np.testing.assert_allclose(R, case["link8_rotation_rowmajor"], atol=1e-4)
-    for fact in facts["kinematics"][:7]:
-        joint = panda.plant.GetJointByName(fact["name"])
-        assert joint.position_lower_limit() == fact["lower_rad"]
-        assert joint.position_upper_limit() == fact["upper_rad"]
-        assert joint.velocity_upper_limit() == fact["velocity_rad_s"]
-        assert joint.acceleration_upper_limit() == fact["acceleration_rad_s2"]
-        actuator = panda.plant.GetJointActuatorByName(fact["name"])
-        assert actuator.effort_limit() == fact["effort_Nm"]
-        reflected = actuator.default_gear_ratio() ** 2 * actuator.default_rotor_inertia()
-        assert reflected == pytest.approx(facts["reflected_inertia_kgm2"][fact["name"]], rel=1e-6)
 
 
 def test_panda_collides_with_itself_as_often_as_its_meshes_do(panda, rng):

@@ -16,8 +16,6 @@ from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import mirrored
-from geort_drake.rerun import add_rerun_recorder
-from geort_drake.simulation import recording
 from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
 from geort_drake.simulation.object_shape import object_shape
 from geort_drake.simulation.scenario import load_scenario
@@ -27,7 +25,6 @@ from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.trial import run_trial
 from geort_drake.simulation.world import HAND, add_object, add_robot
 from geort_drake.systems.hand_mirror import HandMirror
-from geort_drake.systems.port_values import mirrored_pose
 
 M = np.diag([1.0, -1.0, 1.0, 1.0])
 
@@ -68,16 +65,6 @@ def test_a_left_hand_starts_in_the_mirror_image_of_the_right_one():
         _, _, context, base = robot(name)
         poses.append(base.CalcPoseInWorld(context).GetAsMatrix4())
     np.testing.assert_allclose(poses[1], M @ poses[0] @ M, atol=1e-9)
-
-
-def test_poses_are_reflected_like_frames(rng):
-    """`mirrored_pose` is M X M, and its own inverse."""
-    for _ in range(10):
-        X = RigidTransform(RollPitchYaw(*rng.uniform(-3, 3, 3)), rng.normal(size=3))
-        np.testing.assert_allclose(mirrored_pose(X).GetAsMatrix4(), M @ X.GetAsMatrix4() @ M, atol=1e-12)
-        np.testing.assert_allclose(
-            mirrored_pose(mirrored_pose(X)).GetAsMatrix4(), X.GetAsMatrix4(), atol=1e-12
-        )
 
 
 def test_the_hand_mirror_shows_the_left_hand(rng):
@@ -161,22 +148,6 @@ def test_a_left_hands_simulation_is_the_right_ones_in_the_mirror():
     np.testing.assert_allclose(angles[1], angles[0], atol=0.02)
     # Both persons are described as right hands.
     np.testing.assert_allclose(gloves[1], gloves[0], atol=2e-3)
-
-
-def test_a_left_hand_is_recorded_from_the_other_side(tmp_path, monkeypatch):
-    """From its thumb's side, where the right hand's thumb would be in the mirror."""
-    seen = {}
-
-    def record(*parts, view_from, **options):
-        seen[options["properties"]["hand"]] = view_from
-        return add_rerun_recorder(*parts, view_from=view_from, **options)
-
-    monkeypatch.setattr(recording, "add_rerun_recorder", record)
-    person, _ = person_and_rest()
-    for name, goal in (("allegro_right", reach_goal()), ("allegro_left", reach_goal().mirrored())):
-        scenario = load_scenario(hand=name)
-        make_grasp_diagram(scenario, copy.copy(centred_map()), (person, goal), tmp_path / f"{name}.rrd")
-    np.testing.assert_allclose(seen["allegro_left"], np.diag(M)[:3] * seen["allegro_right"])
 
 
 @pytest.mark.parametrize(
