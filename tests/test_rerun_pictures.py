@@ -1,11 +1,8 @@
 """The docs' pictures: what is recorded for them, checked, and cut to size."""
 
-import contextlib
-import io
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 from PIL import Image
 from script_modules import load_script
@@ -37,31 +34,3 @@ def test_the_readme_begins_with_a_moving_picture(pictures):
         assert film.n_frames > 20
         film.load()
         assert film.info["duration"] >= 1000 / 12
-
-
-def test_a_film_shows_the_scene_from_beginning_to_end(pictures, tmp_path, monkeypatch):
-    """One frame per instant, in order, of the part that matters."""
-    asked = []
-
-    class Camera:
-        end = 1.0
-
-        def take(self, time):
-            asked.append(time)
-            png = io.BytesIO()
-            Image.new("RGB", pictures.SIZE, (round(200 * time), 0, 0)).save(png, "PNG")
-            return png.getvalue()
-
-    monkeypatch.setattr("geort_drake.rerun.screenshot.camera", lambda *_: contextlib.nullcontext(Camera()))
-    pictures.film(tmp_path / "any.rrd", tmp_path / "any.webp")
-    assert asked == [k / pictures.FILM_HZ for k in range(pictures.FILM_HZ)]
-    width, height = pictures.SIZE
-    left, top, right, bottom = pictures.FILM_PART
-    shape = height * (bottom - top) / (width * (right - left))
-    with Image.open(tmp_path / "any.webp") as film:
-        assert film.n_frames == pictures.FILM_HZ
-        assert film.size == (pictures.FILM_WIDTH, pytest.approx(pictures.FILM_WIDTH * shape, abs=1))
-        for k in (0, 5):
-            film.seek(k)
-            shade = np.asarray(film.convert("RGB"))[..., 0]
-            assert np.abs(shade.astype(int) - 200 * k / pictures.FILM_HZ).max() < 8

@@ -93,9 +93,9 @@ def _write_marks(writer: Writer, hand: HandModel, tips: np.ndarray) -> None:
         writer.lines(f"/world/hand_base/{axis}", line, 0.002, color)
     for number, finger in enumerate(hand.description.fingers):
         # Translucent, around the tip that the model draws.
-        color = (*rgb(FINGER_COLOURS[finger.name]), 130)
+        translucent = (*rgb(FINGER_COLOURS[finger.name]), 130)
         rows = list(tips[:, [number]])
-        writer.points(f"/world/tips/{finger.name}", rows, 1.25 * finger.tip_radius, color, SOLID)
+        writer.points(f"/world/tips/{finger.name}", rows, 1.25 * finger.tip_radius, translucent, SOLID)
 
 
 def _sweep(hand: HandModel) -> np.ndarray:

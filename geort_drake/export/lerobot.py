@@ -107,7 +107,7 @@ class _Writer:
         number, first = len(self._episodes), self._frames
         features = features_of(episode)
         task = f"grasp the {str(episode.facts['object']).replace('_', ' ')}"
-        counters = {
+        counters: dict[str, np.ndarray] = {
             "timestamp": (np.arange(frames) / self._fps).astype(np.float32),
             "frame_index": np.arange(frames),
             "episode_index": np.full(frames, number),
@@ -117,7 +117,7 @@ class _Writer:
         features |= {name: (column[:, None], None) for name, column in counters.items()}
         self._check_features(episode, features)
         self._waiting.append(pa.table({name: _column(values) for name, (values, _) in features.items()}))
-        statistics = {}
+        statistics: dict[str, list] = {}
         for name, (values, _) in features.items():
             self._values.setdefault(name, []).append(values)
             statistics |= {f"stats/{name}/{key}": value for key, value in _statistics(values).items()}

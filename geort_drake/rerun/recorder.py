@@ -146,12 +146,13 @@ class RerunRecorder(LeafSystem):
     def _sample(self, context: Context) -> EventStatus:
         if self._closed:
             return EventStatus.DidNothing()
-        self._go_back(context.get_time())
+        now = context.get_time()
+        self._go_back(now)
         copies: dict[str, Any] = {}
         sample: list[tuple | None] = []
         large = False
         for track in self._tracks:
-            if not track.due(context.get_time()):
+            if not track.due(now):
                 sample.append(None)
                 continue
             for name in track.inputs:
@@ -159,7 +160,7 @@ class RerunRecorder(LeafSystem):
                     copies[name] = self._copies[name](context)
             sample.append(tuple(copies[name] for name in track.inputs))
             large = large or track.large
-        self._times.append(context.get_time())
+        self._times.append(now)
         self._unread.append(sample)
         self._changed = True
         if large or len(self._unread) == _READ_AT_ONCE:

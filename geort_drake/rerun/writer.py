@@ -106,7 +106,7 @@ class Writer:
     def states(
         self,
         path: str,
-        codes: Sequence[float],
+        codes: Sequence[float] | np.ndarray,
         labels: Mapping[int, str],
         colors: Sequence[Color] = PALETTE,
     ) -> None:
@@ -155,7 +155,8 @@ class Writer:
         half_size: float | None = None,
     ) -> None:
         """Sends items whose places, component `name`, and colours are fixed or change from time to time."""
-        fixed, varying = dict(style), {}
+        fixed: dict[str, Any] = dict(style)
+        varying: dict[str, Any] = {}
         places, items = (fixed, rows) if isinstance(rows, np.ndarray) else (varying, _stack(rows))
         places[name] = items
         if half_size is not None:
