@@ -31,8 +31,8 @@ from geort_drake.hands.chains import PlantFingertips, finger_chain
 from geort_drake.hands.couplings import JointCouplings
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model_files import digest_of_contents, model_files
-from geort_drake.joint_ranges import MAX_ANGLE
 from geort_drake.resources import resolve_uri
+from geort_drake.retargeting.numpy_kinematics import MAX_ANGLE
 
 if TYPE_CHECKING:
     from geort_drake.retargeting.training.kinematics import HandKinematics

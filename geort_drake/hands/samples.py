@@ -123,23 +123,22 @@ def _key(hand: HandModel, count: int, seed: int) -> str:
 def _read(path: Path, data: RobotData, fingers: int) -> RobotData | None:
     """`data` with the labels stored at `path`, or None if there are none or they are damaged."""
     count = len(data.q)
-    expected = {"p_BF": ((count, fingers, 3), "f"), "collides_beyond_tips": ((count,), "b")}
     try:
         with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in expected}
-            whole = str(file["digest"]) == data.digest and np.array_equal(file["q"], data.q)
+            p_BF, collides = file["p_BF"], file["collides_beyond_tips"]
+            intact = str(file["digest"]) == data.digest and np.array_equal(file["q"], data.q)
     except FileNotFoundError:
         return None
     except Exception:  # a corrupt archive raises nearly anything
-        whole, arrays = False, {}
-    whole = whole and all(
-        (arrays[name].shape, arrays[name].dtype.kind) == shape_and_kind and np.isfinite(arrays[name]).all()
-        for name, shape_and_kind in expected.items()
-    )
-    if not whole:
+        intact = False
+    if not (
+        intact
+        and (p_BF.shape, collides.shape, collides.dtype) == ((count, fingers, 3), (count,), bool)
+        and np.isfinite(p_BF).all()
+    ):
         logging.getLogger(__name__).warning("the cached samples %s are damaged and are computed again", path)
         return None
-    return RobotData(data.q, data.digest, **arrays)
+    return RobotData(data.q, data.digest, p_BF, collides)
 
 
 def _write(path: Path, data: RobotData) -> None:

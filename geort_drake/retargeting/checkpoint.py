@@ -21,8 +21,8 @@ from safetensors.numpy import load_file, save
 
 from geort_drake.errors import CheckpointError
 from geort_drake.files import atomic_directory, sha256_of
-from geort_drake.joint_ranges import MAX_ANGLE
 from geort_drake.people.keypoints import KEYPOINT_COUNT
+from geort_drake.retargeting.numpy_kinematics import MAX_ANGLE
 from geort_drake.retargeting.trained_space import TrainedSpace
 
 FORMAT = 1

@@ -10,6 +10,9 @@ import numpy as np
 if TYPE_CHECKING:
     from geort_drake.retargeting.training.kinematics import HandKinematics
 
+# Joint limits of many turns are mistakes, and what is computed from them may overflow.
+MAX_ANGLE = 100.0  # rad
+
 
 class NumpyKinematics:
     """Fingertips p_BF and their Jacobians of serial fingers with revolute joints.

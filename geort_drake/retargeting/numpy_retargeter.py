@@ -5,9 +5,9 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from geort_drake.errors import CheckpointError, GeortError
-from geort_drake.joint_ranges import MAX_ANGLE
 from geort_drake.retargeting.aligned import aligned
 from geort_drake.retargeting.human_points import HumanPoints
+from geort_drake.retargeting.numpy_kinematics import MAX_ANGLE
 from geort_drake.retargeting.trained_space import TrainedSpace
 
 # Trained weights stay below 100; products of much larger ones may overflow.

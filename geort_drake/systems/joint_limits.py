@@ -7,7 +7,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 
 from geort_drake.errors import HandError
-from geort_drake.joint_ranges import MAX_ANGLE
+from geort_drake.retargeting.numpy_kinematics import MAX_ANGLE
 
 # rad/s²; from rest to 7 rad/s in one update at 100 Hz, as a position controller at that rate could ask.
 DEFAULT_ACCELERATION = 700.0

@@ -4,7 +4,7 @@ import itertools
 from collections import Counter
 
 import numpy as np
-from pydrake.geometry import Convex, Mesh, Role
+from pydrake.geometry import Role
 from scipy.optimize import minimize
 
 from geort_drake.hands.model import HandModel
@@ -135,13 +135,6 @@ def _collisions(hand: HandModel) -> list[str]:
     ]
     if without:
         found.append(f"links of fingers without collision geometry: {', '.join(without)}")
-    shapes = [inspector.GetShape(id) for id in inspector.GetAllGeometryIds(Role.kProximity)]
-    meshes = [shape for shape in shapes if isinstance(shape, Mesh | Convex)]
-    if meshes:
-        found.append(
-            f"{len(meshes)} collision shapes are meshes, which convex hulls replace, and boxes in training; "
-            "boxes, spheres, cylinders and capsules are exact and faster"
-        )
     for (a, b), share in sorted(contact_shares(hand).items(), key=lambda item: -item[1]):
         if share >= _FREQUENT_SHARE:
             found.append(

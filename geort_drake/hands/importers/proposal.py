@@ -29,11 +29,10 @@ from geort_drake.hands.model_files import read_model
 from geort_drake.people.keypoints import FINGER_NAMES, TIP_KEYPOINT
 
 _BASE_NAME = "hand_base"
-# A hand base this close to the axes of the palm's link is aligned with them, because fingers may be bent at
-# zero angles; above the second angle, a note says so.
-_SNAP_ANGLE, _NOTED_ANGLE = np.deg2rad(30.0), np.deg2rad(5.0)
+# A hand base this close to the axes of the palm's link is aligned with them, because stretched fingers may
+# lean against the palm.
+_SNAP_ANGLE = np.deg2rad(30.0)
 _POSTURES, _STRETCH_GRID = 300, 7
-_NOTED_JOINTS = 8  # more held joints with the same reason share one note
 # Fingers close to one side if their mean tip offset is this share of their mean distance from straight.
 _CLOSING_SHARE = 0.6
 # A thumb is beside the fingers if it is sideways by this share of how far it is in front of them.
@@ -112,7 +111,9 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
         if not finger.tip.source.startswith("a sphere"):
             guessed.setdefault(finger.tip.source, []).append(f"{label} {1e3 * finger.tip.radius:.1f} mm")
     notes += [f"tips and their radii come from {source}: {', '.join(of)}" for source, of in guessed.items()]
-    notes += _held_notes(structure.held)
+    for reason in dict.fromkeys(structure.held.values()):
+        joints = ", ".join(f"'{joint}'" for joint, why in structure.held.items() if why == reason)
+        notes.append(f"joints are held at their default positions, as each {reason}: {joints}")
     notes += coupling_notes(read_model(structure.path))
     palm_link = structure.palm[0]
     X_PB = plant.EvalBodyPoseInWorld(plant.CreateDefaultContext(), palm_link).inverse() @ X_RB
@@ -234,26 +235,9 @@ def _snapped(R: np.ndarray, notes: list[str]) -> np.ndarray:
     if len(set(rows.tolist())) == 3 and np.linalg.det(nearest) > 0:
         angle = np.arccos(np.clip(0.5 * (np.trace(nearest.T @ R) - 1.0), -1.0, 1.0))
         if angle < _SNAP_ANGLE:
-            if angle > _NOTED_ANGLE:
-                notes.append(
-                    f"the hand base has the axes of the palm's link; stretched fingers lean against them by "
-                    f"{np.rad2deg(angle):.0f} degrees"
-                )
             return nearest
     notes.append("no axes of the palm's link lie along the fingers, so the hand base is aligned with these")
     return R
-
-
-def _held_notes(held: dict[str, str]) -> list[str]:
-    """One note on each held joint, or on all with the same reason if they are many."""
-    notes = []
-    for reason in dict.fromkeys(held.values()):
-        joints = [f"'{joint}'" for joint, why in held.items() if why == reason]
-        if len(joints) > _NOTED_JOINTS:
-            notes.append(f"{len(joints)} joints are held, as each {reason}: {', '.join(joints[:3])}, ...")
-        else:
-            notes += [f"joint {joint} {reason}: it is held at its default position" for joint in joints]
-    return notes
 
 
 def _describe(name: str, finger: _Finger) -> FingerDescription:
