@@ -1,4 +1,10 @@
-"""Draws the block diagram of a scenario with Graphviz: systems, connected ports, and what flows."""
+"""Draws docs/diagram.svg: the block diagram of a grasp trial, its systems grouped and coloured.
+
+python studies/draw_diagram.py
+
+The picture shows the connected ports and what flows between them. Needs Graphviz's `dot`. Draw it anew after
+systems or ports have changed; `geort-drake draw-diagram` draws any scenario, plainly.
+"""
 
 import dataclasses as dc
 import html
@@ -14,11 +20,13 @@ import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import PortDataType
 
+from geort_drake.console import run_main
 from geort_drake.errors import GeortError
+from geort_drake.files import write_text
 from geort_drake.hands.description import load_hand
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
-from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.scenario import Scenario, load_scenario
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
 FONT = "Helvetica"
@@ -45,8 +53,16 @@ GROUPS = {
 }
 
 
+PICTURE = Path(__file__).resolve().parents[1] / "docs" / "diagram.svg"
+
+
+def main() -> int:
+    write_text(PICTURE, draw_scenario(load_scenario()))
+    return 0
+
+
 def draw_scenario(scenario: Scenario) -> str:
-    """A scenario's diagram as SVG, drawn with Graphviz.
+    """Returns a scenario's diagram as SVG, drawn with Graphviz.
 
     Raises:
         GeortError: Graphviz's program `dot` is not installed.
@@ -257,3 +273,7 @@ def edges(boxes: dict[str, Box], lines: list[Line]) -> Iterator[dict[str, str]]:
 def port_id(name: str) -> str:
     """A port's name as Graphviz takes it."""
     return re.sub(r"\W", "_", name)
+
+
+if __name__ == "__main__":
+    run_main(main)
