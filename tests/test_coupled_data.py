@@ -6,10 +6,12 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from retargeting_toy import toy_human, toy_kinematics, toy_samples
 
 from geort_drake.people.recording import PINCH_M
-from geort_drake.retargeting.clouds import voxel_centres
+from geort_drake.retargeting.clouds import first_in_voxels, voxel_centres, voxel_index
 from geort_drake.retargeting.methods.coupled import CoupledConfig, batches, hands
 from geort_drake.retargeting.methods.coupled.batches import Batches, BatchMaker
 from geort_drake.retargeting.methods.coupled.config import MIXED_HAND_FRACTION
@@ -158,3 +160,12 @@ def test_batches_are_moved_to_the_device_of_the_network(hand, human):
     batch = batches_of(maker, "meta").next(network, 0.5)
     tensors = [*vars(batch).values(), *vars(batch.near_collisions).values(), *vars(gaps.to("meta")).values()]
     assert {value.device.type for value in tensors if isinstance(value, torch.Tensor)} == {"meta"}
+
+
+@given(st.integers(1, 200), st.integers(0, 2**32 - 1))
+def test_one_point_of_each_voxel_remains(count, seed):
+    """The first in order; centres are those of the voxels that hold points."""
+    points = np.random.default_rng(seed).normal(0.0, 0.01, (count, 3))
+    cells, first = np.unique(voxel_index(points, 0.005), axis=0, return_index=True)
+    np.testing.assert_array_equal(first_in_voxels(points, 0.005), np.sort(first))
+    np.testing.assert_allclose(voxel_centres(points, 0.005), (cells + 0.5) * 0.005)
