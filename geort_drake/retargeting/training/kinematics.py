@@ -59,11 +59,6 @@ class FingerChain:
         if not np.allclose(np.linalg.norm(self.axes, axis=1), 1.0, atol=1e-9):
             raise ValueError(f"finger '{self.name}': the joint axes must be unit vectors")
 
-    @property
-    def is_coupled(self) -> bool:
-        """Whether joints follow others."""
-        return not np.array_equal(self.coupling, np.eye(len(self.all_joint_names)))
-
 
 @dataclass(frozen=True)
 class HandKinematics:
@@ -118,12 +113,8 @@ class HandKinematics:
         n = len(self.joint_names)
         if q.shape[-1] != n:
             raise ValueError(f"q must end with {n} joint angles, it has shape {tuple(q.shape)}")
-        batch = q.shape[:-1]
-        groups, order = self._groups(q.dtype, q.device)
-        flat = q.reshape(-1, n)
-        tips = [group.points(flat) for group in groups]
-        p_FB = tips[0] if len(tips) == 1 else torch.cat(tips)[order]
-        return p_FB.transpose(0, 1).reshape(*batch, len(self.fingers), 3)
+        chains = self._chains(q.dtype, q.device)
+        return chains.points(q.reshape(-1, n)).transpose(0, 1).reshape(*q.shape[:-1], len(self.fingers), 3)
 
     def fingertips_apart(self, angles: torch.Tensor) -> torch.Tensor:
         """Fingertip points p_BF (F, N, 3) in m, each finger at joint angles of its own.
@@ -131,9 +122,7 @@ class HandKinematics:
         Args:
             angles: (F, N, k) rad of each finger's joints, base to tip, padded to the longest finger.
         """
-        groups, order = self._groups(angles.dtype, angles.device)
-        tips = [group.tips(angles[group.members, :, : group.shape[1]]) for group in groups]
-        return tips[0] if len(tips) == 1 else torch.cat(tips)[order]
+        return self._chains(angles.dtype, angles.device).tips(angles)
 
     def mirrored(self) -> "HandKinematics":
         """The mirror image in the xz-plane: the same q puts its fingertips at (x, −y, z).
@@ -179,53 +168,47 @@ class HandKinematics:
         hand = HandKinematics(tuple(fingers), tuple(names), lower, upper, self.tip_radius, self.p_BW)
         return hand, matrix
 
-    def _groups(self, dtype: torch.dtype, device: torch.device) -> tuple[list["_EqualChains"], torch.Tensor]:
+    def _chains(self, dtype: torch.dtype, device: torch.device) -> "_Chains":
         key = (dtype, device)
         if key not in self._constants:
-            by_length: dict[tuple[int, int], list[int]] = {}
-            for number, finger in enumerate(self.fingers):
-                by_length.setdefault(finger.coupling.shape, []).append(number)
-            members = list(by_length.values())
-            groups = [_EqualChains(self.fingers, numbers, dtype, device) for numbers in members]
-            order = torch.tensor(np.argsort(np.concatenate(members)), device=device)
-            self._constants[key] = (groups, order)
+            self._constants[key] = _Chains(self.fingers, dtype, device)
         return self._constants[key]
 
 
-class _EqualChains:
-    """Constants of the G fingers numbered `members`, with m joints each, k of them free, as one batch."""
+class _Chains:
+    """Constants of all fingers as one batch; shorter fingers get fixed joints at their base."""
 
-    def __init__(
-        self, hand: Sequence[FingerChain], members: list[int], dtype: torch.dtype, device: torch.device
-    ):
-        fingers = [hand[number] for number in members]
-        self.members = slice(None) if len(members) == len(hand) else members
-        X = np.stack([finger.X_PJ for finger in fingers])
-        K = cross_matrices(np.stack([finger.axes for finger in fingers]))
-        R = X[..., :3, :3]
+    def __init__(self, fingers: Sequence[FingerChain], dtype: torch.dtype, device: torch.device):
+        m, k = (max(finger.coupling.shape[axis] for finger in fingers) for axis in (0, 1))
+        X, axes = np.tile(np.eye(4), (len(fingers), m, 1, 1)), np.zeros((len(fingers), m, 3))
+        coupling, indices = np.zeros((len(fingers), k, m)), np.zeros((len(fingers), k), dtype=int)
+        for row, finger in enumerate(fingers):
+            own, free = m - len(finger.axes), len(finger.joint_indices)
+            X[row, own:], axes[row, own:] = finger.X_PJ, finger.axes
+            coupling[row, :free, own:] = finger.coupling.T
+            indices[row, :free] = finger.joint_indices
+        K, R = cross_matrices(axes), X[..., :3, :3]
         # Rodrigues: R_PJ Rot(a, θ) = R_PJ + sin θ · R_PJ K + (1 − cos θ) · R_PJ K²
-        stacked = np.concatenate([R, R @ K, R @ K @ K], axis=-2)  # (G, k, 9, 3)
+        stacked = np.concatenate([R, R @ K, R @ K @ K], axis=-2)  # (F, m, 9, 3)
 
         def constant(array: np.ndarray) -> torch.Tensor:
             return torch.tensor(np.ascontiguousarray(array), dtype=dtype, device=device)
 
         self.matrices = constant(np.moveaxis(stacked, 1, 0))
         self.offsets = constant(np.moveaxis(X[:, :, :3, 3:], 1, 0))
-        self.coupling = None
-        if any(finger.is_coupled for finger in fingers):
-            self.coupling = constant(np.stack([finger.coupling.T for finger in fingers]))
+        every_joint_free = m == k and (coupling == np.eye(k)).all()
+        self.coupling = None if every_joint_free else constant(coupling)
         self.p_tip = constant(np.stack([finger.p_tip for finger in fingers])[:, :, None])
-        indices = np.array([finger.joint_indices for finger in fingers])
         self.indices = torch.tensor(indices.ravel(), device=device)
-        self.shape = indices.shape
 
     def points(self, q: torch.Tensor) -> torch.Tensor:
-        """(G, N, 3) fingertip points in B of q (N, n)."""
-        fingers, k = self.shape
-        return self.tips(q.index_select(1, self.indices).reshape(-1, fingers, k).transpose(0, 1))
+        """(F, N, 3) fingertip points in B of q (N, n)."""
+        fingers = self.p_tip.shape[0]
+        angles = q.index_select(1, self.indices).reshape(len(q), fingers, -1)
+        return self.tips(angles.transpose(0, 1))
 
     def tips(self, angles: torch.Tensor) -> torch.Tensor:
-        """(G, N, 3) fingertip points in B of the fingers' own joint angles (G, N, k)."""
+        """(F, N, 3) fingertip points in B of the fingers' own joint angles (F, N, k)."""
         if self.coupling is not None:
             angles = torch.bmm(angles, self.coupling)
         return _Tips.apply(angles, self.matrices, self.offsets, self.p_tip)
@@ -249,7 +232,7 @@ class _Tips(torch.autograd.Function):
         p = p_tip.expand(-1, -1, angles.shape[-1])
         turned = []
         for j in reversed(range(len(matrices))):
-            # The parts of R_PJ Rot(a, θ) p, see `_EqualChains`.
+            # The parts of R_PJ Rot(a, θ) p, see `_Chains`.
             turned.append(torch.bmm(matrices[j], p))
             at_zero, by_sine, by_cosine = turned[-1].split(3, dim=1)
             p = torch.addcmul(at_zero + offsets[j], sine[j], by_sine).addcmul_(rest[j], by_cosine)
