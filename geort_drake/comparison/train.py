@@ -52,7 +52,7 @@ def training_sources(method: str) -> list[Path]:
     module = trained_method(method).train.__module__.partition(".")[2].replace(".", "/")  # type: ignore[attr-defined]
     entry = f"{module}.py" if (PACKAGE / f"{module}.py").is_file() else f"{module}/__init__.py"
     return imported_sources(
-        [entry, "hands/samples.py", "hands/canonical.py"],
+        [entry, "hands/samples.py", "hands/mirror.py"],
         rooms=("retargeting", "hands"),
         # They use the weights, but do not change them.
         left_out=["retargeting/numpy_retargeter.py", "retargeting/methods/coupled/retargeter.py"],
