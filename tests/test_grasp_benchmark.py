@@ -225,7 +225,7 @@ def test_a_condition_with_another_meaning_is_refused(copy):
     run(copy, "--methods", "hold", "--trials", "1", "--sensitivity", "noise=2")
     path = copy / "config.json"
     path.write_text(path.read_text().replace('"visual_noise": 0.002', '"visual_noise": 0.003'))
-    with pytest.raises(BenchmarkError, match=r"another condition noise=2: operator\.visual_noise: 0\.003"):
+    with pytest.raises(BenchmarkError, match=r"another conditions\.noise=2\.operator\.visual_noise: 0\.003"):
         run(copy, "--sensitivity", "noise=2")
 
 

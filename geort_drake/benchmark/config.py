@@ -1,5 +1,6 @@
 """The configuration of a benchmark, `config.json`: reading it and comparing it with what is asked for."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NotRequired, TypedDict
 
@@ -39,7 +40,9 @@ class _Notes(TypedDict, total=False):
     side: str
 
 
-class _Config(TypedDict):
+class GraspConfig(TypedDict):
+    """The configuration of a grasp benchmark."""
+
     settings: _Settings
     objects: Annotated[list[str], Meta(min_length=1)]
     methods: Annotated[dict[str, _MethodFields], Meta(min_length=1)]
@@ -57,14 +60,42 @@ def read_config(folder: Path) -> dict:
     path = folder / CONFIG
     if not path.is_file():
         raise BenchmarkError(f"{path}: there is no such file; a benchmark writes it when it begins")
-    return read_json(path, _Config, "a benchmark's configuration")
+    return read_json(path, GraspConfig, "a benchmark's configuration")
 
 
-def require_no_trials(folder: Path) -> None:
-    """Raises BenchmarkError if a folder without a configuration holds trials, whose origin is unknown."""
-    path = folder / TRIALS
-    if path.exists() and path.stat().st_size:
-        raise BenchmarkError(f"{path}: holds trials without their {CONFIG}; choose another folder")
+def continue_config(
+    folder: Path, config: dict[str, Any], schema: Any, parts: Sequence[str], any_code: bool = False
+) -> dict[str, Any] | None:
+    """Compares a configuration with the stored one, and adds the stored entries of its parts to it.
+
+    Args:
+        folder: of the benchmark.
+        config: has `settings`, which must equal the stored ones; its parts are extended here.
+        schema: of the stored configuration.
+        parts: keys of dictionaries whose common entries must be equal.
+        any_code: accept that the code of trials has changed.
+
+    Returns:
+        The stored configuration; None if there is none.
+
+    Raises:
+        BenchmarkError: they differ, the stored one is damaged, or the folder holds trials without one.
+    """
+    path, trials = folder / CONFIG, folder / TRIALS
+    if not path.is_file():
+        if trials.exists() and trials.stat().st_size:
+            raise BenchmarkError(f"{trials}: holds trials without their {CONFIG}; choose another folder")
+        return None
+    stored = read_json(path, schema, "a benchmark's configuration")
+    if any_code:
+        config["settings"]["code_sha256"] = stored["settings"]["code_sha256"]
+    require_same(path, stored["settings"], config["settings"])
+    for part in parts:
+        before = stored.get(part, {})
+        for name in before.keys() & config[part].keys():
+            require_same(path, before[name], config[part][name], f"{part}.{name}.")
+        config[part] = {**before, **config[part]}
+    return stored
 
 
 def require_same(path: Path, stored: dict[str, Any], given: dict[str, Any], within: str = "") -> None:

@@ -22,8 +22,9 @@ from geort_drake.benchmark.config import (
     METHODS,
     SCENARIO,
     TRIALS,
+    GraspConfig,
+    continue_config,
     read_config,
-    require_no_trials,
     require_same,
 )
 from geort_drake.benchmark.methods import Method, make_retargeter, measure_latency, names_of
@@ -152,21 +153,11 @@ def open_benchmark(
         "notes": {"platform": versions()["platform"], **(notes or {})},
     }
     path = folder / CONFIG
-    stored = read_config(folder) if path.exists() else None
-    if stored is None:
-        require_no_trials(folder)
-    else:
-        if any_code:
-            config["settings"]["code_sha256"] = stored["settings"]["code_sha256"]
-        require_same(path, stored["settings"], config["settings"])
-        known_conditions = stored.get("conditions", {})
-        for name in known_conditions.keys() & config["conditions"].keys():
-            require_same(path, known_conditions[name], config["conditions"][name], f"condition {name}: ")
-        config["conditions"] = {**known_conditions, **config["conditions"]}
+    stored = continue_config(folder, config, GraspConfig, ["methods", "conditions"], any_code)
+    if stored is not None:
         config["objects"] = list(dict.fromkeys([*stored["objects"], *objects]))
         config["trials"] = max(trials, stored["trials"])
         config["notes"] = stored["notes"]
-        config["methods"] = dict(stored["methods"])
     ready = {}
     for name, method in names.items():
         retarget, digest = make_retargeter(

@@ -19,10 +19,9 @@ import numpy as np
 import yaml
 
 from geort_drake.benchmark.conditions import PERTURBATIONS, group_by_value, make_conditions
-from geort_drake.benchmark.config import CONFIG, require_no_trials, require_same
+from geort_drake.benchmark.config import CONFIG, continue_config
 from geort_drake.benchmark.folder import simulation_settings
 from geort_drake.benchmark.records import Record, TrialKey
-from geort_drake.benchmark.schema import read_json
 from geort_drake.benchmark.statistics import proportion
 from geort_drake.benchmark.trials import Trial
 from geort_drake.errors import ScenarioError, UnknownNameError
@@ -117,17 +116,8 @@ class Replay:
                 for name, recording in self.recordings.items()
             },
         }
-        path = folder / CONFIG
-        if path.is_file():
-            stored = read_json(path, _Config, "a replay's configuration")
-            require_same(path, stored["settings"], config["settings"])
-            sessions = stored["sessions"]
-            for name in sessions.keys() & config["sessions"].keys():
-                require_same(path, sessions[name], config["sessions"][name], f"{name}.")
-            config["sessions"] = {**sessions, **config["sessions"]}
-        else:
-            require_no_trials(folder)
-        write_text(path, json.dumps(config, indent=2, allow_nan=False) + "\n")
+        continue_config(folder, config, _Config, ["sessions"])
+        write_text(folder / CONFIG, json.dumps(config, indent=2, allow_nan=False) + "\n")
 
 
 def as_recorded(scenario: Scenario, recording: Recording, object_name: str | None) -> Scenario:
