@@ -2,8 +2,8 @@
 
 Color = tuple[int, ...]  # red, green, blue and optional opacity, 0–255
 
-# Five of Okabe and Ito's, which colour-blind readers can tell apart, and which are read on white and on dark
-# backgrounds. Red and bright green are left for what is wrong or right.
+# From the palette of Okabe and Ito, which colour-blind readers can tell apart, on light and dark backgrounds.
+# Red and bright green are reserved for wrong and right.
 FINGER_COLOURS = {
     "thumb": "#E69F00",
     "index": "#56B4E9",

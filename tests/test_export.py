@@ -7,17 +7,23 @@ import pyarrow.dataset
 import pyarrow.parquet as pq
 import pytest
 from rerun.experimental import LeRobotReader
+from rerun_world import read
 from scipy.spatial.transform import Rotation
 from script_modules import load_script
 
 from geort_drake.errors import OutputError, RecordingError, UsageError
 from geort_drake.export.episode import episode_of, glove_at, newest, read_episodes
+from geort_drake.export.hand_recordings import write_hand, write_joint_sweep
 from geort_drake.export.lerobot import features_of, write_lerobot
 from geort_drake.export.parquet import write_parquet
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.people.coverage import tip_distances
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.recording import Recording
 from geort_drake.rerun import file_writer
 from geort_drake.rerun.blueprint import blueprint, scene_view
+from geort_drake.rerun.reader import read_samples
 
 # Joints of each plot, and their places in `command`.
 SERIES = {"joints/thumb": {"j0": 0, "j1": 1}, "joints/index": {"j2": 2}, "arm": {"shoulder": 3, "elbow": 4}}
@@ -257,3 +263,21 @@ def test_a_glove_is_held_between_its_frames():
     play = synthesize_play(0, 2.0, 10.0)
     held = glove_at(play, np.array([0.0, 0.05, 0.1, 0.19]))
     np.testing.assert_array_equal(held.p_HK, play.p_HK[[0, 0, 1, 1]])
+
+
+def test_hands_are_recorded_for_rerun(tmp_path):
+    """A person's hand with its states and pinch distances; a robot hand whose joints reach their limits."""
+    play = synthesize_play(0, 2.0, 30.0)
+    names = ["open"] * (len(play) // 2) + ["closed"] * (len(play) - len(play) // 2)
+    write_hand(play, tmp_path / "person.rrd", fps=10.0, states={"step": names})
+    person = read_samples(tmp_path / "person.rrd")
+    assert set(person.states["step"]) == {"open", "closed"}
+    np.testing.assert_allclose(person.signals["gap.thumb.index"][0], 1e3 * tip_distances(play.p_HK)[0, 0])
+    hand = HandModel(load_hand("allegro_right"))
+    write_joint_sweep(hand, tmp_path / "robot.rrd")
+    _, tips = read(tmp_path / "robot.rrd", "/world/tips/thumb", "Ellipsoids3D:centers")
+    joint = hand.joint_names.index(hand.description.fingers[0].joints[-1])
+    bent = hand.default_position.copy()
+    bent[joint] = hand.upper[joint]
+    distance = np.linalg.norm(np.array(tips)[:, 0] - hand.fingertips(bent)[0], axis=1)
+    assert distance.min() < 0.005

@@ -73,8 +73,9 @@ def test_an_unfinalized_plant_is_refused(tmp_path):
         World().record(tmp_path / "no.rrd")
 
 
-def test_a_screenshot_is_a_picture_or_a_reason(tmp_path):
+def test_a_screenshot_is_a_picture_or_a_reason(tmp_path, monkeypatch):
     """Without a graphics driver the error says what to install; a missing file is named."""
+    monkeypatch.setattr("geort_drake.rerun.screenshot._NOTICE", 0.0)
     world = World().finalize().record(tmp_path / "seen.rrd")
     with world.recorder:
         world.simulator.AdvanceTo(0.1)

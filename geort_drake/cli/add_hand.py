@@ -74,9 +74,9 @@ def run(arguments: argparse.Namespace) -> int:
     if not found:
         say("the checks found nothing to correct")
     if arguments.rrd is not None:
-        from geort_drake.export.hand_recordings import record_hand
+        from geort_drake.export.hand_recordings import write_joint_sweep
 
-        record_hand(hand, arguments.rrd)
+        write_joint_sweep(hand, arguments.rrd)
     write_json(arguments.json, {"description": str(path), "notes": notes, "to_correct": found})
     if found:
         following = command("add-hand", path)

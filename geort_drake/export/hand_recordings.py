@@ -65,7 +65,7 @@ def write_hand(
             writer.states(entity_path(key), codes, dict(enumerate(labels)))
 
 
-def record_hand(hand: HandModel, path: Path) -> None:
+def write_joint_sweep(hand: HandModel, path: Path) -> None:
     """Writes a robot hand in which each joint goes through its range, with its fingertips and its base frame.
 
     The base's axes are x red, y green, z blue.

@@ -9,8 +9,8 @@ A recorder is one more system of a diagram. It samples the bodies of a plant, an
         simulator.AdvanceTo(5.0)
 
 `HandSpec`, `PointsSpec`, `StateSpec`, `ContactSpec`, `CameraSpec` and `CloseUpSpec` add human hands, points,
-named states, contact forces, pictures and views. Without a simulation, `file_writer` opens a file and the
-functions of `geort_drake.rerun.drawing` fill it; `take_screenshot` makes a picture of a file.
+named states, contact forces, pictures and views. Without a simulation, `file_writer` gives a `Writer`, whose
+methods send arrays over time. `take_screenshot` makes a picture of a file.
 """
 
 from geort_drake.rerun.add_recorder import add_rerun_recorder
