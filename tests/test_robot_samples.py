@@ -1,5 +1,7 @@
 """The sampled robot data: what it depends on, and its cache."""
 
+import os
+
 import numpy as np
 import pytest
 
@@ -89,3 +91,15 @@ def test_cache_belongs_to_one_model(allegro_copy, tmp_path):
     data = robot_data(changed, 50, cache=cache)
     assert len(list(cache.iterdir())) == 2
     assert data.q[:, changed.joint_names.index("joint_1")].max() <= 1.51
+
+
+def _end(_q) -> None:
+    os._exit(1)
+
+
+def test_a_worker_that_ends_costs_only_time(allegro, tmp_path, monkeypatch):
+    """This process then labels the rest."""
+    alone = robot_data(allegro, 1200, cache=tmp_path / "a", processes=1)
+    monkeypatch.setattr("geort_drake.hands.samples._labels_in_worker", _end)
+    shared = robot_data(allegro, 1200, cache=tmp_path / "b", processes=2)
+    np.testing.assert_array_equal(shared.p_BF, alone.p_BF)

@@ -2,22 +2,24 @@
 
 import hashlib
 import logging
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from joblib.externals.loky import ProcessPoolExecutor
 
 from geort_drake.files import atomic_path
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import HandModel
-from geort_drake.hands.shared_work import shared_work, worthwhile_processes
+from geort_drake.processes import end_with, usable_cores
 from geort_drake.resources import cache_dir
 
 # Part of the cache key: raise it when the meaning of the stored arrays changes.
 FORMAT_VERSION = 1
 _CHUNK_SIZE = 500  # samples that one process labels at a time, in 0.02 s
-_CHUNKS_IN_START = 40  # that are labelled in the time that a process takes to start
+_MIN_SHARED = 40_000  # samples; workers take the time of 20,000 to start
 
 
 @dataclass(frozen=True)
@@ -83,16 +85,13 @@ def _labelled(
     progress: Callable[[int, int], None] | None,
 ) -> RobotData:
     count = len(data.q)
-    chunks = np.split(data.q, range(_CHUNK_SIZE, count, _CHUNK_SIZE))
     if processes is None:
-        processes = worthwhile_processes(len(chunks), _CHUNKS_IN_START)
-    answers = shared_work(
-        chunks, lambda q: _answers(hand, q), _answers_in_worker, processes, _start, (hand.description,)
-    )
+        processes = usable_cores() if count >= _MIN_SHARED else 1
+    chunks = np.split(data.q, range(_CHUNK_SIZE, count, _CHUNK_SIZE))
     p_BF = np.empty((count, len(hand.finger_names), 3))
     collides = np.empty(count, dtype=bool)
     done = 0
-    for chunk_p_BF, chunk_collides in answers:
+    for chunk_p_BF, chunk_collides in _labels(hand, chunks, processes):
         rows = slice(done, done + len(chunk_collides))
         p_BF[rows], collides[rows], done = chunk_p_BF, chunk_collides, rows.stop
         if progress is not None:
@@ -100,19 +99,43 @@ def _labelled(
     return RobotData(data.q, data.digest, p_BF=p_BF, collides_beyond_tips=collides)
 
 
-def _answers(hand: HandModel, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _labels(
+    hand: HandModel, chunks: Sequence[np.ndarray], processes: int
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """The labels of each chunk, in order.
+
+    Workers begin with the last chunk, because they start late. This process begins with the first one and
+    does not wait: it labels what no worker has labelled in time, or at all because it failed.
+    """
+    if processes < 2:
+        yield from (_labels_of(hand, q) for q in chunks)
+        return
+    pool = ProcessPoolExecutor(processes - 1, initializer=_start, initargs=(os.getpid(), hand.description))
+    futures = [pool.submit(_labels_in_worker, q) for q in reversed(chunks)][::-1]
+    try:
+        for q, future in zip(chunks, futures, strict=True):
+            ready = future.done() and future.exception() is None
+            yield future.result() if ready else _labels_of(hand, q)
+    finally:
+        for future in futures:
+            future.cancel()
+        pool.shutdown(wait=False)
+
+
+def _labels_of(hand: HandModel, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return hand.fingertips(q), hand.collides_beyond_tips(q)
 
 
 _worker: dict[str, HandModel] = {}  # the hand of a worker process
 
 
-def _start(description: HandDescription) -> None:
+def _start(starter: int, description: HandDescription) -> None:
+    end_with(starter)
     _worker["hand"] = HandModel(description)
 
 
-def _answers_in_worker(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return _answers(_worker["hand"], q)
+def _labels_in_worker(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return _labels_of(_worker["hand"], q)
 
 
 def _key(hand: HandModel, count: int, seed: int) -> str:
