@@ -1,21 +1,23 @@
 """The source files of this package that some of its modules run through."""
 
 import ast
+import inspect
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 PACKAGE = Path(__file__).resolve().parent
 
 
 def imported_sources(
-    entries: Iterable[str], rooms: Collection[str], left_out: Iterable[str] = ()
+    entries: Iterable[str | Path], rooms: Collection[str], left_out: Iterable[str | Path] = ()
 ) -> list[Path]:
     """The files `entries` and all that they import from these rooms, at once or inside functions.
 
     Args:
-        entries: files relative to the package, such as "hands/samples.py".
+        entries: files, absolute or relative to the package, such as "hands/samples.py".
         rooms: folders of the package, such as "hands".
-        left_out: files, relative as well, that are neither listed nor followed.
+        left_out: files that are neither listed nor followed.
     """
     found = {PACKAGE / path for path in left_out}
     result: set[Path] = set()
@@ -28,6 +30,11 @@ def imported_sources(
             imported = _imports(ast.parse(path.read_bytes()).body)
             pending += [path for path in imported if path.relative_to(PACKAGE).parts[0] in rooms]
     return sorted(result)
+
+
+def source_of(thing: Any) -> Path:
+    """The file that defines a function or class."""
+    return Path(inspect.getfile(thing)).resolve()
 
 
 def _imports(nodes: Iterable[ast.AST]) -> Iterator[Path]:

@@ -36,11 +36,11 @@ from geort_drake.retargeting.checkpoint import (
 )
 from geort_drake.retargeting.method import TrainingConfig, TrainingData
 from geort_drake.retargeting.methods import DEFAULT_METHOD, trained_method
-from geort_drake.retargeting.retargeter import load_retargeter
+from geort_drake.retargeting.retargeter import Retargeter, load_retargeter
 from geort_drake.retargeting.trained_space import trained_points
 from geort_drake.retargeting.training.descent import Report
 from geort_drake.settings import check_names, parse_settings
-from geort_drake.sources import PACKAGE, imported_sources
+from geort_drake.sources import PACKAGE, imported_sources, source_of
 
 
 def training_sources(method: str) -> list[Path]:
@@ -49,13 +49,12 @@ def training_sources(method: str) -> list[Path]:
     Raises:
         UnknownNameError: no such method.
     """
-    module = trained_method(method).train.__module__.partition(".")[2].replace(".", "/")  # type: ignore[attr-defined]
-    entry = f"{module}.py" if (PACKAGE / f"{module}.py").is_file() else f"{module}/__init__.py"
+    trained = trained_method(method)
     return imported_sources(
-        [entry, "hands/samples.py", "hands/mirror.py"],
+        map(source_of, (trained.train, robot_data, canonical_shapes)),
         rooms=("retargeting", "hands"),
         # They use the weights, but do not change them.
-        left_out=["retargeting/numpy_retargeter.py", "retargeting/methods/coupled/retargeter.py"],
+        left_out=map(source_of, (Retargeter, trained.retargeter)),
     )
 
 
