@@ -5,7 +5,7 @@ import pytest
 import torch
 from rerun_world import read, rerun
 
-from geort_drake.comparison import training_scene as scene
+from geort_drake.comparison import training_recording as scene
 from geort_drake.comparison.training_recording import TrainingRecorder
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
@@ -90,20 +90,17 @@ def test_the_recording_holds_each_map_as_it_was(tmp_path, hand, play, network, m
     steps, pinch = read(path, "/losses/pinch", "Scalars:scalars", timeline="step")
     assert (steps, np.ravel(pinch).tolist()) == ([0, 49, 99], [1.0, 0.02, 0.01])
     tips = hand.fingertips(hand.default_position)
-    thumb = hand.finger_names.index("thumb")
-    _, lines = read(path, "/world/robot/pinches", "LineStrips3D:strips", timeline="step")
-    np.testing.assert_allclose(lines[-1][0][0], tips[thumb], atol=1e-6)
-    gaps = [np.linalg.norm(np.subtract(*line)) for line in lines[-1]]
-    assert closed[-1] == pytest.approx(np.mean(np.array(gaps) <= 2 * hand.tip_radius))
-    # The first map's thumb tips, from its own weights.
+    # The final map closes no pinch; the hand and the lattices are those of each step's own map.
+    thumb = hand.description.fingers[0]
+    gaps = np.linalg.norm(tips[1:] - tips[0], axis=1)
+    assert closed[-1] == (gaps.min() <= 2 * hand.tip_radius)
+    _, lattices = read(path, f"/world/robot/lattice/{thumb.name}", "LineStrips3D:strips", timeline="step")
+    np.testing.assert_allclose(lattices[-1], np.broadcast_to(tips[0], lattices[-1].shape), atol=1e-6)
     network.load_state_dict(kept[0])
-    building = scene.TrainingScene(hand, play, 0)
+    lattice = scene.Lattice(play.fingertips(hand.description.human_keypoints), 0)
     with torch.no_grad():
-        q = network(torch.tensor(building._pinching, dtype=torch.float32)).numpy().astype(float)
-    np.testing.assert_allclose([line[0] for line in lines[0]], hand.fingertips(q)[:, thumb], atol=1e-5)
-    _, colors = read(path, "/world/robot/reach/thumb", "Points3D:colors", timeline="step")
-    assert len(set(map(len, colors))) == 1
-    assert not np.array_equal(colors[0], colors[-1])
+        q = network(torch.tensor(lattice.hands, dtype=torch.float32)).numpy().astype(float)
+    np.testing.assert_allclose(lattices[0], lattice.segments(hand.fingertips(q)[:, 0]), atol=1e-5)
 
 
 def test_a_lattice_joins_neighbours(rng):

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from pydrake.math import RigidTransform
 
-from geort_drake.colours import SKIN, Color
+from geort_drake.colours import SKIN, Color, finger_colors
 from geort_drake.comparison.exploration import Answers, Excerpt, Pinches, find_pinches, tips_of
-from geort_drake.comparison.hand_marks import RIGHT, WRONG, collisions, finger_colors, pinch_closed
+from geort_drake.comparison.metrics import PENETRATION
 from geort_drake.hands.model import HandModel
 from geort_drake.people.keypoints import mirrored
 from geort_drake.rerun import blueprint as views
@@ -19,6 +19,7 @@ from geort_drake.rerun.robot_hand import write_robot_hand
 from geort_drake.rerun.streams import Property, file_writer
 from geort_drake.rerun.writer import CAGE, SOLID, WORLD, Writer, entity_path
 
+_RIGHT, _WRONG = (90, 255, 120), (255, 50, 50)  # no finger has these colours
 APPLICATION = "geort_drake_explorer"
 _SPACING = 0.26  # m, between neighbouring hands
 _LABEL_HEIGHT = 0.235  # m
@@ -113,14 +114,28 @@ def write_exploration(
 def _marks(hand: HandModel, answers: Answers, pinches: Pinches) -> _Marks:
     tips = answers.p_BF[np.arange(len(answers.q))[:, None], pinches.pair]
     gap = np.linalg.norm(tips[:, 1] - tips[:, 0], axis=-1)
-    return _Marks(gap, pinch_closed(hand, tips), collisions(hand, answers.q))
+    return _Marks(gap, gap <= 2 * hand.tip_radius, _collisions(hand, answers.q))
+
+
+def _collisions(hand: HandModel, q: np.ndarray) -> list[np.ndarray]:
+    """Where parts of the hand penetrate each other by over 2 mm: for each of q (T, n), (k, 3) in B, m.
+
+    Two fingertips may touch, as in `metrics.self_collision`.
+    """
+    context = hand.contact_context()
+    found = []
+    for row in q:
+        pairs = hand.query(row, context).ComputePointPairPenetration()
+        deep = [(pair.p_WCa + pair.p_WCb) / 2 for pair in pairs if pair.depth > PENETRATION]
+        found.append(np.array(deep).reshape(-1, 3))
+    return found
 
 
 def _write_human(writer: Writer, hand: HandModel, p_HK: np.ndarray, pinches: Pinches) -> None:
     path = entity_path(WORLD, "human")
     writer.human_hand(path, p_HK, SKIN)
     tips = tips_of(p_HK, hand)
-    writer.points(f"{path}/tips", list(tips), _HUMAN_TIP, finger_colors(hand), SOLID)
+    writer.points(f"{path}/tips", list(tips), _HUMAN_TIP, finger_colors(hand.finger_names), SOLID)
     _write_pinches(writer, path, tips, pinches, np.full((len(tips), 3), 255), 1.8 * _HUMAN_TIP)
     writer.label(f"{path}/name", "recorded hand", SKIN, (0.0, 0.0, _LABEL_HEIGHT))
     writer.series("/gap/human", ["human"], 1e3 * pinches.distance[:, None], [SKIN], 2.5)
@@ -130,11 +145,11 @@ def _write_marks(
     writer: Writer, path: str, hand: HandModel, answers: Answers, marks: _Marks, pinches: Pinches
 ) -> None:
     radius = 1.1 * hand.tip_radius  # covers the model's own tip
-    writer.points(f"{path}/tips", list(answers.p_BF), radius, finger_colors(hand), SOLID)
+    writer.points(f"{path}/tips", list(answers.p_BF), radius, finger_colors(hand.finger_names), SOLID)
     writer.points(f"{path}/copy", list(answers.asked), 1.1 * radius, _COPY_COLOR, CAGE)
-    colors = np.where(marks.closed[:, None], RIGHT, WRONG)
+    colors = np.where(marks.closed[:, None], _RIGHT, _WRONG)
     _write_pinches(writer, path, answers.p_BF, pinches, colors, 2.2 * radius)
-    writer.points(f"{path}/collisions", marks.collisions, 0.014, WRONG, SOLID)
+    writer.points(f"{path}/collisions", marks.collisions, 0.014, _WRONG, SOLID)
 
 
 def _write_pinches(
@@ -151,7 +166,7 @@ def _write_pinches(
 def _write_lanes(writer: Writer, hand: HandModel, marks: Mapping[str, _Marks], pinches: Pinches) -> None:
     codes = np.where(pinches.asked, 1.0 + pinches.pair[:, 1], 0.0)
     labels = dict(enumerate(("–", *hand.finger_names)))
-    writer.states(entity_path(_PINCH_LANE), codes, labels, [_IDLE, *finger_colors(hand)])
+    writer.states(entity_path(_PINCH_LANE), codes, labels, [_IDLE, *finger_colors(hand.finger_names)])
     for name, of_method in marks.items():
         collides = np.array([len(points) > 0 for points in of_method.collisions])
         pinch = np.where(of_method.closed, 1.0, 2.0)

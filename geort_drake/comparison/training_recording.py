@@ -2,57 +2,63 @@
 
 import copy
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from pydrake.math import RigidTransform
+from scipy.spatial import cKDTree
 
-from geort_drake.comparison.training_scene import CRITERIA, Map, TrainingScene
+from geort_drake.colours import SKIN, finger_colors
+from geort_drake.comparison.exploration import find_pinches, tips_of
+from geort_drake.comparison.metrics import flatness_and_gain, pinch, self_collision
+from geort_drake.hands.mirror import canonical_kinematics
 from geort_drake.hands.model import HandModel
+from geort_drake.people.keypoints import mirrored
 from geort_drake.people.recording import Recording
 from geort_drake.rerun import blueprint as views
+from geort_drake.rerun.robot_hand import write_robot_hand
 from geort_drake.rerun.streams import Property, file_writer
-from geort_drake.rerun.writer import PALETTE, STEPS
+from geort_drake.rerun.writer import PALETTE, STEPS, Writer
+from geort_drake.retargeting.clouds import voxel_centres, voxel_thinned
+from geort_drake.retargeting.training.map_figures import coverage, motion_preservation
 
+# From human fingertips (N, F, 3) of a canonical right hand, m, to joint angles (N, n), rad.
+Map = Callable[[np.ndarray], np.ndarray]
 APPLICATION = "geort_drake_training"
 _PLAYING_TIME = 10.0  # s
 _TEXT = """\
 **{method}** learns to move the {hand}; no robot pose is given for any human pose. Flat lattices lie among the
-person's fingertips; the map carries them over.
+person's fingertips; the map carries them over. It should keep their directions (I), use the whole reach of
+the robot's fingertips (II), keep cells alike (III), close pinches (IV) and not let the hand hit itself (V).
 
-| | the map should | look at |
-|---|---|---|
-| I | keep directions | lattices keep theirs |
-| II | use the whole reach | grey dots take a colour |
-| III | be even | lattice cells are alike |
-| IV | close pinches | red lines turn green |
-| V | not hit itself | red balls vanish |
-
-Plots: I cosine; II, IV and V shares; III 0 where it is even. Both hands show one pinch of the recording.
+Plots: I cosine; II, IV and V fractions; III 0 where the map is even. Both hands show one pinch.
 """
 # Title, eye, what it looks at (m, in W), and entities of each view.
 _VIEWS = (
     ("the person's fingertips", (0.19, 0.18, 0.17), (0.03, 0.01, 0.1), ["/world/human/**"]),
-    (
-        "what the map makes of them: I, III, IV, V",
-        (0.22, 0.53, 0.19),
-        (0.04, 0.33, 0.11),
-        ["/world/robot/**", "- /world/robot/reach/**"],
-    ),
-    (
-        "the robot's reach: II",
-        (0.35, 0.48, 0.21),
-        (0.04, 0.34, 0.11),
-        [
-            "/world/robot/**",
-            "- /world/robot/lattice/**",
-            "- /world/robot/pinches",
-            "- /world/robot/collisions",
-        ],
-    ),
+    ("what the map makes of them", (0.22, 0.53, 0.19), (0.04, 0.33, 0.11), ["/world/robot/**"]),
 )
+_SHARE = (-0.05, 1.08)  # limits of a plot that labels 0 and 1
+# Criterion → title of its plot, and the plot's limits.
+_CRITERIA: dict[str, tuple[str, tuple[float, float] | None]] = {
+    "motion": ("I  motion", _SHARE),
+    "coverage": ("II  reach", _SHARE),
+    "flatness": ("III  flatness", None),
+    "pinch": ("IV  pinches", _SHARE),
+    "collision": ("V  collisions", _SHARE),
+}
+_CRITERION_COLOR = (86, 180, 233)
+_HUMAN, _ROBOT = "/world/human", "/world/robot"
+_SPACING = 0.32  # m, from the human to the robot hand
+# Numbers of hands: for figures, for collisions, of pinches; of anchors of the metrics; of robot poses.
+_FRAMES, _COLLIDING, _PINCHING, _ANCHORS, _SAMPLES = 1000, 150, 40, 300, 20_000
+_VOXEL = 0.008  # m, of both clouds
+_DOT = 0.001  # m, radius
+_CELL = 0.012  # m, of the lattices
+_LATTICE_RADIUS = 0.0006  # m, of its lines
 
 
 class TrainingRecorder:
@@ -121,12 +127,115 @@ class TrainingRecorder:
         return answer
 
 
+class TrainingScene:
+    """The samples of a recording by which maps are shown and measured.
+
+    Args:
+        hand: model of the robot hand.
+        recording: of the person.
+        seed: of the samples.
+    """
+
+    def __init__(self, hand: HandModel, recording: Recording, seed: int):
+        self._hand, self._seed = hand, seed
+        self._kinematics = canonical_kinematics(hand)
+        self._fingers = list(zip(hand.finger_names, finger_colors(hand.finger_names), strict=True))
+        # Maps work on canonical right hands; a left hand is drawn mirrored back.
+        self._shown: Callable = mirrored if hand.description.side == "left" else np.asarray
+        p_HK = recording.p_HK[recording.valid].astype(float)
+        frames = tips_of(p_HK, hand)
+        self._frames = frames[_evenly(len(frames), _FRAMES)]
+        pinches = find_pinches(frames, hand.finger_names)
+        rows = np.flatnonzero(pinches.asked)
+        self._pinching = frames[rows[_evenly(len(rows), _PINCHING)]]
+        self._closest_pinch = p_HK[np.argmin(pinches.distance)]
+        q = np.random.default_rng(seed).uniform(hand.lower, hand.upper, (_SAMPLES, len(hand.joint_names)))
+        p_BF = self._fingertips(q)
+        self._reachable = [voxel_thinned(p_BF[:, i], _VOXEL) for i in range(len(self._fingers))]
+        self._lattices = [Lattice(frames, i) for i in range(len(self._fingers))]
+
+    def write(self, writer: Writer, maps: Sequence[Map]) -> None:
+        """Sends everything; one map for each of the writer's times."""
+        writer.up_axis()
+        writer.human_hand(_HUMAN, np.array([self._shown(self._closest_pinch)] * len(maps)), SKIN)
+        instant = tips_of(self._closest_pinch[None], self._hand)
+        q = np.concatenate([answer(instant) for answer in maps])
+        X_WB = RigidTransform([0.0, _SPACING, -self._hand.p_BW[2]])
+        write_robot_hand(writer, _ROBOT, self._hand, q, X_WB)
+        for i, (name, color) in enumerate(self._fingers):
+            cloud = self._shown(voxel_thinned(self._frames[:, i], _VOXEL))
+            writer.points(f"{_HUMAN}/cloud/{name}", cloud, _DOT, color)
+            lattice = self._lattices[i]
+            lines = self._shown(lattice.segments(lattice.nodes))
+            writer.lines(f"{_HUMAN}/lattice/{name}", lines, _LATTICE_RADIUS, color)
+            nodes = [self._fingertips(answer(lattice.hands))[:, i] for answer in maps]
+            rows = [self._shown(lattice.segments(of_step)) for of_step in nodes]
+            writer.lines(f"{_ROBOT}/lattice/{name}", rows, _LATTICE_RADIUS, color)
+        curves = np.array([self._measure(answer) for answer in maps], dtype=float)
+        for key, values in zip(_CRITERIA, curves.T, strict=True):
+            writer.series(f"/criteria/{key}", [key], values[:, None], [_CRITERION_COLOR], 2.0)
+
+    def _fingertips(self, q: np.ndarray) -> np.ndarray:
+        return self._kinematics.fingertips(torch.from_numpy(q)).numpy()
+
+    def _measure(self, answer: Map) -> tuple:
+        """The criteria, with the same random numbers for every map."""
+
+        def fingertips(p_HF: np.ndarray) -> np.ndarray:
+            return self._fingertips(answer(p_HF))
+
+        def rng() -> np.random.Generator:
+            return np.random.default_rng([self._seed, 1])
+
+        hand, tips = self._hand, fingertips(self._frames)
+        closed = None
+        if len(self._pinching):
+            figures = pinch(self._pinching, fingertips(self._pinching), hand.finger_names, hand.tip_radius)
+            closed = figures and figures["closed"]
+        return (
+            motion_preservation(fingertips, self._frames, rng(), anchors=_ANCHORS),
+            coverage(self._reachable, list(np.moveaxis(tips, 1, 0)))["10mm"],
+            flatness_and_gain(fingertips, self._frames, rng(), anchors=_ANCHORS)[0],
+            closed,
+            self_collision(hand, answer(self._frames[_evenly(len(self._frames), _COLLIDING)]))["deep"],
+        )
+
+
+class Lattice:
+    """A flat square lattice through the places of one human fingertip, in the plane that holds most of them.
+
+    Attributes:
+        nodes: (k, 3), m.
+        hands: (k, F, 3) recorded hands with that fingertip moved to the nodes, m.
+    """
+
+    def __init__(self, frames: np.ndarray, finger: int):
+        centres = voxel_centres(frames[:, finger], _CELL)
+        distance, rows = cKDTree(frames[:, finger]).query(centres)
+        visited = distance < _CELL / 2
+        planes = [centres[:, axis] == place for axis in range(3) for place in np.unique(centres[:, axis])]
+        chosen = visited & max(planes, key=lambda plane: np.count_nonzero(plane & visited))
+        self.nodes = centres[chosen]
+        self.hands = frames[rows[chosen]].copy()
+        self.hands[:, finger] = self.nodes
+        self._edges = cKDTree(self.nodes).query_pairs(1.1 * _CELL, output_type="ndarray")
+
+    def segments(self, nodes: np.ndarray) -> np.ndarray:
+        """(e, 2, 3) between neighbours, for nodes (k, 3) that were moved."""
+        return nodes[self._edges]
+
+
+def _evenly(count: int, wanted: int) -> np.ndarray:
+    """At most `wanted` rows out of `count`."""
+    return np.linspace(0, count - 1, min(wanted, count)).astype(int)
+
+
 def _blueprint(steps: int, losses: np.ndarray) -> Any:
     """The layout for so many steps and losses (observations, losses)."""
     scenes = [views.scene_view(eye, target, title, contents) for title, eye, target, contents in _VIEWS]
     criteria = [
         views.time_series(title, [f"/criteria/{key}"], steps=steps, limits=limits)
-        for key, (title, limits) in CRITERIA.items()
+        for key, (title, limits) in _CRITERIA.items()
     ]
     # The highest peaks are cut, as they would flatten everything else.
     low, high = np.percentile(losses, [0, 97])

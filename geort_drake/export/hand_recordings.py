@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geort_drake.colours import FINGER_COLOURS, SKIN, rgb
+from geort_drake.colours import FINGER_COLOURS, SKIN, finger_colors, rgb
 from geort_drake.export.episode import newest
 from geort_drake.hands.model import HandModel
 from geort_drake.people.coverage import tip_distances
@@ -57,7 +57,7 @@ def write_hand(
         writer.up_axis()
         writer.human_hand("/world/human", p_HK, SKIN)
         others = FINGER_NAMES[1:]
-        colors = [rgb(FINGER_COLOURS[finger]) for finger in others]
+        colors = finger_colors(others)
         writer.series("/gap/thumb", others, 1e3 * tip_distances(p_HK), colors)
         for key, names in (states or {}).items():
             labels = list(dict.fromkeys(names))

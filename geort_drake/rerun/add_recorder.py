@@ -14,6 +14,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder, OutputPort
 
 from geort_drake.errors import ScenarioError
+from geort_drake.rerun import tracks as kinds
 from geort_drake.rerun.layout import VIEW_FROM, Layout, followed_bodies
 from geort_drake.rerun.recorder import RerunRecorder
 from geort_drake.rerun.scene import describe_scene
@@ -27,17 +28,6 @@ from geort_drake.rerun.specs import (
     StateSpec,
 )
 from geort_drake.rerun.streams import LiveSink, Property, is_live
-from geort_drake.rerun.tracks import (
-    CameraTrack,
-    ContactTrack,
-    HandTrack,
-    PointTrack,
-    PoseTrack,
-    SignalTrack,
-    StateTrack,
-    Track,
-    port_name,
-)
 
 Target = str | os.PathLike | LiveSink
 
@@ -106,17 +96,17 @@ def add_rerun_recorder(
     followed = followed_bodies(close_ups or {}, hands or {})
     scene = describe_scene(plant, scene_graph, role, followed)
     poses_port = _plant_port(where, plant, "body_poses", plant_ports or {})
-    tracks: list[Track] = [PoseTrack(scene, poses_port)]
+    tracks: list[kinds.Track] = [kinds.PoseTrack(scene, poses_port)]
     if contact:
         port = _plant_port(where, plant, "contact_results", plant_ports or {})
         tracks.append(
-            ContactTrack(scene, port, contact if isinstance(contact, ContactSpec) else ContactSpec())
+            kinds.ContactTrack(scene, port, contact if isinstance(contact, ContactSpec) else ContactSpec())
         )
-    tracks += [StateTrack(key, state) for key, state in (states or {}).items()]
-    tracks += [SignalTrack(key, signal) for key, signal in (signals or {}).items()]
-    tracks += [HandTrack(key, hand) for key, hand in (hands or {}).items()]
-    tracks += [PointTrack(key, spec, poses_port) for key, spec in (points or {}).items()]
-    tracks += [CameraTrack(key, camera) for key, camera in (cameras or {}).items()]
+    tracks += [kinds.StateTrack(key, state) for key, state in (states or {}).items()]
+    tracks += [kinds.SignalTrack(key, signal) for key, signal in (signals or {}).items()]
+    tracks += [kinds.HandTrack(key, hand) for key, hand in (hands or {}).items()]
+    tracks += [kinds.PointTrack(key, spec, poses_port) for key, spec in (points or {}).items()]
+    tracks += [kinds.CameraTrack(key, camera) for key, camera in (cameras or {}).items()]
     sources = _assign_inputs(tracks)
     _check_connectable(where, builder, sources)
     recorder = RerunRecorder(
@@ -157,11 +147,11 @@ def _plant_port(
     own = plant.GetOutputPort(name)
     port = exported.get(name, own)
     if type(port.Allocate()) is not type(own.Allocate()):
-        raise ScenarioError(f"{where}: plant_ports: {port_name(port)} does not hold {name}")
+        raise ScenarioError(f"{where}: plant_ports: {kinds.port_name(port)} does not hold {name}")
     return port
 
 
-def _assign_inputs(tracks: Sequence[Track]) -> dict[str, OutputPort]:
+def _assign_inputs(tracks: Sequence[kinds.Track]) -> dict[str, OutputPort]:
     """Names the recorder's input ports, tells each track which ones it reads, and returns their sources."""
     sources: dict[str, OutputPort] = {}
     names: dict[tuple[Any, int], str] = {}
@@ -180,7 +170,7 @@ def _check_connectable(where: object, builder: DiagramBuilder, sources: Mapping[
         system = port.get_system()
         if not any(one is system for one in systems):
             raise ScenarioError(
-                f"{where}: '{name}': {port_name(port)} is not in the diagram that the recorder is added to. "
-                "If it is in a nested diagram, export it there (ExportOutput) and give the nested diagram's "
+                f"{where}: '{name}': {kinds.port_name(port)} is not in the diagram that the recorder is added "
+                "to. If it is in a nested diagram, export it there (ExportOutput) and give the nested diagram's "
                 "port; for a plant, as plant_ports={'body_poses': ..., 'contact_results': ...}"
             )

@@ -13,7 +13,7 @@ from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
 from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, OutputPort
 
 from geort_drake import __version__
-from geort_drake.colours import FINGER_COLOURS, rgb
+from geort_drake.colours import finger_colors
 from geort_drake.hands.chains import PlantFingertips, finger_links
 from geort_drake.hands.description import HandDescription
 from geort_drake.rerun import (
@@ -84,7 +84,7 @@ def add_grasp_recorder(
     measured = {key: actuated_state(builder, plant, model) for key, model in models.items()}
     fingertips = PlantFingertips(plant, description, hand, hand_joints)
     fingers, n = description.finger_names, len(hand_joints)
-    colors = [rgb(FINGER_COLOURS[name]) for name in fingers]
+    colors = finger_colors(fingers)
 
     def distance(states: np.ndarray) -> np.ndarray:
         """(T, F) mm, from (T, 4n): commanded q and v, then measured q and v."""
@@ -192,7 +192,7 @@ def _joint_signals(
     if "" not in fingers:
         signals[f"{key}/largest_torque_share"] = SignalSpec(
             torque, list(fingers), title="largest joint torque", unit="of limit", page=_FINGERS,
-            limits=(-0.05, 1.1), colors=[rgb(FINGER_COLOURS[name]) for name in fingers],
+            limits=(-0.05, 1.1), colors=finger_colors(fingers),
             derive=lambda torques: np.stack(
                 [np.abs(torques / limits)[:, joints].max(axis=1) for joints in fingers.values()], axis=1
             ),
