@@ -185,6 +185,8 @@ def test_a_port_inside_another_diagram_is_named(tmp_path):
     port = constant(inner, [1.0])
     world.builder.AddNamedSystem("inner", inner.Build())
     systems = world.builder.GetSystems()
-    with pytest.raises(ScenarioError, match=r"'load': port 'y0' of '.*' is not in the diagram.*ExportOutput"):
+    with pytest.raises(
+        ScenarioError, match=r"'load': port 'y0' of '.*' is not in the diagram of the recorder.*ExportOutput"
+    ):
         world.record(tmp_path / "no.rrd", signals={"load": SignalSpec(port, ["a"])})
     assert world.builder.GetSystems() == systems

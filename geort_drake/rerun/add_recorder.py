@@ -170,7 +170,7 @@ def _check_connectable(where: object, builder: DiagramBuilder, sources: Mapping[
         system = port.get_system()
         if not any(one is system for one in systems):
             raise ScenarioError(
-                f"{where}: '{name}': {kinds.port_name(port)} is not in the diagram that the recorder is added "
-                "to. If it is in a nested diagram, export it there (ExportOutput) and give the nested diagram's "
-                "port; for a plant, as plant_ports={'body_poses': ..., 'contact_results': ...}"
+                f"{where}: '{name}': {kinds.port_name(port)} is not in the diagram of the recorder. "
+                "If it is in a nested diagram, export it there (ExportOutput) and give the exported port; "
+                "for a plant, as plant_ports={'body_poses': ..., 'contact_results': ...}"
             )
