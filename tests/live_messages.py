@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from geort_drake.live.glove_frame import GloveFrame, encode_frame
+from geort_drake.live.messages import GloveFrame, encode_frame
 from geort_drake.people.formats.source import KEYPOINTS_OF_25
 from geort_drake.people.keypoints import mirrored
 

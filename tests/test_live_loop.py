@@ -18,9 +18,7 @@ from script_modules import SCRIPTS, load_script
 from geort_drake.errors import HandError, LiveError, RecordingError
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
-from geort_drake.live.devices import ALLEGRO, PANDA, JointStatus
-from geort_drake.live.joint_group import JointGroup
-from geort_drake.live.lcm_inbox import LcmInbox
+from geort_drake.live.devices import ALLEGRO, PANDA, JointGroup, JointStatus, LcmInbox
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.transports import open_receiver, open_sender, wait_for
 from geort_drake.people.play import synthesize_play
@@ -126,7 +124,7 @@ def test_the_loop_runs_over_loopback(desk, tmp_path, lcm_url):
             return inbox.newest.get(ALLEGRO.status_channel)
 
         inbox.fetch()
-        return [wait_for(poll, PATIENCE_S, lambda: "the robot fell silent").contents for _ in range(count)]
+        return [wait_for(poll, PATIENCE_S, lambda: "the robot fell silent") for _ in range(count)]
 
     glove = f"ipc://{tmp_path}/glove"
     with (

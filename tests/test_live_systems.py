@@ -15,12 +15,10 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import LiveError, MismatchError, RecordingError
-from geort_drake.live.glove_frame import GloveFrame, encode_frame
 from geort_drake.live.glove_stream import GloveStream
 from geort_drake.live.latency import Latency, LatencyMeter
-from geort_drake.live.playback import play
-from geort_drake.live.real_time import run_in_real_time
-from geort_drake.live.session import EnterKey
+from geort_drake.live.messages import GloveFrame, encode_frame
+from geort_drake.live.session import EnterKey, play, run_in_real_time
 from geort_drake.live.watchdog import EngageSwitch, Watchdog, WatchdogConfig
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording

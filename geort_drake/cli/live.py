@@ -65,10 +65,9 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.console import console, say, warn
     from geort_drake.live.devices import require_hand_messages
     from geort_drake.live.glove_stream import GloveStream
-    from geort_drake.live.real_time import stopping
     from geort_drake.live.robot_link import RobotLink
-    from geort_drake.live.session import EnterKey, run_session
-    from geort_drake.live.simulated_robot import SimulatedRobot, show
+    from geort_drake.live.robots import SimulatedRobot, open_meshcat
+    from geort_drake.live.session import EnterKey, run_session, stopping
     from geort_drake.live.teleoperation import RobotModel, make_teleoperation
     from geort_drake.live.transports import is_address, open_receiver, split_address
     from geort_drake.live.watchdog import WatchdogConfig
@@ -87,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         glove = GloveReplay(read_recording(arguments.glove, side))
         duration = min(duration, glove.duration)
-    lcm_url = None if arguments.robot == "simulation" else split_address(arguments.robot, ())[1]
+    lcm_url = None if arguments.robot == "simulation" else split_address(arguments.robot)[1]
     if lcm_url:
         require_hand_messages(description)
     _warn_of_open_addresses(arguments.glove if receiver else None, lcm_url)
@@ -110,7 +109,7 @@ def run(arguments: argparse.Namespace) -> int:
             glove.handshake(arguments.timeout)
         link = None
         if lcm_url is None:
-            robot = SimulatedRobot(scenario, description, show() if arguments.meshcat else None)
+            robot = SimulatedRobot(scenario, description, open_meshcat() if arguments.meshcat else None)
             start = robot.hand.start, robot.arm.start
         else:
             robot = link = RobotLink(lcm_url, model.hand, model.arm, scenario.retargeting.period)
@@ -149,6 +148,7 @@ def run(arguments: argparse.Namespace) -> int:
             "received": glove.received,
             "refused": glove.refused,
             "late": glove.late,
+            "repaired": glove.repaired,
             "clock_offset_s": None if math.isnan(glove.clock_offset) else glove.clock_offset,
         }
         summary["latency_s"] = {

@@ -22,8 +22,7 @@ def add_arguments(parser: CommandParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import read_recording
     from geort_drake.console import say, warn
-    from geort_drake.live.playback import play
-    from geort_drake.live.real_time import stopping
+    from geort_drake.live.session import play, stopping
     from geort_drake.live.transports import is_local, open_sender
 
     recording = read_recording(arguments.recording, arguments.side)

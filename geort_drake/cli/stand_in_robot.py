@@ -22,14 +22,13 @@ def run(arguments: argparse.Namespace) -> int:
     from pydrake.systems.analysis import Simulator
 
     from geort_drake.console import say, warn
-    from geort_drake.live.real_time import run_in_real_time, stopping
-    from geort_drake.live.simulated_robot import show
-    from geort_drake.live.stand_in import make_stand_in
+    from geort_drake.live.robots import make_stand_in, open_meshcat
+    from geort_drake.live.session import run_in_real_time, stopping
     from geort_drake.live.transports import split_address
 
-    _, url = split_address(arguments.lcm, ())
+    _, url = split_address(arguments.lcm)
     scenario = scenario_of(arguments)
-    diagram = make_stand_in(scenario, url, show() if arguments.meshcat else None)
+    diagram = make_stand_in(scenario, url, open_meshcat() if arguments.meshcat else None)
     simulator = Simulator(diagram)
     simulator.Initialize()
     root = simulator.get_context()

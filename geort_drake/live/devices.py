@@ -1,202 +1,246 @@
-"""A robot's devices on LCM: their joints, and what Drake's messages say of them.
+"""Robot hands and arms on LCM: their joints, Drake's messages for them, and the newest message received.
 
-The message types are Drake's, in `lcmtypes/` of its sources. A message that is not exactly as long as one of
-the device's joints has to be is refused before it is decoded.
+Drake defines the message types in its folder `lcmtypes/`.
 """
 
-import abc
 import dataclasses as dc
 import struct
+import time
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from drake import lcmt_allegro_command, lcmt_allegro_status, lcmt_panda_command, lcmt_panda_status
+from pydrake.lcm import DrakeLcm
 from pydrake.manipulation import PandaControlMode
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import ModelInstanceIndex
 
 from geort_drake.errors import HandError, LiveError
 from geort_drake.hands.description import HandDescription
-from geort_drake.live.joint_group import JointGroup
+from geort_drake.simulation.world import actuated_joints
+
+
+@dc.dataclass(frozen=True, eq=False)
+class JointGroup:
+    """The n actuated joints of one model, in actuator order.
+
+    Attributes:
+        name: of the model.
+        joints: names of the joints.
+        start, lower, upper: (n,) default positions and position limits, rad.
+    """
+
+    name: str
+    joints: list[str]
+    start: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+    @classmethod
+    def of_plant(cls, plant: MultibodyPlant, model: ModelInstanceIndex) -> "JointGroup":
+        """Returns the joints of a model in a finalized plant."""
+        joints = actuated_joints(plant, model)
+        return cls(
+            plant.GetModelInstanceName(model),
+            [joint.name() for joint in joints],
+            np.array([joint.default_positions()[0] for joint in joints]),
+            np.array([joint.position_lower_limit() for joint in joints]),
+            np.array([joint.position_upper_limit() for joint in joints]),
+        )
 
 
 @dc.dataclass(frozen=True)
 class JointStatus:
-    """What a device says of its n joints: (n,) rad, rad/s, and the command it follows, rad."""
+    """The state of a device's n joints: (n,) rad, rad/s, and the command that they follow, rad."""
 
     position: np.ndarray
     velocity: np.ndarray
     commanded: np.ndarray
 
 
-class Device(abc.ABC):
-    """n joints that are commanded positions and tell their state.
+@dc.dataclass(frozen=True)
+class Device:
+    """A hand or an arm of n joints that takes position commands and reports its state.
 
     Attributes:
-        name: for messages to people.
-        joints: by name, in the order of the messages.
-        command_channel, status_channel: of the LCM bus.
+        name: for error messages.
+        joints: names, in the order of the messages.
+        command_channel, status_channel: LCM channels.
+        command_type, status_type: Drake's message classes.
+        count_field: of the command, the number of its positions, which are in `joint_position`.
+        status_fields: positions, velocities and commanded positions in a status.
+        command_constants, status_constants: other fields and their values; a received command must have
+            them.
     """
 
     name: str
     joints: tuple[str, ...]
     command_channel: str
     status_channel: str
+    command_type: type
+    status_type: type
+    count_field: str
+    status_fields: tuple[str, str, str]
+    command_constants: Mapping[str, float] = dc.field(default_factory=dict)
+    status_constants: Mapping[str, float] = dc.field(default_factory=dict)
 
-    @abc.abstractmethod
     def encode_command(self, time: float, position: np.ndarray) -> bytes:
-        """The command of positions (n,), rad, at a time, s."""
+        """Returns the message that commands positions (n,), rad, at a time, s."""
+        fields = {self.count_field: len(position), "joint_position": position.tolist()}
+        return self._encode(self.command_type, time, fields | dict(self.command_constants))
 
-    @abc.abstractmethod
-    def encode_status(self, time: float, status: JointStatus) -> bytes:
-        """The status message of a time, s."""
-
-    @abc.abstractmethod
     def decode_command(self, message: bytes) -> np.ndarray:
-        """The positions (n,), rad, of a command.
+        """Returns the commanded positions (n,), rad.
 
         Raises:
-            LiveError: the message is malformed, not for so many joints, or not finite.
+            LiveError: the message is malformed, for another number of joints, or not finite.
         """
+        zeros = np.zeros(len(self.joints))
+        command = self._decode(self.command_type, message, len(self.encode_command(0.0, zeros)))
+        for field, expected in self.command_constants.items():
+            if (given := getattr(command, field)) != expected:
+                raise LiveError(f"{self.name}: {field} must be {expected}, not {given}")
+        return self._joint_values(command, "joint_position")
 
-    @abc.abstractmethod
+    def encode_status(self, time: float, status: JointStatus) -> bytes:
+        """Returns the status message of a time, s. Fields that are not simulated are zero."""
+        n = len(status.position)
+        # All lists in a status have one number per joint.
+        empty = self.status_type()
+        zeros = {name: [0.0] * n for name in empty.__slots__ if isinstance(getattr(empty, name), list)}
+        parts = (status.position, status.velocity, status.commanded)
+        values = {field: part.tolist() for field, part in zip(self.status_fields, parts, strict=True)}
+        return self._encode(
+            self.status_type, time, {"num_joints": n} | zeros | values | dict(self.status_constants)
+        )
+
     def decode_status(self, message: bytes) -> JointStatus:
-        """The status in a message.
+        """Returns the status in a message.
 
         Raises:
-            LiveError: as `decode_command`.
+            LiveError: the message is malformed, of another number of joints, or not finite.
         """
+        zeros = np.zeros(len(self.joints))
+        size = len(self.encode_status(0.0, JointStatus(zeros, zeros, zeros)))
+        status = self._decode(self.status_type, message, size)
+        return JointStatus(*(self._joint_values(status, field) for field in self.status_fields))
 
-    def require_joints(self, group: JointGroup) -> None:
-        """Raises HandError unless a model has this device's joints, whatever their order."""
+    def model_order(self, group: JointGroup) -> np.ndarray:
+        """Returns the indices that put values in the messages' order into the model's.
+
+        Raises:
+            HandError: the model has other joints.
+        """
         if set(group.joints) != set(self.joints):
             raise HandError(
-                f"{self.name}: its LCM messages are of {', '.join(self.joints)}; the model's "
-                f"{group.name} has {', '.join(group.joints)}"
+                f"{self.name}: its LCM messages are for {', '.join(self.joints)}; "
+                f"the model's {group.name} has {', '.join(group.joints)}"
             )
+        return np.array([self.joints.index(name) for name in group.joints])
+
+    def _encode(self, kind: type, time: float, fields: Mapping[str, Any]) -> bytes:
+        message: Any = kind()
+        message.utime = round(1e6 * time)
+        for name, value in fields.items():
+            setattr(message, name, value)
+        return message.encode()
 
     def _decode(self, kind: type, message: bytes, size: int) -> Any:
-        what = f"{self.name}: {kind.__name__}"
+        # The size is checked first, because a decoder allocates whatever the message asks for.
         if len(message) != size:
             raise LiveError(
-                f"{what} of {len(message)} bytes; one of {len(self.joints)} joints has {size}. "
-                "Is this the hand that the robot has?"
+                f"{self.name}: {kind.__name__} of {len(message)} bytes; one for {len(self.joints)} joints "
+                f"has {size}. Is this the hand that the robot has?"
             )
         try:
             return kind.decode(message)  # type: ignore[attr-defined]
         except (ValueError, struct.error) as error:
-            raise LiveError(f"{what} cannot be decoded: {error}") from None
+            raise LiveError(f"{self.name}: {kind.__name__} cannot be decoded: {error}") from None
 
-    def _array(self, values: Any, field: str) -> np.ndarray:
-        array = np.array(values, float)
-        if array.shape != (len(self.joints),) or not np.isfinite(array).all():
+    def _joint_values(self, message: Any, field: str) -> np.ndarray:
+        values = np.array(getattr(message, field), float)
+        if values.shape != (len(self.joints),) or not np.isfinite(values).all():
             raise LiveError(
-                f"{self.name}: {field} must be {len(self.joints)} finite numbers, not {values!s:.80}"
+                f"{self.name}: {field} must be {len(self.joints)} finite numbers, not {values.tolist()!s:.80}"
             )
-        return array
-
-    def _status(self, message: Any, position: str, velocity: str, commanded: str) -> JointStatus:
-        return JointStatus(*(self._array(getattr(message, f), f) for f in (position, velocity, commanded)))
+        return values
 
 
-class _Allegro(Device):
-    name = "Allegro hand"
-    joints = tuple(f"joint_{i}" for i in range(16))
-    command_channel, status_channel = "ALLEGRO_COMMAND", "ALLEGRO_STATUS"
-
-    def encode_command(self, time: float, position: np.ndarray) -> bytes:
-        message = lcmt_allegro_command()
-        message.utime = round(1e6 * time)
-        message.num_joints, message.joint_position = len(position), position.tolist()
-        return message.encode()
-
-    def decode_command(self, message: bytes) -> np.ndarray:
-        size = len(self.encode_command(0.0, np.zeros(len(self.joints))))
-        return self._array(self._decode(lcmt_allegro_command, message, size).joint_position, "joint_position")
-
-    def encode_status(self, time: float, status: JointStatus) -> bytes:
-        message = lcmt_allegro_status()
-        message.utime, message.num_joints = round(1e6 * time), len(status.position)
-        message.joint_position_measured = status.position.tolist()
-        message.joint_velocity_estimated = status.velocity.tolist()
-        message.joint_position_commanded = status.commanded.tolist()
-        message.joint_torque_commanded = [0.0] * len(status.position)
-        return message.encode()
-
-    def decode_status(self, message: bytes) -> JointStatus:
-        zeros = np.zeros(len(self.joints))
-        size = len(self.encode_status(0.0, JointStatus(zeros, zeros, zeros)))
-        return self._status(
-            self._decode(lcmt_allegro_status, message, size),
-            "joint_position_measured",
-            "joint_velocity_estimated",
-            "joint_position_commanded",
-        )
-
-
-class _Panda(Device):
-    name = "Panda arm"
-    joints = tuple(f"panda_joint{i}" for i in range(1, 8))
-    command_channel, status_channel = "PANDA_COMMAND", "PANDA_STATUS"
-
-    def encode_command(self, time: float, position: np.ndarray) -> bytes:
-        message = lcmt_panda_command()
-        message.utime = round(1e6 * time)
-        message.num_joint_position, message.joint_position = len(position), position.tolist()
-        message.control_mode_expected = PandaControlMode.kPosition
-        return message.encode()
-
-    def decode_command(self, message: bytes) -> np.ndarray:
-        size = len(self.encode_command(0.0, np.zeros(len(self.joints))))
-        command = self._decode(lcmt_panda_command, message, size)
-        if command.control_mode_expected != PandaControlMode.kPosition:
-            raise LiveError(
-                f"{self.name}: control_mode_expected must be {PandaControlMode.kPosition} (position), not "
-                f"{command.control_mode_expected}"
-            )
-        return self._array(command.joint_position, "joint_position")
-
-    def encode_status(self, time: float, status: JointStatus) -> bytes:
-        message = lcmt_panda_status()
-        n = len(status.position)
-        message.utime = message.robot_utime = round(1e6 * time)
-        message.num_joints = n
-        message.joint_position, message.joint_velocity = status.position.tolist(), status.velocity.tolist()
-        message.joint_position_desired = status.commanded.tolist()
-        for field in (
-            "joint_velocity_desired",
-            "joint_acceleration_desired",
-            "joint_torque",
-            "joint_torque_desired",
-            "joint_torque_external",
-        ):
-            setattr(message, field, [0.0] * n)
-        message.control_command_success_rate = 1.0
-        message.control_mode = PandaControlMode.kPosition
-        return message.encode()
-
-    def decode_status(self, message: bytes) -> JointStatus:
-        zeros = np.zeros(len(self.joints))
-        size = len(self.encode_status(0.0, JointStatus(zeros, zeros, zeros)))
-        return self._status(
-            self._decode(lcmt_panda_status, message, size),
-            "joint_position",
-            "joint_velocity",
-            "joint_position_desired",
-        )
-
-
-ALLEGRO, PANDA = _Allegro(), _Panda()
+ALLEGRO = Device(
+    name="Allegro hand",
+    joints=tuple(f"joint_{i}" for i in range(16)),
+    command_channel="ALLEGRO_COMMAND",
+    status_channel="ALLEGRO_STATUS",
+    command_type=lcmt_allegro_command,
+    status_type=lcmt_allegro_status,
+    count_field="num_joints",
+    status_fields=("joint_position_measured", "joint_velocity_estimated", "joint_position_commanded"),
+)
+PANDA = Device(
+    name="Panda arm",
+    joints=tuple(f"panda_joint{i}" for i in range(1, 8)),
+    command_channel="PANDA_COMMAND",
+    status_channel="PANDA_STATUS",
+    command_type=lcmt_panda_command,
+    status_type=lcmt_panda_status,
+    count_field="num_joint_position",
+    status_fields=("joint_position", "joint_velocity", "joint_position_desired"),
+    command_constants={"control_mode_expected": PandaControlMode.kPosition},
+    status_constants={"control_mode": PandaControlMode.kPosition, "control_command_success_rate": 1.0},
+)
 
 
 def require_hand_messages(description: HandDescription) -> None:
-    """Looks whether Drake has messages for a hand.
-
-    Joints alone do not tell: the LEAP hand's bear the names of the Allegro's.
+    """Checks by its name that Drake has messages for a hand; LEAP's joints are named like the Allegro's.
 
     Raises:
-        HandError: it is no Allegro hand by its name.
+        HandError: the hand is no Allegro hand.
     """
     if not description.name.startswith("allegro"):
         raise HandError(
             f"hand '{description.name}' has no LCM messages; those whose name begins with allegro have: "
             "lcmt_allegro_command and lcmt_allegro_status"
         )
+
+
+class LcmInbox:
+    """Keeps the newest usable message of each of several LCM channels.
+
+    Attributes:
+        newest: channel → decoded contents of its newest usable message.
+        arrived: channel → when that message arrived, s.
+        refused: how many messages could not be used.
+        last_refusal: why the last of them could not be used.
+
+    Args:
+        lcm: the bus.
+        decoders: channel → function that decodes its messages, or raises LiveError.
+        clock: monotonic, s.
+    """
+
+    def __init__(
+        self,
+        lcm: DrakeLcm,
+        decoders: Mapping[str, Callable[[bytes], Any]],
+        clock: Callable[[], float] = time.monotonic,
+    ):
+        self._lcm, self._clock = lcm, clock
+        self.newest: dict[str, Any] = {}
+        self.arrived: dict[str, float] = {}
+        self.refused = 0
+        self.last_refusal = ""
+        for channel, decode in decoders.items():
+            lcm.Subscribe(channel, lambda message, c=channel, d=decode: self._keep(c, d, message))
+
+    def fetch(self) -> None:
+        """Reads what has arrived. LCM keeps one message per channel until then, so fetch often."""
+        self._lcm.HandleSubscriptions(0)
+
+    def _keep(self, channel: str, decode: Callable[[bytes], Any], message: bytes) -> None:
+        try:
+            self.newest[channel] = decode(message)
+            self.arrived[channel] = self._clock()
+        except LiveError as error:
+            self.refused += 1
+            self.last_refusal = str(error)

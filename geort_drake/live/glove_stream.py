@@ -1,4 +1,4 @@
-"""A glove that sends messages, as a system."""
+"""Receives a glove's messages in a diagram."""
 
 import math
 import time
@@ -10,21 +10,20 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem
 
 from geort_drake.errors import LiveError, MismatchError
-from geort_drake.live.decoding import decode
-from geort_drake.live.glove_frame import GloveFrame
+from geort_drake.live.messages import GloveFrame, decode
 from geort_drake.live.transports import Receiver, wait_for
 from geort_drake.people.checks import anatomy, refuse
 from geort_drake.people.keypoints import FINGER_KEYPOINTS
 from geort_drake.people.recording import SIDES, Recording
 from geort_drake.systems.port_values import vector_to_pose
 
-# How often messages are fetched, s; and how long before the loop's ticks, so that these see the newest.
+# Messages are read every POLL_PERIOD, s, a little before the loop's updates, so that these use the newest.
 POLL_PERIOD, _AHEAD = 0.002, 1e-4
-# A sender whose clock differs by less has this machine's, s.
+# Clocks that differ by less are taken for this machine's monotonic clock, s.
 _SAME_CLOCK_S = 1.0
-# A frame that took so much longer than the quickest one is late, s.
+# A frame is late if it took this much longer than the fastest one, s.
 LATEST_S = 0.2
-# What is taken for the quickest grows by so much a second, because clocks drift apart by up to 100 ppm each.
+# The fastest transfer is assumed to slow down by this, s/s, because clocks drift by up to 100 ppm each.
 _DRIFT = 2e-4
 _HANDSHAKE_FRAMES = 5
 _CHECKS = (
@@ -34,40 +33,49 @@ _CHECKS = (
     anatomy.check_frame,
     anatomy.check_bones,
 )
-# A thumb's MCP farther behind the palm is another side's, m: two people's never is, mirrored it mostly is.
+# If the thumb's MCP joint is farther behind the palm, the hand is of the other side, m. No real hand's was;
+# most mirrored ones' are.
 _BEHIND_M = 0.005
-_IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-# Before the first frame: valid, stamp, sent, lateness; the clocks' offset, and when the last frame arrived.
-_BEFORE = (0.0, 0.0, math.nan, 0.0, math.inf, math.nan)
+
+# Places in the state. OFFSET is arrival minus stamp of the fastest frame; ARRIVED is of the newest frame.
+_KEYPOINTS, _POSE = slice(0, 63), slice(63, 70)
+_VALID, _STAMP, _SENT, _LATENESS, _OFFSET, _ARRIVED = range(70, 76)
+_AT_START = (*np.zeros(63), 1.0, *np.zeros(6), 0.0, 0.0, math.nan, 0.0, math.inf, math.nan)
 
 
 class GloveStream(LeafSystem):
-    """The newest frame that a glove sent. It holds until the next one, and says nothing before the first.
+    """Outputs the newest frame that a glove sent, until the next one arrives.
+
+    Messages are read in a discrete update every `POLL_PERIOD`. A message that cannot be used is dropped and
+    counted.
 
     Output ports:
-        keypoints (63): p_HK, the 21 keypoints one after the other, m, wrist frame H.
-        wrist_pose (abstract RigidTransform): X_WH of the tracker; the identity where there is none.
-        valid (1): 1 while the hand is tracked, 0 where it was lost or the frame is over `LATEST_S` late.
-        stamp (1): when the keypoints were measured, s on the sender's clock; where the sender says no time,
-            when they arrived.
-        sent (1): the same on this machine's clock as far as is known: the stamp if the sender's clock is
-            this machine's monotonic one, else when they arrived. NaN before the first.
-        lateness (1): how much longer than the quickest frame the newest one took, s. That is told by arrival
-            minus stamp, and so from the beginning of the sender's clock: who was late from the first frame
-            on, by the same time, cannot be told from a clock that is set otherwise.
+        keypoints (63): p_HK, keypoint-major, m, wrist frame H.
+        wrist_pose (abstract RigidTransform): X_WH in the tracker's world W; the identity without one.
+        valid (1): 1 while the hand is tracked; 0 before the first frame, while the glove has lost the hand,
+            and after a frame that came over `LATEST_S` late.
+        stamp (1): when the keypoints were measured, s, on the sender's clock; when they arrived, on this
+            machine's clock, if the message has no time.
+        sent (1): when the keypoints were measured, s, on this machine's clock: the stamp if the clocks agree,
+            else when they arrived. NaN before the first frame.
+        lateness (1): how much longer the newest frame took than the fastest one, s. A delay that all frames
+            have had cannot be told from a difference of the clocks.
+
+    State: the values of the ports, the clocks' offset and the last arrival.
 
     Attributes:
-        received: frames that were taken, and `late` those among them that came late.
-        clock_offset: the quickest frame's arrival on this machine's clock minus its stamp, s; NaN before
-            the first.
-        refused: messages that could not be used, and `last_refusal` why the last one could not.
-
-    State: what the ports give; messages are fetched in a discrete update every `POLL_PERIOD`.
+        received: how many frames were used.
+        late: how many of them came late.
+        repaired: how many of them had a wrist quaternion that was scaled to norm 1.
+        refused: how many messages could not be used.
+        last_refusal: why the last of them could not be used.
+        clock_offset: arrival of the fastest frame on this machine's clock minus its stamp, s; NaN before the
+            first frame.
 
     Args:
-        receiver: where messages come from.
-        side: of the hand that is wanted.
-        glove_id: serial number of the wanted MANUS glove, where there are several.
+        receiver: source of the messages.
+        side: "right" or "left", of the robot's hand.
+        glove_id: serial number of the MANUS glove to read, if there are several.
         clock: this machine's monotonic clock, s.
     """
 
@@ -80,50 +88,50 @@ class GloveStream(LeafSystem):
     ):
         super().__init__()
         self._receiver, self._side, self._glove_id, self._clock = receiver, side, glove_id, clock
-        self.received = self.refused = self.late = 0
+        self.received = self.refused = self.late = self.repaired = 0
         self.clock_offset = math.nan
         self.last_refusal = ""
-        self._state = self.DeclareDiscreteState(np.array([*np.zeros(63), *_IDENTITY, *_BEFORE]))
+        self._state = self.DeclareDiscreteState(np.array(_AT_START))
         ticket = {self.discrete_state_ticket(self._state)}
-        for name, part in (
-            ("keypoints", slice(0, 63)),
-            ("valid", slice(70, 71)),
-            ("stamp", slice(71, 72)),
-            ("sent", slice(72, 73)),
-            ("lateness", slice(73, 74)),
+        for name, place in (
+            ("keypoints", _KEYPOINTS),
+            ("valid", slice(_VALID, _VALID + 1)),
+            ("stamp", slice(_STAMP, _STAMP + 1)),
+            ("sent", slice(_SENT, _SENT + 1)),
+            ("lateness", slice(_LATENESS, _LATENESS + 1)),
         ):
             self.DeclareVectorOutputPort(
                 name,
-                part.stop - part.start,
-                lambda context, output, part=part: output.SetFromVector(self._value(context)[part]),
+                place.stop - place.start,
+                lambda context, output, place=place: output.SetFromVector(self._value(context)[place]),
                 ticket,
             )
         self.DeclareAbstractOutputPort(
             "wrist_pose",
             lambda: AbstractValue.Make(RigidTransform()),
-            lambda context, output: output.set_value(vector_to_pose(self._value(context)[63:70])),
+            lambda context, output: output.set_value(vector_to_pose(self._value(context)[_POSE])),
             ticket,
         )
         self.DeclarePeriodicDiscreteUpdateEvent(POLL_PERIOD, POLL_PERIOD - _AHEAD, self._update)
 
     def handshake(self, timeout_s: float) -> None:
-        """Waits for the first frames and looks whether they are a hand of the wanted side.
+        """Waits for the first frames and checks that they show a hand of the robot's side.
 
         Raises:
             MismatchError: another version, unit or hand.
-            RecordingError: the keypoints are no hand, or not in the wanted frame, order or unit.
-            LiveError: nothing usable came in time; says what was refused.
+            RecordingError: the keypoints are no hand, or not in the expected frame, order or unit.
+            LiveError: no usable frame came in time; the message says what was refused.
         """
-        frames: list[GloveFrame] = []
+        hands: list[np.ndarray] = []
 
         def poll() -> bool | None:
             frame = self._newest(at_handshake=True)
             if frame is not None and frame.p_HK is not None:
-                frames.append(frame)
-            return True if len(frames) >= _HANDSHAKE_FRAMES else None
+                hands.append(frame.p_HK)
+            return True if len(hands) >= _HANDSHAKE_FRAMES else None
 
         wait_for(poll, timeout_s, lambda: self._silence(timeout_s))
-        points = np.stack([frame.p_HK for frame in frames if frame.p_HK is not None])
+        points = np.stack(hands)
         t = np.arange(len(points), dtype=float)
         hand = Recording(t, points, np.ones(len(t), bool), metadata={"side": self._side})
         for check in _CHECKS:
@@ -135,7 +143,7 @@ class GloveStream(LeafSystem):
         return f"no hand came from the glove within {timeout_s:g} s" + (refused if self.refused else "")
 
     def _newest(self, at_handshake: bool = False) -> GloveFrame | None:
-        """The newest usable frame that has arrived; older ones are not looked at."""
+        """Returns the newest usable frame that has arrived; skips older ones."""
         for message in reversed(self._receiver.drain()):
             try:
                 frame = decode(message, self._side, self._glove_id)
@@ -147,6 +155,7 @@ class GloveStream(LeafSystem):
                 continue
             if frame is not None:
                 self.received += 1
+                self.repaired += frame.repaired
                 return frame
         return None
 
@@ -161,31 +170,31 @@ class GloveStream(LeafSystem):
         stamp = arrived if frame.time is None else frame.time
         value = self._value(context).copy()
         sent = stamp if abs(arrived - stamp) < _SAME_CLOCK_S else arrived
-        offset, arrived_before = value[74:76].tolist()
-        if stamp < value[71]:  # the sender's clock was set back, or it is another sender's
+        offset, arrived_before = value[_OFFSET], value[_ARRIVED]
+        if stamp < value[_STAMP]:  # the sender's clock was set back, or the sender is another one
             offset = math.inf
         if not math.isnan(arrived_before):
             offset += _DRIFT * (arrived - arrived_before)
-        offset = self.clock_offset = min(offset, arrived - stamp)
+        offset = self.clock_offset = float(min(offset, arrived - stamp))
         lateness = arrived - stamp - offset
         self.late += lateness > LATEST_S
-        tracked = frame.p_HK is not None and lateness <= LATEST_S
-        value[70:] = tracked, stamp, sent, lateness, offset, arrived
         if frame.p_HK is not None:
-            value[:63] = frame.p_HK.ravel()
+            value[_KEYPOINTS] = frame.p_HK.ravel()
         if frame.X_WH is not None:
-            value[63:70] = frame.X_WH
+            value[_POSE] = frame.X_WH
+        tracked = frame.p_HK is not None and lateness <= LATEST_S
+        value[_VALID:] = tracked, stamp, sent, lateness, offset, arrived
         discrete_state.get_mutable_vector(self._state).SetFromVector(value)
         return EventStatus.Succeeded()
 
 
 def _require_palm_side(points: np.ndarray, side: str) -> None:
-    """Looks whether the thumb of hands p_HK (T, 21, 3) is on the palm's side.
+    """Checks that the thumb of hands p_HK (T, 21, 3) is on the palm's side.
 
-    Recordings are judged by which way the fingers bend, but straight ones bend backwards for seconds.
+    The checks of recordings use the way the fingers bend, but straight fingers bend backwards for seconds.
 
     Raises:
-        MismatchError: it is behind the palm.
+        MismatchError: the thumb is behind the palm.
     """
     x = float(np.median(points[:, FINGER_KEYPOINTS["thumb"][1], 0]))
     if x < -_BEHIND_M:

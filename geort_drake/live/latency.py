@@ -1,4 +1,4 @@
-"""How long a hand's motion takes to the robot's command, and to the robot's word that it follows it."""
+"""Measures the time from a hand's motion to the robot's command, and to the status that confirms it."""
 
 import dataclasses as dc
 import math
@@ -12,13 +12,13 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem
 from geort_drake.live.glove_stream import POLL_PERIOD
 from geort_drake.live.watchdog import AFTER
 
-_MOST_KEPT = 100_000
-_MOST_UNDERWAY = 1_000
+_MAX_SAMPLES = 100_000
+_MAX_UNCONFIRMED = 1_000
 
 
 @dc.dataclass(frozen=True)
 class Latency:
-    """Of `count` samples, s; None where there is none."""
+    """Median and 99th percentile of `count` samples, s; None without samples."""
 
     count: int
     median: float | None
@@ -26,7 +26,7 @@ class Latency:
 
     @classmethod
     def of(cls, samples: Sequence[float]) -> "Latency":
-        """Median and 99th percentile."""
+        """Returns the statistics of samples, s."""
         if not len(samples):
             return cls(0, None, None)
         median, p99 = np.percentile(samples, [50, 99])
@@ -34,57 +34,57 @@ class Latency:
 
 
 class LatencyMeter(LeafSystem):
-    """Measures with this machine's clock how long commands and their echoes take.
+    """Measures how long commands and their confirmations take, on this machine's clock.
 
-    A sample is taken of the first command after new keypoints, if it differs from the one before: from when
-    they were measured to when it goes out, and to when the robot's status names it, to the last bit.
+    A sample belongs to the first command after new keypoints, if it differs from the command before it.
 
     Input ports:
         sent (1): when the newest keypoints were measured, s, on the clock; NaN before the first.
-        command (2n): joint positions, then velocities, as they go out.
-        echo (n), need not be connected: the positions that the robot says it follows.
+        command (2n): joint positions (rad), then velocities (rad/s), as they are sent.
+        echo (n), optional: the positions that the robot reports to follow, rad.
 
     Args:
         num_joints: n.
-        period: of the commands, s.
+        period: time between commands, s.
         clock: that of `sent`.
     """
 
     def __init__(self, num_joints: int, period: float, clock: Callable[[], float] = time.monotonic):
         super().__init__()
         self._n, self._clock = num_joints, clock
-        self._to_command: deque[float] = deque(maxlen=_MOST_KEPT)
-        self._to_echo: deque[float] = deque(maxlen=_MOST_KEPT)
+        self._to_command: deque[float] = deque(maxlen=_MAX_SAMPLES)
+        self._to_echo: deque[float] = deque(maxlen=_MAX_SAMPLES)
         self._last_sent, self._last_command = math.nan, b""
-        self._underway: OrderedDict[bytes, float] = OrderedDict()
+        # The bytes of a command's positions → when its keypoints were measured.
+        self._unconfirmed: OrderedDict[bytes, float] = OrderedDict()
         self._sent = self.DeclareVectorInputPort("sent", 1)
         self._command = self.DeclareVectorInputPort("command", 2 * num_joints)
         self._echo = self.DeclareVectorInputPort("echo", num_joints)
-        self.DeclarePeriodicPublishEvent(period, 2 * AFTER, self._goes_out)
-        self.DeclarePeriodicPublishEvent(POLL_PERIOD, 2 * AFTER, self._comes_back)
+        self.DeclarePeriodicPublishEvent(period, 2 * AFTER, self._note_command)
+        self.DeclarePeriodicPublishEvent(POLL_PERIOD, 2 * AFTER, self._note_echo)
 
     def to_command(self) -> Latency:
-        """From the keypoints to the command."""
+        """Returns the time from keypoints to command."""
         return Latency.of(self._to_command)
 
     def to_echo(self) -> Latency:
-        """From the keypoints to the robot's status that names the command."""
+        """Returns the time from keypoints to the robot's status that reports the command."""
         return Latency.of(self._to_echo)
 
-    def _goes_out(self, context: Context) -> EventStatus:
+    def _note_command(self, context: Context) -> EventStatus:
         sent = float(self._sent.Eval(context)[0])
         key = self._command.Eval(context)[: self._n].tobytes()
         if math.isfinite(sent) and sent != self._last_sent and key != self._last_command:
             self._to_command.append(self._clock() - sent)
-            self._underway[key] = sent
-            while len(self._underway) > _MOST_UNDERWAY:
-                self._underway.popitem(last=False)
+            self._unconfirmed[key] = sent
+            while len(self._unconfirmed) > _MAX_UNCONFIRMED:
+                self._unconfirmed.popitem(last=False)
         self._last_sent, self._last_command = sent, key
         return EventStatus.Succeeded()
 
-    def _comes_back(self, context: Context) -> EventStatus:
+    def _note_echo(self, context: Context) -> EventStatus:
         if self._echo.HasValue(context):
-            sent = self._underway.pop(self._echo.Eval(context).tobytes(), None)
+            sent = self._unconfirmed.pop(self._echo.Eval(context).tobytes(), None)
             if sent is not None:
                 self._to_echo.append(self._clock() - sent)
         return EventStatus.Succeeded()

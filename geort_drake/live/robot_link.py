@@ -1,41 +1,53 @@
-"""A robot on LCM, as a system: it is sent joint positions and tells where its joints are."""
+"""Connects a diagram to a robot on LCM."""
 
+import dataclasses as dc
 import math
 import time
 from collections.abc import Callable
 
 import numpy as np
-from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem
+from pydrake.systems.framework import (
+    Context,
+    DiscreteStateIndex,
+    DiscreteValues,
+    EventStatus,
+    InputPort,
+    LeafSystem,
+)
 
 from geort_drake.errors import LiveError
-from geort_drake.live.devices import ALLEGRO, PANDA, Device, JointStatus
+from geort_drake.live.devices import ALLEGRO, PANDA, Device, JointGroup, LcmInbox
 from geort_drake.live.glove_stream import POLL_PERIOD
-from geort_drake.live.joint_group import JointGroup
-from geort_drake.live.lcm_inbox import LcmInbox
 from geort_drake.live.transports import open_lcm, wait_for
 from geort_drake.live.watchdog import AFTER
 
-# A joint may be measured so far outside its limits, rad; farther, it is another robot's.
+# A measured joint may be so far outside its limits, rad; farther, the robot is another one.
 _TOLERANCE = 0.1
 
 
 class RobotLink(LeafSystem):
-    """An Allegro hand and a Panda arm behind Drake's `lcmt_allegro_*` and `lcmt_panda_*`.
+    """Sends joint positions to an Allegro hand and a Panda arm over LCM, and receives their joint states.
+
+    The messages are Drake's `lcmt_allegro_*` and `lcmt_panda_*`. Statuses are read every `POLL_PERIOD`.
+    Commands are sent every `period`, as soon as they are computed.
 
     Input ports:
-        hand_desired_state (32), arm_desired_state (14): joint positions (rad), then velocities (rad/s), in
-            the order of `hand` and `arm`. The positions are sent.
+        hand_desired_state (32), arm_desired_state (14): joint positions (rad), which are sent, then
+            velocities (rad/s), in the order of `hand` and `arm`.
     Output ports:
-        hand_state (32), arm_state (14): measured, same order.
-        hand_commanded (16): the command that the hand says it follows, rad; NaN before the first.
+        hand_state (32), arm_state (14): measured positions (rad), then velocities (rad/s), in the same order.
+        hand_commanded (16): the command that the hand reports to follow, rad, in the order of `hand`.
+        All are NaN before the first status.
 
-    State: what the ports give. Statuses are fetched in a discrete update every `POLL_PERIOD`; commands are
-    published every `period`, as soon as they are computed.
+    State: the values of the output ports, and the arm's reported command (7).
+
+    Attributes:
+        inbox: counts the statuses that could not be used.
 
     Args:
         url: of the LCM bus.
         hand, arm: the model's joints.
-        period: of the commands, s.
+        period: time between commands, s.
         clock: monotonic, s.
 
     Raises:
@@ -54,37 +66,18 @@ class RobotLink(LeafSystem):
         super().__init__()
         self._lcm, self._clock = open_lcm(url), clock
         self.inbox = LcmInbox(self._lcm, {d.status_channel: d.decode_status for d in (ALLEGRO, PANDA)}, clock)
-        self._parts = (_Part(ALLEGRO, hand), _Part(PANDA, arm))
-        self._commands = [
-            self.DeclareVectorInputPort(f"{part.name}_desired_state", 2 * part.n) for part in self._parts
-        ]
-        # Each part: positions, velocities, commanded positions.
-        self._states = [self.DeclareDiscreteState(np.full(3 * part.n, math.nan)) for part in self._parts]
-        for part, state in zip(self._parts, self._states, strict=True):
-            self.DeclareVectorOutputPort(
-                f"{part.name}_state",
-                2 * part.n,
-                lambda context, output, state=state, n=part.n: output.SetFromVector(
-                    context.get_discrete_state(state).value()[: 2 * n]
-                ),
-                {self.discrete_state_ticket(state)},
-            )
-        n, state = self._parts[0].n, self._states[0]
-        self.DeclareVectorOutputPort(
-            "hand_commanded",
-            n,
-            lambda context, output: output.SetFromVector(context.get_discrete_state(state).value()[2 * n :]),
-            {self.discrete_state_ticket(state)},
-        )
+        self._parts = [self._declare_part(ALLEGRO, hand), self._declare_part(PANDA, arm)]
+        n = len(hand.joints)
+        self._declare_output("hand_commanded", self._parts[0].state, slice(2 * n, 3 * n))
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
         self.DeclarePeriodicDiscreteUpdateEvent(POLL_PERIOD, 0.0, self._update)
         self.DeclarePeriodicPublishEvent(period, 2 * AFTER, self._publish)
 
     def handshake(self, timeout_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """Waits for the robot, looks whether it is the model's, and says where it stands.
+        """Waits for the robot's first statuses and checks that it is the model's.
 
         Returns:
-            Positions of hand (16,) and arm (7,), rad, in the order of the ports, within the limits.
+            Positions of hand (16,) and arm (7,), rad, in the order of the ports, clamped to the limits.
 
         Raises:
             LiveError: no status came in time, or a joint is far outside its limits.
@@ -98,62 +91,74 @@ class RobotLink(LeafSystem):
         positions = []
         for part in self._parts:
             lower, upper = part.group.lower, part.group.upper
-            q = self._status(part).position[part.to_model]
-            within = np.clip(q, lower, upper)
-            worst = int(np.argmax(np.abs(q - within)))
-            if abs(q[worst] - within[worst]) > _TOLERANCE:
+            q = self.inbox.newest[part.device.status_channel].position[part.to_model]
+            clamped = np.clip(q, lower, upper)
+            worst = int(np.argmax(np.abs(q - clamped)))
+            if abs(q[worst] - clamped[worst]) > _TOLERANCE:
                 raise LiveError(
                     f"{part.device.name}: {part.group.joints[worst]} is at {q[worst]:.3f} rad, limits are "
                     f"[{lower[worst]:.3f}, {upper[worst]:.3f}]. Is this the hand that the robot has?"
                 )
-            positions.append(within)
+            positions.append(clamped)
         return positions[0], positions[1]
 
     def require_alive(self, silence_s: float) -> None:
-        """Raises LiveError where a part of the robot has said nothing for so long, s."""
-        for part in self._parts:
-            silent = self._clock() - self.inbox.newest[part.device.status_channel].arrived
+        """Raises LiveError if hand or arm have sent no usable status for so long, s."""
+        for device in (ALLEGRO, PANDA):
+            silent = self._clock() - self.inbox.arrived[device.status_channel]
             if silent > silence_s:
                 raise LiveError(
-                    f"{part.device.name}: no {part.device.status_channel} for {silent:.1f} s; commands "
-                    "have stopped, because the robot may be elsewhere when it comes back"
+                    f"{device.name}: no {device.status_channel} for {silent:.1f} s; commands have stopped, "
+                    "because the robot may be elsewhere when it comes back"
                 )
 
     def _silence(self, timeout_s: float) -> str:
-        missing = [
-            part.device.status_channel
-            for part in self._parts
-            if part.device.status_channel not in self.inbox.newest
-        ]
+        channels = (part.device.status_channel for part in self._parts)
+        missing = " and ".join(channel for channel in channels if channel not in self.inbox.newest)
         refused = f"; {self.inbox.refused} messages were refused, the last: {self.inbox.last_refusal}"
-        return f"no robot: {' and '.join(missing)} did not come within {timeout_s:g} s" + (
-            refused if self.inbox.refused else ""
-        )
+        text = f"no robot: {missing} did not come within {timeout_s:g} s"
+        return text + (refused if self.inbox.refused else "")
 
-    def _status(self, part: "_Part") -> JointStatus:
-        return self.inbox.newest[part.device.status_channel].contents
+    def _declare_part(self, device: Device, group: JointGroup) -> "_Part":
+        n, to_model = len(group.joints), device.model_order(group)
+        port = self.DeclareVectorInputPort(f"{group.name}_desired_state", 2 * n)
+        # Positions, velocities, commanded positions.
+        state = self.DeclareDiscreteState(np.full(3 * n, math.nan))
+        self._declare_output(f"{group.name}_state", state, slice(0, 2 * n))
+        return _Part(device, group, to_model, port, state)
+
+    def _declare_output(self, name: str, state: DiscreteStateIndex, values: slice) -> None:
+        self.DeclareVectorOutputPort(
+            name,
+            values.stop - values.start,
+            lambda context, output: output.SetFromVector(context.get_discrete_state(state).value()[values]),
+            {self.discrete_state_ticket(state)},
+        )
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         self.inbox.fetch()
-        for part, state in zip(self._parts, self._states, strict=True):
-            if part.device.status_channel in self.inbox.newest:
-                status = self._status(part)
-                values = [v[part.to_model] for v in (status.position, status.velocity, status.commanded)]
-                discrete_state.get_mutable_vector(state).SetFromVector(np.concatenate(values))
+        for part in self._parts:
+            if (status := self.inbox.newest.get(part.device.status_channel)) is not None:
+                values = (status.position, status.velocity, status.commanded)
+                discrete_state.get_mutable_vector(part.state).SetFromVector(
+                    np.concatenate([v[part.to_model] for v in values])
+                )
         return EventStatus.Succeeded()
 
     def _publish(self, context: Context) -> EventStatus:
-        for part, port in zip(self._parts, self._commands, strict=True):
-            q = port.Eval(context)[: part.n][part.to_device]
-            self._lcm.Publish(part.device.command_channel, part.device.encode_command(self._clock(), q))
+        for part in self._parts:
+            q = part.desired.Eval(context)[: len(part.to_model)]
+            message = part.device.encode_command(self._clock(), q[np.argsort(part.to_model)])
+            self._lcm.Publish(part.device.command_channel, message)
         return EventStatus.Succeeded()
 
 
+@dc.dataclass(frozen=True, eq=False)
 class _Part:
-    """A device, and how its joints' order and the model's go into each other."""
+    """A device, the model's joints that it moves, and its port and state."""
 
-    def __init__(self, device: Device, group: JointGroup):
-        device.require_joints(group)
-        self.device, self.group, self.name, self.n = device, group, group.name, len(group.joints)
-        self.to_model = np.array([device.joints.index(joint) for joint in group.joints])
-        self.to_device = np.argsort(self.to_model)
+    device: Device
+    group: JointGroup
+    to_model: np.ndarray
+    desired: InputPort
+    state: DiscreteStateIndex

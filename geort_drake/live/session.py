@@ -1,32 +1,39 @@
-"""One session of teleoperation: engage, run in real time, and leave the robot held."""
+"""Runs diagrams and recordings in real time: teleoperation with its engage key, and playback."""
 
 import dataclasses as dc
 import os
 import select
+import signal
 import sys
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
 
 from pydrake.systems.analysis import Simulator
 
-from geort_drake.live.real_time import run_in_real_time
+from geort_drake.live.messages import GloveFrame, encode_frame
 from geort_drake.live.teleoperation import Teleoperation
+from geort_drake.people.recording import Recording
 from geort_drake.systems.retargeting_system import LIMITED, TRACKING
 
-# After the end the robot is sent a braking hand, and where it stopped, for so long, s.
+# At the end the robot is commanded to brake and hold for this long, s.
 HOLD_S = 0.5
-# How often keys, the robot and the state are looked at, s.
+# How often keys, robot and state are checked, s.
 _STEP_S = 0.02
+# A diagram that is later than this, s, continues from where it is instead of catching up.
+_LATEST_S = 0.05
 
 
 @dc.dataclass(frozen=True)
 class SessionReport:
-    """What came of a session.
+    """What happened in a session.
 
     Attributes:
         duration: s.
-        states: how long the fingers were in each, s.
-        late: how often the loop could not keep up, so that its time stood still for a moment.
+        states: how long the fingers were in each state, s.
+        late: how often the loop could not keep up and paused its simulated time.
     """
 
     duration: float
@@ -35,20 +42,20 @@ class SessionReport:
 
 
 class EnterKey:
-    """How often Enter was pressed in the terminal, or newlines came through a pipe.
+    """Counts presses of Enter in the terminal, or newlines from a pipe.
 
     Args:
-        stream: the file descriptor that is read, past any buffer.
+        stream: the file descriptor to read, without a buffer.
     """
 
     def __init__(self, stream: int | None = None):
         self._stream = sys.stdin.fileno() if stream is None else stream
 
     def presses(self) -> int | None:
-        """How often since the last call; None once there will be no more keys. Does not wait."""
+        """Returns the presses since the last call, or None at the end of the stream; does not wait."""
         if not select.select([self._stream], [], [], 0.0)[0]:
             return 0
-        # What is there, also half a line, which readline() would wait for the end of.
+        # os.read returns half a line at once; readline would wait for its end.
         keys = os.read(self._stream, 4096)
         return keys.count(b"\n") if keys else None
 
@@ -60,27 +67,28 @@ def run_session(
     duration: float,
     stop: threading.Event,
     require_robot: Callable[[], None] = lambda: None,
-    tell: Callable[[float, str], None] = lambda time, state: None,
+    on_state: Callable[[float, str], None] = lambda time, state: None,
 ) -> SessionReport:
-    """Runs the loop in real time until `stop` is set or the time is up, and then holds.
+    """Runs the loop in real time until `stop` is set or the duration is over, and then holds the robot.
 
     Args:
-        engaged: whether from the start.
-        key: toggles it; where no more keys can come, the person is disengaged. None: no keys.
+        loop: the diagram of teleoperation.
+        engaged: whether the person is engaged from the start.
+        key: toggles that; at the end of its stream the person is disengaged. None for no key.
         duration: s.
-        require_robot: called after every step; raises where the robot is lost.
-        tell: called with the time (s) and the state whenever it changes; a limit counts as tracking.
+        stop: ends the session when it is set.
+        require_robot: called after every step; raises if the robot is lost.
+        on_state: called with the time (s) and the state when the state changes; a limit counts as tracking.
     """
     simulator = Simulator(loop.diagram)
     root = simulator.get_mutable_context()
-    loop.initialize(root)
     loop.engage(root, engaged)
     simulator.Initialize()
     states: dict[str, float] = {}
     last = ""
     ended: float | None = None
 
-    def going_on() -> bool:
+    def go_on() -> bool:
         nonlocal engaged, key, last, ended
         time = root.get_time()
         if time > 0.0:
@@ -91,15 +99,85 @@ def run_session(
             loop.engage(root, engaged and ended is None)
         state = loop.state(root)
         states[state] = states.get(state, 0.0) + _STEP_S
-        # A quick hand is at its limits many times a second, which is no news.
-        news = TRACKING if state == LIMITED else state
-        if news != last:
-            tell(time, news)
-            last = news
+        # A fast hand reaches its limits many times a second, which would flood the user.
+        shown = TRACKING if state == LIMITED else state
+        if shown != last:
+            on_state(time, shown)
+            last = shown
         if ended is None and (stop.is_set() or time >= duration):
             ended = time
             loop.engage(root, False)
         return ended is None or time < ended + HOLD_S
 
-    late = run_in_real_time(simulator, _STEP_S, going_on)
+    late = run_in_real_time(simulator, _STEP_S, go_on)
     return SessionReport(round(root.get_time(), 6), {k: round(v, 6) for k, v in states.items()}, late)
+
+
+def run_in_real_time(
+    simulator: Simulator,
+    period: float,
+    go_on: Callable[[], bool],
+    clock: Callable[[], float] = time.monotonic,
+) -> int:
+    """Advances a simulator in steps of `period`, s, at the clock's speed, while `go_on()`.
+
+    Returns:
+        How often it was late and paused its simulated time.
+    """
+    late = 0
+    start = simulator.get_context().get_time()
+    began, steps = clock(), 0
+    simulator.set_target_realtime_rate(1.0)
+    simulator.ResetStatistics()
+    while go_on():
+        steps += 1
+        simulator.AdvanceTo(start + steps * period)
+        if clock() - began - steps * period > _LATEST_S:
+            late += 1
+            start, began, steps = simulator.get_context().get_time(), clock(), 0
+            simulator.ResetStatistics()
+    return late
+
+
+def play(
+    recording: Recording,
+    send: Callable[[bytes], None],
+    stop: threading.Event,
+    clock: Callable[[], float] = time.monotonic,
+) -> int:
+    """Sends a recording's frames when they are due, as a glove does, until its end or until `stop` is set.
+
+    The time in a message is that of sending, so late frames do not appear punctual.
+
+    Returns:
+        How many frames were sent.
+    """
+    start = clock()
+    sent = 0
+    for i, t in enumerate(recording.t - recording.t[:1]):
+        if stop.wait(max(start + t - clock(), 0.0)):
+            break
+        p_HK = recording.p_HK[i] if recording.valid[i] else None
+        X_WH = None if recording.X_WH is None else recording.X_WH[i]
+        send(encode_frame(GloveFrame(recording.side, clock(), p_HK, X_WH)))
+        sent += 1
+    return sent
+
+
+@contextmanager
+def stopping() -> Iterator[threading.Event]:
+    """Yields an event that Ctrl-C or SIGTERM sets; a second Ctrl-C interrupts as usual."""
+    event = threading.Event()
+    before: dict[int, Any] = {}
+
+    def stop(number: int, _frame: object) -> None:
+        event.set()
+        signal.signal(number, before[number])
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        before[number] = signal.signal(number, stop)
+    try:
+        yield event
+    finally:
+        for kept, handler in before.items():
+            signal.signal(kept, handler)

@@ -1,4 +1,4 @@
-"""The loop: glove → engage switch → retargeting → watchdog → correction → robot, as one diagram."""
+"""Builds the diagram: glove → engage switch → retargeting → watchdog → correction → robot."""
 
 import dataclasses as dc
 from typing import Any
@@ -8,8 +8,8 @@ from pydrake.planning import RobotDiagram, RobotDiagramBuilder
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, System
 
 from geort_drake.hands.description import HandDescription
+from geort_drake.live.devices import JointGroup
 from geort_drake.live.glove_stream import LATEST_S
-from geort_drake.live.joint_group import JointGroup
 from geort_drake.live.latency import LatencyMeter
 from geort_drake.live.watchdog import EngageSwitch, Watchdog, WatchdogConfig
 from geort_drake.simulation.diagram import Retarget
@@ -25,15 +25,16 @@ from geort_drake.systems.retargeting_system import RetargetingSystem
 from geort_drake.systems.wrist_checks import WristChecks
 from geort_drake.systems.wrist_to_arm import WristToArm
 
-# What the retargeting calls lost, where it is known why.
+# Shown in place of HELD_LOST when late frames are the reason.
 HELD_LATE = "held: the glove's frames come late"
 
 
 class RobotModel:
-    """What the loop knows of the robot: kinematics, joints and limits, without the object.
+    """Kinematics, joints and limits of a scenario's robot, without the object.
 
     Attributes:
-        hand, arm: their joints; `start` is where the scenario and the hand's description put them.
+        hand, arm: their joints; `start` as given by the scenario and the hand's description.
+        limits: of the hand's joints, in actuator order.
     """
 
     def __init__(self, scenario: Scenario, description: HandDescription):
@@ -49,7 +50,7 @@ class RobotModel:
         )
 
     def standing_at(self, arm_positions: dict[str, float]) -> RobotDiagram:
-        """The model with joints of the arm, by name, at positions in rad by default."""
+        """Returns the model with default positions (rad) of the arm's joints, by name."""
         builder = RobotDiagramBuilder(time_step=self._scenario.plant_config.time_step)
         plant = builder.plant()
         add_robot(plant, self._scenario, self._description)
@@ -61,7 +62,7 @@ class RobotModel:
 
 @dc.dataclass(frozen=True)
 class Teleoperation:
-    """The diagram and the parts of it that one asks."""
+    """The diagram of teleoperation and the systems in it that report something."""
 
     diagram: Diagram
     glove: LeafSystem
@@ -71,16 +72,12 @@ class Teleoperation:
     wrist_to_arm: WristToArm
     meter: LatencyMeter | None
 
-    def initialize(self, root: Context) -> None:
-        """Prepares a context of the diagram: disengaged."""
-        self.engage(root, False)
-
     def engage(self, root: Context, engaged: bool) -> None:
-        """Lets robot and person follow each other, or parts them; the robot then brakes and holds."""
+        """Makes the robot follow the person, or brake and hold, in a context of the diagram."""
         self.diagram.GetInputPort("engaged").FixValue(root, [float(engaged)])
 
     def state(self, root: Context) -> str:
-        """What the fingers do; where they follow, why the policy or the arm is held, if one is."""
+        """Returns what the fingers do; or, if they follow, why the policy or the arm is held, if it is."""
         state = _eval(self.watchdog, "state", root)
         if state == HELD_LOST and self.glove.HasOutputPort("lateness"):
             return HELD_LATE if _eval(self.glove, "lateness", root)[0] > LATEST_S else state
@@ -107,14 +104,18 @@ def make_teleoperation(
     config: WatchdogConfig,
     recorder: GloveRecorder | None = None,
 ) -> Teleoperation:
-    """Builds the loop around a glove and a robot.
+    """Builds the diagram for a glove and a robot. Engage the person in its context before the first step.
 
     Args:
+        scenario: settings of retargeting, correction and arm.
+        description: of the robot's hand.
+        model: of the robot.
         retarget: a `Retargeter`, or anything with its `joint_names` and its call.
         glove: `GloveStream`, or `GloveReplay`, which has no stamps.
-        robot: `RobotLink`, `SimulatedRobot`, or what has their ports.
-        start: positions of hand (n,) and arm (na,), rad, in the model's order: where the robot is.
-        recorder: keeps what the glove gives.
+        robot: `RobotLink`, `SimulatedRobot`, or a system with their ports.
+        start: present positions of hand (n,) and arm (m,), rad, in the model's order.
+        config: of the watchdog.
+        recorder: records the glove's outputs, if given.
 
     Raises:
         HandError: the retargeter and the robot move different joints.
@@ -127,7 +128,7 @@ def make_teleoperation(
     at_start = dict(zip(model.hand.joints, q_hand.tolist(), strict=True))
     settings = scenario.retargeting
 
-    # The person's word counts while they are engaged.
+    # The glove's frames count only while the person is engaged.
     switch = builder.AddNamedSystem("engage_switch", EngageSwitch())
     builder.Connect(glove.GetOutputPort("valid"), switch.GetInputPort("valid"))
     builder.ExportInput(switch.GetInputPort("engaged"), "engaged")
@@ -146,9 +147,9 @@ def make_teleoperation(
             cutoff=settings.cutoff,
         ),
     )
-    safe = [description.default_positions.get(name, 0.0) for name in model.hand.joints]
+    safe_pose = [description.default_positions.get(name, 0.0) for name in model.hand.joints]
     watchdog = builder.AddNamedSystem(
-        "watchdog", Watchdog(model.limits, np.array(safe), retargeting.period, config)
+        "watchdog", Watchdog(model.limits, np.array(safe_pose), retargeting.period, config)
     )
     correction = builder.AddNamedSystem(
         "action_correction",
@@ -167,7 +168,7 @@ def make_teleoperation(
     builder.Connect(robot.GetOutputPort("hand_state"), correction.GetInputPort("hand_state"))
     builder.Connect(correction.GetOutputPort("desired_state"), robot.GetInputPort("hand_desired_state"))
 
-    # The arm follows the wrist while the fingers follow the hand, and the wrist moves as a wrist can.
+    # The arm follows the wrist only while the fingers are followed and the wrist moves plausibly.
     diagram = model.standing_at(dict(zip(model.arm.joints, q_arm.tolist(), strict=True)))
     arm, hand = (diagram.plant().GetModelInstanceByName(name) for name in (ARM, HAND))
     base = diagram.plant().GetFrameByName(description.base_frame, hand)
@@ -188,7 +189,7 @@ def make_teleoperation(
 
     meter = None
     if glove.HasOutputPort("sent"):
-        meter = builder.AddNamedSystem("latency", LatencyMeter(len(safe), retargeting.period))
+        meter = builder.AddNamedSystem("latency", LatencyMeter(len(safe_pose), retargeting.period))
         builder.Connect(glove.GetOutputPort("sent"), meter.GetInputPort("sent"))
         builder.Connect(correction.GetOutputPort("desired_state"), meter.GetInputPort("command"))
         if robot.HasOutputPort("hand_commanded"):

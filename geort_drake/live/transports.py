@@ -1,10 +1,10 @@
-"""Byte messages over ZeroMQ and LCM: addresses, what receives and what sends.
+"""Byte messages over ZeroMQ and LCM: addresses, receivers and senders.
 
-    sub+tcp://HOST:PORT     ZeroMQ, subscribed to a publisher; pub+tcp://… is the publisher
-    pull+tcp://HOST:PORT    ZeroMQ, pulled from a pusher, as most MANUS bridges are; push+tcp://… is that
+    sub+tcp://HOST:PORT     ZeroMQ, subscribes to a publisher, whose address is pub+tcp://…
+    pull+tcp://HOST:PORT    ZeroMQ, pulls from a pusher, as most MANUS bridges are: push+tcp://…
     lcm                     LCM on `LOCAL_LCM`, whose messages do not leave this machine
     lcm+URL                 LCM on that URL, udpm://GROUP:PORT?ttl=N
-ZeroMQ's ipc:// serves in place of tcp://. Receivers connect and senders bind, so only what sends listens.
+ZeroMQ's ipc:// works in place of tcp://. Receivers connect and senders bind, so only senders listen.
 """
 
 import importlib
@@ -19,28 +19,30 @@ from typing import Any, Protocol
 from pydrake.lcm import DrakeLcm
 
 from geort_drake.errors import LiveError
-from geort_drake.live.glove_frame import MAX_BYTES
+from geort_drake.live.messages import MAX_BYTES
 
-# LCM's usual group and port; ttl=0 keeps what is sent on this machine.
+# LCM's default group and port; ttl=0 keeps what is sent on this machine.
 LOCAL_LCM = "udpm://239.255.76.67:7667?ttl=0"
 GLOVE_CHANNEL = "GEORT_GLOVE"
 
-_ROUTES, _ROUTE_UP = Path("/proc/net/route"), 1
+_RECEIVERS, _SENDERS = ("sub", "pull"), ("pub", "push")
+_ROUTES = Path("/proc/net/route")
+_ROUTE_IS_UP = 1  # flag in that table
 
-_MOST_AT_ONCE = 100  # messages taken up in one go, so that a flood cannot keep a loop from going on
+_MAX_AT_ONCE = 100  # messages read in one call, so that a flood cannot stop a loop
 
 
 class Receiver(Protocol):
-    """Where messages come from."""
+    """Receives messages."""
 
     def drain(self) -> list[bytes]:
-        """What has arrived since the last call, oldest first; does not wait."""
+        """Returns what has arrived since the last call, oldest first; does not wait."""
 
     def close(self) -> None: ...
 
 
 class Sender(Protocol):
-    """Where messages go."""
+    """Sends messages."""
 
     def send(self, message: bytes) -> None: ...
 
@@ -53,48 +55,43 @@ def open_receiver(address: str) -> Receiver:
     Raises:
         LiveError: the address is malformed, or pyzmq is not installed.
     """
-    pattern, endpoint = split_address(address, ("sub", "pull"))
+    pattern, endpoint = split_address(address, _RECEIVERS)
     return LcmReceiver(endpoint) if pattern == "lcm" else ZmqReceiver(pattern, endpoint)
 
 
 def open_sender(address: str) -> Sender:
-    """Binds to an address where a glove can be heard.
+    """Binds to an address to which receivers of a glove connect.
 
     Raises:
-        LiveError: the address is malformed or taken, or pyzmq is not installed.
+        LiveError: the address is malformed or in use, or pyzmq is not installed.
     """
-    pattern, endpoint = split_address(address, ("pub", "push"))
+    pattern, endpoint = split_address(address, _SENDERS)
     return LcmSender(endpoint) if pattern == "lcm" else ZmqSender(pattern, endpoint)
 
 
 def is_address(text: str) -> bool:
-    """Whether a glove's source is meant for an address, and not for a file."""
-    return text.partition("+")[0] in ("sub", "pull", "lcm")
+    """Returns whether a glove's source looks like an address rather than a file."""
+    return text.partition("+")[0] in (*_RECEIVERS, "lcm")
 
 
-def split_address(address: str, patterns: tuple[str, ...]) -> tuple[str, str]:
-    """The pattern, lcm or one of `patterns`, and the endpoint of an address.
+def split_address(address: str, patterns: tuple[str, ...] = ()) -> tuple[str, str]:
+    """Splits an address into its pattern, which is lcm or one of `patterns`, and its endpoint.
 
     Raises:
-        LiveError: it has no such form.
+        LiveError: the address is malformed, or has another pattern.
     """
     pattern, _, endpoint = address.partition("+")
     if pattern == "lcm":
-        endpoint = endpoint or LOCAL_LCM
-        check_lcm_url(endpoint)
-        return pattern, endpoint
+        _check_lcm_url(endpoint or LOCAL_LCM)
+        return pattern, endpoint or LOCAL_LCM
     if pattern not in patterns or not re.fullmatch(r"tcp://[^\s:/]+:\d{1,5}|ipc://\S+", endpoint):
         forms = [*(f"{name}+tcp://HOST:PORT" for name in patterns), "lcm", "lcm+udpm://GROUP:PORT?ttl=N"]
         raise LiveError(f"address '{address:.80}': give one of {', '.join(forms)}")
     return pattern, endpoint
 
 
-def check_lcm_url(url: str) -> None:
-    """LCM itself takes any URL, and says nothing to messages that go nowhere.
-
-    Raises:
-        LiveError: it is no udpm URL of a multicast group with a ttl.
-    """
+def _check_lcm_url(url: str) -> None:
+    """Raises LiveError unless LCM can use a URL. LCM itself accepts any, and then loses all messages."""
     match = re.fullmatch(r"udpm://([\d.]+):(\d{1,5})\?ttl=\d{1,3}", url)
     try:
         good = match is not None and ipaddress.IPv4Address(match[1]).is_multicast and int(match[2]) < 65536
@@ -102,23 +99,24 @@ def check_lcm_url(url: str) -> None:
         good = False
     if not good:
         raise LiveError(
-            f"LCM URL '{url:.80}': wants udpm://GROUP:PORT?ttl=N, GROUP from 224.0.0.0 to 239.255.255.255"
+            f"LCM URL '{url:.80}': expected udpm://GROUP:PORT?ttl=N, GROUP from 224.0.0.0 to 239.255.255.255"
         )
 
 
 def is_local(address: str) -> bool:
-    """Whether nothing but this machine is meant by an address or an LCM URL."""
+    """Returns whether a valid address or LCM URL reaches only this machine."""
     if "udpm://" in address or address == "lcm":
-        return "?ttl=" not in address or address.endswith("?ttl=0")
+        return address == "lcm" or address.endswith("?ttl=0")
     return "ipc://" in address or re.search(r"//(127\.[\d.]+|localhost):", address) is not None
 
 
 def heard_from_outside(url: str, routes: Path = _ROUTES) -> bool:
-    """Whether an LCM URL's multicast group is routed to a network, so that others' messages are heard, too.
+    """Returns whether an LCM URL's group is routed to a network, so that others' messages arrive, too.
 
-    `ttl=0` says nothing of that: it keeps what this machine sends. True where it cannot be told.
+    `ttl=0` limits only what this machine sends. The result is True if the routes are unknown.
 
     Args:
+        url: LCM URL.
         routes: Linux' table of IPv4 routes.
     """
     match = re.match(r"udpm://([\d.]+):", url)
@@ -130,23 +128,23 @@ def heard_from_outside(url: str, routes: Path = _ROUTES) -> bool:
         interface, destination, _, flags, _, _, metric, mask, *_ = line.split()
         # Addresses are in the machine's byte order.
         network, bits = (socket.ntohl(int(word, 16)) for word in (destination, mask))
-        if int(flags, 16) & _ROUTE_UP and group & bits == network:
+        if int(flags, 16) & _ROUTE_IS_UP and group & bits == network:
             found.append((-bits, int(metric), interface))
     return bool(found) and min(found)[2] != "lo"
 
 
 def open_lcm(url: str) -> DrakeLcm:
-    """An LCM bus of this program's own.
+    """Returns an LCM bus that this program shares with nobody.
 
     Raises:
         LiveError: the URL is malformed.
     """
-    check_lcm_url(url)
+    _check_lcm_url(url)
     return DrakeLcm(url)
 
 
 class LcmReceiver:
-    """Messages of the glove's channel. LCM keeps one until it is fetched, so fetch often."""
+    """Receives messages on the glove's channel. LCM keeps one until it is read, so drain often."""
 
     def __init__(self, url: str):
         self._lcm = open_lcm(url)
@@ -155,7 +153,7 @@ class LcmReceiver:
 
     def drain(self) -> list[bytes]:
         self._lcm.HandleSubscriptions(0)
-        messages = self._messages[-_MOST_AT_ONCE:]
+        messages = self._messages[-_MAX_AT_ONCE:]
         self._messages.clear()
         return messages
 
@@ -164,7 +162,7 @@ class LcmReceiver:
 
 
 class LcmSender:
-    """Puts messages on the glove's channel."""
+    """Sends messages on the glove's channel."""
 
     def __init__(self, url: str):
         self._lcm = open_lcm(url)
@@ -176,87 +174,77 @@ class LcmSender:
         pass
 
 
-class ZmqReceiver:
-    """A SUB or PULL socket that connects; a sender that is not there yet is waited for."""
+class _ZmqSocket:
+    """A socket that queues little, accepts no large messages and never waits to close."""
 
-    def __init__(self, pattern: str, endpoint: str):
-        self._zmq = _zmq()
-        self._context, self._socket = _socket(pattern)
-        if pattern == "sub":
-            self._socket.subscribe(b"")
+    def __init__(self, pattern: str):
         try:
-            self._socket.connect(endpoint)
+            self._zmq: Any = importlib.import_module("zmq")
+        except ImportError:
+            raise LiveError("ZeroMQ needs pyzmq: pip install 'geort-drake[live]'") from None
+        self._context = self._zmq.Context()
+        self._socket = self._context.socket(getattr(self._zmq, pattern.upper()))
+        self._socket.setsockopt(self._zmq.LINGER, 0)
+        self._socket.setsockopt(self._zmq.RCVHWM, _MAX_AT_ONCE)
+        self._socket.setsockopt(self._zmq.SNDHWM, 2)
+        self._socket.setsockopt(self._zmq.MAXMSGSIZE, MAX_BYTES)  # who sends more is disconnected
+
+    def _open(self, method: Callable[[str], Any], endpoint: str, failure: str) -> None:
+        try:
+            method(endpoint)
         except self._zmq.ZMQError as error:
             self.close()
-            raise LiveError(f"{endpoint}: cannot connect there: {error}") from None
-
-    def drain(self) -> list[bytes]:
-        messages: list[bytes] = []
-        try:
-            while len(messages) < _MOST_AT_ONCE:
-                # Of several parts, the last is the payload; those before it are topics.
-                messages.append(self._socket.recv_multipart(self._zmq.NOBLOCK)[-1])
-        except self._zmq.Again:
-            pass
-        return messages
+            raise LiveError(f"{endpoint}: {failure}: {error}") from None
 
     def close(self) -> None:
         self._socket.close()
         self._context.term()
 
 
-class ZmqSender:
-    """A PUB or PUSH socket that binds; what nobody takes is dropped."""
+class ZmqReceiver(_ZmqSocket):
+    """A SUB or PULL socket that connects, now or when the sender starts."""
 
     def __init__(self, pattern: str, endpoint: str):
-        self._zmq = _zmq()
-        self._context, self._socket = _socket(pattern)
+        super().__init__(pattern)
+        if pattern == "sub":
+            self._socket.subscribe(b"")
+        self._open(self._socket.connect, endpoint, "cannot connect there")
+
+    def drain(self) -> list[bytes]:
+        messages: list[bytes] = []
         try:
-            self._socket.bind(endpoint)
-        except self._zmq.ZMQError as error:
-            self.close()
-            raise LiveError(f"{endpoint}: cannot listen there: {error}") from None
+            while len(messages) < _MAX_AT_ONCE:
+                # The last part of a multipart message is the payload; those before it are topics.
+                messages.append(self._socket.recv_multipart(self._zmq.NOBLOCK)[-1])
+        except self._zmq.Again:
+            pass
+        return messages
+
+
+class ZmqSender(_ZmqSocket):
+    """A PUB or PUSH socket that binds; messages without a receiver are dropped."""
+
+    def __init__(self, pattern: str, endpoint: str):
+        super().__init__(pattern)
+        self._open(self._socket.bind, endpoint, "cannot listen there")
 
     @property
     def endpoint(self) -> str:
-        """Where it listens, with the port that the system chose for port 0."""
+        """The endpoint, with the port that the system chose for port 0."""
         return self._socket.last_endpoint.decode()
 
     def send(self, message: bytes) -> None:
         try:
             self._socket.send(message, self._zmq.NOBLOCK)
         except self._zmq.Again:
-            pass  # a late glove frame is worth nothing
-
-    def close(self) -> None:
-        self._socket.close()
-        self._context.term()
-
-
-def _socket(pattern: str) -> tuple[Any, Any]:
-    """A context and a socket that keeps little, takes no large messages and never waits to close."""
-    zmq = _zmq()
-    context = zmq.Context()
-    socket = context.socket(getattr(zmq, pattern.upper()))
-    socket.setsockopt(zmq.LINGER, 0)
-    socket.setsockopt(zmq.RCVHWM, _MOST_AT_ONCE)
-    socket.setsockopt(zmq.SNDHWM, 2)
-    socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)  # who sends more is disconnected
-    return context, socket
-
-
-def _zmq() -> Any:
-    try:
-        return importlib.import_module("zmq")
-    except ImportError:
-        raise LiveError("ZeroMQ needs pyzmq: pip install 'geort-drake[live]'") from None
+            pass  # a late glove frame is useless
 
 
 def wait_for(poll: Callable[[], Any], timeout_s: float, message: Callable[[], str]) -> Any:
-    """The first result of `poll` that is not None.
+    """Returns the first result of `poll` that is not None.
 
     Raises:
-        LiveError: with `message()`, when there is none in time.
+        LiveError: with `message()`, if there is none in time.
     """
     deadline = time.monotonic() + timeout_s
     while True:

@@ -1,4 +1,4 @@
-"""Between retargeting and a robot that moves: whether the person is engaged, and a glove that is lost."""
+"""Engages and disengages the person, and relaxes the hand when the glove stays lost."""
 
 import dataclasses as dc
 import math
@@ -11,21 +11,21 @@ from geort_drake.systems.glove_checks import FROZEN
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.retargeting_system import EASING, LIMITED, OUTSIDE, TRACKING, RetargetingStatus
 
-_FOLLOWED = (TRACKING, LIMITED, OUTSIDE, EASING)
-# The watchdog updates so long after the retargeting, s; who sends commands does it later than that.
+_FOLLOWED_STATES = (TRACKING, LIMITED, OUTSIDE, EASING)
+# The watchdog updates this long after the retargeting, s; commands are sent later still.
 AFTER = 1e-4
 _PASSING, _RELAXING, _RETURNING = range(3)
 
 
 @dc.dataclass
 class WatchdogConfig:
-    """What happens when the glove is lost while engaged."""
+    """Settings for a glove that is lost while the person is engaged."""
 
-    # The hand holds for so long, s, and then relaxes. Infinite: it holds on.
+    # The hand holds for this long, s, before it relaxes. Infinite: it never relaxes.
     relax_after: float = 5.0
     # The largest joint speed on the way to the safe pose, rad/s.
     relax_speed: float = 0.5
-    # Coming back, the speed limit grows from zero to full over this, s.
+    # When the hand returns to the glove, the speed limit grows from zero to full in this time, s.
     ease_time: float = 0.5
 
     def validate(self) -> None:
@@ -37,13 +37,13 @@ class WatchdogConfig:
 
 
 class EngageSwitch(LeafSystem):
-    """Lets the glove's word through while the person is engaged; else the hand counts as lost.
+    """Marks the hand as lost while the person is disengaged.
 
     Input ports:
-        valid (1): the glove's.
+        valid (1): 1 while the glove tracks the hand, 0 while it is lost.
         engaged (1): 1 engaged, 0 not.
     Output port:
-        valid (1): 1 where both are.
+        valid (1): 1 if both inputs are 1.
     """
 
     def __init__(self) -> None:
@@ -57,29 +57,31 @@ class EngageSwitch(LeafSystem):
 
 
 class Watchdog(LeafSystem):
-    """Passes commands on; when the glove stays lost, takes the hand to a safe pose, and eases it back.
+    """Passes commands on. While the glove stays lost, moves the hand to a safe pose, and eases it back.
 
-    RetargetingSystem holds at once when its input is lost, which is passed on. After `relax_after` the
-    hand moves to the safe pose; when the input is followed again, it eases back to the commands, and when
-    it has met two of them in a row, so that its velocity is theirs, they pass on. Disengaged, it never
-    relaxes: a hold is what the person wants. All motions of its own keep the limits.
+    RetargetingSystem already holds when its input is lost. After `relax_after`, the watchdog moves the hand
+    to the safe pose. When the input is followed again, it eases the hand back. It passes commands on when the
+    hand has met two of them in a row, so that its velocity agrees. While disengaged it never relaxes, because
+    the person wants a hold. Its own motions keep the limits. It updates `AFTER` the retargeting, so that it
+    has the command of the same period.
 
     Input ports:
-        desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.
+        desired_state (2n): joint positions (rad), then velocities (rad/s), in actuator order.
         status (abstract RetargetingStatus): of the retargeting.
         engaged (1): 1 engaged, 0 not.
     Output ports:
-        desired_state (2n): the same, or the way to the safe pose and back.
-        following (1): 1 while the person's hand is followed, 0 while it is held or relaxes.
-        state (abstract str): what it does.
+        desired_state (2n): the input, or the motion to the safe pose and back, in the same order and units.
+        following (1): 1 while the person's hand is followed, 0 while the hand is held or relaxes.
+        state (abstract str): what the hand does.
 
-    State: q, v (n each) of its own way, the commands one update ago (n), mode, lost since and mode since (s).
-    It updates `AFTER` the retargeting, so that it has the command of the same period.
+    State: positions and velocities (n each) of its own motion, the commands one update ago (n), the mode, and
+    since when (s) the glove is lost and the mode is on.
 
     Args:
         limits: of the joints, in actuator order.
         safe_pose: (n,) rad.
         period: of the retargeting, s.
+        config: times and speed.
 
     Raises:
         ValueError: a value of the configuration cannot work.
@@ -106,7 +108,7 @@ class Watchdog(LeafSystem):
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         n, time = self._n, context.get_time()
         command = self._desired.Eval(context)
-        wanted = command[:n]
+        target = command[:n]
         value = context.get_discrete_state(self._state).value()
         q, v, before = value[:n], value[n : 2 * n], value[2 * n : 3 * n]
         mode, lost_since, since = value[3 * n :].tolist()
@@ -118,7 +120,7 @@ class Watchdog(LeafSystem):
             lost_since = time
 
         if mode == _PASSING:
-            q, v = wanted, command[n:]
+            q, v = target, command[n:]
             if time - lost_since >= self._config.relax_after:  # False for NaN
                 mode, since = _RELAXING, time
         else:
@@ -128,17 +130,17 @@ class Watchdog(LeafSystem):
                 mode, since = _RELAXING, time
             if not engaged:
                 q, v = self._limits.step(q, v, q, q, self._period)
-                since = time  # so that coming back is eased from here
+                since = time  # the return is eased from here
             elif mode == _RELAXING:
                 q, v = self._relaxed.step(q, v, self._safe, self._safe, self._period)
             else:
                 share = min((time - since + self._period) / self._config.ease_time, 1.0)
                 met = np.array_equal(q, before)
-                q, v = self._limits.step(q, v, wanted, before, self._period, share)
-                if met and np.array_equal(q, wanted):
+                q, v = self._limits.step(q, v, target, before, self._period, share)
+                if met and np.array_equal(q, target):
                     mode, since = _PASSING, time
         discrete_state.get_mutable_vector(self._state).SetFromVector(
-            np.concatenate([q, v, wanted, [mode, lost_since, since]])
+            np.concatenate([q, v, target, [mode, lost_since, since]])
         )
         return EventStatus.Succeeded()
 
@@ -148,7 +150,7 @@ class Watchdog(LeafSystem):
         output.SetFromVector(self._desired.Eval(context) if passing else value[: 2 * self._n])
 
     def _calc_following(self, context: Context, output: BasicVector) -> None:
-        followed = self._status.Eval(context).state in _FOLLOWED
+        followed = self._status.Eval(context).state in _FOLLOWED_STATES
         output.SetAtIndex(0, float(followed and self._engaged.Eval(context)[0] >= 0.5))
 
     def _calc_state(self, context: Context, output: AbstractValue) -> None:

@@ -9,7 +9,8 @@ from geort_drake.people.checks.findings import Finding, FrameFaults, warning
 # A single first or last frame farther from the others than this has a wrong time.
 _LONGEST_GAP_S, _LONGEST_GAP_PERIODS = 60.0, 1000.0
 _WINDOW = 2  # frames to either side that tell which of two neighbouring times is wrong
-_UNIT, _NEARLY_UNIT = 1e-2, 0.2  # how far a quaternion's norm may be from 1, as it is and to be scaled
+# A quaternion is used as it is if its norm differs from 1 by at most the first, and scaled up to the second.
+NORM_TOLERANCE, NORM_REPAIRABLE = 1e-2, 0.2
 
 
 def repaired_times(t: np.ndarray, numbers: np.ndarray, faults: FrameFaults) -> np.ndarray:
@@ -103,7 +104,7 @@ def repaired_poses(
     """
     norm = np.linalg.norm(X_WH[:, :4], axis=1)
     off = np.abs(norm - 1.0)
-    bad, scaled = off > _NEARLY_UNIT, (off > _UNIT) & (off <= _NEARLY_UNIT)
+    bad, scaled = off > NORM_REPAIRABLE, (off > NORM_TOLERANCE) & (off <= NORM_REPAIRABLE)
     if (bad & valid).sum() > 0.5 * valid.sum():
         frame = int(np.argmax(bad & valid))
         raise ValueError(

@@ -3,7 +3,7 @@
 from test_live_messages import REFUSED
 
 from faults.refusals import Case
-from geort_drake.live.decoding import decode
+from geort_drake.live.messages import decode
 
 CASES = [
     Case(

@@ -20,8 +20,8 @@ from geort_drake.hands.description import load_hand, write_description
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.samples import robot_data
-from geort_drake.live.decoding import decode
 from geort_drake.live.devices import ALLEGRO, PANDA, JointStatus
+from geort_drake.live.messages import decode
 from geort_drake.people.checks import examine
 from geort_drake.people.readers import open_recording
 from geort_drake.retargeting.checkpoint import CONFIG as CHECKPOINT_CONFIG

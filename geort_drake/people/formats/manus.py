@@ -41,6 +41,7 @@ from geort_drake.people.formats.source import (
     shape_in,
 )
 
+NODE_COUNT = 25
 _FRAME, _ELAPSED = "Frame", "Elapsed_Time_In_Milliseconds"
 # The 21 keypoints. The thumb's interphalangeal joint is called DIP.
 _JOINTS = ("Hand", *(f"Thumb_{joint}" for joint in ("CMC", "MCP", "DIP", "TIP"))) + tuple(
@@ -52,6 +53,21 @@ _PALM_ENDS = ("Hand", "Index_CMC", "Pinky_CMC")
 _SIDES = {"L": "left", "R": "right"}
 
 
+def keypoints_of_nodes(p_WN: np.ndarray, numbers: Sequence[int] = range(NODE_COUNT)) -> np.ndarray:
+    """Returns the 21 keypoints p_WK (..., 21, 3) of a skeleton's nodes p_WN (..., 25, 3).
+
+    Args:
+        p_WN: the nodes, in any frame W and unit.
+        numbers: of each node.
+
+    Raises:
+        ValueError: the numbers are not those of all nodes.
+    """
+    if not isinstance(numbers, Sequence) or sorted(numbers) != list(range(NODE_COUNT)):
+        raise ValueError(f"must be the numbers 0 to {NODE_COUNT - 1} in some order")
+    return p_WN[..., np.argsort(numbers), :][..., KEYPOINTS_OF_25, :]
+
+
 def _is_raw(contents: Any) -> bool:
     if not isinstance(contents, Mapping) or "data" not in contents:
         return False
@@ -60,10 +76,10 @@ def _is_raw(contents: Any) -> bool:
 
 def _read_raw(file: Source, side: str) -> Tracks:
     p, _ = file.positions("data", file.array("data", (25, 7)))
-    nodes = np.asarray(file.header.get("keypoint_ids", np.arange(25)))
-    if nodes.shape != (25,) or sorted(nodes.tolist()) != list(range(25)):
-        raise file.error("keypoint_ids must be the numbers 0 to 24 in some order")
-    p_WK = p[:, np.argsort(nodes)][:, KEYPOINTS_OF_25]
+    try:
+        p_WK = keypoints_of_nodes(p, np.asarray(file.header.get("keypoint_ids", range(NODE_COUNT))).tolist())
+    except (TypeError, ValueError) as error:
+        raise file.error(f"keypoint_ids {error}") from None
     return Tracks(p_WK, file.times(len(p)), world=True, side=file.side())
 
 

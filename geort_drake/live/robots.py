@@ -1,0 +1,157 @@
+"""Simulated robots: one inside the teleoperation diagram, and a stand-in for a real one behind LCM."""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from pydrake.geometry import Meshcat, MeshcatParams, MeshcatVisualizer
+from pydrake.lcm import DrakeLcm
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    Diagram,
+    DiagramBuilder,
+    DiscreteValues,
+    EventStatus,
+    LeafSystem,
+)
+
+from geort_drake.hands.description import HandDescription, load_hand
+from geort_drake.live.devices import (
+    ALLEGRO,
+    PANDA,
+    Device,
+    JointGroup,
+    JointStatus,
+    LcmInbox,
+    require_hand_messages,
+)
+from geort_drake.live.glove_stream import POLL_PERIOD
+from geort_drake.live.transports import open_lcm
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.world import ARM, HAND, actuated_state, add_scene
+
+# Time between statuses, s.
+STATUS_PERIOD = 0.004
+
+
+class SimulatedRobot(Diagram):
+    """Simulates a scenario's arm, hand and object; the scenario's seed places the object.
+
+    Input ports:
+        hand_desired_state (2n), arm_desired_state (2m): joint positions (rad), then velocities (rad/s),
+            in the plant's actuator order.
+    Output ports:
+        hand_state (2n), arm_state (2m): measured positions (rad), then velocities (rad/s), in the same order.
+
+    Attributes:
+        hand, arm: their joints.
+
+    Args:
+        scenario: arm, object and simulation settings.
+        description: of the hand.
+        meshcat: viewer that shows the scene, if any.
+
+    Raises:
+        ScenarioError, HandError: scenario and models do not fit.
+    """
+
+    def __init__(self, scenario: Scenario, description: HandDescription, meshcat: Meshcat | None = None):
+        super().__init__()
+        builder = DiagramBuilder()
+        scene = add_scene(builder, scenario, description, np.random.default_rng(scenario.random_seed))
+        plant, hand, arm = scene.plant, scene.hand, scene.arm
+        for model, name in ((hand, HAND), (arm, ARM)):
+            builder.ExportInput(plant.get_desired_state_input_port(model), f"{name}_desired_state")
+            builder.ExportOutput(actuated_state(builder, plant, model), f"{name}_state")
+        if meshcat is not None:
+            MeshcatVisualizer.AddToBuilder(builder, scene.scene_graph, meshcat)
+        builder.BuildInto(self)
+        self.hand, self.arm = JointGroup.of_plant(plant, hand), JointGroup.of_plant(plant, arm)
+
+
+def open_meshcat() -> Meshcat:
+    """Returns a viewer that only this machine can reach."""
+    return Meshcat(MeshcatParams(host="localhost"))
+
+
+class JointServer(LeafSystem):
+    """Stands for a device's driver: follows the newest usable command and publishes the joints' state.
+
+    Commands hold positions only, so the desired velocities are zero and the joints lag.
+
+    Input port:
+        state (2n): measured positions (rad), then velocities (rad/s), in the order of `group`.
+    Output port:
+        desired_state (2n): joint positions (rad), then velocities (rad/s), in the same order.
+
+    State: the commanded positions (n), rad; before the first command, where the joints start.
+
+    Attributes:
+        inbox: the newest command; malformed ones and those that are not finite are refused.
+
+    Args:
+        device: whose messages are used.
+        lcm: the bus.
+        group: the model's joints; commands are clamped to their limits.
+        clock: for the time in statuses, s.
+
+    Raises:
+        HandError: the device has other joints than the model.
+    """
+
+    def __init__(
+        self, device: Device, lcm: DrakeLcm, group: JointGroup, clock: Callable[[], float] = time.monotonic
+    ):
+        super().__init__()
+        self._device, self._lcm, self._clock, self._group = device, lcm, clock, group
+        self._to_model = device.model_order(group)
+        self.inbox = LcmInbox(lcm, {device.command_channel: device.decode_command}, clock)
+        n = len(group.joints)
+        self._measured = self.DeclareVectorInputPort("state", 2 * n)
+        self._commanded = self.DeclareDiscreteState(group.start)
+        ticket = {self.discrete_state_ticket(self._commanded)}
+        self.DeclareVectorOutputPort("desired_state", 2 * n, self._calc_desired, ticket)
+        self.DeclarePeriodicDiscreteUpdateEvent(POLL_PERIOD, 0.0, self._update)
+        self.DeclarePeriodicPublishEvent(STATUS_PERIOD, 0.0, self._publish)
+
+    def _calc_desired(self, context: Context, output: BasicVector) -> None:
+        q = context.get_discrete_state(self._commanded).value()
+        output.SetFromVector(np.concatenate([q, np.zeros_like(q)]))
+
+    def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
+        self.inbox.fetch()
+        command = self.inbox.newest.get(self._device.command_channel)
+        if command is not None:
+            q = np.clip(command[self._to_model], self._group.lower, self._group.upper)
+            discrete_state.get_mutable_vector(self._commanded).SetFromVector(q)
+        return EventStatus.Succeeded()
+
+    def _publish(self, context: Context) -> EventStatus:
+        position, velocity = np.split(self._measured.Eval(context), 2)
+        parts = (position, velocity, context.get_discrete_state(self._commanded).value())
+        status = JointStatus(*(part[np.argsort(self._to_model)] for part in parts))
+        self._lcm.Publish(self._device.status_channel, self._device.encode_status(self._clock(), status))
+        return EventStatus.Succeeded()
+
+
+def make_stand_in(scenario: Scenario, url: str, meshcat: Meshcat | None = None) -> Diagram:
+    """Builds a diagram that simulates the scenario's robot behind LCM; run it in real time.
+
+    Raises:
+        ScenarioError, HandError: scenario and models do not fit, or are no Allegro hand and Panda.
+        LiveError: the URL is malformed.
+    """
+    description = load_hand(scenario.hand)
+    require_hand_messages(description)
+    builder = DiagramBuilder()
+    robot = builder.AddNamedSystem("robot", SimulatedRobot(scenario, description, meshcat))
+    for device, group in ((ALLEGRO, robot.hand), (PANDA, robot.arm)):
+        server = builder.AddNamedSystem(f"{group.name}_server", JointServer(device, open_lcm(url), group))
+        builder.Connect(robot.GetOutputPort(f"{group.name}_state"), server.GetInputPort("state"))
+        builder.Connect(
+            server.GetOutputPort("desired_state"), robot.GetInputPort(f"{group.name}_desired_state")
+        )
+    diagram = builder.Build()
+    diagram.set_name("stand_in_robot")
+    return diagram
