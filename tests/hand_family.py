@@ -1,4 +1,4 @@
-"""Models of hands that nobody built, in URDF, SDF and MJCF: 2 to 5 fingers, odd names and frames."""
+"""A family of invented hands in URDF, SDF and MJCF: 2 to 5 fingers, odd names and frames."""
 
 import dataclasses as dc
 from pathlib import Path
@@ -13,13 +13,13 @@ THUMB_LENGTHS = (0.0, 0.045, 0.032)
 
 @dc.dataclass(frozen=True)
 class HandSpec:
-    """What a hand of the family is like.
+    """A hand of the family.
 
     Attributes:
         fingers: 2 to 5, the thumb among them.
         kind: "urdf", "sdf" or "xml".
         mimic: whether the last joint of each finger but the thumb follows the one before.
-        names: "plain", or "odd", which tell nothing of what a link is.
+        names: "plain", or "odd", which do not identify the fingers.
         turn: roll, pitch, yaw in degrees of the palm's frame in the hand base B.
         side: "right" or "left".
         collision: whether the fingers have collision geometry.

@@ -63,7 +63,7 @@ class _Closing:
 
 
 def test_on_a_fixed_base_only_the_fingers_move():
-    """The base stays to the last bit, whatever the wrist did; the fingers follow the recording."""
+    """The base does not move at all with the wrist; the fingers follow the recording."""
     play = synthesize_play(seed=0, duration_s=0.5, rate_hz=60.0)
     wrist = np.array([pose_to_vector(RigidTransform([0, 0, 0.2 * t])) for t in play.t])
     hand = HandModel(load_hand("allegro_right"))
@@ -80,8 +80,8 @@ def test_on_a_fixed_base_only_the_fingers_move():
     assert np.abs(parts.plant.GetPositions(context, model) - q).max() > 0.2
 
 
-def test_what_a_fixed_base_is_for_is_said(tmp_path):
-    """Replays without wrist poses need it, and it needs a replay."""
+def test_a_replay_without_wrist_poses_needs_a_fixed_base(tmp_path):
+    """And a fixed base needs a replay."""
     simulate_grasp = load_script("simulate_grasp.py")
     play = synthesize_play(seed=0, duration_s=2.0, rate_hz=60.0)
     play.save(tmp_path / "play.npz")

@@ -1,4 +1,4 @@
-"""Links that touch nothing are given hulls of what is drawn of them, in every format."""
+"""Links without collision geometry get hulls of their visual geometry, in every format."""
 
 import re
 
@@ -28,7 +28,7 @@ ENDS = {"urdf": "</robot>", "sdf": "</model>"}
 
 
 def drawn_alone(folder, kind: str):
-    """A hand of the family whose shapes are drawn and do not touch, one link with a part welded to it."""
+    """A hand of the family with visual geometry alone, and a part welded to one link."""
     model = write_hand(folder, HandSpec(3, kind, mimic=False))
     text = model.read_text()
     if kind == "xml":
@@ -40,7 +40,7 @@ def drawn_alone(folder, kind: str):
 
 
 def reach(hand: HandModel, link: str, role: Role) -> np.ndarray:
-    """(2, 3) where the shapes of a link and of what is welded to it end along its axes, m."""
+    """(2, 3) bounds, along a link's axes, of its geometry and that of links welded to it, m."""
     inspector, points = hand.scene_graph.model_inspector(), []
     owner = hand.plant.GetBodyByName(link)
     context = hand.plant.CreateDefaultContext()
@@ -52,8 +52,8 @@ def reach(hand: HandModel, link: str, role: Role) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["urdf", "sdf", "xml"])
-def test_links_that_are_drawn_get_one_hull_each(kind, tmp_path):
-    """As large as what is drawn of them and of what is welded to them; the checks find nothing amiss then."""
+def test_links_get_one_hull_each(kind, tmp_path):
+    """As large as the visual geometry of the welded links together; the checks then find no fault."""
     model = drawn_alone(tmp_path, kind)
     before = HandModel(propose(model).description)
     assert "--hulls" in examine(before)[0]
@@ -68,8 +68,8 @@ def test_links_that_are_drawn_get_one_hull_each(kind, tmp_path):
     assert add_hulls(model) == []
 
 
-def test_what_is_flat_gets_none(tmp_path):
-    """A mesh of one plane has no hull; the other links have theirs."""
+def test_flat_links_get_no_hull(tmp_path):
+    """A mesh in one plane has no volume; the other links get theirs."""
     model = drawn_alone(tmp_path, "urdf")
     (tmp_path / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     text = model.read_text()
@@ -82,8 +82,8 @@ def test_what_is_flat_gets_none(tmp_path):
     assert "index_l2" not in given
 
 
-def test_the_program_keeps_the_model_and_describes_the_copy(tmp_path):
-    """With --hulls; the model itself is left as it was."""
+def test_the_command_describes_a_copy(tmp_path):
+    """With --hulls; the model itself does not change."""
     model = drawn_alone(tmp_path, "urdf")
     before = model.read_bytes()
     output = tmp_path / "described" / "hand.yaml"

@@ -1,4 +1,4 @@
-"""Models that are more than a hand: which are refused, and how one hand of them is described."""
+"""Models of more than a hand: refused without the palm's name, described with it."""
 
 import re
 
@@ -71,7 +71,7 @@ def test_more_than_one_hand_is_refused(tmp_path, arm_joints, legs, hands, messag
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
-def test_of_a_whole_robot_the_named_palm_is_described(tmp_path, side):
+def test_the_named_palm_of_a_robot_is_described(tmp_path, side):
     """With its own fingers; all other joints are held, in one note."""
     robot = _robot(tmp_path, 7, legs=2)
     add_hand.main([str(robot), "--palm", f"{side}_palm", "--output", str(tmp_path / "hand.yaml")])
@@ -88,8 +88,8 @@ def test_of_a_whole_robot_the_named_palm_is_described(tmp_path, side):
         propose(robot, palm="hand")
 
 
-def test_arms_and_folding_palms_of_one_hand_are_no_reason_to_refuse(tmp_path):
-    """An arm that carries all fingers, and a joint of the palm that carries two of four."""
+def test_one_hand_may_have_an_arm_or_a_folding_palm(tmp_path):
+    """An arm that carries all fingers, or a joint of the palm that carries two of four."""
     assert propose(_robot(tmp_path, 7, hands=("right",))).description.finger_names == [
         "thumb",
         "index",

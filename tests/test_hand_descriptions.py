@@ -1,4 +1,4 @@
-"""Hand descriptions: how they are found and read, and what is wrong with bad ones."""
+"""Hand descriptions: finding, reading and checking them."""
 
 import dataclasses as dc
 
@@ -20,8 +20,8 @@ def test_fingers_come_thumb_first_and_joints_finger_by_finger():
     assert [finger.human_keypoint for finger in hand.fingers] == [4, 8, 12, 16]
 
 
-def test_hands_are_known_by_the_names_of_their_files(monkeypatch, tmp_path):
-    """Those that come along, and one that a user puts beside them."""
+def test_hands_have_the_names_of_their_files(monkeypatch, tmp_path):
+    """The shipped ones, and one that a user puts beside them."""
     assert set(SHIPPED_HANDS) <= set(hand_names())
     (tmp_path / "hands").mkdir()
     text = (models_dir() / "hands" / "leap_right.yaml").read_text(encoding="utf-8")
@@ -32,13 +32,13 @@ def test_hands_are_known_by_the_names_of_their_files(monkeypatch, tmp_path):
 
 
 def test_unknown_hand_lists_the_choices():
-    """A name that stands for nothing is answered with the names that do."""
+    """The error for an unknown name lists the known ones."""
     with pytest.raises(UnknownNameError, match=r"unknown hand 'alegro'.*allegro_right"):
         load_hand("alegro")
 
 
 def test_a_left_hand_is_described_as_its_right_one():
-    """But for name, model, side and mount, the descriptions of the Allegro's two hands are the same."""
+    """The descriptions of the two Allegro hands differ only in name, model, side and mount."""
     right, left = (dc.asdict(load_hand(f"allegro_{side}")) for side in ("right", "left"))
     for facts, side in ((right, "right"), (left, "left")):
         assert facts.pop("side") == side
@@ -86,7 +86,7 @@ def _set(path: str, value):
     ],
 )
 def test_bad_descriptions_name_what_is_wrong(allegro_copy, change, message):
-    """Every error names the field, what was wanted and what was given, and lists the choices."""
+    """Every error names the field, what was expected, what was given, and the choices."""
     facts, load = allegro_copy
     change(facts)
     with pytest.raises(HandError, match=f"(?s){message}"):

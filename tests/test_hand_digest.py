@@ -1,4 +1,4 @@
-"""A hand's digest covers what its model refers to, and nothing else."""
+"""A hand's digest covers the files of its model, and nothing else."""
 
 import shutil
 
@@ -37,8 +37,8 @@ def with_mesh(tmp_path) -> HandModel:
     return _described(folder, model)
 
 
-def test_another_collision_mesh_makes_another_hand(with_mesh, tmp_path):
-    """While a mesh that nobody asked for, or another place, makes none."""
+def test_the_digest_covers_collision_meshes(with_mesh, tmp_path):
+    """But neither unused files nor the folder."""
     folder = tmp_path / "mine"
     (folder / "other.obj").write_text(_palm_mesh(0.02))
     shutil.copytree(folder, tmp_path / "elsewhere")
@@ -48,7 +48,7 @@ def test_another_collision_mesh_makes_another_hand(with_mesh, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["sdf", "xml"])
-def test_what_a_model_includes_is_part_of_it(kind, tmp_path):
+def test_the_digest_covers_included_files(kind, tmp_path):
     """A whole SDF model in another's file, and actuators in a file of their own in MJCF."""
     (tmp_path / "parts").mkdir()
     inner = write_hand(tmp_path / "parts", HandSpec(3, kind), "inner")
@@ -79,5 +79,5 @@ def test_what_a_model_includes_is_part_of_it(kind, tmp_path):
     ],
 )
 def test_shipped_hands_keep_their_digest(name, start):
-    """Otherwise no saved checkpoint would fit them any more."""
+    """Saved checkpoints fit a hand with the same digest only."""
     assert HandModel(load_hand(name)).digest.startswith(start)

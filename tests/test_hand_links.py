@@ -19,7 +19,7 @@ from geort_drake.systems.scene_view import SceneView
 
 @pytest.fixture
 def description(tmp_path) -> HandDescription:
-    """Three fingers; of the index, one motor moves three links, of which two only follow."""
+    """Three fingers; one motor of the index moves three links, two of them followers."""
     hand = propose(write_hand(tmp_path, HandSpec(3))).description
     index = hand.fingers[1]
     index.joints.remove("index_j2")
@@ -43,7 +43,7 @@ def _plant(description: HandDescription, object_name: str = "sphere"):
 
 
 def _view(builder, plant, description: HandDescription, hand, thing) -> SceneView:
-    """What is seen of hand and object."""
+    """The view of hand and object."""
     scene_graph = builder.GetSubsystemByName("scene_graph")
     view = builder.AddSystem(
         SceneView(plant, description, hand, thing.index(), scene_graph.model_inspector())
@@ -53,8 +53,8 @@ def _view(builder, plant, description: HandDescription, hand, thing) -> SceneVie
     return view
 
 
-def test_a_fingers_links_are_all_that_its_motors_move(description):
-    """Those that only follow too; what is held belongs to the palm."""
+def test_a_finger_has_all_links_that_its_motors_move(description):
+    """Including followers; held links belong to the palm."""
     description.fingers[2].joints.remove("middle_j0")
     _, plant, hand, _ = _plant(description)
     names = [[body.name() for body in links] for links in finger_links(plant, description, hand)]
@@ -64,8 +64,8 @@ def test_a_fingers_links_are_all_that_its_motors_move(description):
     assert [body.name() for body in palm_links(plant, description, hand)] == ["palm", "middle_l0"]
 
 
-def test_motors_on_the_arm_are_not_asked_for_what_followers_cannot_do(description):
-    """The limits that planner and commands keep to are the hand model's: at 1.5 rad, the last joint's end."""
+def test_followers_limit_their_leader_on_the_arm(description):
+    """Joints in the scene have the hand model's limits, within which the last joint stays below 1.5 rad."""
     description.couplings = [c for c in description.couplings if c.joint != "index_j2"]
     description.couplings.append(CouplingDescription("index_j2", "index_j1", 2.0))
     plant, _ = AddMultibodyPlant(MultibodyPlantConfig(time_step=0.002), DiagramBuilder())
@@ -77,8 +77,8 @@ def test_motors_on_the_arm_are_not_asked_for_what_followers_cannot_do(descriptio
 
 
 @pytest.mark.parametrize("link", ["index_l1", "index_l2", "index_l3"])
-def test_contact_on_a_link_that_follows_is_the_fingers(description, link):
-    """Drake's contact results of an object that sticks into one link of the index show on the index alone."""
+def test_contact_on_a_follower_counts_for_its_finger(description, link):
+    """An object that overlaps one link of the index is in contact with the index alone."""
     builder, plant, hand, thing = _plant(description)
     view = _view(builder, plant, description, hand, thing)
     diagram = builder.Build()
@@ -94,8 +94,8 @@ def test_contact_on_a_link_that_follows_is_the_fingers(description, link):
     assert contact[0] == contact[2] == 0.0
 
 
-def test_self_contact_is_what_the_hand_model_calls_a_collision_beyond_tips():
-    """At postures of the Allegro with and without: two links that touch count, two fingertips do not."""
+def test_self_contact_equals_collisions_beyond_tips():
+    """Links of the Allegro that touch count, two fingertips do not."""
     model = HandModel(load_hand("allegro_right"))
     builder, plant, hand, thing = _plant(model.description)
     view = _view(builder, plant, model.description, hand, thing)

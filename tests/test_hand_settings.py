@@ -32,7 +32,7 @@ def described(tmp_path):
 
 
 def test_they_replace_defaults_and_yield_to_explicit_settings(described):
-    """Of the method in question alone, and with the type that the setting has."""
+    """Only of the named method, and with the type of the setting."""
     hand = load_hand(described(OWN))
     assert training_config("geort", hand=hand) == GeortConfig(steps=6, coverage_weight=3.5)
     assert isinstance(training_config("geort", hand=hand).steps, int)
@@ -41,14 +41,14 @@ def test_they_replace_defaults_and_yield_to_explicit_settings(described):
     assert training_config("geort_coupled", hand=hand).closed_target == 0.99
 
 
-def test_checkpoints_fit_the_hand_whatever_its_settings(described):
-    """They say how to train, not what the hand is."""
+def test_they_do_not_change_the_digest(described):
+    """So a checkpoint fits the hand whatever its settings."""
     assert HandModel(load_hand(described(OWN))).digest == HandModel(load_hand("allegro_right")).digest
 
 
 @pytest.mark.usefixtures("light_evaluation")
-def test_the_training_script_uses_and_keeps_them(described, tmp_path):
-    """A checkpoint says what it was trained with."""
+def test_training_uses_and_records_them(described, tmp_path):
+    """The checkpoint's configuration holds them."""
     synthesize_play(5, 12.0, 30.0).save(tmp_path / "play.npz")
     train = load_script("train_retargeter.py").main
     hand = described({"linear_offline": {"steps": 6, "hidden": 9}})
@@ -76,8 +76,8 @@ def test_bad_settings_are_refused_with_hand_and_field(described, training, messa
         training_config("geort", hand=load_hand(described(training)))
 
 
-def test_the_check_of_a_description_covers_them(described):
-    """Where corrections are checked, whichever method they are for."""
+def test_add_hand_checks_them(described):
+    """For every method, when it checks a description."""
     check = load_script("add_hand.py").main
     check([str(described(OWN))])
     with pytest.raises(HandError, match="training: unknown setting of linear_offline 'closed_target'"):

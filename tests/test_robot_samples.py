@@ -1,4 +1,4 @@
-"""The sampled robot data: what it depends on, and its cache."""
+"""Sampled robot data, its labels and its cache."""
 
 import os
 
@@ -10,7 +10,7 @@ from geort_drake.hands.samples import robot_data
 
 
 def test_samples_depend_on_nothing_but_hand_count_and_seed(allegro, tmp_path):
-    """A seed gives the same samples again, another seed different ones, all within the limits."""
+    """The same for a seed, others for another seed, and all within the limits."""
     first = robot_data(allegro, 500, seed=3, cache=tmp_path / "a")
     again = robot_data(allegro, 500, seed=3, cache=tmp_path / "b")
     other = robot_data(allegro, 500, seed=4, cache=tmp_path / "a")
@@ -21,7 +21,7 @@ def test_samples_depend_on_nothing_but_hand_count_and_seed(allegro, tmp_path):
 
 
 def test_samples_are_the_same_however_many_processes_label_them(allegro, tmp_path):
-    """This one alone, and one beside it; progress is told in order."""
+    """One or two; progress is reported in order."""
     done = []
     alone = robot_data(allegro, 3200, cache=tmp_path / "a", processes=1)
     shared = robot_data(
@@ -33,8 +33,8 @@ def test_samples_are_the_same_however_many_processes_label_them(allegro, tmp_pat
     assert done[-1] == (3200, 3200) and done == sorted(done)
 
 
-def test_positions_cost_nothing_where_labels_are_not_wanted(allegro, tmp_path, monkeypatch):
-    """They are the same as with labels; nothing is computed or stored."""
+def test_without_labels_nothing_is_computed(allegro, tmp_path, monkeypatch):
+    """The positions are the same as with labels; nothing is stored."""
     labelled = robot_data(allegro, 300, cache=tmp_path / "a")
     monkeypatch.setattr(HandModel, "collides_beyond_tips", lambda *_: pytest.fail("labelled"))
     data = robot_data(allegro, 300, cache=tmp_path / "b", labels=False)
@@ -55,8 +55,8 @@ def test_cached_samples_are_returned_as_they_were(allegro, tmp_path, monkeypatch
 
 
 @pytest.mark.parametrize("damage", ["garbage", "truncated", "wrong shape", "not a number"])
-def test_damaged_cache_is_made_anew(allegro, tmp_path, damage):
-    """A cache file that is not whole is never used and is replaced."""
+def test_a_damaged_cache_is_replaced(allegro, tmp_path, damage):
+    """A damaged cache file is never used, and replaced."""
     good = robot_data(allegro, 200, cache=tmp_path)
     (path,) = tmp_path.iterdir()
     whole = path.read_bytes()

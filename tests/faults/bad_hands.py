@@ -1,4 +1,4 @@
-"""Hand descriptions and models that are no hand, beside those in test_hand_descriptions.py."""
+"""Unusable hand descriptions and models, besides those in test_hand_descriptions.py."""
 
 import re
 from collections.abc import Callable
