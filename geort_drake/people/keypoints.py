@@ -1,12 +1,11 @@
 """The 21 keypoints of a human hand and the wrist frame H they are described in.
 
-Keypoints are numbered as MediaPipe and MANO users expect: wrist 0, thumb 1–4 (CMC, MCP, IP, tip),
+Keypoints are numbered as in MediaPipe: wrist 0, thumb 1–4 (CMC, MCP, IP, tip),
 then index 5–8, middle 9–12, ring 13–16 and little finger 17–20 (MCP, PIP, DIP, tip).
 
-Frame H has its origin at the wrist; z points from the wrist to the middle finger's MCP joint,
-y from the ring towards the index MCP joint (made orthogonal to z), and x = y × z leaves the palm
-on the side the fingers close to. A left hand is described in its mirror image (y negated), so the
-thumb is on +y and fingers flex towards +x whichever side was recorded.
+Frame H has its origin at the wrist. Its z axis points to the middle finger's MCP joint, y from the ring
+towards the index MCP joint (made orthogonal to z), and x = y × z out of the palm. A left hand is stored as
+its mirror image (y negated), so the thumb is on +y and fingers flex towards +x for both sides.
 """
 
 import numpy as np
@@ -33,14 +32,14 @@ BONES: list[tuple[int, int]] = [
 
 
 def wrist_pose(p_WK: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pose of the wrist frame H as the keypoints themselves define it.
+    """Computes the pose of the wrist frame H from the keypoints.
 
     Args:
         p_WK: (..., 21, 3) keypoints of a right hand (or a mirrored left one) in any frame W, m.
 
     Returns:
-        R_WH (..., 3, 3) and p_WH (..., 3), m. NaN where the hand is degenerate, that is where
-        the wrist and the index, middle and ring knuckles do not span a plane.
+        R_WH (..., 3, 3) and p_WH (..., 3), m. NaN where the
+        wrist and the index, middle and ring knuckles do not span a plane.
     """
     p_WK = np.asarray(p_WK, dtype=float)
     p_WH = p_WK[..., WRIST, :]
@@ -53,19 +52,19 @@ def wrist_pose(p_WK: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def to_wrist_frame(p_WK: np.ndarray) -> np.ndarray:
-    """p_HK (..., 21, 3): the keypoints p_WK (..., 21, 3), m, in each frame's own wrist frame H."""
+    """Transforms keypoints p_WK (..., 21, 3), m, to p_HK in each frame's own wrist frame H."""
     R_WH, p_WH = wrist_pose(p_WK)
     # A row vector times R_WH is R_WH' times the column vector.
     return (np.asarray(p_WK, dtype=float) - p_WH[..., None, :]) @ R_WH
 
 
 def mirrored(p: np.ndarray) -> np.ndarray:
-    """The mirror image of points p (..., 3): y negated, as left hands are described."""
+    """Mirrors points p (..., 3) by negating y, as left hands are stored."""
     return np.asarray(p) * np.array([1.0, -1.0, 1.0])
 
 
 def bone_lengths(p_HK: np.ndarray) -> np.ndarray:
-    """Lengths (..., 20), m, of the `BONES` of keypoints p_HK (..., 21, 3) in any frame."""
+    """Computes the lengths (..., 20), m, of the `BONES` from keypoints p_HK (..., 21, 3) in any frame."""
     parents, children = np.array(BONES).T
     p_HK = np.asarray(p_HK, dtype=float)
     return np.linalg.norm(p_HK[..., children, :] - p_HK[..., parents, :], axis=-1)

@@ -1,7 +1,7 @@
-"""The five minutes that a new user records, step by step, and a synthetic hand demonstrating them.
+"""The capture protocol: five minutes of motion that a new user records, demonstrated by a synthetic hand.
 
-Training needs each fingertip everywhere it can go, and the thumb against every finger at many places. Free
-play forgets some of it. `coverage` tells how much of it a recording shows.
+Training needs each fingertip everywhere it can go, and the thumb against every finger in many places. Free
+play misses some of these motions. `coverage` measures how many of them a recording shows.
 """
 
 import dataclasses
@@ -34,10 +34,10 @@ class Step:
     """One step of the protocol.
 
     Attributes:
-        name: short, as on the time line of a demonstration.
+        name: short, as shown in a demonstration.
         instruction: what the person should do.
-        seconds: for how long.
-        gesture: how the synthetic hand does it.
+        seconds: its duration.
+        gesture: how the synthetic hand performs it.
     """
 
     name: str
@@ -70,16 +70,14 @@ def _pinch_with(finger: int) -> Gesture:
 def _steps() -> list[Step]:
     steps = [
         Step("flat hand", "Hold the hand flat and still, fingers together.", 5, _flat),
-        Step(
-            "fists", "Close all fingers to a fist and stretch them fully, again and again.", 20, _free(fists)
-        ),
+        Step("fists", "Make a fist, then stretch all fingers fully. Repeat.", 20, _free(fists)),
         Step(
             "spread",
-            "Spread the fingers and close them: hand flat, then knuckles half bent.",
+            "Spread and close the fingers, first with a flat hand, then with knuckles half bent.",
             20,
             _free(spread),
         ),
-        Step("wave", "Let a wave of bending run from little finger to thumb and back.", 15, _free(wave)),
+        Step("wave", "Bend the fingers in a wave from little finger to thumb and back.", 15, _free(wave)),
         Step(
             "thumb alone",
             "Sweep the thumb to the little finger's base, lift it off the palm, bend it, draw circles.",
@@ -89,13 +87,13 @@ def _steps() -> list[Step]:
     ]
     fingers = list(enumerate(FINGER_NAMES))[1:]
     for i, name in fingers:
-        text = f"Move the {name} finger alone: sideways while stretched, half bent and bent; then anywhere."
+        text = f"Move the {name} finger sideways when stretched, half bent and bent; then move it anywhere."
         steps.append(Step(f"{name} alone", text, 20, _alone(i)))
     for i, name in fingers:
-        text = f"Pinch thumb and {name} finger, slide the tips along each other, let go; each time elsewhere."
+        text = f"Pinch thumb and {name} finger, slide the tips along each other, let go. Vary the place."
         steps.append(Step(f"thumb to {name}", text, 30, _pinch_with(i)))
     text = "Do what your robot will do: reach, hold, turn things between the fingers."
-    return [*steps, Step("like a tool", text, 10, _free(wave))]
+    return [*steps, Step("your task", text, 10, _free(wave))]
 
 
 STEPS = tuple(_steps())
@@ -108,7 +106,7 @@ def demonstrate(
     hand: HumanHand | None = None,
     jitter: float = 1.0,
 ) -> tuple[Recording, list[str]]:
-    """The synthetic hand follows the protocol; arguments as of `synthesize_play`.
+    """Makes a recording of a synthetic hand that follows the protocol; arguments as in `synthesize_play`.
 
     Returns:
         The recording, and the name of the step in each of its frames.
