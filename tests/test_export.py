@@ -22,7 +22,6 @@ from geort_drake.people.coverage import tip_distances
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.recording import Recording
 from geort_drake.rerun import file_writer
-from geort_drake.rerun.blueprint import blueprint, scene_view
 from geort_drake.rerun.reader import read_samples
 
 # Joints of each plot, and their places in `command`.
@@ -61,10 +60,7 @@ def run(tmp_path):
     for number, (name, frames) in enumerate(FRAMES.items()):
         t = PERIOD * np.arange(frames)
         asked = np.array([command(time) for time in t])
-        with file_writer(
-            folder / f"{name}.rrd", application_id="test", recording_id=name, properties={},
-            blueprint=blueprint(scene_view((1, 1, 1), (0, 0, 0))),
-        ) as writer:  # fmt: skip
+        with file_writer(folder / f"{name}.rrd") as writer:
             writer.at(t)
             poses = np.array([[pose(body, time) for body in (0, 1)] for time in t])
             writer.poses(["/world/hand/palm", "/world/cube/cube"], poses)

@@ -4,7 +4,6 @@ import itertools
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -82,7 +81,7 @@ def write_exploration(
     pinches = find_pinches(tips_of(p_HK, hand), hand.finger_names)
     marks = {name: _marks(hand, answers, pinches) for name, answers in methods.items()}
     with file_writer(
-        Path(path),
+        path,
         application_id=APPLICATION,
         recording_id=f"explorer-{properties['recording_sha256']}-{hands.start:g}-{'-'.join(methods)}",
         blueprint=views.blueprint(_layout(list(methods))),

@@ -3,7 +3,6 @@
 import copy
 import os
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -102,7 +101,7 @@ class TrainingRecorder:
         losses = np.array([[line[name] for name in names] for line in self._losses])
         id = "-".join(str(properties[key]) for key in ("method", "hand", "seed"))
         with file_writer(
-            Path(path),
+            path,
             application_id=APPLICATION,
             recording_id=f"training-{id}-{self._recording.digest}",
             blueprint=_blueprint(self._steps, losses),

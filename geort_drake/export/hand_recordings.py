@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -47,7 +46,7 @@ def write_hand(
     scene = views.scene_view((0.34, -0.30, 0.33), (0.02, 0.0, 0.09))
     layout = views.blueprint(views.row(scene, views.column(*plots), shares=[3, 2]))
     with file_writer(
-        Path(path),
+        path,
         application_id="geort_drake_hand",
         recording_id=f"hand-{recording.digest}-{fps:g}",
         blueprint=layout,
@@ -65,7 +64,7 @@ def write_hand(
             writer.states(entity_path(key), codes, dict(enumerate(labels)))
 
 
-def write_joint_sweep(hand: HandModel, path: Path) -> None:
+def write_joint_sweep(hand: HandModel, path: str | os.PathLike) -> None:
     """Writes a robot hand in which each joint goes through its range, with its fingertips and its base frame.
 
     The base's axes are x red, y green, z blue.

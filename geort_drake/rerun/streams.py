@@ -1,6 +1,7 @@
 """Where recordings are written: to a file that is whole or absent, and to open viewers."""
 
 import contextlib
+import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -21,15 +22,15 @@ _FOOTER, _FOOTER_BYTES = b"RRF2FOOT", 12
 
 @contextlib.contextmanager
 def file_writer(
-    path: Path,
+    path: str | os.PathLike,
     *,
-    application_id: str,
-    recording_id: str,
-    blueprint: rrb.Blueprint,
-    properties: Mapping[str, Property],
+    application_id: str = "geort_drake",
+    recording_id: str | None = None,
+    blueprint: rrb.Blueprint | None = None,
+    properties: Mapping[str, Property] | None = None,
     timeline: str = TIMELINE,
 ) -> Iterator[Writer]:
-    """Yields the writer of a file, which appears when the block ends without an error.
+    """Yields the writer of an .rrd file, which appears when the block ends without an error.
 
     Equal data give equal columns; log times are left out. With the environment variable RERUN=off no file
     is written, and a warning says so.
@@ -37,6 +38,7 @@ def file_writer(
     Raises:
         OutputError: the disk is full, or the place is not writable.
     """
+    path = Path(path)
     stream = _stream(application_id, recording_id)
     if not rr.is_enabled(stream):
         warnings.warn(f"{path}: not written, as the environment says RERUN=off", stacklevel=4)
@@ -45,7 +47,7 @@ def file_writer(
     with atomic_path(path) as draft:
         try:
             stream.save(draft, default_blueprint=blueprint)
-            _send_properties(stream, path.stem, properties)
+            _send_properties(stream, path.stem, properties or {})
             yield Writer(stream, timeline)
         finally:
             stream.disconnect()
