@@ -30,8 +30,8 @@ from geort_drake.people.keypoints import FINGER_NAMES, TIP_KEYPOINT
 
 _BASE_NAME = "hand_base"
 # A hand base this close to the axes of the palm's link is aligned with them, because stretched fingers may
-# lean against the palm.
-_SNAP_ANGLE = np.deg2rad(30.0)
+# lean against the palm; above the second angle, a note says so.
+_SNAP_ANGLE, _NOTED_ANGLE = np.deg2rad(30.0), np.deg2rad(5.0)
 _POSTURES, _STRETCH_GRID = 300, 7
 # Fingers close to one side if their mean tip offset is this share of their mean distance from straight.
 _CLOSING_SHARE = 0.6
@@ -235,8 +235,15 @@ def _snapped(R: np.ndarray, notes: list[str]) -> np.ndarray:
     if len(set(rows.tolist())) == 3 and np.linalg.det(nearest) > 0:
         angle = np.arccos(np.clip(0.5 * (np.trace(nearest.T @ R) - 1.0), -1.0, 1.0))
         if angle < _SNAP_ANGLE:
+            if angle > _NOTED_ANGLE:
+                notes.append(
+                    f"the hand base has the axes of the palm's link; stretched fingers lean by "
+                    f"{np.rad2deg(angle):.0f} degrees"
+                )
             return nearest
-    notes.append("no axes of the palm's link lie along the fingers, so the hand base is aligned with these")
+    notes.append(
+        "no axes of the palm's link lie along the fingers, so the hand base is aligned with the fingers"
+    )
     return R
 
 
