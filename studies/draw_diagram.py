@@ -3,7 +3,7 @@
 python studies/draw_diagram.py
 
 The picture shows the connected ports and what flows between them. Needs Graphviz's `dot`. Draw it anew after
-systems or ports have changed; `geort-drake draw-diagram` draws any scenario, plainly.
+systems or ports have changed.
 """
 
 import dataclasses as dc
@@ -12,7 +12,7 @@ import importlib
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +20,14 @@ import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import PortDataType
 
+from geort_drake.cli.options import CommandParser, output_file, scenario_of
 from geort_drake.console import run_main
 from geort_drake.errors import GeortError
 from geort_drake.files import write_text
 from geort_drake.hands.description import load_hand
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
-from geort_drake.simulation.scenario import Scenario, load_scenario
+from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
 FONT = "Helvetica"
@@ -56,8 +57,12 @@ GROUPS = {
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "diagram.svg"
 
 
-def main() -> int:
-    write_text(PICTURE, draw_scenario(load_scenario()))
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = CommandParser(None, __doc__)
+    parser.add_argument("--output", type=output_file(".svg"), default=PICTURE, help="picture to write")
+    parser.add_scenario()
+    arguments = parser.parse_args(argv)
+    write_text(arguments.output, draw_scenario(scenario_of(arguments)))
     return 0
 
 

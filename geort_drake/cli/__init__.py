@@ -33,7 +33,6 @@ COMMANDS = (
     "stand-in-robot",
     "export",
     "screenshot",
-    "draw-diagram",
 )
 _USAGE = "usage: geort-drake COMMAND ...\n       geort-drake COMMAND --help\n       geort-drake --version\n"
 

@@ -63,7 +63,8 @@ def RetargetingMap_(T: type) -> type:
             )
 
         def _construct_copy(self, other: Any, converter: SystemScalarConverter | None = None) -> None:
-            Impl._construct(self, *other._arguments, converter)
+            retarget, actuated_joints = other._arguments
+            Impl._construct(self, retarget, actuated_joints, converter)
 
         def _calc(self, context: Context, output: BasicVector_[T]) -> None:
             p_HF = self._keypoints.Eval(context).reshape(KEYPOINT_COUNT, 3)[self._tips]
