@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.geometry import Box, CalcObb, Capsule, Convex, Cylinder, Mesh, Role, Shape, Sphere
-from scipy.spatial import ConvexHull
 
 from geort_drake.errors import HandError
 from geort_drake.hands.chains import inboard_joints, moving_joint
@@ -81,6 +80,8 @@ def _parts(shape: Shape, name: str) -> list[tuple[np.ndarray, tuple[float, float
                 parts.append((X, (0.0, 0.0, 0.0), shape.radius()))
         return parts
     if isinstance(shape, Convex | Mesh):
+        from scipy.spatial import ConvexHull  # only meshes need it
+
         box, hull = CalcObb(shape), shape.GetConvexHull()
         volume = ConvexHull([hull.vertex(i) for i in range(hull.num_vertices())]).volume
         half = box.half_width()
