@@ -40,7 +40,7 @@ def test_converting_writes_a_recording_and_reports_its_health(npy, tmp_path, cap
     assert saved.metadata["warnings"] == read_recording(npy).metadata["warnings"]
     captured = capsys.readouterr()
     said = " ".join(captured.err.split())
-    assert "right hand, taken for GeoRT, 21 keypoints in the wrist frame" in said
+    assert "right hand, read as GeoRT, 21 keypoints in the wrist frame" in said
     assert "450 frames, 450 valid, 15.0 s at 30.0 Hz (assumed); wrist: none" in said
     assert "warning: no timestamps: 30 Hz assumed" in said
     assert "warning: the thumb never comes within 15 mm of:" in said

@@ -1,7 +1,7 @@
 """The command `geort-drake` and its subcommands, one module each.
 
 A subcommand's module has a docstring whose first line is its summary, `add_arguments(parser)`,
-`run(arguments)`, which returns the exit code, and sometimes `EPILOG`, the text below its options. It imports
+`run(arguments)`, which returns the exit code, and optionally `EPILOG`, the text below its options. It imports
 NumPy, Drake, PyTorch and Rerun inside `run`, so that `--help` answers at once.
 """
 
@@ -41,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs `geort-drake` with these arguments (default: the process's).
 
     Returns:
-        The exit code: 0 success, 1 done in part, 2 a request that the user must correct, 130 interrupted.
+        The exit code: 0 success, 1 partial success, 2 invalid input, 130 interrupted.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     first = arguments[0] if arguments else "--help"
@@ -66,11 +66,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def run_command(name: str, argv: Sequence[str]) -> int:
-    """Runs a subcommand in this process; returns its exit code.
+    """Runs a subcommand in this process and returns its exit code.
 
     Raises:
-        GeortError: the request cannot be met; `main` turns this into a message and exit code 2.
-        SystemExit: the arguments cannot be parsed, or they ask for help.
+        GeortError: the input is invalid; `main` prints the message and returns exit code 2.
+        SystemExit: the arguments cannot be parsed, or request help.
     """
     arguments = parser_of(name).parse_args(argv)
     from geort_drake.console import console
@@ -80,7 +80,7 @@ def run_command(name: str, argv: Sequence[str]) -> int:
 
 
 def parser_of(name: str) -> "CommandParser":
-    """The parser of a subcommand."""
+    """Makes the argument parser of a subcommand."""
     from geort_drake.cli.options import CommandParser
 
     command = load_command(name)
@@ -90,12 +90,18 @@ def parser_of(name: str) -> "CommandParser":
 
 
 def load_command(name: str) -> ModuleType:
-    """The module of a subcommand."""
+    """Imports the module of a subcommand."""
     return importlib.import_module(f"{__name__}.{name.replace('-', '_')}")
 
 
 def _overview() -> str:
     lines = [f"  {name:16} {(load_command(name).__doc__ or '').splitlines()[0]}" for name in COMMANDS]
     return "\n".join(
-        [_USAGE, "GeoRT hand retargeting, judged in a Drake simulation.", "", "commands:", *lines]
+        [
+            _USAGE,
+            "Retarget a human hand to a robot hand, and test the result in a Drake simulation.",
+            "",
+            "commands:",
+            *lines,
+        ]
     )

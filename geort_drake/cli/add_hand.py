@@ -1,4 +1,4 @@
-"""Describe a robot hand from its URDF, SDF or MJCF model, and check the description.
+"""Describe a robot hand from its URDF, SDF or MJCF model, or check a description.
 
 geort-drake add-hand my_hand.urdf
 geort-drake train --hand models/hands/my_hand.yaml --output runs/my_hand
@@ -19,30 +19,31 @@ if TYPE_CHECKING:
     from geort_drake.hands.model import HandModel
 
 EPILOG = """\
-The model describes one hand with 2 to 5 fingers of revolute joints. The command proposes the fingers with
-their joints, names and tips, the hand base B (+x out of the palm, +z along the fingers), the side, joints
-that follow others, and contacts to ignore. Correct the description by hand, and check it again by giving it
-in the model's place.
+The model must be one hand with 2 to 5 fingers of revolute joints. The command proposes the fingers with their
+joints, names and tips, the hand base B (+x out of the palm, +z along the fingers), the side, coupled joints,
+and contacts to ignore. Correct the description by hand, then check it: give its file instead of the model.
 
-Exit codes: 0 the description was written, or checked; 2 the model or an option is unusable.
+Exit codes: 0 the description was written or checked; 2 the model or an option is invalid.
 """
 
 
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("model", type=Path, help="URDF, SDF or MJCF file; or a description (.yaml) to check")
-    add("--name", help="of the hand (default: that of the file)")
+    add("--name", help="name of the hand (default: the file's)")
     add(
         "--palm",
         metavar="LINK",
-        help="link that carries the fingers (default: the one that most chains leave)",
+        help="link that carries the fingers (default: where most joint chains start)",
     )
     folder = "models/hands/" if is_checkout() else ""
     add("--output", type=Path, metavar="FILE", help=f"description to write (default: {folder}NAME.yaml)")
     add("--overwrite", action="store_true", help="replace the description if it exists")
-    hulls = "in a copy, give links without collision geometry the convex hull of their visual geometry"
+    hulls = (
+        "write a copy in which links without collision geometry get the convex hull of their visual geometry"
+    )
     add("--hulls", action="store_true", help=hulls)
-    add("--rrd", type=output_file(".rrd"), metavar="FILE", help="Rerun recording of the hand to write")
+    add("--rrd", type=output_file(".rrd"), metavar="FILE", help="also write a Rerun recording of the hand")
     parser.add_json("the findings")
 
 

@@ -1,8 +1,7 @@
 """Compare retargeting methods by grasping in simulation.
 
-Every method grasps every object, over paired seeds. All methods get the same simulated person, objects,
-placements and noise. Finished trials are kept, so an interrupted benchmark continues with the same command,
-and methods, objects and trials can be added.
+Every method grasps every object with the same seeds: the same simulated person, placements and noise. The
+same command resumes an interrupted benchmark, and adds methods, objects and trials to a finished one.
 """
 
 import argparse
@@ -29,25 +28,26 @@ QUICK = {
 }
 EPILOG = f"""\
 {method_help()}
-The folder given by --output gets trials.jsonl (one line per trial, as it finishes), summary.json, report.html
-and report.md. Exit code 1 if a trial raised an error.
+Writes trials.jsonl (one line per finished trial), summary.json, report.html and report.md to --output.
+
+Exit codes: 0 success; 1 a trial raised an error; 2 the input is invalid.
 """
 
 
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     parser.add_output("runs/benchmark")
-    methods = "of those below, or directories of checkpoints; the first is the reference (default: all)"
+    methods = "methods listed below, or checkpoint directories; the first is the reference (default: all)"
     add("--methods", nargs="+", metavar="NAME", help=methods)
-    add("--objects", nargs="+", metavar="NAME", help="what to grasp (default: every object)")
+    add("--objects", nargs="+", metavar="NAME", help="objects to grasp (default: all)")
     add("--trials", type=at_least(1), help="trials per method and object (default: 30)")
-    add("--quick", action="store_true", help="a small benchmark of two to five minutes on two cores")
+    add("--quick", action="store_true", help="small benchmark that takes two to five minutes on two cores")
     parser.add_workers()
-    add("--zero-latency", action="store_true", help="let every method answer without delay")
-    add("--recording", type=Path, help="the person's glove recording (default: synthetic play)")
+    add("--zero-latency", action="store_true", help="do not simulate the methods' latencies")
+    add("--recording", type=Path, help="recording of the person's hand (default: synthetic play)")
     assumptions = (
-        "also run the trials with one assumption changed: delay (ms), gain (1/s), and factors on noise, "
-        "stiffness and friction; a NAME alone takes its usual values, no NAME takes all"
+        "repeat the trials with one assumption changed: delay (ms), gain (1/s), or a factor on noise, "
+        "stiffness or friction; NAME alone uses its default values, no NAME uses all"
     )
     add("--sensitivity", nargs="*", metavar="NAME=V1,V2", help=assumptions)
     parser.add_side()
@@ -56,10 +56,10 @@ def add_arguments(parser: CommandParser) -> None:
         "--rrd",
         nargs="+",
         metavar=("METHOD", "OBJECT SEED CONDITION"),
-        help="repeat one finished trial of --output, check it, and write its Rerun recording; CONDITION is "
-        "one of --sensitivity, such as delay=100, and may be left out",
+        help="repeat a finished trial of --output, check it, and write its Rerun recording; CONDITION, such "
+        "as delay=100, selects a trial of --sensitivity",
     )
-    add("--report", action="store_true", help="only write the report of --output again")
+    add("--report", action="store_true", help="only rewrite the report in --output")
     parser.add_json("the summary")
     parser.add_scenario()
 
@@ -111,7 +111,7 @@ def run_unfinished(arguments: argparse.Namespace) -> None:
     recording, notes = folder.read_person(arguments.recording, side, arguments.seed)
     with TrialLog(arguments.output / TRIALS) as log:
         if log.torn:
-            say("The last trial was not written completely; it is repeated.")
+            say("The last trial was not written completely and will be repeated.")
         benchmark = folder.open_benchmark(
             arguments.output,
             scenario,
@@ -126,7 +126,7 @@ def run_unfinished(arguments: argparse.Namespace) -> None:
         )
         keys = benchmark.keys(names, objects, arguments.trials)
         left = log.unfinished(keys)
-        say(f"{len(keys)} trials, {len(keys) - len(left)} of them finished before")
+        say(f"{len(keys)} trials, {len(keys) - len(left)} already finished")
         if not left:
             return
         jobs, backend = min(arguments.jobs, len(left)), arguments.backend
@@ -147,7 +147,7 @@ def repeat(folder: Path, method: str, thing: str, seed: int, condition: str = ""
     from geort_drake.console import progress_bar, say, warn
 
     if code_has_changed(folder):
-        warn("the trials' code has changed since; the outcome may differ")
+        warn("the simulation code has changed since this trial; the outcome may differ")
     with progress_bar() as display, display.spinner("simulating"):
         record, path = repeat_trial(folder, TrialKey(method, thing, seed, condition))
     if "error" in record:

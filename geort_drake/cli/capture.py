@@ -1,4 +1,4 @@
-"""Show what a new user records in five minutes, step by step."""
+"""Show the capture protocol: five minutes of hand motion to record, step by step."""
 
 import argparse
 
@@ -7,8 +7,12 @@ from geort_drake.cli.options import CommandParser, command, finish, output_file,
 
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
-    add("--output", type=output_file(".rrd"), help=".rrd to write: the synthetic hand in Rerun")
-    add("--recording", type=output_file(".npz"), help=".npz to write: the same as a recording")
+    add("--output", type=output_file(".rrd"), help="Rerun recording of the synthetic hand to write (.rrd)")
+    add(
+        "--recording",
+        type=output_file(".npz"),
+        help="recording of the synthetic hand's keypoints to write (.npz)",
+    )
     parser.add_seed("the demonstration")
 
 

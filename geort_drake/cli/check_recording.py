@@ -1,6 +1,6 @@
-"""Check a recording of a hand in any known format and report its health.
+"""Check a recording of a hand and report its faults.
 
-Exit code 0: usable, with or without warnings; 2: refused.
+Exit codes: 0 usable, perhaps with warnings; 2 refused.
 """
 
 import argparse
@@ -41,19 +41,23 @@ def add_arguments(parser: CommandParser) -> None:
     parser.add_argument("output", type=output_file(".npz"), nargs="?", help=argparse.SUPPRESS)
     parser.add_json("the report")
     add = parser.add_argument
-    picture = ".png to write: the fingertips against a robot's"
+    picture = "picture of the fingertips and the robot's reachable space to write (.png)"
     add("--picture", type=output_file(".png"), metavar="FILE", help=picture)
     parser.add_hand()
-    add("--watch", action="store_true", help="first show what is still missing, while the file is recorded")
+    add(
+        "--watch",
+        action="store_true",
+        help="first show which motions are still missing, while the file is being recorded",
+    )
 
 
 def add_reading_arguments(parser: CommandParser) -> None:
-    """The file to read and how to read it."""
+    """Adds the options that name a file and how to read it."""
     add = parser.add_argument
-    add("input", type=Path, help="recording, in one of the formats below")
-    add("--format", default="auto", metavar="NAME", help="one of those below; auto detects it")
+    add("input", type=Path, help="recording in one of the formats below")
+    add("--format", default="auto", metavar="NAME", help="format, one of those below; auto detects it")
     add("--side", choices=SIDES, default="right", help="side of the recorded hand")
-    add("--mirror", action="store_true", help="make it the other hand's, for a robot hand of the other side")
+    add("--mirror", action="store_true", help="turn it into a recording of the other hand")
     add(
         "--unit",
         choices=["m", "cm", "mm", "inch"],
@@ -116,7 +120,7 @@ def _print(result: dict[str, Any], findings: "Sequence[Finding]") -> None:
     kind = FORMATS.get(result["format"], result["format"])
     known = "known" if result["rate_known"] else "assumed"
     origin = f", mirrored from a {result['recorded_side']} one" if result["recorded_side"] else ""
-    say(f"{result['file']}: {result['side']} hand{origin}, taken for {kind}")
+    say(f"{result['file']}: {result['side']} hand{origin}, read as {kind}")
     say(
         f"{result['frames']} frames, {result['valid_frames']} valid, {result['duration_s']:.1f} s at "
         f"{result['rate_hz']:.1f} Hz ({known}); wrist: {result['wrist']}"

@@ -1,6 +1,8 @@
-"""Convert a recording of a hand in any known format to geort-drake's .npz.
+"""Convert a recording of a hand to geort-drake's own format (.npz).
 
-It reports the recording's health as `geort-drake check-recording` does. Exit code 2: refused.
+Also reports faults, as `geort-drake check-recording` does.
+
+Exit codes: 0 usable, perhaps with warnings; 2 refused.
 """
 
 import argparse
@@ -13,7 +15,7 @@ EPILOG = check_recording.EPILOG
 
 def add_arguments(parser: CommandParser) -> None:
     check_recording.add_reading_arguments(parser)
-    parser.add_argument("output", type=output_file(".npz"), help=".npz to write")
+    parser.add_argument("output", type=output_file(".npz"), help="file to write (.npz)")
     parser.add_json("the report")
     parser.set_defaults(picture=None, watch=False)
 

@@ -1,4 +1,4 @@
-"""Evaluate retargeting methods side by side on recordings of people's hands.
+"""Compare retargeting methods by metrics on recordings of hands.
 
 geort-drake evaluate --recording alex.npy --methods geort vector_online --json table.json
 """
@@ -20,40 +20,45 @@ from geort_drake.cli.options import (
 
 EPILOG = f"""\
 {method_help()}
-protocols, each with its own tables:
-  same person      trained and scored on --recording, as in the paper; always done
-  held-out blocks  with --held-out K: the recording is cut into K blocks, and each is scored by a method
-                   trained on the others, without the seconds next to the block
-  another person   with --score-on FILE...: trained on --recording, scored on the other files
+protocols:
+  same person      always: train and score on --recording, as in the paper
+  held-out blocks  --held-out K: cut the recording into K blocks; score each with a method trained on the
+                   others, leaving out one second on either side of the block
+  another person   --score-on FILE...: train on --recording, score on the other files
 
-for the table of all methods:
+all methods and protocols:
   geort-drake evaluate --recording alex.npy --held-out 5 --score-on ben.npz --seeds 0 1 2 --json table.json
 
-K blocks mean K more trainings, and every seed repeats all of them. The cache keeps each training, so the
-same command continues an interrupted run; only scoring is repeated. --json is rewritten after each method.
-A method may also be the directory of a checkpoint, which is scored by the protocols that fit its training.
+K blocks need K more trainings per seed. Trainings are cached, so the same command resumes an interrupted run;
+only the scoring is repeated. --json is rewritten after each method. A checkpoint directory is scored by the
+protocols that fit its training.
 
-Online methods start from rest in every recording and block and answer its frames in order. Where a metric
-asks about other hands, the hand is held until the answer has settled, starting at the nearest frame.
+Online methods start from rest in every recording and block, and process the frames in order. For metrics on
+unrecorded hands, they start at the nearest frame, and the hand is held until their output has settled.
 
-Exit code 1 if something could not be scored; the rest is shown all the same.
+Exit codes: 0 success; 1 a method could not be scored; 2 the input is invalid.
 """
 
 
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     parser.add_hand()
-    add("--recording", type=Path, required=True, help="what methods are trained on")
+    add("--recording", type=Path, required=True, help="recording to train on")
     add("--held-out", type=int, metavar="K", help="also score on K held-out blocks, for example 5")
     add("--score-on", type=Path, nargs="+", metavar="FILE", help="also score on recordings of other people")
-    methods = "of those below, or directories of checkpoints (default: all of them)"
+    methods = "methods listed below, or checkpoint directories (default: all)"
     add("--methods", nargs="+", metavar="NAME", help=methods)
-    seeds = "seeds of training and metrics; of several, mean and worst are shown"
+    seeds = "seeds of training and metrics; with several, shows mean and worst"
     add("--seeds", type=at_least(0), nargs="+", metavar="SEED", default=[0], help=seeds)
-    frames = "score on the first N valid frames only, also of each block (default: all)"
+    frames = "score only the first N valid frames of each recording and block (default: all)"
     add("--frames", type=at_least(10), metavar="N", help=frames)
     parser.add_json("all figures")
-    add("--plots", type=output_folder, metavar="FOLDER", help="plot the first seed, same person, here")
+    add(
+        "--plots",
+        type=output_folder,
+        metavar="FOLDER",
+        help="folder for plots of the first seed, same person",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:

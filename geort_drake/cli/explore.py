@@ -1,4 +1,4 @@
-"""Show in Rerun how retargeting methods map a recorded hand, side by side.
+"""Show retargeting methods side by side on a recorded hand, in Rerun.
 
 geort-drake explore --recording alex.npy --methods geort_coupled geort --output explore.rrd
 rerun explore.rrd
@@ -20,24 +20,27 @@ from geort_drake.errors import UsageError
 
 EPILOG = f"""\
 {method_help()}
-The result shows the recorded hand and, beside it, the robot hand under each method, the loss of each posture,
-pinches that close or do not, and collisions.
-
-A method that learns is trained on the whole recording, unless its checkpoint is in the user's cache. A method
-may also be the directory of a checkpoint.
+The recording shows the human hand, the robot hand with each method, the losses over time, closed and missed
+pinches, and collisions. Methods that need training are trained on the whole recording and cached.
 """
 
 
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
-    add("--recording", type=Path, metavar="FILE", help="of a hand (default: synthetic play)")
-    methods = "of those below, or directories of checkpoints"
+    add("--recording", type=Path, metavar="FILE", help="recording of a hand (default: synthetic play)")
+    methods = "methods listed below, or checkpoint directories"
     default = ["geort_coupled", "vector_online"]
     add("--methods", nargs="+", metavar="NAME", default=default, help=methods)
-    add("--output", type=output_file(".rrd"), required=True, metavar="FILE.rrd", help="recording to write")
+    add(
+        "--output",
+        type=output_file(".rrd"),
+        required=True,
+        metavar="FILE.rrd",
+        help="Rerun recording to write",
+    )
     parser.add_hand()
-    add("--start", type=float, metavar="S", help="where to begin, s (default: where most pinches are)")
-    add("--duration", type=finite, default=20.0, metavar="S", help="how long, s, from 0.1 to 600")
+    add("--start", type=float, metavar="S", help="start time, s (default: the part with the most pinches)")
+    add("--duration", type=finite, default=20.0, metavar="S", help="duration, s, from 0.1 to 600")
     parser.add_seed("training and synthetic play")
 
 

@@ -1,8 +1,8 @@
-"""Export the trials of a run, or a recording of a hand, to formats of other programs.
+"""Export grasp trials or a recording of a hand to Parquet, LeRobot or Rerun.
 
-parquet: a folder with a table of frames for each trial, and one of all trials and their outcomes
+parquet: a folder with one table of frames per trial, and one table of all trials and outcomes
 lerobot: a LeRobot dataset (version 3.0), one episode per trial
-rrd:     a Rerun recording of a hand; a run's trials are such recordings already
+rrd:     a Rerun recording of a hand (the trials of a run already are Rerun recordings)
 """
 
 import argparse
@@ -16,9 +16,9 @@ from geort_drake.files import require_writable
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("input", type=Path, help="folder that `geort-drake grasp` wrote, or a recording of a hand")
-    add("output", type=Path, help="folder to write; for rrd a file")
-    add("--format", choices=("parquet", "lerobot", "rrd"), default="parquet", help="what to write")
-    rate = "frames per second of lerobot and rrd (default: the recording's, and 30 of rrd)"
+    add("output", type=Path, help="folder to write; with rrd, a file")
+    add("--format", choices=("parquet", "lerobot", "rrd"), default="parquet", help="format to write")
+    rate = "frames per second, for lerobot and rrd (default: the recording's; rrd: 30)"
     add("--fps", type=at_least(1), help=rate)
     parser.add_side("right")
     parser.add_json("what was exported")

@@ -1,8 +1,8 @@
-"""Grasp objects in simulation, after training a retargeter if there is none yet.
+"""Grasp objects in simulation; train a retargeter first if needed.
 
-Without arguments: synthetic glove play → training → one closed-loop grasp of each of three objects with the
-Panda and the Allegro hand → a table. The output folder gets results.json, the resolved scenario, and of each
-trial a Rerun recording (.rrd) and the data of glove and tracker (.npz).
+Without arguments, it synthesises hand motion, trains a retargeter, grasps three objects with a Panda and an
+Allegro hand, and prints a table. The output folder gets results.json, the scenario, and for each trial a
+Rerun recording (.rrd) and the glove and tracker data (.npz).
 """
 
 import argparse
@@ -36,24 +36,30 @@ if TYPE_CHECKING:
 DEFAULT_OBJECTS = ("cylinder", "sphere", "cube")
 EPILOG = f"""\
 {method_help()}
-objects: those of models/objects.yaml; the documentation lists them and how each is grasped
+objects: see models/objects.yaml, or the page on the grasp task in the documentation
 """
 
 
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     parser.add_output("runs/grasp")
-    objects = f"what to grasp (default: the scenario's object, or {' '.join(DEFAULT_OBJECTS)} if it has none)"
+    objects = (
+        f"objects to grasp (default: the scenario's object, or {' '.join(DEFAULT_OBJECTS)} if it has none)"
+    )
     add("--objects", nargs="+", metavar="NAME", help=objects)
     add("--trials", type=at_least(1), default=1, help="trials per object, each with its own seed")
-    add("--recording", type=Path, help="glove recording to train on (default: synthetic play)")
+    add("--recording", type=Path, help="recording of a hand to train on (default: synthetic play)")
     parser.add_side()
-    add("--retargeter", type=Path, help="use this checkpoint and do not train; also give its --recording")
+    add("--retargeter", type=Path, help="checkpoint to use instead of training; also give its --recording")
     add("--method", metavar="NAME", default=DEFAULT_METHOD, help="retargeting method, one of those below")
     add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train")
     parser.add_seed("training and synthetic play")
-    add("--replay", type=Path, help="replay this recording, with its wrist poses, in the operator's place")
-    add("--no-rerun", action="store_true", help="write no .rrd files")
+    add(
+        "--replay",
+        type=Path,
+        help="replay this recording, with its wrist poses, instead of the simulated person",
+    )
+    add("--no-rerun", action="store_true", help="write no Rerun recordings")
     parser.add_json("the results")
     parser.add_scenario()
 

@@ -1,7 +1,7 @@
-"""The parser of all commands with their shared options, types of options, and outputs.
+"""Options, option types and outputs shared by all commands.
 
-Words go to stderr, and `--quiet` leaves only warnings and errors. Stdout holds nothing but the JSON that
-`--json` asks for. A command's last lines name its results and the commands that go on from there.
+Messages go to stderr; `--quiet` leaves only warnings and errors. Only the JSON of `--json` goes to stdout. A
+command's last lines name its results and suggest the next commands.
 """
 
 import argparse
@@ -43,13 +43,13 @@ STDOUT = Path("-")
 
 
 class _Help(argparse.RawDescriptionHelpFormatter):
-    """Texts keep their layout, and each option's help ends with its default."""
+    """Help that keeps the layout of texts and ends each option's help with its default."""
 
     def _get_help_string(self, action: argparse.Action) -> str:
         text, default = action.help or "", action.default
-        told = "(default: " in text or not action.option_strings
+        stated = "(default: " in text or not action.option_strings
         nothing = default is None or isinstance(default, bool) or default in (argparse.SUPPRESS, [], ())
-        if told or nothing:
+        if stated or nothing:
             return text
         shown = " ".join(map(str, default)) if isinstance(default, list | tuple) else f"{default}"
         return f"{text} (default: {shown.removesuffix('.0')})".strip()
@@ -79,48 +79,50 @@ class CommandParser(argparse.ArgumentParser):
         return self.parse_intermixed_args(words, namespace)
 
     def add_json(self, what: str) -> None:
-        """The option --json, for `write_json`; `what` is what is written, such as "the metrics"."""
+        """Adds --json, for `write_json`; `what` names the contents, such as "the metrics"."""
         text = f"write {what} as JSON to stdout, or to FILE (.json)"
         self.add_argument("--json", nargs="?", type=_json_file, const=STDOUT, metavar="FILE", help=text)
 
     def add_output(self, default: str) -> None:
-        """The option --output: a folder for results."""
+        """Adds --output, a folder for the results."""
         self.add_argument("--output", type=output_folder, default=default, help="folder for the results")
 
     def add_hand(self, default: str | None = DEFAULT_HAND, note: str = "", group: Any = None) -> None:
-        """The option --hand; `note` says in the help what happens without it."""
+        """Adds --hand; `note` tells the help what happens without it."""
         names = ", ".join(sorted(path.stem for path in (models_dir() / "hands").glob("*.yaml")))
-        text = f"robot hand: a description's file, or one of {names}{note}"
+        text = f"robot hand: one of {names}, or a description file{note}"
         (group or self).add_argument("--hand", default=default, help=text)
 
     def add_seed(self, what: str) -> None:
-        """The option --seed; `what` is what the seed decides."""
+        """Adds --seed; `what` names what the seed decides."""
         self.add_argument("--seed", type=at_least(0), default=0, help=f"seed of {what}")
 
     def add_side(self, default: str | None = None) -> None:
-        """The option --side: which of the person's hands was recorded."""
+        """Adds --side, the side of the recorded hand."""
         note = "" if default else " (default: the robot hand's)"
         self.add_argument("--side", choices=SIDES, default=default, help=f"side of the recorded hand{note}")
 
     def add_workers(self) -> None:
-        """The options --jobs and --backend of commands that run many trials."""
-        text = "trials at a time (default: the number of processors)"
+        """Adds --jobs and --backend, for commands that run many trials."""
+        text = "number of parallel trials (default: the number of processors)"
         self.add_argument("--jobs", type=at_least(1), default=os.cpu_count() or 1, help=text)
-        text = "processes on this machine, or a Ray cluster"
+        text = "run on this machine (loky) or on a Ray cluster"
         self.add_argument("--backend", default="loky", choices=["loky", "ray"], help=text)
 
     def add_scenario(self, example: str = "{timeout: 30}") -> None:
-        """The options that choose and change a scenario, for `scenario_of`; `example` is a change in YAML."""
+        """Adds the options of a scenario, for `scenario_of`; `example` is a change in YAML."""
         group = self.add_argument_group("scenario")
         self.add_hand(None, " (default: the scenario's)", group)
-        group.add_argument("--scenario-file", type=Path, help="scenarios in YAML (default: the package's)")
+        group.add_argument(
+            "--scenario-file", type=Path, help="YAML file with scenarios (default: the package's)"
+        )
         group.add_argument("--scenario-name", default="Grasp", help="name of the scenario in the file")
         text = f"YAML merged into the scenario, for example '{example}'"
         group.add_argument("--scenario-text", help=text)
 
 
 def method_help(names: Iterable[str] = tuple(METHODS)) -> str:
-    """A paragraph for a command's EPILOG: each of these methods in one line."""
+    """Makes a paragraph for a command's EPILOG: each of these methods in one line."""
     return "methods:\n" + "".join(f"  {name:18} {METHODS[name]}\n" for name in names)
 
 
@@ -138,7 +140,7 @@ def _number(read: Callable[[str], Any], fits: Callable[[Any], bool], expected: s
 
 
 def at_least(lowest: int) -> Callable[[str], int]:
-    """A whole number from `lowest` on."""
+    """Makes the type of whole numbers from `lowest` on."""
     return _number(int, lambda value: value >= lowest, f"a whole number, at least {lowest}")
 
 
@@ -147,7 +149,7 @@ finite = _number(float, lambda value: 0 < value < math.inf, "a positive, finite 
 
 
 def output_file(suffix: str) -> Callable[[str], Path]:
-    """A file to write, with that suffix (else UsageError), in a writable place (else OutputError)."""
+    """Makes the type of a writable file (else OutputError) with that suffix (else UsageError)."""
 
     def path(text: str) -> Path:
         if Path(text).suffix != suffix:
@@ -159,7 +161,7 @@ def output_file(suffix: str) -> Callable[[str], Path]:
 
 
 def output_folder(text: str) -> Path:
-    """A folder to write, which may exist, in a writable place (else OutputError)."""
+    """A folder to write, which may exist and must be writable (else OutputError)."""
     require_writable(text, directory=True)
     return Path(text)
 
@@ -210,12 +212,12 @@ def recording_of(path: Path | None, side: str, seed: int) -> "Recording":
 
 
 def write_json(target: Path | None, content: Any, done: bool = True) -> None:
-    """Writes `content` where --json said: to stdout, to a file, or nowhere.
+    """Writes `content` as --json requests: to stdout, to a file, or nowhere.
 
     Args:
         target: the option's value.
-        content: what JSON can hold; numbers that are not finite become null.
-        done: False for a draft of what comes later, which is written to a file and not to stdout.
+        content: JSON data; non-finite numbers become null.
+        done: False for a draft, which is written to a file but not to stdout.
     """
     if target is None or (target == STDOUT and not done):
         return
@@ -227,7 +229,7 @@ def write_json(target: Path | None, content: Any, done: bool = True) -> None:
 
 
 def finish(results: dict[str, Any], *commands: str | None) -> None:
-    """Prints a command's last lines: results with their paths, then commands to go on with."""
+    """Prints a command's last lines: results with their paths, then suggested commands."""
     from geort_drake.console import say
 
     for what, where in results.items():
@@ -238,7 +240,7 @@ def finish(results: dict[str, Any], *commands: str | None) -> None:
 
 
 def command(*words: str | os.PathLike | None) -> str:
-    """A `geort-drake` command as typed in this folder; an option whose value is None is left out."""
+    """Formats a `geort-drake` command to type in this folder; options whose value is None are left out."""
     kept: list[str] = []
     for word in words:
         if word is None:
@@ -249,12 +251,12 @@ def command(*words: str | os.PathLike | None) -> str:
 
 
 def view(path: str | os.PathLike | None, pattern: str = "") -> str | None:
-    """A command that opens a Rerun recording, or all whose paths go on with a pattern such as "/*.rrd"."""
+    """Formats a command that opens a Rerun recording; appends `pattern`, such as "/*.rrd", to the path."""
     return None if path is None else shlex.join([*_program("rerun"), str(path)]) + pattern
 
 
 def _program(name: str) -> list[str]:
-    """A program installed beside this Python: its name where the shell finds that one, else its path."""
+    """Name of a program installed beside this Python if the shell finds it, else its path."""
     beside = Path(sys.executable).with_name(name)
     found = shutil.which(name)
     if beside.exists():

@@ -1,6 +1,6 @@
 """Fit a trained retargeter to another person's hand.
 
-The output is an ordinary checkpoint. Its metrics are on the recording it was fitted to.
+The output is a checkpoint. Its metrics are measured on the new recording.
 """
 
 import argparse
@@ -13,10 +13,10 @@ from geort_drake.cli.options import CommandParser, at_least, command, finish, ou
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("checkpoint", type=Path, help="directory of the checkpoint to start from")
-    add("recording", type=Path, help="about a minute of the new person's hand")
+    add("recording", type=Path, help="recording of the new person's hand, about a minute")
     add("output", type=output_folder, help="directory of the new checkpoint")
     parser.add_hand(None, " (default: the checkpoint's)")
-    add("--steps", type=at_least(0), default=600, help="fine-tuning steps; 0 skips it, which takes a second")
+    add("--steps", type=at_least(0), default=600, help="fine-tuning steps; 0 skips fine-tuning")
     parser.add_seed("fine-tuning and metrics")
     parser.add_json("the metrics")
 

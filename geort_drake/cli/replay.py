@@ -1,8 +1,8 @@
-"""Replay recorded teleoperation sessions with the object changed at random.
+"""Replay recorded sessions with random changes of the object.
 
-Sessions are glove recordings with wrist poses: those that `geort-drake grasp` keeps of its trials, or your
-own. Every trial draws the object's place, yaw, mass or friction anew, up to the given size. An interrupted
-evaluation continues with the same command.
+Sessions are recordings with wrist poses: those that `geort-drake grasp` writes, or your own. Each trial
+changes the object's position, yaw, mass or friction at random, up to the given size. The same command resumes
+an interrupted run.
 """
 
 import argparse
@@ -16,10 +16,10 @@ def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("sessions", nargs="+", type=Path, metavar="SESSION", help="recordings with wrist poses (.npz)")
     add("--retargeter", type=Path, required=True, help="directory of the checkpoint to replay through")
-    add("--object", help="what was grasped (default: as noted in the session)")
-    changes = "largest changes to try: position (mm), yaw (°), fractions of mass and friction (default: all)"
+    add("--object", help="object that was grasped (default: as stated in the session)")
+    changes = "largest changes: position (mm), yaw (°), mass and friction (fractions); default: all of these"
     add("--perturb", nargs="+", default=(), metavar="NAME=S1,S2", help=changes)
-    add("--trials", type=at_least(1), default=20, help="draws per session and size")
+    add("--trials", type=at_least(1), default=20, help="trials per session and size")
     parser.add_workers()
     parser.add_output("runs/replay")
     parser.add_side()
@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
         replay.open(arguments.output)
         keys = replay.keys()
         left = log.unfinished(keys)
-        say(f"{len(keys)} trials, {len(keys) - len(left)} of them finished before")
+        say(f"{len(keys)} trials, {len(keys) - len(left)} already finished")
         if left:
             jobs = min(arguments.jobs, len(left))
             records = run_trials(log, map(replay.trial, left), jobs, arguments.backend)

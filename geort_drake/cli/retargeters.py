@@ -1,4 +1,4 @@
-"""Retargeters that commands ask for by a method's name, trained first where the cache has none."""
+"""Makes retargeters by method name; trains those that the cache lacks."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 def retargeter_of(
     method: str, hand_name: str, recording: "Recording", seed: int, device: str = "cpu"
 ) -> tuple[Retarget, Path | None, bool]:
-    """A retargeter of that method, trained on the recording if the method learns.
+    """Makes a retargeter of a method; trains it on the recording if the method needs training.
 
     Returns:
-        The retargeter; its checkpoint, None if the method needs no training; and whether it existed before.
+        The retargeter; its checkpoint, None if the method needs no training; and whether it was reused.
     """
     hand = HandModel(load_hand(hand_name))
     if method in untrained_methods():
@@ -37,7 +37,7 @@ def retargeter_of(
 def cached_or_trained(
     hand_name: str, recording: "Recording", method: str, seed: int, device: str = "cpu", hint: str = ""
 ) -> tuple[Path, bool]:
-    """`cached_checkpoint`, which says before it trains that this takes minutes, and `hint` after that."""
+    """Calls `cached_checkpoint`; before a training, warns that it takes minutes, followed by `hint`."""
 
     def announce() -> None:
         warn(

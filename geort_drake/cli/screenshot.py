@@ -1,4 +1,4 @@
-"""Take a picture of a Rerun recording (.rrd), without a screen."""
+"""Take a screenshot of a Rerun recording (.rrd) without a display."""
 
 import argparse
 from pathlib import Path
@@ -6,18 +6,23 @@ from pathlib import Path
 from geort_drake.cli.options import CommandParser, finish, output_file
 
 EPILOG = """\
-On a machine without a graphics card, Rerun's viewer draws with Mesa's software driver (Debian and Ubuntu:
-apt-get install mesa-vulkan-drivers).
+Without a graphics card, Rerun's viewer needs Mesa's software driver (Debian and Ubuntu: apt-get install
+mesa-vulkan-drivers).
 """
 
 
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
-    add("recording", type=Path, metavar="FILE.rrd", help="the recording")
-    add("picture", type=output_file(".png"), metavar="OUT.png", help="the picture to write")
-    add("--time", type=float, metavar="T", help="simulated s, or training steps, to show (default: the end)")
-    add("--width", type=int, default=1440, metavar="PX", help="of the window")
-    add("--height", type=int, default=900, metavar="PX", help="of the window")
+    add("recording", type=Path, metavar="FILE.rrd", help="Rerun recording")
+    add("picture", type=output_file(".png"), metavar="OUT.png", help="picture to write")
+    add(
+        "--time",
+        type=float,
+        metavar="T",
+        help="time to show, simulated s or training steps (default: the end)",
+    )
+    add("--width", type=int, default=1440, metavar="PX", help="width of the window")
+    add("--height", type=int, default=900, metavar="PX", help="height of the window")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""Make a synthetic recording of a hand at play, from a seed."""
+"""Make a synthetic recording of hand motion."""
 
 import argparse
 from pathlib import Path
@@ -11,11 +11,11 @@ _MOST_FRAMES = 5_000_000  # half a day at 120 Hz, and two gigabytes while they a
 
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
-    add("output", type=output_file(".npz"), help=".npz to write")
+    add("output", type=output_file(".npz"), help="recording to write (.npz)")
     parser.add_seed("the motions")
-    add("--duration", type=finite, default=300.0, help="s")
+    add("--duration", type=finite, default=300.0, help="duration, s")
     add("--rate", type=finite, default=120.0, help="frames per second")
-    add("--hand-of", type=Path, help="recording whose hand to use (default: an average adult's)")
+    add("--hand-of", type=Path, help="recording of the hand to imitate (default: an average adult's hand)")
     parser.add_side("right")
 
 
@@ -26,7 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.people.human_hand import HumanHand
 
     if arguments.duration * arguments.rate > _MOST_FRAMES:
-        raise UsageError(f"--duration by --rate may be at most {_MOST_FRAMES:,} frames")
+        raise UsageError(f"--duration times --rate may be at most {_MOST_FRAMES:,} frames")
     hand = None
     if arguments.hand_of is not None:
         hand = HumanHand.fit(read_recording(arguments.hand_of, arguments.side))

@@ -29,29 +29,29 @@ from geort_drake.errors import TrainingError
 
 EPILOG = f"""\
 {method_help(TRAINED_METHODS)}
-The person should move every finger to its limits and pinch with the thumb; five minutes are plenty. The
-output directory is a checkpoint, which geort_drake.load_retargeter(DIR) loads.
+In five minutes, the person should move every finger to its limits and pinch each with the thumb. The output
+directory is a checkpoint; geort_drake.load_retargeter(DIR) loads it.
 
-Exit codes: 0 success; 1 the loss became infinite, and the checkpoint holds the last good weights; 2 the
-request cannot be met, and nothing was written.
+Exit codes: 0 success; 1 the loss became infinite, and the checkpoint holds the last good weights; 2 the input
+is invalid, and nothing was written.
 """
 
 
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     parser.add_hand()
-    add("--recording", type=Path, help="of a human hand (default: five minutes of synthetic play)")
-    add("--output", type=output_folder, required=True, help="checkpoint directory; replaced if it exists")
+    add("--recording", type=Path, help="recording of a human hand (default: five minutes of synthetic play)")
+    add("--output", type=output_folder, required=True, help="checkpoint directory to write or replace")
     add("--method", metavar="NAME", default=DEFAULT_METHOD, help="method to train, one of those below")
-    public = "public: settings of geort as in the authors' public code; --set takes precedence"
+    public = "public: train geort with the settings of the authors' public code; --set takes precedence"
     add("--preset", choices=["public"], help=public)
-    kinematics = "forward kinematics used in training; neural is the paper's (default: exact)"
+    kinematics = "forward kinematics in training; neural as in the paper (default: exact)"
     add("--fk", choices=["exact", "neural"], help=kinematics)
     parser.add_seed("robot samples, synthetic play, training and metrics")
     add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train")
-    add("--steps", type=int, help="descent steps (default: the method's)")
+    add("--steps", type=int, help="number of training steps (default: the method's)")
     add("--robot-samples", type=at_least(1), default=100_000, help="number of random robot postures")
-    setting = "another setting of the method, repeatable; an unknown NAME lists them"
+    setting = "change a setting of the method; repeatable; an unknown NAME lists all settings"
     add("--set", action="append", default=[], metavar="NAME=VALUE", help=setting)
     add("--rrd", type=output_file(".rrd"), metavar="FILE.rrd", help="also record the training for Rerun")
     parser.add_json("the metrics")
