@@ -158,7 +158,7 @@ UNREADABLE = {
     "nan.npy": ["nan.npy", "360 of 1800 frames", "first is frame 100", "one in ten"],
     "pickled.npy": ["pickled.npy", "never read"],
     "garbage.npz": ["garbage.npz", "not a readable NumPy file"],
-    "table.csv": ["table.csv", "fits no format known", "manus_csv"],
+    "table.csv": ["table.csv", "matches no known format", "manus_csv"],
 }
 
 
@@ -256,7 +256,7 @@ def test_evaluate_refuses_impossible_requests(refused, arguments, parts):
     [
         ("synthesize out.npy", ["out.npy", ".npz"]),
         ("synthesize out.npz --duration inf", ["--duration", "finite"]),
-        ("synthesize out.npz --duration 1e6", ["--duration by --rate may be at most 5,000,000 frames"]),
+        ("synthesize out.npz --duration 1e6", ["--duration times --rate may be at most 5,000,000 frames"]),
         ("convert @r/good.npy file/out.npz", ["file", "directory"]),
         ("convert @r/good.npy out.npz --side left", ["good.npy", "bend backwards"]),
         ("check-recording @r/no_wrist.npz --side left", ["no_wrist.npz", "right hand", "left one"]),

@@ -118,7 +118,7 @@ def test_vision_pro_transforms_may_be_transposed(tmp_path):
     fingers = vision_pro_arrays(hand)["right_fingers"].swapaxes(2, 3)
     recording, (finding,) = open_recording(write_vision_pro(tmp_path, hand, right_fingers=fingers))
     np.testing.assert_allclose(recording.p_HK, hand.p_HK, atol=1e-6)
-    assert "transforms are transposed: their numbers were to stand in rows" in str(finding)
+    assert "transforms are transposed: expected rows" in str(finding)
 
 
 @pytest.mark.parametrize("unit", ["cm", "mm"])
@@ -144,9 +144,9 @@ def test_a_published_manus_export_is_read(tmp_path, side):
     np.testing.assert_allclose(recording.p_HK, hand.p_HK, atol=1e-6)
     assert recording.X_WH is None
     (warning,) = recording.metadata["warnings"]
-    assert f"the axes are left-handed: in them the fingers of this {side} hand" in warning
+    assert f"the axes are left-handed: the fingers of this {side} hand" in warning
     other = "left" if side == "right" else "right"
-    with pytest.raises(RecordingError, match=f"holds a {side} hand, a {other} one was asked for"):
+    with pytest.raises(RecordingError, match=f"holds a {side} hand, a {other} one was requested"):
         read_recording(path, other)
     with pytest.raises(RecordingError, match="in mirrored axes"):
         read_recording(write_manus_csv(tmp_path, hand, table), side)
@@ -223,10 +223,10 @@ def test_a_label_counts_where_fingers_hardly_bend(tmp_path):
     frames = [{**frame, "handedness": [["Left"]]} for frame in mediapipe_frames(flat)]
     path = write_mediapipe(tmp_path, flat, frames)
     assert open_recording(path, "left")[0].side == "left"
-    with pytest.raises(RecordingError, match="holds a left hand by its label, and its fingers do not bend"):
+    with pytest.raises(RecordingError, match="hand is labelled left, and its fingers do not bend"):
         open_recording(path, "right")
     warnings = read_recording(write_geort(tmp_path, straight)).metadata["warnings"]
-    assert any("whether this is a left or a right hand cannot be checked" in warning for warning in warnings)
+    assert any("side of the hand cannot be checked" in warning for warning in warnings)
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
@@ -323,7 +323,7 @@ def test_pickles_of_every_protocol_are_read_without_running_anything(tmp_path, p
         # An array goes on to another process as NumPy's own.
         assert type(pickle.loads(pickle.dumps(loaded))["a"][0]) is np.ndarray  # noqa: S301 (our own)
     path.write_bytes(pickle.dumps([plain["a"][0], Reduced(open, (str(tmp_path / "harm"), "w"))], protocol))
-    with pytest.raises(RecordingError, match=r"x\.pkl: the pickle asks for .*open, which could run code"):
+    with pytest.raises(RecordingError, match=r"x\.pkl: the pickle names .*open, which could run code"):
         load_plain(path)
     assert not (tmp_path / "harm").exists()
 

@@ -140,7 +140,7 @@ HANDS = {
     ),
     "two joined": (
         lambda h: dc.replace(kept(h, np.delete(np.arange(FRAMES), np.arange(200, 225))), t=h.t[:-25]),
-        WARNING, "jumps", r"1 jumps between frames .* before frame 200",
+        WARNING, "jumps", r"1 jumps in .* before frame 200",
     ),
     "a tracker that jumps": (
         lambda h: dc.replace(h, p_WH=h.p_WH + 1.5 * AFTER_100[:, None]),
@@ -150,7 +150,7 @@ HANDS = {
         lambda h: kept(h, np.arange(60, FRAMES - 50)),
         UNFIT, "length", r"290 valid frames, training needs at least 300",
     ),
-    "no pinch": (lambda h: moving(pinch=False), UNFIT, "pinches", r"no pinch: .* nearest: index \(\d+ mm\)"),
+    "no pinch": (lambda h: moving(pinch=False), UNFIT, "pinches", r"no pinch: .* closest: index \(\d+ mm\)"),
     "a stiff joint": (
         lambda h: moving(held=(("ring_dip_flexion", 25.0),)),
         WARNING, "constant signal", r"the ring does not bend at keypoint 15",
@@ -223,7 +223,7 @@ LABEL_LEFT = [[{"categoryName": "Left"}]]
 # Files that leave the meaning open: how each is written, and what the message must say.
 REFUSED = {
     "own of another convention": (
-        lambda f, h: write_own(f, h, metadata=metadata(convention=9)), "convention 9 is not the one read here"
+        lambda f, h: write_own(f, h, metadata=metadata(convention=9)), "convention 9 is not supported"
     ),
     "own in other axes": (
         lambda f, h: write_own(f, h, p_HK=h.p_HK[..., [1, 2, 0]]),
@@ -238,7 +238,7 @@ REFUSED = {
     ),
     "own of a left hand": (
         lambda f, h: write_own(f, h, metadata=metadata(side="left")),
-        "holds a left hand, a right one was asked for",
+        "holds a left hand, a right one was requested",
     ),
     "manus with 24 nodes": (
         lambda f, h: write_manus(f, h, data=np.zeros((9, 24, 7))), r"\(T, 25, 7\), not .* \(9, 24"
@@ -255,7 +255,7 @@ REFUSED = {
     ),
     "manus with the palm last": (
         lambda f, h: write_manus(f, h, data=manus_nodes(h, [*FROM_WRIST_25[:24], "palm"])),
-        "wrong joint order: .* they are no hand in any known order",
+        "wrong joint order: .* they do not form a hand in any known order",
     ),
     "csv without a column": (
         lambda f, h: write_manus_csv(f, h, [row[:40] + row[41:] for row in manus_table(h)]),
@@ -276,10 +276,10 @@ REFUSED = {
         lambda f, h: write_manus_csv(f, h, manus_table(h)[:1]), "at least 2 frames are needed, 0"
     ),
     "mediapipe in the picture": (
-        lambda f, h: write_mediapipe(f, h, pictures(h)), "frame 0: .*landmarks of the picture .* world landm"
+        lambda f, h: write_mediapipe(f, h, pictures(h)), "frame 0: .*image landmarks .* world landm"
     ),
     "mediapipe of the other hand": (
-        lambda f, h: write_mediapipe(f, left(h)), "holds a left hand by its label, and its fingers do not"
+        lambda f, h: write_mediapipe(f, left(h)), "hand is labelled left, and its fingers do not"
     ),
     "mediapipe of a mirrored picture": (
         lambda f, h: write_mediapipe(f, h, relabelled(left(h), handedness=[["Right"]])),
@@ -317,7 +317,7 @@ REFUSED = {
     ),
     "ho3d's empty folder": (lambda f, h: write_ho3d(f, h, []), "holds no .pkl files"),
     "dex-retargeting with code": (
-        lambda f, h: write_dex_retargeting(f, h, [*h.p_HK, print]), "asks for builtins.print, which could run"
+        lambda f, h: write_dex_retargeting(f, h, [*h.p_HK, print]), "names builtins.print, which could run"
     ),
     "dex-retargeting cut off": (lambda f, h: cut(write_dex_retargeting(f, h)), "not a readable pickle"),
     "archive cut off": (lambda f, h: cut(write_manus(f, h)), "not a readable NumPy file"),
@@ -346,11 +346,11 @@ REPAIRED = {
     ),
     "mediapipe labelled for the mirror": (
         lambda f, h: write_mediapipe(f, h, relabelled(h, handedness=LABEL_LEFT)),
-        "labelled left, but the fingers bend as a right hand's: taken for a right one, .* mirrored",
+        "labelled left, but the fingers bend as a right hand's: read as right, .* mirrored",
     ),
     "webxr row by row": (
         lambda f, h: write_webxr(f, h, joints=turned(h)),
-        "transforms are transposed: their numbers were to stand in columns",
+        "transforms are transposed: expected columns",
     ),
     "own with odd metadata": (
         lambda f, h: write_own(f, h, metadata=metadata(format=["x"])),

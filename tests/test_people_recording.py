@@ -123,7 +123,7 @@ def test_arrays_of_the_wrong_shape_are_refused(change, message):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"t": None, "valid": None}, "not a recording, it lacks t, valid"),
+        ({"t": None, "valid": None}, "not a recording: it lacks t, valid"),
         ({"metadata": np.array("{")}, "metadata is not JSON"),
         ({"metadata": np.array('{"convention": 1}')}, "must name a side, one of: left, right"),
         ({"metadata": np.array([{"side": "right"}], dtype=object)}, "pickled objects, which are never read"),

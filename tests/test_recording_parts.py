@@ -107,10 +107,10 @@ def test_a_disk_that_hangs_holds_nobody_up(tmp_path, monkeypatch):
     save = Recording.save
     monkeypatch.setattr(Recording, "save", lambda *arguments: (go_on.wait(), save(*arguments)))
     parts = RecordingParts(tmp_path / "session.npz", PLAY.metadata)
-    with pytest.warns(RuntimeWarning, match="does not keep up"):
+    with pytest.warns(RuntimeWarning, match="disk is too slow"):
         append(parts, range(200), step=10)
     go_on.set()
-    with pytest.raises(OutputError, match="does not keep up"):
+    with pytest.raises(OutputError, match="disk is too slow"):
         parts.finish()
 
 

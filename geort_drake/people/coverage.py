@@ -1,4 +1,4 @@
-"""How much of what training needs a recording shows: ranges of the fingers, pinches, and speeds."""
+"""Measures how much of the motion that training needs a recording contains: ranges, pinches, speeds."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -75,7 +75,7 @@ def coverage(recording: Recording) -> list[Motion]:
 
 
 def narrow_motions(p_HK: np.ndarray, keypoints: Sequence[int]) -> list[str]:
-    """Sentences about the motions that a recording holds too little of.
+    """Describes the motions that are too narrow in a recording, one sentence each.
 
     Args:
         p_HK: (T, 21, 3) keypoints in H, m, of valid frames.

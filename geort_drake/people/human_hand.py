@@ -67,11 +67,11 @@ _LIMITS_DEG = np.array(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class HumanHand:
-    """Geometry and joint limits of one hand; a right one, or a left one mirrored.
+    """Kinematic model of one human hand: geometry and joint limits. Left hands are mirrored.
 
     Joints: finger by finger from the thumb, each with abduction and three flexions (`joint_names`).
-    Abduction is positive towards the index side (+y), of the thumb away from the palm (+x); flexion is
-    positive. Angles in rad, lengths in m, points in the wrist frame H.
+    Abduction is positive towards the index side (+y), for the thumb away from the palm (+x). Flexion is
+    positive when the finger bends. Angles in rad, lengths in m, points in the wrist frame H.
 
     Attributes:
         p_HB: (5, 3) the fingers' base points (thumb CMC, the other fingers' MCP).
@@ -91,11 +91,11 @@ class HumanHand:
     joint_names = JOINT_NAMES
 
     def joint_index(self, name: str) -> int:
-        """Position of a joint in the angle vector."""
+        """Returns the index of a joint in the angle vector."""
         return JOINT_NAMES.index(name)
 
     def keypoints(self, theta: np.ndarray) -> np.ndarray:
-        """p_HK (..., 21, 3), m, at joint angles theta (..., 20), rad."""
+        """Computes keypoints p_HK (..., 21, 3), m, at joint angles theta (..., 20), rad."""
         theta = np.asarray(theta, dtype=float)
         z, x, _, _, bend = self._first_bone(theta)
         L = self.lengths
@@ -115,13 +115,13 @@ class HumanHand:
         return p
 
     def fingertips(self, theta: np.ndarray) -> np.ndarray:
-        """p_HF (..., 5, 3), m, of thumb, index, middle, ring, little at theta (..., 20), rad."""
+        """Computes fingertips p_HF (..., 5, 3), m, thumb to little, at joint angles theta (..., 20), rad."""
         z, x, _, _, bend = self._first_bone(np.asarray(theta, dtype=float))
         along, across = self._in_plane(bend)
         return self._in_hand(along[..., None] * z + across[..., None] * x) + self.p_HB
 
     def fingertip_jacobians(self, theta: np.ndarray) -> np.ndarray:
-        """∂p_HF/∂θ (..., 5, 3, 4), m/rad: each tip by the four joints of its own finger."""
+        """Computes ∂p_HF/∂θ (..., 5, 3, 4), m/rad: each tip by the four joints of its own finger."""
         theta = np.asarray(theta, dtype=float)
         z, x, y, sin_twist, bend = self._first_bone(theta)
         along, across = self._in_plane(bend)
@@ -144,12 +144,12 @@ class HumanHand:
         iterations: int = 20,
         damping_m: float = 2e-3,
     ) -> np.ndarray:
-        """Joint angles (..., 20) within the limits that bring the tips nearest to p_target (..., 5, 3), m.
+        """Finds joint angles (..., 20) within the limits that bring the tips nearest p_target (..., 5, 3), m.
 
         Damped least squares with fixed damping, for each finger; redundant motion stays as in theta0.
 
         Args:
-            p_target: of the tips, m.
+            p_target: targets of the tips, m.
             theta0: (..., 20) angles to start from, rad.
             weights: (5,) importance of each target; with 0 the finger stays at theta0.
             iterations: number of steps.
@@ -177,7 +177,7 @@ class HumanHand:
         return theta
 
     def fit_angles(self, p_HK: np.ndarray, iterations: int = 8) -> np.ndarray:
-        """Joint angles (T, 20), rad, within the limits that reproduce keypoints p_HK (T, 21, 3), m.
+        """Finds joint angles (T, 20), rad, within the limits that reproduce keypoints p_HK (T, 21, 3), m.
 
         The bones' directions give the angles in closed form; least-squares steps then reduce the tips' error.
         """
@@ -188,11 +188,11 @@ class HumanHand:
 
     @classmethod
     def anatomical(cls, length_m: float = 0.19, breadth_m: float = 0.085) -> "HumanHand":
-        """A hand of average adult proportions; the tables above name their sources.
+        """Makes a hand of average adult proportions.
 
         Args:
             length_m: wrist crease to the tip of the middle finger.
-            breadth_m: of the palm across the knuckles of index to little finger.
+            breadth_m: breadth of the palm across the knuckles of index to little finger.
         """
         convergence = Rotation.from_euler("z", _CONVERGENCE_DEG[:, None], degrees=True).as_matrix()
         return cls(
@@ -206,7 +206,7 @@ class HumanHand:
 
     @classmethod
     def fit(cls, recording: Recording) -> "HumanHand":
-        """The hand of the person recorded.
+        """Fits a hand to the recorded person.
 
         Palm and bone lengths are medians over the valid frames. In the base frames and twists, the recorded
         fingers bend most nearly in a plane. Joint limits are the observed range (0.5th to 99.5th percentile)

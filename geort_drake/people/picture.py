@@ -1,4 +1,4 @@
-"""Draws where a person's fingertips went, against where a robot's can go."""
+"""Draws a person's fingertips over a robot's reachable space."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -44,7 +44,7 @@ def synthesize_play(
     jitter: float = 1.0,
     side: str = "right",
 ) -> Recording:
-    """A recording of a hand at play; the same arguments give the same recording.
+    """Makes a synthetic recording of hand motion; the same arguments give the same recording.
 
     Args:
         seed: seed or generator.

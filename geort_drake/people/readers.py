@@ -198,6 +198,6 @@ def _first_of_doubles(p_WK: np.ndarray, t: np.ndarray, findings: list[Finding]) 
 def _agree_on_side(path: Path, given: str | None, expected: str) -> None:
     if given is not None and given != expected:
         raise RecordingError(
-            f"{path}: the file holds a {given} hand, a {expected} one was asked for; convert it with "
+            f"{path}: the file holds a {given} hand, a {expected} one was requested; convert it with "
             f"--side {given} --mirror"
         )

@@ -1,4 +1,4 @@
-"""A recording of a human hand, and its file."""
+"""Recordings of a human hand and their file format."""
 
 import dataclasses
 import hashlib
@@ -47,9 +47,9 @@ class Recording:
     Attributes:
         t: (T,) time of each frame from 0, s.
         p_HK: (T, 21, 3) float32, m. A left hand is stored as its mirror image.
-        valid: (T,) bool, False where tracking was lost; p_HK of such frames means nothing.
+        valid: (T,) bool, False where tracking was lost; p_HK of such frames is meaningless.
         X_WH: (T, 7) wrist pose in the tracker's world as qw qx qy qz x y z, or None.
-        metadata: side, source, rate and whatever else the source said; JSON types only.
+        metadata: side, source, rate and other facts stated by the source; JSON types only.
     """
 
     t: np.ndarray
@@ -90,12 +90,12 @@ class Recording:
 
     @property
     def duration_s(self) -> float:
-        """From the first frame to the last, s; 0 without frames."""
+        """Time from the first to the last frame, s; 0 without frames."""
         return float(self.t[-1] - self.t[0]) if len(self) else 0.0
 
     @property
     def rate_hz(self) -> float:
-        """Frames per second, from the median period, which gaps do not disturb."""
+        """Frames per second, from the median period."""
         return float(1.0 / np.median(np.diff(self.t)))
 
     @cached_property
@@ -110,20 +110,20 @@ class Recording:
         return digest.hexdigest()
 
     def fingertips(self, keypoints: Sequence[int] = tuple(TIP_KEYPOINT.values())) -> np.ndarray:
-        """p_HF (T, F, 3) float64, m: the given keypoints of the valid frames."""
+        """Returns p_HF (T, F, 3) float64, m: the given keypoints of the valid frames."""
         return self.p_HK[self.valid][:, list(keypoints)].astype(float)
 
     def mirrored(self) -> "Recording":
-        """The same motion made by the other hand: each frame's mirror image in the xz-plane of H.
+        """Returns the same motion of the other hand, mirrored in the xz-plane of H.
 
-        Numbers stay as they are, since a left hand is described by its mirror image;
-        `metadata["recorded_side"]` keeps which hand was recorded.
+        The numbers do not change, because left hands are stored mirrored; only the side changes.
+        `metadata["recorded_side"]` keeps the recorded side.
         """
         metadata = {"recorded_side": self.side, **self.metadata, "side": SIDES[1 - SIDES.index(self.side)]}
         return dataclasses.replace(self, metadata=metadata)
 
     def save(self, path: str | os.PathLike) -> None:
-        """Writes the recording as .npz without pickle; the file is whole or absent."""
+        """Writes the recording as .npz without pickle, atomically."""
         if Path(path).suffix != ".npz":
             raise RecordingError(f"{path}: a recording is saved as .npz, not '{Path(path).suffix}'")
         arrays: dict[str, np.ndarray] = {"t": self.t, "p_HK": self.p_HK, "valid": self.valid}
@@ -140,16 +140,16 @@ class Recording:
         """Reads a file written by `save`, without repairs and checks (see `read_recording`).
 
         Raises:
-            RecordingError: the file is missing, is no recording or is of another convention.
+            RecordingError: the file is missing, not a recording, or of another convention.
         """
         return cls.from_arrays(str(path), load_arrays(path))
 
     @classmethod
     def from_arrays(cls, name: str, arrays: Mapping[str, np.ndarray]) -> "Recording":
-        """The recording whose arrays `save` wrote; errors name it `name` and are those of `load`."""
+        """Makes a recording from the arrays that `save` writes; raises as `load` does, naming it `name`."""
         missing = [field for field in ("t", "p_HK", "valid", "metadata") if field not in arrays]
         if missing:
-            raise RecordingError(f"{name}: not a recording, it lacks {', '.join(missing)}")
+            raise RecordingError(f"{name}: not a recording: it lacks {', '.join(missing)}")
         try:
             metadata = json.loads(str(arrays["metadata"]))
         except (ValueError, RecursionError) as error:
@@ -158,7 +158,7 @@ class Recording:
             raise RecordingError(f"{name}: metadata must name a side, one of: {', '.join(SIDES)}")
         if metadata.get("convention") != CONVENTION:
             raise RecordingError(
-                f"{name}: convention {metadata.get('convention')} is not the one read here, {CONVENTION}"
+                f"{name}: convention {metadata.get('convention')} is not supported; expected {CONVENTION}"
             )
         metadata = _checked_metadata(metadata)
         try:
@@ -211,6 +211,4 @@ def check_file(path: Path) -> None:
 
 def _check_size(path: Path, size: int) -> None:
     if size > MOST_BYTES:
-        raise RecordingError(
-            f"{path}: holds {size / 2**30:.1f} GiB; recordings of up to {MOST_BYTES >> 30} GiB are read"
-        )
+        raise RecordingError(f"{path}: holds {size / 2**30:.1f} GiB; the limit is {MOST_BYTES >> 30} GiB")

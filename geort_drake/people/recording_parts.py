@@ -63,7 +63,7 @@ class RecordingParts:
             try:
                 self._waiting.put_nowait(Recording(t, p_HK, valid, X_WH, self._metadata))
             except queue.Full:
-                self._fail(OutputError(f"{self._folder}: cannot be written: the disk does not keep up"))
+                self._fail(OutputError(f"{self._folder}: cannot be written: the disk is too slow"))
 
     def finish(self) -> bool:
         """Joins the parts into the file and removes them; False where there are none, and so no file.

@@ -1,4 +1,4 @@
-"""The health of a recording: one small function for each check."""
+"""Checks of recordings: one small function each."""
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator
@@ -39,7 +39,7 @@ def examine(recording: Recording) -> tuple[Recording, list[Finding]]:
         recording: in frame H; a left hand already mirrored.
 
     Returns:
-        The recording with unusable frames marked invalid, and what was found.
+        The recording with unusable frames marked invalid, and the findings.
     """
     findings: list[Finding] = []
     for check in CHECKS:
@@ -79,7 +79,7 @@ def refuse(name: str, findings: Iterable[Finding], training: bool = False) -> No
 
 
 def noted(recording: Recording, findings: Iterable[Finding]) -> Recording:
-    """The recording with findings other than advice in `metadata["warnings"]`, each once."""
+    """Returns the recording with all findings except advice in `metadata["warnings"]`, each once."""
     known = recording.metadata.get("warnings", [])
     new = [str(finding) for finding in findings if finding.severity is not Severity.ADVICE]
     warnings = list(dict.fromkeys([*known, *new]))

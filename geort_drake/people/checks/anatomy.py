@@ -32,8 +32,10 @@ def check_depth(recording: Recording) -> Iterator[Finding]:
     """The keypoints are not those of a flat picture."""
     p_HK = _valid(recording)
     if np.abs(p_HK[..., 0]).max() < 1e-3 * max(_palm(p_HK), 1e-12):
-        what = "all keypoints lie in one plane in every frame: one coordinate is constant, as of 2-D points"
-        yield error("constant signal", what, "p_HK", "record 3-D landmarks, of MediaPipe its world landmarks")
+        what = (
+            "all keypoints lie in one plane in every frame: one coordinate is constant, as in 2-D landmarks"
+        )
+        yield error("constant signal", what, "p_HK", "record 3-D landmarks (MediaPipe: world landmarks)")
 
 
 def check_order(recording: Recording) -> Iterator[Finding]:
@@ -44,9 +46,11 @@ def check_order(recording: Recording) -> Iterator[Finding]:
         return
     if order is None:
         distance = np.median(np.linalg.norm(p_HK[:, :, None] - p_HK[:, None], axis=-1), axis=0)
-        given = f"they are no hand in any known order: {next(oddities(distance), 'bones change length')}"
+        given = (
+            f"they do not form a hand in any known order: {next(oddities(distance), 'bones change length')}"
+        )
     else:
-        given = f"they are a hand in this one: {order}"
+        given = f"they form a hand in this order: {order}"
     what = "wrong joint order: the keypoints must be the wrist, then thumb, index, middle, ring and little "
     advice = "read it with format 'mano'" if order and "MANO" in order else "reorder them before importing"
     yield error("joint order", f"{what}finger from base to tip; {given}", "p_HK", advice)
@@ -70,7 +74,7 @@ def check_unit(recording: Recording) -> Iterator[Finding]:
 
 
 def check_side(recording: Recording) -> Iterator[Finding]:
-    """The hand is of the side that was asked for, and not in mirrored coordinates."""
+    """The hand is of the requested side, and not in mirrored coordinates."""
     side, bending = recording.side, mean_bending(_valid(recording))
     if bending < -_BENT:
         other = SIDES[1 - SIDES.index(side)]
@@ -79,7 +83,7 @@ def check_side(recording: Recording) -> Iterator[Finding]:
         advice = f"read it with side '{other}', and if the axes are mirrored also with --mirror"
         yield error("handedness", what, "p_HK", advice)
     elif bending < _BENT:
-        what = "the fingers hardly bend, so whether this is a left or a right hand cannot be checked"
+        what = "the fingers hardly bend, so the side of the hand cannot be checked"
         yield warning("handedness", what, "p_HK", "make a fist while recording")
 
 
@@ -98,9 +102,9 @@ def mean_bending(p_HK: np.ndarray) -> float:
 
 
 def bent_side(p_WK: np.ndarray, side: str) -> str:
-    """The side that the bending of the fingers tells, of keypoints p_WK (T, 21, 3) in any frame.
+    """Finds the side of keypoints p_WK (T, 21, 3) in any frame from how the fingers bend.
 
-    It is `side`, which the file states, where the fingers hardly bend or no frame is complete.
+    Returns `side`, as stated by the file, if the fingers hardly bend or no frame is complete.
     """
     p_HK = to_wrist_frame(mirrored(p_WK) if side == "left" else p_WK)
     p_HK = p_HK[np.isfinite(p_HK).all(axis=(1, 2))]
@@ -118,7 +122,7 @@ def check_bones(recording: Recording) -> Iterator[Finding]:
         yield error("bone lengths", what, f"p_HK[:, {child}]")
         return
     odd = (np.abs(length - median) > _ODD_BONE * median + _ODD_BONE_M).any(axis=1)
-    if odd.mean() <= MOST_LOST:  # else the spread below tells it
+    if odd.mean() <= MOST_LOST:  # else the spread below reports it
         yield from _lost(recording, odd, "have bones of another length")
         length = length[~odd]
     spread = length.std(axis=0) / length.mean(axis=0)
@@ -130,7 +134,7 @@ def check_bones(recording: Recording) -> Iterator[Finding]:
     what, where = f"{what}mean)", f"p_HK[:, {child}]"
     if spread[worst] > _UNUSABLE_BONES:
         what += f", at most {100 * _UNUSABLE_BONES:.0f} % is usable"
-        yield error("bone lengths", what, where, "look whether these are 3-D keypoints in metres")
+        yield error("bone lengths", what, where, "check that these are 3-D keypoints in metres")
     elif spread[worst] >= _NOISY_BONES:
         what += f": a tracker's noise, gloves stay below {100 * _NOISY_BONES:.0f} %"
         yield warning("bone lengths", what, where)
@@ -151,7 +155,7 @@ def check_frame(recording: Recording) -> Iterator[Finding]:
         f"the index side), but are off by {1e3 * np.nanmedian(off):.0f} mm; the middle knuckle is towards "
     )
     what += f"{'-' if knuckle[axis] < 0 else '+'}{'xyz'[axis]}, the wrist at {wrist_mm} mm"
-    advice = "save other frames as (T, 21, 3) .npy, which is brought to H when it is read"
+    advice = "save keypoints in other frames as (T, 21, 3) .npy; reading converts them to H"
     yield error("axes", what, "p_HK", advice)
 
 

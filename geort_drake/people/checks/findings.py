@@ -1,4 +1,4 @@
-"""What is wrong with a recording: its severity, its place, and what the user can do."""
+"""Findings about a recording: fault, severity, place and remedy."""
 
 import dataclasses
 import enum
@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-# Share of frames that may be lost before a recording is refused.
+# Fraction of frames that may be lost before a recording is refused.
 MOST_LOST = 0.1
 
 
@@ -16,7 +16,7 @@ class Severity(enum.StrEnum):
     ERROR = "error"  # the recording is refused
     UNFIT = "unfit"  # it can be replayed, but not be trained on
     WARNING = "warning"  # usable; look at it
-    ADVICE = "advice"  # nothing is wrong, a better recording would hold more
+    ADVICE = "advice"  # nothing is wrong, but more motion would help
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Finding:
         check: short name of the check, such as "unit".
         severity: how bad it is.
         what: what was expected and what was given.
-        where: the field and frame, where the fault has a place.
+        where: field and frame of the fault, if it has one.
         advice: what the user can do, or what was done.
         lost: frames that become invalid.
     """
@@ -45,19 +45,19 @@ class Finding:
 
 
 def error(check: str, what: str, where: str = "", advice: str = "") -> Finding:
-    """A finding for which the recording is refused."""
+    """Makes a finding that refuses the recording."""
     return Finding(check, Severity.ERROR, what, where, advice)
 
 
 def warning(check: str, what: str, where: str = "", advice: str = "", lost: Sequence[int] = ()) -> Finding:
-    """A finding about a usable recording."""
+    """Makes a finding about a usable recording."""
     return Finding(check, Severity.WARNING, what, where, advice, tuple(int(frame) for frame in lost))
 
 
 def lost_frames(
     frames: Sequence[int], count: int, what: str, detail: str = "", where: str = "", too_many: bool = False
 ) -> Finding:
-    """The finding that some of `count` frames cannot be used: a warning, or an error above `MOST_LOST`.
+    """Reports unusable frames among `count`: a warning, or an error above `MOST_LOST`.
 
     Args:
         frames: the lost ones, at least one.

@@ -1,4 +1,4 @@
-"""Checks of what a hand does in a recording: enough frames, moving signals, pinches, wide motions."""
+"""Checks of the motion in a recording: enough frames, moving signals, pinches, wide motions."""
 
 from collections.abc import Iterator
 
@@ -24,7 +24,7 @@ def check_frozen(recording: Recording) -> Iterator[Finding]:
     if still := [finger for finger, tip in TIP_KEYPOINT.items() if travel[tip] < _STILL_M]:
         what = f"frozen signal: the tip of {', '.join(still)} moves by less than {1e3 * _STILL_M:.0f} mm "
         what, where = what + duration, f"p_HK[:, {TIP_KEYPOINT[still[0]]}]"
-        yield error("constant signal", what, where, "look at the glove's sensor of that finger")
+        yield error("constant signal", what, where, "check the glove's sensor for that finger")
         return
     for finger, chain in FINGER_KEYPOINTS.items():
         bones = np.diff(p_HK[:, chain], axis=1)
@@ -34,7 +34,7 @@ def check_frozen(recording: Recording) -> Iterator[Finding]:
             keypoint = chain[joint + 1]
             what = f"the {finger} does not bend at keypoint {keypoint} {duration}"
             yield warning(
-                "constant signal", what, f"p_HK[:, {keypoint}]", "look at the glove's sensor of that joint"
+                "constant signal", what, f"p_HK[:, {keypoint}]", "check the glove's sensor for that joint"
             )
 
 
@@ -52,7 +52,7 @@ def check_pinches(recording: Recording) -> Iterator[Finding]:
     never = [f"{finger} ({1e3 * d:.0f} mm)" for finger, d in least.items() if d >= PINCH_M]
     near = f"within {1e3 * PINCH_M:.0f} mm of"
     if len(never) == len(least):
-        what = f"no pinch: the thumb tip never comes {near} another fingertip; nearest: {', '.join(never)}"
+        what = f"no pinch: the thumb tip never comes {near} another fingertip; closest: {', '.join(never)}"
         advice = "pinch each finger a few times while recording"
         yield Finding("pinches", Severity.UNFIT, what, "p_HK", advice)
     elif never:

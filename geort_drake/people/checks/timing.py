@@ -49,7 +49,7 @@ def check_clock(recording: Recording) -> Iterator[Finding]:
         expected = f"{field} must be in {_TIME_UNIT_NAMES[unit]}"
         rates = {other: rate * TIME_UNITS_S[unit] / TIME_UNITS_S[other] for other in TIME_UNITS_S}
         fits = [other for other in rates if other != unit and 10 <= rates[other] <= 1000]
-        what = f"{expected}, with {_RATE_HZ[0]:g} to {_RATE_HZ[1]:g} frames in a second, but gives {rate:.3g}"
+        what = f"{expected}, with {_RATE_HZ[0]:g} to {_RATE_HZ[1]:g} frames per second, but gives {rate:.3g}"
         what += f"; it would be right if the numbers were {_TIME_UNIT_NAMES[fits[0]]}" if fits else ""
         yield error("clock", what, field, f"give {field} in {_TIME_UNIT_NAMES[unit]}")
 
@@ -63,7 +63,7 @@ def check_lost(recording: Recording) -> Iterator[Finding]:
         what = (
             f"{named} {'is' if len(never) == 1 else 'are'} lost in all {len(recording)} frames; every frame "
         )
-        advice = "look at that finger's sensor, or at what the recorder leaves out"
+        advice = "check that finger's sensor, and what the recorder leaves out"
         yield error("lost frames", f"{what}needs all 21 keypoints", "p_HK", advice)
         return
     bad, field = recording.valid & ~known.all(axis=1), "p_HK"
@@ -90,7 +90,7 @@ def check_dropped(recording: Recording) -> Iterator[Finding]:
         what, advice = f"{gaps} gaps in time, {longest}", "a replay interpolates across them"
     elif missing > _MISSING_SHARE * count:
         what = f"{missing} frames are missing in {count + 1} ({100 * missing / count:.0f} %), {longest}"
-        advice = "look at the radio link or the recorder's load"
+        advice = "check the radio link and the recorder's load"
     else:
         return
     yield warning("dropped frames", what, f"t[{frame}]", advice)
@@ -108,15 +108,13 @@ def check_repeats(recording: Recording) -> Iterator[Finding]:
         what = f"frozen signal: frames repeat for {held[longest]:.1f} s from frame {starts[longest]}, "
         what += f"{frozen:.1f} s of {recording.duration_s:.1f} s in all"
         kind = error if frozen > 0.5 * recording.duration_s else warning
-        yield kind(
-            "constant signal", what, f"p_HK[{starts[longest]}]", "look whether the glove was connected"
-        )
+        yield kind("constant signal", what, f"p_HK[{starts[longest]}]", "check that the glove was connected")
     elif same.sum() > _REPEATED_SHARE * len(same):
         first = int(np.argmax(same)) + 1
         what = (
             f"{int(same.sum())} of {len(recording)} frames repeat the one before exactly, the first is frame "
         )
-        advice = "training and speeds leave them out; record at the glove's own rate"
+        advice = "training ignores them; record at the glove's own rate"
         yield warning("duplicated frames", f"{what}{first}", f"p_HK[{first}]", advice)
 
 
@@ -150,9 +148,9 @@ def check_jumps(recording: Recording) -> Iterator[Finding]:
     if len(frames):
         size = np.where(jump, step[1:-1], 0.0)[frames[0] - 2]
         keypoint = int(np.argmax(size))
-        what = f"{len(frames)} jumps between frames that are otherwise smooth, the first by "
+        what = f"{len(frames)} jumps in otherwise smooth motion, the first by "
         what += f"{1e3 * size[keypoint]:.0f} mm before frame {frames[0]}: {_named(keypoint)}"
-        advice = "look whether frames were lost or recordings joined there"
+        advice = "check for lost frames or joined recordings there"
         yield warning("jumps", what, f"p_HK[{frames[0]}, {keypoint}]", advice)
     if recording.X_WH is None:
         return
@@ -161,7 +159,7 @@ def check_jumps(recording: Recording) -> Iterator[Finding]:
     if len(fast):
         what = f"the wrist jumps {len(fast)} times, the first before frame {fast[0]}, at "
         what += f"{speed[fast[0] - 1]:.0f} m/s"
-        advice = "look whether the tracker lost its base stations or started anew"
+        advice = "check whether the tracker lost its base stations or restarted"
         yield warning("jumps", what, f"X_WH[{fast[0]}]", advice)
 
 

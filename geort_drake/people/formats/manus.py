@@ -113,8 +113,8 @@ def _read_csv(file: Source, side: str) -> Tracks:
         findings.append(
             warning(
                 "axes",
-                f"the axes are left-handed: in them the fingers of this {side} hand, as the file's name has "
-                "it, bend backwards",
+                f"the axes are left-handed: the fingers of this {side} hand (according to the file's name) "
+                "bend backwards",
                 "*_X",
                 "read with the x axis negated",
             )

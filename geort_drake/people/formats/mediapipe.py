@@ -74,8 +74,8 @@ def _label_of_side(file: Source, labelled: Mapping[str, np.ndarray], side: str) 
     fitting = [label for label, p_WK in labelled.items() if bent_side(p_WK, label) == side]
     if not fitting and side not in labelled:
         raise file.error(
-            f"the file holds a {next(iter(labelled))} hand by its label, and its fingers do not bend as a "
-            f"{side} one's; a {side} one was asked for"
+            f"the file's hand is labelled {next(iter(labelled))}, and its fingers do not bend as a "
+            f"{side} one's; a {side} one was requested"
         )
     # Of a hand whose label changes, the longer part. The checks name what does not fit.
     label = max(fitting, key=lambda label: np.isfinite(labelled[label]).sum()) if fitting else side
@@ -83,8 +83,8 @@ def _label_of_side(file: Source, labelled: Mapping[str, np.ndarray], side: str) 
         return label, []
     finding = warning(
         "handedness",
-        f"labelled {label}, but the fingers bend as a {side} hand's: taken for a {side} one, as MediaPipe's "
-        "labels are often those of mirrored images",
+        f"labelled {label}, but the fingers bend as a {side} hand's: read as {side}, because MediaPipe's "
+        "labels often assume mirrored images",
         "handedness",
         f"if the image itself was mirrored, this was a {label} hand: import it with --mirror",
     )
@@ -104,7 +104,7 @@ def _hands(frame: Any, side: str) -> dict[str, np.ndarray]:
     labels = [_label(label) for label in _list(frame, _HANDEDNESS)]
     if not hands and _list(frame, _PICTURE):
         raise BadFrame(
-            "holds landmarks of the picture (normalized), which are no metric hand; save the world landmarks "
+            "holds image landmarks (normalized), which are not metric; save the world landmarks "
             f"({_WORLD[0]})"
         )
     if labels and len(labels) != len(hands):

@@ -1,4 +1,4 @@
-"""What the reader of a format works with: a file's contents, checked access to them, and its result.
+"""Types that format readers work with: a file's contents, checked access to them, and its result.
 
 Readers raise RecordingError only where the meaning of a file stays open. Faults of single frames are noted in
 `Source.faults`; these frames become invalid and are reported.
@@ -264,8 +264,8 @@ class Source:
         if uprights == turns or (turns > uprights) == column_major:
             return X, []
         expected, given = ("columns", "rows") if column_major else ("rows", "columns")
-        what = f"transforms are transposed: their numbers were to stand in {expected} and stand in {given}"
-        advice = "read the other way, which their zeros and ones prove right"
+        what = f"transforms are transposed: expected {expected}, got {given}"
+        advice = "transposed back; their zeros and ones confirm it"
         return X, [warning("axes", what, field, advice)]
 
     def _check_quaternions(self, field: str, poses: np.ndarray) -> None:

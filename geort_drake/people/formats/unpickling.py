@@ -117,8 +117,8 @@ def load_plain(path: Path) -> Any:
             return _PlainUnpickler(file, encoding="latin1").load()
     except ForbiddenPickle as forbidden:
         raise RecordingError(
-            f"{path}: the pickle asks for {forbidden}, which could run code; only NumPy arrays, lists, "
-            "dicts, numbers and texts are read"
+            f"{path}: the pickle names {forbidden}, which could run code; only NumPy arrays, lists, "
+            "dicts, numbers and strings are read"
         ) from forbidden
     except Exception as error:  # a corrupt pickle raises nearly anything
         raise RecordingError(f"{path}: not a readable pickle: {error or type(error).__name__}") from None

@@ -86,7 +86,7 @@ def _read_vision_pro(file: Source, side: str) -> Tracks:
 def _read_app(file: Source, side: str) -> Tracks:
     field = f"{side}Hand"
     if not any_frame(file.contents, lambda frame: bool(frame.get(field))):
-        raise file.error(f"no frame has a {field}; the file holds the other hand alone")
+        raise file.error(f"no frame has a {field}; the file holds only the other hand")
 
     def joints(frame: Any) -> list | None:
         hand = frame.get(field) if isinstance(frame, Mapping) else None
