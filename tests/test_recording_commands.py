@@ -106,7 +106,7 @@ def test_the_report_is_also_given_as_json(npy, tmp_path, capsys):
     assert {"check", "severity", "what", "where", "advice", "lost_frames"} == report["findings"][0].keys()
     np.save(tmp_path / "mm.npy", 1e3 * np.load(npy))
     for path, check, told in (
-        (tmp_path / "mm.npy", "unit", "millimetres"),
+        (tmp_path / "mm.npy", "unit", "lengths were in mm"),
         (tmp_path, "file", "no .pkl files"),
     ):
         with pytest.raises(RecordingError, match=told):

@@ -158,8 +158,8 @@ def test_shortcomings_of_the_recording_are_in_the_report(script, play, tmp_path,
     arguments = ["--recording", str(tmp_path / "narrow.npz"), "--output", str(tmp_path / "run")]
     assert script([*arguments, "--steps=2", "--robot_samples=2000"]) == 0
     found = load_checkpoint(tmp_path / "run").provenance["warnings"]
-    motions = [text.split(" by only ")[0] for text in found if " by only " in text]
-    assert motions == ["the recording's index bends", "the recording's index moves sideways"]
+    motions = [text.split(":")[0] for text in found if text.startswith("narrow motion, ")]
+    assert motions == ["narrow motion, index bends", "narrow motion, index moves sideways"]
     assert any("no pinch of the thumb with: index" in text for text in found)
     shown = " ".join(capsys.readouterr().err.split())
     for text in found:

@@ -12,8 +12,7 @@ from geort_drake.errors import TrainingError, UnknownNameError
 from geort_drake.retargeting.checkpoint import METRICS
 
 ROOT = Path(__file__).resolve().parents[1]
-MODULES = {"human_hand_model.py", "guided_fuzzing.py"}  # imported by studies
-STUDIES = {path.name for path in (ROOT / "studies").glob("*.py")} - MODULES
+STUDIES = {path.name for path in (ROOT / "studies").glob("*.py")} - {"human_hand_model.py"}
 BENCHMARKS = {path.name for path in (ROOT / "benchmarks").glob("bench_*.py")}
 PROGRAMS = [*(f"studies/{name}" for name in STUDIES), *(f"benchmarks/{name}" for name in BENCHMARKS)]
 

@@ -1,4 +1,7 @@
-"""Conditions: scenarios with one changed parameter, named after it, such as `delay=100`."""
+"""Conditions: scenarios with one parameter changed, named after it, such as `delay=100`.
+
+A grasp benchmark changes its `ASSUMPTIONS`; a replay changes the object by `PERTURBATIONS`.
+"""
 
 import copy
 import dataclasses as dc
@@ -16,7 +19,7 @@ class Parameter:
 
     Attributes:
         label: of the plot's axis.
-        values: the default values.
+        values: tried if none are given.
         change: sets a value in a scenario.
         nominal: the scenario's own value.
     """
@@ -52,7 +55,6 @@ def _factor(label: str, values: tuple[float, ...], scale: Callable[[Scenario, fl
     return Parameter(f"{label}, factor", values, scale, lambda _: 1.0)
 
 
-# Changed by the sensitivity analysis of a grasp benchmark.
 ASSUMPTIONS = {
     "delay": Parameter(
         "visual delay, ms", (0, 100, 300), _set_delay, lambda s: round(1000 * s.operator.visual_delay, 9)
@@ -65,7 +67,7 @@ ASSUMPTIONS = {
 
 
 def _range(label: str, sizes: tuple[float, ...], field: str, unit: float = 1.0) -> Parameter:
-    """The range of a random change of the object; its field in the scenario is in units of `unit`."""
+    """The range of a random change of the object, whose field of the scenario is in units of `unit`."""
 
     def change(scenario: Scenario, size: float) -> None:
         setattr(scenario.object, field, unit * size)
@@ -73,7 +75,6 @@ def _range(label: str, sizes: tuple[float, ...], field: str, unit: float = 1.0) 
     return Parameter(label, sizes, change, lambda _: 0.0)
 
 
-# Changed by replays.
 PERTURBATIONS = {
     "position": _range("largest shift in x and y, mm", (5, 10, 20), "position_range", 1e-3),
     "yaw": _range("largest turn, °", (5, 15, 30), "yaw_range", math.radians(1)),
@@ -83,7 +84,7 @@ PERTURBATIONS = {
 
 
 def parse_values(texts: Iterable[str], parameters: Mapping[str, Parameter]) -> dict[str, list[float]]:
-    """Name → values from texts `NAME=V1,V2`, or `NAME` for its defaults; no texts mean all defaults.
+    """Name → values from texts `NAME=V1,V2`, or `NAME` for its usual values; no texts: all usual values.
 
     Raises:
         UnknownNameError: a name is none of the parameters.
@@ -109,7 +110,7 @@ def parse_values(texts: Iterable[str], parameters: Mapping[str, Parameter]) -> d
 def make_conditions(
     scenario: Scenario, values: Mapping[str, Sequence[float]], parameters: Mapping[str, Parameter]
 ) -> dict[str, Scenario]:
-    """Name → changed scenario for each value that is not nominal.
+    """Name → changed scenario for each value of each parameter, except for nominal values.
 
     Raises:
         ScenarioError: a value makes no valid scenario.
@@ -127,7 +128,7 @@ def make_conditions(
 
 
 def group_by_value(records: Iterable[Record], parameter: str) -> dict[float, list[Record]]:
-    """Value → records of the conditions in which a parameter has that value."""
+    """Value → records of the conditions in which a parameter has it."""
     groups: dict[float, list[Record]] = {}
     for record in records:
         name, _, value = record.get("condition", "").partition("=")

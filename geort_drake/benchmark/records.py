@@ -1,4 +1,4 @@
-"""A benchmark's results file: one JSON line per trial, readable after any interruption."""
+"""The results file of a benchmark: one JSON line per trial, readable after an interruption at any time."""
 
 import fcntl
 import json
@@ -8,7 +8,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple, NotRequired, TypedDict
 
-from geort_drake.benchmark.config import ERRORS, check, parse_json
+from geort_drake.benchmark.config import ERRORS
+from geort_drake.benchmark.schema import check, parse_json
 from geort_drake.errors import BenchmarkError
 from geort_drake.files import write_text, writing
 from geort_drake.simulation.trial import TrialResult
@@ -24,8 +25,10 @@ class _Identity(TypedDict):
 
 
 class _Raised(_Identity):
+    """The line of a trial that raised an exception."""
+
     error: str  # last line of the traceback
-    traceback: str  # file in the benchmark's folder
+    traceback: str  # file in the benchmark's folder with all of it
 
 
 class TrialKey(NamedTuple):
@@ -33,7 +36,7 @@ class TrialKey(NamedTuple):
 
     Attributes:
         method: name of a method, or of a replayed session.
-        object: the object to grasp.
+        object: what is grasped.
         seed: of the scenario.
         condition: name of a changed scenario such as `delay=100`; empty for the scenario itself.
     """
@@ -45,7 +48,7 @@ class TrialKey(NamedTuple):
 
     @property
     def file_stem(self) -> str:
-        """Stem of the trial's own files."""
+        """Name of the trial's own files, without folder and suffix."""
         return "-".join(str(self).split(" "))
 
     def __str__(self) -> str:
@@ -54,26 +57,30 @@ class TrialKey(NamedTuple):
 
 
 def key_of(record: Record) -> TrialKey:
-    """The key of a record."""
+    """The key of a line."""
     return TrialKey(record["method"], record["object"], record["seed"], record.get("condition", ""))
 
 
 def identity(key: TrialKey) -> Record:
-    """The fields of a record that identify its trial."""
+    """The fields of a line that identify its trial."""
     named = key._asdict()
     return named if key.condition else {name: named[name] for name in ("method", "object", "seed")}
 
 
 def outcome_line(record: Record) -> str:
-    """A trial and its outcome, for a progress display."""
+    """A line's trial and how it ended, for a progress display."""
     return f"{key_of(record)}: {'error' if 'error' in record else record['outcome']}"
 
 
 def check_record(record: Any, where: str) -> None:
-    """Checks a record's fields and types, and that they agree on the outcome.
+    """Checks a line's fields, their types, and that they agree on how the trial ended.
+
+    Args:
+        record: the line.
+        where: begins the message.
 
     Raises:
-        BenchmarkError: names the field, the expected and the given value; begins with `where`.
+        BenchmarkError: names the field, what was expected and what was given.
     """
     check(record, _Identity, where)
     if condition := record.get("condition"):
@@ -98,10 +105,10 @@ def check_record(record: Any, where: str) -> None:
 
 
 def keep_error(folder: Path, record: Record) -> Record:
-    """Returns a record as a benchmark's folder stores it.
+    """A trial's line as it is kept in a benchmark's folder.
 
-    The traceback of a failed trial is written to a file, which the record names. A result that `check_record`
-    rejects, such as an infinite force, counts as an error too.
+    The traceback of a trial that raised goes into a file, which its line names. A result that `check_record`
+    refuses, such as a force that is not finite, counts as an error too.
     """
     if "error" not in record:
         try:
@@ -115,10 +122,10 @@ def keep_error(folder: Path, record: Record) -> Record:
 
 
 def read_records(path: str | os.PathLike) -> list[Record]:
-    """The last record of each trial in a results file; an incomplete last line is skipped.
+    """The last line of each trial in a results file, without an incomplete line at its end.
 
     Raises:
-        BenchmarkError: the file is missing, or a line is invalid or repeats a trial that has a result.
+        BenchmarkError: the file does not exist, or a line is invalid or follows the trial's result.
     """
     path = Path(path)
     if not path.is_file():
@@ -127,14 +134,14 @@ def read_records(path: str | os.PathLike) -> list[Record]:
 
 
 class TrialLog:
-    """A results file opened for writing by one process; a context manager.
+    """A results file opened for writing by this process alone; a context manager.
 
-    Opening removes an incomplete last line. A line written by `append` survives a crash of the process or
-    machine.
+    Opening removes an incomplete last line. A line that `append` has written survives the end of the process
+    and of the machine.
 
     Attributes:
         path: of the file.
-        records: the last record of each trial when the file was opened.
+        records: the last line of each trial that was in the file when it was opened.
         torn: whether an incomplete last line was removed.
 
     Raises:
@@ -164,16 +171,15 @@ class TrialLog:
             raise
 
     def unfinished(self, keys: Iterable[TrialKey]) -> list[TrialKey]:
-        """The trials without a result when the file was opened, failed ones included."""
+        """The trials without a result when the file was opened; trials that raised are among them."""
         finished = {key_of(record) for record in self.records if "error" not in record}
         return [key for key in keys if key not in finished]
 
     def append(self, record: Record) -> None:
-        """Writes a record to the disk; it replaces an earlier error of the trial.
+        """Writes a trial's line to the disk; it supersedes an earlier line of the trial with an error.
 
         Raises:
-            OutputError: writing failed, for example on a full disk; the next opening removes the partial
-                line.
+            OutputError: the disk is full, for example; the next opening removes what was written of the line.
         """
         with writing(self.path):
             line = json.dumps(record, allow_nan=False).encode() + b"\n"

@@ -186,10 +186,9 @@ def _coverage_table(arguments: argparse.Namespace) -> "tuple[Table, bool]":
     motions = coverage(recording)
     for motion in motions:
         color = "green" if motion.enough else "red"
-        frames = "" if motion.frames is None else f", {motion.frames} frames"
         table.add_row(
             f"[{color}]{motion.name}[/]",
-            f"{motion.seen:.0f} {motion.unit}{frames}",
+            f"{motion.seen:.0f} {motion.unit}",
             f"{motion.wanted:.0f}",
             "" if motion.enough else motion.advice,
         )

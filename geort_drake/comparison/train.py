@@ -23,7 +23,7 @@ from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.hands.mirror import canonical_kinematics, canonical_shapes
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.samples import robot_data
-from geort_drake.people.coverage import narrow_motions
+from geort_drake.people.coverage import finger_motions
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
@@ -140,7 +140,8 @@ def train_checkpoint(
             recording = training_recording(recording, description.side)
             keypoints = description.human_keypoints
             p_HF = recording.fingertips(keypoints)
-            messages = narrow_motions(recording.p_HK[recording.valid], keypoints)
+            motions = finger_motions(recording.p_HK[recording.valid], keypoints)
+            messages = [f"narrow motion, {each}; {each.advice}" for each in motions if not each.enough]
         with _timed(timings, "robot_data_s"):
             samples = robot_data(hand, robot_samples, seed, labels=False)
         labelled: list[np.ndarray] = []

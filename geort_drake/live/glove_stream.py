@@ -27,7 +27,6 @@ LATEST_S = 0.2
 _DRIFT = 2e-4
 _HANDSHAKE_FRAMES = 5
 _CHECKS = (
-    anatomy.check_depth,
     anatomy.check_order,
     anatomy.check_unit,
     anatomy.check_frame,

@@ -8,17 +8,16 @@ import numpy as np
 from geort_drake.people.keypoints import FINGER_KEYPOINTS, FINGER_NAMES, TIP_KEYPOINT, WRIST
 from geort_drake.people.recording import PINCH_M, Recording
 
-# The least range of each motion, deg, and how a person makes it: half of the smaller one of two recordings
-# with gloves (GeoRT's of its author, MANUS subject 000). There fingers bend by 175 to 272 and move sideways
-# by 14 to 40, the thumb bends by 54 to 108, sweeps by 49 to 54 and lifts by 42 to 44.
+# The least range of each motion, and how a person makes it: half of the smaller one of two recordings with
+# gloves (GeoRT's of its author, MANUS subject 000).
 _FINGER_MOTIONS = {
-    "bends": (90.0, "stretch it fully and close it to a fist"),
-    "moves sideways": (7.0, "spread the fingers and close them"),
+    "bends": (90.0, "°", "stretch it fully and close it to a fist"),
+    "moves sideways": (7.0, "°", "spread the fingers and close them"),
 }
 _THUMB_MOTIONS = {
-    "bends": (25.0, "stretch it fully and bend it into the palm"),
-    "sweeps across the palm": (25.0, "move it to the little finger and back"),
-    "lifts off the palm": (20.0, "move it away from the palm and back"),
+    "bends": (25.0, "°", "stretch it fully and bend it into the palm"),
+    "sweeps across the palm": (25.0, "°", "move it to the little finger and back"),
+    "lifts off the palm": (20.0, "°", "move it away from the palm and back"),
 }
 # How often each finger should pinch. People who are asked for pinches make more than ten in five minutes.
 PINCHES = 5
@@ -28,22 +27,12 @@ _RIDGE = 0.01  # relative to the mean square of a bone's coordinate, which bendi
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """One motion that a recording should hold.
-
-    Attributes:
-        name: such as "ring moves sideways" or "thumb pinches ring".
-        seen: how much of it there is, in `unit`.
-        wanted: how much is enough.
-        unit: "°" of range, or "times".
-        frames: of pinches: in how many frames; None for other motions.
-        advice: how a person makes it.
-    """
+    """One motion that a recording should hold: its name, how much was seen and is wanted, how to make it."""
 
     name: str
     seen: float
     wanted: float
-    unit: str
-    frames: int | None
+    unit: str  # "°" of range, or "times"
     advice: str
 
     @property
@@ -52,11 +41,7 @@ class Motion:
         return self.seen >= self.wanted
 
     def __str__(self) -> str:
-        if self.frames is not None:
-            return f"{self.name}: {self.frames} frames, {self.seen:.0f} of {self.wanted:.0f} times"
-        if self.seen < 0.2 * self.wanted:
-            return f"{self.name}: none seen"
-        return f"{self.name}: {self.seen:.0f}° of {self.wanted:.0f}°"
+        return f"{self.name}: {self.seen:.0f} {self.unit}, wanted {self.wanted:.0f}"
 
 
 def coverage(recording: Recording) -> list[Motion]:
@@ -65,36 +50,24 @@ def coverage(recording: Recording) -> list[Motion]:
     Args:
         recording: with at least one valid frame.
     """
-    p_HK = recording.p_HK[recording.valid]
-    motions = [motion for finger in FINGER_NAMES for motion in _ranges(p_HK, finger)]
+    motions = finger_motions(recording.p_HK[recording.valid])
     for finger, distance in pinch_distances(recording).items():
-        frames = int((distance < PINCH_M).sum())
         advice = f"pinch thumb and {finger} at different places"
-        motions.append(Motion(f"thumb pinches {finger}", pinches(distance), PINCHES, "times", frames, advice))
+        motions.append(Motion(f"thumb pinches {finger}", pinches(distance), PINCHES, "times", advice))
     return motions
 
 
-def narrow_motions(p_HK: np.ndarray, keypoints: Sequence[int]) -> list[str]:
-    """Describes the motions that are too narrow in a recording, one sentence each.
+def finger_motions(p_HK: np.ndarray, keypoints: Sequence[int] = tuple(TIP_KEYPOINT.values())) -> list[Motion]:
+    """The ranges of the fingers' motions.
 
     Args:
         p_HK: (T, 21, 3) keypoints in H, m, of valid frames.
-        keypoints: the fingertips to be learned from; other keypoints name no finger.
+        keypoints: the fingertips whose fingers count; other keypoints name no finger.
     """
-    fingers = [finger for finger, keypoint in TIP_KEYPOINT.items() if keypoint in keypoints]
+    fingers = [finger for finger, tip in TIP_KEYPOINT.items() if tip in keypoints]
     return [
-        f"the recording's {motion.name} by only {motion.seen:.0f}°, expected at least {motion.wanted:.0f}°: "
-        + motion.advice
+        Motion(f"{finger} {name}", degrees, *(_THUMB_MOTIONS if finger == "thumb" else _FINGER_MOTIONS)[name])
         for finger in fingers
-        for motion in _ranges(p_HK, finger)
-        if not motion.enough
-    ]
-
-
-def _ranges(p_HK: np.ndarray, finger: str) -> list[Motion]:
-    motions = _THUMB_MOTIONS if finger == "thumb" else _FINGER_MOTIONS
-    return [
-        Motion(f"{finger} {name}", degrees, motions[name][0], "°", None, motions[name][1])
         for name, degrees in ranges_deg(p_HK, finger).items()
     ]
 

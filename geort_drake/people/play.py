@@ -6,7 +6,6 @@ with a glove's jitter and slow drift. Workspace, speed and pinches of the finger
 two recordings of real gloves; `tests/test_people_play.py` holds the figures.
 """
 
-import dataclasses
 from collections.abc import Callable, Iterable
 
 import numpy as np
@@ -62,52 +61,47 @@ def synthesize_play(
         raise UnknownNameError("side", side, SIDES)
     if duration_s <= 0 or rate_hz <= 0 or jitter < 0:
         raise ValueError("duration_s and rate_hz must be positive and jitter not negative")
-    hand = hand or HumanHand.anatomical()
     rng = np.random.default_rng(seed)
-    recording = record(_play(hand, duration_s, rng), hand, duration_s, rate_hz, jitter, rng)
-    return described(recording, "geort_drake.people.play", seed, side)
-
-
-def described(
-    recording: Recording, source: str, seed: int | np.random.Generator, side: str = "right"
-) -> Recording:
-    """The synthetic recording with its metadata."""
-    metadata = {
-        "side": side,
-        "subject": "synthetic",
-        "source": source,
-        "rate_known": True,
-        "seed": seed if isinstance(seed, int) else None,
-        "warnings": [],
-    }
-    return dataclasses.replace(recording, metadata=metadata)
+    timeline = _play(hand or HumanHand.anatomical(), duration_s, rng)
+    metadata = {"source": __name__, "seed": seed, "side": side}
+    return record(timeline, duration_s, rate_hz, jitter, rng, metadata)
 
 
 def record(
     timeline: "Timeline",
-    hand: HumanHand,
     duration_s: float,
     rate_hz: float,
     jitter: float,
     rng: np.random.Generator,
+    metadata: dict,
 ) -> Recording:
-    """The recording of a hand that follows a timeline, with a glove's noise."""
+    """The recording of the hand that follows a timeline, with a glove's noise.
+
+    Args:
+        metadata: source, seed and, for a left hand, side.
+    """
+    hand = timeline.hand
     t = np.arange(max(2, round(duration_s * rate_hz))) / rate_hz
     theta = _minimum_jerk(t, np.array(timeline.times), np.stack(timeline.postures))
     theta = np.clip(theta + jitter * _glove_noise(len(t), rate_hz, rng), hand.lower, hand.upper)
-    return Recording(t, hand.keypoints(theta), np.ones(len(t), bool))
+    common = {"side": "right", "subject": "synthetic", "rate_known": True, "warnings": []}
+    seed = metadata["seed"] if isinstance(metadata["seed"], int) else None
+    return Recording(
+        t, hand.keypoints(theta), np.ones(len(t), bool), None, {**common, **metadata, "seed": seed}
+    )
 
 
 class Timeline:
     """Postures and the times at which they are reached.
 
     Attributes:
+        hand: whose postures they are.
         times: s.
         postures: (20,) rad each, within the hand's limits.
     """
 
     def __init__(self, hand: HumanHand, start: np.ndarray):
-        self._hand = hand
+        self.hand = hand
         self.times = [0.0]
         self.postures: list[np.ndarray] = []
         self._append(start)
@@ -127,7 +121,7 @@ class Timeline:
         self.move(self.pose, duration_s)
 
     def _append(self, theta: np.ndarray) -> None:
-        self.postures.append(np.clip(np.reshape(theta, 20), self._hand.lower, self._hand.upper))
+        self.postures.append(np.clip(np.reshape(theta, 20), self.hand.lower, self.hand.upper))
 
 
 def _play(hand: HumanHand, duration_s: float, rng: np.random.Generator) -> Timeline:

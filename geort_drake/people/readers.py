@@ -1,8 +1,7 @@
 """Reads recordings in any known format, brings them to the wrist frame and checks them.
 
-`docs/reference` describes the formats and the checks. What can be repaired without guessing is
-repaired and reported; frames that cannot be used become invalid; only what leaves the meaning open, or too
-little, is refused.
+What can be repaired without guessing is repaired and reported; frames that cannot be used become invalid;
+only what leaves the meaning open, or too little, is refused.
 """
 
 import dataclasses
@@ -13,12 +12,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError, UnknownNameError
-from geort_drake.people.checks import examine, noted, refuse
+from geort_drake.people.checks import check_recording
 from geort_drake.people.checks.anatomy import UNITS_M
-from geort_drake.people.checks.findings import Finding, FrameFaults, warning
+from geort_drake.people.checks.findings import Finding, warning
 from geort_drake.people.formats import AUTO, FORMATS, choose
 from geort_drake.people.formats.files import load
-from geort_drake.people.formats.source import NO_HAND, Tracks
+from geort_drake.people.formats.source import NO_HAND, Source, Tracks
 from geort_drake.people.keypoints import mirrored, to_wrist_frame, wrist_pose
 from geort_drake.people.recording import SIDES, Recording
 from geort_drake.people.recording_parts import read_parts
@@ -59,10 +58,7 @@ def read_recording(
         UnknownNameError: there is no such side, format or unit.
     """
     recording, findings = open_recording(path, side, format, unit, rate_hz)
-    refuse(str(path), findings)
-    recording, found = examine(recording)
-    refuse(str(path), found, training)
-    return noted(recording, [*findings, *found])
+    return check_recording(recording, str(path), training, findings)
 
 
 def open_recording(
@@ -92,60 +88,51 @@ def open_recording(
     if isinstance(read, Recording):
         if unit not in (None, "m"):
             raise RecordingError(f"{path}: geort-drake's own files are in metres, not in {unit}")
-        return _repaired(path, read, source.faults)
-    return _recording(path, chosen, read, source.faults, side, unit or read.unit, rate_hz)
+        recording = _repaired(source, read)
+    else:
+        metadata = {"side": side, "source": path.name, "format": chosen, "unit": unit or read.unit}
+        recording = _recording(source, read, metadata, rate_hz)
+    return recording, source.findings
 
 
-def _repaired(path: Path, recording: Recording, faults: FrameFaults) -> tuple[Recording, list[Finding]]:
+def _repaired(source: Source, recording: Recording) -> Recording:
     """Our own file with increasing times and unit quaternions."""
     count, X_WH = len(recording), recording.X_WH
-    findings: list[Finding] = []
-    t = repaired_times(recording.t, np.arange(count), faults)
+    t = repaired_times(recording.t, np.arange(count), source.faults)
     if X_WH is not None:
-        try:
-            X_WH, findings = repaired_poses(X_WH, recording.valid, faults)
-        except ValueError as error:
-            raise RecordingError(f"{path}: {error}") from None
-    valid = recording.valid & faults.valid(count)
-    recording = dataclasses.replace(recording, t=t, X_WH=X_WH, valid=valid)
-    return recording, [*findings, *faults.findings(count)]
+        X_WH, findings = repaired_poses(X_WH, recording.valid, source.faults)
+        source.findings.extend(findings)
+    source.findings.extend(source.faults.findings(count))
+    valid = recording.valid & source.faults.valid(count)
+    return dataclasses.replace(recording, t=t, X_WH=X_WH, valid=valid)
 
 
-def _recording(
-    path: Path,
-    chosen: str,
-    tracks: Tracks,
-    faults: FrameFaults,
-    side: str,
-    unit: str,
-    rate_hz: float | None,
-) -> tuple[Recording, list[Finding]]:
-    p_WK, clock, findings = UNITS_M[unit] * tracks.p_WK, tracks.clock, list(tracks.findings)
+def _recording(source: Source, tracks: Tracks, metadata: dict, rate_hz: float | None) -> Recording:
+    """The keypoints in H with times from 0; their faults and repairs are added to the source's findings."""
+    p_WK, t, faults = UNITS_M[metadata["unit"]] * tracks.p_WK, tracks.t, source.faults
     count = len(p_WK)
-    metadata = {"side": side, "source": path.name, "format": chosen, "rate_known": True, "unit": unit}
     with np.errstate(invalid="ignore"):
         empty = np.ptp(p_WK, axis=1).max(axis=1, initial=0.0) < _ONE_PLACE_M
     faults.add(NO_HAND, np.flatnonzero(empty), "all keypoints are in one place")
     p_WK[empty] = np.nan
     numbers = np.arange(count)
-    if clock is not None:
-        metadata["time_field"], metadata["time_unit"] = clock.field, clock.unit
-        numbers = _first_of_doubles(p_WK, clock.t, findings)
-        t = repaired_times(clock.t[numbers], numbers, faults)
+    metadata["rate_known"] = t is not None or rate_hz is not None
+    if t is not None:
+        numbers = _first_of_doubles(source, p_WK, t)
+        t = repaired_times(t[numbers], numbers, faults)
     else:
-        t = np.arange(count) / (rate_hz or ASSUMED_RATE_HZ)
-        metadata["rate_known"] = rate_hz is not None
-        findings += [] if metadata["rate_known"] else [_no_times()]
+        t = numbers / (rate_hz or ASSUMED_RATE_HZ)
+    if not metadata["rate_known"]:
+        what = f"no timestamps: {ASSUMED_RATE_HZ:g} Hz assumed"
+        source.findings.append(warning("timestamps", what, advice="if you know better, import with --rate"))
     if len(t) and t[0] > _UNIX_S:
         metadata["start_time_unix_s"] = float(t[0])
-    p_VK = mirrored(p_WK) if side == "left" else p_WK
+    p_VK = mirrored(p_WK) if metadata["side"] == "left" else p_WK
     with np.errstate(invalid="ignore", over="ignore"):
         p_HK = to_wrist_frame(p_VK)
-    faults.add(
-        "have no palm plane",
-        np.flatnonzero(np.isfinite(p_WK).all(axis=(1, 2)) & ~np.isfinite(p_HK).all(axis=(1, 2))),
-        "wrist, index, middle and ring knuckles, keypoints 0, 5, 9, 13, coincide or lie on a line",
-    )
+    flat = np.isfinite(p_WK).all(axis=(1, 2)) & ~np.isfinite(p_HK).all(axis=(1, 2))
+    faults.add("have no palm plane", np.flatnonzero(flat), "keypoints 0, 5, 9, 13 coincide or lie on a line")
+    source.findings.extend(faults.findings(count))
     valid = faults.valid(count)[numbers]
     p_VK, p_HK, X_WH = p_VK[numbers], p_HK[numbers], None
     if tracks.world:
@@ -154,7 +141,7 @@ def _recording(
         travel = np.abs(X_WH[known & valid, 4:] - X_WH[known & valid, 4:][:1]).max(initial=0.0)
         # A glove alone knows how the wrist is turned, not where it is.
         metadata["wrist_position_tracked"] = bool(travel > 1e-3)
-    return Recording(t - t[:1], p_HK, valid, X_WH, metadata), [*findings, *faults.findings(count)]
+    return Recording(t - t[:1], p_HK, valid, X_WH, metadata)
 
 
 def _wrist_poses(p_WK: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -165,34 +152,22 @@ def _wrist_poses(p_WK: np.ndarray, known: np.ndarray) -> np.ndarray:
     # Numbers too large for their squares leave no rotation.
     turned = known & (np.linalg.det(np.nan_to_num(R_WH)) > 0.5)
     R_WH = np.where(turned[:, None, None], R_WH, np.eye(3))
-    return np.concatenate([_continuous(Rotation.from_matrix(R_WH).as_quat(scalar_first=True)), p_WH], axis=1)
-
-
-def _continuous(quaternions: np.ndarray) -> np.ndarray:
-    """The same rotations with signs chosen so that neighbours are close and can be interpolated."""
+    quaternions = Rotation.from_matrix(R_WH).as_quat(scalar_first=True)
+    # Signs are chosen so that neighbours are close and can be interpolated.
     flips = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0
-    return quaternions * np.where(np.concatenate([[0], np.cumsum(flips)]) % 2, -1.0, 1.0)[:, None]
+    signs = np.where(np.concatenate([[0], np.cumsum(flips)]) % 2, -1.0, 1.0)
+    return np.concatenate([quaternions * signs[:, None], p_WH], axis=1)
 
 
-def _no_times() -> Finding:
-    return warning(
-        "timestamps",
-        f"no timestamps: {ASSUMED_RATE_HZ:g} Hz assumed",
-        advice="import the file with --rate if you know better",
-    )
-
-
-def _first_of_doubles(p_WK: np.ndarray, t: np.ndarray, findings: list[Finding]) -> np.ndarray:
+def _first_of_doubles(source: Source, p_WK: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Numbers of the frames, without those that repeat the one before in time and keypoints."""
-    same = np.diff(t) == 0
-    same &= ((p_WK[1:] == p_WK[:-1]) | np.isnan(p_WK[1:])).all(axis=(1, 2))
+    same = np.diff(t, prepend=np.nan) == 0
+    same[1:] &= ((p_WK[1:] == p_WK[:-1]) | np.isnan(p_WK[1:])).all(axis=(1, 2))
     if same.any():
-        first = int(np.argmax(same)) + 1
-        what = (
-            f"{int(same.sum())} of {len(t)} frames are stored twice with the same time, the first is frame "
-        )
-        findings.append(warning("duplicated frames", f"{what}{first}", f"t[{first}]", "left out"))
-    return np.flatnonzero(np.concatenate([[True], ~same]) if len(t) else np.ones(0, bool))
+        first = int(np.argmax(same))
+        what = f"{int(same.sum())} of {len(t)} frames are stored twice with the same time"
+        source.findings.append(warning("duplicated frames", what, f"t[{first}]", "left out"))
+    return np.flatnonzero(~same)
 
 
 def _agree_on_side(path: Path, given: str | None, expected: str) -> None:

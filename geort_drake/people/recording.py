@@ -24,20 +24,11 @@ MOST_BYTES = 2 << 30
 
 # Types of the metadata that programs use.
 _METADATA = {
-    "format": str,
-    "source": str,
-    "object": str,
+    **dict.fromkeys(("format", "source", "object", "recorded_side", "unit"), str),
+    **dict.fromkeys(("rate_known", "wrist_position_tracked"), bool),
     "seed": int,
     "warnings": list,
-    "rate_known": bool,
-    "recorded_side": str,
-    "wrist_position_tracked": bool,
-    "unit": str,
-    "time_field": str,
-    "time_unit": str,
 }
-# What messages say about the source file; not saved.
-_SOURCE_METADATA = ("unit", "time_field", "time_unit")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -59,23 +50,21 @@ class Recording:
     metadata: dict = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        # The file holds float32, so the digest survives a round trip.
-        types = {"t": np.float64, "p_HK": np.float32, "valid": np.bool_, "X_WH": np.float64}
         frames = np.size(self.t) if np.ndim(self.t) == 1 else -1
-        shapes = {
-            "t": (frames,),
-            "p_HK": (frames, KEYPOINT_COUNT, 3),
-            "valid": (frames,),
-            "X_WH": (frames, 7),
+        # The file holds float32, so the digest survives a round trip.
+        fields: dict[str, tuple[type, tuple[int, ...]]] = {
+            "t": (np.float64, (frames,)),
+            "p_HK": (np.float32, (frames, KEYPOINT_COUNT, 3)),
+            "valid": (np.bool_, (frames,)),
+            "X_WH": (np.float64, (frames, 7)),
         }
-        for name, dtype in types.items():
+        for name, (dtype, shape) in fields.items():
             if getattr(self, name) is None and name == "X_WH":
                 continue
             array = np.asarray(getattr(self, name))
-            if array.dtype.kind not in "fiub":
-                raise RecordingError(f"recording: {name} must hold numbers, not {array.dtype}")
-            if array.shape != shapes[name]:
-                raise RecordingError(f"recording: {name} must have shape {shapes[name]}, not {array.shape}")
+            if array.dtype.kind not in "fiub" or array.shape != shape:
+                given = f"{array.dtype} {array.shape}"
+                raise RecordingError(f"recording: {name} must hold numbers of shape {shape}, not {given}")
             # Numbers beyond float32 become infinite, which counts as lost.
             with np.errstate(over="ignore"):
                 object.__setattr__(self, name, array.astype(dtype, copy=False))
@@ -129,8 +118,8 @@ class Recording:
         arrays: dict[str, np.ndarray] = {"t": self.t, "p_HK": self.p_HK, "valid": self.valid}
         if self.X_WH is not None:
             arrays["X_WH"] = self.X_WH
-        kept = {key: value for key, value in self.metadata.items() if key not in _SOURCE_METADATA}
-        metadata = {**kept, "side": self.side, "convention": CONVENTION}
+        metadata = {**self.metadata, "side": self.side, "convention": CONVENTION}
+        metadata.pop("unit", None)  # the source's; the file is in metres
         with atomic_path(path) as draft:
             # The stub takes every array for the argument allow_pickle.
             np.savez_compressed(draft, **arrays, metadata=np.array(json.dumps(metadata)))  # type: ignore[arg-type]
@@ -168,12 +157,14 @@ class Recording:
 
 
 def _checked_metadata(metadata: dict) -> dict:
-    """Metadata without fields of another type than programs expect, which is noted in its warnings."""
+    """Metadata without fields of another type than programs expect, which its warnings then name."""
     bad = [field for field, kind in _METADATA.items() if not isinstance(metadata.get(field), kind | None)]
     kept = {field: value for field, value in metadata.items() if field not in bad}
-    new = [f"metadata {field} must be of type {_METADATA[field].__name__}; left out" for field in bad]
-    warnings = [warning for warning in kept.get("warnings", []) if isinstance(warning, str)]
-    return kept | ({"warnings": warnings + new} if new or "warnings" in kept else {})
+    if bad or "warnings" in kept:
+        warnings = [warning for warning in kept.get("warnings", []) if isinstance(warning, str)]
+        warnings += [f"metadata {field} must be {_METADATA[field].__name__}; left out" for field in bad]
+        kept["warnings"] = warnings
+    return kept
 
 
 def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:

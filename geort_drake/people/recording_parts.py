@@ -117,8 +117,7 @@ def read_parts(path: str | os.PathLike) -> Recording | None:
         np.concatenate([getattr(part, name) for part in parts]) for name in ("t", "p_HK", "valid")
     )
     X_WH = np.concatenate([part.X_WH for part in parts if part.X_WH is not None])
-    metadata = {key: value for key, value in parts[0].metadata.items() if key != "convention"}
-    return Recording(t - t[:1], p_HK, valid, X_WH, metadata)
+    return Recording(t - t[:1], p_HK, valid, X_WH, parts[0].metadata)
 
 
 def _recover(path: Path) -> Path | None:

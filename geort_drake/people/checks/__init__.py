@@ -8,35 +8,26 @@ from geort_drake.people.checks import anatomy, motion, timing
 from geort_drake.people.checks.findings import Finding, Severity
 from geort_drake.people.recording import Recording
 
-Check = Callable[[Recording], Iterator[Finding]]
-
 # Checks rely on those before them.
-CHECKS: tuple[Check, ...] = (
-    timing.check_length,
+CHECKS: tuple[Callable[[Recording], Iterator[Finding]], ...] = (
     timing.check_clock,
     timing.check_lost,
-    anatomy.check_depth,
     anatomy.check_order,
     anatomy.check_unit,
     anatomy.check_side,
-    timing.check_spikes,
+    motion.check_spikes,
     anatomy.check_bones,
     anatomy.check_frame,
     timing.check_dropped,
     timing.check_repeats,
-    timing.check_jumps,
+    motion.check_jumps,
     motion.check_frozen,
-    motion.check_frames,
-    motion.check_pinches,
-    motion.check_range,
+    motion.check_training,
 )
 
 
 def examine(recording: Recording) -> tuple[Recording, list[Finding]]:
-    """Runs all checks, up to the first error.
-
-    Args:
-        recording: in frame H; a left hand already mirrored.
+    """Runs all checks on a recording in frame H, up to the first error.
 
     Returns:
         The recording with unusable frames marked invalid, and the findings.
@@ -54,20 +45,24 @@ def examine(recording: Recording) -> tuple[Recording, list[Finding]]:
     return recording, findings
 
 
-def check_recording(recording: Recording, name: str = "recording", training: bool = False) -> Recording:
+def check_recording(
+    recording: Recording, name: str = "recording", training: bool = False, known: Iterable[Finding] = ()
+) -> Recording:
     """Returns the recording with unusable frames marked invalid and `metadata["warnings"]` filled.
 
     Args:
         recording: in frame H; a left hand already mirrored.
         name: for messages, usually the file.
         training: also require what training needs: 300 valid frames and at least one pinch.
+        known: what the reader found.
 
     Raises:
         RecordingError: with the first finding that makes the recording unusable.
     """
+    refuse(name, known, training)
     recording, findings = examine(recording)
     refuse(name, findings, training)
-    return noted(recording, findings)
+    return noted(recording, [*known, *findings])
 
 
 def refuse(name: str, findings: Iterable[Finding], training: bool = False) -> None:

@@ -1,11 +1,11 @@
-"""Checks that keypoints are a hand: depth, order, unit, side, bones and frame."""
+"""Checks that keypoints are a hand: order, unit, side, bones and frame."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
 from geort_drake.people.checks.findings import MOST_LOST, Finding, error, lost_frames, warning
-from geort_drake.people.checks.order import fitting_order, is_right, oddities
+from geort_drake.people.checks.order import EXPECTED, fitting_order
 from geort_drake.people.keypoints import (
     BONES,
     FINGER_KEYPOINTS,
@@ -19,7 +19,6 @@ from geort_drake.people.recording import SIDES, Recording
 
 UNITS_M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}
 
-_UNIT_NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres", "inch": "inches"}
 _PALM_M = (0.060, 0.110)  # wrist to middle knuckle, from a child of ten to a large adult
 _BENT = 0.02  # a mean sine of the fingers' bending beyond this tells the side
 _FRAME_M = 0.005  # a keypoint may be so far from where the definition of H puts it
@@ -28,54 +27,34 @@ _ODD_BONE, _ODD_BONE_M = 0.75, 0.01
 _NOISY_BONES, _UNUSABLE_BONES = 0.03, 0.25  # standard deviation over mean
 
 
-def check_depth(recording: Recording) -> Iterator[Finding]:
-    """The keypoints are not those of a flat picture."""
-    p_HK = _valid(recording)
-    if np.abs(p_HK[..., 0]).max() < 1e-3 * max(_palm(p_HK), 1e-12):
-        what = (
-            "all keypoints lie in one plane in every frame: one coordinate is constant, as in 2-D landmarks"
-        )
-        yield error("constant signal", what, "p_HK", "record 3-D landmarks (MediaPipe: world landmarks)")
-
-
 def check_order(recording: Recording) -> Iterator[Finding]:
     """The 21 keypoints come in the expected order."""
-    p_HK = _valid(recording)
-    order = fitting_order(p_HK)
-    if is_right(order):
-        return
-    if order is None:
-        distance = np.median(np.linalg.norm(p_HK[:, :, None] - p_HK[:, None], axis=-1), axis=0)
-        given = (
-            f"they do not form a hand in any known order: {next(oddities(distance), 'bones change length')}"
-        )
-    else:
-        given = f"they form a hand in this order: {order}"
-    what = "wrong joint order: the keypoints must be the wrist, then thumb, index, middle, ring and little "
-    advice = "read it with format 'mano'" if order and "MANO" in order else "reorder them before importing"
-    yield error("joint order", f"{what}finger from base to tip; {given}", "p_HK", advice)
+    order, oddity = fitting_order(_valid(recording))
+    if order != EXPECTED:
+        given = f"a hand in this order: {order}" if order else f"no hand in any known order: {oddity}"
+        what = f"wrong joint order: keypoints must be {EXPECTED}, but are {given}"
+        yield error("joint order", what, "p_HK", "reorder them before importing")
 
 
 def check_unit(recording: Recording) -> Iterator[Finding]:
     """The hand is as large as a person's, in metres."""
-    palm = _palm(_valid(recording))
+    p_HK = _valid(recording)
+    palm = float(np.median(np.linalg.norm(p_HK[:, MIDDLE_MCP] - p_HK[:, WRIST], axis=-1)))
     low, high = _PALM_M
-    if low <= palm <= high:
-        return
-    # The unit that the reader assumed; our own files are in metres.
-    assumed = recording.metadata.get("unit")
-    number = palm / UNITS_M.get(assumed or "m", 1.0)
-    fits = [unit for unit in _UNIT_NAMES if unit != assumed and low <= number * UNITS_M[unit] <= high]
-    given = f" with the file's lengths in {assumed}" if assumed not in (None, "m") else ""
-    guess = f"; it would be right if the numbers were {_UNIT_NAMES[fits[0]]}" if fits else ""
-    what = f"wrist to middle knuckle must be {1e3 * low:.0f} to {1e3 * high:.0f} mm, but is {palm:.4g} m"
-    advice = f"import them with --unit {fits[0]}" if fits and assumed else "give keypoints in metres"
-    yield error("unit", what + given + guess, "p_HK", advice)
+    if not low <= palm <= high:
+        # The unit with which a file was read; our own files are in metres and have none.
+        unit = recording.metadata.get("unit")
+        number = palm / UNITS_M.get(unit or "m", 1.0)
+        fits = [other for other, size in UNITS_M.items() if low <= number * size <= high]
+        what = f"wrist to middle knuckle must be {1e3 * low:.0f} to {1e3 * high:.0f} mm, but is {palm:.4g} m"
+        what += f"; it would be right if lengths were in {fits[0]}" if fits else ""
+        advice = f"import them with --unit {fits[0]}" if fits and unit else "give keypoints in metres"
+        yield error("unit", what, "p_HK", advice)
 
 
 def check_side(recording: Recording) -> Iterator[Finding]:
-    """The hand is of the requested side, and not in mirrored coordinates."""
-    side, bending = recording.side, mean_bending(_valid(recording))
+    """The hand is of the side that was asked for, and not in mirrored coordinates."""
+    side, bending = recording.side, _mean_bending(_valid(recording))
     if bending < -_BENT:
         other = SIDES[1 - SIDES.index(side)]
         what = f"the fingers bend backwards (mean sine {bending:.2f}), so this is a {other} hand or a "
@@ -87,7 +66,7 @@ def check_side(recording: Recording) -> Iterator[Finding]:
         yield warning("handedness", what, "p_HK", "make a fist while recording")
 
 
-def mean_bending(p_HK: np.ndarray) -> float:
+def _mean_bending(p_HK: np.ndarray) -> float:
     """Mean sine of the angle between the fingers' first and last bones in keypoints (T, 21, 3).
 
     Fingers bend towards +x whichever pose the hand is in, so the turn from the first to the last bone is
@@ -108,7 +87,7 @@ def bent_side(p_WK: np.ndarray, side: str) -> str:
     """
     p_HK = to_wrist_frame(mirrored(p_WK) if side == "left" else p_WK)
     p_HK = p_HK[np.isfinite(p_HK).all(axis=(1, 2))]
-    backwards = len(p_HK) > 0 and mean_bending(p_HK) < -_BENT
+    backwards = len(p_HK) > 0 and _mean_bending(p_HK) < -_BENT
     return SIDES[1 - SIDES.index(side)] if backwards else side
 
 
@@ -128,16 +107,11 @@ def check_bones(recording: Recording) -> Iterator[Finding]:
     spread = length.std(axis=0) / length.mean(axis=0)
     worst = int(np.argmax(spread))
     parent, child = BONES[worst]
-    what = (
-        f"bone {parent}–{child} changes its length by {100 * spread[worst]:.0f} % (standard deviation over "
-    )
-    what, where = f"{what}mean)", f"p_HK[:, {child}]"
-    if spread[worst] > _UNUSABLE_BONES:
-        what += f", at most {100 * _UNUSABLE_BONES:.0f} % is usable"
-        yield error("bone lengths", what, where, "check that these are 3-D keypoints in metres")
-    elif spread[worst] >= _NOISY_BONES:
-        what += f": a tracker's noise, gloves stay below {100 * _NOISY_BONES:.0f} %"
-        yield warning("bone lengths", what, where)
+    if spread[worst] >= _NOISY_BONES:
+        kind = error if spread[worst] > _UNUSABLE_BONES else warning
+        what = f"bone {parent}–{child} changes its length by {spread[worst]:.0%} (deviation over mean); "
+        what += f"a glove's by less than {_NOISY_BONES:.0%}, and over {_UNUSABLE_BONES:.0%} is unusable"
+        yield kind("bone lengths", what, f"p_HK[:, {child}]", "check that these are 3-D keypoints in m")
 
 
 def check_frame(recording: Recording) -> Iterator[Finding]:
@@ -147,28 +121,17 @@ def check_frame(recording: Recording) -> Iterator[Finding]:
     if np.nanmedian(off) < _FRAME_M:
         yield from _lost(recording, ~(off < _FRAME_M), "are not in the wrist frame H")
         return
-    knuckle = np.median(p_HK[:, MIDDLE_MCP] - p_HK[:, WRIST], axis=0)
-    axis = int(np.argmax(np.abs(knuckle)))
-    wrist_mm = np.round(1e3 * np.median(p_HK[:, WRIST], axis=0)).tolist()
     what = "keypoints must be given in the wrist frame H (origin at the wrist, z to the middle knuckle, y to "
-    what += (
-        f"the index side), but are off by {1e3 * np.nanmedian(off):.0f} mm; the middle knuckle is towards "
-    )
-    what += f"{'-' if knuckle[axis] < 0 else '+'}{'xyz'[axis]}, the wrist at {wrist_mm} mm"
-    advice = "save keypoints in other frames as (T, 21, 3) .npy; reading converts them to H"
+    what += f"the index side), but are off by {1e3 * np.nanmedian(off):.0f} mm"
+    advice = "save other frames as (T, 21, 3) .npy, which is brought to H when it is read"
     yield error("axes", what, "p_HK", advice)
 
 
 def _lost(recording: Recording, bad: np.ndarray, what: str) -> Iterator[Finding]:
     """A finding about bad ones among the valid frames."""
     if bad.any():
-        frames = np.flatnonzero(recording.valid)[bad].tolist()
-        yield lost_frames(frames, len(recording), what, where=f"p_HK[{frames[0]}]")
+        yield lost_frames(np.flatnonzero(recording.valid)[bad].tolist(), len(recording), what)
 
 
 def _valid(recording: Recording) -> np.ndarray:
     return recording.p_HK[recording.valid].astype(float)
-
-
-def _palm(p_HK: np.ndarray) -> float:
-    return float(np.median(np.linalg.norm(p_HK[:, MIDDLE_MCP] - p_HK[:, WRIST], axis=-1)))

@@ -6,8 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-# Fraction of frames that may be lost before a recording is refused.
-MOST_LOST = 0.1
+MOST_LOST = 0.1  # share of frames that may be lost before a recording is refused
 
 
 class Severity(enum.StrEnum):
@@ -55,7 +54,7 @@ def warning(check: str, what: str, where: str = "", advice: str = "", lost: Sequ
 
 
 def lost_frames(
-    frames: Sequence[int], count: int, what: str, detail: str = "", where: str = "", too_many: bool = False
+    frames: Sequence[int], count: int, what: str, detail: str = "", too_many: bool = False
 ) -> Finding:
     """Reports unusable frames among `count`: a warning, or an error above `MOST_LOST`.
 
@@ -64,27 +63,21 @@ def lost_frames(
         count: of all frames.
         what: completes "3 of 400 frames ...".
         detail: what is wrong with the first one.
-        where: its field.
         too_many: whether it is an error in any case.
     """
-    too_many |= len(frames) > MOST_LOST * count
-    first = f"the first is frame {frames[0]}" + (f": {detail}" if detail else "")
-    return Finding(
-        "lost frames",
-        Severity.ERROR if too_many else Severity.WARNING,
-        f"{len(frames)} of {count} frames {what}, {first}"
-        + ("; at most one in ten may be lost" if too_many else ""),
-        where,
-        "record with the hand in view of the tracker" if too_many else "marked invalid",
-        tuple(int(frame) for frame in frames),
-    )
+    what = f"{len(frames)} of {count} frames {what}, the first is frame {frames[0]}"
+    what += f": {detail}" if detail else ""
+    if too_many or len(frames) > MOST_LOST * count:
+        what += "; at most one in ten may be lost"
+        return error("lost frames", what, advice="record with the hand in view of the tracker")
+    return warning("lost frames", what, advice="marked invalid", lost=frames)
 
 
 class FrameFaults:
-    """Faults of single frames, collected by kind while a file is read. Each frame counts once."""
+    """Faults of single frames, collected while a file is read. Each frame keeps its first one."""
 
     def __init__(self) -> None:
-        self._kinds: dict[str, dict[int, str]] = {}
+        self._faults: dict[int, tuple[str, str]] = {}
 
     def add(self, kind: str, frames: Iterable[int] | Mapping[int, str], detail: str = "") -> None:
         """Notes that frames cannot be used.
@@ -94,22 +87,21 @@ class FrameFaults:
             frames: their numbers, or what is wrong with each of them.
             detail: what is wrong with all of them.
         """
-        details = frames if isinstance(frames, Mapping) else dict.fromkeys(map(int, frames), detail)
-        known = self._frames()
-        if new := {frame: details[frame] for frame in details if frame not in known}:
-            self._kinds.setdefault(kind, {}).update(new)
+        details = frames if isinstance(frames, Mapping) else dict.fromkeys(frames, detail)
+        for frame, each in details.items():
+            self._faults.setdefault(int(frame), (kind, each))
 
     def valid(self, count: int) -> np.ndarray:
         """(count,) bool: the frames without a fault."""
-        return ~np.isin(np.arange(count), list(self._frames()))
+        return ~np.isin(np.arange(count), list(self._faults))
 
     def findings(self, count: int) -> list[Finding]:
         """One finding for each kind; all are errors, where together they lose too many of `count` frames."""
-        too_many = len(self._frames()) > MOST_LOST * count
+        kinds: dict[str, list[int]] = {}
+        for frame, (kind, _) in sorted(self._faults.items()):
+            kinds.setdefault(kind, []).append(frame)
+        too_many = len(self._faults) > MOST_LOST * count
         return [
-            lost_frames(sorted(details), count, kind, details[min(details)], too_many=too_many)
-            for kind, details in sorted(self._kinds.items(), key=lambda item: -len(item[1]))
+            lost_frames(frames, count, kind, self._faults[frames[0]][1], too_many)
+            for kind, frames in sorted(kinds.items(), key=lambda item: -len(item[1]))
         ]
-
-    def _frames(self) -> set[int]:
-        return {frame for details in self._kinds.values() for frame in details}

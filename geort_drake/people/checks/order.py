@@ -3,8 +3,7 @@
 Everything is judged by distances, which do not depend on frame, unit or mirroring.
 """
 
-import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -13,9 +12,10 @@ from geort_drake.people.keypoints import FINGER_KEYPOINTS as _F
 
 # Which keypoint stands at each of the 21 places of a file, in the orders that data sets use.
 MANO_ORDER = (0, 5, 6, 7, 9, 10, 11, 17, 18, 19, 13, 14, 15, 1, 2, 3, 4, 8, 12, 16, 20)
+EXPECTED = "wrist, then thumb to little finger, base to tip (MediaPipe)"
 _TIPS_FIRST = tuple(k for chain in _F.values() for k in chain[::-1])
 ORDERS: dict[str, tuple[int, ...]] = {
-    "wrist, then thumb to little finger, base to tip (MediaPipe)": tuple(range(21)),
+    EXPECTED: tuple(range(21)),
     "MANO's joints, then the tips (HO-3D)": MANO_ORDER,
     "wrist, index to little finger, then the thumb": (0, *range(5, 21), *range(1, 5)),
     "wrist, then little finger to thumb": (0, *(k for name in reversed(_F) for k in _F[name])),
@@ -29,43 +29,14 @@ ORDERS: dict[str, tuple[int, ...]] = {
         0, *(chain[joint] for joint in range(4) for chain in _F.values())
     ),
 }  # fmt: skip
-_RIGHT = next(iter(ORDERS))
 _JITTER = 5e-4  # of a glove's bones, as a share of the palm
-_THUMB_JOINTS, _FINGER_JOINTS = ("CMC", "MCP", "IP", "tip"), ("MCP", "PIP", "DIP", "tip")
 
 
-def _exchanges() -> dict[str, tuple[int, ...]]:
-    """Orders in which two fingers, or two neighbouring joints of one or of every finger, are exchanged."""
-    pairs: dict[str, list[tuple[int, ...]]] = {
-        f"{a} and {b} finger": list(zip(_F[a], _F[b], strict=True)) for a, b in itertools.combinations(_F, 2)
-    }
-    for i in range(3):
-        for finger, chain in _F.items():
-            joints = _THUMB_JOINTS if finger == "thumb" else _FINGER_JOINTS
-            whose = finger if finger == "thumb" else f"{finger} finger"
-            pairs[f"{joints[i]} and {joints[i + 1]} of the {whose}"] = [chain[i : i + 2]]
-        every = f"{_FINGER_JOINTS[i]} and {_FINGER_JOINTS[i + 1]} of every finger"
-        pairs[every] = [chain[i : i + 2] for chain in _F.values()]
-        pairs[f"{every} but the thumb"] = pairs[every][1:]
-    return {f"the same, but {what} exchanged": _exchanged(which) for what, which in pairs.items()}
+def fitting_order(p: np.ndarray) -> tuple[str | None, str]:
+    """The order of `ORDERS` in which keypoints p (T, 21, 3) of any frame and unit are a hand.
 
-
-def _exchanged(pairs: Iterable[tuple[int, ...]]) -> tuple[int, ...]:
-    order = list(range(21))
-    for a, b in pairs:
-        order[a], order[b] = order[b], order[a]
-    return tuple(order)
-
-
-# Mistakes of users' own programs.
-EXCHANGES = _exchanges()
-
-
-def fitting_order(p: np.ndarray) -> str | None:
-    """The order of `ORDERS` or `EXCHANGES` in which keypoints p (T, 21, 3) of any frame and unit are a hand.
-
-    The expected order, the first, is preferred where it fits nearly as well as another. None where no order
-    makes a hand of them.
+    The expected order is preferred where it fits nearly as well as another. Where no order makes a hand of
+    them, it is None; the second value then says what is unlike a hand in the expected order.
     """
     p = p[np.linspace(0, len(p) - 1, min(len(p), 200)).astype(int)].astype(float)
     distances = np.linalg.norm(p[:, :, None] - p[:, None], axis=-1)
@@ -73,22 +44,17 @@ def fitting_order(p: np.ndarray) -> str | None:
     spread = np.median(np.abs(distances - middle), axis=0)
     parents, children = np.array(BONES).T
     fits: dict[str, float] = {}
-    for name, order in (ORDERS | EXCHANGES).items():
+    for name, order in ORDERS.items():
         grid = np.ix_(np.argsort(order), np.argsort(order))
-        if not any(oddities(middle[grid])):
+        if not any(_oddities(middle[grid])):
             fits[name] = float(spread[grid][parents, children].mean() / middle[grid][0, 9])
     if not fits:
-        return None
+        return None, next(_oddities(middle))
     best = min(fits, key=lambda name: fits[name])
-    return _RIGHT if fits.get(_RIGHT, np.inf) <= 2 * fits[best] + _JITTER else best
+    return EXPECTED if fits.get(EXPECTED, np.inf) <= 2 * fits[best] + _JITTER else best, ""
 
 
-def is_right(order: str | None) -> bool:
-    """Whether `fitting_order` found the expected order."""
-    return order == _RIGHT
-
-
-def oddities(distance: np.ndarray) -> Iterator[str]:
+def _oddities(distance: np.ndarray) -> Iterator[str]:
     """What is unlike a hand in the median distances (21, 21) between its keypoints, if they are in order."""
     knuckles = distance[0, [5, 9, 13, 17]]
     if distance[0, 1] > 0.75 * knuckles.min():

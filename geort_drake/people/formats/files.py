@@ -5,6 +5,7 @@ import itertools
 import json
 import re
 from collections import Counter
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,24 +30,31 @@ def load(path: Path) -> Source:
     if path.is_dir():
         return Source(str(path), _load_folder(path, faults), faults)
     check_file(path)
-    suffix = path.suffix.lower()
-    if suffix in _JSON_LOADERS:
-        return Source(str(path), _JSON_LOADERS[suffix](path, faults), faults)
-    if suffix not in _LOADERS:
-        suffixes = ", ".join(sorted([*_LOADERS, *_JSON_LOADERS]))
-        raise RecordingError(f"{path}: recordings are read from {suffixes}, not '{path.suffix}'")
-    return Source(str(path), _LOADERS[suffix](path), faults)
+    load_suffix = _LOADERS.get(path.suffix.lower())
+    if load_suffix is None:
+        raise RecordingError(f"{path}: recordings are read from {', '.join(_LOADERS)}, not '{path.suffix}'")
+    return Source(str(path), load_suffix(path, faults), faults)
 
 
 def _load_folder(path: Path, faults: FrameFaults) -> list:
     files = sorted(path.glob("*.pkl"))
     if not files:
         raise RecordingError(f"{path}: the folder holds no .pkl files, one per frame, as of HO-3D's meta")
-    frames = []
-    for i, file in enumerate(files):
+    for file in files:
         check_file(file)
+    return _frames(files, load_plain, faults)
+
+
+def _load_json_lines(path: Path, faults: FrameFaults) -> list:
+    return _frames([line for line in _text(path).splitlines() if line.strip()], _parsed, faults)
+
+
+def _frames(sources: Sequence[Any], load_frame: Callable[[Any], Any], faults: FrameFaults) -> list:
+    """One frame of each source; {} and a fault where it cannot be read."""
+    frames: list = []
+    for i, source in enumerate(sources):
         try:
-            frames.append(load_plain(file))
+            frames.append(load_frame(source))
         except RecordingError as error:
             if isinstance(error.__cause__, ForbiddenPickle):
                 raise
@@ -55,7 +63,14 @@ def _load_folder(path: Path, faults: FrameFaults) -> list:
     return frames
 
 
-def _load_table(path: Path) -> Table:
+def _parsed(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(f"not JSON: {error}") from None
+
+
+def _load_table(path: Path, faults: FrameFaults) -> Table:
     lines = [line for line in _text(path).splitlines() if line.strip(",;\t \0")]
     if not lines:
         raise RecordingError(f"{path}: the table is empty")
@@ -72,11 +87,11 @@ def _load_table(path: Path) -> Table:
 def _load_json(path: Path, faults: FrameFaults) -> Any:
     text = _text(path)
     try:
-        return json.loads(text)
-    except (ValueError, RecursionError) as error:
+        return _parsed(text)
+    except RecordingError as error:
         contents = _damaged_json(text, faults)
         if contents is None:
-            raise RecordingError(f"{path}: not JSON: {error}") from None
+            raise RecordingError(f"{path}: {error}") from None
         return contents
 
 
@@ -125,21 +140,6 @@ def _frame_mark(text: str) -> str | None:
     return None
 
 
-def _load_json_lines(path: Path, faults: FrameFaults) -> list:
-    frames: list = []
-    bad: dict[int, str] = {}
-    for number, line in enumerate(_text(path).splitlines(), 1):
-        if not line.strip():
-            continue
-        try:
-            frames.append(json.loads(line))
-        except (ValueError, RecursionError) as error:
-            bad[len(frames)] = f"line {number} is not JSON: {error}"
-            frames.append({})
-    faults.add(UNREADABLE, bad)
-    return frames
-
-
 def _text(path: Path) -> str:
     text = path.read_bytes().decode("utf-8-sig", errors="replace")
     if text.count("\ufffd") + text.count("\0") > _MOST_REPLACED * len(text):
@@ -147,11 +147,18 @@ def _text(path: Path) -> str:
     return text
 
 
-_JSON_LOADERS = {".json": _load_json, ".jsonl": _load_json_lines}
-_LOADERS = {
+def _load_pickle(path: Path, faults: FrameFaults) -> Any:
+    return load_plain(path)
+
+
+def _load_arrays(path: Path, faults: FrameFaults) -> Any:
+    return load_arrays(path)
+
+
+_LOADERS: dict[str, Callable[[Path, FrameFaults], Any]] = {
     ".csv": _load_table,
-    ".npy": load_arrays,
-    ".npz": load_arrays,
-    ".pickle": load_plain,
-    ".pkl": load_plain,
+    ".json": _load_json,
+    ".jsonl": _load_json_lines,
+    **dict.fromkeys((".npy", ".npz"), _load_arrays),
+    **dict.fromkeys((".pickle", ".pkl"), _load_pickle),
 }

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from geort_drake.people.checks.anatomy import bent_side
-from geort_drake.people.checks.findings import Finding, warning
+from geort_drake.people.checks.findings import warning
 from geort_drake.people.formats.source import (
     NO_HAND,
     BadFrame,
@@ -43,7 +43,6 @@ _WORLD = ("worldLandmarks", "hand_world_landmarks", "multi_hand_world_landmarks"
 _PICTURE = ("landmarks", "hand_landmarks", "multi_hand_landmarks", "multiHandLandmarks")
 _HANDEDNESS = ("handedness", "handednesses", "multi_handedness", "multiHandedness")
 _LABEL = ("categoryName", "category_name", "label", "displayName", "display_name")
-_TIME = ("timestampMs", "timestamp_ms")
 
 
 def _is_mediapipe(contents: Any) -> bool:
@@ -55,68 +54,52 @@ def _is_mediapipe(contents: Any) -> bool:
 
 def _read_mediapipe(file: Source, side: str) -> Tracks:
     if frames_of(file.contents):
-        hands = file.collect(file.frames(), lambda frame: _hands(frame, side))
-        labels = [label for label in SIDES if any(label in seen for seen in hands if seen)]
-        if not labels:
+        p = file.each(file.frames(), lambda frame: _hands(frame, side), (2, *_SHAPE), _WORLD[0])
+        seen = {label: p[:, i] for i, label in enumerate(SIDES) if np.isfinite(p[:, i]).any()}
+        if not seen:
             raise file.error("no frame shows a hand")
-        labelled = {label: _stacked(hands, label) for label in labels}
-        clock = next((c for field in _TIME if (c := file.times(len(hands), field, "ms"))), None)
     else:
-        p_WK = file.array("data" if "data" in file.header else "world_landmarks", _SHAPE)
-        labelled, clock = {file.side() or side: p_WK}, file.times(len(p_WK))
-    label, findings = _label_of_side(file, labelled, side)
-    file.faults.add(NO_HAND, np.flatnonzero(np.isnan(labelled[label]).all(axis=(1, 2))))
-    return Tracks(labelled[label], clock, side=side, findings=findings)
+        p = file.array("data" if "data" in file.header else "world_landmarks", _SHAPE)
+        seen = {file.side() or side: p}
+    label = _label_of_side(file, seen, side)
+    file.faults.add(NO_HAND, np.flatnonzero(np.isnan(seen[label]).all(axis=(1, 2))))
+    return Tracks(seen[label], file.times(len(p), unit_s=1e-3), side=side)
 
 
-def _label_of_side(file: Source, labelled: Mapping[str, np.ndarray], side: str) -> tuple[str, list[Finding]]:
+def _label_of_side(file: Source, seen: Mapping[str, np.ndarray], side: str) -> str:
     """Which of the labelled hands (T, 21, 3) is of that side, by the bending of its fingers."""
-    fitting = [label for label, p_WK in labelled.items() if bent_side(p_WK, label) == side]
-    if not fitting and side not in labelled:
-        raise file.error(
-            f"the file's hand is labelled {next(iter(labelled))}, and its fingers do not bend as a "
-            f"{side} one's; a {side} one was requested"
-        )
+    fitting = [label for label, p_WK in seen.items() if bent_side(p_WK, label) == side]
+    if not fitting and side not in seen:
+        what = f"the file's hand is labelled {next(iter(seen))}, and its fingers do not bend as a "
+        raise file.error(what + f"{side} one's; a {side} one was requested")
     # Of a hand whose label changes, the longer part. The checks name what does not fit.
-    label = max(fitting, key=lambda label: np.isfinite(labelled[label]).sum()) if fitting else side
-    if label == side:
-        return label, []
-    finding = warning(
-        "handedness",
-        f"labelled {label}, but the fingers bend as a {side} hand's: read as {side}, because MediaPipe's "
-        "labels often assume mirrored images",
-        "handedness",
-        f"if the image itself was mirrored, this was a {label} hand: import it with --mirror",
-    )
-    return label, [finding]
+    label = max(fitting, key=lambda label: np.isfinite(seen[label]).sum()) if fitting else side
+    if label != side:
+        what = f"labelled {label}, but the fingers bend as a {side} hand's: read as {side}, because "
+        what += "MediaPipe's labels often assume mirrored images"
+        advice = f"if the image itself was mirrored, this was a {label} hand: import it with --mirror"
+        file.findings.append(warning("handedness", what, "handedness", advice))
+    return label
 
 
-def _stacked(hands: Sequence[Mapping[str, np.ndarray] | None], label: str) -> np.ndarray:
-    lost = np.full(_SHAPE, np.nan)
-    return np.array([(seen or {}).get(label, lost) for seen in hands])
-
-
-def _hands(frame: Any, side: str) -> dict[str, np.ndarray]:
-    """Landmarks (21, 3) of each hand in a frame by its label; without a label, of the side asked for."""
+def _hands(frame: Any, side: str) -> np.ndarray | None:
+    """Landmarks (2, 21, 3) of a frame's left and right hand; without a label, of the side asked for."""
     if not isinstance(frame, Mapping):
         raise BadFrame(f"expected an object, not {frame!r:.40}")
     hands = _list(frame, _WORLD)
-    labels = [_label(label) for label in _list(frame, _HANDEDNESS)]
     if not hands and _list(frame, _PICTURE):
         raise BadFrame(
             "holds image landmarks (normalized), which are not metric; save the world landmarks "
             f"({_WORLD[0]})"
         )
-    if labels and len(labels) != len(hands):
-        raise BadFrame(f"{len(labels)} handedness for {len(hands)} hands")
-    if len(hands) > 1 and not labels:
-        raise BadFrame(f"shows {len(hands)} hands and does not say which is which")
-    if unknown := next((label for label in labels if label not in SIDES), None):
-        raise BadFrame(f"handedness '{unknown:.40}' is none of: {', '.join(SIDES)}")
-    seen: dict[str, np.ndarray] = {}
-    for label, hand in zip(labels or [side], hands, strict=False):
-        seen.setdefault(label, _landmarks(hand))
-    return seen
+    labels = [_label(label) for label in _list(frame, _HANDEDNESS)] or [side][: len(hands)]
+    if len(labels) != len(hands) or not set(labels) <= set(SIDES):
+        raise BadFrame(f"handedness must be left or right for each of {len(hands)} hands, not {labels!r:.60}")
+    seen = np.full((2, *_SHAPE), np.nan)
+    # Of two hands with one label, the first.
+    for label, hand in reversed(list(zip(labels, hands, strict=True))):
+        seen[SIDES.index(label)] = _landmarks(hand)
+    return seen if hands else None
 
 
 def _landmarks(hand: Any) -> np.ndarray:
@@ -128,15 +111,14 @@ def _landmarks(hand: Any) -> np.ndarray:
     if p.shape != _SHAPE or p.dtype.kind not in "fiu":
         count = f", {len(points)} given" if isinstance(points, list) else ""
         raise BadFrame(f"expected {KEYPOINT_COUNT} landmarks of three numbers{count}")
-    return p.astype(float)
+    return p
 
 
 def _list(frame: Mapping, fields: Sequence[str]) -> list:
     """The first of the fields that holds something."""
-    field = next((field for field in fields if frame.get(field)), None)
-    value = [] if field is None else frame[field]
+    value: Any = next((frame[field] for field in fields if frame.get(field)), [])
     if not isinstance(value, list):
-        raise BadFrame(f"{field} must be a list, not {value!r:.40}")
+        raise BadFrame(f"{fields[0]} must be a list, not {value!r:.40}")
     return value
 
 

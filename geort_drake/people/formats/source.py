@@ -5,15 +5,16 @@ Readers raise RecordingError only where the meaning of a file stays open. Faults
 """
 
 import dataclasses
+import itertools
+import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from geort_drake.errors import RecordingError
 from geort_drake.people.checks.findings import Finding, FrameFaults, warning
-from geort_drake.people.checks.timing import TIME_UNITS_S
 from geort_drake.people.recording import SIDES, Recording
 
 # Of hands with 25 joints: wrist, four of the thumb, then five per finger, of which the first, the base of the
@@ -22,7 +23,7 @@ KEYPOINTS_OF_25 = tuple(i for i in range(25) if i not in (5, 10, 15, 20))
 
 NO_HAND, UNREADABLE = "show no hand", "cannot be read"
 
-_TIME_FIELDS = ("t", "timestamps", "timestamp", "time")
+_TIME_FIELDS = ("t", "timestamps", "timestamp", "time", "timestampMs", "timestamp_ms")
 _SIDE_FIELDS = ("side", "chirality", "handedness", "hand")
 _ONE_WEEK_S = 6e5
 
@@ -31,21 +32,11 @@ class BadFrame(Exception):
     """A single frame cannot be read. The message says what was expected and what was given."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Table:
+class Table(NamedTuple):
     """A CSV file: names of the columns, and rows of texts."""
 
     header: list[str]
     rows: list[list[str]]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Clock:
-    """The times t (T,), s, of a file's frames, NaN where one has none; the file's field and its unit."""
-
-    t: np.ndarray
-    field: str
-    unit: str = "s"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -54,23 +45,20 @@ class Tracks:
 
     Attributes:
         p_WK: (T, 21, 3) keypoints in the file's frame W and unit; NaN where the hand was lost.
-        clock: the times of the frames, or None where the file has none.
+        t: (T,) times of the frames, s, NaN where one has none; or None where the file has none.
         world: whether W stays in place, so that the wrist's pose in it is worth keeping.
         side: which hand the file says it is, or None.
         unit: of p_WK, unless the user names another.
-        findings: what is odd about the file as a whole, or was repaired.
     """
 
     p_WK: np.ndarray
-    clock: Clock | None = None
+    t: np.ndarray | None = None
     world: bool = False
     side: str | None = None
     unit: str = "m"
-    findings: Sequence[Finding] = ()
 
 
-@dataclasses.dataclass(frozen=True)
-class Format:
+class Format(NamedTuple):
     """One format of recordings.
 
     Attributes:
@@ -95,11 +83,13 @@ class Source:
         contents: a dict of arrays (.npz; of .npy with the one name "data"), a `Table` (.csv), or the objects
             of a JSON or pickle file.
         faults: of single frames.
+        findings: what is odd about the file as a whole, or was repaired.
     """
 
     name: str
     contents: Any
     faults: FrameFaults = dataclasses.field(default_factory=FrameFaults)
+    findings: list[Finding] = dataclasses.field(default_factory=list)
 
     def error(self, what: str) -> RecordingError:
         """An error that names the file."""
@@ -121,90 +111,78 @@ class Source:
         """Whether the file, or one of its frames, holds a field."""
         return field in self.header or any_frame(self.contents, lambda frame: field in frame)
 
-    def array(self, field: str, *shapes: tuple[int, ...]) -> np.ndarray:
+    def array(self, field: str, *shapes: tuple[int, ...], count: int | None = None) -> np.ndarray:
         """A field of every frame as floats (T, ...), from an archive's array or a list of frames.
 
         Args:
             field: its name.
             shapes: those that one frame may have.
+            count: T, where it is known.
         """
-        if field not in self.header and self.has(field):
+        if field in self.header:
+            array = np.asarray(self.header[field])
+            if array.ndim == 0 or array.shape[1:] not in shapes or array.dtype.kind not in "fiub":
+                expected = " or ".join(f"({', '.join(['T', *map(str, shape)])})" for shape in shapes)
+                given = f"{array.dtype} {array.shape}"
+                raise self.error(f"{field} must hold numbers of shape {expected}, not {given}")
+            array = array.astype(float)
+        elif self.has(field):
             values = [frame.get(field) if isinstance(frame, Mapping) else frame for frame in self.frames()]
-            return self.stack(field, values, *shapes)
-        if field not in self.header:
+            counts = Counter(shape for value in values if (shape := _shape_of(value)) in shapes)
+            shape = max(counts, key=counts.__getitem__, default=shapes[0])
+            array = self.each(values, lambda value: value, shape, field)
+        else:
             raise self.error(f"lacks {field}; it holds {description(self.contents)}")
-        array = np.asarray(self.header[field])
-        if array.ndim == 0 or array.shape[1:] not in shapes or array.dtype.kind not in "fiu":
-            name = "array" if self.header.keys() == {"data"} else field
-            expected = " or ".join(f"({', '.join(['T', *map(str, shape)])})" for shape in shapes)
-            raise self.error(f"{name} must hold numbers of shape {expected}, not {array.dtype} {array.shape}")
-        return array.astype(float)
-
-    def stack(self, field: str, values: Sequence[Any], *shapes: tuple[int, ...]) -> np.ndarray:
-        """One value of each frame as floats (T, ...), with the shape that most frames have."""
-        given = Counter(shape for value in values if (shape := shape_of(value)) in shapes)
-        shape = given.most_common(1)[0][0] if given else shapes[0]
-        return self.each(values, lambda value: value, shape, field)
+        if count not in (None, len(array)):
+            raise self.error(f"{len(array)} {field} for {count} frames")
+        return array
 
     def each(
         self, values: Sequence[Any], read: Callable[[Any], Any], shape: tuple[int, ...], field: str
     ) -> np.ndarray:
-        """The numbers (T, *shape) that `read` makes of each frame; NaN where it cannot, or returns None."""
-        result = np.full((len(values), *shape), np.nan)
+        """The numbers (T, *shape) that `read` makes of each frame, NaN where it does not.
 
-        def store(i: int) -> bool:
-            if (numbers := read(values[i])) is None:
-                return False
-            if shape_of(numbers) != shape:
-                raise BadFrame(f"{field} must have shape {shape}, not {shape_of(numbers) or numbers!r:.60}")
-            array = np.asarray(numbers)
-            if array.dtype.kind not in "fiu":
-                raise BadFrame(f"{field} must be numbers, not {array.tolist()!r:.60}")
-            result[i] = array
-            return True
-
-        stored = self.collect(range(len(values)), store)
-        self.faults.add(NO_HAND, (i for i, done in enumerate(stored) if not done))
-        return result
-
-    def collect(self, values: Sequence[Any], read: Callable[[Any], Any]) -> list:
-        """What `read` makes of each frame; None where it raises BadFrame, which is noted.
+        `read` returns None where a frame shows no hand, and raises BadFrame where it cannot be read.
 
         Raises:
-            RecordingError: nothing is read of any frame.
+            RecordingError: no frame can be read.
         """
-        results: list[Any] = []
+        result = np.full((len(values), *shape), np.nan)
+        lost: list[int] = []
         bad: dict[int, str] = {}
         for i, value in enumerate(values):
             try:
-                results.append(read(value))
+                if (numbers := read(value)) is None:
+                    lost.append(i)
+                    continue
+                array = np.asarray(numbers) if _shape_of(numbers) == shape else np.array(None)
+                if array.dtype.kind not in "fiu":
+                    raise BadFrame(f"{field} must hold numbers of shape {shape}, not {numbers!r:.60}")
+                result[i] = array
             except BadFrame as error:
-                results.append(None)
                 bad[i] = str(error)
-        if bad and not any(results):
+        if bad and len(bad) + len(lost) == len(values):
             raise self.error(f"frame {min(bad)}: {bad[min(bad)]}")
         self.faults.add(UNREADABLE, bad)
-        return results
+        self.faults.add(NO_HAND, lost)
+        return result
 
-    def times(self, count: int, field: str | None = None, unit: str = "s") -> Clock | None:
-        """The times of `count` frames; None without any.
+    def times(self, count: int, unit_s: float = 1.0) -> np.ndarray | None:
+        """The times of `count` frames, s, from the file's field t, timestamps, timestamp or time; or None.
 
         Args:
             count: of frames.
-            field: its name; by default t, timestamps, timestamp or time.
-            unit: of its numbers, one of `TIME_UNITS_S`.
+            unit_s: the unit of times within frames; an archive's array is in s.
         """
-        field = field or next((name for name in _TIME_FIELDS if self.has(name)), None)
-        if field is None or not self.has(field):
+        field = next((name for name in _TIME_FIELDS if self.has(name)), None)
+        if field is None:
             return None
         if field in self.header:
-            t = self.array(field, ())
+            t = self.array(field, (), count=count)
         else:
             stamps = [frame.get(field) if isinstance(frame, Mapping) else None for frame in self.frames()]
-            t = _relative(stamps, TIME_UNITS_S[unit])
-        if len(t) != count:
-            raise self.error(f"{len(t)} {field} for {count} frames of data")
-        return Clock(t, field, unit) if np.isfinite(t).any() else None
+            t = _relative(stamps, unit_s)
+        return t if np.isfinite(t).any() else None
 
     def side(self) -> str | None:
         """The side that the file states, or None.
@@ -220,10 +198,8 @@ class Source:
             raise self.error(f"{field} '{side:.40}' is none of: {', '.join(SIDES)}")
         return side
 
-    def positions(
-        self, field: str, p: np.ndarray, column_major: bool = False
-    ) -> tuple[np.ndarray, list[Finding]]:
-        """Positions (T, J, 3) of joints given as points, poses or transforms, and what was repaired.
+    def positions(self, field: str, p: np.ndarray, column_major: bool = False) -> np.ndarray:
+        """Positions (T, J, 3) of joints given as points, poses or transforms.
 
         Args:
             field: name for messages.
@@ -231,16 +207,12 @@ class Source:
                 transforms; or (T, J, 16) and (T, J * 16), the transforms' numbers in a row.
             column_major: whether numbers in a row stand column by column, as graphics APIs give them.
         """
-        if p.shape[-1] == 7:
-            self._check_quaternions(field, p)
         if p.shape[-1] in (3, 7):
-            return p[..., :3], []
-        X, findings = self.transforms(field, p.reshape(len(p), -1, 4, 4), column_major and p.ndim < 4)
-        return X[..., :3, 3], findings
+            return p[..., :3]
+        X = p.reshape(len(p), math.prod(p.shape[1:]) // 16, 4, 4)
+        return self.transforms(field, X, column_major and p.ndim < 4)[..., :3, 3]
 
-    def transforms(
-        self, field: str, X: np.ndarray, column_major: bool = False
-    ) -> tuple[np.ndarray, list[Finding]]:
+    def transforms(self, field: str, X: np.ndarray, column_major: bool = False) -> np.ndarray:
         """Homogeneous transforms (T, J, 4, 4) with the translation in the last column, turned if need be.
 
         Raises:
@@ -253,37 +225,16 @@ class Source:
         # A matrix without translation may be either.
         uprights, turns = int((known & upright & ~turned).sum()), int((known & turned & ~upright).sum())
         bad = known & ~(turned if turns > uprights else upright)
+        what = f"{field} must hold rigid transforms, whose last row is 0 0 0 1"
         if len(X) and bad.sum() >= 0.5 * known.sum():
-            given = np.round(X[np.argmax(bad), 0, 3], 3).tolist() if bad.any() else "NaN"
-            raise self.error(f"{field} must hold rigid transforms, whose last row is 0 0 0 1, not {given}")
-        self.faults.add(
-            UNREADABLE, np.flatnonzero(bad), f"{field}: no rigid transform, whose last row is 0 0 0 1"
-        )
+            raise self.error(what)
+        self.faults.add(UNREADABLE, np.flatnonzero(bad), what)
         X = np.where(bad[:, None, None, None], np.nan, X)
         X = np.swapaxes(X, -1, -2) if turns > uprights else X
-        if uprights == turns or (turns > uprights) == column_major:
-            return X, []
-        expected, given = ("columns", "rows") if column_major else ("rows", "columns")
-        what = f"transforms are transposed: expected {expected}, got {given}"
-        advice = "transposed back; their zeros and ones confirm it"
-        return X, [warning("axes", what, field, advice)]
-
-    def _check_quaternions(self, field: str, poses: np.ndarray) -> None:
-        """Poses (T, J, 7) are positions and then quaternions, and not the other way round."""
-        known = poses[~empty_frames(poses)]
-
-        def off(part: slice) -> float:
-            norms = np.linalg.norm(known[..., part], axis=-1)
-            norms = norms[np.isfinite(norms)]
-            return float(np.median(np.abs(norms - 1.0))) if norms.any() else 0.0
-
-        last, first = off(slice(3, 7)), off(slice(0, 4))
-        if last >= 0.1 or (last >= 1e-2 > first):
-            advice = "; the quaternion stands first: move the position before it" if first < 1e-2 else ""
-            raise self.error(
-                f"{field} must hold px py pz and then a unit quaternion, but the norm of the last four "
-                f"numbers is off by {last:.3g}{advice}"
-            )
+        if uprights != turns and (turns > uprights) != column_major:
+            advice = "transposed back; their zeros and ones confirm it"
+            self.findings.append(warning("axes", "transforms are stored transposed", field, advice))
+        return X
 
 
 def frames_of(contents: Any) -> list:
@@ -295,6 +246,24 @@ def frames_of(contents: Any) -> list:
 def any_frame(contents: Any, fits: Callable[[Mapping], bool]) -> bool:
     """Whether one of the frames that are objects fits."""
     return any(fits(frame) for frame in frames_of(contents) if isinstance(frame, Mapping))
+
+
+def joints_of(frame: Any, field: str, names: Sequence[str]) -> list | None:
+    """A frame's joints, given in the order of `names` or by name; None without any.
+
+    Raises:
+        BadFrame: joints are missing.
+    """
+    given = frame.get(field) if isinstance(frame, Mapping) else f"in {frame!r:.40}"
+    if isinstance(given, Mapping):
+        if missing := [name for name in names if name not in given]:
+            raise BadFrame(f"{field} lacks {len(missing)} of {len(names)} joints, such as {missing[0]}")
+        return [given[name] for name in names]
+    if given in (None, []):
+        return None
+    if not isinstance(given, list) or len(given) != len(names):
+        raise BadFrame(f"{field} must hold {len(names)} joints, not {given!r:.60}")
+    return given
 
 
 def shape_in(contents: Any, field: str) -> tuple[int, ...]:
@@ -315,7 +284,20 @@ def empty_frames(values: np.ndarray) -> np.ndarray:
     return (values == 0.0).all(axis=tuple(range(1, values.ndim)))
 
 
-def shape_of(value: Any) -> tuple[int, ...] | None:
+def description(contents: Any) -> str:
+    """A file's contents in a few words."""
+    if isinstance(contents, Mapping):
+        parts = [
+            f"{name if isinstance(name, str) else type(name).__name__:.40}{getattr(value, 'shape', '')}"
+            for name, value in contents.items()
+        ]
+        return ", ".join(parts[:8]) + (", ..." if len(parts) > 8 else "") or "nothing"
+    if isinstance(contents, Table):
+        return f"columns {', '.join(contents.header[:5])}, ..."
+    return type(contents).__name__ + (f" of {len(contents)}" if isinstance(contents, list) else "")
+
+
+def _shape_of(value: Any) -> tuple[int, ...] | None:
     """The shape of a value in a frame; None where its rows differ in length."""
     try:
         return np.shape(value)
@@ -323,35 +305,15 @@ def shape_of(value: Any) -> tuple[int, ...] | None:
         return None
 
 
-def description(contents: Any) -> str:
-    """A file's contents in a few words."""
-    if isinstance(contents, Mapping):
-        names = (key if isinstance(key, str) else f"<{type(key).__name__}>" for key in contents)
-        shapes = (getattr(value, "shape", "") for value in contents.values())
-        parts = [f"{name:.40}{shape}" for name, shape in zip(names, shapes, strict=True)]
-        return ", ".join(parts[:8]) + (", ..." if len(parts) > 8 else "") or "nothing"
-    if isinstance(contents, Table):
-        return f"columns {', '.join(contents.header[:5])}, ..."
-    if isinstance(contents, list):
-        return f"a list of {len(contents)}" + (f" {type(contents[0]).__name__}" if contents else "")
-    return type(contents).__name__
-
-
-def _is_number(value: Any) -> bool:
-    """Whether a value of a JSON file is a number that a float holds; JSON's integers have no bound."""
-    if isinstance(value, int) and not isinstance(value, bool):
-        return abs(value) < 1 << 1000
-    return isinstance(value, float) and np.isfinite(value)
-
-
-def _relative(stamps: Iterable[Any], unit_s: float) -> np.ndarray:
+def _relative(stamps: Sequence[Any], unit_s: float) -> np.ndarray:
     """Times (T,), s, from the first; NaN for what is no number."""
-    stamps = [stamp if _is_number(stamp) else None for stamp in stamps]
-    numbers = sorted(stamp for stamp in stamps if stamp is not None)
+    # JSON's integers have no bound.
+    known = [isinstance(stamp, int | float) and -1e300 < stamp < 1e300 for stamp in stamps]
+    numbers = sorted(itertools.compress(stamps, known))
     if not numbers:
         return np.full(len(stamps), np.nan)
     # Nanoseconds since an epoch exceed what a double resolves, so the start is taken off first.
     start = numbers[len(numbers) // 2]
-    if stamps[0] is not None and abs(stamps[0] - start) * unit_s < _ONE_WEEK_S:
+    if known[0] and abs(stamps[0] - start) * unit_s < _ONE_WEEK_S:
         start = stamps[0]
-    return np.array([np.nan if stamp is None else (stamp - start) * unit_s for stamp in stamps])
+    return np.array([(t - start) * unit_s if good else np.nan for t, good in zip(stamps, known, strict=True)])

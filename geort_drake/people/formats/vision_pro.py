@@ -29,18 +29,16 @@ from geort_drake.people.formats.source import (
     KEYPOINTS_OF_25,
     NO_HAND,
     UNREADABLE,
-    BadFrame,
     Format,
     Source,
     Tracks,
     any_frame,
-    description,
     empty_frames,
-    shape_of,
+    joints_of,
 )
 from geort_drake.people.recording import SIDES
 
-_JOINT_FIELDS = ("fingers", "arm")
+_FIELDS = ("fingers", "arm")
 _APP_HANDS = [f"{side}Hand" for side in SIDES]
 # The 21 keypoints by the names of tracking.jsonl.
 _APP_JOINTS = ("wrist",) + tuple(
@@ -56,7 +54,7 @@ def _is_app(contents: Any) -> bool:
 
 
 def _is_vision_pro(contents: Any) -> bool:
-    fields = {f"{side}_{field}" for side in SIDES for field in _JOINT_FIELDS}
+    fields = {f"{side}_{field}" for side in SIDES for field in _FIELDS}
     if isinstance(contents, Mapping) and fields & contents.keys():
         return True
     return _is_app(contents) or any_frame(contents, lambda frame: bool(fields & frame.keys()))
@@ -65,45 +63,26 @@ def _is_vision_pro(contents: Any) -> bool:
 def _read_vision_pro(file: Source, side: str) -> Tracks:
     if _is_app(file.contents):
         return _read_app(file, side)
-    field = next((f"{side}_{name}" for name in _JOINT_FIELDS if file.has(f"{side}_{name}")), None)
-    if field is None:
-        raise file.error(
-            f"a {side} hand must be called {side}_fingers; it holds {description(file.contents)}"
-        )
-    X_JK, findings = file.transforms(field, file.array(field, (25, 4, 4), (27, 4, 4)))
+    field = next((name for end in _FIELDS if file.has(name := f"{side}_{end}")), f"{side}_fingers")
+    X_JK = file.transforms(field, file.array(field, (25, 4, 4), (27, 4, 4)))
     X_JK = X_JK[:, _wrist_place(file, field, X_JK) :][:, KEYPOINTS_OF_25]
-    p_JK, clock, wrist = X_JK[..., :3, 3], file.times(len(X_JK)), f"{side}_wrist"
+    p_JK, t, wrist = X_JK[..., :3, 3], file.times(len(X_JK)), f"{side}_wrist"
     if not file.has(wrist):
-        return Tracks(p_JK, clock, side=side, findings=findings)
-    X_WJ = file.array(wrist, (1, 4, 4), (4, 4)).reshape(-1, 1, 4, 4)
-    if len(X_WJ) != len(X_JK):
-        raise file.error(f"{len(X_WJ)} {wrist} for {len(X_JK)} frames of joints")
-    X_WJ, turned = file.transforms(wrist, X_WJ)
-    p_WK = _in_world(file, wrist, X_WJ[:, 0], p_JK)
-    return Tracks(p_WK, clock, world=True, side=side, findings=[*findings, *turned])
+        return Tracks(p_JK, t, side=side)
+    X_WJ = file.array(wrist, (1, 4, 4), (4, 4), count=len(X_JK)).reshape(-1, 1, 4, 4)
+    X_WJ = file.transforms(wrist, X_WJ)[:, 0]
+    return Tracks(_in_world(file, wrist, X_WJ, p_JK), t, world=True, side=side)
 
 
 def _read_app(file: Source, side: str) -> Tracks:
-    field = f"{side}Hand"
-    if not any_frame(file.contents, lambda frame: bool(frame.get(field))):
-        raise file.error(f"no frame has a {field}; the file holds only the other hand")
-
-    def joints(frame: Any) -> list | None:
-        hand = frame.get(field) if isinstance(frame, Mapping) else None
-        if hand is None:
-            return None
-        if not isinstance(hand, Mapping):
-            raise BadFrame(f"{field} must be an object with joints by name, not {hand!r:.40}")
-        for joint in _APP_JOINTS:
-            if shape_of(hand.get(joint)) != (16,):
-                raise BadFrame(f"{field}.{joint} must be 16 numbers, not {hand.get(joint)!r:.60}")
-        return [hand[joint] for joint in _APP_JOINTS]
-
-    rows = file.each(file.frames(), joints, (len(_APP_JOINTS), 16), field)
-    X, findings = file.transforms(field, rows.reshape(len(rows), -1, 4, 4), column_major=True)
+    hand, frames = f"{side}Hand", file.frames()
+    rows = file.each(frames, lambda frame: joints_of(frame, hand, _APP_JOINTS), (len(_APP_JOINTS), 16), hand)
+    if not np.isfinite(rows).any():
+        raise file.error(f"no frame has a {hand}; the file holds only the other hand")
+    X = file.transforms(hand, rows.reshape(len(rows), -1, 4, 4), column_major=True)
     p_JK = np.concatenate([np.zeros_like(X[:, :1, :3, 3]), X[:, 1:, :3, 3]], axis=1)
-    p_WK = _in_world(file, f"{field}.wrist", X[:, 0], p_JK)
-    return Tracks(p_WK, file.times(len(rows), "timestamp"), world=True, side=side, findings=findings)
+    p_WK = _in_world(file, f"{hand}.wrist", X[:, 0], p_JK)
+    return Tracks(p_WK, file.times(len(rows)), world=True, side=side)
 
 
 def _wrist_place(file: Source, field: str, X_JK: np.ndarray) -> int:
@@ -112,13 +91,8 @@ def _wrist_place(file: Source, field: str, X_JK: np.ndarray) -> int:
     places = (0,) if X_JK.shape[1] == 25 else (0, 2)
     moved = np.abs(X_JK[:, places] - np.eye(4)).max(axis=(2, 3), initial=0.0) > 1e-3
     place = int(np.argmin(moved[known].sum(axis=0)))
-    bad = np.flatnonzero(moved[:, place] & known)
-    if len(bad) > 0.5 * known.sum():
-        raise file.error(
-            f"{field} must hold joints in the wrist's frame, where the wrist's own transform (joint 0) is "
-            "the identity in every frame; these are in another frame, or in another order"
-        )
-    file.faults.add(UNREADABLE, bad, f"{field}: the wrist's own transform is not the identity")
+    what = f"{field} must hold joints in the wrist's frame, where the wrist's own transform is the identity"
+    _refuse_or_lose(file, moved[:, place] & known, known, what)
     return places[place]
 
 
@@ -127,20 +101,20 @@ def _in_world(file: Source, field: str, X_WJ: np.ndarray, p_JK: np.ndarray) -> n
     R = X_WJ[:, :3, :3]
     known = np.isfinite(R).all(axis=(1, 2)) & ~empty_frames(R)
     finite = np.where(known[:, None, None], R, np.eye(3))
-    mirrors = np.linalg.det(finite) < 0
     skews = np.abs(finite @ np.swapaxes(finite, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0) > 1e-2
-    bad = np.flatnonzero(mirrors | skews)
-    if len(bad):
-        what = "mirrors" if mirrors[bad[0]] else "scales or shears"
-        if len(bad) > 0.5 * known.sum():
-            raise file.error(f"{field} must hold rotations, but frame {bad[0]}'s {what}")
-        file.faults.add(UNREADABLE, bad, f"{field} is no rotation, it {what}")
+    what = f"{field} must hold rotations, which neither mirror nor scale"
+    _refuse_or_lose(file, skews | (np.linalg.det(finite) < 0), known, what)
     file.faults.add(NO_HAND, np.flatnonzero(empty_frames(R)))
     with np.errstate(invalid="ignore", over="ignore"):
         return p_JK @ np.swapaxes(R, 1, 2) + X_WJ[:, None, :3, 3]
 
 
-VISION_PRO = Format(
-    "Apple Vision Pro, 25 or 27 transforms", (".npz", ".pkl", ".pickle", ".jsonl"), _is_vision_pro,
-    _read_vision_pro,
-)  # fmt: skip
+def _refuse_or_lose(file: Source, bad: np.ndarray, known: np.ndarray, what: str) -> None:
+    """Raises where most of the known frames (T,) are bad; otherwise these are lost."""
+    if bad.sum() > 0.5 * known.sum():
+        raise file.error(what)
+    file.faults.add(UNREADABLE, np.flatnonzero(bad), what)
+
+
+_SUFFIXES = (".npz", ".pkl", ".pickle", ".jsonl")
+VISION_PRO = Format("Apple Vision Pro, 25 or 27 transforms", _SUFFIXES, _is_vision_pro, _read_vision_pro)

@@ -32,16 +32,16 @@ from geort_drake.people.formats.source import (
     Source,
     Tracks,
     frames_of,
+    joints_of,
     point,
     shape_in,
 )
 
 _SUFFIXES = (".json", ".jsonl", ".npz")
-_OPENXR_KEYPOINTS = [k + 1 for k in KEYPOINTS_OF_25]
-_PALM, _WRIST, _MIDDLE_PROXIMAL = 0, 1, 12
 _POSITION_VALID = 2  # XR_SPACE_LOCATION_POSITION_VALID_BIT
 _BONES = ("metacarpal", "phalanx-proximal", "phalanx-intermediate", "phalanx-distal", "tip")
-_WEBXR_JOINTS = (
+_JOINTS = (
+    "palm",
     "wrist",
     *(f"thumb-{bone}" for bone in _BONES if bone != "phalanx-intermediate"),
     *(f"{finger}-finger-{bone}" for finger in ("index", "middle", "ring", "pinky") for bone in _BONES),
@@ -53,90 +53,9 @@ def _is_openxr(contents: Any) -> bool:
     return shape_in(contents, "joints")[1:2] in ((26,), (416,)) or lists > objects
 
 
-def _read_openxr(file: Source, side: str) -> Tracks:
-    if frames_of(file.contents):
-        p, findings = file.positions("joints", file.each(file.frames(), _openxr_points, (26, 3), "joints"))
-        clock = file.times(len(p), "time", "ns")
-    else:
-        p, findings = file.positions("joints", file.array("joints", *_shapes(26)))
-        clock = file.times(len(p))
-    _check_palm(file, p)
-    p = np.where(_valid(file, len(p))[..., None], p, np.nan)
-    return Tracks(p[:, _OPENXR_KEYPOINTS], clock, world=True, side=file.side(), findings=findings)
-
-
-def _openxr_points(frame: Any) -> list | None:
-    if not isinstance(frame, Mapping):
-        raise BadFrame(f"expected an object, not {frame!r:.40}")
-    joints = frame.get("joints")
-    if frame.get("isActive") is False or joints in (None, []):
-        return None
-    if not isinstance(joints, list) or len(joints) != 26:
-        given = len(joints) if isinstance(joints, list) else type(joints).__name__
-        raise BadFrame(f"expected 26 joints, {given} given")
-    return [_openxr_point(joint) for joint in joints]
-
-
-def _openxr_point(joint: Any) -> Any:
-    if not isinstance(joint, Mapping):
-        return point(joint)
-    flags = joint.get("locationFlags", _POSITION_VALID)
-    if not isinstance(flags, int):
-        raise BadFrame(f"locationFlags must be an integer, not {flags!r:.40}")
-    return _position(joint.get("pose", joint)) if flags & _POSITION_VALID else point(None)
-
-
-def _position(pose: Any) -> Any:
-    return point(pose["position"] if isinstance(pose, Mapping) and "position" in pose else pose)
-
-
-def _valid(file: Source, count: int) -> np.ndarray:
-    if "valid" not in file.header:
-        return np.ones((count, 26), bool)
-    valid = np.asarray(file.header["valid"])
-    if valid.shape != (count, 26) or valid.dtype.kind not in "biu":
-        raise file.error(f"valid must be boolean of shape {(count, 26)}, not {valid.dtype} {valid.shape}")
-    return valid.astype(bool)
-
-
-def _check_palm(file: Source, p: np.ndarray) -> None:
-    """The palm comes first, which lies between the wrist and the knuckles."""
-    reach = np.linalg.norm(p[:, [_PALM, _WRIST]] - p[:, [_MIDDLE_PROXIMAL]], axis=-1)
-    reach = reach[np.isfinite(reach).all(axis=1)]
-    if len(reach) and np.median(reach[:, 0] - reach[:, 1]) > 0:
-        raise file.error(
-            "wrong joint order: joint 0 must be the palm and joint 1 the wrist, but joint 0 is farther from "
-            "the middle knuckle (joint 12); swap them"
-        )
-
-
 def _is_webxr(contents: Any) -> bool:
     lists, objects = _kinds(contents)
     return shape_in(contents, "joints")[1:2] in ((25,), (400,)) or objects > lists
-
-
-def _read_webxr(file: Source, side: str) -> Tracks:
-    if not frames_of(file.contents):
-        field, p = "joints", file.array("joints", *_shapes(25))
-        clock = file.times(len(p))
-    else:
-        field, clock = "poses", file.times(len(file.frames()), "time", "ms")
-        if file.has("poses"):
-            p = file.array("poses", (400,))
-        else:
-            p = file.each(file.frames(), _webxr_points, (25, 3), "joints")
-    p, findings = file.positions(field, p, column_major=True)
-    return Tracks(p[:, KEYPOINTS_OF_25], clock, world=True, side=file.side(), findings=findings)
-
-
-def _webxr_points(frame: Any) -> list:
-    joints = frame.get("joints") if isinstance(frame, Mapping) else None
-    if not isinstance(joints, Mapping):
-        raise BadFrame("joints must be an object with the names of XRHandJoint")
-    missing = [joint for joint in _WEBXR_JOINTS if joint not in joints]
-    if missing:
-        raise BadFrame(f"lacks {len(missing)} of 25 joints, such as {missing[0]}")
-    return [_position(joints[joint]) for joint in _WEBXR_JOINTS]
 
 
 def _kinds(contents: Any) -> tuple[int, int]:
@@ -146,8 +65,43 @@ def _kinds(contents: Any) -> tuple[int, int]:
     return lists, sum(isinstance(frame.get("joints"), Mapping) or "poses" in frame for frame in frames)
 
 
-def _shapes(joints: int) -> tuple[tuple[int, ...], ...]:
-    return (joints, 3), (joints, 7), (joints, 4, 4), (joints, 16), (joints * 16,)
+def _read_openxr(file: Source, side: str) -> Tracks:
+    return _read(file, _JOINTS, 1e-9, column_major=False)
+
+
+def _read_webxr(file: Source, side: str) -> Tracks:
+    return _read(file, _JOINTS[1:], 1e-3, column_major=True)
+
+
+def _read(file: Source, names: tuple[str, ...], unit_s: float, column_major: bool) -> Tracks:
+    count, field = len(names), "poses" if file.has("poses") else "joints"
+    if frames_of(file.contents) and field == "joints":
+        p = file.each(file.frames(), lambda frame: _points(frame, names), (count, 3), field)
+    else:
+        shapes = ((count, 3), (count, 7), (count, 4, 4), (count, 16), (count * 16,))
+        p = file.array(field, *shapes)
+    p = file.positions(field, p, column_major)
+    if "valid" in file.header:
+        p = np.where(file.array("valid", (count,), count=len(p))[..., None] != 0, p, np.nan)
+    p_WK = p[:, count - 25 :][:, KEYPOINTS_OF_25]
+    return Tracks(p_WK, file.times(len(p), unit_s), world=True, side=file.side())
+
+
+def _points(frame: Any, names: tuple[str, ...]) -> list | None:
+    if isinstance(frame, Mapping) and frame.get("isActive") is False:
+        return None
+    joints = joints_of(frame, "joints", names)
+    return joints and [_point(joint) for joint in joints]
+
+
+def _point(joint: Any) -> Any:
+    """The position of a joint, which stands in it or in its pose; NaN where its flags say that it is lost."""
+    if isinstance(joint, Mapping):
+        flags = joint.get("locationFlags", _POSITION_VALID)
+        if not isinstance(flags, int):
+            raise BadFrame(f"locationFlags must be an integer, not {flags!r:.40}")
+        joint = joint.get("pose", joint) if flags & _POSITION_VALID else None
+    return point(joint["position"] if isinstance(joint, Mapping) and "position" in joint else joint)
 
 
 OPENXR = Format("OpenXR, 26 joints", _SUFFIXES, _is_openxr, _read_openxr)
