@@ -14,8 +14,8 @@ from pydrake.math import RollPitchYaw
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from script_modules import load_script
 
+from geort_drake.cli import run_command
 from geort_drake.comparison.train import train_checkpoint
 from geort_drake.errors import HandError, OutputError
 from geort_drake.hands.assembly import add_hand_model
@@ -34,8 +34,6 @@ from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.retargeting.training.collision_geometry import CollisionGaps
 from geort_drake.simulation.diagram import make_grasp_diagram
 from geort_drake.simulation.scenario import load_scenario
-
-add_hand = load_script("add_hand.py")
 
 # The family: every number of fingers, format and kind of oddity, each with some of the others.
 FAMILY = [
@@ -189,7 +187,7 @@ def test_from_a_model_file_to_an_evaluated_retargeter(tmp_path):
     spec = FAMILY[2]
     model = write_hand(tmp_path, spec)
     file = tmp_path / "mine.yaml"
-    add_hand.main([str(model), "--output", str(file)])
+    run_command("add-hand", [str(model), "--output", str(file)])
     path = train_checkpoint(
         file,
         synthesize_play(seed=1, duration_s=60.0, rate_hz=30.0, side=spec.side),
@@ -211,7 +209,7 @@ def test_a_description_is_written_as_it_is_read(tmp_path):
     """The file names the model beside it, begins with the notes, and is not replaced unasked."""
     model = write_hand(tmp_path, HandSpec(3))
     file = tmp_path / "hand.yaml"
-    add_hand.main([str(model), "--name", "mine", "--output", str(file)])
+    run_command("add-hand", [str(model), "--name", "mine", "--output", str(file)])
     text = file.read_text(encoding="utf-8")
     assert text.startswith(
         "# Made by geort-drake add-hand from hand.urdf.\n# the model has no position controllers"
@@ -219,8 +217,8 @@ def test_a_description_is_written_as_it_is_read(tmp_path):
     assert yaml.safe_load(text)["model"] == "hand.urdf"
     assert load_hand(file) == propose(model, "mine").description
     with pytest.raises(OutputError, match=r"hand\.yaml exists"):
-        add_hand.main([str(model), "--output", str(file)])
-    add_hand.main([str(model), "--output", str(file), "--overwrite"])
+        run_command("add-hand", [str(model), "--output", str(file)])
+    run_command("add-hand", [str(model), "--output", str(file), "--overwrite"])
     assert load_hand(file).name == "hand"
 
 
@@ -228,7 +226,9 @@ def test_the_hand_is_recorded(tmp_path):
     """The recording holds the fingertip points and the axes of the hand base."""
     pytest.importorskip("rerun")
     model = write_hand(tmp_path, HandSpec(2))
-    add_hand.main([str(model), "--output", str(tmp_path / "a.yaml"), "--rrd", str(tmp_path / "a.rrd")])
+    run_command(
+        "add-hand", [str(model), "--output", str(tmp_path / "a.yaml"), "--rrd", str(tmp_path / "a.rrd")]
+    )
     content = (tmp_path / "a.rrd").read_bytes()
     assert b"tips/index" in content and b"hand_base/x" in content
 
@@ -358,7 +358,7 @@ def test_models_that_cannot_be_used_are_refused(kind, change, message, tmp_path)
 
 def test_on_the_arm_only_listed_joints_are_commanded(tmp_path):
     """A replayed glove moves a described hand in the shipped scenario, with its followers."""
-    add_hand.main([str(write_hand(tmp_path, HandSpec(4))), "--output", str(tmp_path / "mine.yaml")])
+    run_command("add-hand", [str(write_hand(tmp_path, HandSpec(4))), "--output", str(tmp_path / "mine.yaml")])
     hand = HandModel(load_hand(tmp_path / "mine.yaml"))
     play = synthesize_play(seed=0, duration_s=0.4, rate_hz=30.0)
     still = dc.replace(play, X_WH=np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(play.t), 1)))

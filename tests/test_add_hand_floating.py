@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
-from script_modules import load_script
 
+from geort_drake.cli import run_command
 from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
@@ -82,11 +82,10 @@ def test_on_a_fixed_base_only_the_fingers_move():
 
 def test_a_replay_without_wrist_poses_needs_a_fixed_base(tmp_path):
     """And a fixed base needs a replay."""
-    simulate_grasp = load_script("simulate_grasp.py")
     play = synthesize_play(seed=0, duration_s=2.0, rate_hz=60.0)
     play.save(tmp_path / "play.npz")
     words = ["--output", str(tmp_path / "out"), "--objects", "cube"]
     with pytest.raises(ScenarioError, match=r"play\.npz: .* needs wrist poses .* --scenario-name Fixed"):
-        simulate_grasp.main([*words, "--replay", str(tmp_path / "play.npz")])
+        run_command("grasp", [*words, "--replay", str(tmp_path / "play.npz")])
     with pytest.raises(ScenarioError, match="scenario 'Fixed': the operator cannot grasp with a fixed base"):
-        simulate_grasp.main([*words, "--scenario_name", "Fixed"])
+        run_command("grasp", [*words, "--scenario_name", "Fixed"])

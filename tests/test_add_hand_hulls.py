@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hand_family import HandSpec, write_hand
 from pydrake.geometry import Role
-from script_modules import load_script
 
+from geort_drake.cli import run_command
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.importers.checks import examine
 from geort_drake.hands.importers.conversion import add_hulls
@@ -88,7 +88,7 @@ def test_the_command_describes_a_copy(tmp_path):
     before = model.read_bytes()
     output = tmp_path / "described" / "hand.yaml"
     output.parent.mkdir()
-    load_script("add_hand.py").main([str(model), "--hulls", "--output", str(output), "--quiet"])
+    run_command("add-hand", [str(model), "--hulls", "--output", str(output), "--quiet"])
     assert model.read_bytes() == before
     hand = HandModel(load_hand(output))
     assert hand.scene_graph.model_inspector().NumGeometriesWithRole(Role.kProximity) == 9

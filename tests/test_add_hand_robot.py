@@ -4,13 +4,11 @@ import re
 
 import pytest
 from hand_family import HandSpec, write_hand
-from script_modules import load_script
 
+from geort_drake.cli import run_command
 from geort_drake.errors import HandError, UnknownNameError
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.importers.proposal import propose
-
-add_hand = load_script("add_hand.py")
 
 
 def _robot(folder, arm_joints: int, legs: int = 0, hands=("left", "right"), fingers: int = 3):
@@ -74,7 +72,7 @@ def test_more_than_one_hand_is_refused(tmp_path, arm_joints, legs, hands, messag
 def test_the_named_palm_of_a_robot_is_described(tmp_path, side):
     """With its own fingers; all other joints are held, in one note."""
     robot = _robot(tmp_path, 7, legs=2)
-    add_hand.main([str(robot), "--palm", f"{side}_palm", "--output", str(tmp_path / "hand.yaml")])
+    run_command("add-hand", [str(robot), "--palm", f"{side}_palm", "--output", str(tmp_path / "hand.yaml")])
     description = load_hand(tmp_path / "hand.yaml")
     assert description.side == side
     assert description.base_pose.relative_to == f"{side}_palm"

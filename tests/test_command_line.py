@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from script_modules import SCRIPTS
 
 from geort_drake.cli import COMMANDS, main, parser_of, run_command
 from geort_drake.cli.check_recording import FORMATS
@@ -34,6 +33,7 @@ from geort_drake.cli.options import (
 from geort_drake.console import console, progress_bar, run_main, warn
 from geort_drake.errors import OutputError, RecordingError, UsageError
 
+SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 HEAVY = {"numpy", "rich", "torch", "pydrake", "rerun", "scipy", "matplotlib", "pyarrow", "joblib"}
 
 

@@ -5,8 +5,8 @@ import shlex
 
 import numpy as np
 import pytest
-from script_modules import load_script
 
+from geort_drake.cli import run_command
 from geort_drake.comparison.comparison import Comparison, Evaluation, Outcome
 from geort_drake.comparison.metric_table import mean
 from geort_drake.comparison.metrics import evaluate_frames, pinch, robot_space
@@ -67,7 +67,7 @@ def evaluate(play, quick, monkeypatch, tmp_path):
 
     def run(arguments: str):
         command = f"--recording hand.npz --frames 40 --json table.json {arguments}"
-        code = load_script("evaluate_retargeting.py").main(shlex.split(command))
+        code = run_command("evaluate", shlex.split(command))
         return code, json.loads((tmp_path / "table.json").read_text("utf-8"))
 
     return run

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from light_metrics import lighten
-from script_modules import SCRIPTS
 
 from geort_drake.cli import COMMANDS, load_command, parser_of, run_command
 from geort_drake.comparison import train as comparison_train
@@ -21,7 +20,8 @@ from geort_drake.resources import diagrams_dir
 from geort_drake.simulation.scenario import load_scenario
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
-ROOT = SCRIPTS.parent
+ROOT = Path(__file__).resolve().parents[1]
+SCRIPTS = ROOT / "scripts"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FENCE = re.compile(r"^ *```(?:sh|bash)\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
 DOOR = re.compile(r'main\(\["([\w-]+)"')

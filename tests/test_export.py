@@ -9,8 +9,8 @@ import pytest
 from rerun.experimental import LeRobotReader
 from rerun_world import read
 from scipy.spatial.transform import Rotation
-from script_modules import load_script
 
+from geort_drake.cli import run_command
 from geort_drake.errors import OutputError, RecordingError, UsageError
 from geort_drake.export.episode import episode_of, glove_at, newest, read_episodes
 from geort_drake.export.hand_recordings import write_hand, write_joint_sweep
@@ -240,18 +240,17 @@ def test_what_cannot_be_exported_is_refused(run, tmp_path):
 
 def test_the_script_exports_runs_and_recordings(run, tmp_path):
     """Parquet of both; a recording of a hand as Rerun's file, which a run has already."""
-    export = load_script("export_run.py").main
-    export([str(run), str(tmp_path / "lerobot"), "--format", "lerobot", "--fps", "10"])
+    run_command("export", [str(run), str(tmp_path / "lerobot"), "--format", "lerobot", "--fps", "10"])
     assert LeRobotReader(tmp_path / "lerobot").episodes() == [0, 1]
     hand = tmp_path / "hand.npz"
     synthesize_play(0, 12.0, 30.0).save(hand)
-    export([str(hand), str(tmp_path / "hand")])
+    run_command("export", [str(hand), str(tmp_path / "hand")])
     (table,) = (tmp_path / "hand" / "frames").iterdir()
     assert pq.read_metadata(table).num_rows == 360
     with pytest.raises(OutputError, match="Rerun recordings already"):
-        export([str(run), str(tmp_path / "x.rrd"), "--format", "rrd"])
+        run_command("export", [str(run), str(tmp_path / "x.rrd"), "--format", "rrd"])
     with pytest.raises(UsageError, match=r"must end with \.rrd"):
-        export([str(hand), str(tmp_path / "x"), "--format", "rrd"])
+        run_command("export", [str(hand), str(tmp_path / "x"), "--format", "rrd"])
 
 
 def test_a_glove_is_held_between_its_frames():

@@ -4,8 +4,8 @@ import json
 
 import pytest
 import yaml
-from script_modules import load_script
 
+from geort_drake.cli import run_command
 from geort_drake.comparison.train import training_config
 from geort_drake.errors import HandError
 from geort_drake.hands.description import load_hand
@@ -50,11 +50,10 @@ def test_they_do_not_change_the_digest(described):
 def test_training_uses_and_records_them(described, tmp_path):
     """The checkpoint's configuration holds them."""
     synthesize_play(5, 12.0, 30.0).save(tmp_path / "play.npz")
-    train = load_script("train_retargeter.py").main
     hand = described({"linear_offline": {"steps": 6, "hidden": 9}})
     command = ["--hand", str(hand), "--recording", str(tmp_path / "play.npz"), "--method", "linear_offline"]
     rest = ["--robot_samples", "2000", "--set", "points=5", "--quiet"]
-    assert train([*command, *rest, "--output", str(tmp_path / "map")]) == 0
+    assert run_command("train", [*command, *rest, "--output", str(tmp_path / "map")]) == 0
     training = json.loads((tmp_path / "map" / "config.json").read_text())["training"]
     assert (training["steps"], training["hidden"], training["points"]) == (6, 9, 5)
 
@@ -78,7 +77,6 @@ def test_bad_settings_are_refused_with_hand_and_field(described, training, messa
 
 def test_add_hand_checks_them(described):
     """For every method, when it checks a description."""
-    check = load_script("add_hand.py").main
-    check([str(described(OWN))])
+    run_command("add-hand", [str(described(OWN))])
     with pytest.raises(HandError, match="training: unknown setting of linear_offline 'closed_target'"):
-        check([str(described({"linear_offline": {"closed_target": 0.9}}))])
+        run_command("add-hand", [str(described({"linear_offline": {"closed_target": 0.9}}))])

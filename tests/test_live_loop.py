@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pydrake.lcm import DrakeLcm
-from script_modules import SCRIPTS, load_script
 
+from geort_drake.cli import run_command
 from geort_drake.errors import HandError, LiveError, RecordingError
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
@@ -84,11 +84,11 @@ def desk(tmp_path_factory):
 
 @contextlib.contextmanager
 def program(folder: Path, name: str, *arguments: str, stdin: int = subprocess.DEVNULL):
-    """A script in a process of its own, which is gone afterwards whatever happens."""
+    """A command in a process of its own, which is gone afterwards whatever happens."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1", "COLUMNS": "200"}
     with open(folder / f"{name}.log", "w") as log, open(folder / f"{name}.json", "w") as out:
         process = subprocess.Popen(
-            [sys.executable, str(SCRIPTS / f"{name}.py"), *arguments],
+            [sys.executable, "-m", "geort_drake", name, *arguments],
             stdin=stdin, stdout=out, stderr=log, env=environment,
         )  # fmt: skip
         try:
@@ -128,17 +128,17 @@ def test_the_loop_runs_over_loopback(desk, tmp_path, lcm_url):
 
     glove = f"ipc://{tmp_path}/glove"
     with (
-        program(tmp_path, "stand_in_robot", "--lcm", f"lcm+{lcm_url}"),
+        program(tmp_path, "stand-in-robot", "--lcm", f"lcm+{lcm_url}"),
         program(
-            tmp_path, "publish_recording", str(desk / "hand.npz"), "--to", f"pub+{glove}", "--loop"
+            tmp_path, "publish", str(desk / "hand.npz"), "--to", f"pub+{glove}", "--loop"
         ) as publisher,
         program(
-            tmp_path, "teleoperate", "--glove", f"sub+{glove}", "--robot", f"lcm+{lcm_url}",
+            tmp_path, "live", "--glove", f"sub+{glove}", "--robot", f"lcm+{lcm_url}",
             "--retargeter", str(desk / "checkpoint"), "--engage", "now", "--relax_after", "0.5",
             "--timeout", str(PATIENCE_S), "--robot_silence", "20", "--json",
         ) as teleoperation,
     ):  # fmt: skip
-        said(tmp_path, "teleoperate", "tracking")
+        said(tmp_path, "live", "tracking")
         low = high = statuses(1)[0].commanded
         # A busy machine plays the glove slowly: wait for the motion, not for a number of messages.
         deadline = time.monotonic() + PATIENCE_S
@@ -146,9 +146,9 @@ def test_the_loop_runs_over_loopback(desk, tmp_path, lcm_url):
             commanded = statuses(1)[0].commanded
             low, high = np.minimum(low, commanded), np.maximum(high, commanded)
         publisher.kill()
-        said(tmp_path, "teleoperate", "relaxing")
+        said(tmp_path, "live", "relaxing")
         teleoperation.send_signal(signal.SIGINT)
-        assert teleoperation.wait(PATIENCE_S) == 0, (tmp_path / "teleoperate.log").read_text()
+        assert teleoperation.wait(PATIENCE_S) == 0, (tmp_path / "live.log").read_text()
         statuses(50)  # what was still under way
         held = statuses(100)
 
@@ -156,8 +156,8 @@ def test_the_loop_runs_over_loopback(desk, tmp_path, lcm_url):
     # The robot goes on, and holds to the last bit what it was told last.
     assert len({status.commanded.tobytes() for status in held}) == 1
     assert np.isfinite([status.position for status in held]).all()
-    said(tmp_path, "teleoperate", "disengaged: held")
-    report = json.loads((tmp_path / "teleoperate.json").read_text())
+    said(tmp_path, "live", "disengaged: held")
+    report = json.loads((tmp_path / "live.json").read_text())
     assert report["glove"]["received"] > 20
     assert report["glove"]["refused"] == report["robot"]["refused"] == 0
     command, echo = (report["latency_s"][name] for name in ("command", "echo"))
@@ -173,16 +173,16 @@ def test_a_replay_drives_the_simulation(desk, tmp_path, backend):
     if backend == "numba":
         pytest.importorskip("numba")
     with program(
-        tmp_path, "teleoperate", "--glove", str(desk / "hand.npz"), "--retargeter", str(desk / "checkpoint"),
+        tmp_path, "live", "--glove", str(desk / "hand.npz"), "--retargeter", str(desk / "checkpoint"),
         "--record", str(tmp_path / "kept.npz"), "--json", "--backend", backend, stdin=subprocess.PIPE,
     ) as teleoperation:  # fmt: skip
         # The first Enter is there before the loop begins, so only the second one disengages.
         for state in ("tracking", "disengaged: held"):
             os.write(teleoperation.stdin.fileno(), b"\n")
-            said(tmp_path, "teleoperate", state)
+            said(tmp_path, "live", state)
         teleoperation.terminate()
-        assert teleoperation.wait(PATIENCE_S) == 0, (tmp_path / "teleoperate.log").read_text()
-    report = json.loads((tmp_path / "teleoperate.json").read_text())
+        assert teleoperation.wait(PATIENCE_S) == 0, (tmp_path / "live.log").read_text()
+    report = json.loads((tmp_path / "live.json").read_text())
     assert report["states"]["disengaged: held"] > 0.4
     with np.load(tmp_path / "kept.npz") as kept:
         assert len(kept["t"]) >= 100 * report["duration"]
@@ -193,7 +193,7 @@ def test_a_killed_session_keeps_its_recording(desk, tmp_path):
     """All but the last seconds; it is read under the file's name."""
     kept = tmp_path / "kept.npz"
     with program(
-        tmp_path, "teleoperate", "--glove", str(desk / "hand.npz"), "--retargeter", str(desk / "checkpoint"),
+        tmp_path, "live", "--glove", str(desk / "hand.npz"), "--retargeter", str(desk / "checkpoint"),
         "--record", str(kept), "--engage", "now",
     ) as teleoperation:  # fmt: skip
         part = tmp_path / "kept.npz.parts" / "000000.npz"
@@ -274,4 +274,4 @@ def test_teleoperation_that_cannot_start_says_why(desk, arguments, error, told, 
     """Before it listens to anything or trains."""
     monkeypatch.chdir(desk)
     with pytest.raises(error, match=told):
-        load_script("teleoperate.py").main(arguments)
+        run_command("live", arguments)

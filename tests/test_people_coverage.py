@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
-from script_modules import load_script
 
+from geort_drake.cli import run_command
 from geort_drake.people.checks import examine, verdict
 from geort_drake.people.coverage import PINCHES, coverage, finger_motions, pinch_distances, pinches
 from geort_drake.people.human_hand import HumanHand
@@ -90,14 +90,13 @@ def test_a_pinch_that_trembles_counts_once():
     assert pinches(np.array([near, near])) == 0
 
 
-def test_the_watch_ends_when_nothing_is_missing(tmp_path, shown, capsys):
+def test_the_watch_ends_when_nothing_is_missing(tmp_path, shown, capsys, monkeypatch):
     """A file that grows while it is watched: first something is missing, then nothing."""
     recording, _ = shown
     path = tmp_path / "hand.npz"
     half = len(recording) // 2
     Recording(recording.t[:half], recording.p_HK[:half], recording.valid[:half]).save(path)
-    module = load_script("import_recording.py")
-    module._POLL_PERIOD_S = 0.05
+    monkeypatch.setattr("geort_drake.cli.check_recording._POLL_PERIOD_S", 0.05)
     ended = threading.Event()
 
     def finish():
@@ -107,7 +106,7 @@ def test_the_watch_ends_when_nothing_is_missing(tmp_path, shown, capsys):
 
     writer = threading.Thread(target=finish)
     writer.start()
-    module.main([str(path), "--watch"])
+    run_command("check-recording", [str(path), "--watch"])
     ended.set()
     writer.join()
     assert "coverage: 15 of 15" in capsys.readouterr().err
@@ -163,7 +162,7 @@ def test_motions_are_those_of_the_fingers_learned_from():
 def test_the_demonstration_is_a_rerun_recording(tmp_path):
     """The hand moves, and a lane names the steps in their order."""
     output = tmp_path / "protocol.rrd"
-    load_script("show_capture_protocol.py").main(["--output", str(output)])
+    run_command("capture", ["--output", str(output)])
     steps: list[str] = []
     drawn = 0
     for chunk in RrdReader(output).stream():

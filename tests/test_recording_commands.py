@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 from matplotlib import pyplot as plt
-from script_modules import load_script
 
 from geort_drake.cli import run_command
 from geort_drake.errors import RecordingError
@@ -51,12 +50,11 @@ def test_converting_writes_a_recording_and_reports_its_health(npy, tmp_path, cap
     assert captured.out == ""
 
 
-def test_the_old_script_checks_one_file_and_converts_to_a_second(npy, tmp_path):
-    """Options may stand between both."""
-    script = load_script("import_recording.py").main
-    script([str(npy)])
+def test_checking_writes_nothing_unless_there_is_a_second_file(npy, tmp_path):
+    """As the old script; options may stand between both files."""
+    run_command("check-recording", [str(npy)])
     assert list(tmp_path.iterdir()) == []
-    script([str(npy), "--side", "right", str(tmp_path / "hand.npz"), "--rate", "60"])
+    run_command("check-recording", [str(npy), "--side", "right", str(tmp_path / "hand.npz"), "--rate", "60"])
     assert Recording.load(tmp_path / "hand.npz").rate_hz == pytest.approx(60.0)
 
 

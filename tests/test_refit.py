@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 from retargeting_toy import toy_data, toy_human, toy_kinematics
-from script_modules import load_script
 
+from geort_drake.cli import run_command
 from geort_drake.comparison.refit import refit_checkpoint
 from geort_drake.comparison.train import train_checkpoint
 from geort_drake.errors import CheckpointError, RecordingError, TrainingError
@@ -142,7 +142,7 @@ def test_the_command_writes_an_ordinary_checkpoint(trained):
     hand = dataclasses.replace(hand, p_HK=1.1 * hand.p_HK)
     hand.save(trained / "hand.npz")
     arguments = [str(trained / "old"), str(trained / "hand.npz"), str(trained / "new"), "--steps", "10"]
-    load_script("refit_retargeter.py").main(arguments)
+    run_command("refit", arguments)
     old, new = load_checkpoint(trained / "old"), load_checkpoint(trained / "new")
     retarget = load_retargeter(trained / "new")
     q = retarget(hand.p_HK[:30])

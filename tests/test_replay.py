@@ -6,11 +6,11 @@ import json
 import numpy as np
 import pytest
 from grasp_setup import allegro, person_and_rest, scenario_with
-from script_modules import load_script
 
 from geort_drake.benchmark import replay, trials
 from geort_drake.benchmark.records import read_records
 from geort_drake.benchmark.replay import as_recorded, summarize_replay
+from geort_drake.cli import run_command
 from geort_drake.errors import BenchmarkError, RecordingError, ScenarioError
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.methods.trivial import Hold
@@ -80,17 +80,15 @@ def test_the_summary_pools_sessions_and_begins_without_a_change():
 
 
 @pytest.fixture
-def script(monkeypatch, tmp_path):
-    """The script, with a method that needs no training in place of a checkpoint."""
-    module = load_script("evaluate_replay.py")
+def untrained(monkeypatch, tmp_path):
+    """A method that needs no training in place of a checkpoint, and trials in this process."""
     monkeypatch.setattr(trials, "call_in_workers", lambda call, arguments, *_: (call(*a) for a in arguments))
     monkeypatch.setattr(replay, "load_retargeter", lambda *_: Hold(allegro().kinematics()))
     (tmp_path / "map").mkdir()
     (tmp_path / "map" / replay.WEIGHTS).write_bytes(b"a known map")
-    return module
 
 
-def test_sessions_are_replayed_under_every_change_and_gone_on_with(script, tmp_path):
+def test_sessions_are_replayed_under_every_change_and_gone_on_with(untrained, tmp_path):
     """One trial without a change, some with each; more trials add to them; another map is refused."""
     session(object="cube", seed=3).save(tmp_path / "cube-3.glove.npz")
     folder = tmp_path / "out"
@@ -99,11 +97,11 @@ def test_sessions_are_replayed_under_every_change_and_gone_on_with(script, tmp_p
         "--jobs", "1", "--scenario_text", "{monitor: {hold_time: 0.01}}", "--perturb", "position=0,20",
         "mass=0.5",
     ]  # fmt: skip
-    assert script.main([*common, "--trials", "1"]) == 0
+    assert run_command("replay", [*common, "--trials", "1"]) == 0
     before = read_records(folder / "trials.jsonl")
     assert [record.get("condition", "") for record in before] == ["", "position=20", "mass=0.5"]
     assert {record["method"] for record in before} == {"cube-3"}
-    assert script.main([*common, "--trials", "2"]) == 0
+    assert run_command("replay", [*common, "--trials", "2"]) == 0
     records = read_records(folder / "trials.jsonl")
     assert records[:3] == before and len(records) == 5
     summary = json.loads((folder / "summary.json").read_text())
@@ -112,18 +110,18 @@ def test_sessions_are_replayed_under_every_change_and_gone_on_with(script, tmp_p
     assert (folder / "success.svg").read_text().startswith("<svg")
     (tmp_path / "map" / replay.WEIGHTS).write_bytes(b"another map")
     with pytest.raises(BenchmarkError, match="begun with another weights_sha256"):
-        script.main([*common, "--trials", "2"])
+        run_command("replay", [*common, "--trials", "2"])
 
 
-def test_what_cannot_be_replayed_is_refused_by_its_file(script, tmp_path):
+def test_what_cannot_be_replayed_is_refused_by_its_file(untrained, tmp_path):
     """No wrist poses, and a share above what can be drawn; nothing is written."""
     dc.replace(session(object="cube"), X_WH=None).save(tmp_path / "glove.npz")
     session(object="cube").save(tmp_path / "good.npz")
     common = ["--retargeter", str(tmp_path / "map"), "--output", str(tmp_path / "out")]
     with pytest.raises(ScenarioError, match=r"glove\.npz: a replay needs wrist poses"):
-        script.main([str(tmp_path / "glove.npz"), *common])
+        run_command("replay", [str(tmp_path / "glove.npz"), *common])
     with pytest.raises(ScenarioError, match=r"mass_range must be in \[0, 1\), not 1\.5"):
-        script.main([str(tmp_path / "good.npz"), *common, "--perturb", "mass=1.5"])
+        run_command("replay", [str(tmp_path / "good.npz"), *common, "--perturb", "mass=1.5"])
     with pytest.raises(RecordingError, match=r"none\.npz"):
-        script.main([str(tmp_path / "none.npz"), *common])
+        run_command("replay", [str(tmp_path / "none.npz"), *common])
     assert not (tmp_path / "out").exists()

@@ -5,14 +5,15 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
-from script_modules import load_script
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
 def pictures():
-    return load_script("../studies/pictures.py")
+    from studies import pictures
+
+    return pictures
 
 
 def test_every_picture_of_the_docs_can_be_made_anew(pictures):

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 import torch
-from script_modules import load_script
 
+from geort_drake.cli import run_command
 from geort_drake.comparison.metrics import evaluate
 from geort_drake.comparison.train import train_checkpoint
 from geort_drake.errors import CheckpointError, UnknownNameError
@@ -116,19 +116,14 @@ def test_unknown_names_are_refused_before_any_work(play, tmp_path):
         train_checkpoint("allegro_right", play, tmp_path)
 
 
-@pytest.fixture
-def script(light_evaluation):
-    """The training command."""
-    return load_script("train_retargeter.py").main
-
-
-def test_the_command_passes_on_presets_and_settings(script, play, tmp_path, capsys):
+@pytest.mark.usefixtures("light_evaluation")
+def test_the_command_passes_on_presets_and_settings(play, tmp_path, capsys):
     """--set and --steps take precedence over --preset; --json prints the stored metrics."""
     play.save(tmp_path / "play.npz")
     common = ["--recording", str(tmp_path / "play.npz"), "--robot_samples", "2000", "--quiet", "--steps", "3"]
 
     def trained(name, *more) -> dict:
-        assert script([*common, "--output", str(tmp_path / name), *more]) == 0
+        assert run_command("train", [*common, "--output", str(tmp_path / name), *more]) == 0
         return load_checkpoint(tmp_path / name).config["training"]
 
     quick = [f"--set={name}=5" for name in ("kinematics_steps", "classifier_steps", "points", "targets")]
@@ -146,7 +141,8 @@ def test_the_command_passes_on_presets_and_settings(script, play, tmp_path, caps
     assert trained("coupled", "--set", "jitter=0.002")["jitter"] == 0.002
 
 
-def test_shortcomings_of_the_recording_are_in_the_report(script, play, tmp_path, capsys):
+@pytest.mark.usefixtures("light_evaluation")
+def test_shortcomings_of_the_recording_are_in_the_report(play, tmp_path, capsys):
     """A finger that never pinches and one that hardly bends are named in checkpoint and report."""
     p_HK = play.p_HK.astype(float)
     index = slice(5, 9)
@@ -156,7 +152,7 @@ def test_shortcomings_of_the_recording_are_in_the_report(script, play, tmp_path,
     narrow = Recording(play.t[keep], p_HK[keep], play.valid[keep], None, {**play.metadata})
     narrow.save(tmp_path / "narrow.npz")
     arguments = ["--recording", str(tmp_path / "narrow.npz"), "--output", str(tmp_path / "run")]
-    assert script([*arguments, "--steps=2", "--robot_samples=2000"]) == 0
+    assert run_command("train", [*arguments, "--steps=2", "--robot_samples=2000"]) == 0
     found = load_checkpoint(tmp_path / "run").provenance["warnings"]
     motions = [text.split(":")[0] for text in found if text.startswith("narrow motion, ")]
     assert motions == ["narrow motion, index bends", "narrow motion, index moves sideways"]
@@ -166,12 +162,13 @@ def test_shortcomings_of_the_recording_are_in_the_report(script, play, tmp_path,
         assert f"warning: {text}" in shown
 
 
-def test_a_diverging_training_leaves_a_usable_checkpoint(script, play, tmp_path, capsys, allegro):
+@pytest.mark.usefixtures("light_evaluation")
+def test_a_diverging_training_leaves_a_usable_checkpoint(play, tmp_path, capsys, allegro):
     """An absurd learning rate ends with exit code 1, a warning, and the last good weights."""
     play.save(tmp_path / "play.npz")
     arguments = ["--recording", str(tmp_path / "play.npz"), "--output", str(tmp_path / "run"), "--quiet"]
     arguments += ["--steps", "40", "--robot_samples", "2000", "--set", "learning_rate=1e30"]
-    assert script(arguments) == 1
+    assert run_command("train", arguments) == 1
     assert "warning: the loss stopped being finite at step" in " ".join(capsys.readouterr().err.split())
     checkpoint = load_checkpoint(tmp_path / "run")
     assert checkpoint.provenance["training"]["stopped_at"] < 40

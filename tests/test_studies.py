@@ -1,20 +1,21 @@
 """Studies and benchmarks start; the sweep trains what is missing and compares it with the default run."""
 
+import importlib
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from script_modules import load_script
 
 from geort_drake.comparison.metric_table import mean
 from geort_drake.errors import TrainingError, UnknownNameError
 from geort_drake.retargeting.checkpoint import METRICS
+from studies import sweep
 
 ROOT = Path(__file__).resolve().parents[1]
-STUDIES = {path.name for path in (ROOT / "studies").glob("*.py")} - {"human_hand_model.py"}
-BENCHMARKS = {path.name for path in (ROOT / "benchmarks").glob("bench_*.py")}
-PROGRAMS = [*(f"studies/{name}" for name in STUDIES), *(f"benchmarks/{name}" for name in BENCHMARKS)]
+STUDIES = {path.stem for path in (ROOT / "studies").glob("*.py")} - {"human_hand_model"}
+BENCHMARKS = {path.stem for path in (ROOT / "benchmarks").glob("bench_*.py")}
+PROGRAMS = [*(f"studies.{name}" for name in STUDIES), *(f"benchmarks.{name}" for name in BENCHMARKS)]
 
 
 @pytest.mark.parametrize("program", sorted(PROGRAMS))
@@ -22,14 +23,13 @@ def test_a_program_starts_and_explains_itself(program, capsys, monkeypatch):
     """Everything it imports exists, and its help names its options."""
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
     with pytest.raises(SystemExit) as stopped:
-        load_script(f"../{program}").main(["--help"])
+        importlib.import_module(program).main(["--help"])
     assert stopped.value.code == 0
     assert capsys.readouterr().out.startswith("usage:")
 
 
 def test_a_sweep_compares_every_run_with_the_default_of_its_seed(tmp_path, monkeypatch):
     """A failed run leaves the others alone; the same command trains only what is missing."""
-    sweep = load_script("../studies/sweep.py")
     trained = []
 
     def train(hand, recording, output, method, seed, *, show_progress, settings):
@@ -60,7 +60,6 @@ def test_a_sweep_compares_every_run_with_the_default_of_its_seed(tmp_path, monke
 
 def test_a_sweep_without_names_varies_every_loss_weight():
     """Each is removed, halved and doubled; an unknown setting is refused."""
-    sweep = load_script("../studies/sweep.py")
     changes = list(sweep.changes_of("geort", {"steps": 9, "coverage_weight": 4.0, "pinch_weight": 1.0}, []))
     assert changes[:4] == [{}, *({"coverage_weight": value} for value in (0.0, 2.0, 8.0))]
     assert len(changes) == 7

@@ -33,52 +33,50 @@ def configuration(content: str) -> Callable[[Path], tuple]:
         (folder / "runs").mkdir()
         (folder / "runs" / "config.json").write_text(content)
         (folder / "runs" / "trials.jsonl").write_text("")
-        return "benchmark_grasping.py", "--output", "runs", "--report"
+        return "benchmark", "--output", "runs", "--report"
 
     return make
 
 
 _MAKERS: dict[str, tuple[Callable[[Path], tuple], str, str]] = {
     "a recording of a million years": (
-        words("synthesize_recording.py", "out.npz", "--duration", "3e13"),
+        words("synthesize", "out.npz", "--duration", "3e13"),
         "UsageError",
         "may be at most 5,000,000 frames",
     ),
     "a rate that is infinite": (
-        words("synthesize_recording.py", "out.npz", "--rate", "inf"),
+        words("synthesize", "out.npz", "--rate", "inf"),
         USAGE,
         "finite",
     ),
     "an output under a file": (
-        words("synthesize_recording.py", "/dev/null/out.npz"),
+        words("synthesize", "/dev/null/out.npz"),
         "OutputError",
         "/dev/null",
     ),
-    "an option that there is none of": (words("simulate_grasp.py", "--quick"), USAGE, "--quick"),
+    "an option that there is none of": (words("grasp", "--quick"), USAGE, "--quick"),
     "a setting that runs code": (
-        words(
-            "train_retargeter.py", "--output", "out", "--set", "steps=__import__('os').system('touch harm')"
-        ),
+        words("train", "--output", "out", "--set", "steps=__import__('os').system('touch harm')"),
         "GeortError",
         "must be int",
     ),
     "a setting that is not finite": (
-        words("train_retargeter.py", "--output", "out", "--set", "pinch_weight=nan"),
+        words("train", "--output", "out", "--set", "pinch_weight=nan"),
         "TrainingError|UnknownNameError",
         "pinch_weight",
     ),
     "a trial elsewhere": (
-        words("benchmark_grasping.py", "--output", "runs", "--rrd", "../../x", "cube", "0"),
+        words("benchmark", "--output", "runs", "--rrd", "../../x", "cube", "0"),
         "BenchmarkError",
         "no such file",
     ),
     "a method elsewhere": (
-        words("benchmark_grasping.py", "--output", "runs", "--methods", "../../../etc"),
+        words("benchmark", "--output", "runs", "--methods", "../../../etc"),
         "UnknownNameError",
         "method or checkpoint",
     ),
     "a sensitivity without numbers": (
-        words("benchmark_grasping.py", "--output", "runs", "--sensitivity", "delay=soon"),
+        words("benchmark", "--output", "runs", "--sensitivity", "delay=soon"),
         "GeortError|UnknownNameError|BenchmarkError",
         "delay",
     ),

@@ -23,7 +23,7 @@ def sdf() -> str:
 
 
 def trained(path: Path) -> tuple:
-    return "train_retargeter.py", "--hand", path, "--robot_samples", 10, "--output", "out", "--quiet"
+    return "train", "--hand", path, "--robot_samples", 10, "--output", "out", "--quiet"
 
 
 def described(text: str | bytes) -> Callable[[Path], tuple]:

@@ -33,7 +33,7 @@ def with_bytes(name: str, content: bytes) -> Callable[[Path], tuple]:
 
 
 def imports(path: Path) -> tuple:
-    return "import_recording.py", path, "out.npz"
+    return "convert", path, "out.npz"
 
 
 def npz(**arrays: object) -> Callable[[Path], tuple]:

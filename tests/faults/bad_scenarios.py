@@ -18,13 +18,13 @@ def file(text: str | bytes, name: str = "Grasp") -> Callable[[Path], tuple]:
     def make(folder: Path) -> tuple:
         path = folder / "bad.scenarios.yaml"
         path.write_bytes(text if isinstance(text, bytes) else text.encode())
-        return "simulate_grasp.py", "--scenario_file", path, "--scenario_name", name, "--output", "out"
+        return "grasp", "--scenario_file", path, "--scenario_name", name, "--output", "out"
 
     return make
 
 
 def text(words: str) -> Callable[[Path], tuple]:
-    return lambda folder: ("simulate_grasp.py", "--scenario_text", words, "--output", "out")
+    return lambda folder: ("grasp", "--scenario_text", words, "--output", "out")
 
 
 SCENARIO, NAME = "ScenarioError", "UnknownNameError"

@@ -12,8 +12,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from script_modules import load_script
-
 MEMORY = 2 << 30  # bytes that a process may ask for beyond what the imports took
 HANGING = 120.0  # s; whoever takes longer counts as hanging, also on a busy machine
 
@@ -81,11 +79,6 @@ def run(
 ) -> Ending:
     """A `Child` from start to end, for which it has so many seconds."""
     return Child(function, arguments, folder, beside, **limits).wait(seconds)
-
-
-def script(name: str, argv: list[str]) -> int | None:
-    """`main` of scripts/`name`."""
-    return load_script(name).main(argv)
 
 
 def _run(function: Callable, arguments: tuple, folder: Path, beside: Path, limits: dict[str, int]) -> None:

@@ -7,7 +7,8 @@ import stat
 from collections.abc import Callable
 from pathlib import Path
 
-from faults.child import run, script
+from faults.child import run
+from geort_drake.cli import run_command
 
 CODE = 2
 
@@ -19,7 +20,7 @@ class Case:
     Attributes:
         kind: what is malformed: recording, checkpoint, ...
         name: how.
-        make: writes the input into a folder and gives the script and its arguments, or a function of a
+        make: writes the input into a folder and gives the command and its arguments, or a function of a
             module and its arguments.
         error: name of the class of the error, or several with | between them.
         says: what the message must match.
@@ -46,7 +47,7 @@ def faults_of(case: Case, folder: Path) -> list[str]:
     command, *arguments = case.make(room)
     before = contents(folder / "room")
     if isinstance(command, str):
-        ending = run(script, (command, [str(word) for word in arguments]), room, folder / "beside")
+        ending = run(run_command, (command, [str(word) for word in arguments]), room, folder / "beside")
     else:
         ending = run(command, tuple(arguments), room, folder / "beside")
     wrong = []

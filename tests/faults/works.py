@@ -17,8 +17,8 @@ from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from faults.child import script
 from faults.sound import play, smooth_retargeter
+from geort_drake.cli import run_command
 from geort_drake.people.recording import Recording
 from geort_drake.people.recording_parts import RecordingParts, read_parts
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
@@ -55,7 +55,7 @@ def generate(seed: int) -> None:
     """A synthetic recording, and the robot's samples in their cache."""
     from geort_drake.hands.samples import robot_data
 
-    script("synthesize_recording.py", ["play.npz", "--duration", "20", "--seed", str(seed)])
+    run_command("synthesize", ["play.npz", "--duration", "20", "--seed", str(seed)])
     robot_data(allegro(), 300, seed, cache=Path())
 
 
@@ -104,7 +104,7 @@ def benchmark(seed: int, jobs: int = 1) -> None:
         mock.patch.object(trials, "plan", lambda *_: goal),
         mock.patch.object(folder, "synthesize_play", lambda seed, side: play()),
     ):
-        script("benchmark_grasping.py", argv)
+        run_command("benchmark", argv)
     if jobs > 1:
         # A script's interpreter does it at its end; that of a forked process does not.
         get_reusable_executor().shutdown()
