@@ -205,7 +205,7 @@ REFUSED = {
     ),
     "csv with decimal commas": (
         lambda f, h: write_manus_csv(f, h, commas(manus_table(h)), ";"),
-        "column Hand_X must be a number, not '.*,.*'; write decimals with points",
+        "line 2 must hold numbers with decimal points: .*'.*,.*'",
     ),
     "mediapipe in the picture": (
         lambda f, h: write_mediapipe(f, h, pictures(h)), "frame 0: .*image landmarks .* world landm"

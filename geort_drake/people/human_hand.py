@@ -101,15 +101,11 @@ class HumanHand:
         L = self.lengths
         c, s = np.cos(bend), np.sin(bend)
         p = np.zeros((*theta.shape[:-1], KEYPOINT_COUNT, 3))
-        chain = np.empty((*z.shape[:-1], 4, 3))
-        chain[..., 0, :] = 0.0
+        chain = np.zeros((*z.shape[:-1], 4, 3))
         chain[..., 1, :] = L[:, :1] * z
-        chain[..., 2, :] = (
-            chain[..., 1, :] + (L[:, 1] * c[..., 0])[..., None] * z + (L[:, 1] * s[..., 0])[..., None] * x
-        )
-        chain[..., 3, :] = (
-            chain[..., 2, :] + (L[:, 2] * c[..., 1])[..., None] * z + (L[:, 2] * s[..., 1])[..., None] * x
-        )
+        for i in (0, 1):
+            along, across = L[:, i + 1] * c[..., i], L[:, i + 1] * s[..., i]
+            chain[..., i + 2, :] = chain[..., i + 1, :] + along[..., None] * z + across[..., None] * x
         p_HK = chain @ self.R_HB.transpose(0, 2, 1) + self.p_HB[:, None]
         p[..., 1:, :] = p_HK.reshape(*p_HK.shape[:-3], 20, 3)
         return p
@@ -118,7 +114,8 @@ class HumanHand:
         """Computes fingertips p_HF (..., 5, 3), m, thumb to little, at joint angles theta (..., 20), rad."""
         z, x, _, _, bend = self._first_bone(np.asarray(theta, dtype=float))
         along, across = self._in_plane(bend)
-        return self._in_hand(along[..., None] * z + across[..., None] * x) + self.p_HB
+        p_BF = along[..., None] * z + across[..., None] * x
+        return (self.R_HB @ p_BF[..., None])[..., 0] + self.p_HB
 
     def fingertip_jacobians(self, theta: np.ndarray) -> np.ndarray:
         """Computes ∂p_HF/∂θ (..., 5, 3, 4), m/rad: each tip by the four joints of its own finger."""
@@ -238,24 +235,14 @@ class HumanHand:
         angles (..., 5, 2) of bones two and three to the first.
         """
         angles = theta.reshape(*theta.shape[:-1], 5, 4)
-        c, s = np.cos(angles[..., :2]), np.sin(angles[..., :2])
-        ca, cf, sa, sf = c[..., 0], c[..., 1], s[..., 0], s[..., 1]
-        z, y, x = np.empty((3, *angles.shape[:-1], 3))
-        z[..., 0], z[..., 1], z[..., 2] = sf * ca, sa, cf * ca
-        y[..., 0], y[..., 1], y[..., 2] = -sf * sa, ca, -cf * sa
-        x[..., 0], x[..., 1], x[..., 2] = cf, 0.0, -sf
-        cos_twist, sin_twist = np.cos(self.twist), np.sin(self.twist)
-        x = cos_twist[:, None] * x + sin_twist[:, None] * y
-        return z, x, y, sin_twist, np.cumsum(angles[..., 2:], axis=-1)
+        x, y, z = _bone_axes(angles[..., 0], angles[..., 1], self.twist)
+        return z, x, y, np.sin(self.twist), np.cumsum(angles[..., 2:], axis=-1)
 
     def _in_plane(self, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The tip's coordinates (..., 5) along the first bone and across it, in the bending plane."""
         L = self.lengths
         along = L[:, 0] + (L[:, 1:] * np.cos(bend)).sum(axis=-1)
         return along, (L[:, 1:] * np.sin(bend)).sum(axis=-1)
-
-    def _in_hand(self, p_B: np.ndarray) -> np.ndarray:
-        return (self.R_HB @ p_B[..., None])[..., 0]
 
 
 def _nominal_base_frames() -> np.ndarray:
@@ -276,7 +263,7 @@ def _angles(directions: np.ndarray, R_HB: np.ndarray, twist: np.ndarray) -> np.n
     first, middle, last = np.moveaxis(directions @ R_HB, -2, 0)
     abduction = np.arcsin(np.clip(first[..., 1], -1.0, 1.0))
     flexion = np.arctan2(first[..., 0], first[..., 2])
-    x = _bending_direction(abduction, flexion, twist)
+    x, _, _ = _bone_axes(abduction, flexion, twist)
     bends = [np.arctan2(np.sum(bone * x, -1), np.sum(bone * first, -1)) for bone in (middle, last)]
     # The last hinge is measured from the middle bone; unwrapped, as a fist may pass 180°.
     last_bend = (bends[1] - bends[0] + np.pi) % (2 * np.pi) - np.pi
@@ -284,11 +271,14 @@ def _angles(directions: np.ndarray, R_HB: np.ndarray, twist: np.ndarray) -> np.n
     return theta.reshape(*theta.shape[:-2], 20)
 
 
-def _bending_direction(abduction: np.ndarray, flexion: np.ndarray, twist: np.ndarray) -> np.ndarray:
+def _bone_axes(abduction: np.ndarray, flexion: np.ndarray, twist: np.ndarray) -> tuple[np.ndarray, ...]:
+    """In B (..., 3): the directions x of bending and y of abduction, and the first bone z."""
     ca, sa, cf, sf = np.cos(abduction), np.sin(abduction), np.cos(flexion), np.sin(flexion)
-    x = np.stack([cf, np.zeros_like(cf), -sf], axis=-1)
-    y = np.stack([-sf * sa, ca, -cf * sa], axis=-1)
-    return np.cos(twist)[..., None] * x + np.sin(twist)[..., None] * y
+    x, y, z = np.empty((3, *ca.shape, 3))
+    x[..., 0], x[..., 1], x[..., 2] = cf, 0.0, -sf
+    y[..., 0], y[..., 1], y[..., 2] = -sf * sa, ca, -cf * sa
+    z[..., 0], z[..., 1], z[..., 2] = sf * ca, sa, cf * ca
+    return np.cos(twist)[..., None] * x + np.sin(twist)[..., None] * y, y, z
 
 
 def _fit_base_frame(directions: np.ndarray, R_nominal: np.ndarray) -> tuple[np.ndarray, float]:
@@ -301,7 +291,7 @@ def _fit_base_frame(directions: np.ndarray, R_nominal: np.ndarray) -> tuple[np.n
 
     def out_of_plane(parameters: np.ndarray) -> np.ndarray:
         first, middle, last = np.moveaxis(directions @ frame(parameters), -2, 0)
-        x = _bending_direction(
+        x, _, _ = _bone_axes(
             np.arcsin(np.clip(first[:, 1], -1, 1)), np.arctan2(first[:, 0], first[:, 2]), parameters[2]
         )
         normal = np.cross(first, x)

@@ -75,20 +75,15 @@ def record(
     rng: np.random.Generator,
     metadata: dict,
 ) -> Recording:
-    """The recording of the hand that follows a timeline, with a glove's noise.
-
-    Args:
-        metadata: source, seed and, for a left hand, side.
-    """
+    """The recording of the hand that follows a timeline, with a glove's noise; metadata: source, seed."""
     hand = timeline.hand
     t = np.arange(max(2, round(duration_s * rate_hz))) / rate_hz
     theta = _minimum_jerk(t, np.array(timeline.times), np.stack(timeline.postures))
     theta = np.clip(theta + jitter * _glove_noise(len(t), rate_hz, rng), hand.lower, hand.upper)
-    common = {"side": "right", "subject": "synthetic", "rate_known": True, "warnings": []}
+    common = {"side": "right", "rate_known": True, "warnings": []}
     seed = metadata["seed"] if isinstance(metadata["seed"], int) else None
-    return Recording(
-        t, hand.keypoints(theta), np.ones(len(t), bool), None, {**common, **metadata, "seed": seed}
-    )
+    metadata = {**common, **metadata, "seed": seed}
+    return Recording(t, hand.keypoints(theta), np.ones(len(t), bool), None, metadata)
 
 
 class Timeline:
@@ -106,11 +101,6 @@ class Timeline:
         self.postures: list[np.ndarray] = []
         self._append(start)
 
-    @property
-    def pose(self) -> np.ndarray:
-        """(20,) the last posture, rad."""
-        return self.postures[-1]
-
     def move(self, theta: np.ndarray, duration_s: float) -> None:
         """Reaches theta, (20,) rad or (5, 4), after `duration_s`."""
         self.times.append(self.times[-1] + duration_s)
@@ -118,7 +108,7 @@ class Timeline:
 
     def hold(self, duration_s: float) -> None:
         """Stays in the last posture."""
-        self.move(self.pose, duration_s)
+        self.move(self.postures[-1], duration_s)
 
     def _append(self, theta: np.ndarray) -> None:
         self.postures.append(np.clip(np.reshape(theta, 20), self.hand.lower, self.hand.upper))

@@ -10,25 +10,16 @@ import numpy as np
 from geort_drake.people.keypoints import BONES
 from geort_drake.people.keypoints import FINGER_KEYPOINTS as _F
 
-# Which keypoint stands at each of the 21 places of a file, in the orders that data sets use.
+# Which keypoint stands at each of the 21 places of a file, in the orders of published data sets.
 MANO_ORDER = (0, 5, 6, 7, 9, 10, 11, 17, 18, 19, 13, 14, 15, 1, 2, 3, 4, 8, 12, 16, 20)
 EXPECTED = "wrist, then thumb to little finger, base to tip (MediaPipe)"
 _TIPS_FIRST = tuple(k for chain in _F.values() for k in chain[::-1])
 ORDERS: dict[str, tuple[int, ...]] = {
     EXPECTED: tuple(range(21)),
     "MANO's joints, then the tips (HO-3D)": MANO_ORDER,
-    "wrist, index to little finger, then the thumb": (0, *range(5, 21), *range(1, 5)),
-    "wrist, then little finger to thumb": (0, *(k for name in reversed(_F) for k in _F[name])),
-    "wrist, thumb, then little to index finger": (
-        *range(5), *(k for name in ("little", "ring", "middle", "index") for k in _F[name])
-    ),
     "wrist, then each finger from tip to base (RHD)": (0, *_TIPS_FIRST),
     "each finger from tip to base, then the wrist (InterHand2.6M)": (*_TIPS_FIRST, 0),
-    "thumb to little finger, then the wrist": (*range(1, 21), 0),
-    "wrist, the knuckles, then joint by joint to the tips": (
-        0, *(chain[joint] for joint in range(4) for chain in _F.values())
-    ),
-}  # fmt: skip
+}
 _JITTER = 5e-4  # of a glove's bones, as a share of the palm
 
 

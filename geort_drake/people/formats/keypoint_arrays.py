@@ -1,22 +1,12 @@
 """Formats that hold the 21 keypoints themselves: geort-drake's own, GeoRT's, dex-retargeting's and MANO's.
 
-geort-drake's own .npz is what `Recording.save` writes.
-Source: docs/reference/recording-formats.md
+Layouts: docs/reference/recording-formats.md. dex-retargeting's hands are MediaPipe's world landmarks, moved
+to the wrist and turned to axes that the palm gives. HO-3D stores MANO's joints in its camera's frame.
 
-GeoRT's .npy is (T, 21, 3) in MediaPipe's order, m, in the wrist frame, without times.
-Source: https://github.com/facebookresearch/GeoRT, README (recording of human hands)
-
-dex-retargeting's .pkl is a list of (21, 3) arrays, one per frame, None where no hand was seen: MediaPipe's
-world landmarks, m, moved to the wrist and turned to axes that the palm gives; no times, no wrist pose.
-Source: https://github.com/dexsuite/dex-retargeting, example/profiling/generate_human_data_from_video.py and
-example/vector_retargeting/single_hand_detector.py
-
-MANO's 21 joints are the wrist, then three each of index, middle, little, ring finger and thumb, then the
-tips of thumb, index, middle, ring and little finger, m. HO-3D gives them in its camera's frame as
-`handJoints3D`, without times: a .pkl with a list of its annotations, or its folder `meta` with one .pkl per
-frame. Also .npy (T, 21, 3), or .npz with `handJoints3D` or `joints`, optionally `t`, s, and `side`.
-Source: https://github.com/shreyashampali/ho3d, vis_HO3D.py (jointsMapManoToSimple), and
-https://github.com/otaheri/MANO
+Source: https://github.com/facebookresearch/GeoRT, README (recording of human hands),
+https://github.com/dexsuite/dex-retargeting, example/profiling/generate_human_data_from_video.py and
+example/vector_retargeting/single_hand_detector.py, https://github.com/shreyashampali/ho3d, vis_HO3D.py
+(jointsMapManoToSimple), and https://github.com/otaheri/MANO
 """
 
 from collections.abc import Mapping

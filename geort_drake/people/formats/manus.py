@@ -2,25 +2,19 @@
 
 Raw skeletons: `data` (T, 25, 7) of `px py pz qw qx qy qz`, m, and Unix `timestamps`, s. Nodes: wrist 0;
 thumb 1-4 (CMC, MCP, IP, tip); then five each of index, middle, ring and little finger: metacarpal base,
-MCP, PIP, DIP, tip. Optional `keypoint_ids` (25) give their order and `chirality` the side. The client of
-MANUS Core chose the frame. The keypoints give the wrist's pose, and quaternions are not used.
+MCP, PIP, DIP, tip. Optional `keypoint_ids` (25) give their order and `chirality` the side. Quaternions are
+not used.
 Source: https://github.com/mimicrobotics/mimic_retargeter_lab, whose published recordings these are.
 
-CSV: a header, then one row per frame. Columns: `Elapsed_Time_In_Milliseconds`, then the coordinates of
-`Hand`, of `Thumb_` CMC, MCP, DIP, TIP, and of `Index_`, `Middle_`, `Ring_` and `Pinky_` CMC, MCP, PIP, DIP,
-TIP, where a finger's CMC is the base of its metacarpal. Other columns are ignored. Coordinates have two
-names: `Hand_X`, which MANUS documents for Core 2.4 without a unit (metres are assumed), and
-`Hand_Position_X`, in centimetres, in exports that people publish.
-
-MANUS documents neither axes nor side. Of published exports there is one for each hand, whose name ends with
-`_L` or `_R`, in axes chosen at the export. Left-handed axes are recognised by the fingers bending
-backwards; then x is negated. Without a tracker, positions seem to be given from the hand itself: the ends
-of the palm never move.
+CSV: `Elapsed_Time_In_Milliseconds` and joint positions. `Hand_X` is documented for Core 2.4 without a unit
+(metres are assumed), `Hand_Position_X` in centimetres in published exports. A finger's `CMC` is the base of
+its metacarpal. MANUS documents neither axes nor side. Published exports hold one hand each, whose file's name
+ends with `_L` or `_R`, in axes chosen at the export. Left-handed axes are recognised by the fingers bending
+backwards; then x is negated. Without a tracker, the ends of the palm never move.
 Source: https://docs.manus-meta.com/2.4.0/Software/Rec/Exporting%20csv for the first names, and
 https://github.com/jeannebelorgey/Metaglove-Ergo-Analysis/tree/main/data for the second and all else
 """
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -120,17 +114,12 @@ def _numbers(file: Source, columns: list[str]) -> np.ndarray:
         line, row = numbered
         if len(row) != len(header):
             raise BadFrame(f"line {line} has {len(row)} cells, the header has {len(header)}")
-        return [_number(row[place], line, column) for place, column in zip(places, columns, strict=True)]
+        try:
+            return [float(row[place].strip() or "nan") for place in places]
+        except ValueError as error:
+            raise BadFrame(f"line {line} must hold numbers with decimal points: {error}") from None
 
     return file.each(list(enumerate(file.contents.rows, 2)), read, (len(columns),), "cells")
-
-
-def _number(cell: str, line: int, column: str) -> float:
-    try:
-        return float(cell) if cell.strip() else np.nan
-    except ValueError:
-        advice = "; write decimals with points, not with commas" if re.fullmatch(r"[-\d]+,\d+", cell) else ""
-        raise BadFrame(f"line {line}, column {column} must be a number, not '{cell:.40}'{advice}") from None
 
 
 def _is_constant(values: np.ndarray) -> bool:

@@ -1,17 +1,15 @@
 """MediaPipe's 21 world landmarks: JSON of its results, or (T, 21, 3) in .npy or .npz.
 
-Order: wrist 0, thumb 1-4, index 5-8, middle 9-12, ring 13-16, little finger 17-20, base to tip. World
-landmarks are metres from the middle of the hand, x to the right of the picture, y down, z away from the
-camera; they do not say where the wrist is. Landmarks of the picture ("normalized") are no metric hand.
+World landmarks are metres from the middle of the hand, x to the right of the picture, y down, z away from the
+camera; they do not say where the wrist is. Landmarks of the picture ("normalized") are not metric.
 
 JSON: a list of results, or `{"frames": [...]}`, each with the fields of `HandLandmarkerResult`:
-`worldLandmarks` (Python: `hand_world_landmarks`) with one list of 21 points per hand seen, `handedness`
-with one category each, and `timestampMs` (or `timestamp_ms`). The hand of the side asked for is taken;
-frames without one are lost. An .npz holds `world_landmarks` and optionally `t`, s, and `handedness`.
+`worldLandmarks` (Python: `hand_world_landmarks`) with 21 points per hand seen, `handedness` with one category
+each, and `timestampMs` (or `timestamp_ms`). An .npz holds `world_landmarks` and optionally `t`, s, and
+`handedness`.
 
-Many versions label hands as if the image were mirrored, so a right hand is called left, while the landmarks
-are those of what the image shows. So the bending of the fingers decides the side, and the label only where
-they hardly bend.
+Many versions label hands as if the image were mirrored. So the bending of the fingers decides the side, and
+the label only where they hardly bend.
 
 Source: https://ai.google.dev/edge/mediapipe/solutions/vision/hand_landmarker,
 https://ai.google.dev/edge/api/mediapipe/js/tasks-vision.handlandmarkerresult, and of the labels

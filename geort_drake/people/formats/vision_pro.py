@@ -1,18 +1,13 @@
-"""Apple Vision Pro: 4 x 4 transforms of joints in the wrist's frame, and of the wrist, as `avp_stream`
-gives them.
+"""Apple Vision Pro: 4 x 4 transforms of joints in the wrist's frame, and of the wrist in the world.
 
-`right_fingers` (T, 25, 4, 4) or (T, 27, 4, 4), or `right_arm` (T, 27, 4, 4), hold the joints in the wrist's
-frame, m: wrist 0, thumb 1-4 (knuckle, intermediate base, intermediate tip, tip), then five each of index,
-middle, ring and little finger (metacarpal, knuckle, intermediate base, intermediate tip, tip). Of 27 the
-last two are of the forearm, or in other releases the first two: the wrist's own transform is the identity.
-`right_wrist` (T, 1, 4, 4) or (T, 4, 4) is the wrist in the world, m, z up. The same with `left_`.
+`avp_stream` gives `right_fingers` (T, 25 or 27, 4, 4) or `right_arm` (T, 27, 4, 4), m: wrist 0, thumb 1-4,
+then five each of index, middle, ring and little finger, from the metacarpal to the tip. Of 27 the last two
+are of the forearm, or in other releases the first two: the wrist's own transform is the identity.
+`right_wrist` (T, 1, 4, 4) or (T, 4, 4) is the wrist in the world. The same with `left_`, in .npz or as a
+.pkl with one dict per frame.
 
-.npz with these arrays and optionally `timestamps`, s; or a .pkl with a list of dicts, one per frame, as
-`VisionProStreamer(record=True)` collects them, optionally each with a `timestamp`, s.
-
-`tracking.jsonl`, which the app itself records, has a line per frame: `timestamp`, s, and `rightHand` and
-`leftHand` where there are any, with the joints by name (`wrist`, `thumbKnuckle` ... `littleTip`), 16
-numbers each, column by column; `wrist` in the world, m, y up, the others from the wrist.
+The app's own `tracking.jsonl` has a line per frame with `timestamp`, s, and `rightHand` and `leftHand`:
+joints by name, 16 numbers each, column by column; `wrist` in the world, the others from the wrist.
 
 A hand that is not seen has identity matrices everywhere; such frames are lost.
 

@@ -1,21 +1,17 @@
 """Hand joints of OpenXR (26) and WebXR (25), in .npz or JSON.
 
-OpenXR's order: palm, wrist, four of the thumb (metacarpal, proximal, distal, tip), then five each of index,
-middle, ring and little finger (metacarpal, proximal, intermediate, distal, tip), each the base of the bone
-of that name. WebXR's is the same without the palm. Metres, right-handed, y up, in the base or reference
-space.
+OpenXR's order: palm, wrist, four of the thumb, then five each of index, middle, ring and little finger from
+the metacarpal to the tip, each the base of the bone of that name. WebXR's is the same without the palm.
 
 OpenXR .npz: `joints` (T, 26, 3), (T, 26, 7) with `px py pz qx qy qz qw`, or (T, 26, 4, 4); optionally `t`,
-s, `valid` (T, 26) and `hand`. JSON: `{"hand": "right", "frames": [{"time": ns, "joints": [...]}]}`: time is
-an XrTime, each joint an XrHandJointLocationEXT with `pose` (or its `position`) and `locationFlags`, whose
-bit 2 says that the position is valid. Where `isActive` is false or joints are none, the hand is lost.
+s, `valid` (T, 26) and `hand`. JSON: `{"hand": "right", "frames": [{"time": ns, "joints": [...]}]}`, each
+joint an XrHandJointLocationEXT. Where `isActive` is false or joints are none, the hand is lost.
 Source: https://registry.khronos.org/OpenXR/specs/1.1/man/html/XrHandJointEXT.html and
 https://registry.khronos.org/OpenXR/specs/1.1/man/html/XrHandJointLocationEXT.html
 
-WebXR .npz: `joints` (T, 25, 3), (T, 25, 7), or (T, 25, 16) and (T, 400) as `XRFrame.fillPoses` fills them,
-column by column; optionally `t`, s, and `handedness`. JSON: `{"handedness": "right", "frames": [{"time":
-ms, "joints": {"wrist": {...}, ...}}]}`: joints by the names of XRHandJoint, each with `position` or null;
-or `poses`, 400 numbers.
+WebXR .npz: `joints` (T, 25, 3), (T, 25, 7), or (T, 400) as `XRFrame.fillPoses` fills them, column by
+column; optionally `t`, s, and `handedness`. JSON: `{"handedness": "right", "frames": [{"time": ms,
+"joints": {"wrist": {...}, ...}}]}`, each joint with `position` or null; or `poses`, 400 numbers.
 Source: https://www.w3.org/TR/webxr-hand-input-1/ and
 https://developer.mozilla.org/en-US/docs/Web/API/XRFrame/fillPoses
 """
