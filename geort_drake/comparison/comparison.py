@@ -25,7 +25,7 @@ CheckpointSource = Callable[[Recording, str, int], Path]
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Metrics of one method on one recording, with the fingertips they were computed from.
+    """Metrics of one method on one recording, and the fingertips they were computed from.
 
     Attributes:
         metrics: of `evaluate_frames`; JSON-ready.
@@ -58,13 +58,9 @@ def method_names() -> tuple[str, ...]:
 def check_methods(names: Sequence[str], hand: HandModel | None = None) -> None:
     """Checks names of methods, or directories of checkpoints, before anything is trained.
 
-    Args:
-        names: to check.
-        hand: for which the checkpoints must be made.
-
     Raises:
         UnknownNameError: a name is neither a method nor a checkpoint's directory.
-        CheckpointError: a checkpoint is damaged or for another hand.
+        CheckpointError: a checkpoint is damaged or, where `hand` is given, for another hand.
     """
     checkpoints = [name for name in names if name not in method_names()]
     for name in checkpoints:
@@ -78,15 +74,15 @@ def check_methods(names: Sequence[str], hand: HandModel | None = None) -> None:
 class Comparison:
     """Evaluates methods one by one under the same protocols.
 
-    A method that optimises online answers the recorded frames in their order, from rest. Metrics that need
-    hands which were not recorded use its settled answers, see `VectorOnline.settled_map`.
+    An online method answers the recorded frames in order, from rest. Metrics of hands that were not recorded
+    use its settled answers, see `VectorOnline.settled_map`.
 
     Args:
         hand: model of the robot hand.
-        protocols: what to train and to evaluate on.
+        protocols: what to train and evaluate on.
         seeds: of training and metrics; everything is done with each of them.
         checkpoint_of: trains a method, or finds its checkpoint.
-        frame_limit: evaluate on the first so many valid frames of each recording or block only.
+        frame_limit: evaluate only the first valid frames of each recording or block, at most this many.
     """
 
     def __init__(
@@ -105,7 +101,7 @@ class Comparison:
 
     @property
     def cases_per_method(self) -> int:
-        """How many cases `run` evaluates, over all seeds."""
+        """Number of cases that `run` evaluates, over all seeds."""
         return len(self.seeds) * sum(len(protocol.cases) for protocol in self.protocols)
 
     def run(self, name: str, starts: Callable[[str], None] = lambda _note: None) -> dict[str, list[Outcome]]:
@@ -116,8 +112,7 @@ class Comparison:
             starts: called before each case with its description.
 
         Returns:
-            Name of the protocol → outcomes. A case that fails, for example because a finger hardly moves in
-            its training frames, has an error as its outcome; the others are evaluated all the same.
+            Name of the protocol → outcomes. A failed case has an error as its outcome; the others continue.
         """
         results: dict[str, list[Outcome]] = {}
         for protocol in self.protocols:
@@ -136,8 +131,10 @@ class Comparison:
 
         Returns:
             `mean`: over seeds, of the mean over parts, with pinch metrics over the frames of all parts
-            together; `worst_part`: each metric's worst value of any part and seed; `worst_seed`: each
-            metric's worst mean of a seed. The last two are None if there is only one.
+                together;
+            `worst_part`: each metric's worst value of any part and seed; `worst_seed`: each metric's worst
+                mean of
+            a seed. The last two are None if there is only one.
         """
         done = [outcome.evaluation for outcome in outcomes if outcome.evaluation]
         pooled = [
@@ -198,7 +195,7 @@ class Comparison:
                 "and this one to --score-on"
             )
         if protocol.name != SAME_PERSON and known:
-            raise CheckpointError(f"{name}: was trained on {case.part}, so that is no other person's to it")
+            raise CheckpointError(f"{name}: was trained on {case.part}; give another person's recording")
         return load_retargeter(name, self.hand)
 
     def space(self, seed: int) -> RobotSpace:

@@ -10,7 +10,7 @@ from geort_drake.hands.model import HandModel
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.recording import PINCH_M, Recording
 
-WINDOW = 0.1  # s; a motion is from so long before a frame to so long after it
+WINDOW = 0.1  # s; a motion extends this far before and after a frame
 SHORTEST = 0.003  # m; the direction of shorter motions of a human fingertip is not compared
 
 
@@ -38,12 +38,12 @@ class Answers:
     Attributes:
         q: (T, n) joint positions, rad.
         p_BF: (T, F, 3) robot fingertips, m.
-        asked: (T, F, 3) proportional copy of the human fingertips, m, with the scale and offset per finger
-            that come nearest to `p_BF` in least squares. Such a copy preserves every direction, so the
-            difference is the price of reach, pinches and freedom from collisions.
+        asked: (T, F, 3) the human fingertips scaled and shifted per finger to come nearest to `p_BF` in least
+            squares, m. Such a copy preserves every direction, so the difference is the price of reach,
+            pinches and freedom from collisions.
         error: (T, F) distance between the two, m.
-        cosine: (T,) cosine of the angle between human and robot fingertip motion, mean over the fingers that
-            move; NaN if none does.
+        cosine: (T,) cosine of the angle between human and robot fingertip motion, averaged over the moving
+            fingers; NaN if none moves.
     """
 
     q: np.ndarray

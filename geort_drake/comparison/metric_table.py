@@ -4,8 +4,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-Direction = Literal["higher", "lower"]
-
 
 @dataclass(frozen=True)
 class Metric:
@@ -15,16 +13,16 @@ class Metric:
         path: keys to its value in the dictionary of metrics, joined by dots.
         heading: of its column; empty if it is in no table.
         form: format of its value.
-        better: "higher" or "lower"; None if neither is better, so that there is no worst value.
+        better: the better direction, if any; without it there is no worst value.
     """
 
     path: str
     heading: str = ""
     form: str = "{}"
-    better: Direction | None = None
+    better: Literal["higher", "lower"] | None = None
 
     def of(self, metrics: Mapping) -> float | None:
-        """The value in a dictionary of metrics; None if it, or a dictionary around it, is None."""
+        """The value in a dictionary of metrics; None if it or a parent is None."""
         value: Any = metrics
         for key in self.path.split("."):
             if value is None:
@@ -91,7 +89,7 @@ METRICS: tuple[Metric, ...] = (
 
 
 def mean(metrics: Sequence[Mapping]) -> dict:
-    """The mean of every metric over the dictionaries that have it, nested as they are."""
+    """The mean of every metric over the dictionaries that have it, nested like them."""
     values: dict[str, float | None] = {}
     for metric in METRICS:
         known = [value for value in map(metric.of, metrics) if value is not None]
@@ -100,7 +98,7 @@ def mean(metrics: Sequence[Mapping]) -> dict:
 
 
 def worst(metrics: Sequence[Mapping]) -> dict:
-    """The worst value of every metric, nested as in each of the dictionaries."""
+    """The worst value of every metric, nested like the dictionaries."""
     return _nested({metric.path: metric.worst(map(metric.of, metrics)) for metric in METRICS})
 
 

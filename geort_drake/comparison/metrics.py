@@ -42,12 +42,12 @@ PENETRATION = 0.002  # m; deeper penetrations count as self-collision
 
 @dataclass(frozen=True)
 class RobotSpace:
-    """The robot's C-space: where its fingertips can go, from uniform samples of the joint angles.
+    """The robot's C-space: the reach of its fingertips, from uniform samples of the joint angles.
 
     Attributes:
-        p_BF: (N, F, 3) fingertips of all samples, m; a left hand's in the mirror, as people are right hands.
-        reachable: F arrays (M, 3), the centres of the 3 mm voxels that samples hit, m.
-        collision_free: the same of the samples without self-collision.
+        p_BF: (N, F, 3) fingertips of all samples, m; mirrored for a left hand, as people are right hands.
+        reachable: F arrays (M, 3), centres of the 3 mm voxels that samples hit, m.
+        collision_free: the same for the samples without self-collision.
     """
 
     p_BF: np.ndarray
@@ -68,25 +68,15 @@ def evaluate(retarget: Callable, hand: HandModel, recording: Recording, seed: in
 
     Args:
         retarget: maps (F, 3) and (N, F, 3) human fingertips in H, m, to joint angles in rad.
-        hand: model of the robot hand; its fingers are those of the retargeter.
+        hand: model of the robot hand, with the retargeter's fingers.
         recording: of the person's hand.
         seed: of the anchors, directions and robot samples.
 
     Raises:
-        RecordingError: when the recording has too few frames to measure on.
+        RecordingError: the recording has too few frames.
     """
-    keypoints = hand.description.human_keypoints
-    frames = recording.fingertips(keypoints)
-    check_frames(frames)
+    frames = recording.fingertips(hand.description.human_keypoints)
     return evaluate_frames(retarget, hand, frames, recording.rate_hz, seed, robot_space(hand, seed))[0]
-
-
-def check_frames(frames: np.ndarray) -> None:
-    """Raises RecordingError unless there are enough frames (T, F, 3) to measure on."""
-    if len(frames) < MIN_FRAMES:
-        raise RecordingError(
-            f"metrics need at least {MIN_FRAMES} valid frames, the recording has {len(frames)}"
-        )
 
 
 def evaluate_frames(
@@ -100,14 +90,17 @@ def evaluate_frames(
 ) -> tuple[dict, np.ndarray]:
     """`evaluate` for human fingertips (T, F, 3), m, of successive frames at `rate_hz`.
 
-    A retargeter with memory gets `frames` in their order, as a batch. For hands that were not recorded
-    (random motion, cross-talk, flatness, gain and the context average) `settled`, a map without memory,
-    is used instead if given. Without `space` the coverages are None.
+    A retargeter with memory gets `frames` in order, as a batch. Metrics of hands that were not recorded
+    (random motion, cross-talk, flatness, gain and the context average) use `settled`, a map without memory,
+    if given. Without `space` the coverages are None.
 
     Returns:
         The metrics, and the robot's fingertips (T, F, 3) in B, m.
     """
-    check_frames(frames)
+    if len(frames) < MIN_FRAMES:
+        raise RecordingError(
+            f"metrics need at least {MIN_FRAMES} valid frames, the recording has {len(frames)}"
+        )
     rng = np.random.default_rng([seed, 1])  # not the numbers that robot_space drew
 
     fingertips = _fingertips_of(hand)
@@ -122,7 +115,9 @@ def evaluate_frames(
     figures = {
         "motion_preservation": motion_preservation(g, frames, rng),
         "motion_preservation_track": motion_preservation_track(frames, p_BF),
-        **_coverages(g, frames, p_BF, space),
+        "coverage": None,
+        "coverage_context_averaged": None,
+        "coverage_collision_free": None,
         "cross_talk": cross_talk(g, frames, rng),
         "flatness": flat,
         "gain_p95_p5": gain_ratio(gains),
@@ -131,6 +126,11 @@ def evaluate_frames(
         "self_collision_raw": collided["any"],
         "smoothness": smoothness(q, rate_hz),
     }
+    if space is not None:
+        tips = list(np.moveaxis(p_BF, 1, 0))
+        figures["coverage"] = coverage(space.reachable, tips)
+        figures["coverage_context_averaged"] = coverage(space.reachable, context_averaged(g, frames))
+        figures["coverage_collision_free"] = coverage(space.collision_free, tips)
     median, p99 = np.percentile(call_times(retarget, frames), (50, 99))
     figures["latency_us"] = {"median": 1e6 * float(median), "p99": 1e6 * float(p99)}
     return figures, p_BF
@@ -142,22 +142,11 @@ def _fingertips_of(hand: HandModel) -> Callable[[np.ndarray], np.ndarray]:
     return lambda q: kinematics.fingertips(torch.from_numpy(q)).numpy()
 
 
-def _coverages(g: FingertipMap, frames: np.ndarray, p_BF: np.ndarray, space: RobotSpace | None) -> dict:
-    if space is None:
-        return dict.fromkeys(("coverage", "coverage_context_averaged", "coverage_collision_free"))
-    tips = list(np.moveaxis(p_BF, 1, 0))
-    return {
-        "coverage": coverage(space.reachable, tips),
-        "coverage_context_averaged": coverage(space.reachable, context_averaged(g, frames)),
-        "coverage_collision_free": coverage(space.collision_free, tips),
-    }
-
-
 def context_averaged(g: FingertipMap, frames: np.ndarray, contexts: int = 12) -> list[np.ndarray]:
     """Per finger, where its tip goes, averaged over postures of the other fingers: (M, 3).
 
     Each visited 1 mm voxel of a fingertip is combined with the other fingertips of the recorded frames whose
-    own tip is nearest, so that what a coupled map reaches only through the other fingers averages out.
+    own tip is nearest. This averages out what a coupled map reaches only through the other fingers.
     """
     count = min(contexts, len(frames))
     result = []
@@ -175,7 +164,7 @@ def flatness_and_gain(
 ) -> tuple[float, np.ndarray]:
     """Mean squared second over first difference, and the gain of every step (F, anchors), at 2 mm.
 
-    The gain is how far a robot fingertip moves per metre of its human one.
+    The gain is the motion of a robot fingertip per motion of the human one.
     """
     flats, gains = [], []
     for finger in range(frames.shape[1]):
@@ -202,16 +191,15 @@ def gain_ratio(gains: np.ndarray) -> float | None:
 def pinch(
     frames: np.ndarray, p_BF: np.ndarray, finger_names: Sequence[str], tip_radius: float
 ) -> dict | None:
-    """How well the robot's pinches reproduce the person's.
+    """How well the robot's pinches reproduce the person's; None for a hand without a thumb.
 
     `closed`, `too_deep`, `mean_mm`, `p95_mm` and `frames` refer to the nearest thumb–finger pair of frames in
-    which it is under 15 mm apart (None if there are none), `all_pairs` to all such pairs; `false` is the
-    fraction of pairs over 30 mm apart in which the robot's fingertips meet, that is, their spheres touch:
-    centres at most two tip radii apart. None for a hand without a thumb.
+    which it is under 15 mm apart (None without such frames), `all_pairs` to all such pairs. `false` is the
+    fraction of pairs over 30 mm apart whose robot fingertips touch: centres at most two tip radii apart.
 
     Args:
         frames: (T, F, 3) human fingertips, m.
-        p_BF: (T, F, 3) the robot's, m.
+        p_BF: (T, F, 3) robot fingertips, m.
         finger_names: F names.
         tip_radius: of the robot's fingertips, m.
     """
@@ -279,5 +267,5 @@ def call_times(retarget: Callable, frames: np.ndarray, calls: int = 2000) -> np.
 
 
 def _in_chunks(retarget: Callable, p_HF: np.ndarray, rows: int = 4096) -> np.ndarray:
-    """retarget(p_HF) in pieces: hidden layers of a long recording would fill the memory."""
+    """retarget(p_HF) in pieces, because hidden layers of a long recording would fill the memory."""
     return np.concatenate([retarget(p_HF[i : i + rows]) for i in range(0, len(p_HF), rows)])

@@ -57,7 +57,7 @@ VIEWS = {"from the side": (0, 2), "from the front": (1, 2)}
 def write_plots(
     folder: Path, results: Mapping[str, Evaluation], finger_names: Sequence[str], space: RobotSpace
 ) -> list[Path]:
-    """Writes `frontier.png`, methods by pairs of metrics, and `fingertips.png`, where their fingertips go.
+    """Writes `frontier.png` (methods by pairs of metrics) and `fingertips.png` (where fingertips go).
 
     Args:
         folder: of the files; made if it does not exist.
@@ -89,11 +89,7 @@ def save(figure: Figure, path: Path) -> Path:
 
 
 def frontier(metrics: Mapping[str, Mapping]) -> Figure:
-    """One point per method in each panel of `FRONTIER`, unless the method lacks a metric.
-
-    Args:
-        metrics: name of a method → its metrics.
-    """
+    """One point per method (name → metrics) in each panel of `FRONTIER` for which it has the metrics."""
     figure = Figure(figsize=(WIDTH, 6.4), layout="constrained")
     for axes, (x, y) in zip(figure.subplots(2, 2).flat, FRONTIER, strict=True):
         for number, (name, values) in enumerate(metrics.items()):
@@ -118,14 +114,14 @@ def fingertips(
     reachable: Sequence[np.ndarray] = (),
     columns: int = 4,
 ) -> Figure:
-    """Where the person's fingertips were and where each method puts the robot's, in two views.
+    """The fingertips of the person and of the robot under each method, in two views.
 
     Args:
         human: (T, F, 3) fingertips in H, m.
         robot: name of a method → (T, F, 3) fingertips in B, m.
         finger_names: F names.
         reachable: per finger, (M, 3) centres of the voxels of the robot's C-space in B, m.
-        columns: clouds beside each other.
+        columns: clouds side by side.
     """
     clouds = {"human": human, **robot}
     bands = -(-len(clouds) // columns)

@@ -1,4 +1,4 @@
-"""Protocols of a comparison: which frames a method is trained on, and which it is evaluated on."""
+"""Protocols of a comparison: the frames a method is trained on and those it is evaluated on."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ class Protocol:
 
     Attributes:
         name: SAME_PERSON, HELD_OUT or OTHER_PERSON.
-        title: what tables call it.
+        title: in tables.
         meaning: of its metrics, and what is left out.
         cases: one per part.
         with_coverage: whether coverage of the robot's C-space is meaningful.
@@ -56,7 +56,7 @@ def held_out(recording: Recording, blocks: int) -> Protocol:
     """Evaluated on each of `blocks` contiguous parts of the valid frames, trained on the others.
 
     Frames of the block, and those less than GUARD_S before or after it, are invalid in the training
-    recording, as where tracking was lost.
+    recording.
 
     Raises:
         RecordingError: fewer than two blocks, or blocks too short to measure on.

@@ -1,4 +1,4 @@
-"""Re-fit: from a checkpoint and another person's recording to an evaluated checkpoint for that person."""
+"""Re-fits a checkpoint to another person, from a recording to an evaluated checkpoint."""
 
 import os
 import time
@@ -45,7 +45,7 @@ def refit_checkpoint(
         recording: about a minute of the new person's hand, or its file.
         output: the new checkpoint's directory.
         hand_name: name or file of the robot hand's description; None: the name in the checkpoint.
-        steps: of the fine-tuning; 0 leaves it out, and so do methods other than geort_coupled.
+        steps: of the fine-tuning, which only geort_coupled has; 0 for none.
         seed: of the fine-tuning and of the metrics.
         report: see `Report`.
 
@@ -75,8 +75,8 @@ def refit_checkpoint(
     weights = folded({name: array for name, array in old.arrays.items() if name != TRAINED_POINTS}, maps)
     timings = {"affine_s": time.perf_counter() - started}
     history: list[dict[str, float]] = []
-    tuned = steps > 0 and method.fine_tune is not None
-    if method.fine_tune is not None and tuned:
+    steps = steps if method.fine_tune is not None else 0
+    if method.fine_tune is not None and steps > 0:
         # The same robot samples as in the training.
         sampled = old.provenance.get("robot_data", {})
         kept = {key: sampled[key] for key in ("count", "seed") if key in sampled}
@@ -99,7 +99,7 @@ def refit_checkpoint(
         "refit": {
             "from_weights_sha256": sha256_of(old.path / WEIGHTS),
             "from_recording": old.provenance.get("recording"),
-            "steps": steps if tuned else 0,
+            "steps": steps,
             "affine": {
                 finger: {"A": A.tolist(), "b": b.tolist(), "miss_mm": round(1e3 * float(miss), 3)}
                 for finger, A, b, miss in zip(

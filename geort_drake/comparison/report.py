@@ -1,4 +1,4 @@
-"""Results of a comparison: tables for the terminal and a dictionary for JSON."""
+"""Results of a comparison: tables for the terminal, and a dictionary for JSON."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -66,23 +66,18 @@ def report(comparison: Comparison, results: Results, recording: Recording, name:
 
 
 def _outcome(outcome: Outcome) -> dict:
-    what = {"part": outcome.case.part, "seed": outcome.seed}
-    if outcome.evaluation is None:
-        return {**what, "error": outcome.error}
-    evaluation = outcome.evaluation
-    return {
-        **what,
-        "frames": len(evaluation.p_HF),
-        "remembers": evaluation.remembers,
-        "metrics": evaluation.metrics,
-    }
+    identity, evaluation = {"part": outcome.case.part, "seed": outcome.seed}, outcome.evaluation
+    if evaluation is None:
+        return {**identity, "error": outcome.error}
+    figures = {"frames": len(evaluation.p_HF), "remembers": evaluation.remembers}
+    return {**identity, **figures, "metrics": evaluation.metrics}
 
 
 def tables(comparison: Comparison, results: Results) -> Iterator[Group]:
     """The protocols, each with its meaning and a few tables with methods as rows.
 
-    The first row of a method is its mean; below it are the worst part and the worst seed if there are
-    several. A method that failed on some cases shows how many succeeded. Empty columns are left out.
+    The first row of a method is its mean; the worst part and the worst seed follow, if there are several. A
+    method that failed on some cases shows how many succeeded. Empty columns are left out.
     """
     for protocol in comparison.protocols:
         rows = [

@@ -1,4 +1,4 @@
-"""Training: from a robot hand and a recording to an evaluated checkpoint, which a cache can keep."""
+"""Trains on a recording and writes an evaluated checkpoint, which a cache can keep."""
 
 import contextlib
 import dataclasses
@@ -44,7 +44,8 @@ from geort_drake.sources import PACKAGE, imported_sources, source_of
 
 
 def training_sources(method: str) -> list[Path]:
-    """The source files that decide the weights of a method: its training, and the hand's samples and shapes.
+    """The source files that determine the weights of a method: its training, and the hand's samples and
+    shapes.
 
     Raises:
         UnknownNameError: no such method.
@@ -61,7 +62,7 @@ def training_sources(method: str) -> list[Path]:
 def training_config(
     method: str, settings: Mapping | None = None, hand: HandDescription | None = None
 ) -> TrainingConfig:
-    """The configuration of a method: its defaults, overridden by the hand's description and then `settings`.
+    """The configuration of a method: its defaults, then the hand's settings, then `settings`.
 
     Raises:
         UnknownNameError: no such method or setting; the message lists the known ones.
@@ -112,11 +113,11 @@ def train_checkpoint(
         recording: of the person's hand, or its file; None synthesises five minutes of play.
         output: the checkpoint directory, written at the end.
         method: name of the retargeting method.
-        seed: of everything random: robot samples, synthetic play, training and metrics.
+        seed: of robot samples, synthetic play, training and metrics.
         device: "cpu" or "cuda".
         show_progress: draw progress bars on stderr.
         settings: fields of the method's config that differ from its defaults and the hand's.
-        robot_samples: how many joint positions of the robot are sampled.
+        robot_samples: number of sampled joint positions of the robot.
         report: see `Report`.
 
     Returns:
@@ -229,13 +230,12 @@ def cached_checkpoint(
 ) -> tuple[Path, bool]:
     """The checkpoint for a hand and a recording from the cache, trained first if it is not there.
 
-    The key covers the hand's model and description, the recording, method, seed, device, the method's
-    settings, and `training_sources`. A damaged checkpoint is trained again. Warnings of training
-    are repeated at every use.
+    The key covers the hand's model and description, the recording, method, seed, device, settings, and
+    `training_sources`. A damaged checkpoint is trained again. Warnings of training are repeated at every use.
 
     Args:
         hand_name, recording, method, seed, device, settings: as in `train_checkpoint`.
-        announce: called before a training, not if the checkpoint exists.
+        announce: called before a training.
 
     Returns:
         The checkpoint's directory in `cache_dir() / "retargeters"`, and whether it existed before.

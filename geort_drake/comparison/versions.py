@@ -1,4 +1,4 @@
-"""Which software a result was made with."""
+"""Versions of the software that made a result."""
 
 import importlib.metadata
 import platform

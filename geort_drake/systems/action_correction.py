@@ -1,4 +1,4 @@
-"""The place between retargeting and the hand where a controller may correct the command."""
+"""Corrects commands between retargeting and the hand."""
 
 import dataclasses as dc
 import math
@@ -15,7 +15,7 @@ CORRECTIONS = ("none", "guard", "policy")
 
 @dc.dataclass
 class CorrectionConfig:
-    """Which correction stands between retargeting and the hand."""
+    """Selects the correction between retargeting and the hand."""
 
     # none: commands pass unchanged; guard: `SelfCollisionGuard`; policy: `PolicyCorrection`.
     kind: str = "none"
@@ -37,9 +37,9 @@ class CorrectionConfig:
 class ActionCorrection(LeafSystem):
     """Passes the desired state on; override `correct` for a correction of your own.
 
-    DexterityGen has its foundation controller in this place (Yin et al. 2025, section IV): a policy that
-    sees the hand and turns coarse targets into safe, dexterous ones. `NoCorrection`, `SelfCollisionGuard`
-    and `PolicyCorrection` have the same ports; they override `_calc` instead of `correct`.
+    DexterityGen has its foundation controller in this place (Yin et al. 2025, section IV): a policy that sees
+    the hand and turns coarse targets into safe, dexterous ones. The package's own corrections have the same
+    ports and override `_calc`.
 
     Input ports:
         desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.
@@ -67,13 +67,9 @@ class ActionCorrection(LeafSystem):
 
 
 class NoCorrection(ActionCorrection):
-    """Passes commands on, without evaluating the hand's state at each step of the plant.
+    """Passes commands on; unlike the base class, it never evaluates the hand's state.
 
-    Input ports:
-        desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.
-        hand_state (2n): not read.
-    Output port:
-        desired_state (2n): the input of that name.
+    Ports: see `ActionCorrection`; `hand_state` is not read.
     """
 
     def _prerequisites(self) -> set:
@@ -91,7 +87,7 @@ class PeriodicCorrection(ActionCorrection):
     Args:
         actuated_joints: joints in actuator order.
         initial_positions: joint name → rad, the command before the first update.
-        limits: of the joints, in the order of `actuated_joints`.
+        limits: of the joints, in actuator order.
         period: time between updates, s, from 1e-5 to 10.
 
     Raises:

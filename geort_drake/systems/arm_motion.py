@@ -11,7 +11,7 @@ from geort_drake.systems.joint_limits import JointLimits
 
 
 class ArmMotion(LeafSystem):
-    """Integrates joint velocities while the wrist is followed; else brakes the joints and holds them.
+    """Integrates joint velocities while the wrist is followed; otherwise brakes the joints and holds them.
 
     Input ports:
         velocity (m): velocities of the plant's active joints, rad/s.
@@ -25,13 +25,13 @@ class ArmMotion(LeafSystem):
 
     Args:
         plant: robot and surroundings.
-        positions: (nq,) initial positions, rad; joints that are not active stay there.
+        positions: (nq,) initial positions, rad; inactive joints keep them.
         active: (nq,) bool, the joints of the `velocity` input.
         arm: (na,) position indices of the arm's joints; each is active.
         hand_frame: B.
         limits: of the arm's joints; always kept while braking.
         period: time between updates, s.
-        limited: whether following keeps the limits, too.
+        limited: whether following keeps the limits too.
     """
 
     def __init__(

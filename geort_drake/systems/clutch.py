@@ -18,16 +18,16 @@ class _Engagement(Immutable):
 
 
 class Clutch(LeafSystem):
-    """Moves the robot hand by what the wrist has moved since the clutch engaged.
+    """Moves the robot hand as the wrist has moved since the clutch engaged.
 
-    Person and robot may start at different places: translation and rotation since the first valid sample,
-    both measured in W, are added to the hand's pose at that time.
+    Person and robot may start at different places: translation and rotation of the wrist since the first
+    valid sample, both measured in W, are added to the hand's pose at that time.
 
     Input ports:
         wrist_pose (abstract RigidTransform): X_WH.
-        valid (1): 1 tracked, 0 lost. While lost, the target is the commanded pose, and the clutch engages
-            again from there, so a gap never makes the arm jump.
-        commanded_pose (abstract RigidTransform): X_WB that the arm is commanded to have.
+        valid (1): 1 tracked, 0 lost. While lost, the target is the commanded pose, from which the clutch
+            engages again, so the arm never jumps after a gap.
+        commanded_pose (abstract RigidTransform): X_WB commanded to the arm.
     Output port:
         hand_pose (abstract RigidTransform): X_WB, the target of the hand.
     """

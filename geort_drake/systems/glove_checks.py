@@ -1,4 +1,4 @@
-"""Decides from update to update whether a glove's keypoints can be followed, and how fast after a hold."""
+"""Decides at every update whether keypoints can be followed, and how fast after a hold."""
 
 import dataclasses as dc
 import math
@@ -12,7 +12,7 @@ HELD_OUT_OF_RANGE = "held: a keypoint is farther from the wrist than a hand reac
 HELD_STALE = "held: no newer keypoints arrived in time"
 HELD_CLOCK = "held: the glove's clock ran backwards"
 HELD_JUMPED = "held: a keypoint moved faster than a hand can"
-# Frozen input is still followed. Whatever comes after it is eased.
+# Frozen input is still followed; the motion after it is eased.
 FROZEN = "frozen: the keypoints have not changed for too long"
 
 # s; gloves send at least 25 times a second, so a longer gap allows no larger jump.
@@ -71,13 +71,13 @@ def judge(
     valid: bool,
     stamp: float | None,
 ) -> str | None:
-    """Returns what is wrong with the keypoints (63,), or None; updates `memory`.
+    """Returns the fault of the keypoints (63,), or None; updates `memory`.
 
     Args:
         time: of this update, s.
-        period: time since the update before, s.
+        period: time since the last update, s.
         valid: whether the glove tracks the hand.
-        stamp: when the keypoints were measured, s on the glove's clock; None if unknown.
+        stamp: time of measurement, s on the glove's clock; None if unknown.
     """
     fault = None
     if stamp is not None:
@@ -122,7 +122,7 @@ class Easing:
         good_since: NaN while the input is bad.
         held_since: NaN while the hand follows.
         eased_from: start of the last easing.
-        duration: of the easing; 0 if none is under way.
+        duration: of the easing; 0 if none is active.
     """
 
     good_since: float
@@ -132,11 +132,11 @@ class Easing:
 
     @classmethod
     def at_start(cls, ease: bool) -> "Easing":
-        """Starts at the end of a long hold, or else following."""
+        """Starts as after a long hold, or following."""
         return cls(math.nan, -math.inf) if ease else cls(-math.inf, math.nan)
 
     def follows(self) -> bool:
-        """Whether the hand followed at the last update, or counts as if it had."""
+        """Whether the hand follows, as of the last update."""
         return math.isnan(self.held_since)
 
     def settled(self, time: float, settle_time: float) -> bool:
@@ -153,10 +153,10 @@ class Easing:
             self.held_since = time
 
     def follow(self, time: float, period: float, longest: float) -> float:
-        """Follows, and ends a hold by an easing of at most `longest`; all times in s.
+        """Ends a hold with an easing of at most `longest`; all times in s.
 
         Returns:
-            The share of the speed limit that may be used from `time` to `time + period`.
+            The usable share of the speed limit from `time` to `time + period`.
         """
         if not math.isnan(self.held_since):
             self.duration, self.eased_from = min(longest, time - self.held_since), time

@@ -1,4 +1,4 @@
-"""Records the ports of a glove and a tracker as a recording that can be replayed."""
+"""Records the ports of a glove and a tracker for replay."""
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -20,13 +20,13 @@ class GloveRecorder(LeafSystem):
         wrist_pose (abstract RigidTransform): X_WH.
         valid (1): 1 tracked, 0 lost.
 
-    It samples in an update event, not a publish event, so it records what other systems act on at the same
-    time.
+    Samples are taken in an update event, not a publish event, so they are the values that other systems use
+    at that time.
 
     Args:
         period: time between samples, s.
-        parts: files that take the samples every `part` seconds, so that memory stays bounded and a crash
-            loses little. Without it, samples stay in memory until `recording` is called.
+        parts: files that take the samples every `part` seconds, which bounds memory and the loss in a crash.
+            Without it, samples stay in memory for `recording`.
     """
 
     def __init__(self, period: float, parts: RecordingParts | None = None, part: float = _PART_S):
@@ -49,12 +49,12 @@ class GloveRecorder(LeafSystem):
         return EventStatus.Succeeded()
 
     def recording(self, metadata: dict | None = None) -> Recording:
-        """Returns the samples so far, with tracker poses; only without `parts`."""
+        """The samples so far, with tracker poses; only without `parts`."""
         t, p_HK, valid, X_WH = self._arrays()
         return Recording(t - t[0], p_HK, valid, X_WH, dict(metadata or {}))
 
     def finish(self) -> bool:
-        """Joins the parts to a file; returns and raises what `RecordingParts.finish` does."""
+        """Joins the parts to a file; see `RecordingParts.finish`."""
         if self._parts is None:
             raise ValueError("this recorder has no parts; call `recording` instead")
         if self._samples:

@@ -21,7 +21,7 @@ class GloveReplay(LeafSystem):
         wrist_pose (abstract RigidTransform): X_WH of the tracker; the identity if the recording has none.
         valid (1): 1 tracked, 0 lost.
 
-    Before the first and after the last sample, the first and the last sample are given.
+    The first sample also precedes the recording, and the last one follows it.
     """
 
     def __init__(self, recording: Recording):

@@ -1,4 +1,4 @@
-"""Limits of joint positions, speeds and accelerations, and a step towards a target that keeps them."""
+"""Limits of joint positions, speeds and accelerations, and steps towards targets within them."""
 
 import dataclasses as dc
 
@@ -67,7 +67,7 @@ class JointLimits:
         speed: float = np.inf,
         acceleration: float = DEFAULT_ACCELERATION,
     ) -> "JointLimits":
-        """Returns the limits of a model's actuated joints, in actuator order, and at most `speed`, rad/s."""
+        """The limits of a model's actuated joints, in actuator order, with at most `speed`, rad/s."""
         joints = [plant.get_joint_actuator(index).joint() for index in plant.GetJointActuatorIndices(model)]
         speeds = np.array([joint.velocity_upper_limit() for joint in joints])
         return cls(
@@ -88,19 +88,19 @@ class JointLimits:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Returns positions and velocities after a period, as near to `target` as the limits allow.
 
-        Speed is (q' − q) / period and acceleration (v' − v) / period. A joint that does not lag reaches
-        its target exactly; one that lags catches up as fast as it can still brake in time. Results of this
-        function keep the limits, whatever the targets are, if q and v do.
+        Speed is (q' − q) / period and acceleration (v' − v) / period. A joint without lag reaches its target
+        exactly; a lagging one catches up as fast as it can still brake in time. If q and v keep the limits,
+        so do the results, for any targets.
 
         Args:
             q, v: (n,) present positions (rad) and velocities (rad/s); v = 0 at the start.
             target, target_before: (n,) finite targets after the period and now, rad.
             period: s.
-            share: usable share of the speed limit; a joint that is faster slows down.
+            share: usable share of the speed limit; a faster joint slows down.
         """
         speed, lag = (target - q) / period, target_before - q
-        # The fast way: a target within all limits is reached. A joint at v stops within v²/2a; if that is
-        # inside the position limits, no later step has to leave them.
+        # Fast path: a target within all limits is reached. A joint at v stops within v²/2a; if that is inside
+        # the position limits, no later step has to leave them.
         low, high, stretch = self._free(period)
         values = np.array([speed, speed - v, lag, target + speed * np.abs(speed) * stretch])
         if share == 1.0 and np.count_nonzero((low <= values) & (values <= high)) == values.size:
@@ -118,9 +118,9 @@ class JointLimits:
         return np.minimum(np.maximum(q + v * period, self.lower), self.upper), v
 
     def _free(self, period: float) -> tuple[np.ndarray, ...]:
-        """Returns bounds (4, n) of speed, its change, lag and stopping place for the fast way; and 1/2a (n,).
+        """Bounds (4, n) of speed, its change, lag and stopping place for the fast path; and 1/2a (n,).
 
-        They are cached, because computing them takes as long as a step.
+        Cached, because computing them takes as long as a step.
         """
         if period not in self._made:
             gain = self.acceleration * period
@@ -130,7 +130,7 @@ class JointLimits:
         return self._made[period]
 
     def _braking_speed(self, distance: np.ndarray, period: float) -> np.ndarray:
-        """Returns the highest speed that allows to brake within `distance` (..., n), the next step included.
+        """The highest speed at which a joint can brake within `distance` (..., n), including the next step.
 
         With speeds in units of a·period and distances in units of a·period², steps at x, x − 1, x − 2, …
         cover (m + 1) x − m (m + 1) / 2, where m is x rounded down.

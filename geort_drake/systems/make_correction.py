@@ -1,4 +1,4 @@
-"""Makes the correction that a configuration asks for."""
+"""Makes the correction that a configuration selects."""
 
 from collections.abc import Sequence
 

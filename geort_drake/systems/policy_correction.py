@@ -24,10 +24,10 @@ POLICY_FAILED = "held: the policy failed"
 class PolicyCorrection(PeriodicCorrection):
     """Calls a policy at a fixed period and keeps its output finite and within the joint limits.
 
-    Position, speed and acceleration are limited by `JointLimits.step`. When the policy raises an exception,
-    or returns another shape or values that are not finite, the joints brake and hold; the first time, a
-    warning says what happened. Each output is computed from command and hand state just before the update,
-    so commands are delayed by one update.
+    `JointLimits.step` limits position, speed and acceleration. When the policy raises an exception, or
+    returns another shape or values that are not finite, the joints brake and hold; the first failure issues a
+    warning. Each output is computed from command and hand state just before the update, which delays commands
+    by one update.
 
     Input ports:
         desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.
@@ -40,9 +40,9 @@ class PolicyCorrection(PeriodicCorrection):
 
     Args:
         policy: from `load_policy`, or a function like it.
-        actuated_joints: joints in actuator order, which is also the policy's.
+        actuated_joints: joints in the order of actuators and policy.
         initial_positions: joint name → rad, the command before the first update.
-        limits: of the joints, in the order of `actuated_joints`.
+        limits: of the joints, in actuator order.
         period: time between calls of the policy, s.
     """
 
@@ -106,8 +106,8 @@ def load_policy(path: str | os.PathLike, num_joints: int) -> Policy:
     """Loads a policy from a TorchScript file (.pt, .pts) or an ONNX model (.onnx).
 
     The model takes two float32 tensors, the hand's state (1, 2n), positions then velocities, and the
-    commanded positions (1, n). It returns the positions to command (1, n). Units are rad and rad/s. A
-    TorchScript file is a program: run only those that you trust.
+    commanded positions (1, n). It returns the positions to command (1, n). Units are rad and rad/s.
+    TorchScript files are programs: run only trusted ones.
 
     Raises:
         PolicyError: the file is missing, of another kind or malformed; the package that runs it is not

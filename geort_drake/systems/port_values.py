@@ -16,8 +16,8 @@ POSE_MIRROR = np.array([1.0, -1.0, 1.0, -1.0, *POINT_MIRROR])
 class Immutable:
     """Mixin for classes whose instances never change: a copy is the same object.
 
-    Drake copies every abstract state of a diagram twice whenever one of them is updated. It copies Python
-    objects with `copy.deepcopy`, which takes longer than what most systems compute.
+    Drake copies every abstract state of a diagram twice whenever one of them is updated, by `copy.deepcopy`,
+    which takes longer than most systems compute.
     """
 
     def __copy__(self) -> Self:
@@ -41,5 +41,5 @@ def vector_to_pose(values: np.ndarray) -> RigidTransform:
 
 
 def mirrored_pose(X: RigidTransform) -> RigidTransform:
-    """Returns the relative pose of the two frames after both are reflected in their xz-planes."""
+    """The relative pose of two frames after both are reflected in their xz-planes."""
     return vector_to_pose(POSE_MIRROR * pose_to_vector(X))

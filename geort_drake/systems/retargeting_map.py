@@ -8,8 +8,9 @@ from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, Ini
 from pydrake.systems.framework import BasicVector_, Context, LeafSystem_
 from pydrake.systems.scalar_conversion import SystemScalarConverter, TemplateSystem
 
-from geort_drake.errors import HandError, UnknownNameError
-from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
+from geort_drake.errors import HandError
+from geort_drake.people.keypoints import KEYPOINT_COUNT
+from geort_drake.retargeting.human_points import HumanPoints
 from geort_drake.retargeting.retargeter import Retargeter
 
 
@@ -21,7 +22,7 @@ def RetargetingMap_(T: type) -> type:
         """Maps keypoints to joint positions without memory, checks or limits, for optimisation and analysis.
 
         `RetargetingSystem` has a discrete state, so no gradient passes through it. This system has direct
-        feedthrough, and after `ToAutoDiffXd()` also the exact derivative.
+        feedthrough and, after `ToAutoDiffXd()`, the exact derivative.
 
         Input port:
             keypoints (63): p_HK, keypoint-major, m, wrist frame H.
@@ -50,13 +51,10 @@ def RetargetingMap_(T: type) -> type:
                 raise HandError(
                     f"the retargeter moves {', '.join(sorted(joints))}; given: {', '.join(sorted(ordered))}"
                 )
-            for name in retarget.finger_names:
-                if name not in TIP_KEYPOINT:
-                    raise UnknownNameError("finger", name, TIP_KEYPOINT)
             self._arguments = (retarget, actuated_joints)
             self._retarget = retarget
             self._order = np.array([joints.index(name) for name in ordered])
-            self._tips = np.array([TIP_KEYPOINT[name] for name in retarget.finger_names])
+            self._tips = HumanPoints(retarget.finger_names).keypoints
             self._keypoints = self.DeclareVectorInputPort("keypoints", 3 * KEYPOINT_COUNT)
             self.DeclareVectorOutputPort(
                 "positions", len(joints), self._calc, {self.all_input_ports_ticket()}

@@ -1,4 +1,4 @@
-"""Runs a retargeter as a system: human keypoints in, targets for the hand's joint controllers out."""
+"""Runs a retargeter as a system, from human keypoints to targets of joint controllers."""
 
 import dataclasses as dc
 import functools
@@ -66,8 +66,8 @@ class RetargetingStatus(Immutable):
     def distance(self) -> float:
         """Largest distance of a fingertip from its places in training, m.
 
-        NaN if these are unknown, and while the input is not followed. It is measured on first use, because
-        that takes longer than the rest of a status.
+        NaN if these are unknown or the input is not followed. Computed on first use, because it takes longer
+        than the rest of a status.
         """
         if self.p_HK is None or self.trained_space is None:
             return math.nan
@@ -78,19 +78,18 @@ class RetargetingSystem(LeafSystem):
     """Retargets at a fixed period; its output is finite and keeps the limits for any input.
 
     While the input cannot be followed, the joints brake and hold. Then the hand follows again with growing
-    speed. The joint targets of some keypoints come out `latency` later. A retargeter that
-    takes longer than the period is called again as soon as it is done, with the keypoints of that time.
+    speed. Joint targets appear `latency` after their keypoints. A retargeter that takes longer than the
+    period is called again as soon as it is done, with the latest keypoints.
 
     Input ports:
         keypoints (63): p_HK, keypoint-major, m, wrist frame H.
         valid (1): 1 tracked, 0 lost.
-        stamp (1), optional: when the keypoints were measured, s, on the glove's clock.
+        stamp (1), optional: time of measurement of the keypoints, s, on the glove's clock.
     Output ports:
-        desired_state (2n): joint positions (rad), then velocities (rad/s), in the order of
-            `actuated_joints`.
+        desired_state (2n): joint positions (rad), then velocities (rad/s), in the order of `actuated_joints`.
         status (abstract RetargetingStatus): what was held or limited, and since when.
 
-    There is no direct feedthrough. The status is never `OUTSIDE` if the retargeter has no `trained_space`.
+    There is no direct feedthrough. The status `OUTSIDE` needs a retargeter with a `trained_space`.
 
     Attributes:
         period: time between updates, s.
@@ -102,11 +101,11 @@ class RetargetingSystem(LeafSystem):
     Args:
         retarget: maps keypoints (21, 3), m in H, to joint positions (n,), rad, in the order of `joint_names`.
         joint_names: the retargeter's joints.
-        actuated_joints: the same joints in the plant's actuator order.
+        actuated_joints: the same joints in actuator order.
         initial_positions: joint name → rad, the targets before the first update.
         period: time between updates, s, from 1e-5 to 10; a longer `latency` takes its place.
-        limits: of the targets, in the order of `actuated_joints`. None takes the retargeter's `lower` and
-            `upper`, and the default speed and acceleration of `JointLimits`.
+        limits: of the targets, in actuator order. None takes the retargeter's `lower` and `upper`, and the
+            default speed and acceleration of `JointLimits`.
         latency: time from keypoints to their joint targets, s, at most 10.
         checks: thresholds of the input checks.
         cutoff: of a first-order low-pass on the targets, Hz; 0 for none.
@@ -114,7 +113,7 @@ class RetargetingSystem(LeafSystem):
     Raises:
         HandError: plant and retargeter have different joints, the joint limits are unknown, or an initial
             position is outside them.
-        ValueError: a value of `checks`, or the period, latency or cutoff cannot work.
+        ValueError: a value of `checks`, or the period, latency or cutoff is out of range.
     """
 
     def __init__(
@@ -216,8 +215,12 @@ class RetargetingSystem(LeafSystem):
             reached = q is target or np.array_equal(q, target)
             if reached or share == 1.0:
                 easing.end()
-            if state is None:
-                state = self._following(easing, excess, reached)
+            if state is None and easing.duration > 0.0:
+                state = EASING
+            elif state is None and excess > 0.0:
+                state = OUTSIDE
+            elif state is None:
+                state = TRACKING if reached else LIMITED
 
         if state != before:
             code, since = STATES.index(state), time
@@ -247,7 +250,7 @@ class RetargetingSystem(LeafSystem):
             excess: of the last update; see `_excess`.
 
         Returns:
-            The state, if the input decides it; the joint positions (n,), rad, or None to hold; and the new
+            The state, if the input determines it; the joint positions (n,), rad, or None to hold; and the new
             excess, NaN while the input is not followed.
         """
         keypoints = self._keypoints_port.Eval(context)
@@ -270,10 +273,10 @@ class RetargetingSystem(LeafSystem):
         return fault, np.minimum(np.maximum(q, self._limits.lower), self._limits.upper), excess
 
     def _excess(self, points: np.ndarray, before: float, moved: float) -> float:
-        """Returns a bound on a fingertip's distance from training beyond the tolerance, m; its sign is exact.
+        """A bound on a fingertip's distance from training beyond the tolerance, m; its sign is exact.
 
-        A distance changes by no more than the fingertip moves. So it is measured only if the sign may have
-        changed since the last result, `before`, when coordinates have moved by up to `moved`.
+        A distance changes by no more than the fingertip moves. It is measured only if the sign may have
+        changed since the last result, `before`, after motions of coordinates by up to `moved`.
         """
         if self._trained_space is None:
             return math.nan
@@ -281,14 +284,6 @@ class RetargetingSystem(LeafSystem):
         if left > _ROUNDING:
             return math.copysign(left, before)
         return float(self._trained_space.distances(points).max()) - self._checks.trained_tolerance
-
-    def _following(self, easing: Easing, excess: float, reached: bool) -> str:
-        """Returns the state of a hand that follows good input."""
-        if easing.duration > 0.0:
-            return EASING
-        if excess > 0.0:
-            return OUTSIDE
-        return TRACKING if reached else LIMITED
 
     def _calc_status(self, context: Context, output: AbstractValue) -> None:
         memory = context.get_discrete_state(self._memory).value()[self._n :]

@@ -1,12 +1,14 @@
 """Reads fingertips, hand, object and contacts off a plant."""
 
+from collections.abc import Callable
+
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.geometry import SceneGraphInspector
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import ContactResults, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
-from pydrake.systems.framework import Context, LeafSystem, ValueProducer
+from pydrake.systems.framework import Context, InputPort, LeafSystem, ValueProducer
 
 from geort_drake.hands.chains import finger_links
 from geort_drake.hands.description import HandDescription
@@ -15,7 +17,7 @@ from geort_drake.systems.port_values import pose_to_vector
 
 
 class SceneView(LeafSystem):
-    """Computes what an onlooker sees of a grasp from the plant's outputs.
+    """Observes a grasp from the plant's outputs.
 
     Input ports:
         body_poses (abstract list of RigidTransform): the plant's port of that name.
@@ -24,8 +26,8 @@ class SceneView(LeafSystem):
         fingertips (3F): p_WF, m.
         hand_pose (7): X_WB of the hand base, qw qx qy qz x y z.
         object_pose (7): X_WO of the object, qw qx qy qz x y z.
-        contact (F): magnitude of the largest contact force, normal and friction, between one of a
-            finger's links and the object, N.
+        contact (F): magnitude of the largest contact force, normal and friction, between one of a finger's
+            links and the object, N.
         self_contact (1): 1 while two links of the hand touch each other, else 0. Contacts between fingertips
             do not count (see `tip_geometries`). Neighbours along a finger and the description's
             `ignored_collisions` are filtered out.
@@ -71,32 +73,26 @@ class SceneView(LeafSystem):
         self._contacts = self.DeclareAbstractInputPort(
             "contact_results", AbstractValue.Make(ContactResults())
         )
-        # Cached for three ports, because reading the list of all poses takes longer than the rest.
-        places = self.DeclareCacheEntry(
-            "fingertips, hand_pose, object_pose",
-            ValueProducer(lambda: AbstractValue.Make({}), self._calc_places),
-            {self.input_port_ticket(self._poses.get_index())},
-        )
-        for name, size in (("fingertips", 3 * num_fingers), ("hand_pose", 7), ("object_pose", 7)):
-            self.DeclareVectorOutputPort(
-                name,
-                size,
-                lambda context, output, name=name: output.SetFromVector(places.Eval(context)[name]),
-                {places.ticket()},
-            )
-        touches = self.DeclareCacheEntry(
-            "contact, self_contact",
-            ValueProducer(lambda: AbstractValue.Make({}), self._calc_touches),
-            {self.input_port_ticket(self._contacts.get_index())},
-        )
-        for name, size in (("contact", num_fingers), ("self_contact", 1)):
-            self.DeclareVectorOutputPort(
-                name,
-                size,
-                lambda context, output, name=name: output.SetFromVector(touches.Eval(context)[name]),
-                {touches.ticket()},
-            )
         self._num_fingers = num_fingers
+        places = {"fingertips": 3 * num_fingers, "hand_pose": 7, "object_pose": 7}
+        self._declare_outputs(places, self._calc_places, self._poses)
+        touches = {"contact": num_fingers, "self_contact": 1}
+        self._declare_outputs(touches, self._calc_touches, self._contacts)
+
+    def _declare_outputs(self, sizes: dict[str, int], calculate: Callable, source: InputPort) -> None:
+        """Declares ports with a common cache entry, because reading the input takes longer than the rest."""
+        cached = self.DeclareCacheEntry(
+            ", ".join(sizes),
+            ValueProducer(lambda: AbstractValue.Make({}), calculate),
+            {self.input_port_ticket(source.get_index())},
+        )
+        for name, size in sizes.items():
+            self.DeclareVectorOutputPort(
+                name,
+                size,
+                lambda context, output, name=name: output.SetFromVector(cached.Eval(context)[name]),
+                {cached.ticket()},
+            )
 
     def _calc_places(self, context: Context, output: AbstractValue) -> None:
         poses = self._poses.Eval(context)

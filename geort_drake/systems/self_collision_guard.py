@@ -1,4 +1,4 @@
-"""Keeps commanded positions of the hand clear of self-collision."""
+"""Moves commanded positions of the hand out of self-collision."""
 
 from collections.abc import Sequence
 
@@ -21,11 +21,11 @@ _PAIRS = 4
 class SelfCollisionGuard(PeriodicCorrection):
     """Passes clear commands on, and moves others to near positions that are clear.
 
-    The output was always found clear: the distance between all parts of the hand that `HandClearance` watches
-    is at least `clearance`. It is within the joint limits, and no farther from the last output than the
-    joints' speed allows. If no correction is found, the fingers in conflict, or all fingers, keep their last
-    positions. Acceleration is not limited: fingers stop at once before they meet. Nothing is guaranteed for
-    the hand's measured positions, nor between two commanded ones, which are at most speed · period apart.
+    Every output has been checked: the distance between all parts of the hand that `HandClearance` watches is
+    at least `clearance`. It is within the joint limits, and within the joints' speed from the last output. If
+    no correction is found, the fingers in conflict, or all fingers, keep their last positions. Acceleration
+    is not limited: fingers stop at once before they meet. Nothing is guaranteed for the hand's measured
+    positions, nor between two commanded ones, which are at most speed · period apart.
 
     Input ports:
         desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.
@@ -39,7 +39,7 @@ class SelfCollisionGuard(PeriodicCorrection):
         hand: the model of the hand.
         actuated_joints: its joints in actuator order.
         initial_positions: joint name → rad, the command before the first update.
-        limits: of the joints, in the order of `actuated_joints`.
+        limits: of the joints, in actuator order.
         period: time between updates of the command, s.
         clearance: m.
 

@@ -12,7 +12,7 @@ def check_timing(period: float, latency: float = 0.0, cutoff: float = 0.0) -> No
     """Checks a period (s), a latency (s) and a low-pass cutoff (Hz, 0 for none).
 
     Raises:
-        ValueError: a value is not finite or out of range; the message names it.
+        ValueError: a value is not finite or out of range.
     """
     low, high = _PERIODS
     if not low <= period <= high:
@@ -25,8 +25,5 @@ def check_timing(period: float, latency: float = 0.0, cutoff: float = 0.0) -> No
 
 
 def low_pass_share(cutoff: float, period: float) -> float:
-    """Returns the share of the way to its input that a first-order low-pass moves in one period (s).
-
-    It is 1 for the cutoff 0, which means no low-pass.
-    """
+    """The share of the way to its input that a first-order low-pass moves in a period (s); 1 for cutoff 0."""
     return -math.expm1(-2.0 * math.pi * cutoff * period) if cutoff > 0 else 1.0

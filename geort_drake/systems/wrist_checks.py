@@ -1,4 +1,4 @@
-"""Decides from update to update whether a tracker's wrist pose can be followed."""
+"""Decides at every update whether a tracker's wrist pose can be followed."""
 
 import math
 
@@ -46,7 +46,7 @@ class WristChecks(LeafSystem):
         self._wrist = self.DeclareAbstractInputPort("wrist_pose", AbstractValue.Make(RigidTransform()))
         self._valid = self.DeclareVectorInputPort("valid", 1)
         self._memory = self.DeclareDiscreteState(np.array([*[math.nan] * 7, 0.0, -math.inf, 0.0]))
-        # Computed from the present pose, so that nobody acts on a pose before it is checked.
+        # Computed from the present pose, so that it is checked before others use it.
         self.DeclareVectorOutputPort("valid", 1, self._calc_valid)
         self.DeclareAbstractOutputPort("state", lambda: AbstractValue.Make(""), self._calc_state)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)

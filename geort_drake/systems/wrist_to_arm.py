@@ -63,10 +63,10 @@ class WristToArm(Diagram):
 
     Args:
         robot: robot and surroundings; its default positions are the start and the nominal posture.
-        arm: the model in `robot` whose joints move; everything else stays at its default.
+        arm: the model in `robot` whose joints move; other joints stay at their default.
         hand_frame: the frame B of `robot` that follows the wrist.
-        limit_acceleration: whether the joints also keep the model's acceleration limits while they follow, as
-            a real robot needs.
+        limit_acceleration: whether following keeps the model's acceleration limits too, as a real robot
+            needs.
     """
 
     def __init__(
@@ -82,17 +82,20 @@ class WristToArm(Diagram):
         plant = robot.plant()
         context = plant.CreateDefaultContext()
         q_start = plant.GetPositions(context)
-        arm_dofs, idle_dof = _dofs(plant, arm)
+        is_arm = np.zeros(plant.num_positions(), bool)
+        for index in plant.GetJointIndices(arm):
+            joint = plant.get_joint(index)
+            is_arm[joint.position_start() : joint.position_start() + joint.num_positions()] = True
+        arm_dofs = np.flatnonzero(is_arm)
         q_nominal = q_start.copy()
         speed = config.joint_speed_share * plant.GetVelocityUpperLimits()
-        active = np.zeros(len(q_start), bool)
-        active[arm_dofs] = True
-        if idle_dof is not None:
+        active, idle = is_arm.copy(), np.flatnonzero(~is_arm)
+        if len(idle):
             # OSQP prints a line to stdout for every solution without an active limit (OSQP issue 785). A
             # joint that should move but has zero speed keeps one limit active, without other effect.
-            active[idle_dof] = True
-            speed[idle_dof] = 0.0
-            q_nominal[idle_dof] += 1.0
+            active[idle[0]] = True
+            speed[idle[0]] = 0.0
+            q_nominal[idle[0]] += 1.0
         inverse_kinematics = DifferentialInverseKinematicsSystem(
             recipe=_recipe(config, plant, active, speed),
             task_frame=plant.world_frame().scoped_name().get_full(),
@@ -143,16 +146,6 @@ class WristToArm(Diagram):
         builder.ConnectInput("valid", motion.GetInputPort("valid"))
         builder.ExportOutput(motion.GetOutputPort("arm_desired_state"), "arm_desired_state")
         builder.BuildInto(self)
-
-
-def _dofs(plant: MultibodyPlant, arm: ModelInstanceIndex) -> tuple[np.ndarray, int | None]:
-    """Returns the position indices of the arm's joints, and one that is not the arm's, if any."""
-    is_arm = np.zeros(plant.num_positions(), bool)
-    for index in plant.GetJointIndices(arm):
-        joint = plant.get_joint(index)
-        is_arm[joint.position_start() : joint.position_start() + joint.num_positions()] = True
-    others = np.flatnonzero(~is_arm)
-    return np.flatnonzero(is_arm), int(others[0]) if len(others) else None
 
 
 def _arm_limits(
