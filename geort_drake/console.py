@@ -24,7 +24,7 @@ from geort_drake.errors import GeortError
 if TYPE_CHECKING:
     from geort_drake.retargeting.training.descent import Report
 
-# Words go to stderr, so stdout stays machine-readable; `quiet` silences all but warnings and errors.
+# Messages go to stderr, so stdout stays machine-readable; `quiet` silences all but warnings and errors.
 console = Console(stderr=True, highlight=False)
 # The losses shown while a method trains.
 _SHOWN_LOSSES = ("direction", "matching", "coverage", "pinch", "collision")

@@ -25,7 +25,7 @@ def run(arguments: argparse.Namespace) -> int:
         start = f"{begin // 60:.0f}:{begin % 60:02.0f}"
         rows.append((start, f"{step.seconds:g} s", step.name, step.instruction))
         begin += step.seconds
-    print_table(("from", "for", "step", "what to do"), rows, text=("step", "what to do"))
+    print_table(("start", "time", "step", "what to do"), rows, text=("step", "what to do"))
     if arguments.output is None and arguments.recording is None:
         finish({}, command("capture", "--output", "capture.rrd"))
         return 0
