@@ -67,9 +67,10 @@ class GraspDiagram:
     fixed_base: bool
 
     def initialize(self, root: Context) -> None:
-        """Prepares a context for simulation: sets the object's mass and locks the arm of a fixed base.
+        """Sets the object's mass in a context, locks the arm of a fixed base, and removes shapes without
+        physics.
 
-        It also removes shapes that are only seen; the recorder has read them before.
+        The recorder has read them before.
         """
         remove_visuals(self.plant, self.scene_graph, root)
         context = self.plant.GetMyMutableContextFromRoot(root)
@@ -93,10 +94,9 @@ def make_grasp_diagram(
 
     Args:
         scenario: what to simulate.
-        retarget: a `Retargeter`, or a callable of the same signature with `joint_names`.
-        human: a hand and a goal for the simulated operator, or a glove recording with wrist poses to
-            replay.
-        rerun_path: file of the Rerun recording; None for no recording.
+        retarget: a `Retargeter`, or a similar callable with `joint_names`.
+        human: a hand and a goal for the simulated operator, or a glove recording with wrist poses to replay.
+        rerun_path: file of the Rerun recording; None for none.
         properties: properties of the Rerun recording.
 
     Raises:
@@ -134,13 +134,16 @@ def make_grasp_diagram(
         source = builder.AddNamedSystem("glove_replay", GloveReplay(human))
     else:
         person, goal = human
+        # The person starts with the hand oriented like the robot's. The tracker's frame is parallel to W and
+        # has its origin at the wrist's initial position.
+        X_WB_seen = mirrored_pose(X_WB_start) if in_mirror else X_WB_start
         operator = source = builder.AddNamedSystem(
             "operator",
-            _make_operator(
-                scenario,
+            SimulatedOperator(
                 person,
                 goal.mirrored() if in_mirror else goal,
-                mirrored_pose(X_WB_start) if in_mirror else X_WB_start,
+                scenario.operator,
+                RigidTransform(X_WB_seen.rotation(), np.zeros(3)),
                 seed=int(rng.integers(2**31)),
             ),
         )
@@ -256,15 +259,6 @@ def make_grasp_diagram(
     )
 
 
-def _make_operator(
-    scenario: Scenario, hand: HumanHand, goal: GraspGoal, X_WB_start: RigidTransform, seed: int
-) -> SimulatedOperator:
-    # The person starts with the hand oriented like the robot's. The tracker's frame is parallel to W and has
-    # its origin at the wrist's initial position.
-    X_WH_start = RigidTransform(X_WB_start.rotation(), np.zeros(3))
-    return SimulatedOperator(hand, goal, scenario.operator, X_WH_start, seed)
-
-
 def _delayed(builder: DiagramBuilder, port: OutputPort, scenario: Scenario) -> OutputPort:
     config = scenario.operator
     steps = round(config.visual_delay / config.period)
@@ -280,7 +274,7 @@ def _delayed(builder: DiagramBuilder, port: OutputPort, scenario: Scenario) -> O
 
 
 def _mirrored(builder: DiagramBuilder, name: str, port: OutputPort) -> OutputPort:
-    """Returns a port of poses or points in the mirror."""
+    """A port of poses or points in the mirror."""
     signs = POSE_MIRROR if name.endswith("_pose") else np.tile(POINT_MIRROR, port.size() // 3)
     mirror = builder.AddNamedSystem(f"{name}_mirrored", Gain(signs))
     builder.Connect(port, mirror.get_input_port())

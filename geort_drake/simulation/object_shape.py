@@ -26,7 +26,7 @@ class ObjectShape:
         return max(self.parts, key=lambda part: float(np.prod(half_extents(part[0]))))
 
     def lowest_point(self, X_WO: RigidTransform) -> float:
-        """Returns the height in W of the lowest point of the object at X_WO, m."""
+        """Height in W of the lowest point of the object at X_WO, m."""
         R_OG, p_OG, box, disk, ellipsoid = self._sums
         down_O = X_WO.rotation().matrix()[2]  # the world's z axis in O
         down_G = down_O @ R_OG
@@ -39,8 +39,8 @@ class ObjectShape:
     def _sums(self) -> tuple[np.ndarray, ...]:
         """Poses R_OG (N, 3, 3) and p_OG (N, 3) of the parts, and the summands of their Minkowski sums.
 
-        These are a box of half sides (N, 3), a disk of radius (N,) across z, and an ellipsoid of half axes
-        (N, 3). The support function of a sum is the sum of the support functions.
+        The summands are boxes of half sides (N, 3), disks of radius (N,) across z, and ellipsoids of half
+        axes (N, 3). The support function of a sum is the sum of the support functions.
         """
         poses = [X_OG for _, X_OG in self.parts]
         box, disk, ellipsoid = zip(*(_summands(shape) for shape, _ in self.parts), strict=True)
@@ -74,7 +74,7 @@ def object_shape(plant: MultibodyPlant, inspector: SceneGraphInspector, body: Ri
 
 
 def half_extents(shape: Shape) -> np.ndarray:
-    """Returns the half sides of the box around a primitive, along its own axes, (3,) m."""
+    """Half sides of the box around a primitive, along its own axes, (3,) m."""
     if isinstance(shape, Box):
         return shape.size() / 2
     if isinstance(shape, Cylinder):
@@ -87,7 +87,7 @@ def half_extents(shape: Shape) -> np.ndarray:
 
 
 def _summands(shape: Shape) -> tuple[np.ndarray, float, np.ndarray]:
-    """Returns the half sides of a box, radius of a disk and half axes of an ellipsoid that sum to a shape."""
+    """Half sides of a box, radius of a disk and half axes of an ellipsoid that sum to a shape."""
     nothing, half = np.zeros(3), half_extents(shape)
     if isinstance(shape, Box):
         return half, 0.0, nothing

@@ -1,6 +1,6 @@
-"""Scenarios: what to simulate, as data. The schema of `diagrams/*.scenarios.yaml`, and reading it.
+"""Scenarios: what to simulate, as data; the schema of `diagrams/*.scenarios.yaml`, and its reader.
 
-This module must not use postponed annotations, because Drake's YAML loader reads the types.
+Drake's YAML loader reads the types, so this module must not use postponed annotations.
 """
 
 import dataclasses as dc
@@ -23,7 +23,7 @@ from geort_drake.systems.action_correction import CorrectionConfig
 from geort_drake.systems.update_timing import check_timing
 from geort_drake.systems.wrist_to_arm import WristToArmConfig
 
-# Numeric fields by what they must be.
+# Rule → numeric fields.
 _RULES = (
     (
         "positive and finite",
@@ -51,12 +51,8 @@ _RULES = (
 )
 _MIN_TIME_STEP = 1e-5  # s; a trial with a shorter step would hardly end
 # These must be multiples of the plant's time step.
-_PERIODS = (
-    "retargeting.period",
-    "wrist_to_arm.period",
-    "operator.period",
-    "monitor.period",
-    "recording.period",
+_PERIODS = tuple(
+    f"{part}.period" for part in ("retargeting", "wrist_to_arm", "operator", "monitor", "recording")
 )
 
 
@@ -160,12 +156,8 @@ class Scenario:
                 value = attrgetter(name)(self)
                 _require(holds(value), name, rule, value)
         position = self.object.position
-        _require(
-            len(position) == 2 and all(map(math.isfinite, position)),
-            "object.position",
-            "[x, y] in m",
-            position,
-        )
+        is_point = len(position) == 2 and all(map(math.isfinite, position))
+        _require(is_point, "object.position", "[x, y] in m", position)
         try:
             self.operator.validate()
             self.correction.validate()

@@ -28,11 +28,9 @@ class TrialResult:
     seed: int
     success: bool
     # "success"; "timeout: PHASE" with the monitor's last phase; or "thrown: PHASE" with the last phase in
-    # which a finger touched the object (touch, grasp, lift or hold), or reach if none did, as when the palm
-    # knocked it over.
+    # which a finger touched the object, or reach if none did, as when the palm knocked it over.
     outcome: str
-    # The simulated operator's last phase; None in a replay. It tells whether the object was thrown while
-    # approaching or while closing.
+    # The simulated operator's last phase, for example approach or close; None in a replay.
     operator_phase: str | None
     # Time from the start to the beginning of the hold; None without success.
     completion_time: float | None
@@ -73,7 +71,7 @@ def run_trial(
         report: called with the simulated time now and then, for a progress display.
 
     Returns:
-        The result, and the glove and tracker data of the trial, which `GloveReplay` can replay.
+        The result, and the glove and tracker data of the trial for `GloveReplay`.
     """
     started = time.perf_counter()
     # Methods that continue from their last output start anew.

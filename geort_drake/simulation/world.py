@@ -6,12 +6,7 @@ import math
 import numpy as np
 from pydrake.geometry import RoleAssign, SceneGraph
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
-from pydrake.multibody.parsing import (
-    GetScopedFrameByName,
-    ModelDirectives,
-    Parser,
-    ProcessModelDirectives,
-)
+from pydrake.multibody.parsing import GetScopedFrameByName, ModelDirectives, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import Joint, ModelInstanceIndex, PdControllerGains, RigidBody
 from pydrake.systems.framework import DiagramBuilder, OutputPort
@@ -142,19 +137,19 @@ def draw_placement(scenario: Scenario, lowest_at_identity: float, rng: np.random
 def standing_pose(
     scenario: Scenario, lowest_at_identity: float, dx: float = 0.0, dy: float = 0.0, yaw: float = 0.0
 ) -> RigidTransform:
-    """Returns X_WO of the object on its support, moved (m) and turned (rad) from the scenario's position."""
+    """X_WO of the object on its support, moved (m) and turned (rad) from the scenario's position."""
     x, y = scenario.object.position
     z = scenario.object.support_height - lowest_at_identity
     return RigidTransform(RotationMatrix.MakeZRotation(yaw), [x + dx, y + dy, z])
 
 
 def actuated_joints(plant: MultibodyPlant, model: ModelInstanceIndex) -> list[Joint]:
-    """Returns the joints of a model of a finalized plant that have an actuator, in actuator order."""
+    """Joints of a model of a finalized plant that have an actuator, in actuator order."""
     return [plant.get_joint_actuator(index).joint() for index in plant.GetJointActuatorIndices(model)]
 
 
 def actuated_state(builder: DiagramBuilder, plant: MultibodyPlant, model: ModelInstanceIndex) -> OutputPort:
-    """Returns a port with positions, then velocities of a model's actuated joints, in actuator order."""
+    """A port with positions, then velocities of a model's actuated joints, in actuator order."""
     joints = actuated_joints(plant, model)
     state = plant.get_state_output_port(model)
     if state.size() == 2 * len(joints):
@@ -165,7 +160,7 @@ def actuated_state(builder: DiagramBuilder, plant: MultibodyPlant, model: ModelI
 
 
 def _mount_hand(plant: MultibodyPlant, scenario: Scenario, description: HandDescription) -> None:
-    """Adds the hand's model and welds the frame of its mount to the scenario's `hand_parent`."""
+    """Adds the hand's model and welds its mount frame to the scenario's `hand_parent`."""
     try:
         parent = GetScopedFrameByName(plant, scenario.hand_parent)
     except RuntimeError as error:

@@ -69,7 +69,11 @@ class ActionCorrection(LeafSystem):
 class NoCorrection(ActionCorrection):
     """Passes commands on; unlike the base class, it never evaluates the hand's state.
 
-    Ports: see `ActionCorrection`; `hand_state` is not read.
+    Input ports:
+        desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.
+        hand_state (2n): not read.
+    Output port:
+        desired_state (2n): the input of that name.
     """
 
     def _prerequisites(self) -> set:

@@ -1,9 +1,8 @@
 """Behaviour of a person who grasps through a robot: reach, approach, close, squeeze, lift, and retry.
 
-The person sees the robot's fingertips, its hand and the object, late and with noise, and moves the own
-hand. Fingers are corrected continuously: a fingertip moves as the robot's fingertip should move, in
-proportion to the seen error. The wrist makes minimum-jerk movements and waits to see the result. Nothing
-here knows the retargeting map.
+The person sees the robot's fingertips, its hand and the object, with delay and noise, and moves the own hand.
+Fingers are corrected continuously, in proportion to the seen error. The wrist makes minimum-jerk movements
+and waits to see the result. Nothing here knows the retargeting map.
 """
 
 import dataclasses as dc
@@ -43,19 +42,19 @@ class GraspingPerson:
         self._followers = [i for i in range(5) if i not in self._own]
 
     def start(self, X_WH: RigidTransform) -> OperatorState:
-        """Returns the state before the first decision: a relaxed hand at X_WH."""
+        """The state before the first decision: a relaxed hand at X_WH."""
         theta = self._motion.rest
         steps = round(self._config.visual_delay / self._config.period)
         p_HF = self._hand.fingertips(theta)
         return OperatorState(theta=theta, X_WH=X_WH, p_HF_past=(p_HF,) * max(steps, 1), sensed=SensedGain())
 
     def step(self, state: OperatorState, t: float, scene: Seen) -> OperatorState:
-        """Returns the state after one decision at time t, s; does not change `state`."""
+        """The state after one decision at time t, s; does not change `state`."""
         past = (*state.p_HF_past[1:], self._hand.fingertips(state.theta))
         state = dc.replace(state, p_HF_past=past)
         seen = perceive(scene, self._config, self._rng)
         free = seen.contact <= self._config.touch_force
-        # The oldest remembered own posture is that of the time when the picture was made.
+        # The oldest remembered own posture is as old as the seen scene.
         tips = np.stack([past[0][self._own], seen.p_BF])
         state.fingertips = averaged(state.fingertips, tips, self._config)
         own, robot = state.fingertips
@@ -97,7 +96,7 @@ class GraspingPerson:
             if t - state.phase_start >= config.squeeze_time + config.settle_time:
                 self._enter(state, Phase.LIFT, t)
                 state.p_BO_start = state.p_BO
-        elif self._slip(state) > config.lost_distance:
+        elif self._has_slipped(state):
             self._enter(state, Phase.RELEASE, t)
             state.attempt += 1
         elif state.phase == Phase.LIFT and self._wrist_rests(state, t) and state.movement is not None:
@@ -129,9 +128,10 @@ class GraspingPerson:
         return t - state.best_time > self._config.patience
 
     def _hand_shift(self, state: OperatorState, seen: Seen) -> np.ndarray | None:
-        """Returns a shift of the hand, (3,) m in W, that makes up for what the fingers cannot reach.
+        """Shift of the hand, (3,) m in W, that makes up for what the fingers cannot reach; None if it is
+        small.
 
-        It is the middle of the fingertips' errors, which minimises the largest error; None if it is small.
+        It is the middle of the fingertips' errors, which minimises the largest error.
         """
         error = state.shape_error
         assert error is not None  # set at the start of every decision
@@ -146,15 +146,14 @@ class GraspingPerson:
             return None
         return seen.X_WB.rotation().matrix() @ middle
 
-    def _slip(self, state: OperatorState) -> float:
-        """Returns how far the object has moved in the hand since the lift began, m."""
+    def _has_slipped(self, state: OperatorState) -> bool:
         assert state.p_BO is not None and state.p_BO_start is not None  # set when the lift begins
-        return float(np.linalg.norm(state.p_BO - state.p_BO_start))
+        return bool(np.linalg.norm(state.p_BO - state.p_BO_start) > self._config.lost_distance)
 
     # -- fingers
 
     def _fingertip_errors(self, state: OperatorState, seen: Seen) -> np.ndarray:
-        """Returns the vectors from the seen robot fingertips to their targets, (F, 3) m in B."""
+        """Vectors from the seen robot fingertips to their targets, (F, 3) m in B."""
         target = self._goal.p_BF_open.copy()
         if state.phase in (Phase.SURROUND, Phase.CLOSE):
             X_BO = seen.X_BW @ self._goal.object_frame(seen.X_WO)
@@ -175,8 +174,8 @@ class GraspingPerson:
             self._squeeze(state, t)
             return
         p_HF = state.p_HF_past[-1]
-        # The robot's fingers are assumed to have moved like the own since the picture was made: a forward
-        # model, as people have one (Miall and Wolpert 1996).
+        # Forward model (Miall and Wolpert 1996): since the seen scene, the robot's fingers are assumed to
+        # have moved like the own.
         done = (p_HF - state.p_HF_past[0])[self._own]
         error = self._fingertip_errors(state, seen) - done
         target = np.zeros((5, 3))
@@ -209,7 +208,7 @@ class GraspingPerson:
         state.theta = self._motion.follow(state.theta, state.p_HF_start + depth * inwards)
 
     def _closing_share(self, error: np.ndarray, seen: Seen) -> np.ndarray:
-        """Returns each finger's share of the closing speed: touching fingers stop, leading ones wait."""
+        """Each finger's share of the closing speed: touching fingers stop, leading ones wait."""
         config, touches = self._config, self._goal.touches
         distance = np.linalg.norm(error, axis=1)
         touching = seen.contact > config.touch_force
@@ -251,7 +250,7 @@ class GraspingPerson:
     def _wrist_shift(
         self, state: OperatorState, t: float, seen: Seen
     ) -> tuple[np.ndarray, RotationMatrix] | None:
-        """Returns translation (m) and rotation in W of the next movement; None to stay."""
+        """Translation (m) and rotation in W of the next movement; None to stay."""
         if state.phase == Phase.LIFT:
             raised = state.movement is not None
             return None if raised else (np.array([0, 0, self._config.lift_height]), RotationMatrix())

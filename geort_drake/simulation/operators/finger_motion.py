@@ -17,7 +17,7 @@ class FingerMotion:
     """Inverse kinematics of a human hand in three coordinates per finger, within its joint limits.
 
     The coordinates are abduction, flexion of the base joint, and a bend shared by both outer joints
-    (`_COUPLING`), so that every fingertip position has one posture, a natural one.
+    (`_COUPLING`), so every fingertip position has one natural posture.
     """
 
     def __init__(self, hand: HumanHand):
@@ -35,9 +35,9 @@ class FingerMotion:
         return self._angles(0.5 * (self._lower + self._upper))
 
     def follow(self, theta: np.ndarray, p_HF: np.ndarray, iterations: int = 2) -> np.ndarray:
-        """Returns joint angles (20,) near `theta` that bring the fingertips to p_HF (5, 3), m, or near it.
+        """Joint angles (20,) near `theta` that bring the fingertips to p_HF (5, 3), m, or near it.
 
-        Takes damped Gauss–Newton steps. A coordinate at its limit stays there and the others go on.
+        Takes damped Gauss–Newton steps. A coordinate at its limit stays there; the others continue.
         """
         x = np.clip(np.asarray(theta, float).reshape(5, 4)[:, :3], self._lower, self._upper)
         for _ in range(iterations):

@@ -1,4 +1,4 @@
-"""What the simulated person perceives: noisy looks, averages of them, and the sensed gain of the robot."""
+"""Perception of the simulated person: noisy looks, their averages, and the sensed gain of the robot."""
 
 import dataclasses as dc
 import functools
@@ -31,7 +31,7 @@ class Seen:
 
 
 def perceive(scene: Seen, config: OperatorConfig, rng: np.random.Generator) -> Seen:
-    """Returns the scene with noise on fingertips, poses and forces, drawn anew for each look."""
+    """The scene with noise on fingertips, poses and forces, drawn anew for each look."""
     num_fingers = len(scene.p_WF)
     noise = rng.normal(0, config.visual_noise, (num_fingers + 2, 3))
     turns = Rotation.from_rotvec(rng.normal(0, config.visual_turn_noise, (2, 3))).as_matrix()
@@ -45,10 +45,9 @@ def perceive(scene: Seen, config: OperatorConfig, rng: np.random.Generator) -> S
 
 
 def averaged(before: np.ndarray | None, now: np.ndarray, config: OperatorConfig) -> np.ndarray:
-    """Returns a running average over about `judging_time`; single looks are noisier than the tolerances.
+    """Running average over about `judging_time`; single looks are noisier than the tolerances.
 
-    Args:
-        before: the average one period ago; None at the first look.
+    `before` is the average one period ago, None at the first look.
     """
     if before is None:
         return now
@@ -57,10 +56,10 @@ def averaged(before: np.ndarray | None, now: np.ndarray, config: OperatorConfig)
 
 @dc.dataclass(frozen=True)
 class SensedGain:
-    """The person's estimate of robot fingertip motion over own fingertip motion.
+    """The person's estimate of robot fingertip motion per own fingertip motion.
 
     People adapt to a new visuomotor gain within a few movements (Krakauer et al. 2000). The estimate is one
-    number for the whole hand, Σ |Δrobot| |Δown| / Σ |Δown|², over free motions between looks that are
+    number for the whole hand, Σ |Δrobot| |Δown| / Σ |Δown|², over free motions between looks at least
     `interval` apart. It starts at one.
     """
 
@@ -80,7 +79,7 @@ class SensedGain:
         return self.product / self.square
 
     def look(self, t: float, own: np.ndarray, robot: np.ndarray, free: np.ndarray) -> "SensedGain":
-        """Returns the estimate after a look at time t, s; fingers in contact are not `free` (F,)."""
+        """The estimate after a look at time t, s; fingers in contact are not `free` (F,)."""
         if t - self.t < self.interval:
             return self
         if self.own is None or self.robot is None:

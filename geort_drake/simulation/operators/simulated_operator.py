@@ -1,6 +1,4 @@
-"""The simulated person as a system in the place of a glove and a tracker."""
-
-import dataclasses as dc
+"""The simulated person as a system that replaces a glove and a tracker."""
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -13,18 +11,13 @@ from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.perception import Seen
 from geort_drake.simulation.operators.state import OperatorState
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
-from geort_drake.systems.port_values import Immutable, vector_to_pose
-
-
-@dc.dataclass(frozen=True)
-class _Memory(Immutable):
-    state: OperatorState  # `GraspingPerson.step` does not change it
+from geort_drake.systems.port_values import vector_to_pose
 
 
 class SimulatedOperator(LeafSystem):
     """A person who grasps through the robot by moving a human hand and wrist.
 
-    `GraspingPerson` decides once every `OperatorConfig.period`. The inputs are meant to be delayed by
+    `GraspingPerson` decides once every `OperatorConfig.period`. The inputs should be delayed by
     `OperatorConfig.visual_delay`.
 
     Input ports (F robot fingers in the goal's order):
@@ -39,8 +32,8 @@ class SimulatedOperator(LeafSystem):
         phase (1): `Phase` as a number.
         attempt (1): number of grasp attempts so far, from 1.
 
-    State: the person's memory (abstract OperatorState) and the keypoints (63). Noise comes from a generator
-    that the constructor seeds, so a system serves one simulation.
+    State: the person's memory (abstract OperatorState) and the keypoints (63). The noise generator is not
+    part of the state, so a system serves one simulation.
     """
 
     def __init__(
@@ -66,7 +59,7 @@ class SimulatedOperator(LeafSystem):
         # The delays' outputs are zero until their first sample has passed.
         self._first_sight = config.visual_delay - 0.5 * config.period
         start = self._person.start(X_WH_start)
-        state = self.DeclareAbstractState(AbstractValue.Make(_Memory(start)))
+        state = self.DeclareAbstractState(AbstractValue.Make(start))
         # A state, because the tremor is drawn once per decision.
         self._keypoints = self.DeclareDiscreteState(hand.keypoints(start.theta).ravel())
         ticket = {self.abstract_state_ticket(state)}
@@ -93,7 +86,7 @@ class SimulatedOperator(LeafSystem):
 
     def memory(self, context: Context) -> OperatorState:
         """Returns the person's memory; do not change it."""
-        return context.get_abstract_state(0).get_value().state
+        return context.get_abstract_state(0).get_value()
 
     def _decide(self, context: Context, state: State) -> EventStatus:
         before = self.memory(context)
@@ -106,7 +99,7 @@ class SimulatedOperator(LeafSystem):
             contact=self._contact.Eval(context).copy(),
         )
         after = self._person.step(before, context.get_time(), scene)
-        state.get_mutable_abstract_state(0).set_value(_Memory(after))
+        state.get_mutable_abstract_state(0).set_value(after)
         keypoints = self._hand.keypoints(after.theta)
         keypoints[1:] += self._tremor_rng.normal(0, self._tremor, (20, 3))
         state.get_mutable_discrete_state(self._keypoints).set_value(keypoints.ravel())

@@ -8,6 +8,7 @@ from pydrake.math import RigidTransform
 
 from geort_drake.simulation.operators.perception import SensedGain
 from geort_drake.simulation.wrist_motion import WristMovement
+from geort_drake.systems.port_values import Immutable
 
 
 class Phase(enum.IntEnum):
@@ -24,13 +25,16 @@ class Phase(enum.IntEnum):
 
 
 @dc.dataclass
-class OperatorState:
-    """What the person remembers from one decision to the next. Frames: H own wrist, B robot hand base."""
+class OperatorState(Immutable):
+    """The person's memory between decisions. Frames: H own wrist, B robot hand base.
+
+    `GraspingPerson.step` changes only a copy of it.
+    """
 
     theta: np.ndarray  # (20,) joint angles of the own hand, rad
     X_WH: RigidTransform
-    # (5, 3) own fingertips in H at the last decisions, m: the oldest when the present picture was made, the
-    # newest at the joint angles before this decision.
+    # (5, 3) own fingertips in H at the last decisions, m: the oldest is as old as the seen scene, the newest
+    # is at the joint angles before this decision.
     p_HF_past: tuple[np.ndarray, ...]
     sensed: SensedGain
     phase: Phase = Phase.REACH
@@ -40,8 +44,8 @@ class OperatorState:
     # The wrist's present or last movement in this phase, and the number of movements.
     movement: WristMovement | None = None
     movements: int = 0
-    # Averages of several looks, m: own fingertips in H when the picture was made and robot's in B, (2, F, 3);
-    # errors of the robot's fingertips in B, (F, 3); the object's origin in B, (3,).
+    # Averages of several looks, m: own fingertips in H at the time of the seen scene and robot's in B,
+    # (2, F, 3); errors of the robot's fingertips in B, (F, 3); the object's origin in B, (3,).
     fingertips: np.ndarray | None = None
     shape_error: np.ndarray | None = None
     p_BO: np.ndarray | None = None

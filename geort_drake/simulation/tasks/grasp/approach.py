@@ -1,4 +1,4 @@
-"""Finds a collision-free way for the open hand to its grasp."""
+"""Finds a collision-free path of the open hand to its grasp."""
 
 import itertools
 
@@ -73,12 +73,10 @@ class GraspApproach:
         self._plant_context = self._plant.GetMyMutableContextFromRoot(self._context)
 
     def waiting_pose(self, X_OB: RigidTransform, q_open: dict[str, float]) -> RigidTransform | None:
-        """Returns X_OB where the open hand can wait before the grasp at X_OB; None if there is none.
+        """X_OB at which the open hand can wait before the grasp at X_OB; None if there is none.
 
-        The straight movements from the start to it and from it to the grasp are free of collisions.
-
-        Args:
-            q_open: joint positions by name of the open hand, rad.
+        The straight movements from the start to it and from it to the grasp are free of collisions. `q_open`
+        are the joint positions of the open hand by name, rad.
         """
         clearance = self._distance(X_OB, X_OB, q_open, fingers_only=True)
         if clearance <= 0:
@@ -100,7 +98,7 @@ class GraspApproach:
         q: dict[str, float],
         fingers_only: bool = False,
     ) -> float:
-        """Returns the least distance between hand and object on a movement, at most `_FARTHEST`, m."""
+        """Least distance between hand and object on a movement, at most `_FARTHEST`, m."""
         movement = WristMovement(X_OB_from, X_OB_to, 0.0, 1.0)
         for name, joint in self._joints.items():
             joint.set_angle(self._plant_context, q[name])

@@ -1,4 +1,4 @@
-"""Contacts of a grip on an object, from the object's shape alone."""
+"""Contacts of a grip on an object, from its shape alone."""
 
 import dataclasses as dc
 import math
@@ -53,7 +53,7 @@ GRIPS = {
 
 
 def grip_of(name: str) -> str:
-    """Returns the name of an object's grip, one of `GRIPS`, from models/objects.yaml.
+    """Name of an object's grip, one of `GRIPS`, from models/objects.yaml.
 
     Raises:
         UnknownNameError: the object is not listed there, or its grip does not exist.
@@ -84,7 +84,7 @@ def grip_contacts(
     side: str = "right",
     offset: float = _OFFSETS[0],
 ) -> list[Contact]:
-    """Returns the contacts of a grip on the object's main part.
+    """Contacts of a grip on the object's main part.
 
     Args:
         yaw: direction of the grip's axis from the thumb to the fingers, rad.
@@ -102,14 +102,14 @@ def grip_contacts(
 
 
 def palm_contact(shape: ObjectShape, yaw: float, height: float, side: str = "right") -> Contact:
-    """Returns the palm's contact in a power grasp; arguments as in `grip_contacts`."""
+    """The palm's contact in a power grasp; arguments as in `grip_contacts`."""
     bottom, top = vertical_extent(shape)
     z = bottom + height * (top - bottom)
     return _contact(shape, "palm", yaw + _turned(-math.pi / 2, side), 0.0, z, offset=0.0)
 
 
 def _turned(angle: float, side: str) -> float:
-    """Returns a right hand's angle about the vertical for a hand of that side."""
+    """A right hand's angle about the vertical for a hand of that side."""
     return -angle if side == "left" else angle
 
 
@@ -125,18 +125,16 @@ def _contact(shape: ObjectShape, part: str, yaw: float, angle: float, z: float, 
 
 
 def vertical_extent(shape: ObjectShape) -> tuple[float, float]:
-    """Returns the lowest and the highest z of the upright object in O, m."""
+    """Lowest and highest z of the upright object in O, m."""
     upside_down = RigidTransform(RotationMatrix.MakeXRotation(math.pi), np.zeros(3))
     return shape.lowest_point(RigidTransform()), -shape.lowest_point(upside_down)
 
 
 def contact_heights(shape: ObjectShape, grip: str, lowest: float) -> list[float]:
-    """Returns heights of the grip to try, best first, as shares of the object's height.
+    """Heights of the grip to try, best first, as shares of the object's height.
 
-    Just above the middle is best, as the object then hangs from its contacts.
-
-    Args:
-        lowest: least height of a contact above the object's bottom, m.
+    Just above the middle is best, because the object then hangs from its contacts. `lowest` is the least
+    height of a contact above the object's bottom, m.
     """
     main, X_OG = shape.main
     if isinstance(main, Sphere | Ellipsoid):
@@ -156,9 +154,9 @@ def contact_heights(shape: ObjectShape, grip: str, lowest: float) -> list[float]
 
 
 def finger_offsets(shape: ObjectShape, grip: str) -> tuple[float, ...]:
-    """Returns distances of adjacent fingers from the middle of a flat side to try, best first, m.
+    """Distances of adjacent fingers from the middle of a flat side to try, best first, m.
 
-    There is one if it makes no difference: on round objects, and for a single finger.
+    There is only one on round objects and for a single finger.
     """
     main, _ = shape.main
     alone = all(math.isclose(math.sin(angle), 0, abs_tol=1e-9) for angle, _ in GRIPS[grip].fingers.values())
@@ -170,7 +168,7 @@ def finger_offsets(shape: ObjectShape, grip: str) -> tuple[float, ...]:
 
 
 def yaw_candidates(shape: ObjectShape) -> tuple[list[float], float]:
-    """Returns yaws of the grip's axis to try, rad, and the object's yaw symmetry, rad (0: full)."""
+    """Yaws of the grip's axis to try, rad, and the object's yaw symmetry, rad (0: full)."""
     main, _ = shape.main
     if isinstance(main, Box):
         square = math.isclose(main.width(), main.depth(), rel_tol=0.02)
@@ -191,7 +189,7 @@ def _radius_at(shape: Shape, z: float) -> float:
 def _on_box(
     half: np.ndarray, X_OG: RigidTransform, direction: np.ndarray, yaw: float, least: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the contact in `direction` on a box's side across the grip's axis, and its outward normal."""
+    """The contact in `direction` on a box's side across the grip's axis, and its outward normal."""
     axis = np.array([math.cos(yaw), math.sin(yaw), 0.0])
     side = axis if direction @ axis > 0 else -axis
     lateral = np.array([-math.sin(yaw), math.cos(yaw), 0.0])

@@ -44,9 +44,9 @@ class GraspGoal:
         )
 
     def object_frame(self, X_WO: RigidTransform) -> RigidTransform:
-        """Returns the upright frame O of the grasp for an object at X_WO.
+        """The upright frame O of the grasp for an object at X_WO.
 
-        It has the equivalent yaw nearest to zero, so that the wrist turns least.
+        Its yaw is the equivalent one nearest to zero, so the wrist turns least.
         """
         R = X_WO.rotation().matrix()
         yaw = math.atan2(R[1, 0], R[0, 0])

@@ -1,14 +1,7 @@
 """Inverse kinematics of a grasp, for arm and hand in a plant with a fixed object."""
 
 import numpy as np
-from pydrake.geometry import (
-    CollisionFilterDeclaration,
-    Convex,
-    GeometrySet,
-    Mesh,
-    SceneGraph,
-    Shape,
-)
+from pydrake.geometry import CollisionFilterDeclaration, Convex, GeometrySet, Mesh, SceneGraph, Shape
 from pydrake.math import RigidTransform
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
@@ -90,10 +83,10 @@ class GraspKinematics:
             contacts: one for each grasping finger.
             palm: the palm's contact, or None.
             guess: positions of the plant to start from.
-            collisions: whether to avoid collisions; without that it is a hundred times faster.
+            collisions: whether to avoid collisions, which takes a hundred times longer.
 
         Returns:
-            The posture's discomfort and the positions of the plant; None if there is none.
+            The posture's discomfort and the positions of the plant, or None.
         """
         ik = self._program(contacts, 0.0, _TOLERANCE)
         low, high = self._plant.GetPositionLowerLimits(), self._plant.GetPositionUpperLimits()
@@ -114,10 +107,7 @@ class GraspKinematics:
         return result.get_optimal_cost(), result.GetSolution(ik.q())
 
     def open(self, contacts: list[Contact], opening: float, q_touch: np.ndarray) -> np.ndarray | None:
-        """Returns positions with the fingertips `opening` (m) off the contacts and the arm as in q_touch.
-
-        None if there are none.
-        """
+        """Positions with the fingertips `opening` (m) off the contacts and the arm as in q_touch, or None."""
         ik = self._program(contacts, opening, _OPEN_TOLERANCE)
         ik.AddMinimumDistanceLowerBoundConstraint(_CLEARANCE, 0.02)
         arm = self._arm_positions()
@@ -126,7 +116,7 @@ class GraspKinematics:
         return result.GetSolution(ik.q()) if result.is_success() else None
 
     def open_wide(self, q_touch: np.ndarray) -> np.ndarray | None:
-        """Returns positions with the hand's default posture and the arm as in q_touch; None in collision."""
+        """Positions with the hand in its default posture and the arm as in q_touch; None in collision."""
         q, arm = self.q_default.copy(), self._arm_positions()
         q[arm] = q_touch[arm]
         self._plant.SetPositions(self._plant_context, q)
@@ -134,12 +124,12 @@ class GraspKinematics:
         return None if query.HasCollisions() else q
 
     def hand_pose(self, q: np.ndarray) -> RigidTransform:
-        """Returns X_OB at the plant's positions q."""
+        """X_OB at the plant's positions q."""
         self._plant.SetPositions(self._plant_context, q)
         return self._X_WO.inverse() @ self._base.CalcPoseInWorld(self._plant_context)
 
     def fingertips(self, q: np.ndarray) -> np.ndarray:
-        """Returns p_OF (F, 3) of all fingertip points at the plant's positions q, m."""
+        """p_OF (F, 3) of all fingertip points at the plant's positions q, m."""
         self._plant.SetPositions(self._plant_context, q)
         p_WF = [
             self._tip_body(finger).EvalPoseInWorld(self._plant_context) @ np.asarray(finger.tip_point, float)
@@ -148,7 +138,7 @@ class GraspKinematics:
         return self._X_WO.inverse().multiply(np.array(p_WF).T).T
 
     def joint_positions(self, q: np.ndarray) -> dict[str, float]:
-        """Returns the plant's positions q by joint name, rad."""
+        """The plant's positions q by joint name, rad."""
         joints = map(self._plant.get_joint, self._plant.GetJointIndices())
         return {joint.name(): q[joint.position_start()] for joint in joints if joint.num_positions()}
 
@@ -157,7 +147,7 @@ class GraspKinematics:
         return [joint.position_start() for joint in joints if joint.num_positions()]
 
     def _program(self, contacts: list[Contact], opening: float, tolerance: float) -> InverseKinematics:
-        """Returns a program with fingertips `opening` off their contacts and a cost of discomfort."""
+        """A program with fingertips `opening` off their contacts and a cost of discomfort."""
         plant = self._plant
         ik = InverseKinematics(plant, self._plant_context)
         by_finger = {contact.part: contact for contact in contacts}
@@ -239,7 +229,7 @@ class GraspKinematics:
 
 
 def _largest_x(shape: Shape, X_BG: RigidTransform) -> float:
-    """Returns the largest x in B, m, of the box around a primitive or of a mesh's convex hull."""
+    """Largest x in B, m, of the box around a primitive or of a mesh's convex hull."""
     if isinstance(shape, Convex | Mesh):
         hull = shape.GetConvexHull()
         vertices = np.array([hull.vertex(i) for i in range(hull.num_vertices())])

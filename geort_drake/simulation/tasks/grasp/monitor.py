@@ -1,4 +1,4 @@
-"""Judges a grasp from the physics alone: lifted and held, or failed, and in which phase."""
+"""Judges a grasp from the physics alone: held or failed, and in which phase."""
 
 import dataclasses as dc
 import enum
@@ -150,7 +150,7 @@ class GraspMonitor(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(config.period, 0.0, self._look)
 
     def outcome(self, context: Context) -> GraspOutcome:
-        """Returns the outcome so far."""
+        """The outcome so far."""
         return context.get_abstract_state(0).get_value().outcome
 
     def _look(self, context: Context, state: State) -> EventStatus:

@@ -69,7 +69,7 @@ class GraspPlanner:
         )
 
     def plan(self) -> GraspGoal:
-        """Returns the most comfortable grasp that is found; it is deterministic.
+        """The most comfortable grasp found; deterministic.
 
         Raises:
             ScenarioError: no grasp is found.
@@ -106,7 +106,7 @@ class GraspPlanner:
         )
 
     def _grasp_from(self, candidate: "_Candidate") -> "_Grasp | None":
-        """Returns a collision-free grasp with open fingers and a way to it, or None."""
+        """A collision-free grasp with open fingers and a path to it, or None."""
         robot = self._kinematics
         solution = robot.touch(candidate.contacts, candidate.palm, candidate.q)
         if solution is None:
@@ -124,10 +124,10 @@ class GraspPlanner:
         return _Grasp(discomfort + candidate.penalty, candidate.contacts, q_touch, q_open, X_OB_before)
 
     def _candidates(self, offset: float) -> list["_Candidate"]:
-        """Returns contacts within reach, the most promising first; `offset` is one of `finger_offsets`.
+        """Contacts within reach, the most promising first; `offset` is one of `finger_offsets`.
 
-        They are sorted by inverse kinematics without collisions, which takes a hundredth of the time and
-        rarely gives another discomfort.
+        Sorted by inverse kinematics without collisions, which takes a hundredth of the time and rarely gives
+        another discomfort.
         """
         robot, side = self._kinematics, self._description.side
         shape = robot.shape
