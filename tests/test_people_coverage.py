@@ -19,8 +19,6 @@ from geort_drake.people.play import synthesize_play
 from geort_drake.people.protocol import DURATION_S, STEPS, demonstrate
 from geort_drake.people.recording import Recording
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
-
 
 @pytest.fixture(scope="module")
 def shown():
@@ -114,12 +112,11 @@ def test_the_watch_ends_when_nothing_is_missing(tmp_path, shown, capsys, monkeyp
 
 def test_the_protocol_is_written_down():
     """The table of the guide has the program's steps, and when each begins."""
-    text = (DOCS / "how-to" / "record-a-hand.md").read_text("utf-8")
-    rows = re.findall(r"^\| (\d):(\d\d) \| (\d+) s \| ([^|]+) \| [^|]+ \|$", text, re.MULTILINE)
-    begins = np.cumsum([0, *(int(step.seconds) for step in STEPS)])
-    assert rows == [
-        (str(begin // 60), f"{begin % 60:02d}", f"{step.seconds:g}", step.name)
-        for begin, step in zip(begins, STEPS, strict=False)
+    page = Path(__file__).resolve().parents[1] / "docs" / "how-to" / "record-a-hand.md"
+    rows = re.findall(r"^\| (\d):(\d\d) \| (\d+) s \| ([^|]+) \|", page.read_text("utf-8"), re.MULTILINE)
+    begins = np.cumsum([0, *(step.seconds for step in STEPS)]).astype(int)
+    assert [(60 * int(m) + int(s), int(d), name) for m, s, d, name in rows] == [
+        (begin, step.seconds, step.name) for begin, step in zip(begins, STEPS, strict=False)
     ]
 
 

@@ -17,18 +17,15 @@ from glove_files import (
     published_manus_table,
     stacked,
     transforms,
-    vision_pro_app_frames,
     vision_pro_arrays,
     write_geort,
     write_manus,
     write_manus_csv,
     write_mediapipe,
-    write_mediapipe_npy,
     write_openxr,
     write_openxr_json,
     write_own,
     write_vision_pro,
-    write_vision_pro_app,
     write_webxr,
 )
 from moving_hands import FRAMES, moving, random_hand
@@ -112,15 +109,6 @@ def test_joints_may_be_points_poses_or_transforms(tmp_path, write, order):
         assert findings == []
 
 
-def test_vision_pro_transforms_may_be_transposed(tmp_path):
-    """Their zeros and ones prove it; the keypoints are the same, and a finding says so."""
-    hand = random_hand(5, "right")
-    fingers = vision_pro_arrays(hand)["right_fingers"].swapaxes(2, 3)
-    recording, (finding,) = open_recording(write_vision_pro(tmp_path, hand, right_fingers=fingers))
-    np.testing.assert_allclose(recording.p_HK, hand.p_HK, atol=1e-6)
-    assert "transforms are stored transposed" in str(finding)
-
-
 @pytest.mark.parametrize("unit", ["cm", "mm"])
 def test_a_stated_unit_is_converted(tmp_path, unit):
     """A CSV in another unit is refused with the unit it seems to have, and read with it."""
@@ -150,12 +138,12 @@ def test_a_published_manus_export_is_read(tmp_path, side):
         read_recording(path, other)
     with pytest.raises(RecordingError, match="in mirrored axes"):
         read_recording(write_manus_csv(tmp_path, hand, table), side)
-    # In right-handed axes x stays.
-    sign = [-1 if column.endswith("_X") else 1 for column in table[0]]
-    turned = [[*row[:3], *np.multiply(row[3:], sign[3:])] for row in table[1:]]
-    recording = read_recording(write_manus_csv(tmp_path, hand, [table[0], *turned], name=path.stem), side)
-    np.testing.assert_allclose(recording.p_HK, hand.p_HK, atol=1e-6)
-    assert recording.metadata["warnings"] == []
+
+
+def zeros(folder, hand, empty):
+    joints = poses(stacked(hand.joints(), openxr_order()), [0, 0, 0, 1.0])
+    joints[empty] = 0.0
+    return write_openxr(folder, hand, joints=joints)
 
 
 def identities(folder, hand, empty):
@@ -166,12 +154,6 @@ def identities(folder, hand, empty):
     return write_vision_pro(folder, hand, **arrays)
 
 
-def zeros(folder, hand, empty):
-    joints = poses(stacked(hand.joints(), openxr_order()), [0, 0, 0, 1.0])
-    joints[empty] = 0.0
-    return write_openxr(folder, hand, joints=joints)
-
-
 def inactive(folder, hand, empty):
     """OpenXR's isActive, and no joints."""
     contents = openxr_frames(hand)
@@ -180,14 +162,7 @@ def inactive(folder, hand, empty):
     return write_openxr_json(folder, hand, contents)
 
 
-def app_without(folder, hand, empty):
-    frames = vision_pro_app_frames(hand)
-    for i in empty:
-        del frames[i]["rightHand"]
-    return write_vision_pro_app(folder, hand, frames)
-
-
-@pytest.mark.parametrize("write", [identities, zeros, inactive, app_without])
+@pytest.mark.parametrize("write", [zeros, identities, inactive])
 def test_frames_in_which_a_tracker_saw_no_hand_are_lost(tmp_path, write):
     """Whatever it stores in them; too many of them are refused."""
     hand = moving()
@@ -237,13 +212,6 @@ def test_the_wrong_side_is_noticed_in_a_file_that_states_none(tmp_path, side):
     assert read_recording(path, side, rate_hz=50.0).rate_hz == pytest.approx(50.0)
     with pytest.raises(RecordingError, match=f"bend backwards .* {side} hand .* side '{side}'"):
         read_recording(path, "left" if side == "right" else "right")
-
-
-def test_npy_in_another_frame_is_brought_to_the_wrist(tmp_path):
-    """World landmarks are read as MediaPipe's; as GeoRT's file, they are warned of."""
-    path = write_mediapipe_npy(tmp_path, moving())
-    assert read_recording(path).metadata["format"] == "mediapipe"
-    np.testing.assert_allclose(read_recording(path, format="geort").p_HK, moving().p_HK, atol=1e-6)
 
 
 def test_a_manus_skeleton_is_read_with_or_without_order_times_and_tracker(tmp_path):

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from geort_drake.errors import OutputError, RecordingError
-from geort_drake.people import recording_parts
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
@@ -41,12 +40,6 @@ def test_parts_are_joined_to_one_recording(tmp_path):
     np.testing.assert_allclose(joined.t, PLAY.t, atol=1e-12)
     for name in ("p_HK", "valid", "X_WH"):
         np.testing.assert_array_equal(getattr(joined, name), getattr(PLAY, name))
-
-
-def test_a_session_without_samples_leaves_nothing(tmp_path):
-    """Neither a file nor a folder; an earlier recording stays."""
-    assert not RecordingParts(tmp_path / "session.npz", {}).finish()
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_interrupted_session_is_read_and_then_kept(tmp_path):
@@ -134,4 +127,3 @@ def test_a_broken_part_is_named(tmp_path):
         with pytest.raises(RecordingError, match=r"000001\.npz: not a readable NumPy file"):
             read(path)
     assert sorted(os.listdir(tmp_path)) == ["session.npz.parts"]
-    assert recording_parts.read_parts(tmp_path / "other.npz") is None
