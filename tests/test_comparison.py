@@ -9,7 +9,7 @@ import pytest
 from geort_drake.cli import run_command
 from geort_drake.comparison.comparison import Comparison, Evaluation, Outcome
 from geort_drake.comparison.metric_table import mean
-from geort_drake.comparison.metrics import evaluate_frames, pinch, robot_space
+from geort_drake.comparison.metrics import pinch
 from geort_drake.comparison.protocols import held_out, same_person
 from geort_drake.comparison.train import train_checkpoint
 from geort_drake.errors import TrainingError
@@ -199,22 +199,6 @@ def test_pinches_of_all_blocks_count_alike(play):
     assert summary["worst_part"]["motion_preservation"] == min(motions)
 
 
-def test_the_worst_seed_is_of_whole_protocols(play):
-    """Over parts a seed counts with its mean; the worst part is the worst with any seed."""
-    comparison = compare(play, seeds=(0, 1))
-    blocks = comparison.protocols[1].cases
-    talks = {(0, 0): 0.1, (1, 0): 0.5, (0, 1): 0.4, (1, 1): 0.4}
-    hands = np.zeros((4, 4, 3))
-    outcomes = [
-        Outcome(blocks[part], seed, judged({**mean([]), "cross_talk": talk}, hands, hands))
-        for (part, seed), talk in talks.items()
-    ]
-    summary = comparison.summary(outcomes)
-    assert summary["mean"]["cross_talk"] == pytest.approx(0.35)
-    assert summary["worst_seed"]["cross_talk"] == pytest.approx(0.4)
-    assert summary["worst_part"]["cross_talk"] == pytest.approx(0.5)
-
-
 def test_recorded_frames_are_answered_in_their_order_from_rest(play, quick):
     """Track and coverage of an online method are of each sequence, whatever was asked about before."""
     comparison = compare(play, seeds=(0,))
@@ -226,24 +210,3 @@ def test_recorded_frames_are_answered_in_their_order_from_rest(play, quick):
             p_BF = hand.fingertips(VectorOnline(hand.kinematics())(frames))
             np.testing.assert_allclose(outcome.evaluation.p_BF, p_BF, atol=1e-12)
             assert outcome.evaluation.remembers and outcome.evaluation.metrics["motion_preservation"] > 0.5
-
-
-def test_unrecorded_hands_are_answered_without_memory(play, quick):
-    """Where `settled` is given, it answers for perturbed hands and the method for the recorded ones."""
-    hand = HandModel(load_hand("allegro_right"))
-    frames = play.fingertips([4, 8, 12, 16])[:20]
-    middle = 0.5 * (hand.lower + hand.upper)
-    asked = {"method": 0, "settled": 0}
-
-    def answers(name):
-        def retarget(p_HF):
-            asked[name] += 1
-            assert name == "settled" or p_HF.ndim == 2 or len(p_HF) == 20
-            return np.broadcast_to(middle, (*p_HF.shape[:-2], 16)).copy()
-
-        return retarget
-
-    evaluate_frames(
-        answers("method"), hand, frames, 30.0, space=robot_space(hand), settled=answers("settled")
-    )
-    assert asked["method"] > 1 and asked["settled"] > 10

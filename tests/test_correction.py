@@ -14,9 +14,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 from geort_drake.errors import HandError, PolicyError
 from geort_drake.hands.clearance import HandClearance
 from geort_drake.hands.model import HandModel
-from geort_drake.systems.action_correction import CorrectionConfig
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.make_correction import make_correction
 from geort_drake.systems.policy_correction import (
     POLICY_FAILED,
     PolicyCorrection,
@@ -40,13 +38,6 @@ def plant_order() -> list[str]:
 def limits_of(hand: HandModel, joints: list[str], **limits) -> JointLimits:
     rows = [hand.joint_names.index(name) for name in joints]
     return JointLimits(hand.lower[rows], hand.upper[rows], **limits)
-
-
-@cache
-def guard() -> SelfCollisionGuard:
-    hand, joints = allegro(), plant_order()
-    start = dict(zip(hand.joint_names, hand.default_position, strict=True))
-    return SelfCollisionGuard(hand, joints, start, limits_of(hand, joints))
 
 
 def true_distances(q: np.ndarray) -> dict[frozenset, float]:
@@ -83,71 +74,18 @@ def test_gaps_are_lower_bounds_of_drakes_distances(rng):
     assert np.percentile(slack, 95) < 1e-3
 
 
-def test_the_gradient_opens_the_gap(rng):
-    """A step along a gap's gradient widens it by what the gradient says."""
-    hand, ours, ratios = allegro(), clearance(0.004), []
-    for q in rng.uniform(hand.lower, hand.upper, (40, 16)):
-        near = ours.near(q)
-        for pair, gap, gradient in zip(near.pairs, near.gap, near.gradient, strict=True):
-            if gap < 0.0035:
-                step = 1e-4 * gradient / (gradient @ gradient)
-                after = ours.near(q + step)
-                ratios.append((after.gap[after.pairs.index(pair)] - gap) / 1e-4)
-    assert len(ratios) > 100
-    # Between two edges it is approximate, and where the nearest features change it is another after the step.
-    error = np.abs(np.array(ratios) - 1.0)
-    assert np.median(error) < 0.002 and np.percentile(error, 97) < 0.6
-
-
-def test_what_is_built_close_along_a_finger_is_left_out():
-    """Palm and proximal link of a finger are 3 mm apart at rest and can never meet; thumb and palm can."""
-    inspector = allegro().scene_graph.model_inspector()
-
-    def link(geometry):
-        return inspector.GetName(inspector.GetFrameId(geometry)).split("::")[-1]
-
-    watched = {frozenset((link(i), link(j))) for i, j in clearance().pairs}
-    assert frozenset(("base_link", "link_1")) not in watched
-    assert frozenset(("base_link", "link_15")) in watched
-    assert frozenset(("link_3", "link_15")) in watched
-
-
 # -- the guard
-
-
-def test_the_guard_keeps_random_walks_clear(rng):
-    """The output is 2 mm clear, within the limits and the joints' speed; commands with NaN are held back."""
-    hand, system = allegro(), guard()
-    rows = [hand.joint_names.index(name) for name in plant_order()]
-    back = np.argsort(rows)
-    lower, upper = hand.lower[rows], hand.upper[rows]
-    clear = hand.default_position[rows]
-    changed = 0
-    goal = clear
-    for step in range(400):
-        if step % 20 == 0:
-            goal = rng.uniform(lower, upper)
-        wanted = goal.copy() if step % 3 else rng.uniform(lower, upper)
-        q = system.guarded(wanted, clear)
-        assert (lower <= q).all() and (q <= upper).all()
-        assert np.abs(q - clear).max() <= 7.0 * 0.01 + 1e-12
-        assert not clearance().near(q[back]).pairs
-        if step % 20 == 0:
-            assert min(true_distances(q[back]).values(), default=1.0) >= CLEARANCE - 1e-6
-        changed += not np.array_equal(q, np.clip(wanted, clear - 0.07, clear + 0.07))
-        clear = q
-    assert changed > 50
-    wanted[3] = np.nan
-    np.testing.assert_array_equal(system.guarded(wanted, clear), clear)
 
 
 def test_the_guard_lets_fingertips_touch():
     """A pinch of thumb and index is passed on, although the tips press on each other."""
-    hand, system = allegro(), guard()
+    hand, joints = allegro(), plant_order()
+    start = dict(zip(hand.joint_names, hand.default_position, strict=True))
+    system = SelfCollisionGuard(hand, joints, start, limits_of(hand, joints))
     q = pinching_position()
     depth, *_, tips = hand.penetrations(q)[0]
     assert tips and depth > 0
-    rows = [hand.joint_names.index(name) for name in plant_order()]
+    rows = [hand.joint_names.index(name) for name in joints]
     np.testing.assert_array_equal(system.guarded(q[rows], q[rows]), q[rows])
 
 
@@ -265,17 +203,10 @@ class Failing(torch.nn.Module):
         return target
 
 
-class Short(torch.nn.Module):
-    """Answers for too few joints where the first one is past 0.05 rad."""
-
-    def forward(self, hand_state: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-        return target[:, :1] if bool(hand_state[0, 0] > 0.05) else target
-
-
 @pytest.mark.parametrize(
     ("module", "reason"),
-    [(Failing(), "no such state"), (Short(), r"the shape \(1,\), not \(2,\)"), (Wild(), "not finite")],
-    ids=["raises", "shape", "not finite"],
+    [(Failing(), "no such state"), (Wild(), "not finite")],
+    ids=["raises", "not finite"],
 )
 def test_a_policy_that_fails_while_it_runs_holds_the_joints(module, reason, tmp_path):
     """They brake within the limits; the status says so, and one warning says why."""
@@ -335,13 +266,6 @@ def test_policies_that_cannot_be_run_are_refused(tmp_path, monkeypatch):
     other.write_bytes(b"x")
     with pytest.raises(PolicyError, match=r"ends with one of \.pt, \.pts, \.onnx"):
         load_policy(other, 2)
-    broken = tmp_path / "broken.pt"
-    broken.write_bytes(b"x")
-    with pytest.raises(PolicyError, match="not a TorchScript file"):
-        load_policy(broken, 2)
-    path = torchscript(tmp_path, torch.nn.Linear(4, 2))
-    with pytest.raises(PolicyError, match=r"hand state \(1, 4\) and a target \(1, 2\) fails"):
-        load_policy(path, 2)
 
     class Wide(torch.nn.Module):
         def forward(self, hand_state: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
@@ -354,21 +278,3 @@ def test_policies_that_cannot_be_run_are_refused(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(PolicyError, match="needs the package onnxruntime"):
         load_policy(onnx, 2)
-
-
-# -- configuration
-
-
-def test_without_a_correction_the_hand_is_not_looked_at():
-    """The output is that of the command alone: it is not computed anew whenever the hand has moved."""
-    joints = plant_order()
-    limits = limits_of(allegro(), joints)
-    system = make_correction(
-        CorrectionConfig(), allegro().description, joints, dict.fromkeys(joints, 0.0), limits, 0.01
-    )
-    desired, measured = (system.GetInputPort(name) for name in ("desired_state", "hand_state"))
-    assert system.HasDirectFeedthrough(desired.get_index(), 0)
-    assert not system.HasDirectFeedthrough(measured.get_index(), 0)
-    context = system.CreateDefaultContext()
-    desired.FixValue(context, np.arange(32.0))
-    np.testing.assert_array_equal(system.get_output_port().Eval(context), np.arange(32.0))

@@ -12,11 +12,10 @@ from retargeting_toy import toy_human, toy_kinematics, toy_samples
 
 from geort_drake.people.recording import PINCH_M
 from geort_drake.retargeting.clouds import first_in_voxels, voxel_centres, voxel_index
-from geort_drake.retargeting.methods.coupled import CoupledConfig, batches, hands
+from geort_drake.retargeting.methods.coupled import CoupledConfig, hands
 from geort_drake.retargeting.methods.coupled.batches import Batches, BatchMaker
-from geort_drake.retargeting.methods.coupled.config import MIXED_HAND_FRACTION
 from geort_drake.retargeting.methods.coupled.coverage import CoverageTargets
-from geort_drake.retargeting.methods.coupled.hands import STEP_RANGE, TrainingHands
+from geort_drake.retargeting.methods.coupled.hands import TrainingHands
 from geort_drake.retargeting.methods.coupled.network import CoupledNetwork
 from geort_drake.retargeting.training.background import BackgroundProcess
 from geort_drake.retargeting.training.collision_geometry import CollisionGaps, CollisionShapes
@@ -43,23 +42,6 @@ def recorded(tips: torch.Tensor, frames: np.ndarray) -> np.ndarray:
     """For each point (N, D) whether it is one of the frames (T, D)."""
     distance = np.linalg.norm(tips.numpy()[:, None] - frames.astype(np.float32)[None], axis=-1)
     return distance.min(axis=1) < 1e-7
-
-
-def test_fractions_of_the_moved_hands_are_mixed_and_displaced(human, monkeypatch):
-    """The rest are recorded frames; every fingertip of a displaced hand moves by itself."""
-    moved, d = hands_of(human).one_moved(1000)
-    mixed = int(1000 * MIXED_HAND_FRACTION)
-    rest = moved[:, mixed:].flatten(0, 1)
-    whole = recorded(rest.flatten(1), human.reshape(len(human), -1))
-    assert whole.mean() == pytest.approx(1 - hands.SPREAD_FRACTION, abs=0.05)
-    np.testing.assert_array_equal(whole, recorded(rest[:, 0], human[:, 0]))
-    assert not recorded(moved[:, :mixed].flatten(0, 1).flatten(1), human.reshape(len(human), -1)).any()
-    assert 0.001 <= d.norm(dim=-1).min() and d.norm(dim=-1).max() <= 0.011
-    monkeypatch.setattr(hands, "SPREAD_FRACTION", 0.0)
-    before, after = hands_of(human).steps(50)
-    assert recorded(before.flatten(1), human.reshape(len(human), -1)).all()
-    step = (after - before).norm(dim=-1).max(dim=1).values
-    assert step.min() > 0.99 * STEP_RANGE[0] and step.max() < 1.01 * STEP_RANGE[1]
 
 
 def test_made_up_pinches_meet_whatever_the_other_finger_does(human, monkeypatch):
@@ -98,66 +80,21 @@ def test_postures_are_equally_likely_however_long_they_were_held(human):
     assert drawn[0.0] > 0.85 and drawn[1.0] < 0.2
 
 
-def spheres(radius: float) -> CollisionShapes:
-    """One on the index and one on the middle fingertip, which are a pair."""
-    X = np.tile(np.eye(4), (2, 1, 1))
-    X[:, 2, 3] = 0.04
-    return CollisionShapes(np.array([5, 8]), X, np.zeros((2, 3)), np.full(2, radius), np.array([[0, 1]]))
-
-
-def maker_of(hand, human, shapes=None, seed=0):
-    """What prepares batches, the network that they are for and the gaps between the shapes."""
-    generator = torch.Generator().manual_seed(seed)
+def test_batches_are_moved_to_the_device_of_the_network(hand, human):
+    """They are prepared on the CPU; the gaps between shapes move as well."""
+    generator = torch.Generator().manual_seed(0)
     people = TrainingHands(human, NAMES, CONFIG, generator)
     with torch.no_grad():
         p_BF = hand.fingertips(torch.tensor(toy_samples(hand)).float()).numpy()
-    space = CoverageTargets(people.frames, hand, [voxel_centres(p_BF[:, i], 0.005) for i in range(3)], seed)
-    gaps = None if shapes is None else CollisionGaps(hand, shapes)
+    space = CoverageTargets(people.frames, hand, [voxel_centres(p_BF[:, i], 0.005) for i in range(3)], 0)
+    X = np.tile(np.eye(4), (2, 1, 1))
+    X[:, 2, 3] = 0.04
+    fingertips = CollisionShapes(np.array([5, 8]), X, np.zeros((2, 3)), np.full(2, 0.05), np.array([[0, 1]]))
+    gaps = CollisionGaps(hand, fingertips)
     network = CoupledNetwork(hand, people.mean, people.scale, 16, 16, generator)
-    return BatchMaker(people, space, gaps, CONFIG), network, gaps
-
-
-def batches_of(maker, device="cpu") -> Batches:
-    start = partial(BackgroundProcess({"batches": maker}, separate=False).start, "batches")
-    return Batches(start, torch.device(device))
-
-
-def test_covering_hands_are_the_nearest_of_the_recording(hand, human):
-    """Among all frames none comes nearer to a target, while the map stays as it is."""
-    maker, network, _ = maker_of(hand, human)
-    with torch.no_grad():
-        batch = batches_of(maker).next(network, 0.5)
-        tips = hand.fingertips(network(torch.tensor(human).float()))
-        for finger in range(3):
-            reached = hand.fingertips(network(batch.covering[finger]))[:, finger]
-            least = torch.cdist(batch.targets[finger], tips[:, finger]).amin(1)
-            torch.testing.assert_close(
-                (reached - batch.targets[finger]).norm(dim=1), least, atol=1e-5, rtol=0
-            )
-        network.mlp.biases[0].fill_(float("nan"))
-        assert batches_of(maker).next(network, 0.5) is None
-
-
-def test_near_collisions_are_found_in_every_second_step(hand, human):
-    """Most hands nearly collide, with all their near pairs; at first nothing is searched for."""
-    maker, network, gaps = maker_of(hand, human, spheres(0.05))
-    assert batches_of(maker).next(network, 0.0).near_collisions is None
-    source, margin = batches_of(maker), CONFIG.collision_margin
-    with torch.no_grad():
-        for step in range(4):
-            found = source.next(network, 0.5).near_collisions
-            if step % batches.COLLIDE_EVERY:
-                assert found is None
-                continue
-            least = gaps.least(network(found.hands), 3 * margin)
-            assert sorted(found.row.tolist()) == torch.nonzero(least < 3 * margin)[:, 0].tolist()
-            assert (least < 2 * margin + 1e-6).float().mean() >= 0.75
-
-
-def test_batches_are_moved_to_the_device_of_the_network(hand, human):
-    """They are prepared on the CPU; the gaps between shapes move as well."""
-    maker, network, gaps = maker_of(hand, human, spheres(0.05))
-    batch = batches_of(maker, "meta").next(network, 0.5)
+    makers = {"batches": BatchMaker(people, space, gaps, CONFIG)}
+    start = partial(BackgroundProcess(makers, separate=False).start, "batches")
+    batch = Batches(start, torch.device("meta")).next(network, 0.5)
     tensors = [*vars(batch).values(), *vars(batch.near_collisions).values(), *vars(gaps.to("meta")).values()]
     assert {value.device.type for value in tensors if isinstance(value, torch.Tensor)} == {"meta"}
 

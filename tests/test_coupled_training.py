@@ -11,7 +11,6 @@ from geort_drake.errors import TrainingError
 from geort_drake.retargeting.methods.coupled import (
     CoupledConfig,
     CoupledRetargeter,
-    multipliers,
     train_coupled,
     training,
 )
@@ -106,32 +105,6 @@ def test_the_seed_alone_decides_the_weights(hand, human, monkeypatch):
     assert np.abs(runs[0]["residual_weight0"] - runs[2]["residual_weight0"]).max() > 1e-3
 
 
-def test_a_finger_that_never_pinches_is_named_and_training_goes_on(hand, human):
-    """The middle finger is taken away from the thumb; the others keep pinching."""
-    apart = human.copy()
-    apart[:, 2, 1] += 0.2
-    with pytest.warns(RuntimeWarning, match="no pinch of the thumb with: middle"):
-        result = quick(hand, apart, steps=3)
-    assert result.pinch_frames > 0
-
-
-def test_a_loss_that_stops_being_finite_keeps_the_last_good_weights(hand, human):
-    """An absurd learning rate ends in a warning and finite weights."""
-    with pytest.warns(RuntimeWarning, match="stopped being finite"):
-        result = quick(hand, human, learning_rate=1e38, steps=60)
-    assert result.stopped_at is not None
-    assert all(np.isfinite(array).all() for array in result.network.arrays().values())
-
-
-def test_a_lower_target_of_cross_talk_lowers_cross_talk(hand, human, monkeypatch):
-    """With the same weights; measured earlier and more often than usual."""
-    monkeypatch.setattr(multipliers, "START", 0.2)
-    monkeypatch.setattr(multipliers, "EVERY", 30)
-    runs = [quick(hand, human, cross_talk_target=target) for target in (0.001, 10.0)]
-    little, much = (sum(row["cross_talk"] for row in run.history[-10:]) for run in runs)
-    assert little < 0.95 * much
-
-
 def test_unusable_settings_are_refused(hand, human):
     """The config of another method and values that make no sense."""
     with pytest.raises(TrainingError, match="takes a CoupledConfig"):
@@ -172,22 +145,3 @@ def test_a_margin_within_a_chain_is_its_own(hand, human):
     shapes = CollisionShapes(np.array([3, -1]), X, np.zeros((2, 3)), np.full(2, 0.005), np.array([[0, 1]]))
     result = quick(hand, human, steps=20, collision_margin=0.005, shapes=shapes)
     assert max(row["collision"] for row in result.history) == 0.0
-
-
-@pytest.mark.parametrize("hand", [toy_kinematics(), uneven_kinematics()], ids=["even", "uneven"])
-def test_angles_apart_move_a_finger_as_the_whole_map_does(hand, rng):
-    """For joints in any order and fingers of different lengths; for all fingers and for one."""
-    network = network_of(hand)
-    whole, own = (torch.tensor(rng.normal(0.03, 0.05, shape)).float() for shape in ((7, 3, 3), (3, 20, 3, 3)))
-    with torch.no_grad():
-        angles = network.angles_apart(whole, own)
-        torch.testing.assert_close(network.in_order(angles[:, :7]), network(whole))
-        tips = hand.fingertips_apart(angles)
-        torch.testing.assert_close(tips[:, :7], hand.fingertips(network(whole)).transpose(0, 1))
-        for number in range(3):
-            expected = hand.fingertips(network(own[number]))[:, number]
-            torch.testing.assert_close(tips[number, 7:], expected)
-            some = slice(number, number + 1)
-            finger = dataclasses.replace(hand, fingers=(hand.fingers[number],))
-            alone = finger.fingertips_apart(network.angles_apart(whole, own[some], some))
-            torch.testing.assert_close(alone[0], tips[number])

@@ -7,7 +7,6 @@ from functools import cache
 import numpy as np
 import pytest
 from grasp_setup import allegro, centred_map, person_and_rest, planned_goal, scenario_with
-from pydrake.geometry import Role
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
 
@@ -16,6 +15,7 @@ from geort_drake.people.recording import Recording
 from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
 from geort_drake.simulation.operators.finger_motion import FingerMotion
 from geort_drake.simulation.world import HAND
+from geort_drake.systems.self_collision_guard import SelfCollisionGuard
 
 OWN_PACKAGE = "geort_drake."
 
@@ -187,17 +187,17 @@ def test_the_person_sees_the_scene_late():
         assert np.abs(scene[other]["fingertips"] - scene[-steps]["fingertips"]).max() > 1e-5
 
 
-def test_the_hand_is_asked_for_what_the_correction_gives():
-    """A controller put in the place of ActionCorrection has the last word on the hand."""
-    parts = whole_diagram()
-    hand = parts.plant.GetModelInstanceByName(HAND)
-    wanted = parts.plant.get_desired_state_input_port(hand)
+def test_the_scenarios_correction_has_the_last_word_on_the_hand():
+    """Its output is what the plant's hand is asked for."""
+    scenario = scenario_with("cylinder", "{correction: {kind: guard}}")
+    parts = make_grasp_diagram(scenario, centred_map(), glove())
+    wanted = parts.plant.get_desired_state_input_port(parts.plant.GetModelInstanceByName(HAND))
     (source,) = [
-        output
-        for (system, port), output in parts.diagram.connection_map().items()
-        if system is parts.plant and port == wanted.get_index()
+        system
+        for (to, port), (system, _) in parts.diagram.connection_map().items()
+        if to is parts.plant and port == wanted.get_index()
     ]
-    assert source[0].get_name() == "action_correction"
+    assert isinstance(source, SelfCollisionGuard)
 
 
 # -- what a trial begins with, and what is refused
@@ -220,17 +220,3 @@ def test_a_retargeter_for_another_hand_is_refused():
     retarget.joint_names = [f"finger_{name}" for name in retarget.joint_names]
     with pytest.raises(HandError, match=r"finger_joint_0.*the plant's hand has joint_0"):
         make_grasp_diagram(scenario_with("cylinder"), retarget, glove())
-
-
-def test_a_trial_does_not_place_what_is_only_seen():
-    """Its context holds the shapes that can touch; the model keeps those that the recorder draws."""
-    parts = whole_diagram()
-    root = parts.diagram.CreateDefaultContext()
-    for _ in range(2):  # the second time there is nothing left to take away
-        parts.initialize(root)
-    context = parts.scene_graph.GetMyContextFromRoot(root)
-    inspector = parts.scene_graph.get_query_output_port().Eval(context).inspector()
-    model = parts.scene_graph.model_inspector()
-    touching = model.GetAllGeometryIds(Role.kProximity)
-    assert set(inspector.GetAllGeometryIds()) == set(touching) and len(touching) > 50
-    assert len(model.GetAllGeometryIds(Role.kIllustration)) > 100

@@ -13,7 +13,7 @@ from geort_drake.benchmark import methods, trials
 from geort_drake.benchmark.config import read_config
 from geort_drake.benchmark.folder import open_benchmark
 from geort_drake.benchmark.methods import measure_latency, names_of
-from geort_drake.benchmark.records import TrialKey, TrialLog, keep_error, key_of, read_records
+from geort_drake.benchmark.records import TrialKey, TrialLog, key_of, read_records
 from geort_drake.benchmark.report import write_grasp_report
 from geort_drake.cli import run_command
 from geort_drake.errors import BenchmarkError, OutputError, TrainingError, UnknownNameError
@@ -37,8 +37,9 @@ def in_this_process(function, arguments, jobs, backend="loky", ordered=False):
 
 @pytest.fixture(scope="module", autouse=True)
 def quick(play):
-    """One person, and one plan: no trial lasts long enough to follow it."""
+    """One person, and one plan: no trial lasts long enough to follow it. Latencies come from few calls."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(methods, "_PARTS", 1)
         patch.setattr(trials, "call_in_workers", in_this_process)
         patch.setattr(trials, "plan", lambda *_: planned_goal("cylinder"))
         patch.setattr(
@@ -174,15 +175,6 @@ def test_a_trial_that_raises_is_recorded_and_stops_no_other(tmp_path, monkeypatc
     assert len((tmp_path / "trials.jsonl").read_text().splitlines()) == 3
 
 
-def test_an_invalid_result_is_kept_as_an_error(finished, tmp_path):
-    """It stops no other trial, and leaves a file that can be read."""
-    record = {**read_records(finished / "trials.jsonl")[0], "peak_force": float("nan")}
-    kept = keep_error(tmp_path, record)
-    assert set(kept) == {"method", "object", "seed", "error", "traceback"}
-    assert kept["error"].endswith("peak_force must be finite, not nan")
-    assert (tmp_path / kept["traceback"]).read_text() == kept["error"]
-
-
 def test_a_hand_given_as_a_file_is_the_one_that_is_trained(tmp_path, play, monkeypatch):
     """Its name may stand for no shipped hand, so training must use the file."""
     facts = yaml.safe_load((models_dir() / "hands" / "allegro_right.yaml").read_text(encoding="utf-8"))
@@ -205,10 +197,7 @@ def test_a_hand_given_as_a_file_is_the_one_that_is_trained(tmp_path, play, monke
     ("field", "scenario", "options"),
     [
         ("scenario.timeout: 0.3, not 0.4", "{timeout: 0.4}", {}),
-        ("scenario.operator.visual_delay", "{timeout: 0.3, operator: {visual_delay: 0.2}}", {}),
-        ("recording_sha256", TOO_SHORT, {"recording": synthesize_play(seed=1, duration_s=20)}),
         ("training_seed: 0, not 3", TOO_SHORT, {"seed": 3}),
-        ("latency: measured, not zero", TOO_SHORT, {"zero_latency": True}),
     ],
 )
 def test_another_configuration_is_refused_by_the_name_of_its_field(copy, play, field, scenario, options):
@@ -218,15 +207,6 @@ def test_another_configuration_is_refused_by_the_name_of_its_field(copy, play, f
     with pytest.raises(BenchmarkError, match=f"begun with another {field}"):
         open_benchmark(copy, load_scenario(text=scenario), **arguments)
     assert {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()} == before
-
-
-def test_a_condition_with_another_meaning_is_refused(copy):
-    """It is named."""
-    run(copy, "--methods", "hold", "--trials", "1", "--sensitivity", "noise=2")
-    path = copy / "config.json"
-    path.write_text(path.read_text().replace('"visual_noise": 0.002', '"visual_noise": 0.003'))
-    with pytest.raises(BenchmarkError, match=r"another conditions\.noise=2\.operator\.visual_noise: 0\.003"):
-        run(copy, "--sensitivity", "noise=2")
 
 
 def test_results_without_their_configuration_are_refused(copy, play):
@@ -243,9 +223,6 @@ def test_results_without_their_configuration_are_refused(copy, play):
     [
         (("settings",), {}, "missing required field `recording_sha256`"),
         (("settings", "scenario", "timeout"), "25", "Expected `float`.*scenario.timeout"),
-        (("methods", "hold", "latency_s"), float("nan"), "methods must be finite"),
-        (("methods",), {}, "length >= 1"),
-        (("trials",), 2.5, "Expected `int`.*trials"),
     ],
 )
 def test_a_damaged_configuration_is_refused_by_its_field(copy, path, value, message):

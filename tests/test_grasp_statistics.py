@@ -76,14 +76,6 @@ def test_success_at_once_is_told_from_success():
     assert found["failures"] == {"timeout: lift": 1}
 
 
-def test_phases_and_slip_are_over_the_trials_that_have_them():
-    """A phase that a trial never had lasted 0 s there; a trial without a lift has no slip."""
-    records = [trial(), trial(seed=1, phase_durations={"REACH": 5.0}, slip=None)]
-    found = figures(records, TIMEOUT)
-    assert found["phase_s"] == {"lift": 0.5, "reach": 4.0}
-    assert found["slip_mm"]["median"] == pytest.approx(2.0)
-
-
 def test_trials_that_raised_are_counted_and_in_no_figure():
     """An error is neither a success nor a failure of the method."""
     found = figures([trial(), error()], TIMEOUT)
@@ -156,36 +148,6 @@ def test_the_summary_is_the_same_for_any_order_and_is_json():
     rod = summary["methods"]["a"]["objects"]["rod"]
     assert rod == figures([r for r in records if (r["method"], r["object"]) == ("a", "rod")], TIMEOUT)
     assert summary["methods"]["new"]["overall"]["trials"] == 0
-
-
-def test_a_class_has_the_figures_of_all_its_objects():
-    """Also its differences; a class without an object is left out."""
-    records = [
-        trial(method, thing, seed, time)
-        for method, time in (("a", 5.0), ("b", None))
-        for thing in ("cube", "ball", "rod")
-        for seed in range(4)
-    ]
-    summary = summarize(records, ["a", "b"], TIMEOUT, {**GRIPS, "bottle": "power"})
-    assert summary["classes"] == {"pinch": ["rod"], "tripod": ["ball", "cube"]}
-    own = [r for r in records if r["method"] == "b" and r["object"] != "rod"]
-    assert summary["methods"]["b"]["classes"]["tripod"] == figures(own, TIMEOUT)
-    tripod = summary["differences"]["b"]["classes"]["tripod"]
-    assert tripod["pairs"] == tripod["one_time_success"]["lost"] == 8
-    assert summary["methods"]["b"]["classes"]["pinch"] == summary["methods"]["b"]["objects"]["rod"]
-
-
-def test_failures_say_what_the_person_was_about():
-    """Where there is one; the share of self-contact is a mean over trials."""
-    records = [
-        trial(time=None, operator_phase="approach", self_contact=0.1),
-        trial(time=None, seed=1, operator_phase="approach", self_contact=0.2),
-        trial(time=None, seed=2, self_contact=0.0),
-        trial(seed=3, operator_phase="lift", self_contact=0.1),
-    ]
-    found = figures(records, TIMEOUT)
-    assert found["failures"] == {"timeout: lift (approach)": 2, "timeout: lift": 1}
-    assert found["self_contact"] == pytest.approx(0.1)
 
 
 def test_the_completed_share_rises_to_the_success_rate():

@@ -2,7 +2,6 @@
 
 import json
 import math
-import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -63,25 +62,6 @@ def test_motion_preservation_of_a_rotation_is_a_third_of_its_trace(frames, rng):
     assert value == pytest.approx(expected, abs=0.01)
 
 
-def test_motion_preservation_moves_one_fingertip_of_a_whole_frame(frames, rng):
-    """What the others do to a fingertip is not scored here, what it does itself is."""
-    seen = []
-
-    def g(p):
-        seen.append(p.copy())
-        return p + 5 * p.sum(axis=1, keepdims=True)
-
-    assert map_figures.motion_preservation(g, frames, rng, anchors=50) == pytest.approx(1.0)
-    for moved, still in zip(seen[::2], seen[1::2], strict=True):
-        changed = np.abs(moved - still).max(axis=2) > 0
-        assert (changed.sum(axis=1) == 1).all()
-        lengths = np.linalg.norm((moved - still)[changed], axis=1)
-        assert lengths.min() >= 0.001 - 1e-12
-        assert lengths.max() <= 0.011 + 1e-12
-        rows = {row.tobytes() for row in frames}
-        assert all(row.tobytes() in rows for row in still)
-
-
 def test_anchors_are_uniform_over_places_not_over_time(rng):
     """A place that was visited a thousand times is drawn as often as one that was visited once."""
     tips = np.repeat(np.array([[0.0, 0, 0], [0.01, 0, 0]]) + 0.0005, [1000, 1], axis=0)
@@ -112,13 +92,6 @@ def test_coverage_of_one_point_is_the_volume_of_its_sphere(rng):
     assert share["5mm"] == pytest.approx(32 / 14**3)
     for r in (10, 15):
         assert share[f"{r}mm"] == pytest.approx(4 / 3 * math.pi * r**3 / 42**3, rel=0.06)
-
-
-def test_coverage_averages_over_fingers(rng):
-    """One finger everywhere, another nowhere: one half."""
-    p = rng.uniform(-0.02, 0.02, (5000, 2, 3))
-    tips = [p[:, 0], p[:, 1] + [9.0, 0, 0]]
-    assert metrics.coverage(metrics.robot_voxels(p), tips)["10mm"] == pytest.approx(0.5, abs=1e-3)
 
 
 def test_context_averaging_keeps_independent_maps_and_shrinks_coupled_ones(frames):
@@ -223,17 +196,11 @@ def test_smoothness_of_a_parabola_has_no_jerk():
     assert metrics.smoothness(np.outer(t**3, [0.6, 0.8]), 10.0)["jerk"] == pytest.approx(6000.0)
 
 
-def test_latency_measures_single_calls(frames):
-    """A map that takes 2 ms is measured to take at least that."""
-    shapes = set()
-
-    def slow(p):
-        shapes.add(p.shape)
-        time.sleep(0.002)
-
-    times = metrics.call_times(slow, frames, calls=20)
-    assert times.shape == (20,) and (times >= 0.002).all()
-    assert shapes == {(3, 3)}
+def leaves(value, path=""):
+    """Dotted paths of all figures."""
+    if not isinstance(value, dict):
+        return {path}
+    return {leaf for key, item in value.items() for leaf in leaves(item, f"{path}.{key}".lstrip("."))}
 
 
 def test_all_metrics_of_the_identity_on_a_hand_without_links(frames, monkeypatch):
@@ -246,11 +213,10 @@ def test_all_metrics_of_the_identity_on_a_hand_without_links(frames, monkeypatch
     space = metrics.robot_space(PointHand(), seed=5)
     result, p_BF = metrics.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5, space=space)
     np.testing.assert_array_equal(p_BF, frames)
-    assert set(json.loads(json.dumps(result, allow_nan=False))) == {
-        "motion_preservation", "motion_preservation_track", "coverage", "coverage_context_averaged",
-        "coverage_collision_free", "cross_talk", "flatness", "gain_p95_p5", "pinch", "self_collision",
-        "self_collision_raw", "smoothness", "latency_us",
-    }  # fmt: skip
+    assert json.loads(json.dumps(result, allow_nan=False)).keys() == result.keys()
+    # The table of metrics names exactly what is measured.
+    assert leaves(result) == leaves(mean([result])) == leaves(worst([result]))
+    assert leaves(result) == {metric.path for metric in METRICS}
     assert result["motion_preservation"] == pytest.approx(1.0)
     for radius, share in result["coverage"].items():
         assert result["coverage_context_averaged"][radius] == pytest.approx(share, abs=0.005)
@@ -264,26 +230,6 @@ def test_all_metrics_of_the_identity_on_a_hand_without_links(frames, monkeypatch
     without, *_ = metrics.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5)
     coverages = {"coverage", "coverage_context_averaged", "coverage_collision_free"}
     assert {key for key, value in without.items() if value is None} == coverages
-
-
-def test_every_figure_has_a_direction_or_none(frames, monkeypatch):
-    """The table of metrics names exactly what is measured, so means and worst values lose nothing."""
-    monkeypatch.setattr(metrics, "ROBOT_SAMPLES", 2_000)
-
-    def identity(p):
-        return np.reshape(p, (*p.shape[:-2], 9))
-
-    space = metrics.robot_space(PointHand())
-    measured, *_ = metrics.evaluate_frames(identity, PointHand(), frames[:50], 60.0, space=space)
-
-    def leaves(value, path=""):
-        if not isinstance(value, dict):
-            return {path}
-        return {leaf for key, item in value.items() for leaf in leaves(item, f"{path}.{key}".lstrip("."))}
-
-    assert leaves(measured) == {metric.path for metric in METRICS}
-    assert len({metric.path for metric in METRICS}) == len(METRICS)
-    assert leaves(mean([measured])) == leaves(worst([measured])) == leaves(measured)
 
 
 def test_the_worst_is_the_lowest_or_the_highest():

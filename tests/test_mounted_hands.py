@@ -58,15 +58,6 @@ def test_a_hand_sits_on_the_adapter_and_touches_nothing(name):
     assert X_WB.rotation().matrix()[:, 0] @ to_object > 0.05
 
 
-def test_a_left_hand_starts_in_the_mirror_image_of_the_right_one():
-    """Arm posture and mount together reflect the hand base in the xz-plane of W."""
-    poses = []
-    for name in ("allegro_right", "allegro_left"):
-        _, _, context, base = robot(name)
-        poses.append(base.CalcPoseInWorld(context).GetAsMatrix4())
-    np.testing.assert_allclose(poses[1], M @ poses[0] @ M, atol=1e-9)
-
-
 def test_the_hand_mirror_shows_the_left_hand(rng):
     """Reflected keypoints and wrist give reflected p_WK."""
     system = HandMirror()
@@ -150,15 +141,10 @@ def test_a_left_hand_is_simulated_as_the_mirror_image():
     np.testing.assert_allclose(gloves[1], gloves[0], atol=2e-3)
 
 
-@pytest.mark.parametrize(
-    ("name", "thing"),
-    # LEAP's fingers are too thick to lie beside each other on a flat side as close as an Allegro's.
-    [("allegro_left", "cylinder"), ("leap_right", "cube")],
-)
-def test_other_hands_grasp(name, thing):
+def test_leap_grasps():
     """The simulated person lifts the object with the planned contacts and the hand's own gains."""
-    text = f"{{object: {{name: {thing}}}, monitor: {{hold_time: 0.5}}, timeout: 15.0}}"
-    scenario, hand = load_scenario(hand=name, text=text), HandModel(load_hand(name))
+    text = "{object: {name: cube}, monitor: {hold_time: 0.5}, timeout: 15.0}"
+    scenario, hand = load_scenario(hand="leap_right", text=text), HandModel(load_hand("leap_right"))
     goal = GraspPlanner(scenario, hand.description).plan()
     result, _ = run_trial(scenario, centred_map(hand), (person_and_rest()[0], goal))
     assert result.success and result.attempts == 1

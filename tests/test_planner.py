@@ -6,16 +6,15 @@ import math
 import numpy as np
 import pytest
 from grasp_setup import allegro, scenario_with
-from pydrake.geometry import Cylinder, QueryObject, Role, Sphere
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.geometry import QueryObject, Role
+from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.hands.description import load_hand
-from geort_drake.simulation.object_shape import ObjectShape, object_shape
+from geort_drake.simulation.object_shape import object_shape
 from geort_drake.simulation.scenario import object_names
-from geort_drake.simulation.tasks.grasp.approach import GraspApproach
 from geort_drake.simulation.tasks.grasp.contacts import (
     GRIPS,
     contact_heights,
@@ -100,56 +99,11 @@ def test_the_thumb_opposes_the_fingers(name):
             np.testing.assert_allclose(pushes.sum(axis=0) @ across, 0, atol=1e-9)
 
 
-def test_heights_where_the_fingers_find_no_room_are_left_out():
-    """Contacts stay on the object's main part, and above what the fingertips need."""
-    can = ObjectShape(((Cylinder(0.03, 0.2), RigidTransform()),))
-    everywhere = contact_heights(can, "tripod", 0.014)
-    assert min(everywhere) < 0.5 < max(everywhere)
-    assert set(contact_heights(can, "tripod", 0.1)) == {share for share in everywhere if share >= 0.5}
-    # Ring and index finger need 4 cm below and above the middle one.
-    low = ObjectShape(((Cylinder(0.03, 0.1), RigidTransform()),))
-    assert contact_heights(low, "power", 0.014) == [0.55]
-    assert contact_heights(ObjectShape(((Cylinder(0.03, 0.07), RigidTransform()),)), "power", 0.0) == []
-    # A ball is taken at its middle, as its surface is upright nowhere else, or not at all.
-    ball = ObjectShape(((Sphere(0.01), RigidTransform()),))
-    assert contact_heights(ball, "pinch", 0.01) == [0.5]
-    assert contact_heights(ball, "pinch", 0.011) == []
-
-
 def test_every_object_has_a_grip_and_an_unlisted_one_is_refused_by_name():
     """All three grips occur; the message lists the objects."""
     assert {grip_of(name) for name in object_names()} == set(GRIPS) == {"pinch", "tripod", "power"}
     with pytest.raises(UnknownNameError, match=r"unknown object in .*objects\.yaml 'chair'.*ball_small"):
         grip_of("chair")
-
-
-# -- the way to the grasp
-
-
-def approach(X_OB_start: RigidTransform, name: str = "can_heavy") -> GraspApproach:
-    hand = allegro()
-    angles = dict(zip(hand.joint_names, hand.default_position, strict=True))
-    return GraspApproach(hand.description, name, X_OB_start, angles)
-
-
-def test_the_hand_waits_where_it_gets_to_without_touching_the_object():
-    """From above and behind it waits straight behind the grasp; from the other side it must not."""
-    hand = allegro()
-    angles = dict(zip(hand.joint_names, hand.default_position, strict=True))
-    # The palm faces the can along x, the fingers point along y.
-    R = RotationMatrix(np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]]))
-    X_OB = RigidTransform(R, [-0.10, -0.04, 0.0])
-    behind = approach(RigidTransform(R, [-0.4, -0.04, 0.0])).waiting_pose(X_OB, angles)
-    assert behind is not None
-    np.testing.assert_allclose(behind.rotation().matrix(), R.matrix(), atol=1e-12)
-    np.testing.assert_allclose(behind.translation(), [-0.18, -0.04, 0.0], atol=1e-12)
-    # Through the can there is no way, and beneath it none either.
-    beyond = approach(RigidTransform(R, [0.3, -0.04, 0.0])).waiting_pose(X_OB, angles)
-    assert beyond is None
-    assert approach(RigidTransform(R, [0.0, 0.0, 0.0])).waiting_pose(X_OB, angles) is None
-    # A grasp inside the object cannot be approached from anywhere.
-    inside = RigidTransform(R, [0.0, 0.0, 0.0])
-    assert approach(RigidTransform(R, [-0.4, -0.04, 0.0])).waiting_pose(inside, angles) is None
 
 
 # -- plans

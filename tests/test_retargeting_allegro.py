@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-import torch
 
 from geort_drake.cli import run_command
 from geort_drake.comparison.metrics import evaluate
@@ -41,13 +40,6 @@ def checkpoint(tmp_path_factory, play):
         )  # fmt: skip
 
 
-def test_torch_and_drake_put_the_fingertips_in_the_same_place(allegro, rng):
-    """The chains read off the plant and the plant itself agree to rounding."""
-    q = rng.uniform(allegro.lower, allegro.upper, (100, len(allegro.joint_names)))
-    tips = allegro.kinematics().fingertips(torch.tensor(q)).numpy()
-    np.testing.assert_allclose(tips, allegro.fingertips(q), atol=1e-12)
-
-
 def test_a_trained_checkpoint_knows_where_it_comes_from(checkpoint, allegro, play):
     """Hand, recording, seed, versions, timings and figures are on record."""
     content = load_checkpoint(checkpoint)
@@ -79,17 +71,6 @@ def test_the_stored_metrics_are_those_of_the_stored_weights(checkpoint, allegro,
             assert stored[key] == value
 
 
-@pytest.mark.usefixtures("light_evaluation")
-def test_the_same_seed_gives_the_same_checkpoint(checkpoint, play, tmp_path):
-    """Robot samples and training repeat; another seed differs."""
-    arguments = {"method": "geort", "show_progress": False, "settings": QUICK, "robot_samples": 2000}
-    again = train_checkpoint("allegro_right", play, tmp_path / "again", seed=2, **arguments)
-    other = train_checkpoint("allegro_right", play, tmp_path / "other", seed=3, **arguments)
-    digest, same, different = (load_checkpoint(p).config["sha256"] for p in (checkpoint, again, other))
-    assert same["weights.safetensors"] == digest["weights.safetensors"]
-    assert different["weights.safetensors"] != digest["weights.safetensors"]
-
-
 def test_a_checkpoint_is_refused_for_an_altered_hand(checkpoint):
     """The digest covers the description, such as where the fingertip point is."""
     description = load_hand("allegro_right")
@@ -101,7 +82,6 @@ def test_a_checkpoint_is_refused_for_an_altered_hand(checkpoint):
 def test_unknown_names_are_refused_before_any_work(play, tmp_path):
     """Methods, kinematics, settings and hands; nothing is left behind, and no other folder is replaced."""
     for arguments, message in (
-        ({"method": "magic"}, "unknown retargeting method 'magic'; choose one of: geort"),
         ({"method": "geort", "settings": {"fk": "guess"}}, "exact, neural"),
         ({"method": "geort", "settings": {"jitter": 1}}, "setting of geort 'jitter'; choose one of: class"),
         ({"hand_name": "no_such_hand"}, "allegro_right"),
@@ -177,37 +157,18 @@ def test_a_diverging_training_leaves_a_usable_checkpoint(play, tmp_path, capsys,
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("method", "settings", "motion", "coverage", "closed", "collision", "cross_talk"),
-    [
-        ("geort", {"steps": 400, "refreshes": 5, "classifier_steps": 500}, 0.75, 0.4, 0.8, 0.05, 0.0),
-        ("geort_coupled", {"steps": 600}, 0.95, 0.3, 0.95, 0.005, 0.08),
-    ],
-)
-def test_a_tenth_of_the_training_already_serves_the_real_recording(
-    alex_npy,
-    allegro,
-    tmp_path,
-    monkeypatch,
-    method,
-    settings,
-    motion,
-    coverage,
-    closed,
-    collision,
-    cross_talk,
-):
+def test_a_tenth_of_the_training_already_serves_the_real_recording(alex_npy, tmp_path, monkeypatch):
     """Pinches close, the hand does not collide, and the C-space is used; the full run does better."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr("geort_drake.comparison.metrics.ROBOT_SAMPLES", 20_000)
     path = train_checkpoint(
-        "allegro_right", alex_npy, tmp_path / "alex", method, show_progress=False, robot_samples=20_000,
-        settings=settings,
+        "allegro_right", alex_npy, tmp_path / "alex", "geort_coupled", show_progress=False,
+        robot_samples=20_000, settings={"steps": 600},
     )  # fmt: skip
     figures = json.loads((path / "metrics.json").read_text())
-    assert figures["motion_preservation"] > motion
-    assert figures["coverage"]["10mm"] > coverage
-    assert figures["pinch"]["closed"] > closed
+    assert figures["motion_preservation"] > 0.95
+    assert figures["coverage"]["10mm"] > 0.3
+    assert figures["pinch"]["closed"] > 0.95
     assert figures["pinch"]["frames"] == 1071
-    assert figures["self_collision"] < collision
-    assert figures["cross_talk"] <= cross_talk
+    assert figures["self_collision"] < 0.005
+    assert figures["cross_talk"] <= 0.08

@@ -1,8 +1,6 @@
 """Checkpoints are whole or refused, and give back the map that was saved."""
 
 import json
-import subprocess
-import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +8,7 @@ import pytest
 import torch
 from retargeting_toy import toy_kinematics, uneven_kinematics
 
-from geort_drake.errors import CheckpointError, UnknownNameError
+from geort_drake.errors import CheckpointError
 from geort_drake.retargeting.checkpoint import REQUIRED, load_checkpoint, save_checkpoint
 from geort_drake.retargeting.retargeter import Retargeter, load_retargeter
 from geort_drake.retargeting.training.networks import RetargetingNetwork
@@ -73,17 +71,6 @@ def test_a_checkpoint_comes_back_as_it_was(tmp_path, rng):
     assert [entry.name for entry in tmp_path.iterdir()] == ["run"]
 
 
-def test_loading_needs_only_numpy_and_safetensors(tmp_path):
-    """As on a robot's computer."""
-    path = save(tmp_path / "run")
-    code = (
-        "import sys; from geort_drake.retargeting.retargeter import load_retargeter; "
-        f"load_retargeter({str(path)!r}); "
-        "sys.exit(len({'torch', 'pydrake', 'rerun', 'scipy'} & set(sys.modules)))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
 @pytest.mark.parametrize("name", REQUIRED)
 def test_missing_and_altered_files_are_named(tmp_path, name):
     """One flipped bit is enough; both digests are in the message."""
@@ -97,26 +84,6 @@ def test_missing_and_altered_files_are_named(tmp_path, name):
             load_retargeter(path)
     (path / name).unlink()
     with pytest.raises(CheckpointError, match=f"{name} missing; a checkpoint holds"):
-        load_retargeter(path)
-
-
-def test_other_broken_checkpoints_are_refused(tmp_path):
-    """No directory, no JSON, missing fields, an unknown method, foreign names; faults/ has more."""
-    with pytest.raises(CheckpointError, match="no such checkpoint directory"):
-        load_retargeter(tmp_path / "nowhere")
-    path = save(tmp_path / "run")
-    config = json.loads((path / "config.json").read_text())
-    for content, message in (
-        ("[]", "must hold an object"),
-        (json.dumps({key: value for key, value in config.items() if key != "method"}), "method missing"),
-        (json.dumps(config | {"joint_names": ["a"]}), "joint_names differ"),
-        (json.dumps(config | {"human_keypoints": [4]}), "3 fingers need as many human_keypoints"),
-    ):
-        (path / "config.json").write_text(content)
-        with pytest.raises(CheckpointError, match=message):
-            load_retargeter(path)
-    (path / "config.json").write_text(json.dumps(config | {"method": "magic"}))
-    with pytest.raises(UnknownNameError, match="geort"):
         load_retargeter(path)
 
 

@@ -1,6 +1,5 @@
 """SOAP on problems whose answer is known."""
 
-import pytest
 import torch
 
 from geort_drake.retargeting.training.soap import Soap
@@ -50,25 +49,6 @@ def test_stacked_matrices_do_not_see_each_other():
     together = descended(soap, start, lambda W: first(W[0]) + second(W[1]), 60)
     for k, loss in enumerate((first, second)):
         torch.testing.assert_close(together[k], descended(soap, start[k], loss, 60), atol=1e-4, rtol=0)
-
-
-def test_a_row_is_descended_by_adam():
-    """Biases have no second side to turn: without decay the steps are Adam's."""
-    generator = torch.Generator().manual_seed(2)
-    start, expected = torch.randn(2, 3, 1, 5, generator=generator, dtype=torch.float64)
-
-    def loss(row):
-        return ((row - expected).square() * torch.arange(1.0, 6.0)).sum()
-
-    soap = descended(lambda p: Soap(p, lr=0.05, weight_decay=0.0), start, loss, 80)
-    adam = descended(lambda p: torch.optim.Adam(p, lr=0.05, betas=(0.9, 0.99)), start, loss, 80)
-    torch.testing.assert_close(soap, adam)
-
-
-def test_a_parameter_without_a_gradient_is_refused():
-    """It would decay, or stay, and either would be a surprise."""
-    with pytest.raises(ValueError, match="every parameter has a gradient"):
-        Soap([torch.nn.Parameter(torch.ones(2, 2))], lr=0.1).step()
 
 
 def test_gradients_are_clipped_together():

@@ -2,18 +2,15 @@
 
 import dataclasses
 import math
-import warnings
 
 import numpy as np
 import pytest
 import torch
-from retargeting_toy import toy_collides, toy_data, toy_human, toy_kinematics, toy_samples
+from retargeting_toy import toy_collides, toy_data, toy_human, toy_kinematics
 
 from geort_drake.errors import TrainingError, UnknownNameError
 from geort_drake.retargeting.methods.geort import PRESETS, GeortConfig, train_geort, training
-from geort_drake.retargeting.training import criteria
 from geort_drake.retargeting.training.descent import descend
-from geort_drake.retargeting.training.pretraining import fit_classifier, fit_neural_kinematics
 
 QUICK = GeortConfig(
     steps=200, points=64, targets=96, pinches=32, frames=32, hidden=32,
@@ -62,16 +59,16 @@ def test_training_finds_the_planted_map(hand, human):
     assert np.median(error) < 0.015
 
 
-@pytest.mark.parametrize(
-    ("criterion", "weight"), [("coverage", 50.0), ("flatness", 100.0), ("pinch", 20.0), ("collision", 2.0)]
-)
-def test_the_weight_of_a_criterion_lowers_its_loss(hand, human, criterion, weight):
+def test_the_weight_of_a_criterion_lowers_its_loss(hand, human):
     """Each of the criteria II to V acts: with its weight its own loss ends lower than without."""
     base = {"coverage_weight": 4.0, "flatness_weight": 0.0, "pinch_weight": 0.0, "collision_weight": 0.0}
     # Coverage pulls at what flatness, pinch and collision hold back, so it is what they are compared to.
-    without = quick(hand, human, **{**base, f"{criterion}_weight": 0.0})
-    having = quick(hand, human, **{**base, f"{criterion}_weight": weight})
-    assert final(having, criterion) < 0.7 * final(without, criterion)
+    covering = quick(hand, human, **base)
+    for criterion, weight in (("flatness", 100.0), ("pinch", 20.0), ("collision", 2.0)):
+        having = quick(hand, human, **{**base, f"{criterion}_weight": weight})
+        assert final(having, criterion) < 0.7 * final(covering, criterion), criterion
+    free, covering = (quick(hand, human, **{**base, "coverage_weight": weight}) for weight in (0.0, 50.0))
+    assert final(covering, "coverage") < 0.7 * final(free, "coverage")
 
 
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(hand, human):
@@ -85,37 +82,10 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(hand, huma
     assert np.abs(runs[0]["weight1"] - runs[2]["weight1"]).max() > 1e-3
 
 
-def test_a_loss_that_stops_being_finite_keeps_the_last_good_weights(hand, human):
-    """An absurd learning rate ends in a warning and finite weights, or in an error at once."""
-    with pytest.warns(RuntimeWarning, match="stopped being finite at step"):
-        result = quick(hand, human, learning_rate=1e30)
-    assert result.stopped_at is not None
-    assert all(np.isfinite(array).all() for array in result.network.arrays().values())
-
-
-def test_a_last_step_into_nothing_is_noticed():
-    """Weights that no loss has seen are checked too: √0 is finite, its gradient is not."""
-    network = torch.nn.Linear(1, 1)
-    before = network.weight.item()
-
-    def losses(_step):
-        return torch.sqrt(0.0 * network.weight).sum(), {}
-
-    with pytest.warns(RuntimeWarning, match="at step 1 of 1"):
-        assert descend(network, losses, 1, 1e-2).stopped_at == 1
-    assert network.weight.item() == before
-
-
 def test_a_map_that_is_driven_into_its_limits_is_noticed(hand, human):
     """Its loss is finite and worse than at the start."""
     with pytest.warns(RuntimeWarning, match=r"loss did not fall: \S+ at the start, \S+ at the end"):
         quick(hand, human, learning_rate=100.0)
-
-
-def test_a_loss_that_is_never_finite_is_an_error(hand, human):
-    """There are no good weights to keep."""
-    with pytest.raises(TrainingError, match="not finite at the first step"):
-        quick(hand, human, coverage_weight=1e300)
 
 
 def test_the_best_weights_of_a_descent_are_not_older_than_a_hundredth_of_it():
@@ -133,60 +103,6 @@ def test_the_best_weights_of_a_descent_are_not_older_than_a_hundredth_of_it():
     assert descent.stopped_at == 151 and len(seen) == 152
     assert network.weight.item() == seen[150]
     assert descent.history[-1]["step"] == 150
-
-
-def test_a_finger_that_never_pinches_is_named(hand, human):
-    """The others keep pinching, so training goes on; without the criterion nobody is asked to pinch."""
-    apart = human.copy()
-    apart[:, 2, 1] += 0.2
-    with pytest.warns(RuntimeWarning, match=r"no pinch of the thumb with: middle \(nearest \d+ mm\)"):
-        quick(hand, apart, steps=2)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        quick(hand, human, steps=2)
-        quick(hand, apart, steps=2, pinch_weight=0.0)
-
-
-def test_independent_resampling_puts_hands_together_that_nobody_made(hand, human, monkeypatch):
-    """Every finger is where it was recorded, but not at the same time; by default hands are frames."""
-    judged = []
-    weights_of = criteria.pinch_weights
-
-    def pinch_weights(p_HF, *arguments):
-        judged.append(p_HF.numpy())
-        return weights_of(p_HF, *arguments)
-
-    monkeypatch.setattr(criteria, "pinch_weights", pinch_weights)
-    quick(hand, human, steps=3)
-    assert [len(hands) for hands in judged] == [len(human)]
-    quick(hand, human, steps=3, resampling="independent")
-    assert [len(hands) for hands in judged[2:]] == [QUICK.pinches] * 3
-    same = judged[2][:, None] == human.astype(np.float32)[None]  # (hands, frames, fingers, coordinates)
-    assert same.all(axis=3).any(axis=1).all()
-    assert not same.all(axis=(2, 3)).any()
-
-
-def test_neural_kinematics_learn_the_fingertips(hand):
-    """The reported error is that of fresh samples, within sampling noise, and small."""
-    model, errors = fit_neural_kinematics(
-        hand, toy_samples(hand), torch.Generator().manual_seed(0), torch.device("cpu"), 1000, 256, hidden=64
-    )
-    fresh = torch.tensor(toy_samples(hand, 2000, seed=9))
-    tips, exact = model.fingertips(fresh.float()).numpy(), hand.fingertips(fresh).numpy()
-    mean_mm = 1000 * np.linalg.norm(tips - exact, axis=-1).mean()
-    assert errors["mean_mm"] < 1.0
-    assert mean_mm == pytest.approx(errors["mean_mm"], rel=0.15)
-
-
-def test_the_classifier_learns_the_labels(hand):
-    """A half-space is found; the held-out accuracy is that of fresh samples."""
-    q = toy_samples(hand)
-    generator, cpu = torch.Generator().manual_seed(0), torch.device("cpu")
-    model, figures = fit_classifier(hand, q, toy_collides(q), generator, cpu, 400, 256, hidden=32)
-    fresh = toy_samples(hand, 2000, seed=9)
-    guessed = (model(torch.tensor(fresh).float()) > 0).numpy()
-    assert figures["accuracy"] > 0.97
-    assert (guessed == toy_collides(fresh)).mean() == pytest.approx(figures["accuracy"], abs=0.02)
 
 
 def test_labels_of_own_outputs_reduce_collisions(hand, human):
@@ -213,7 +129,7 @@ def test_the_choices_of_the_public_code_train(hand, human):
 
 
 def test_unusable_input_is_refused_with_what_is_expected(hand, human):
-    """Shape, NaN, a finger that does not move, no pinch, few samples, no labels, bad settings and devices."""
+    """Shape, NaN, a finger that does not move, no pinch, bad settings and devices."""
     broken, still = human.copy(), human.copy()
     broken[5, 1, 2] = np.nan
     still[:, 1] = still[0, 1]
@@ -227,17 +143,8 @@ def test_unusable_input_is_refused_with_what_is_expected(hand, human):
         with pytest.raises(TrainingError, match=message):
             quick(hand, given)
     quick(hand, apart, pinch_weight=0.0, steps=2)
-    for data, message in (
-        ({"q": toy_samples(hand, 10)}, "at least 1000"),
-        ({"q": toy_samples(hand)[:, :5]}, r"q must be finite and of shape \(4000, 9\)"),
-        ({"labels": None}, "no labels"),
-    ):
-        with pytest.raises(TrainingError, match=message):
-            quick(hand, human, data=data)
     with pytest.raises(TrainingError, match="learning_rate must be positive, it is -1"):
         quick(hand, human, learning_rate=-1)
-    with pytest.raises(UnknownNameError, match="exact, neural"):
-        quick(hand, human, fk="guess")
     with pytest.raises(UnknownNameError, match="cpu, cuda"):
         quick(hand, human, device="tpu")
     if not torch.cuda.is_available():

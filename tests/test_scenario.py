@@ -7,19 +7,16 @@ from pathlib import Path
 import pytest
 import yaml
 from pydrake.common.yaml import yaml_dump_typed
-from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.multibody.plant import MultibodyPlant
 
 from geort_drake.errors import HandError, ScenarioError, UnknownNameError
 from geort_drake.hands.description import load_hand
 from geort_drake.resources import diagrams_dir
-from geort_drake.simulation.object_shape import object_shape
 from geort_drake.simulation.scenario import (
     Scenario,
     dump_scenario,
     load_scenario,
     names_object,
-    object_names,
 )
 from geort_drake.simulation.world import add_object, add_robot
 
@@ -59,15 +56,6 @@ def test_shipped_scenarios_load_and_their_models_fit(file, name):
     add_object(plant, scenario.object.name)
     plant.Finalize()
     assert plant.num_actuators() > 0
-
-
-def test_every_object_has_a_shape_the_planner_can_use():
-    """All shipped objects load, stand on their support, and are made of convex primitives."""
-    assert len(object_names()) >= 10
-    for name in object_names():
-        plant, scene_graph = AddMultibodyPlant(Scenario().plant_config, DiagramBuilder())
-        body = add_object(plant, name)
-        assert object_shape(plant, scene_graph.model_inspector(), body).parts
 
 
 def test_an_empty_scenario_is_all_defaults():
@@ -146,27 +134,14 @@ def test_a_dumped_scenario_reads_back_the_same(tmp_path, file, name):
     ("text", "message"),
     [
         ("{tiemout: 3}", "tiemout"),
-        ("{operator: {vision: 3}}", "vision"),
-        ("{timeout: soon}", "text merged into scenario 'Grasp'.*soon"),
         ("{timeout: .nan}", "timeout must be positive and finite, not nan"),
-        ("{plant_config: {time_step: 1e-12}}", r"time_step must be at least 1e-05 s, not 1e-12"),
         ("{plant_config: {contact_model: glue}}", r"plant_config: .*'glue'"),
         ("{retargeting: {period: 0.003}}", r"retargeting\.period must be a multiple of .* not 0\.003"),
-        ("{retargeting: {latency: -0.001}}", r"retargeting\.latency must be from 0 to 10 s"),
         ("{operator: {visual_delay: 0.175}}", r"visual_delay \(0\.175\) must be a multiple"),
-        ("{operator: {overshoot: .nan}}", r"operator\.overshoot must be finite"),
-        ("{operator: {squeeze_time: 0}}", r"operator\.squeeze_time must be positive, not 0"),
-        ("{monitor: {hold_time: 0}}", r"monitor\.hold_time must be positive"),
-        ("{wrist_to_arm: {period: .inf}}", r"wrist_to_arm\.period must be positive and finite"),
         ("{wrist_to_arm: {joint_speed_share: 2}}", r"joint_speed_share must be at most 1, not 2"),
         ("{correction: {kind: magic}}", r"correction\.kind must be one of none, guard, policy"),
-        ("{object: {position: [.nan, 0]}}", r"object\.position must be \[x, y\] in m, not \[nan, 0"),
         ("{object: {mass_range: 1.0}}", r"object\.mass_range must be in \[0, 1\)"),
-        ("{object: {yaw: .nan}}", r"object\.yaw must be finite, not nan"),
-        ("{object: {yaw_range: -1}}", r"object\.yaw_range must be finite and not negative"),
-        ("{random_seed: -1}", r"random_seed must be 0 or more, not -1"),
         ("{timeout: 5, timeout: 6}", "text merged into .* 'timeout' is given twice"),
-        ("{object: {name: [}", "Grasp"),
     ],
 )
 def test_wrong_values_are_refused_by_name(text, message):
@@ -178,12 +153,8 @@ def test_wrong_values_are_refused_by_name(text, message):
 @pytest.mark.parametrize(
     ("contents", "message"),
     [
-        (b"A: {timeout: 3\nB", "no mapping of names to scenarios"),
         (b"- a\n- b\n", "no mapping of names to scenarios"),
-        (b"\xff\xfe\x00\x80", "no mapping of names to scenarios"),
         (b"Grasp: " + b"[" * 5000 + b"]" * 5000, "no mapping of names to scenarios"),
-        (b"Grasp: [1, 2]\n", "Grasp"),
-        (b"Grasp: {nonsense: 1}\n", "nonsense"),
         (b"Grasp:\n  timeout: 5\n  object: {yaw: 0.1, yaw: 0.2}\n", "'yaw' is given twice in .* line 3"),
     ],
 )
@@ -210,14 +181,8 @@ def test_unknown_names_are_refused_with_the_choices(tmp_path):
     ("text", "error", "message"),
     [
         ("directives: []", ScenarioError, "must add a model named 'arm'"),
-        (
-            "directives: [{add_model: {name: arm, file: 'package://geort_drake/models/none.sdf'}}]",
-            ScenarioError,
-            "scenario field directives",
-        ),
         ("arm_posture: {elbow: 0}", ScenarioError, "no joint 'elbow'; the joints are: panda_joint1"),
         ("hand_parent: adapter::arm_side", ScenarioError, "hand_parent: .*arm_side"),
-        ("{hand: allegro_left, left_arm_posture: {elbow: 0}}", ScenarioError, "left_arm_posture.*'elbow'"),
         ("arm_posture: {panda_joint4: 0.5}", HandError, "panda_joint4 = 0.5 rad is outside its limits"),
     ],
 )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from pydrake.common.value import AbstractValue
-from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
@@ -16,7 +16,7 @@ from geort_drake.systems.glove_checks import HELD_NOT_FINITE, GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.glove_replay import GloveReplay
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.port_values import pose_to_vector, vector_to_pose
+from geort_drake.systems.port_values import pose_to_vector
 from geort_drake.systems.retargeting_system import TRACKING, RetargetingSystem
 
 JOINTS = ("thumb_a", "thumb_b", "index_a")
@@ -33,17 +33,6 @@ def small_recording(frames: int = 12, rate: float = 100.0) -> Recording:
         X_WH=np.column_stack([quaternions, rng.normal(0, 0.2, (frames, 3))]),
         metadata={"side": "right"},
     )
-
-
-# -- poses
-
-
-def test_pose_vectors_round_trip(rng):
-    """Quaternion and translation come back, whatever the quaternion's length."""
-    for roll, pitch, yaw in rng.uniform(-3, 3, (10, 3)):
-        X = RigidTransform(RollPitchYaw(roll, pitch, yaw), [1, 2, 3])
-        back = vector_to_pose(pose_to_vector(X) * [2, 2, 2, 2, 1, 1, 1])
-        np.testing.assert_allclose(back.GetAsMatrix4(), X.GetAsMatrix4(), atol=1e-12)
 
 
 # -- GloveReplay, GloveRecorder
@@ -157,8 +146,6 @@ def test_retargeting_needs_the_plants_joints_and_limits_and_a_start_within_them(
     with pytest.raises(HandError, match=r"thumb_b.*ring_a"):
         RetargetingSystem(first_three, JOINTS, ("index_a", "thumb_a", "ring_a"), {}, 0.01)
     start = dict.fromkeys(JOINTS, 0.5)
-    with pytest.raises(HandError, match="joint limits are unknown"):
-        RetargetingSystem(first_three, JOINTS, JOINTS, start)
 
     def limited(keypoints):
         return first_three(keypoints)
@@ -305,22 +292,12 @@ def test_monitor_takes_no_short_loss_of_contact_for_a_drop(loose, drops):
     assert longer.drops == 0
 
 
-def test_monitor_counts_a_fall_back_to_the_support_as_one_drop():
-    """Also while fingers still touch, and once, however long it lies there."""
-    heights = [0.0, 0.05, 0.05] + [0.0] * 30 + [0.05] * 5
-    outcome = run_monitor(heights, [[1, 1]] * len(heights), period=LOOK)
-    assert outcome.drops == 1 and outcome.phase == GraspPhase.LIFT
-    # What has not been lifted cannot be dropped.
-    assert run_monitor([0.0] * 30, [[1, 1]] * 10 + [[0, 0]] * 20, period=LOOK).drops == 0
-
-
 @pytest.mark.parametrize(
     ("heights", "contacts", "last"),
     [
         ([0.0, 0.0, -0.1], [[0, 0]] * 3, "REACH"),
         # Grasped at first, but what threw it was one finger.
         ([0.0, 0.0, 0.0, 0.0, -0.1], [[1, 1], [0, 0], [1, 0], [0, 0], [0, 0]], "TOUCH"),
-        ([0.0, 0.05, 0.0, -0.1], [[1, 1], [1, 1], [0, 0], [0, 0]], "LIFT"),
         ([0.0, 0.15, 0.0, -0.1], [[1, 1], [1, 1], [0, 0], [1, 1]], "HOLD"),
     ],
 )
@@ -329,11 +306,3 @@ def test_monitor_remembers_the_last_phase_with_a_touch(heights, contacts, last):
     outcome = run_monitor(heights, contacts)
     assert outcome.phase == GraspPhase.THROWN
     assert outcome.last_touched == GraspPhase[last]
-
-
-def test_monitor_adds_up_times():
-    """By phase, and in self-contact."""
-    contacts = [[0, 0], [1, 0], [1, 1], [1, 0], [1, 0], [1, 0]]
-    outcome = run_monitor([0.0] * 6, contacts, self_contacts=[1, 0, 1, 1, 0, 1])
-    assert outcome.durations == pytest.approx({"REACH": 0.1, "TOUCH": 0.3, "GRASP": 0.1})
-    assert outcome.self_contact_time == pytest.approx(0.3)

@@ -57,27 +57,6 @@ def test_a_foreign_hand_is_reported_and_the_persons_own_is_not():
     assert np.isnan(status.distance)
 
 
-def test_outside_is_told_at_the_very_update_and_measured_only_where_needed(monkeypatch):
-    """A hand grows and shrinks through the tolerance: at every frame, the state is that of the distance."""
-    space = TrainedSpace(trained_points(PLAY.p_HK[:, list(TIPS)]), TIPS)
-    measured, distances = [], TrainedSpace.distances
-    monkeypatch.setattr(TrainedSpace, "distances", lambda *a: measured.append(1) or distances(*a))
-    retarget = smooth_retargeter()
-    retarget.trained_space = space
-    bench = Bench(retarget, checks=AT_ONCE)
-    scales = 1.15 + 0.15 * np.sin(np.arange(400) / 15)
-    states, expected = [], []
-    for keypoints, scale in zip(hands(400), scales, strict=True):
-        *_, status = bench.tick(scale * keypoints)
-        assert status.distance == distances(space, scale * keypoints).max()
-        states.append(status.state == OUTSIDE)
-        expected.append(status.distance > 0.02)
-    assert states == expected
-    assert 0.2 < np.mean(states) < 0.8 and np.count_nonzero(np.diff(states)) > 5
-    # Once for each status, which is asked for at every frame here.
-    assert len(measured) - len(states) < 0.6 * len(states)
-
-
 def test_a_checkpoint_tells_where_it_was_trained_and_an_older_one_still_loads(tmp_path):
     """Without the places, nothing is known about the distance, and the retargeter is the same."""
     facts = {"name": "toy", "finger_names": FINGERS, "joint_names": JOINTS, "model_sha256": "abc"}

@@ -52,13 +52,8 @@ def test_a_torn_last_line_is_dropped_from_the_file(tmp_path):
     ("bad", "message"),
     [
         ('{"method": "ho', "line 2: not a trial's result"),
-        ("[1, 2]", "line 2: not a trial's result: Expected `object`"),
-        ("", "line 2: not a trial's result"),
-        ("\0\0\0", "line 2: not a trial's result"),
-        ('{"method": "hold", "object": "cylinder"}', "line 2: not a trial's result: .*`seed`"),
         ('{"method": "hold", "object": "cylinder", "seed": 1}', "line 2: .*missing.*; repair or delete"),
         (json.dumps(result(seed=1)) + "\n" + json.dumps(result(seed=1)), "line 3: a second result of hold"),
-        (json.dumps(result(seed=1)) + "\n" + json.dumps(line(seed=1)), "line 3: a second result of hold"),
     ],
 )
 def test_a_corrupt_line_is_refused_by_file_and_number(tmp_path, bad, message):
@@ -80,17 +75,8 @@ FAILED = {"success": False, "outcome": "timeout: touch", "completion_time": None
     [
         ({"completion_time": "4"}, "Expected `float . null`, got `str` - at `..completion_time`"),
         ({"slip": float("nan")}, "slip must be finite, not nan"),
-        ({"peak_force": float("inf")}, "peak_force must be finite, not inf"),
-        ({"peak_force": 10**400}, "Number out of range - at `..peak_force`"),
-        ({"seed": True}, "Expected `int`, got `bool` - at `..seed`"),
-        ({"phase_durations": {"REACH": []}}, "Expected `float`, got `array` - at `..phase_durations"),
         ({"error": "ValueError: no"}, "missing required field `traceback`"),
-        ({"condition": "delay=nan"}, "condition must be NAME=NUMBER, not 'delay=nan'"),
         ({"outcome": "thrown: lift"}, "success is True, which contradicts .*thrown"),
-        ({**FAILED, "outcome": "success"}, "success is False, which contradicts .*'success'"),
-        ({"completion_time": None}, "success is True, which contradicts .*None"),
-        ({"completion_time": 7.0}, r"success is True, which contradicts .*7\.0"),
-        ({**FAILED, "completion_time": 4.0}, r"success is False, which contradicts .*4\.0"),
         ({**FAILED, "first_attempt": True}, "success is False, which contradicts .*first_attempt': True"),
     ],
 )
