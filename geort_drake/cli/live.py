@@ -2,7 +2,7 @@
 
 SOURCE is a recording's file, or an address: sub+tcp://127.0.0.1:5556 (ZeroMQ, from `geort-drake publish` or a
 MANUS bridge that publishes), pull+tcp://127.0.0.1:8000 (from a bridge that pushes), lcm, or lcm+URL.
-TARGET is simulation, lcm, or lcm+URL. Enter engages and disengages; Ctrl-C stops and leaves the robot held.
+TARGET is simulation, lcm, or lcm+URL. Enter engages and disengages. Ctrl-C stops; the robot holds its place.
 Messages are neither signed nor encrypted: whoever can send them moves the robot.
 """
 
@@ -26,8 +26,8 @@ from geort_drake.errors import UsageError
 
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
-    add("--glove", required=True, metavar="SOURCE", help="where the hand's motion comes from")
-    add("--robot", default="simulation", metavar="TARGET", help="what is driven")
+    add("--glove", required=True, metavar="SOURCE", help="source of the hand motion")
+    add("--robot", default="simulation", metavar="TARGET", help="robot or simulation to drive")
     trained = (
         "directory of the checkpoint (default: one trained on synthetic play; if the cache has none, "
         "training it takes minutes before anything moves)"
@@ -36,16 +36,21 @@ def add_arguments(parser: CommandParser) -> None:
     add("--backend", default="numpy", choices=["numpy", "numba"], help="numba takes half the time per call")
     add("--glove-id", help="serial number of the MANUS glove, if a bridge sends several")
     add("--engage", default="key", choices=["key", "now"], help="engage with Enter, or at once")
-    add("--relax-after", type=positive, default=5.0, help="s that a lost hand is held before it relaxes")
+    add(
+        "--relax-after",
+        type=positive,
+        default=5.0,
+        help="seconds for which a lost hand holds before it relaxes",
+    )
     add("--duration", type=positive, default=math.inf, help="stop after so many seconds (default: never)")
-    add("--timeout", type=positive, default=10.0, help="s to wait for glove and robot")
+    add("--timeout", type=positive, default=10.0, help="seconds to wait for glove and robot")
     add(
         "--robot-silence",
         type=positive,
         default=0.5,
-        help="s of silence from the robot that stop the session",
+        help="stop if the robot is silent for so many seconds",
     )
-    record = "keep the glove's data (.npz), to train on or replay"
+    record = "record the glove's data (.npz), to train on or replay"
     add("--record", type=output_file(".npz"), metavar="FILE", help=record)
     add("--meshcat", action="store_true", help="show the simulation in a browser on this machine")
     parser.add_json("a report")

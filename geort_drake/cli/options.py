@@ -29,13 +29,13 @@ if TYPE_CHECKING:
 DEFAULT_HAND = "allegro_right"
 SIDES = ("left", "right")
 METHODS = {
-    "geort_coupled": "all five criteria, by fingers that see each other; the default",
-    "geort": "the paper's: one network per finger, each on its own",
+    "geort_coupled": "all five criteria, by a network that sees all fingertips; the default",
+    "geort": "GeoRT as published: one network per finger",
     "linear_offline": "a network trained on Eq. 1 of the paper (Robotic Telekinesis)",
     "vector_online": "AnyTeleop's vectors, optimised at every frame",
     "dexpilot_online": "DexPilot's vectors, optimised at every frame",
-    "nearest_neighbour": "the nearest of 300 stored hands",
-    "hold": "ignores the person's fingers",
+    "nearest_neighbour": "the closest of 300 stored hands",
+    "hold": "a constant posture",
 }
 DEFAULT_METHOD = "geort_coupled"
 TRAINED_METHODS = ("geort_coupled", "geort", "linear_offline")  # the others need no training

@@ -1,4 +1,4 @@
-"""Play a recording as a glove does, one message per frame.
+"""Send a recording as glove messages, one per frame.
 
 ADDRESS is pub+tcp://127.0.0.1:5556 (ZeroMQ, for `geort-drake live --glove sub+tcp://127.0.0.1:5556`),
 push+tcp://127.0.0.1:8000 (for pull+tcp://…), lcm, or lcm+URL. Ctrl-C stops it.
@@ -14,9 +14,9 @@ from geort_drake.cli.options import CommandParser
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("recording", type=Path, help="a recording in any known format")
-    add("--to", default="pub+tcp://127.0.0.1:5556", metavar="ADDRESS", help="where the messages go")
+    add("--to", default="pub+tcp://127.0.0.1:5556", metavar="ADDRESS", help="address to send to")
     parser.add_side("right")
-    add("--loop", action="store_true", help="begin again at the end")
+    add("--loop", action="store_true", help="start again at the end")
 
 
 def run(arguments: argparse.Namespace) -> int:

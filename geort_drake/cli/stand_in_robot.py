@@ -1,7 +1,7 @@
-"""Simulate a Panda with an Allegro hand that speaks LCM like the real ones.
+"""Simulate a Panda with an Allegro hand, controlled over LCM like the real robots.
 
-It follows PANDA_COMMAND and ALLEGRO_COMMAND, publishes PANDA_STATUS and ALLEGRO_STATUS, and holds the last
-command when no more come. Ctrl-C stops it.
+It follows PANDA_COMMAND and ALLEGRO_COMMAND, publishes PANDA_STATUS and ALLEGRO_STATUS, and holds its last
+command when no more arrive. Ctrl-C stops it.
 """
 
 import argparse
@@ -12,7 +12,7 @@ from geort_drake.cli.options import CommandParser, positive, scenario_of
 
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
-    add("--lcm", default="lcm", metavar="ADDRESS", help="the bus: lcm, or lcm+URL")
+    add("--lcm", default="lcm", metavar="ADDRESS", help="LCM bus: lcm, or lcm+URL")
     add("--duration", type=positive, default=math.inf, help="stop after so many seconds (default: never)")
     add("--meshcat", action="store_true", help="show it in a browser on this machine")
     parser.add_scenario("{object: {name: sphere}}")

@@ -64,7 +64,7 @@ def robot_space(hand: HandModel, seed: int = 0) -> RobotSpace:
 
 
 def evaluate(retarget: Callable, hand: HandModel, recording: Recording, seed: int = 0) -> dict:
-    """All metrics of a retargeter on one recording, as a JSON-ready dictionary.
+    """Computes all metrics of a retargeter on one recording, as a JSON-ready dictionary.
 
     Args:
         retarget: maps (F, 3) and (N, F, 3) human fingertips in H, m, to joint angles in rad.

@@ -38,7 +38,7 @@ def refit_checkpoint(
     seed: int = 0,
     report: Report | None = None,
 ) -> Path:
-    """Fits a checkpoint to another person and writes an ordinary checkpoint.
+    """Fits a checkpoint to another person and writes a new checkpoint.
 
     Args:
         checkpoint: directory of the checkpoint to start from.

@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 
 
 class HandModel:
-    """A hand with its base B welded to the world, computed at joint positions q.
+    """Kinematics and collision geometry of a robot hand in Drake, with its base B welded to the world.
 
-    q is in the order of `joint_names`, the description's. Followers of these joints move along; all other
+    q is in the order of `joint_names`, the description's. Followers move with these joints; all other
     joints stay at their default positions. Fingertips are the collision geometries of `tip_geometries`.
     Not thread-safe: the object owns the contexts in which it computes.
 

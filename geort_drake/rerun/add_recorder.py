@@ -53,7 +53,7 @@ def add_rerun_recorder(
     blueprint: rrb.Blueprint | None = None,
     plant_ports: Mapping[str, OutputPort] | None = None,
 ) -> RerunRecorder:
-    """Adds a recorder of the plant, and of further ports, to a diagram.
+    """Adds a Rerun recorder of a plant and of other ports to a diagram.
 
     Args:
         builder: of the diagram that holds `plant` and all ports below. For a port inside a nested diagram,
@@ -73,7 +73,7 @@ def add_rerun_recorder(
         cameras: entity path under /world → camera.
         close_ups: name → another view of the scene, in the default layout.
         view_from: direction in W from the scene to the eye, in the default layout.
-        properties: what the recording is about, such as {"method": "geort", "seed": 3}.
+        properties: facts that the viewer lists, such as {"method": "geort", "seed": 3}.
         blueprint: layout; by default all views of what is recorded.
         plant_ports: for a plant inside a nested diagram, the ports by which that diagram exports the plant's
             `body_poses` and, if contact is recorded, `contact_results`.

@@ -34,12 +34,12 @@ _READ_AT_ONCE = 64  # samples
 
 
 class RerunRecorder(LeafSystem):
-    """Samples a plant and further ports, for a Rerun file, for viewers, or for both.
+    """Records a plant and other ports to a Rerun file, to viewers, or to both.
 
-    Made and connected by `add_rerun_recorder`. Samples are taken in publish events, periodic and forced.
-    Going back in time drops the samples from there on. Viewers get the samples in batches. The file is
-    written as a whole by `flush`, by `close`, on leaving the recorder as a context manager, also after an
-    error, and at the latest when the process ends.
+    Use `add_rerun_recorder` to make and connect it. Samples are taken in publish events, periodic and forced.
+    If time goes back, the samples after that time are dropped. Viewers get the samples in batches. The file
+    is written atomically by `flush`, by `close`, when the recorder is left as a context manager, also after
+    an error, and at the latest when the process ends.
 
     Input ports (one that is needed twice is declared once):
         body_poses (abstract list of RigidTransform): X_WB of all bodies, in plant order.

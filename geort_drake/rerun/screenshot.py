@@ -112,7 +112,7 @@ def take_screenshot(
     size: tuple[int, int] = (1440, 900),
     timeout_s: float = 120.0,
 ) -> None:
-    """Writes a .png of a recording as the viewer shows it, with the layout stored in the file.
+    """Takes a screenshot (.png) of a recording in the viewer, with the layout stored in the file.
 
     Args:
         recording, size, timeout_s: as in `camera`.

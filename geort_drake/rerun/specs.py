@@ -17,7 +17,7 @@ Derive = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class SignalSpec:
-    """A vector output port as time series, one per element.
+    """Records a vector output port as time series, one per element.
 
     Attributes:
         port: vector output port of any system of the diagram, or several, whose values are concatenated.
@@ -49,7 +49,7 @@ class SignalSpec:
 
 @dataclass(frozen=True)
 class HandSpec:
-    """A human hand as a glove and a tracker measure it.
+    """Records a human hand as measured by a glove and a tracker.
 
     Attributes:
         keypoints_port: 63 numbers, p_HK, keypoint-major, m.
@@ -68,7 +68,7 @@ class HandSpec:
 
 @dataclass(frozen=True)
 class PointsSpec:
-    """A vector output port of 3k coordinates as k small spheres; points with a NaN are not drawn.
+    """Records a vector output port of 3k coordinates as k spheres; points with a NaN are not drawn.
 
     Attributes:
         port: vector output port, point-major, m.
@@ -91,7 +91,7 @@ class PointsSpec:
 
 @dataclass(frozen=True)
 class StateSpec:
-    """A port of size 1 that holds an integer code, as a lane of named states.
+    """Records a port of size 1 with an integer code as a lane of named states.
 
     Attributes:
         port: vector output port of size 1.
@@ -104,7 +104,7 @@ class StateSpec:
 
 @dataclass(frozen=True)
 class ContactSpec:
-    """How contact forces are shown.
+    """Options for recording contact forces.
 
     Attributes:
         groups: bodies whose contact forces are summed to one time series each, such as the links of a
@@ -120,7 +120,7 @@ class ContactSpec:
 
 @dataclass(frozen=True)
 class CloseUpSpec:
-    """A second view of the scene, which moves with a frame.
+    """An additional view of the scene that follows a frame.
 
     Attributes:
         follows: frame F of the plant; or the key of a human hand, which the view shows alone, with the
@@ -137,7 +137,7 @@ class CloseUpSpec:
 
 @dataclass(frozen=True)
 class CameraSpec:
-    """Colour images of a camera of the diagram, and its pose.
+    """Records the colour images and the pose of a camera in the diagram.
 
     Attributes:
         sensor: rendered for each image, which takes far longer than everything else.

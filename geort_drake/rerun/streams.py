@@ -30,7 +30,7 @@ def file_writer(
     properties: Mapping[str, Property] | None = None,
     timeline: str = TIMELINE,
 ) -> Iterator[Writer]:
-    """Yields the writer of an .rrd file, which appears when the block ends without an error.
+    """Opens a `Writer` to an .rrd file; the file appears when the block ends without an error.
 
     Equal data give equal columns; log times are left out. With the environment variable RERUN=off no file
     is written, and a warning says so.

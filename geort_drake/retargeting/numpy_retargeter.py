@@ -15,7 +15,9 @@ _MAX_WEIGHT = 1e6
 
 
 class Retargeter:
-    """Independent per-finger networks, 3 → hidden → hidden → joints, evaluated as one of 3F → H → H → n.
+    """Maps human fingertips to robot joint angles with a trained network; needs only NumPy.
+
+    The per-finger networks, 3 → hidden → hidden → joints, are evaluated as one of 3F → H → H → n.
 
     Stateless and safe to share between threads; returned arrays belong to the caller.
 
@@ -23,7 +25,7 @@ class Retargeter:
         finger_names: F fingers, in the order of the inputs.
         joint_names: n joints, in the order of the outputs.
         lower, upper: (n,) joint limits, rad; outputs are always inside.
-        trained_space: places of the fingertips in training; None in checkpoints of version 0.1.
+        trained_space: fingertip positions seen in training; None in checkpoints of version 0.1.
     """
 
     trained_space: TrainedSpace | None = None
@@ -90,7 +92,7 @@ class Retargeter:
         self._bias2 = checked_array(arrays, "bias2", (fingers, 1, outputs // fingers)).ravel()[self._columns]
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Joint angles in rad for human hands.
+        """Computes joint angles, rad, for one or many human hands.
 
         Args:
             points: fingertips p_HF (F, 3) or (N, F, 3), or whole hands p_HK (21, 3) or (N, 21, 3),
@@ -145,14 +147,14 @@ class Retargeter:
         self._one_hand = OneHand(layers, self._fingertips.keypoints.tolist())
 
     def value_and_jacobian(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Joint angles q and ∂q/∂p_HF of one hand, at the cost of the Jacobian alone.
+        """Computes joint angles q and ∂q/∂p_HF of one hand, at the cost of the Jacobian alone.
 
         Args:
             points: fingertips p_HF (F, 3) or a whole hand p_HK (21, 3), in the wrist frame H, m.
 
         Returns:
             q (n,) in rad, as the call gives it, and J (n, F, 3) in rad/m: J[j, f] is the gradient of joint
-            j with respect to fingertip f. Keypoints that are no fingertips have no influence.
+            j with respect to fingertip f. Keypoints other than fingertips have no influence.
 
         Raises:
             ValueError: points have another shape, or are several hands.
@@ -178,7 +180,7 @@ class Retargeter:
         return y, J.T.reshape(y.size, *p_HF.shape)
 
     def jacobian(self, points: np.ndarray) -> np.ndarray:
-        """∂q/∂p_HF (n, F, 3) in rad/m of one hand (F, 3) or (21, 3); see `value_and_jacobian`."""
+        """Computes ∂q/∂p_HF (n, F, 3), rad/m, of one hand (F, 3) or (21, 3); see `value_and_jacobian`."""
         return self.value_and_jacobian(points)[1]
 
     def _layer1(self, h: np.ndarray, u: np.ndarray) -> None:

@@ -64,7 +64,7 @@ def run_trial(
     properties: Mapping[str, str | int | float | bool] | None = None,
     report: Callable[[float], None] | None = None,
 ) -> tuple[TrialResult, Recording]:
-    """Simulates until the grasp is judged or the time is up.
+    """Simulates one grasp trial until it succeeds, fails or times out.
 
     Args:
         scenario, retarget, human, rerun_path, properties: as for `make_grasp_diagram`.

@@ -35,11 +35,11 @@ class CorrectionConfig:
 
 
 class ActionCorrection(LeafSystem):
-    """Passes the desired state on; override `correct` for a correction of your own.
+    """Passes the desired state through; override `correct` to correct it.
 
-    DexterityGen has its foundation controller in this place (Yin et al. 2025, section IV): a policy that sees
-    the hand and turns coarse targets into safe, dexterous ones. The package's own corrections have the same
-    ports and override `_calc`.
+    In DexterityGen (Yin et al. 2025, section IV), this is the place of the foundation controller, a policy
+    that sees the hand and turns coarse targets into safe, dexterous ones. The package's own corrections have
+    the same ports and override `_calc`.
 
     Input ports:
         desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.

@@ -14,14 +14,14 @@ _TIME_TOLERANCE = 1e-9  # s; recorded times are rounded sums of periods
 
 
 class GloveReplay(LeafSystem):
-    """Plays a recording as a glove delivers it: each sample is held until the next one.
+    """Plays back a recording and holds each sample until the next one.
 
     Output ports:
         keypoints (63): p_HK, keypoint-major, m, wrist frame H.
         wrist_pose (abstract RigidTransform): X_WH of the tracker; the identity if the recording has none.
         valid (1): 1 tracked, 0 lost.
 
-    The first sample also precedes the recording, and the last one follows it.
+    Before the recording it outputs the first sample, after it the last one.
     """
 
     def __init__(self, recording: Recording):

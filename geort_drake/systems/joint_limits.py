@@ -17,7 +17,7 @@ _RATES = (1e-6, 1e12)
 
 @dc.dataclass(frozen=True)
 class JointLimits:
-    """Limits of n joints.
+    """Limits of position, speed and acceleration of n joints.
 
     Attributes:
         lower, upper: (n,) positions, rad, within ±100.

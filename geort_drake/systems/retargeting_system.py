@@ -75,7 +75,7 @@ class RetargetingStatus(Immutable):
 
 
 class RetargetingSystem(LeafSystem):
-    """Retargets at a fixed period; its output is finite and keeps the limits for any input.
+    """Maps keypoints to joint targets at a fixed period; the output keeps the limits for any input.
 
     While the input cannot be followed, the joints brake and hold. Then the hand follows again with growing
     speed. Joint targets appear `latency` after their keypoints. A retargeter that takes longer than the

@@ -19,13 +19,13 @@ _PAIRS = 4
 
 
 class SelfCollisionGuard(PeriodicCorrection):
-    """Passes clear commands on, and moves others to near positions that are clear.
+    """Passes commands that are clear of self-collision, and moves others to near positions that are.
 
-    Every output has been checked: the distance between all parts of the hand that `HandClearance` watches is
-    at least `clearance`. It is within the joint limits, and within the joints' speed from the last output. If
-    no correction is found, the fingers in conflict, or all fingers, keep their last positions. Acceleration
-    is not limited: fingers stop at once before they meet. Nothing is guaranteed for the hand's measured
-    positions, nor between two commanded ones, which are at most speed · period apart.
+    Every output is checked: the distance between all parts of the hand that `HandClearance` watches is at
+    least `clearance`. It keeps the limits of position and speed. If no correction is found, the fingers in
+    conflict, or all fingers, keep their last positions. Acceleration is not limited: fingers stop at once
+    before they meet. Nothing is guaranteed for the hand's measured positions, nor between two commanded ones,
+    which are at most speed · period apart.
 
     Input ports:
         desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.

@@ -72,12 +72,12 @@ class NearestNeighbour(Hold):
 METHODS = (
     UntrainedMethod(
         "hold",
-        "ignores the person's fingers",
+        "a constant posture",
         lambda kinematics, human_keypoints, _frames, _seed: Hold(kinematics, human_keypoints),
     ),
     UntrainedMethod(
         "nearest_neighbour",
-        "the nearest of 300 stored hands",
+        "the closest of 300 stored hands",
         lambda kinematics, human_keypoints, frames, seed: NearestNeighbour(
             kinematics, frames, seed=seed, human_keypoints=human_keypoints
         ),

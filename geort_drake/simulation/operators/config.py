@@ -38,7 +38,7 @@ class OperatorConfig:
     # 10 % [J89].
     contact_noise: float = 0.1
     # Fingertip speed per error that is seen and not yet corrected, 1/s. The person assumes that the robot's
-    # fingertips move like the own.
+    # fingertips move like their own.
     correction_rate: float = 2.5
     # Largest fingertip speed while shaping the hand, m/s; median and 95th percentile of free play are 0.1 and
     # 0.5 [M].

@@ -15,7 +15,7 @@ from geort_drake.systems.port_values import vector_to_pose
 
 
 class SimulatedOperator(LeafSystem):
-    """A person who grasps through the robot by moving a human hand and wrist.
+    """Simulates a person who grasps with the robot by moving their own hand and wrist.
 
     `GraspingPerson` decides once every `OperatorConfig.period`. The inputs should be delayed by
     `OperatorConfig.visual_delay`.
@@ -26,8 +26,8 @@ class SimulatedOperator(LeafSystem):
         object_pose (7): X_WO, qw qx qy qz x y z.
         contact (F): force between each finger and the object, N.
     Output ports:
-        keypoints (63): p_HK of the own hand, keypoint-major, m, wrist frame H.
-        wrist_pose (abstract RigidTransform): X_WH of the tracker on the own wrist.
+        keypoints (63): p_HK of the person's hand, keypoint-major, m, wrist frame H.
+        wrist_pose (abstract RigidTransform): X_WH of the tracker on the person's wrist.
         valid (1): always 1.
         phase (1): `Phase` as a number.
         attempt (1): number of grasp attempts so far, from 1.

@@ -63,7 +63,7 @@ def fine_tune(
 METHODS = (
     TrainedMethod(
         "geort_coupled",
-        "all five criteria, by fingers that see each other; the default",
+        "all five criteria, by a network that sees all fingertips; the default",
         CoupledConfig,
         train_coupled,
         CoupledRetargeter,

@@ -32,6 +32,6 @@ def train_geort(
 
 METHODS = (
     TrainedMethod(
-        "geort", "the paper's: one network per finger, each on its own", GeortConfig, train_geort, Retargeter
+        "geort", "GeoRT as published: one network per finger", GeortConfig, train_geort, Retargeter
     ),
 )

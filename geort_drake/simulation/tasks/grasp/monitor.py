@@ -34,7 +34,7 @@ _TIME_TOLERANCE = 1e-9  # s; sums of periods are rounded
 class GraspMonitorConfig:
     """Criteria of a successful grasp."""
 
-    # Time between two looks, s.
+    # Time between two checks, s.
     period: float = 0.01
     # The object's lowest point must be this high above its support, m, for this long, s.
     height: float = 0.10
