@@ -81,9 +81,7 @@ def test_speeds_of_a_steady_motion_are_known_and_repeats_are_dropped():
 def test_arrays_of_the_wrong_shape_or_type_are_refused(field):
     """The field and both shapes are named."""
     for value in (np.zeros((400, 20, 2)), np.full((400, 21, 3), "a")):
-        with pytest.raises(
-            RecordingError, match=rf"{field} must hold numbers of shape \(400.*\), not .* \(400, 2"
-        ):
+        with pytest.raises(RecordingError, match=rf"{field} must hold numbers of shape .*, not .* \(400, 2"):
             changed(recorded(), **{field: value})
 
 

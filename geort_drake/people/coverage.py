@@ -8,16 +8,16 @@ import numpy as np
 from geort_drake.people.keypoints import FINGER_KEYPOINTS, FINGER_NAMES, TIP_KEYPOINT, WRIST
 from geort_drake.people.recording import PINCH_M, Recording
 
-# The least range of each motion, and how a person makes it: half of the smaller one of two recordings with
-# gloves (GeoRT's of its author, MANUS subject 000).
+# The least range of each motion, deg, and how a person makes it: half of the smaller one of two recordings
+# with gloves (GeoRT's of its author, MANUS subject 000).
 _FINGER_MOTIONS = {
-    "bends": (90.0, "°", "stretch it fully and close it to a fist"),
-    "moves sideways": (7.0, "°", "spread the fingers and close them"),
+    "bends": (90.0, "stretch it fully and close it to a fist"),
+    "moves sideways": (7.0, "spread the fingers and close them"),
 }
 _THUMB_MOTIONS = {
-    "bends": (25.0, "°", "stretch it fully and bend it into the palm"),
-    "sweeps across the palm": (25.0, "°", "move it to the little finger and back"),
-    "lifts off the palm": (20.0, "°", "move it away from the palm and back"),
+    "bends": (25.0, "stretch it fully and bend it into the palm"),
+    "sweeps across the palm": (25.0, "move it to the little finger and back"),
+    "lifts off the palm": (20.0, "move it away from the palm and back"),
 }
 # How often each finger should pinch. People who are asked for pinches make more than ten in five minutes.
 PINCHES = 5
@@ -58,40 +58,30 @@ def coverage(recording: Recording) -> list[Motion]:
 
 
 def finger_motions(p_HK: np.ndarray, keypoints: Sequence[int] = tuple(TIP_KEYPOINT.values())) -> list[Motion]:
-    """The ranges of the fingers' motions.
+    """The ranges of the fingers' motions, each from its 1st to its 99th percentile.
+
+    Bending is the sum of the angles between successive bones, from the metacarpal on. The other motions are
+    those of the first bone that moves: of a finger sideways, out of the plane in which it bends; of the thumb
+    its elevation over the x-z plane (across the palm) and over the y-z plane (off the palm).
 
     Args:
         p_HK: (T, 21, 3) keypoints in H, m, of valid frames.
         keypoints: the fingertips whose fingers count; other keypoints name no finger.
     """
-    fingers = [finger for finger, tip in TIP_KEYPOINT.items() if tip in keypoints]
-    return [
-        Motion(f"{finger} {name}", degrees, *(_THUMB_MOTIONS if finger == "thumb" else _FINGER_MOTIONS)[name])
-        for finger in fingers
-        for name, degrees in ranges_deg(p_HK, finger).items()
-    ]
-
-
-def ranges_deg(p_HK: np.ndarray, finger: str) -> dict[str, float]:
-    """1st to 99th percentile of each of a finger's motions, deg, from keypoints p_HK (T, 21, 3) in H, m.
-
-    Bending is the sum of the angles between successive bones, from the metacarpal on. The other motions are
-    those of the first bone that moves: of a finger sideways, out of the plane in which it bends; of the thumb
-    its elevation over the x-z plane (across the palm) and over the y-z plane (off the palm).
-    """
-    chain = FINGER_KEYPOINTS[finger]
-    thumb = finger == "thumb"
-    bones = np.diff(np.asarray(p_HK, dtype=float)[:, chain if thumb else (WRIST, *chain)], axis=1)
-    bones = bones / np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), 1e-9)
-    cosines = np.clip((bones[:, 1:] * bones[:, :-1]).sum(-1), -1.0, 1.0)
-    first = np.clip(bones[:, 0 if thumb else 1], -1.0, 1.0)
-    angles = {"bends": np.arccos(cosines).sum(axis=1)}
-    if thumb:
-        angles["sweeps across the palm"] = np.arcsin(first[:, 1])
-        angles["lifts off the palm"] = np.arcsin(first[:, 0])
-    else:
-        angles["moves sideways"] = np.arcsin(_out_of_plane(first))
-    return {name: float(np.rad2deg(np.ptp(np.percentile(angle, (1, 99))))) for name, angle in angles.items()}
+    motions = []
+    for finger in (finger for finger, tip in TIP_KEYPOINT.items() if tip in keypoints):
+        thumb, chain = finger == "thumb", FINGER_KEYPOINTS[finger]
+        bones = np.diff(np.asarray(p_HK, dtype=float)[:, chain if thumb else (WRIST, *chain)], axis=1)
+        bones = bones / np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), 1e-9)
+        cosines = np.clip((bones[:, 1:] * bones[:, :-1]).sum(-1), -1.0, 1.0)
+        first = np.clip(bones[:, 0 if thumb else 1], -1.0, 1.0)
+        sines = (first[:, 1], first[:, 0]) if thumb else (_out_of_plane(first),)
+        angles = (np.arccos(cosines).sum(axis=1), *map(np.arcsin, sines))
+        wanted = _THUMB_MOTIONS if thumb else _FINGER_MOTIONS
+        for angle, (name, (least, advice)) in zip(angles, wanted.items(), strict=True):
+            seen = float(np.rad2deg(np.ptp(np.percentile(angle, (1, 99)))))
+            motions.append(Motion(f"{finger} {name}", seen, least, "°", advice))
+    return motions
 
 
 def _out_of_plane(bones: np.ndarray) -> np.ndarray:

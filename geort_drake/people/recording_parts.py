@@ -27,8 +27,7 @@ class RecordingParts:
     """Writes parts of a recording to disk in a thread, and joins them at the end.
 
     Attributes:
-        path: of the recording.
-        recovered: where an interrupted session's parts to the same path were joined; None without any.
+        recovered: the file into which an interrupted session's parts were joined; None without any.
 
     Args:
         path: .npz; an earlier file is replaced when the recording is finished.

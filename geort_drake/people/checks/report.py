@@ -69,8 +69,8 @@ def _figures(recording: Recording) -> dict[str, Any]:
             )
         },
         "coverage": [
-            {"motion": motion.name}
-            | {key: getattr(motion, key) for key in ("seen", "wanted", "unit", "enough")}
+            {"motion": motion.name, "seen": motion.seen, "wanted": motion.wanted, "unit": motion.unit}
+            | {"enough": motion.enough}
             for motion in coverage(recording)
         ],
     }

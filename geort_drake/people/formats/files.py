@@ -147,18 +147,10 @@ def _text(path: Path) -> str:
     return text
 
 
-def _load_pickle(path: Path, faults: FrameFaults) -> Any:
-    return load_plain(path)
-
-
-def _load_arrays(path: Path, faults: FrameFaults) -> Any:
-    return load_arrays(path)
-
-
 _LOADERS: dict[str, Callable[[Path, FrameFaults], Any]] = {
     ".csv": _load_table,
     ".json": _load_json,
     ".jsonl": _load_json_lines,
-    **dict.fromkeys((".npy", ".npz"), _load_arrays),
-    **dict.fromkeys((".pickle", ".pkl"), _load_pickle),
+    **dict.fromkeys((".npy", ".npz"), lambda path, faults: load_arrays(path)),
+    **dict.fromkeys((".pickle", ".pkl"), lambda path, faults: load_plain(path)),
 }

@@ -52,7 +52,7 @@ def _is_mediapipe(contents: Any) -> bool:
 
 def _read_mediapipe(file: Source, side: str) -> Tracks:
     if frames_of(file.contents):
-        p = file.each(file.frames(), lambda frame: _hands(frame, side), (2, *_SHAPE), _WORLD[0])
+        p = file.each(frames_of(file.contents), lambda frame: _hands(frame, side), (2, *_SHAPE), _WORLD[0])
         seen = {label: p[:, i] for i, label in enumerate(SIDES) if np.isfinite(p[:, i]).any()}
         if not seen:
             raise file.error("no frame shows a hand")

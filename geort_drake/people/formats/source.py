@@ -100,16 +100,13 @@ class Source:
         """The fields beside the frames."""
         return self.contents if isinstance(self.contents, Mapping) else {}
 
-    def frames(self) -> list:
-        """The frames of a file that holds a list of them, see `frames_of`."""
-        frames = frames_of(self.contents)
-        if not any(isinstance(frame, Mapping) for frame in frames):
-            raise self.error("expected a list of frames, or an object with such a list named frames")
-        return frames
-
     def has(self, field: str) -> bool:
         """Whether the file, or one of its frames, holds a field."""
         return field in self.header or any_frame(self.contents, lambda frame: field in frame)
+
+    def _of_frames(self, field: str) -> list:
+        frames = frames_of(self.contents)
+        return [frame.get(field) if isinstance(frame, Mapping) else None for frame in frames]
 
     def array(self, field: str, *shapes: tuple[int, ...], count: int | None = None) -> np.ndarray:
         """A field of every frame as floats (T, ...), from an archive's array or a list of frames.
@@ -127,7 +124,7 @@ class Source:
                 raise self.error(f"{field} must hold numbers of shape {expected}, not {given}")
             array = array.astype(float)
         elif self.has(field):
-            values = [frame.get(field) if isinstance(frame, Mapping) else frame for frame in self.frames()]
+            values = self._of_frames(field)
             counts = Counter(shape for value in values if (shape := _shape_of(value)) in shapes)
             shape = max(counts, key=counts.__getitem__, default=shapes[0])
             array = self.each(values, lambda value: value, shape, field)
@@ -180,8 +177,7 @@ class Source:
         if field in self.header:
             t = self.array(field, (), count=count)
         else:
-            stamps = [frame.get(field) if isinstance(frame, Mapping) else None for frame in self.frames()]
-            t = _relative(stamps, unit_s)
+            t = _relative(self._of_frames(field), unit_s)
         return t if np.isfinite(t).any() else None
 
     def side(self) -> str | None:

@@ -29,6 +29,7 @@ from geort_drake.people.formats.source import (
     Tracks,
     any_frame,
     empty_frames,
+    frames_of,
     joints_of,
 )
 from geort_drake.people.recording import SIDES
@@ -50,9 +51,8 @@ def _is_app(contents: Any) -> bool:
 
 def _is_vision_pro(contents: Any) -> bool:
     fields = {f"{side}_{field}" for side in SIDES for field in _FIELDS}
-    if isinstance(contents, Mapping) and fields & contents.keys():
-        return True
-    return _is_app(contents) or any_frame(contents, lambda frame: bool(fields & frame.keys()))
+    header = isinstance(contents, Mapping) and bool(fields & contents.keys())
+    return header or _is_app(contents) or any_frame(contents, lambda frame: bool(fields & frame.keys()))
 
 
 def _read_vision_pro(file: Source, side: str) -> Tracks:
@@ -70,7 +70,7 @@ def _read_vision_pro(file: Source, side: str) -> Tracks:
 
 
 def _read_app(file: Source, side: str) -> Tracks:
-    hand, frames = f"{side}Hand", file.frames()
+    hand, frames = f"{side}Hand", frames_of(file.contents)
     rows = file.each(frames, lambda frame: joints_of(frame, hand, _APP_JOINTS), (len(_APP_JOINTS), 16), hand)
     if not np.isfinite(rows).any():
         raise file.error(f"no frame has a {hand}; the file holds only the other hand")

@@ -72,7 +72,7 @@ def _read_webxr(file: Source, side: str) -> Tracks:
 def _read(file: Source, names: tuple[str, ...], unit_s: float, column_major: bool) -> Tracks:
     count, field = len(names), "poses" if file.has("poses") else "joints"
     if frames_of(file.contents) and field == "joints":
-        p = file.each(file.frames(), lambda frame: _points(frame, names), (count, 3), field)
+        p = file.each(frames_of(file.contents), lambda frame: _points(frame, names), (count, 3), field)
     else:
         shapes = ((count, 3), (count, 7), (count, 4, 4), (count, 16), (count * 16,))
         p = file.array(field, *shapes)
