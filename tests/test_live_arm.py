@@ -76,17 +76,6 @@ def test_a_tracker_that_jumps_is_not_followed_there():
     np.testing.assert_allclose(bench.hand_position(states[-1][0]), start, atol=1e-3)
 
 
-def test_the_arm_keeps_its_acceleration_limits():
-    """A wrist that starts and stops abruptly, to where the arm can hardly reach."""
-    bench = ArmBench()
-    broken = []
-    for tick in range(400):
-        way = 0.02 * abs((tick % 60) - 30)  # 2 m/s, to and fro
-        q, v, _ = bench.tick(RigidTransform(RollPitchYaw(0, way, 0), [way, -0.5 * way, 0.3 * way]))
-        broken += bench.watch.broken(q, v)
-    assert broken == []
-
-
 class ChecksBench:
     """Wrist checks by themselves."""
 

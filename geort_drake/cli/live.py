@@ -75,7 +75,6 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.live.session import EnterKey, run_session, stopping
     from geort_drake.live.teleoperation import RobotModel, make_teleoperation
     from geort_drake.live.transports import is_address, open_receiver, split_address
-    from geort_drake.live.watchdog import WatchdogConfig
     from geort_drake.people.recording_parts import RecordingParts
     from geort_drake.systems.glove_recorder import GloveRecorder
 
@@ -127,7 +126,7 @@ def run(arguments: argparse.Namespace) -> int:
             glove,
             robot,
             start,
-            WatchdogConfig(relax_after=arguments.relax_after),
+            arguments.relax_after,
             recorder,
         )
         engaged = arguments.engage == "now"

@@ -11,7 +11,7 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.live.devices import JointGroup
 from geort_drake.live.glove_stream import LATEST_S
 from geort_drake.live.latency import LatencyMeter
-from geort_drake.live.watchdog import EngageSwitch, Watchdog, WatchdogConfig
+from geort_drake.live.watchdog import EngageSwitch, Watchdog
 from geort_drake.simulation.diagram import Retarget
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import ARM, HAND, add_robot
@@ -101,7 +101,7 @@ def make_teleoperation(
     glove: LeafSystem,
     robot: System,
     start: tuple[np.ndarray, np.ndarray],
-    config: WatchdogConfig,
+    relax_after: float = 5.0,
     recorder: GloveRecorder | None = None,
 ) -> Teleoperation:
     """Builds the diagram for a glove and a robot. Engage the person in its context before the first step.
@@ -114,12 +114,12 @@ def make_teleoperation(
         glove: `GloveStream`, or `GloveReplay`, which has no stamps.
         robot: `RobotLink`, `SimulatedRobot`, or a system with their ports.
         start: present positions of hand (n,) and arm (m,), rad, in the model's order.
-        config: of the watchdog.
+        relax_after: time for which a lost hand is held before it relaxes, s.
         recorder: records the glove's outputs, if given.
 
     Raises:
         HandError: the retargeter and the robot move different joints.
-        ValueError: a value of the configuration cannot work.
+        ValueError: `relax_after` is not positive.
     """
     builder = DiagramBuilder()
     builder.AddNamedSystem("glove", glove)
@@ -149,7 +149,7 @@ def make_teleoperation(
     )
     safe_pose = [description.default_positions.get(name, 0.0) for name in model.hand.joints]
     watchdog = builder.AddNamedSystem(
-        "watchdog", Watchdog(model.limits, np.array(safe_pose), retargeting.period, config)
+        "watchdog", Watchdog(model.limits, np.array(safe_pose), retargeting.period, relax_after)
     )
     correction = builder.AddNamedSystem(
         "action_correction",

@@ -17,25 +17,6 @@ AFTER = 1e-4
 _PASSING, _RELAXING, _RETURNING = range(3)
 
 
-@dc.dataclass
-class WatchdogConfig:
-    """Settings for a glove that is lost while the person is engaged."""
-
-    # The hand holds for this long, s, before it relaxes. Infinite: it never relaxes.
-    relax_after: float = 5.0
-    # The largest joint speed on the way to the safe pose, rad/s.
-    relax_speed: float = 0.5
-    # When the hand returns to the glove, the speed limit grows from zero to full in this time, s.
-    ease_time: float = 0.5
-
-    def validate(self) -> None:
-        """Raises ValueError for values that cannot work."""
-        for field in dc.fields(self):
-            value = getattr(self, field.name)
-            if not value > 0 or (math.isinf(value) and field.name != "relax_after"):
-                raise ValueError(f"{field.name} must be positive and finite, not {value}")
-
-
 class EngageSwitch(LeafSystem):
     """Marks the hand as lost while the person is disengaged.
 
@@ -81,17 +62,34 @@ class Watchdog(LeafSystem):
         limits: of the joints, in actuator order.
         safe_pose: (n,) rad.
         period: of the retargeting, s.
-        config: times and speed.
+        relax_after: time for which a hand without a glove holds before it relaxes, s; infinite for ever.
+        relax_speed: largest joint speed on the way to the safe pose, rad/s.
+        ease_time: time in which the speed limit grows from zero to full when the hand returns, s.
 
     Raises:
-        ValueError: a value of the configuration cannot work.
+        ValueError: one of the last three is not positive, or not finite where it must be.
     """
 
-    def __init__(self, limits: JointLimits, safe_pose: np.ndarray, period: float, config: WatchdogConfig):
+    def __init__(
+        self,
+        limits: JointLimits,
+        safe_pose: np.ndarray,
+        period: float,
+        relax_after: float = 5.0,
+        relax_speed: float = 0.5,
+        ease_time: float = 0.5,
+    ):
         super().__init__()
-        config.validate()
-        self._config, self._limits, self._period = config, limits, period
-        self._relaxed = dc.replace(limits, speed=np.minimum(limits.speed, config.relax_speed))
+        for name, value in (
+            ("relax_after", relax_after),
+            ("relax_speed", relax_speed),
+            ("ease_time", ease_time),
+        ):
+            if not value > 0 or (math.isinf(value) and name != "relax_after"):
+                raise ValueError(f"{name} must be positive and finite, not {value}")
+        self._relax_after, self._ease_time = relax_after, ease_time
+        self._limits, self._period = limits, period
+        self._relaxed_limits = dc.replace(limits, speed=np.minimum(limits.speed, relax_speed))
         self._safe = np.clip(safe_pose, limits.lower, limits.upper)
         self._n = n = len(self._safe)
         self._desired = self.DeclareVectorInputPort("desired_state", 2 * n)
@@ -121,7 +119,7 @@ class Watchdog(LeafSystem):
 
         if mode == _PASSING:
             q, v = target, command[n:]
-            if time - lost_since >= self._config.relax_after:  # False for NaN
+            if time - lost_since >= self._relax_after:  # False for NaN
                 mode, since = _RELAXING, time
         else:
             if mode == _RELAXING and engaged and not lost:
@@ -132,9 +130,9 @@ class Watchdog(LeafSystem):
                 q, v = self._limits.step(q, v, q, q, self._period)
                 since = time  # the return is eased from here
             elif mode == _RELAXING:
-                q, v = self._relaxed.step(q, v, self._safe, self._safe, self._period)
+                q, v = self._relaxed_limits.step(q, v, self._safe, self._safe, self._period)
             else:
-                share = min((time - since + self._period) / self._config.ease_time, 1.0)
+                share = min((time - since + self._period) / self._ease_time, 1.0)
                 met = np.array_equal(q, before)
                 q, v = self._limits.step(q, v, target, before, self._period, share)
                 if met and np.array_equal(q, target):
