@@ -31,16 +31,16 @@ DATA = ROOT / "docs" / "results" / "data"
 TABLE, FIGURES = DATA / "reliability.csv", DATA / "reliability.json"
 _MACHINE = ("date", "processor", "cores", "load_average", "python")
 # The faults are shared with the tests, which try a share of them.
-sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
+sys.path[:0] = [str(ROOT / name) for name in ("tests", "benchmarks", "studies")]
 
 from faults import disks, kills  # noqa: E402
-from faults.corpus import CASES  # noqa: E402
 from faults.frames import fuzz_arm, fuzz_call, fuzz_system  # noqa: E402
 from faults.guard import fuzz_guard  # noqa: E402
-from faults.guided import fuzz_guided, require_atheris  # noqa: E402
+from faults.hostile import CASES  # noqa: E402
 from faults.mutations import fuzz  # noqa: E402
 from faults.refusals import faults_of  # noqa: E402
 from faults.soak import soak  # noqa: E402
+from guided_fuzzing import fuzz_guided, require_atheris  # noqa: E402
 from side_by_side import machine  # noqa: E402
 
 Report = Callable[[int, int], None]  # called with what is done, and of how much

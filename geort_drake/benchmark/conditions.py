@@ -1,7 +1,4 @@
-"""Conditions: scenarios with one parameter changed, named after it, such as `delay=100`.
-
-A grasp benchmark changes its `ASSUMPTIONS`; a replay changes the object by `PERTURBATIONS`.
-"""
+"""Conditions: scenarios with one changed parameter, named after it, such as `delay=100`."""
 
 import copy
 import dataclasses as dc
@@ -19,7 +16,7 @@ class Parameter:
 
     Attributes:
         label: of the plot's axis.
-        values: tried if none are given.
+        values: the default values.
         change: sets a value in a scenario.
         nominal: the scenario's own value.
     """
@@ -55,6 +52,7 @@ def _factor(label: str, values: tuple[float, ...], scale: Callable[[Scenario, fl
     return Parameter(f"{label}, factor", values, scale, lambda _: 1.0)
 
 
+# Changed by the sensitivity analysis of a grasp benchmark.
 ASSUMPTIONS = {
     "delay": Parameter(
         "visual delay, ms", (0, 100, 300), _set_delay, lambda s: round(1000 * s.operator.visual_delay, 9)
@@ -67,7 +65,7 @@ ASSUMPTIONS = {
 
 
 def _range(label: str, sizes: tuple[float, ...], field: str, unit: float = 1.0) -> Parameter:
-    """The range of a random change of the object, whose field of the scenario is in units of `unit`."""
+    """The range of a random change of the object; its field in the scenario is in units of `unit`."""
 
     def change(scenario: Scenario, size: float) -> None:
         setattr(scenario.object, field, unit * size)
@@ -75,6 +73,7 @@ def _range(label: str, sizes: tuple[float, ...], field: str, unit: float = 1.0) 
     return Parameter(label, sizes, change, lambda _: 0.0)
 
 
+# Changed by replays.
 PERTURBATIONS = {
     "position": _range("largest shift in x and y, mm", (5, 10, 20), "position_range", 1e-3),
     "yaw": _range("largest turn, °", (5, 15, 30), "yaw_range", math.radians(1)),
@@ -84,7 +83,7 @@ PERTURBATIONS = {
 
 
 def parse_values(texts: Iterable[str], parameters: Mapping[str, Parameter]) -> dict[str, list[float]]:
-    """Name → values from texts `NAME=V1,V2`, or `NAME` for its usual values; no texts: all usual values.
+    """Name → values from texts `NAME=V1,V2`, or `NAME` for its defaults; no texts mean all defaults.
 
     Raises:
         UnknownNameError: a name is none of the parameters.
@@ -110,7 +109,7 @@ def parse_values(texts: Iterable[str], parameters: Mapping[str, Parameter]) -> d
 def make_conditions(
     scenario: Scenario, values: Mapping[str, Sequence[float]], parameters: Mapping[str, Parameter]
 ) -> dict[str, Scenario]:
-    """Name → changed scenario for each value of each parameter, except for nominal values.
+    """Name → changed scenario for each value that is not nominal.
 
     Raises:
         ScenarioError: a value makes no valid scenario.
@@ -128,7 +127,7 @@ def make_conditions(
 
 
 def group_by_value(records: Iterable[Record], parameter: str) -> dict[float, list[Record]]:
-    """Value → records of the conditions in which a parameter has it."""
+    """Value → records of the conditions in which a parameter has that value."""
     groups: dict[float, list[Record]] = {}
     for record in records:
         name, _, value = record.get("condition", "").partition("=")

@@ -1,21 +1,24 @@
-"""The configuration of a benchmark, `config.json`: reading it and comparing it with what is asked for."""
+"""A benchmark's `config.json`, and the checks of its JSON files."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NotRequired, TypedDict
 
+import msgspec
 from msgspec import Meta
 
-from geort_drake.benchmark.schema import read_json
 from geort_drake.errors import BenchmarkError
+from geort_drake.files import finite_json
 
 CONFIG, SCENARIO, TRIALS = "config.json", "scenario.yaml", "trials.jsonl"
 METHODS, ERRORS = "methods", "errors"
+_NOT_CONFIG = "{}: not a benchmark's configuration"
 
 
 class _ScenarioFields(TypedDict):
     random_seed: int
-    timeout: float  # s
+    timeout: float
 
 
 class _Settings(TypedDict):
@@ -52,31 +55,27 @@ class GraspConfig(TypedDict):
 
 
 def read_config(folder: Path) -> dict:
-    """The configuration of the grasp benchmark in a folder.
-
-    Raises:
-        BenchmarkError: it is missing or damaged.
-    """
+    """Reads the configuration of a grasp benchmark; raises BenchmarkError if it is missing or damaged."""
     path = folder / CONFIG
     if not path.is_file():
         raise BenchmarkError(f"{path}: there is no such file; a benchmark writes it when it begins")
-    return read_json(path, GraspConfig, "a benchmark's configuration")
+    return parse_json(path.read_bytes(), GraspConfig, _NOT_CONFIG.format(path))
 
 
 def continue_config(
     folder: Path, config: dict[str, Any], schema: Any, parts: Sequence[str], any_code: bool = False
 ) -> dict[str, Any] | None:
-    """Compares a configuration with the stored one, and adds the stored entries of its parts to it.
+    """Checks a configuration against the stored one, and adds the stored entries to it.
 
     Args:
         folder: of the benchmark.
-        config: has `settings`, which must equal the stored ones; its parts are extended here.
+        config: its `settings` must equal the stored ones; its parts are extended here.
         schema: of the stored configuration.
         parts: keys of dictionaries whose common entries must be equal.
         any_code: accept that the code of trials has changed.
 
     Returns:
-        The stored configuration; None if there is none.
+        The stored configuration, or None.
 
     Raises:
         BenchmarkError: they differ, the stored one is damaged, or the folder holds trials without one.
@@ -86,7 +85,7 @@ def continue_config(
         if trials.exists() and trials.stat().st_size:
             raise BenchmarkError(f"{trials}: holds trials without their {CONFIG}; choose another folder")
         return None
-    stored = read_json(path, schema, "a benchmark's configuration")
+    stored = parse_json(path.read_bytes(), schema, _NOT_CONFIG.format(path))
     if any_code:
         config["settings"]["code_sha256"] = stored["settings"]["code_sha256"]
     require_same(path, stored["settings"], config["settings"])
@@ -99,7 +98,7 @@ def continue_config(
 
 
 def require_same(path: Path, stored: dict[str, Any], given: dict[str, Any], within: str = "") -> None:
-    """Raises BenchmarkError that names the first field in which two configurations differ."""
+    """Raises BenchmarkError for the first field in which two configurations differ."""
     for field in {**stored, **given}:
         before, now = stored.get(field), given.get(field)
         if isinstance(before, dict) and isinstance(now, dict):
@@ -109,3 +108,28 @@ def require_same(path: Path, stored: dict[str, Any], given: dict[str, Any], with
                 f"{path}: this benchmark was begun with another {within}{field}: {before}, not {now}; "
                 "continue with the same, or choose another folder"
             )
+
+
+def parse_json(text: bytes, schema: Any, where: str) -> dict:
+    """Parses JSON that must have at least the fields of a TypedDict or dataclass.
+
+    Raises:
+        BenchmarkError: not JSON, or a field is missing, of another type or not finite; begins with `where`.
+    """
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise BenchmarkError(f"{where}: {error}") from error
+    check(content, schema, where)
+    return content
+
+
+def check(content: Any, schema: Any, where: str) -> None:
+    """Checks parsed JSON; see `parse_json`."""
+    try:
+        msgspec.convert(content, schema)
+    except msgspec.ValidationError as error:
+        raise BenchmarkError(f"{where}: {error}") from error
+    for name, value in content.items():
+        if finite_json(value) != value:
+            raise BenchmarkError(f"{where}: {name} must be finite, not {value}")

@@ -1,10 +1,10 @@
-"""The grasp benchmark in its folder: opening it, its trials, and repeating one of them.
+"""A grasp benchmark in its folder: opening it, its trials, and repeating one of them.
 
-FOLDER/config.json     what decides every trial; another run may add methods, objects and trials to it
+FOLDER/config.json     everything that determines the trials; later runs may add methods, objects and trials
 FOLDER/scenario.yaml   the resolved scenario
 FOLDER/methods/        copies of the checkpoints
 FOLDER/trials.jsonl    one line per finished trial
-FOLDER/errors/         the traceback of each trial that raised an exception
+FOLDER/errors/         tracebacks of failed trials
 FOLDER/rrd/            Rerun recordings of repeated trials
 """
 
@@ -27,7 +27,7 @@ from geort_drake.benchmark.config import (
     read_config,
     require_same,
 )
-from geort_drake.benchmark.methods import Method, make_retargeter, measure_latency, names_of
+from geort_drake.benchmark.methods import make_retargeter, measure_latency, names_of
 from geort_drake.benchmark.records import Record, TrialKey, key_of, read_records
 from geort_drake.benchmark.trials import Trial, plan_grasps, simulate
 from geort_drake.benchmark.workers import code_digest
@@ -41,23 +41,23 @@ from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
 from geort_drake.resources import diagrams_dir, models_dir
+from geort_drake.simulation.diagram import Retarget
 from geort_drake.simulation.scenario import Scenario, dump_scenario, load_scenario
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
 _VERSIONS = ("geort_drake", "python", "numpy", "scipy", "drake")
-_RECORDINGS = "rrd"
 
 
 @dc.dataclass(frozen=True)
 class Benchmark:
-    """Methods, objects and seeds, and everything that their trials share.
+    """Methods and conditions, and everything that their trials share.
 
     Attributes:
         folder: of the results.
         config: content of `config.json`.
         scenario_text: the resolved scenario, as YAML.
-        person: who teleoperates.
-        methods: name → method.
+        person: the teleoperator's hand.
+        methods: name → retargeter, which can be sent to another process, and its latency, s.
         conditions: name of each changed scenario → its resolved text.
     """
 
@@ -65,11 +65,11 @@ class Benchmark:
     config: dict
     scenario_text: str
     person: HumanHand
-    methods: dict[str, Method]
+    methods: dict[str, tuple[Retarget, float]]
     conditions: dict[str, str] = dc.field(default_factory=dict)
 
     def keys(self, methods: Iterable[str], objects: Iterable[str], trials: int) -> list[TrialKey]:
-        """Trials in the order in which they are run: seed by seed, so that every beginning is balanced."""
+        """The trials in order: seed by seed, so that a part of them is balanced."""
         first = self.config["settings"]["scenario"]["random_seed"]
         return [
             TrialKey(method, name, first + k, condition)
@@ -80,20 +80,14 @@ class Benchmark:
         ]
 
     def trial(self, key: TrialKey, goal: GraspGoal) -> Trial:
-        """What a worker needs to simulate a trial, with the planned grasp of its object."""
-        method = self.methods[key.method]
+        """A trial for a worker, with the planned grasp of its object."""
+        retarget, latency = self.methods[key.method]
         text = self.conditions[key.condition] if key.condition else self.scenario_text
-        return Trial(key, text, method.retarget, method.latency, (self.person, goal))
+        return Trial(key, text, retarget, latency, (self.person, goal))
 
 
 def read_person(path: Path | None, side: str, seed: int) -> tuple[Recording, dict[str, Any]]:
-    """The recording of the person who teleoperates, and the configuration's notes of it.
-
-    Args:
-        path: of a recording; None synthesises play.
-        side: of the recorded hand.
-        seed: of synthetic play.
-    """
+    """The teleoperator's recording, or synthetic play, and the configuration's notes of it."""
     if path is None:
         return synthesize_play(seed=seed, side=side), {"recording": None, "side": side}
     return read_recording(path, side, training=True), {"recording": str(path.resolve()), "side": side}
@@ -117,15 +111,15 @@ def open_benchmark(
     Args:
         folder: of the results.
         scenario: of every trial except for object and seed; its seed is the first one.
-        recording: of the person who teleoperates; methods are trained on it.
+        recording: of the teleoperator; methods are trained on it.
         methods: names of methods and directories of checkpoints.
         objects: names of objects.
-        trials: how many seeds per method and object.
+        trials: number of seeds per method and object.
         seed: of the training.
         zero_latency: every method answers without delay.
         notes: further entries of the configuration, which are not compared.
-        conditions: name → changed scenario in which the trials are run as well.
-        any_code: continue although the code of trials has changed since the benchmark began.
+        conditions: name → changed scenario in which the trials are also run.
+        any_code: continue although the code of trials has changed.
 
     Raises:
         BenchmarkError: the folder's benchmark was begun with another configuration.
@@ -170,7 +164,7 @@ def open_benchmark(
         require_same(
             path, {"weights_sha256": known["weights_sha256"]}, {"weights_sha256": digest}, f"{name}."
         )
-        ready[name] = Method(retarget, known["latency_s"])
+        ready[name] = (retarget, known["latency_s"])
     if config != stored:
         write_text(folder / SCENARIO, text)
         write_text(path, json.dumps(config, indent=2, allow_nan=False) + "\n")
@@ -181,10 +175,10 @@ def repeat_trial(folder: Path, key: TrialKey) -> tuple[Record, Path]:
     """Simulates a finished trial again and writes its Rerun recording.
 
     Returns:
-        The trial's line of this time, which may hold an `error`, and the recording.
+        The new record, which may hold an `error`, and the recording's file.
 
     Raises:
-        BenchmarkError: the outcome differs from the one in the results file.
+        BenchmarkError: the outcome differs from the stored one.
         UnknownNameError: there is no such finished trial; lists similar ones.
     """
     config = read_config(folder)
@@ -228,17 +222,17 @@ def repeat_trial(folder: Path, key: TrialKey) -> tuple[Record, Path]:
 
 
 def code_has_changed(folder: Path) -> bool:
-    """Whether the code of trials differs from the one that a folder's benchmark was begun with."""
+    """Whether the code of trials has changed since a folder's benchmark began."""
     return read_config(folder)["settings"]["code_sha256"] != code_digest()
 
 
 def rerun_path(folder: Path, key: TrialKey) -> Path:
-    """Where the Rerun recording of a repeated trial is."""
-    return folder / _RECORDINGS / f"{key.file_stem}.rrd"
+    """The file of a repeated trial's Rerun recording."""
+    return folder / "rrd" / f"{key.file_stem}.rrd"
 
 
 def simulation_settings(hand: HandModel) -> dict:
-    """What decides a trial besides scenario and method: models, code and libraries."""
+    """Models, code and libraries that determine a trial besides scenario and method."""
     made_with = versions()
     return {
         "hand": hand.description.name,
@@ -250,7 +244,7 @@ def simulation_settings(hand: HandModel) -> dict:
 
 
 def _changes(nominal: dict, changed: dict) -> dict:
-    """The fields of a changed scenario that differ from the nominal one, nested as there."""
+    """The fields of a changed scenario that differ from the nominal one, nested."""
     return {
         name: _changes(nominal[name], value) if isinstance(value, dict) else value
         for name, value in changed.items()

@@ -1,6 +1,5 @@
-"""Retargeting methods of a grasp benchmark: trained if needed, loaded and timed."""
+"""Retargeting methods of a grasp benchmark: training, loading and timing."""
 
-import dataclasses as dc
 import shutil
 import time
 from collections.abc import Sequence
@@ -20,25 +19,12 @@ from geort_drake.retargeting.methods import make_untrained, untrained_methods
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.simulation.diagram import Retarget
 
-# Timed are so many parts of the recording, each of so many successive frames, without the first ones.
+# Timed parts of a recording, successive frames in each, and frames at its start that are not timed.
 _PARTS, _SUCCESSIVE, _WARM_UP = 10, 40, 10
 
 
-@dc.dataclass(frozen=True)
-class Method:
-    """A method that is ready to be called.
-
-    Attributes:
-        retarget: the call; it can be sent to another process.
-        latency: from keypoints to joint targets, s.
-    """
-
-    retarget: Retarget
-    latency: float
-
-
 def names_of(methods: Sequence[str]) -> dict[str, str]:
-    """Name → method, each once; a checkpoint is named after its directory.
+    """Name → method, without repeats; a checkpoint is named after its directory.
 
     Raises:
         UnknownNameError: neither a method nor a checkpoint.
@@ -63,11 +49,11 @@ def make_retargeter(
 
     Args:
         name, method: an item of `names_of`.
-        keep: folder in which a copy of the checkpoint is kept.
+        keep: folder for a copy of the checkpoint.
         hand_name: name or file of the robot hand's description.
         hand: its model.
-        recording: what the method is trained on, or stores.
-        seed: of the training, and of the frames that nearest_neighbour draws.
+        recording: training data, or the frames that nearest_neighbour stores.
+        seed: of the training, and of the choice of frames.
 
     Raises:
         UnknownNameError, CheckpointError, TrainingError: see `cached_checkpoint` and `load_retargeter`.
@@ -91,9 +77,9 @@ def make_retargeter(
 
 
 def measure_latency(retarget: Retarget, recording: Recording) -> float:
-    """Processor time of one call, s: the median over frames from all parts of a recording.
+    """Median processor time of a call over frames from all parts of a recording, s.
 
-    Processor time instead of wall time, so that other work of the machine does not count.
+    Wall time would include other work of the machine.
     """
     frames = recording.p_HK[recording.valid].astype(float)
     times = []

@@ -19,10 +19,10 @@ _SVG_STYLE: Any = {**STYLE, "svg.fonttype": "none", "svg.hashsalt": "geort_drake
 
 @mpl.rc_context(_SVG_STYLE)
 def completion_plot(records: Sequence[Record], methods: Sequence[str], timeout: float) -> str:
-    """SVG of the fraction of trials completed over time, a line for each method with its interval.
+    """Plots the fraction of trials completed over time, with intervals, as SVG.
 
     Args:
-        records: lines of the results file without a condition.
+        records: without a condition.
         methods: names, in the order of the legend.
         timeout: end of the time axis, s.
     """
@@ -46,11 +46,11 @@ def completion_plot(records: Sequence[Record], methods: Sequence[str], timeout: 
 
 @mpl.rc_context(_SVG_STYLE)
 def success_panels(panels: Mapping[str, Mapping]) -> str:
-    """SVG of small multiples: success against a parameter, a line for each method, with intervals.
+    """Plots success against each parameter, a line for each method, with intervals, as SVG.
 
     Args:
         panels: parameter → `label` and `conditions`, each with `value`, `methods`: name → `proportion`, and
-            `nominal`, which a vertical line marks.
+            `nominal`, which draws a vertical line.
     """
     names = list(dict.fromkeys(n for p in panels.values() for c in p["conditions"] for n in c["methods"]))
     columns = min(3, len(panels))

@@ -1,4 +1,4 @@
-"""The results file of a benchmark: one JSON line per trial, readable after an interruption at any time."""
+"""A benchmark's results file: one JSON line per trial, readable after any interruption."""
 
 import fcntl
 import json
@@ -8,8 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple, NotRequired, TypedDict
 
-from geort_drake.benchmark.config import ERRORS
-from geort_drake.benchmark.schema import check, parse_json
+from geort_drake.benchmark.config import ERRORS, check, parse_json
 from geort_drake.errors import BenchmarkError
 from geort_drake.files import write_text, writing
 from geort_drake.simulation.trial import TrialResult
@@ -25,10 +24,8 @@ class _Identity(TypedDict):
 
 
 class _Raised(_Identity):
-    """The line of a trial that raised an exception."""
-
     error: str  # last line of the traceback
-    traceback: str  # file in the benchmark's folder with all of it
+    traceback: str  # file in the benchmark's folder
 
 
 class TrialKey(NamedTuple):
@@ -36,7 +33,7 @@ class TrialKey(NamedTuple):
 
     Attributes:
         method: name of a method, or of a replayed session.
-        object: what is grasped.
+        object: the object to grasp.
         seed: of the scenario.
         condition: name of a changed scenario such as `delay=100`; empty for the scenario itself.
     """
@@ -48,7 +45,7 @@ class TrialKey(NamedTuple):
 
     @property
     def file_stem(self) -> str:
-        """Name of the trial's own files, without folder and suffix."""
+        """Stem of the trial's own files."""
         return "-".join(str(self).split(" "))
 
     def __str__(self) -> str:
@@ -57,30 +54,26 @@ class TrialKey(NamedTuple):
 
 
 def key_of(record: Record) -> TrialKey:
-    """The key of a line."""
+    """The key of a record."""
     return TrialKey(record["method"], record["object"], record["seed"], record.get("condition", ""))
 
 
 def identity(key: TrialKey) -> Record:
-    """The fields of a line that identify its trial."""
+    """The fields of a record that identify its trial."""
     named = key._asdict()
     return named if key.condition else {name: named[name] for name in ("method", "object", "seed")}
 
 
 def outcome_line(record: Record) -> str:
-    """A line's trial and how it ended, for a progress display."""
+    """A trial and its outcome, for a progress display."""
     return f"{key_of(record)}: {'error' if 'error' in record else record['outcome']}"
 
 
 def check_record(record: Any, where: str) -> None:
-    """Checks a line's fields, their types, and that they agree on how the trial ended.
-
-    Args:
-        record: the line.
-        where: begins the message.
+    """Checks a record's fields and types, and that they agree on the outcome.
 
     Raises:
-        BenchmarkError: names the field, what was expected and what was given.
+        BenchmarkError: names the field, the expected and the given value; begins with `where`.
     """
     check(record, _Identity, where)
     if condition := record.get("condition"):
@@ -105,10 +98,10 @@ def check_record(record: Any, where: str) -> None:
 
 
 def keep_error(folder: Path, record: Record) -> Record:
-    """A trial's line as it is kept in a benchmark's folder.
+    """Returns a record as a benchmark's folder stores it.
 
-    The traceback of a trial that raised goes into a file, which its line names. A result that `check_record`
-    refuses, such as a force that is not finite, counts as an error too.
+    The traceback of a failed trial is written to a file, which the record names. A result that `check_record`
+    rejects, such as an infinite force, counts as an error too.
     """
     if "error" not in record:
         try:
@@ -122,10 +115,10 @@ def keep_error(folder: Path, record: Record) -> Record:
 
 
 def read_records(path: str | os.PathLike) -> list[Record]:
-    """The last line of each trial in a results file, without an incomplete line at its end.
+    """The last record of each trial in a results file; an incomplete last line is skipped.
 
     Raises:
-        BenchmarkError: the file does not exist, or a line is invalid or follows the trial's result.
+        BenchmarkError: the file is missing, or a line is invalid or repeats a trial that has a result.
     """
     path = Path(path)
     if not path.is_file():
@@ -134,14 +127,14 @@ def read_records(path: str | os.PathLike) -> list[Record]:
 
 
 class TrialLog:
-    """A results file opened for writing by this process alone; a context manager.
+    """A results file opened for writing by one process; a context manager.
 
-    Opening removes an incomplete last line. A line that `append` has written survives the end of the process
-    and of the machine.
+    Opening removes an incomplete last line. A line written by `append` survives a crash of the process or
+    machine.
 
     Attributes:
         path: of the file.
-        records: the last line of each trial that was in the file when it was opened.
+        records: the last record of each trial when the file was opened.
         torn: whether an incomplete last line was removed.
 
     Raises:
@@ -171,15 +164,16 @@ class TrialLog:
             raise
 
     def unfinished(self, keys: Iterable[TrialKey]) -> list[TrialKey]:
-        """The trials without a result when the file was opened; trials that raised are among them."""
+        """The trials without a result when the file was opened, failed ones included."""
         finished = {key_of(record) for record in self.records if "error" not in record}
         return [key for key in keys if key not in finished]
 
     def append(self, record: Record) -> None:
-        """Writes a trial's line to the disk; it supersedes an earlier line of the trial with an error.
+        """Writes a record to the disk; it replaces an earlier error of the trial.
 
         Raises:
-            OutputError: the disk is full, for example; the next opening removes what was written of the line.
+            OutputError: writing failed, for example on a full disk; the next opening removes the partial
+                line.
         """
         with writing(self.path):
             line = json.dumps(record, allow_nan=False).encode() + b"\n"

@@ -1,11 +1,7 @@
 """Replays of recorded teleoperation sessions, with the object changed at random.
 
-Nobody reacts in a replay, so success against the size of a change shows how robust a motion is.
-
-FOLDER/config.json    what decides every trial; another run may add sessions, perturbations and trials
-FOLDER/trials.jsonl   one line per finished trial, with the session's name as its `method`
-FOLDER/errors/        the traceback of each trial that raised an exception
-FOLDER/summary.json, success.svg, report.md
+Nobody reacts in a replay, so success against the size of a change shows how robust a motion is. A folder of
+replays is like that of a grasp benchmark; the `method` of a record is the session's name.
 """
 
 import copy
@@ -46,10 +42,10 @@ class Replay:
     """Recorded sessions and the scenarios in which they are replayed.
 
     Args:
-        scenario: of the sessions; its ranges count only for the placement of a simulated session.
+        scenario: of the sessions; its ranges only affect the placement of a simulated session.
         sessions: recordings with wrist poses.
         side: of the recorded hands; None: the robot hand's.
-        object_name: what was grasped; None: as noted in each session.
+        object_name: the grasped object; None: as noted in each session.
         retargeter: directory of a checkpoint.
         perturbations: name in `PERTURBATIONS` → sizes.
         trials: draws per session and perturbation.
@@ -85,7 +81,7 @@ class Replay:
                 self._conditions.setdefault(name, {})[session] = changed
 
     def keys(self) -> list[TrialKey]:
-        """Every trial; only one per session without a perturbation, because nothing is random in it."""
+        """Every trial. An unchanged session has one trial, because nothing is random in it."""
         return [
             TrialKey(session, scenario.object.name, seed, condition)
             for seed in range(self.trials)
@@ -95,7 +91,7 @@ class Replay:
         ]
 
     def trial(self, key: TrialKey) -> Trial:
-        """What a worker needs to simulate a trial."""
+        """A trial for a worker."""
         scenario = self._conditions[key.condition][key.method]
         recording = self.recordings[key.method]
         return Trial(key, dump_scenario(scenario), self.retarget, scenario.retargeting.latency, recording)
@@ -104,7 +100,7 @@ class Replay:
         """Begins in a folder, or continues there.
 
         Raises:
-            BenchmarkError: the folder's trials were made with something else.
+            BenchmarkError: the folder's trials were made with other settings.
         """
         config = {
             "settings": {"weights_sha256": self.weights_sha256, **simulation_settings(self.hand)},
@@ -121,19 +117,18 @@ class Replay:
 
 
 def as_recorded(scenario: Scenario, recording: Recording, object_name: str | None) -> Scenario:
-    """The scenario with the object as it was in a session, and nothing random.
+    """The scenario of a session, without random changes.
 
-    A simulated session notes its object and seed, which give the object's place and mass; for other sessions
-    the object is where the scenario says. The trial lasts as long as the session plus the time for which an
-    object must be held.
+    A simulated session notes its object and seed, which determine the object's placement; for other sessions
+    the scenario does. The trial lasts as long as the session plus the time for which an object must be held.
 
     Raises:
-        ScenarioError: neither the session nor `object_name` says what was grasped.
+        ScenarioError: neither the session nor `object_name` names the grasped object.
         UnknownNameError: there is no such object.
     """
     recorded = recording.metadata.get("object")
     if object_name is None and recorded is None:
-        raise ScenarioError("the session does not say what was grasped; name it with --object")
+        raise ScenarioError("the session does not name the grasped object; give it with --object")
     scenario = copy.deepcopy(scenario)
     scenario.object.name = str(object_name or recorded)
     if scenario.object.name not in object_names():

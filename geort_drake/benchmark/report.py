@@ -1,4 +1,4 @@
-"""Reports of a benchmark's folder: `summary.json`, `report.md`, plots, and for grasps `report.html`."""
+"""Reports of a benchmark's folder: `summary.json`, plots, `report.md`, and for grasps `report.html`."""
 
 import functools
 import json
@@ -31,8 +31,9 @@ def write_grasp_report(folder: Path) -> dict:
     """Writes the report of the trials that a grasp benchmark's folder holds so far.
 
     Returns:
-        The summary: that of `summarize`, the number of `errors`, the result of `summarize_sensitivity` under
-        `sensitivity`, and the benchmark's configuration under `config`.
+        The summary: that of `summarize`; `errors`, their number; `sensitivity`, see `summarize_sensitivity`;
+            and
+        `config`, the benchmark's configuration.
 
     Raises:
         BenchmarkError: the folder holds no benchmark, or a damaged one.
@@ -85,7 +86,7 @@ def _write(
     plots: Mapping[str, str],
     content: Mapping[str, object],
 ) -> None:
-    """Writes the summary, the plots (name → SVG) and the reports made of the templates of that kind."""
+    """Writes the summary, the plots (name → SVG) and the reports from the templates of a kind."""
     write_text(folder / SUMMARY, json.dumps(summary, indent=2, allow_nan=False) + "\n")
     for name, plot in plots.items():
         write_text(folder / FIGURES[name], plot)
@@ -104,7 +105,7 @@ def _require_known(records: Iterable[Record], config: dict, folder: Path) -> Non
 
 
 def _group(summary: dict, *path: str) -> dict:
-    """Figures and differences of all methods under a path of keys, such as ("objects", "cube")."""
+    """Figures and differences of all methods under a path of keys such as ("objects", "cube")."""
 
     def each(entries: dict[str, dict]) -> dict[str, dict]:
         return {name: functools.reduce(dict.__getitem__, path, entry) for name, entry in entries.items()}
@@ -113,7 +114,7 @@ def _group(summary: dict, *path: str) -> dict:
 
 
 def _shown(folder: Path, record: Record) -> dict:
-    """A line with its Rerun recording, if there is one, and how the trial ended."""
+    """A record with its Rerun recording, if there is one, and its ending."""
     path = rerun_path(folder, key_of(record))
     recording = path.relative_to(folder).as_posix() if path.is_file() else None
     return {**record, "rrd": recording, "ending": None if "error" in record else ending(record)}

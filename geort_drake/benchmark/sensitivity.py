@@ -1,4 +1,4 @@
-"""Sensitivity of a grasp benchmark to its assumptions: success in every condition, and the ranking there."""
+"""Sensitivity of a grasp benchmark to its assumptions: success and ranking in every condition."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -16,17 +16,17 @@ def summarize_sensitivity(
 ) -> dict[str, dict]:
     """One-time success of every method in every condition, and whether the ranking holds.
 
-    Nominal trials count if their method, object and seed were tried in a condition of the parameter too.
+    Nominal trials count if their method, object and seed were also tried in a condition of the parameter.
 
     Args:
-        records: lines of the results file, with and without a condition.
-        methods: in the order of the report; those that were tried in no condition are left out.
+        records: with and without a condition.
+        methods: in the order of the report; those without a condition are left out.
         scenario: the nominal one.
 
     Returns:
         Parameter → `label` and `conditions`, sorted by `value`, each with `nominal`: whether it is the
-        scenario's own value; `methods`: name → `proportion`; `tau`: Kendall's τ_b between the methods'
-        success rates here and in the nominal scenario, None if either side has only ties.
+        scenario's own value; `methods`: name → `proportion`; `tau`: Kendall's τ_b between the success rates
+        here and in the nominal scenario, None if either has only ties.
     """
     judged = [record for record in records if "error" not in record]
     result = {}

@@ -23,15 +23,15 @@ def summarize(
     """All figures of a benchmark, JSON-ready.
 
     Args:
-        records: lines of the results file, in any order.
-        methods: in the order of the report; the first is the reference of the differences.
+        records: in any order.
+        methods: in the order of the report; differences refer to the first.
         timeout: at which failures are censored, s.
-        grips: object → its class, the grip that it is made for.
+        grips: object → its grip, which is its class.
 
     Returns:
         `reference`, `timeout_s`, `objects`; `classes`: grip → its objects; `methods`: name → `overall`,
-        `classes` and `objects` → `figures`; `differences`: name of every other method → `overall`,
-        `classes` and `objects` → `difference`.
+        `classes` and `objects` → `figures`; `differences`: name of every other method → the same of
+        `difference`.
     """
     records = sorted(records, key=lambda r: (r["object"], r["seed"]))
     objects = sorted({record["object"] for record in records})
@@ -64,14 +64,14 @@ def summarize(
 
 
 def figures(records: Sequence[Record], timeout: float) -> dict:
-    """Statistics of some trials of one method; None where no trial has the quantity.
+    """Statistics of trials of one method; None where no trial has the quantity.
 
     Returns:
         Numbers of `trials` and of `errors`, which are not among them; `one_time_success` and `success`, see
         `proportion`; `completion_time_s`: `restricted_mean` up to the timeout with its interval, and
         `median_of_successes`; `phase_s`: mean time in each phase; `slip_mm`: median and 95th percentile over
         trials with a lift; `drops_per_trial`; `peak_force_n`, median; `self_contact`, mean fraction of the
-        time; `failures`: how often each `ending` other than success occurred.
+        time; `failures`: number of each `ending` other than success.
     """
     judged = [record for record in records if "error" not in record]
     by_object: dict[str, list[float]] = defaultdict(list)
@@ -136,7 +136,7 @@ def difference(records: Sequence[Record], reference: Sequence[Record], timeout: 
 
 
 def ending(record: Record) -> str:
-    """How a trial ended: its outcome, and after a failure the simulated person's phase if there was one."""
+    """A trial's outcome, and after a failure the simulated person's phase, if any."""
     phase = None if record["success"] else record["operator_phase"]
     return record["outcome"] if phase is None else f"{record['outcome']} ({phase})"
 
@@ -163,8 +163,8 @@ def proportion(successes: int, trials: int) -> dict:
 def mean_and_interval(strata: Sequence[Sequence[float]]) -> dict:
     """`mean` over all values, and its 95 % percentile bootstrap interval `low` to `high`.
 
-    Values are resampled within each stratum (the trials with one object), because objects are chosen and not
-    drawn at random. With fewer than two values in a stratum there is no interval.
+    Values are resampled within each stratum (the trials with one object), because objects are not drawn at
+    random. A stratum of one value gives no interval.
     """
     if not strata:
         return {"mean": None, "low": None, "high": None}

@@ -27,7 +27,7 @@ class Trial(NamedTuple):
     Attributes:
         key: of the trial; its object and seed replace those of the scenario.
         scenario_text: the resolved scenario, as YAML.
-        retarget: the method; it can be sent to another process.
+        retarget: can be sent to another process.
         latency: from keypoints to joint targets, s.
         human: the simulated person and the planned grasp, or a recorded session.
     """
@@ -40,15 +40,15 @@ class Trial(NamedTuple):
 
 
 def run_trials(log: TrialLog, trials: Iterable[Trial], jobs: int, backend: str) -> Iterator[Record]:
-    """Simulates trials in workers; appends each line to the log as its trial ends, and yields it.
+    """Simulates trials in workers; logs and yields each record as its trial ends.
 
     Args:
         log: results file in the benchmark's folder.
         trials: to simulate.
-        jobs, backend: see `workers`.
+        jobs, backend: see `call_in_workers`.
 
     Raises:
-        BenchmarkError, GeortError: see `call_in_workers`. What is finished is kept.
+        BenchmarkError, GeortError: see `call_in_workers`; finished trials are kept.
     """
     for record in call_in_workers(simulate, ((trial,) for trial in trials), jobs, backend):
         kept = keep_error(log.path.parent, record)
@@ -75,11 +75,11 @@ def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Recor
 
     Args:
         trial: to simulate.
-        rerun_path: where to write a Rerun recording; None writes none.
+        rerun_path: file of the Rerun recording; None for none.
 
     Returns:
-        Its line for the results file: the fields of `TrialResult`, `method` and `condition`. If the trial
-        raises an exception, `error` holds its traceback instead of a result.
+        The fields of `TrialResult`, `method` and `condition`; after an exception, `error` with its traceback
+        instead of a result.
     """
     key = trial.key
     try:

@@ -1,4 +1,4 @@
-"""Worker processes, here or on a Ray cluster, that run the same code as the process that started them."""
+"""Worker processes, here or on a Ray cluster, that run the same code as their parent."""
 
 import functools
 import os
@@ -37,15 +37,14 @@ def call_in_workers(
 ) -> Iterator[Any]:
     """Calls `function` with each of the arguments in workers, and yields the results.
 
-    Drake 1.51 never frees systems written in Python (RobotLocomotion/drake#24162). `run_trial` frees what
-    they hold, but 5 MB of a trial with a recording stay. Even a single job therefore has its own process:
-    loky replaces processes that have grown by 300 MB. On a cluster they are replaced after `RENEWED_AFTER`
-    tasks.
+    Drake 1.51 never frees systems written in Python (RobotLocomotion/drake#24162), and 5 MB of a recorded
+    trial stay in spite of `release`. Even a single job therefore has its own process: loky replaces processes
+    that have grown by 300 MB; on a cluster they are replaced after `RENEWED_AFTER` tasks.
 
     Args:
         function, arguments: what is called.
         jobs: calls at a time.
-        backend: "loky" for processes here, "ray" for a cluster.
+        backend: "loky" for local processes, "ray" for a cluster.
         ordered: yield results in the order of the arguments; otherwise as they are ready.
 
     Raises:
@@ -80,7 +79,7 @@ def call_in_workers(
 
 
 def require_workers(jobs: int, backend: str) -> None:
-    """Checks that a backend has so many workers; joins the Ray cluster, or starts one here.
+    """Checks that a backend has enough workers; joins a Ray cluster, or starts one here.
 
     Raises:
         BenchmarkError: the cluster does not answer, or has fewer processors.
@@ -113,12 +112,12 @@ def require_workers(jobs: int, backend: str) -> None:
 
 @functools.cache
 def code_digest() -> str:
-    """SHA-256 of the code of trials, as it was on the disk at this process's first call."""
+    """SHA-256 of the code of trials as it was at this process's first call."""
     return digest_of(PACKAGE, trial_sources())
 
 
 def trial_sources() -> list[Path]:
-    """The modules that a trial can run through: everything imported, now or later, from `_ENTRY_MODULES`."""
+    """The modules that a trial can run through: all imports of `_ENTRY_MODULES`."""
     sources = imported_sources(_ENTRY_MODULES, (*_TRIAL_ROOMS, "benchmark"))
     return [path for path in sources if path.relative_to(PACKAGE).parts[0] in _TRIAL_ROOMS]
 
@@ -135,7 +134,7 @@ def _one_by_one(tasks: Iterable[tuple]) -> Iterator[Any]:
 
 
 def _call(code: str, function: Callable, arguments: tuple) -> Any:
-    """Calls a function, unless this worker has loaded other code than the process that started it."""
+    """Calls a function, unless this worker has loaded other code than its parent."""
     # Workers are replaced now and then, and those of a cluster are on other machines.
     if code_digest() != code:
         raise BenchmarkError(

@@ -34,13 +34,13 @@ class Ending:
     Attributes:
         code: its exit code; a signal's number negative; None where it had to be stopped as hanging.
         error: name of the class of the exception that ended it, or empty.
-        said: what it printed.
+        output: what it printed.
         seconds: how long it ran.
     """
 
     code: int | None
     error: str
-    said: str
+    output: str
     seconds: float
 
 
@@ -52,7 +52,7 @@ class Child:
 
     def __init__(self, function: Callable, arguments: tuple, folder: Path, beside: Path, **limits: int):
         beside.mkdir(parents=True, exist_ok=True)
-        self._said, self._error = beside / "said.txt", beside / "error.txt"
+        self._output, self._error = beside / "output.txt", beside / "error.txt"
         self._error.unlink(missing_ok=True)
         self._started = time.perf_counter()
         self.process = _FORK.Process(target=_run, args=(function, arguments, folder, beside, limits))
@@ -65,8 +65,8 @@ class Child:
         if code is None:
             self.kill()
         error = self._error.read_text() if self._error.exists() else ""
-        said = self._said.read_text(errors="replace") if self._said.exists() else ""
-        return Ending(code, error, said, time.perf_counter() - self._started)
+        output = self._output.read_text(errors="replace") if self._output.exists() else ""
+        return Ending(code, error, output, time.perf_counter() - self._started)
 
     def kill(self) -> None:
         """kill -9."""
@@ -86,7 +86,7 @@ def _run(function: Callable, arguments: tuple, folder: Path, beside: Path, limit
 
     os.environ["XDG_CACHE_HOME"] = str(beside / "cache")
     os.chdir(folder)
-    output = os.open(beside / "said.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    output = os.open(beside / "output.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     for stream in (1, 2):
         os.dup2(output, stream)
     # As Python does at its start, whatever the parent has made of it.

@@ -1,49 +1,30 @@
-"""Files that are made to harm whoever opens them: bombs, promises, and pickles that call functions."""
+"""Inputs made to harm whoever reads them: bombs, endless files, code in data, paths that lead elsewhere."""
 
 import io
+import json
+import os
+import pickle
+import re
 import struct
+import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import yaml
+from safetensors.numpy import load_file, save_file
+
+from faults.refusals import Case
+from faults.sound import checkpoint
+from geort_drake.benchmark.records import read_records
+from geort_drake.files import sha256_of
+from geort_drake.resources import models_dir
+from geort_drake.retargeting.retargeter import load_retargeter
 
 GIB = 1 << 30
-
-
-def deflated_zeros(count: int) -> bytes:
-    """A deflate stream of `count` zeros, a multiple of 64 MiB, without compressing them all."""
-    block = 1 << 26
-    first, last = zlib.compressobj(9, zlib.DEFLATED, -15), zlib.compressobj(9, zlib.DEFLATED, -15)
-    # Fully flushed, a block of a stream stands for itself and may be repeated.
-    repeated = first.compress(bytes(block)) + first.flush(zlib.Z_FULL_FLUSH)
-    return repeated * (count // block) + last.flush()
-
-
-def zip_bomb(path: Path, name: str, head: bytes, zeros: int) -> Path:
-    """A zip archive with one small member that unpacks to `head` and zeros."""
-    start = zlib.compressobj(9, zlib.DEFLATED, -15)
-    data = start.compress(head) + start.flush(zlib.Z_FULL_FLUSH) + deflated_zeros(zeros)
-    sizes = struct.pack("<LQQ", 0, zeros + len(head), len(data))
-    short = struct.pack("<LLL", 0, 0xFFFFFFFF, 0xFFFFFFFF)
-    extra = struct.pack("<HHQQ", 1, 16, *struct.unpack("<LQQ", sizes)[1:])
-    times = struct.pack("<HHHHH", 45, 0, 8, 0, 33)
-    named = name.encode()
-    local = b"PK\3\4" + times + short + struct.pack("<HH", len(named), len(extra)) + named + extra
-    fields = struct.pack("<HHHHHLL", len(named), len(extra), 0, 0, 0, 0, 0)
-    central = b"PK\1\2" + struct.pack("<H", 45) + times + short + fields + named + extra
-    offset = len(local) + len(data)
-    end = b"PK\5\6" + struct.pack("<HHHHLLH", 0, 0, 1, 1, len(central), offset, 0)
-    path.write_bytes(local + data + central + end)
-    return path
-
-
-def npy_header(shape: tuple[int, ...], descr: object = "<f8") -> bytes:
-    """What an .npy file of that shape begins with."""
-    buffer = io.BytesIO()
-    fields = {"descr": descr, "fortran_order": False, "shape": shape}
-    np.lib.format.write_array_header_2_0(buffer, fields)
-    return buffer.getvalue()
+DEEP = b"[" * 100_000
+Make = Callable[[Path], tuple]
 
 
 class Calls:
@@ -56,23 +37,357 @@ class Calls:
         return self.call
 
 
+SHELL = Calls(os.system, "touch harm")
+
+
+def command(*words: object) -> Make:
+    return lambda folder: words
+
+
+# -- recordings
+
+
+def recording(name: str, content: bytes) -> Make:
+    """Converts a file with that content."""
+
+    def make(folder: Path) -> tuple:
+        (folder / name).write_bytes(content)
+        return "convert", folder / name, "out.npz"
+
+    return make
+
+
+def recording_made(name: str, write: Callable[[Path], object]) -> Make:
+    """Converts what `write` makes of a path."""
+
+    def make(folder: Path) -> tuple:
+        write(folder / name)
+        return "convert", folder / name, "out.npz"
+
+    return make
+
+
+def npy_header(shape: tuple[int, ...]) -> bytes:
+    """Returns the beginning of an .npy file of that shape."""
+    buffer = io.BytesIO()
+    np.lib.format.write_array_header_2_0(buffer, {"descr": "<f8", "fortran_order": False, "shape": shape})
+    return buffer.getvalue()
+
+
+def zip_bomb(path: Path) -> None:
+    """Writes a small archive with an array that unpacks to 10 GiB."""
+    head, zeros, name = npy_header((10 * GIB // 504 - 1, 21, 3)), 10 * GIB, b"world_landmarks.npy"
+    block = 1 << 26
+    start, middle, end = (zlib.compressobj(9, zlib.DEFLATED, -15) for _ in range(3))
+    data = start.compress(head) + start.flush(zlib.Z_FULL_FLUSH)
+    # A block that ends with a full flush does not depend on those before it, so it can be repeated.
+    data += (middle.compress(bytes(block)) + middle.flush(zlib.Z_FULL_FLUSH)) * (zeros // block) + end.flush()
+    sizes = struct.pack("<LLL", 0, 0xFFFFFFFF, 0xFFFFFFFF)
+    extra = struct.pack("<HHQQ", 1, 16, zeros + len(head), len(data))
+    times = struct.pack("<HHHHH", 45, 0, 8, 0, 33)
+    local = b"PK\3\4" + times + sizes + struct.pack("<HH", len(name), len(extra)) + name + extra
+    fields = struct.pack("<HHHHHLL", len(name), len(extra), 0, 0, 0, 0, 0)
+    central = b"PK\1\2" + struct.pack("<H", 45) + times + sizes + fields + name + extra
+    place = struct.pack("<HHHHLLH", 0, 0, 1, 1, len(central), len(local) + len(data), 0)
+    path.write_bytes(local + data + central + b"PK\5\6" + place)
+
+
+def archive(members: dict[str, bytes]) -> Callable[[Path], None]:
+    """Writes an archive with these members."""
+
+    def write(path: Path) -> None:
+        with zipfile.ZipFile(path, "w") as file:
+            for name, content in members.items():
+                file.writestr(name, content)
+
+    return write
+
+
 def doubling(times: int) -> bytes:
-    """A pickle of 16 bytes that are written in hexadecimal again and again."""
-    encode = b"c_codecs\nencode\n"
+    """Returns a pickle of 16 bytes that are written in hexadecimal again and again."""
     body = b"C\x10" + bytes(16)
     for _ in range(times):
-        body = encode + body + b"\x8c\x03hex\x86R"
+        body = b"c_codecs\nencode\n" + body + b"\x8c\x03hex\x86R"
     return b"\x80\x04" + body + b"."
 
 
-def nested_key(depth: int) -> bytes:
-    """A pickle of a dict whose key is a tuple in a tuple in a tuple ..."""
-    return b"\x80\x04})" + b"\x85" * depth + b"K\x01s."
-
-
-def laughs(levels: int) -> bytes:
-    """A pickle of lists of ten times the same list, over and over."""
+def nested_lists(levels: int) -> bytes:
+    """Returns a pickle of a list of ten times the same list of ten times the same list …"""
     body = b"\x80\x04]\x94"
     for level in range(levels):
-        body += b"](" + b"h" + bytes([level]) + (b"h" + bytes([level])) * 9 + b"e\x94"
+        body += b"](" + (b"h" + bytes([level])) * 10 + b"e\x94"
     return body + b"."
+
+
+def sparse(path: Path) -> None:
+    """Makes a file grow to 40 GiB that take no space on the disk."""
+    with path.open("ab") as file:
+        file.truncate(40 * GIB)
+
+
+PROMISE = npy_header((10**12, 21, 3)) + bytes(504)
+OUTSIDE = npy_header((2, 21, 3)) + bytes(2 * 504)
+ATTRIBUTE = b"\x80\x04\x8c\x16numpy._core.multiarray\x8c\x15_reconstruct.__self__\x93."
+CODE, TOO_LARGE = "which could run code", r"holds \d+\.0 GiB; the limit is 2 GiB"
+
+RECORDINGS: dict[str, tuple[Make, str]] = {
+    "an archive that unpacks to 10 GiB": (recording_made("bomb.npz", zip_bomb), TOO_LARGE),
+    "an archive that promises 10¹² frames": (
+        recording_made("hand.npz", archive({"world_landmarks.npy": PROMISE})),
+        "not a readable NumPy file",
+    ),
+    "an archive that names files outside": (
+        recording_made("hand.npz", archive({"../../climbed.npy": OUTSIDE, "/climbed.npy": OUTSIDE})),
+        "matches no known format",
+    ),
+    "an archive of torch with a pickle": (
+        recording_made("hand.npz", archive({"archive/data.pkl": pickle.dumps(SHELL)})),
+        "matches no known format",
+    ),
+    "an .npy of pickled objects": (
+        recording_made("hand.npy", lambda path: np.save(path, np.array([SHELL], object), allow_pickle=True)),
+        "pickled objects",
+    ),
+    "a pickle in .npy": (recording("hand.npy", pickle.dumps(SHELL)), "not a readable NumPy file"),
+    "a pickle that calls the shell": (recording("hand.pkl", pickle.dumps([SHELL])), f"system, {CODE}"),
+    "a pickle that loads another file": (
+        recording("hand.pkl", pickle.dumps([Calls(np.load, "hand.npy", None, True)])),
+        rf"numpy\.load, {CODE}",
+    ),
+    "a pickle that reaches through an attribute": (recording("hand.pkl", ATTRIBUTE), "_reconstruct.__self__"),
+    "a pickle that doubles itself": (recording("hand.pkl", doubling(40)), f"{CODE}|not a readable pickle"),
+    "a pickle of lists of lists": (recording("hand.pkl", nested_lists(20)), "matches no known format"),
+    "a pickle of 10¹³ numbers": (
+        recording("hand.pkl", pickle.dumps([Calls(np.ndarray, (10**13,))])),
+        f"{CODE}|not a readable pickle",
+    ),
+    "a pickle with a key 100,000 deep": (
+        recording("hand.pkl", b"\x80\x04})" + b"\x85" * 100_000 + b"K\x01s."),
+        "matches no known format",
+    ),
+    "JSON 100,000 deep": (recording("hand.json", DEEP), "not JSON: maximum recursion depth"),
+    "JSON of 40 GiB": (recording_made("hand.json", sparse), TOO_LARGE),
+    "a pipe": (recording_made("hand.npz", os.mkfifo), "no such file"),
+    "a link to itself": (
+        recording_made("hand.npz", lambda path: path.symlink_to(path)),
+        "no such file|Too many levels",
+    ),
+    "a name that is no UTF-8": (
+        recording(os.fsdecode(b"hand\xff\xfe.npz"), b"no archive"),
+        "not a readable NumPy file",
+    ),
+}
+
+
+# -- checkpoints
+
+WEIGHTS = "weights.safetensors"
+
+
+def checkpoint_after(change: Callable[[Path], object], forged: bool = True) -> Make:
+    """Loads a checkpoint after a change, with digests that agree if it is forged."""
+
+    def make(folder: Path) -> tuple:
+        path = checkpoint(folder)
+        change(path)
+        if forged:
+            stored = json.loads((path / "config.json").read_text())["sha256"]
+            change_json("config.json", sha256={name: sha256_of(path / name) for name in stored})(path)
+        return load_retargeter, path
+
+    return make
+
+
+def change_json(name: str, **fields: object) -> Callable[[Path], object]:
+    def change(path: Path) -> None:
+        (path / name).write_text(json.dumps(json.loads((path / name).read_text()) | fields))
+
+    return change
+
+
+def weights(**arrays: np.ndarray) -> Make:
+    return checkpoint_after(lambda path: save_file(load_file(path / WEIGHTS) | arrays, path / WEIGHTS))
+
+
+def header(fields: bytes, length: int) -> Make:
+    """A checkpoint with a safetensors file of that header."""
+    return checkpoint_after(lambda path: (path / WEIGHTS).write_bytes(struct.pack("<Q", length) + fields))
+
+
+def replaced_by_pipe(path: Path) -> None:
+    (path / "hand.json").unlink()
+    os.mkfifo(path / "hand.json")
+
+
+HUGE = json.dumps({"weight0": {"dtype": "F64", "shape": [10**9, 10**9], "data_offsets": [0, 8]}}).encode()
+
+CHECKPOINTS: dict[str, tuple[Make, str]] = {
+    "weights that are a pickle": (
+        checkpoint_after(lambda path: (path / WEIGHTS).write_bytes(pickle.dumps(SHELL))),
+        "not a safetensors file",
+    ),
+    "weights of a huge shape": (header(HUGE + bytes(8), len(HUGE)), "not a safetensors file"),
+    "weights with an endless header": (header(b"{}", 1 << 60), "not a safetensors file"),
+    "weights of 40 GiB": (
+        checkpoint_after(lambda path: sparse(path / WEIGHTS), forged=False),
+        "weights.safetensors: holds 40.0 GiB",
+    ),
+    "weights that are not finite": (weights(weight1=np.full((4, 8, 8), np.nan)), "'weight1' must be finite"),
+    "weights whose products overflow": (
+        weights(weight1=np.full((4, 8, 8), 1e200)),
+        r"'weight1' must be within ±1e\+06, it has 1e\+200",
+    ),
+    "limits whose difference overflows": (
+        checkpoint_after(change_json("hand.json", lower=[-1.7e308] * 16, upper=[1.7e308] * 16)),
+        r"lower of 'joint_12' must be a number within ±100 rad, not -1\.7e\+308",
+    ),
+    "columns out of range": (weights(columns=np.arange(16) + 1), "columns must be"),
+    "a hand that is a pipe": (checkpoint_after(replaced_by_pipe, forged=False), "hand.json missing"),
+    "digests of files elsewhere": (
+        checkpoint_after(change_json("config.json", sha256={"../../../etc/passwd": "0" * 64}), forged=False),
+        r"sha256 names .*/etc/passwd",
+    ),
+    "JSON 100,000 deep": (
+        checkpoint_after(lambda path: (path / "config.json").write_bytes(DEEP), forged=False),
+        "not valid JSON",
+    ),
+}
+
+
+# -- hands and scenarios
+
+ENTITIES = "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 10 if n else "laugh"}">' for n in range(10))
+
+
+def hand(text: str) -> Make:
+    """Trains for a hand with a description of that text."""
+
+    def make(folder: Path) -> tuple:
+        path = folder / "hand.yaml"
+        path.write_text(text)
+        return "train", "--hand", path, "--robot_samples", 10, "--output", "out", "--quiet"
+
+    return make
+
+
+def hand_with_model(model: str, text: str = "") -> Make:
+    """The Allegro hand with another model, a file of that text if one is given."""
+
+    def make(folder: Path) -> tuple:
+        if text:
+            (folder / model).write_text(text, encoding="utf-8")
+        facts = yaml.safe_load((models_dir() / "hands" / "allegro_right.yaml").read_text(encoding="utf-8"))
+        return hand(yaml.safe_dump(facts | {"model": model}))(folder)
+
+    return make
+
+
+def hand_with_sdf(pattern: str, replacement: str) -> Make:
+    sdf = (models_dir() / "sdf" / "allegro_right.sdf").read_text(encoding="utf-8")
+    return hand_with_model("hand.sdf", re.sub(pattern, replacement, sdf, count=1))
+
+
+def sdf_with_entities(entities: str, use: str) -> Make:
+    text = f"<?xml version='1.0'?><!DOCTYPE sdf [{entities}]><sdf version='1.7'>{use}</sdf>"
+    return hand_with_model("hand.sdf", text)
+
+
+UNREADABLE = "not one readable model|not XML"
+
+HANDS: dict[str, tuple[Make, str]] = {
+    "a tag that runs code": (hand("!!python/object/apply:os.system ['touch harm']"), "is malformed"),
+    "an alias of itself": (hand("fingers: &a [*a]"), "is malformed"),
+    "a model elsewhere": (
+        hand_with_model("package://geort_drake/../../../../../../etc/passwd"),
+        "passwd",
+    ),
+    "a model that is a device": (hand_with_model("/dev/stdin"), "is missing|not one readable"),
+    "SDF with entities of entities": (sdf_with_entities(ENTITIES, "&a9;"), UNREADABLE),
+    "SDF that reads another file": (
+        sdf_with_entities("<!ENTITY a SYSTEM 'file:///etc/passwd'>", "&a;"),
+        UNREADABLE,
+    ),
+    "a mass that is not a number": (
+        hand_with_sdf("<mass>[^<]*", "<mass>nan"),
+        "mass of link 'base_link' in hand.sdf must be finite and not negative; given: nan",
+    ),
+    "a joint of many turns": (
+        hand_with_sdf("<lower>[^<]*", "<lower>-1e308"),
+        r"joint 'joint_0' needs position limits within ±100 rad; given: \[-1e\+308",
+    ),
+}
+
+
+def scenario(text: str) -> Make:
+    """Simulates a scenario file of that text."""
+
+    def make(folder: Path) -> tuple:
+        path = folder / "bad.scenarios.yaml"
+        path.write_bytes(text.encode())
+        return "grasp", "--scenario_file", path, "--scenario_name", "Grasp", "--output", "out"
+
+    return make
+
+
+ALIASES = "a0: &a0 [x]\n" + "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 10))
+MODEL = "Grasp: {{directives: [{{add_model: {{name: arm, file: '{}'}}}}]}}"
+
+SCENARIOS: dict[str, tuple[Make, str]] = {
+    "a tag that runs code": (scenario("Grasp: !!python/object/apply:os.system ['touch harm']"), "Grasp|tag"),
+    "aliases of aliases, 10⁹ in all": (
+        scenario(f"{ALIASES}Grasp: {{arm_posture: *a9}}"),
+        "arm_posture|Grasp|alias",
+    ),
+    "a null byte": (scenario("Grasp: {hand: a\0b}"), "bad.scenarios.yaml"),
+    "a model elsewhere": (scenario(MODEL.format("package://geort_drake/../../../etc/passwd")), "directives"),
+    "a model by the network": (scenario(MODEL.format("https://example.org/arm.sdf")), "directives"),
+}
+
+
+# -- commands
+
+
+def results(content: bytes) -> Make:
+    """Reads a benchmark's results of that content."""
+
+    def make(folder: Path) -> tuple:
+        (folder / "trials.jsonl").write_bytes(content + b"\n")
+        return read_records, folder / "trials.jsonl"
+
+    return make
+
+
+SETTING = "steps=__import__('os').system('touch harm')"
+
+COMMANDS: dict[str, tuple[Make, str, str]] = {
+    "a setting that runs code": (
+        command("train", "--output", "out", "--set", SETTING),
+        "GeortError",
+        "must be int",
+    ),
+    "a recording of a million years": (
+        command("synthesize", "out.npz", "--duration", "3e13"),
+        "UsageError",
+        "may be at most 5,000,000 frames",
+    ),
+    "an output under a device": (
+        command("synthesize", "/dev/null/out.npz"),
+        "OutputError",
+        "/dev/null",
+    ),
+    "a method elsewhere": (
+        command("benchmark", "--output", "runs", "--methods", "../../../etc"),
+        "UnknownNameError",
+        "method or checkpoint",
+    ),
+    "results that are a pickle": (results(pickle.dumps(SHELL)), "BenchmarkError", "line 1: not a trial"),
+    "results 100,000 deep": (results(DEEP), "BenchmarkError", "line 1: not a trial"),
+}
+
+CASES = [
+    *(Case("recording", name, make, "RecordingError", text) for name, (make, text) in RECORDINGS.items()),
+    *(Case("checkpoint", name, make, "CheckpointError", text) for name, (make, text) in CHECKPOINTS.items()),
+    *(Case("hand", name, make, "HandError", text) for name, (make, text) in HANDS.items()),
+    *(Case("scenario", name, make, "ScenarioError", text) for name, (make, text) in SCENARIOS.items()),
+    *(Case("command", name, make, error, text) for name, (make, error, text) in COMMANDS.items()),
+]

@@ -1,6 +1,6 @@
-"""Programs that are killed at any moment, or find the disk full: what they leave, and how they go on.
+"""Programs that are killed or find the disk full: what they leave, and how they resume.
 
-Their results are whole or absent, whatever happens.
+A result is complete or absent, whatever happens.
 """
 
 import dataclasses as dc
@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -17,19 +18,20 @@ import numpy as np
 from faults.child import Child, Ending, run
 from faults.works import WORKS, Work
 
-TIME = 900.0  # s that a work may take, also on a busy machine
-NOTICED = 30.0  # s after which a killed program's worker must have ended, also on a busy machine
+MAX_TIME = 900.0  # s that a program may take, also on a busy machine
+MAX_WORKER_TIME = 30.0  # s after which a killed program's workers must have ended, also on a busy machine
+TESTS = Path(__file__).resolve().parents[1]
 
 
 @dc.dataclass(frozen=True)
 class Reference:
-    """What a work gives when nothing happens to it.
+    """What a program does when it is not disturbed.
 
     Attributes:
-        folder: with the results of an earlier run, of another seed.
+        folder: results of an earlier run with another seed.
         earlier, later: results before and after the run.
         seconds: how long the run takes.
-        events: how often it opens, renames, makes or removes something.
+        events: how many operations on files it makes.
     """
 
     folder: Path
@@ -40,25 +42,37 @@ class Reference:
 
 
 def reference(work: Work, folder: Path) -> Reference:
-    """Runs a work twice, first with another seed, in a folder of its own."""
+    """Runs a program twice, first with another seed, in a new folder."""
     room = folder / "reference"
     room.mkdir(parents=True)
-    _ended_well(run(_work, (work.name, 1, None), room, folder / "beside", TIME))
+    _ended_well(run(_work, (work.name, 1, None), room, folder / "beside", MAX_TIME))
     earlier = work.results(room)
     shutil.copytree(room, folder / "earlier")
-    ending = _ended_well(run(_work, (work.name, 0, -1), room, folder / "beside", TIME))
+    ending = _ended_well(run(_work, (work.name, 0, -1), room, folder / "beside", MAX_TIME))
     events = int((folder / "beside" / "events.txt").read_text())
     return Reference(folder / "earlier", earlier, work.results(room), ending.seconds, events)
 
 
-def kill(work: Work, known: Reference, folder: Path, rng: np.random.Generator, by_clock: bool) -> list[str]:
-    """Kills a run at a random moment, looks at what is left, and runs it again.
+def kill(
+    work: Work,
+    known: Reference,
+    folder: Path,
+    rng: np.random.Generator,
+    by_clock: bool,
+    new_interpreter: bool = False,
+) -> list[str]:
+    """Kills a run at a random moment, checks what is left, and runs the program again.
 
     Args:
-        by_clock: at a time; otherwise at a moment between two things that it does to files.
+        work: the program.
+        known: its results without a kill.
+        folder: for its files.
+        rng: chooses the moment.
+        by_clock: at a random time; otherwise between two operations on files.
+        new_interpreter: whether the second run is in an interpreter with other hashes and more threads.
 
     Returns:
-        What is wrong; nothing, where no result was lost, half, or made twice, and no process left over.
+        What is wrong: results lost, incomplete, made twice or different, or processes left over.
     """
     room = folder / "room"
     shutil.copytree(known.folder, room)
@@ -67,54 +81,58 @@ def kill(work: Work, known: Reference, folder: Path, rng: np.random.Generator, b
         time.sleep(float(rng.uniform(0.0, known.seconds)))
         child.kill()
     else:
-        at = int(rng.integers(1, known.events + 1))
-        ending = run(_work, (work.name, 0, at), room, folder / "beside", TIME)
+        event = int(rng.integers(1, known.events + 1))
+        ending = run(_work, (work.name, 0, event), room, folder / "beside", MAX_TIME)
         if ending.code != -signal.SIGKILL:
-            return [f"was not killed at event {at}: {ending}"]
-    wrong, left = _looked_at(work, known, room)
+            return [f"was not killed at event {event}: {ending}"]
+    wrong, left = _check_left(work, known, room)
     wrong += [f"process {process} was left over" for process in _left_over(room)]
-    ending = run(_work, (work.name, 0, None), room, folder / "beside", TIME)
-    if ending.code != 0:
-        return [*wrong, f"did not go on: {ending}"]
+    if new_interpreter:
+        code, output = _run_in_new_interpreter(work, room, folder / "other cache")
+    else:
+        ending = run(_work, (work.name, 0, None), room, folder / "beside", MAX_TIME)
+        code, output = ending.code, ending.output
+    if code != 0:
+        return [*wrong, f"did not resume: {code} {output}"]
     after = work.results(room)
     if after != known.later:
-        wrong.append("the results are others than without the kill")
+        wrong.append("the results differ from those without the kill")
     if not work.replaces and list(after.items())[: len(left)] != list(left.items()):
         wrong.append("a finished trial was made again")
     return wrong
 
 
 def full_disk(work: Work, known: Reference, folder: Path, limit: int) -> list[str]:
-    """Lets no file grow beyond `limit` bytes; then runs without the limit. What is wrong with that."""
+    """Limits every file to `limit` bytes, then runs without the limit. Returns what is wrong with that."""
     room = folder / "room"
     shutil.copytree(known.folder, room)
-    ending = run(_work, (work.name, 0, None), room, folder / "beside", TIME, RLIMIT_FSIZE=limit)
-    wrong, _ = _looked_at(work, known, room)
+    ending = run(_work, (work.name, 0, None), room, folder / "beside", MAX_TIME, RLIMIT_FSIZE=limit)
+    wrong, _ = _check_left(work, known, room)
     wrong += unclear(ending, "File too large|is the disk full")
     wrong += [f"left {path.name}" for path in room.rglob(".*")]
-    ending = run(_work, (work.name, 0, None), room, folder / "beside", TIME)
+    ending = run(_work, (work.name, 0, None), room, folder / "beside", MAX_TIME)
     if ending.code != 0 or work.results(room) != known.later:
-        wrong.append(f"did not go on: {ending}")
+        wrong.append(f"did not resume: {ending}")
     return wrong
 
 
 def unclear(ending: Ending, reason: str) -> list[str]:
-    """What is wrong with the end of a program that could not write: it should name a file and the reason."""
+    """Returns what is wrong with the end of a program that could not write: it must name file and reason."""
     wrong = []
     if (ending.code, ending.error) != (2, "OutputError"):
         wrong.append(f"ended with {ending.code} {ending.error}")
-    if not re.search(f"cannot be written.*: ({reason})", ending.said) or "Traceback" in ending.said:
-        wrong.append(f"said {ending.said[-500:]}")
+    if not re.search(f"cannot be written.*: ({reason})", ending.output) or "Traceback" in ending.output:
+        wrong.append(f"printed {ending.output[-500:]}")
     return wrong
 
 
-def _looked_at(work: Work, known: Reference, room: Path) -> tuple[list[str], dict[str, str]]:
-    """What is wrong with the results that a broken run left, and these."""
+def _check_left(work: Work, known: Reference, room: Path) -> tuple[list[str], dict[str, str]]:
+    """Returns what is wrong with the results that a broken run left, and these results."""
     wrong = []
     try:
         left = work.results(room)
     except Exception as error:
-        return [f"half a result was left: {error}"], {}
+        return [f"an incomplete result was left: {error}"], {}
     for name, digest in left.items():
         if digest not in (known.earlier.get(name), known.later.get(name)):
             wrong.append(f"{name} is neither the earlier nor the later one")
@@ -123,8 +141,8 @@ def _looked_at(work: Work, known: Reference, room: Path) -> tuple[list[str], dic
 
 
 def _left_over(room: Path) -> list[str]:
-    """Processes that are still in a folder after a time in which they should have noticed."""
-    deadline = time.monotonic() + NOTICED
+    """Returns processes that still run in a folder after `MAX_WORKER_TIME`."""
+    deadline = time.monotonic() + MAX_WORKER_TIME
     while processes := [path.name for path in Path("/proc").glob("[0-9]*") if _is_in(path, room)]:
         if time.monotonic() > deadline:
             return processes
@@ -140,7 +158,7 @@ def _is_in(process: Path, room: Path) -> bool:
 
 
 def _work(name: str, seed: int, die_at: int | None) -> object:
-    """In the child: the work, which kills itself at a file event of that number (-1 counts them only)."""
+    """Runs a program in the child. It kills itself at that operation on files; -1 only counts them."""
     counted = 0
     if die_at is not None:
         folder = os.getcwd()
@@ -155,13 +173,21 @@ def _work(name: str, seed: int, die_at: int | None) -> object:
         sys.addaudithook(hook)
     result = WORKS[name].main(seed)
     if die_at == -1:
-        # Beside the room, as its caches are.
         Path(os.environ["XDG_CACHE_HOME"]).with_name("events.txt").write_text(str(counted))
     return result
 
 
+def _run_in_new_interpreter(work: Work, room: Path, cache: Path) -> tuple[int, str]:
+    program = f"import sys; sys.path.insert(0, {str(TESTS)!r}); from faults.works import WORKS; "
+    program += f"WORKS[{work.name!r}].main(0)"
+    environment = os.environ | {"PYTHONHASHSEED": "8", "OMP_NUM_THREADS": "2", "XDG_CACHE_HOME": str(cache)}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, cwd=room, env=environment, capture_output=True, text=True, check=False)
+    return done.returncode, done.stderr[-2000:]
+
+
 def _touches(event: str, arguments: tuple, folder: str) -> bool:
-    """Whether an audit event is about to change something in a folder."""
+    """Returns whether an audit event is about to change something in a folder."""
     if event == "open":
         path, mode, _ = arguments
         changes = isinstance(mode, str) and any(letter in mode for letter in "wax+")

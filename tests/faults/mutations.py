@@ -105,7 +105,9 @@ def fuzz(count: int, seed: int, folder: Path, report: Callable[[int, int], None]
         ending = run(_fuzz, (readers, numbers, seed, folder), inputs, beside)
         number = int((folder / "number.txt").read_text())
         if ending.code != 0:
-            failures.append(f"the process ended with {ending.code} at input {number}: {ending.said[-1000:]}")
+            failures.append(
+                f"the process ended with {ending.code} at input {number}: {ending.output[-1000:]}"
+            )
             for reader, content in zip(readers, sound, strict=True):
                 reader.path.write_bytes(content)
         failures += (folder / "failures.txt").read_text().splitlines()

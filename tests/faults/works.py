@@ -1,4 +1,4 @@
-"""Programs that write results: what they run, and what is to be found of it."""
+"""Programs that write results, and digests of the results they leave."""
 
 import dataclasses as dc
 import functools
@@ -35,14 +35,14 @@ SHORT = "{timeout: 0.3}"  # too short to grasp anything, long enough for every p
 
 @dc.dataclass(frozen=True)
 class Work:
-    """A program that writes results into the folder that it runs in.
+    """A program that writes results into its working directory.
 
     Attributes:
-        name: of it.
+        name: of the program.
         main: runs it with a seed; the same seed gives the same results.
-        results: name → digest of every result in a folder, in the order in which they were made; raises for
-            one that is not whole.
-        replaces: whether another seed's results take the place of the earlier ones, one by one.
+        results: returns name → digest of every result in a folder, in the order in which they were made;
+            raises for an incomplete one.
+        replaces: whether another seed's results replace the earlier ones, one by one.
     """
 
     name: str
@@ -91,14 +91,14 @@ def trained(folder: Path) -> dict[str, str]:
 
 
 def benchmark(seed: int, jobs: int = 1) -> None:
-    """Trials of two methods over three seeds, of which `seed` decides nothing: a benchmark goes on."""
+    """A benchmark of two methods; it has fewer trials with seed 1 than with seed 0, which resumes it."""
     from geort_drake.benchmark import folder, trials
 
     goal = _goal()
     argv = [
         "--output", ".", "--methods", "hold", "nearest_neighbour", "--objects", "cylinder",
         "--jobs", str(jobs),
-        "--scenario_text", SHORT, "--trials", "2" if seed == 1 else "3", "--zero_latency",
+        "--scenario_text", SHORT, "--trials", "1" if seed == 1 else "2", "--zero_latency",
     ]  # fmt: skip
     with (
         mock.patch.object(trials, "plan", lambda *_: goal),
@@ -106,7 +106,7 @@ def benchmark(seed: int, jobs: int = 1) -> None:
     ):
         run_command("benchmark", argv)
     if jobs > 1:
-        # A script's interpreter does it at its end; that of a forked process does not.
+        # A script's interpreter does this at its end; a forked process does not.
         get_reusable_executor().shutdown()
 
 
@@ -127,7 +127,7 @@ def benchmarked(folder: Path) -> dict[str, str]:
 
 
 def record(seed: int) -> None:
-    """Trials with their recordings, as simulate_grasp.py writes them."""
+    """A trial with its recordings, as `geort-drake grasp` writes them."""
     from geort_drake.people.human_hand import HumanHand
     from geort_drake.simulation.scenario import load_scenario
     from geort_drake.simulation.trial import run_trial
@@ -135,11 +135,10 @@ def record(seed: int) -> None:
     person = HumanHand.fit(play())
     retarget = smooth_retargeter()
     retarget.joint_names = tuple(allegro().joint_names)
-    for trial in range(2):
-        scenario = load_scenario(text=SHORT)
-        scenario.random_seed = 10 * seed + trial
-        _, glove = run_trial(scenario, retarget, (person, _goal()), f"trial-{trial}.rrd")
-        glove.save(f"trial-{trial}.glove.npz")
+    scenario = load_scenario(text=SHORT)
+    scenario.random_seed = seed
+    _, glove = run_trial(scenario, retarget, (person, _goal()), "trial.rrd")
+    glove.save("trial.glove.npz")
 
 
 def recorded(folder: Path) -> dict[str, str]:
@@ -147,8 +146,7 @@ def recorded(folder: Path) -> dict[str, str]:
 
     found = {path.name: Recording.load(path).digest for path in _visible(folder, "*.glove.npz")}
     for path in _visible(folder, "*.rrd"):
-        # Rerun gives every chunk and row an id of the clock and chance, and puts what holds at all times into
-        # as many chunks as it has time for; all the rest must be equal.
+        # Rerun's row ids and its division of static data into chunks depend on the clock; the rest does not.
         reader = RrdReader(path)
         columns: defaultdict[tuple[str, str], list] = defaultdict(list)
         for chunk in reader.stream():
@@ -165,7 +163,7 @@ def recorded(folder: Path) -> dict[str, str]:
 
 
 def teleoperate(seed: int) -> None:
-    """What a glove gives in a session of teleoperation, kept while it is given."""
+    """The recording of a glove in teleoperation, written while the session lasts."""
     builder = DiagramBuilder()
     replay = builder.AddSystem(GloveReplay(_session(seed)))
     parts = RecordingParts("session.npz", {"side": "right"})
@@ -175,18 +173,18 @@ def teleoperate(seed: int) -> None:
     simulator = Simulator(builder.Build())
     for tick in range(100):
         simulator.AdvanceTo(0.01 * tick)
-        time.sleep(0.002)  # faster than in life, but not than the disk
+        time.sleep(0.002)  # faster than in real time, but not than the disk
     recorder.finish()
 
 
 def teleoperated(folder: Path) -> dict[str, str]:
-    """The recording; and what was kept of interrupted ones must be the beginning of a session."""
+    """The recording. What an interrupted session left must be the session's beginning."""
     kept = [Recording.load(path) for path in _visible(folder, "session-interrupted-*.npz")]
     unfinished = read_parts(folder / "session.npz.parts")
     for recording in kept + ([unfinished] if unfinished else []):
         n = len(recording)
         if not any((recording.p_HK == _session(seed).p_HK[:n]).all() for seed in (0, 1)):
-            raise ValueError("what was kept of an interrupted session is not its beginning")
+            raise ValueError("an interrupted session left something else than its beginning")
     return {path.name: Recording.load(path).digest for path in _visible(folder, "session.npz")}
 
 
@@ -204,7 +202,7 @@ def _digest(content: bytes) -> str:
 
 
 def _goal() -> GraspGoal:
-    """A grasp that no trial lasts long enough to try."""
+    """A grasp; the trials end before the hand reaches it."""
     hand = allegro()
     tips = hand.fingertips(hand.default_position)
     inwards = np.tile([1.0, 0.0, 0.0], (len(tips), 1))

@@ -49,7 +49,6 @@ def _fuzz(count: int, seed: int, folder: Path) -> None:
     # Whatever is imported from here on tells which of its lines are reached.
     with atheris.instrument_imports(include=INSTRUMENTED):
         import numpy as np
-
         from faults.mutations import mutate
         from faults.readers import sound_inputs
 
