@@ -98,7 +98,7 @@ def _figures(hand, q, spent, ours, hands) -> dict:
     for number, p_HK in enumerate(hands):
         targets, weights, projected = ours._targets(ours._points(p_HK)[None], projected)
         for side, values in loss.items():
-            values.append(ours._vectors.loss(q[side][number][None], targets, weights, None)[0])
+            values.append(ours._vectors.objective(q[side][number][None], targets, weights, None)[0][0])
     tips = ours._points(hands)
     return {
         "frames": len(hands),

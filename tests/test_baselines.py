@@ -74,13 +74,14 @@ def test_the_optimum_is_scipys(kinematics, method):
     switches = np.zeros((4, len(online._vectors.pairs)), dtype=bool)
     targets, weights, _ = online._targets(p_HF, switches)
     q = online._vectors.solve(targets, weights, start, start, tolerance=1e-7, iterations=500)
-    loss = online._vectors.loss(q, targets, weights, start)
+    loss = online._vectors.objective(q, targets, weights, start)[0]
     for k in range(4):
         row = slice(k, k + 1)
 
         def value(x, row=row):
             arguments = x[None], targets[row], weights[row], start[row]
-            return online._vectors.loss(*arguments)[0], online._vectors.gradient(*arguments)[0]
+            loss, gradient, _ = online._vectors.objective(*arguments)
+            return loss[0], gradient[0]
 
         bounds = list(zip(kinematics.lower, kinematics.upper, strict=True))
         found = minimize(

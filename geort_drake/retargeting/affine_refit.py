@@ -4,7 +4,7 @@ The maps take each of the new person's fingertips to where it was in training.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -14,7 +14,7 @@ from geort_drake.retargeting.clouds import voxel_thinned
 from geort_drake.retargeting.trained_space import VOXEL, TrainedSpace
 from geort_drake.retargeting.training.human_data import HumanData
 
-ROUNDS = 20  # of closest points and least squares; more change the maps by less than a millimetre
+ROUNDS = 20  # of closest points and least squares; further ones move points by less than a millimetre
 PINCH_WEIGHT = 10.0  # of a pinch's width against a fingertip's distance from its place in training
 SHEAR_WEIGHT = 3.0  # of everything but stretching along the axes
 PINCH_FRAMES = 2000  # at most so many are used
@@ -42,12 +42,12 @@ class AffineMaps:
 def fit_affine(space: TrainedSpace, p_HF: np.ndarray, finger_names: Sequence[str]) -> AffineMaps:
     """Fits affine maps of a new person's fingertips onto those of training.
 
-    Closest points in both directions, alternating with linear least squares in which the pinches of the
-    person tie the fingers together: two tips that meet shall meet after the map as well. Shear and rotation
-    are penalised, because they change the directions of motion.
+    Closest points in both directions alternate with linear least squares, in which the person's pinches tie
+    the fingers together: two tips that meet should also meet after the map. Shear and rotation are penalised,
+    because they change the directions of motion.
 
     Args:
-        space: where training saw the fingertips.
+        space: the fingertips' places in training.
         p_HF: (T, F, 3) of the new person, in H, m.
         finger_names: F names.
 
@@ -81,11 +81,10 @@ def fit_affine(space: TrainedSpace, p_HF: np.ndarray, finger_names: Sequence[str
                 columns = _columns(i, axis)[others]
                 normal[columns, columns] += SHEAR_WEIGHT * mine.var(axis=0)[others]
         theta = np.linalg.solve(normal, right).reshape(theta.shape)
-    maps = AffineMaps(theta[..., :3], theta[..., 3], np.zeros(len(own)))
     miss = [
         tree.query(_lifted(mine) @ row.T)[0].mean() for mine, row, tree in zip(own, theta, trees, strict=True)
     ]
-    return replace(maps, miss=np.array(miss))
+    return AffineMaps(theta[..., :3], theta[..., 3], np.array(miss))
 
 
 def folded(arrays: Mapping[str, np.ndarray], maps: AffineMaps) -> dict[str, np.ndarray]:

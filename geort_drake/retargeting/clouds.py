@@ -25,9 +25,9 @@ def voxel_centres(points: np.ndarray, size: float) -> np.ndarray:
 
 
 def _first_of_each(cells: np.ndarray) -> np.ndarray:
-    """Rows (M,) that are the first of their kind in (N, 3), by rising contents.
+    """Rows (M,) that are the first of their kind in (N, 3), in ascending order of their contents.
 
-    As `np.unique` along an axis finds them, which compares rows as wholes and takes several times as long.
+    Equal to `np.unique` along an axis, which takes several times as long.
     """
     order = np.lexsort(cells.T[::-1])
     new = np.ones(len(cells), dtype=bool)

@@ -39,9 +39,9 @@ class Layers(NamedTuple):
 
 
 class OneHand:
-    """The call of a `Retargeter` for one hand, in half the time; results are equal to rounding.
+    """The call of a `Retargeter` for one hand, in half the time; results agree to rounding.
 
-    None for several hands and for unusable input, which the retargeter then handles.
+    Returns None for several hands and for unusable input, which the retargeter then handles.
     """
 
     def __init__(self, layers: Layers, human_keypoints: Sequence[int]):

@@ -32,18 +32,18 @@ class TrainingConfig:
     hidden: int = 128  # width of both hidden layers of each finger's network
 
     def validate(self) -> None:
-        """Raises TrainingError for a number that makes no sense."""
+        """Raises TrainingError for a number out of range."""
         check_numbers(self)
 
 
 def check_numbers(config: TrainingConfig, may_be_zero: Collection[str] = ()) -> None:
-    """Checks that settings are finite and positive.
+    """Checks that settings are finite and positive; texts are not checked.
 
     Those named `*_weight` and `*_spread`, and those in `may_be_zero`, may be zero; those named `*_fraction`
-    are from 0 to 1. Texts are not checked.
+    are from 0 to 1.
 
     Raises:
-        TrainingError: a number makes no sense.
+        TrainingError: a number is out of range.
     """
     for name, value in dataclasses.asdict(config).items():
         if isinstance(value, str):
@@ -59,14 +59,14 @@ def check_numbers(config: TrainingConfig, may_be_zero: Collection[str] = ()) -> 
 
 @dataclass(frozen=True)
 class TrainingData:
-    """The data for training. Expensive parts are functions, called by the methods that need them.
+    """The data for training. Expensive parts are functions, which a method calls if it needs them.
 
     Attributes:
         p_HF: (T, F, 3) human fingertips in H, m: successive frames, fingers as in `kinematics`.
         kinematics: exact kinematics of the robot hand.
         q: (N, n) robot joint angles, uniform within the limits, rad.
-        labels: returns for each row of q whether the hand collides there (N,), not counting contact between
-            two fingertips.
+        labels: returns for each row of q whether the hand collides there (N,), ignoring contact between two
+            fingertips.
         collides: the same for any joint angles (M, n).
         shapes: returns the hand's collision geometry.
     """
@@ -112,14 +112,13 @@ class TrainedMethod:
         summary: one line for --help.
         config: type of its settings.
         train: called as train(data, config=None, seed=0, device="cpu", report=None); returns a
-            `TrainingResult`. The seed decides the initial weights and every draw; the device is "cpu" or
+            `TrainingResult`. The seed determines the initial weights and every draw; the device is "cpu" or
             "cuda"; for `report` see `Report`. Raises TrainingError on unusable input, or when the loss is not
-            finite from the start. When it stops being finite later, the last good weights are returned with a
-            RuntimeWarning.
+            finite from the start; for later divergence see `descend`.
         retargeter: makes the map from the arrays of a checkpoint, with the arguments of `Retargeter`.
         fine_tune: fits the weights of a checkpoint to another person, called as fine_tune(arrays, data,
             settings, steps, seed=0, report=None) with the training settings in config.json; returns a
-            `TrainingResult`, raises as `train`. None where the method cannot.
+            `TrainingResult`, raises as `train`. None if the method cannot.
     """
 
     name: str

@@ -122,7 +122,7 @@ class Retargeter:
         return q
 
     def compile(self) -> None:
-        """Compiles calls for one hand with numba, which halves their time; results are equal to 1e-12 rad.
+        """Compiles calls for one hand with numba, which halves their time; results agree to 1e-12 rad.
 
         Raises:
             GeortError: numba is not installed, or has no place for its cache.
@@ -153,8 +153,8 @@ class Retargeter:
             points: fingertips p_HF (F, 3) or a whole hand p_HK (21, 3), in the wrist frame H, m.
 
         Returns:
-            q (n,) in rad, as the call gives it, and J (n, F, 3) in rad/m: J[j, f] is the gradient of joint
-            j with respect to fingertip f. Keypoints other than fingertips have no influence.
+            q (n,) in rad, as from the call, and J (n, F, 3) in rad/m: J[j, f] is the gradient of joint j with
+            respect to fingertip f. Other keypoints have no influence.
 
         Raises:
             ValueError: points have another shape, or are several hands.

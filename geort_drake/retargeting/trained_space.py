@@ -15,10 +15,10 @@ class TrainedSpace:
     """The places of each fingertip in the training recording, thinned.
 
     A fingertip far from all of its places is outside of the training data. The converse does not hold:
-    fingertips near their places may together form a hand that was never recorded.
+    fingertips near their places may form a hand that was never recorded.
 
     Attributes:
-        points: (F, M, 3) float32 places p_HF, m; of a finger with fewer than M, the last one repeats.
+        points: (F, M, 3) float32 places p_HF, m; a finger with fewer than M repeats its last one.
     """
 
     def __init__(self, points: np.ndarray, human_keypoints: Sequence[int]):

@@ -1,8 +1,8 @@
 """The retargeting methods by name.
 
-A module of this package that defines `METHODS`, a tuple of `TrainedMethod` or `UntrainedMethod`, adds
-methods; nothing else needs to know of it. Such a module imports torch and SciPy inside its functions, because
-loading a retargeter imports them all and runs on computers without torch.
+A module of this package adds methods by defining `METHODS`, a tuple of `TrainedMethod` or `UntrainedMethod`.
+Such a module imports torch and SciPy inside its functions, because loading a retargeter imports all of them
+and works without torch.
 """
 
 import functools
@@ -44,10 +44,10 @@ def untrained_methods() -> dict[str, UntrainedMethod]:
 
 
 def trained_method(name: str) -> TrainedMethod:
-    """The trained method of that name.
+    """The trained method of a name.
 
     Raises:
-        UnknownNameError: there is none; the message lists those there are.
+        UnknownNameError: there is none; the message lists the known ones.
     """
     methods = trained_methods()
     if name not in methods:

@@ -1,7 +1,7 @@
 """Eq. 1 of the GeoRT paper, learned once (Robotic Telekinesis, Sivakumar et al. 2022; the paper's table II).
 
-The network is that of `geort`; only the loss differs: each robot fingertip should be where the person's
-fingertip is, seen from the wrist and scaled. The result depends strongly on the scale.
+It trains the network of `geort` with another loss: each robot fingertip should be at the person's fingertip,
+relative to the wrist and scaled. The result depends strongly on the scale.
 """
 
 from dataclasses import dataclass

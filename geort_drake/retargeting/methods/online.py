@@ -72,19 +72,7 @@ class VectorOnline:
         self._projected = np.zeros(len(self._vectors.pairs), dtype=bool)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Joint angles in rad for human hands, one after the other.
-
-        Args:
-            points: fingertips p_HF (F, 3) or (N, F, 3), or whole hands p_HK (21, 3) or (N, 21, 3),
-                in the wrist frame H, m.
-
-        Returns:
-            (n,) or (N, n).
-
-        Raises:
-            ValueError: points have another shape.
-            GeortError: a coordinate is not finite.
-        """
+        """Joint angles in rad for hands, one after the other; input, output and errors as of `Retargeter`."""
         p_HF = self._points(points)
         if p_HF.ndim == 2:
             return self._step(p_HF)
@@ -93,8 +81,8 @@ class VectorOnline:
     def settled_map(self, frames: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """The answers to hands that are held still, as a function without memory.
 
-        Evaluations ask for hands that differ a little from recorded ones. Such a hand is held until the
-        answer no longer changes, starting from the state of the method at the nearest recorded frame.
+        It is for hands near recorded ones. Such a hand is held until the answer no longer changes, starting
+        from the method's state at the nearest recorded frame.
 
         Args:
             frames: (T, F, 3) successive human fingertips, m; they also set the state of this retargeter.
@@ -130,7 +118,7 @@ class VectorOnline:
         """Joint angles (N, n) at rest for hands (N, F, 3) that are held still.
 
         `start` (N, n) are initial joint angles, `projected` (N, V) the projected vectors; by default those
-        after `reset`. At rest the pull towards the previous angles vanishes.
+        after `reset`. The pull towards previous angles vanishes at rest.
         """
         count = len(p_HF)
         if start is None:
@@ -161,9 +149,9 @@ class VectorOnline:
 class DexPilotOnline(VectorOnline):
     """DexPilot's retargeting (Handa et al. 2020), which gives priority to distances between fingertips.
 
-    Vectors between the thumb and each finger (S1), between these fingers (S2) and from the wrist. When the
-    person's thumb comes near a finger, the target of their vector is projected to contact and weighs more,
-    with hysteresis. While two fingers pinch, the target between them keeps them apart.
+    It uses vectors between the thumb and each finger (S1), between these fingers (S2) and from the wrist.
+    When the person's thumb comes near a finger, the target of their vector is projected to contact and weighs
+    more, with hysteresis. While two fingers pinch, the target between them keeps them apart.
     """
 
     huber_delta = 0.03  # m

@@ -2,10 +2,9 @@
 
 min over q of  Σ_i w_i h(|v_R^i(q) − v*^i|) / V  +  norm_delta · |q − q_previous|²,  lower ≤ q ≤ upper
 
-with h the Huber function of PyTorch's SmoothL1 (x² / 2δ under δ, x − δ/2 above). A task vector goes
-from the wrist or a fingertip to a fingertip. The problem is small, smooth and bounded, so a damped
-Gauss–Newton method on the free joints takes a handful of steps. Many frames are solved at once, which makes
-evaluations of online methods feasible.
+with h the Huber function of PyTorch's SmoothL1 (x² / 2δ under δ, x − δ/2 above). A task vector goes from
+the wrist or a fingertip to a fingertip. A damped Gauss–Newton method on the free joints takes a few steps;
+many frames are solved at once.
 """
 
 import numpy as np
@@ -46,18 +45,6 @@ class TaskVectors:
         """The person's task vectors (N, V, 3) in m for fingertips (N, F, 3) in the wrist frame."""
         return self._difference @ p_HF
 
-    def loss(
-        self, q: np.ndarray, targets: np.ndarray, weights: np.ndarray, previous: np.ndarray | None
-    ) -> np.ndarray:
-        """The objective (N,) for q (N, n), targets (N, V, 3) and weights (N, V); see `solve`."""
-        return self._terms(q, targets, weights, previous)[0]
-
-    def gradient(
-        self, q: np.ndarray, targets: np.ndarray, weights: np.ndarray, previous: np.ndarray | None
-    ) -> np.ndarray:
-        """∂loss/∂q (N, n)."""
-        return self._terms(q, targets, weights, previous)[1]
-
     def solve(
         self,
         targets: np.ndarray,
@@ -81,7 +68,7 @@ class TaskVectors:
         q = np.clip(start, lower, upper)
         rows = np.arange(len(q))  # unfinished frames
         damping = np.full(len(q), 1e-3)
-        loss, gradient, H = self._terms(q, targets, weights, previous)
+        loss, gradient, H = self.objective(q, targets, weights, previous)
         for _ in range(iterations):
             # Joints pressed against a limit are fixed.
             free = ~(((q[rows] <= lower) & (gradient > 0)) | ((q[rows] >= upper) & (gradient < 0)))
@@ -93,7 +80,7 @@ class TaskVectors:
             step = np.linalg.solve(A, -(gradient * free)[..., None])[..., 0]
             trial = np.clip(q[rows] + step, lower, upper)
             of = None if previous is None else previous[rows]
-            new = self._terms(trial, targets[rows], weights[rows], of)
+            new = self.objective(trial, targets[rows], weights[rows], of)
             better = new[0] <= loss
             moved = np.abs(trial - q[rows]).max(axis=1)
             q[rows[better]] = trial[better]
@@ -107,10 +94,12 @@ class TaskVectors:
             rows, loss, gradient, H = rows[going], loss[going], gradient[going], H[going]
         return q
 
-    def _terms(
+    def objective(
         self, q: np.ndarray, targets: np.ndarray, weights: np.ndarray, previous: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Loss (N,), gradient (N, n) and Gauss–Newton Hessian (N, n, n)."""
+        """Loss (N,), gradient (N, n) and Gauss–Newton Hessian (N, n, n) for q (N, n); others as in
+        `solve`.
+        """
         tips, J = self.kinematics.fingertips_and_jacobians(q)
         count, fingers, _, n = J.shape
         residual = self._difference @ tips - self._origin - targets

@@ -1,4 +1,4 @@
-"""Calls functions of a network in the background while its training goes on."""
+"""Calls functions of a network in the background during its training."""
 
 import contextlib
 import copy
@@ -19,14 +19,13 @@ from geort_drake.processes import end_with
 class BackgroundProcess:
     """Calls functions of a network one after the other in another process; a context manager.
 
-    Results are the same bit for bit without the process. A thread instead would slow training down by an
-    eighth.
+    Results are the same bit for bit without the process. A thread would slow training down by an eighth.
     """
 
     def __init__(self, functions: Mapping[str, Callable], separate: bool):
-        """Takes functions, called as function(network, ...), by name; they may keep a state between calls.
+        """`functions`, called as function(network, ...), may keep a state between calls.
 
-        Without `separate` they are called in this process when they are started.
+        Without `separate`, `start` calls them in this process.
         """
         self._functions, self._pool = functions, None
         if separate:

@@ -7,25 +7,17 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import torch
 from torch import nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from geort_drake.errors import TrainingError, UnknownNameError
+from geort_drake.retargeting.training.soap import Soap
 
 # Called as report(steps done, steps, row of losses, network as it is now) at each row of `Descent.history`.
 Report = Callable[[int, int, dict[str, float], nn.Module], None]
 AVERAGE_EVERY = 5  # steps, between which weights hardly move
-
-
-class Optimiser(Protocol):
-    """torch's optimisers, and `Soap`."""
-
-    param_groups: list[dict[str, Any]]
-
-    def step(self) -> Any: ...
 
 
 @dataclass(frozen=True)
@@ -45,11 +37,14 @@ def descend(
     steps: int,
     learning_rate: float,
     report: Report | None = None,
-    optimiser: Optimiser | None = None,
+    optimiser: torch.optim.Optimizer | Soap | None = None,
     warm_up: int = 0,
     averaging: float = 0.0,
 ) -> Descent:
     """Minimises a loss; the learning rate falls to zero along half a cosine.
+
+    A loss that stops being finite restores weights from at most a hundredth of the descent earlier, with a
+    RuntimeWarning. A loss that did not fall gives a RuntimeWarning too.
 
     Args:
         network: trained in place.
@@ -63,10 +58,7 @@ def descend(
             at the end. 0: it keeps the last weights.
 
     Raises:
-        TrainingError: the loss is not finite at the first step. When it stops being finite later, weights
-        from
-            at most a hundredth of the descent earlier are restored with a RuntimeWarning. A loss that did not
-            fall gives a RuntimeWarning as well.
+        TrainingError: the loss is not finite at the first step.
     """
     optimiser = optimiser or torch.optim.Adam(network.parameters(), lr=learning_rate)
     average = None

@@ -22,8 +22,8 @@ class HumanData:
         clouds: F arrays (M, 3), each fingertip's places, one per voxel.
         mean, scale: (F, 3) mean and standard deviation of the clouds, m.
         points: number of places per finger name.
-        pairs: pairs of finger numbers that pinch: the thumb with each other finger, or all pairs of a
-            hand without a thumb.
+        pairs: pairs of finger numbers that pinch: the thumb with each other finger, or all pairs of a hand
+            without a thumb.
     """
 
     def __init__(self, p_HF: np.ndarray, finger_names: Sequence[str], voxel: float = HUMAN_VOXEL):

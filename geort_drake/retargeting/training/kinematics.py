@@ -1,8 +1,8 @@
 """Exact forward kinematics of a hand's fingertips in torch, batched and differentiable.
 
-Fingers are serial chains of revolute joints that start at the hand base B; joints may follow others of the
-same finger. Chains are evaluated on a point, from the tip to the base, so a joint costs one product of a
-constant 9×3 matrix with a vector.
+Fingers are serial chains of revolute joints from the hand base B; joints may follow others of the same
+finger. Chains are evaluated on a point, from the tip to the base, so a joint costs one product of a constant
+9×3 matrix with a vector.
 """
 
 from collections.abc import Sequence
@@ -21,14 +21,14 @@ class FingerChain:
 
     Attributes:
         name: finger name.
-        joint_names: k names, base to tip, of the joints that can be moved by themselves.
+        joint_names: k names, base to tip, of the independent joints.
         joint_indices: k positions of these joints in the hand's q.
-        X_PJ: (m, 4, 4) pose of each of the m ≥ k joint frames J in its parent's joint frame P (the first:
-            in B), m; at zero angle of the joint, or of the one that it follows.
+        X_PJ: (m, 4, 4) pose of each of the m ≥ k joint frames J in its parent's joint frame P (the first: in
+            B), m; at zero angle of the joint, or of the one that it follows.
         axes: (m, 3) unit rotation axes in J.
         p_tip: (3,) fingertip point in the last joint's moving frame, m.
         all_joint_names: m names, base to tip; by default `joint_names`.
-        coupling: (m, k) how far each joint turns when one of the k does; by default the identity.
+        coupling: (m, k) rotation of each joint per rotation of the k; by default the identity.
     """
 
     name: str
@@ -42,22 +42,10 @@ class FingerChain:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "all_joint_names", tuple(self.all_joint_names or self.joint_names))
-        k, m = len(self.joint_names), len(self.all_joint_names)
         if self.coupling is None:
-            object.__setattr__(self, "coupling", np.eye(m, k))
-        shapes = {"X_PJ": (m, 4, 4), "axes": (m, 3), "p_tip": (3,), "coupling": (m, k)}
-        for attribute, expected in shapes.items():
-            value = np.asarray(getattr(self, attribute), dtype=float)
-            if value.shape != expected or not np.isfinite(value).all():
-                raise ValueError(
-                    f"finger '{self.name}': {attribute} must be finite and of shape {expected}, "
-                    f"it has shape {value.shape}"
-                )
-            object.__setattr__(self, attribute, value)
-        if len(self.joint_indices) != k:
-            raise ValueError(f"finger '{self.name}': {len(self.joint_indices)} joint indices for {k} joints")
-        if not np.allclose(np.linalg.norm(self.axes, axis=1), 1.0, atol=1e-9):
-            raise ValueError(f"finger '{self.name}': the joint axes must be unit vectors")
+            object.__setattr__(self, "coupling", np.eye(len(self.all_joint_names), len(self.joint_names)))
+        for name in ("X_PJ", "axes", "p_tip", "coupling"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
 
 
 @dataclass(frozen=True)
@@ -83,23 +71,8 @@ class HandKinematics:
     def __post_init__(self) -> None:
         object.__setattr__(self, "fingers", tuple(self.fingers))
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
-        n = len(self.joint_names)
-        for attribute in ("lower", "upper"):
-            value = np.asarray(getattr(self, attribute), dtype=float)
-            if value.shape != (n,) or not np.isfinite(value).all():
-                raise ValueError(
-                    f"{attribute} must be finite and of shape ({n},), it has shape {value.shape}"
-                )
-            object.__setattr__(self, attribute, value)
-        object.__setattr__(self, "p_BW", np.asarray(self.p_BW, dtype=float))
-        if self.p_BW.shape != (3,) or not np.isfinite(self.p_BW).all():
-            raise ValueError(f"p_BW must be finite and of shape (3,), it is {self.p_BW}")
-        if not (self.lower < self.upper).all():
-            raise ValueError("every lower joint limit must be under its upper limit")
-        for finger in self.fingers:
-            for name, index in zip(finger.joint_names, finger.joint_indices, strict=True):
-                if not 0 <= index < n or self.joint_names[index] != name:
-                    raise ValueError(f"finger '{finger.name}': joint '{name}' is not number {index} of q")
+        for name in ("lower", "upper", "p_BW"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
 
     @property
     def finger_names(self) -> tuple[str, ...]:
@@ -127,7 +100,7 @@ class HandKinematics:
     def mirrored(self) -> "HandKinematics":
         """The mirror image in the xz-plane: the same q puts its fingertips at (x, −y, z).
 
-        Human hands are canonical right hands; a left robot hand is compared with them in the mirror.
+        A left robot hand is compared with canonical right human hands in the mirror.
         """
         M = np.diag([1.0, -1.0, 1.0, 1.0])
         fingers = [
@@ -135,15 +108,14 @@ class HandKinematics:
             replace(f, X_PJ=M @ f.X_PJ @ M, axes=-f.axes @ M[:3, :3], p_tip=M[:3, :3] @ f.p_tip)
             for f in self.fingers
         ]
-        p_BW = M[:3, :3] @ self.p_BW
-        return HandKinematics(tuple(fingers), self.joint_names, self.lower, self.upper, self.tip_radius, p_BW)
+        return replace(self, fingers=tuple(fingers), p_BW=M[:3, :3] @ self.p_BW)
 
     def uncoupled(self) -> tuple["HandKinematics", np.ndarray]:
         """The hand with independent joints in place of coupled ones.
 
         Returns:
-            A hand with the n joints of this one and then the followers, N in total, and the matrix (N, n)
-            that maps joint angles of this hand to those of that hand.
+            A hand with the n joints of this one, then the followers, N in total; and the matrix (N, n) from
+            joint angles of this hand to those of that hand.
         """
         names = list(self.joint_names)
         rows = [*np.eye(len(names))]
@@ -165,14 +137,13 @@ class HandKinematics:
         matrix = np.array(rows)
         ends = matrix * self.lower, matrix * self.upper
         lower, upper = np.minimum(*ends).sum(1), np.maximum(*ends).sum(1)
-        hand = HandKinematics(tuple(fingers), tuple(names), lower, upper, self.tip_radius, self.p_BW)
+        hand = replace(self, fingers=tuple(fingers), joint_names=tuple(names), lower=lower, upper=upper)
         return hand, matrix
 
     def _chains(self, dtype: torch.dtype, device: torch.device) -> "_Chains":
-        key = (dtype, device)
-        if key not in self._constants:
-            self._constants[key] = _Chains(self.fingers, dtype, device)
-        return self._constants[key]
+        if (dtype, device) not in self._constants:
+            self._constants[dtype, device] = _Chains(self.fingers, dtype, device)
+        return self._constants[dtype, device]
 
 
 class _Chains:

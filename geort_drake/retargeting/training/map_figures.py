@@ -1,7 +1,7 @@
-"""Figures of a map that evaluations report and trainings constrain: motion, coverage, cross-talk, pinches.
+"""Figures of a map for evaluations and trainings: motion, coverage, cross-talk, pinches.
 
-Functions take g = FK∘f, "where do the robot's fingertips (N, F, 3) go for human fingertips (N, F, 3)",
-in metres; randomness enters as a NumPy Generator.
+g = FK∘f maps human fingertips (N, F, 3) to robot fingertips (N, F, 3), in metres. Random numbers come from a
+NumPy Generator.
 """
 
 from collections.abc import Callable, Sequence

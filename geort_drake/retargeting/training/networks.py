@@ -77,11 +77,9 @@ class RetargetingNetwork(nn.Module):
         }
         self.columns = [column[j] for j in range(len(kinematics.joint_names))]
         self._in_order = self.columns == list(range(len(chains) * widest))
-        lower, upper = torch.tensor(kinematics.lower), torch.tensor(kinematics.upper)
         self.register_buffer("mean", mean[:, None, :].float())
         self.register_buffer("scale", scale[:, None, :].float())
-        self.register_buffer("centre", (0.5 * (lower + upper)).float())
-        self.register_buffer("half_range", (0.5 * (upper - lower)).float())
+        _register_joint_ranges(self, kinematics)
 
     def forward(self, p_HF: torch.Tensor) -> torch.Tensor:
         """Joint angles (N, n) in rad for human fingertips (N, F, 3) in m."""
