@@ -1,6 +1,7 @@
-"""Settings given as NAME=VALUE texts, checked against the fields of a dataclass."""
+"""Checks the settings in a dataclass, and parses them from NAME=VALUE texts."""
 
 import dataclasses
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -49,3 +50,12 @@ def settings_of(config: Any) -> dict[str, Any]:
     """The fields of a dataclass that are numbers, truth values or texts, with their values."""
     values = {field.name: getattr(config, field.name, None) for field in dataclasses.fields(config)}
     return {name: value for name, value in values.items() if isinstance(value, bool | int | float | str)}
+
+
+def require_numbers(config: Any, what: str, may_be_zero: bool = False) -> None:
+    """Raises ValueError unless every field of a dataclass is finite and positive, or not negative."""
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if not (math.isfinite(value) and (value > 0 or (may_be_zero and value == 0))):
+            expected = "finite and not negative" if may_be_zero else "positive and finite"
+            raise ValueError(f"{what}.{field.name} must be {expected}, not {value}")

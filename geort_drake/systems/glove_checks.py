@@ -5,6 +5,8 @@ import math
 
 import numpy as np
 
+from geort_drake.settings import require_numbers
+
 # Reasons why the input is not followed; states of `RetargetingSystem`.
 HELD_LOST = "held: the glove lost the hand"
 HELD_NOT_FINITE = "held: a keypoint or a joint target is not finite"
@@ -45,10 +47,7 @@ class GloveChecks:
 
     def validate(self) -> None:
         """Raises ValueError for values that cannot work."""
-        for field in dc.fields(self):
-            value = getattr(self, field.name)
-            if not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"checks.{field.name} must be finite and not negative, not {value}")
+        require_numbers(self, "checks", may_be_zero=True)
 
 
 @dc.dataclass(slots=True)

@@ -1,7 +1,6 @@
 """Moves the arm that carries the robot hand as a tracked wrist moves."""
 
 import dataclasses as dc
-import math
 
 import numpy as np
 from pydrake.common import Parallelism
@@ -16,6 +15,7 @@ from pydrake.planning import JointLimits as PlanningLimits
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import BusCreator, ConstantVectorSource
 
+from geort_drake.settings import require_numbers
 from geort_drake.systems.arm_motion import ArmMotion
 from geort_drake.systems.clutch import Clutch
 from geort_drake.systems.joint_limits import JointLimits
@@ -39,10 +39,7 @@ class WristToArmConfig:
 
     def validate(self) -> None:
         """Raises ValueError for values that cannot work."""
-        for field in dc.fields(self):
-            value = getattr(self, field.name)
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"wrist_to_arm.{field.name} must be positive and finite, not {value}")
+        require_numbers(self, "wrist_to_arm")
         if self.joint_speed_share > 1:
             raise ValueError(
                 f"wrist_to_arm.joint_speed_share must be at most 1, not {self.joint_speed_share}"

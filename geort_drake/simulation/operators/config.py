@@ -1,7 +1,8 @@
 """Parameters of the simulated person, with their sources."""
 
 import dataclasses as dc
-import math
+
+from geort_drake.settings import require_numbers
 
 # Parameters that are divisors.
 _DIVISORS = (
@@ -90,10 +91,7 @@ class OperatorConfig:
 
     def validate(self) -> None:
         """Raises ValueError for values that cannot work."""
-        for field in dc.fields(self):
-            value = getattr(self, field.name)
-            if not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"operator.{field.name} must be finite and not negative, not {value}")
+        require_numbers(self, "operator", may_be_zero=True)
         for name in _DIVISORS:
             if getattr(self, name) == 0:
                 raise ValueError(f"operator.{name} must be positive, not 0")

@@ -10,6 +10,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
+from geort_drake.settings import require_numbers
 from geort_drake.systems.port_values import Immutable, vector_to_pose
 
 
@@ -51,10 +52,7 @@ class GraspMonitorConfig:
 
     def validate(self) -> None:
         """Raises ValueError for values that cannot work."""
-        for field in dc.fields(self):
-            value = getattr(self, field.name)
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"monitor.{field.name} must be positive and finite, not {value}")
+        require_numbers(self, "monitor")
 
 
 @dc.dataclass(frozen=True)
