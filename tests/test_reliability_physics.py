@@ -1,4 +1,4 @@
-"""Physics holds in a simulated trial, and its watch would see if it did not."""
+"""A simulated trial obeys physics, and the checks would notice if it did not."""
 
 import dataclasses as dc
 from types import SimpleNamespace
@@ -16,7 +16,7 @@ def grasp() -> GraspDiagram:
 
 
 class Idle:
-    """A plant whose motors seem to do nothing."""
+    """A plant that reports no work of its motors."""
 
     def __init__(self, plant):
         self._plant = plant
@@ -28,16 +28,16 @@ class Idle:
         return SimpleNamespace(Eval=lambda _context: np.zeros(self._plant.num_actuators()))
 
 
-def test_a_grasp_keeps_to_physics():
-    """No energy from nothing, nothing deeper in the object than 3 mm, no motor beyond its effort."""
+def test_a_grasp_obeys_physics():
+    """No energy without work, penetration of at most 3 mm, no motor beyond its limit."""
     seen = watched(grasp(), 12.0)
     assert seen.violations == 0, seen
     assert seen.contacts > 100 and 0.05 < seen.effort <= 1.0 + 1e-6
     assert 0 < seen.penetration <= 3e-3
 
 
-def test_energy_from_nothing_is_seen():
-    """The arm's motion has no source where the motors' work is left out."""
+def test_energy_without_work_is_noticed():
+    """The arm's motion has no source if the motors' work is left out."""
     parts = grasp()
     seen = watched(dc.replace(parts, plant=Idle(parts.plant)), 2.0)
     assert seen.gained > ENERGY

@@ -196,7 +196,8 @@ def _print(summary: dict) -> None:
             say(f"{text}: median {median}, 99th percentile {p99} ({latency['count']} commands)")
     if counts := summary.get("glove"):
         say(
-            f"glove: {counts['received']} frames received, {counts['refused']} refused, {counts['late']} late"
+            f"glove: {counts['received']} frames received, {counts['refused']} refused, "
+            f"{counts['late']} late, {counts['repaired']} with a repaired wrist rotation"
         )
         if counts["clock_offset_s"] is not None:
             say(f"glove: the fastest frame arrived {counts['clock_offset_s']:.3f} s after its time stamp")

@@ -1,4 +1,4 @@
-"""A retargeting system by itself, fed by hand, and what is wrong with what it gives out."""
+"""Steps a retargeting system alone and checks its commands."""
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
@@ -38,7 +38,7 @@ class Bench:
 
 
 class Watch:
-    """Checks every command against the limits and against the command before it.
+    """Checks every command against the limits and the command before it.
 
     Args:
         start: positions before the first command, rad; a number for all joints.
@@ -49,7 +49,7 @@ class Watch:
         self._q, self._v = start + np.zeros(len(limits.lower)), np.zeros(len(limits.lower))
 
     def broken(self, q: np.ndarray, v: np.ndarray) -> list[str]:
-        """Which guarantees positions (rad) and velocities (rad/s) of the next update break."""
+        """Returns the guarantees that the next positions (rad) and velocities (rad/s) break."""
         limits, period = self._limits, self._period
         checks = {
             "finite": bool(np.isfinite(q).all() and np.isfinite(v).all()),

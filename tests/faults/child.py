@@ -1,4 +1,4 @@
-"""Work in a process of its own, with limits on time and memory, and how it ended.
+"""Runs a function in a child process with limits on time and memory, and reports how it ended.
 
 Processes are forked from one that has imported the package already, so that each takes milliseconds.
 """
@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 MEMORY = 2 << 30  # bytes that a process may ask for beyond what the imports took
-HANGING = 120.0  # s; whoever takes longer counts as hanging, also on a busy machine
+HANGING = 120.0  # s; a longer run counts as hanging, also on a busy machine
 
 _FORK = multiprocessing.get_context("forkserver")
 _FORK.set_forkserver_preload(
@@ -32,7 +32,7 @@ class Ending:
     """How a process ended.
 
     Attributes:
-        code: its exit code; a signal's number negative; None where it had to be stopped as hanging.
+        code: its exit code, or minus a signal's number; None if it hung and was stopped.
         error: name of the class of the exception that ended it, or empty.
         output: what it printed.
         seconds: how long it ran.
@@ -45,9 +45,9 @@ class Ending:
 
 
 class Child:
-    """A process that runs `function(*arguments)` in `folder` as a script's `main`.
+    """A process that runs `function(*arguments)` in `folder` like a command.
 
-    What it prints, and the caches that it fills, go to `beside`, so that `folder` shows what it wrote.
+    Its output and its caches go to `beside`, so that `folder` holds only what it wrote.
     """
 
     def __init__(self, function: Callable, arguments: tuple, folder: Path, beside: Path, **limits: int):
@@ -59,7 +59,7 @@ class Child:
         self.process.start()
 
     def wait(self, seconds: float = HANGING) -> Ending:
-        """Waits for the end, or makes one."""
+        """Waits for the end; ends the process if it hangs."""
         self.process.join(seconds)
         code = self.process.exitcode
         if code is None:
@@ -77,7 +77,7 @@ class Child:
 def run(
     function: Callable, arguments: tuple, folder: Path, beside: Path, seconds: float = HANGING, **limits: int
 ) -> Ending:
-    """A `Child` from start to end, for which it has so many seconds."""
+    """Runs a `Child` to its end, which must come in so many seconds."""
     return Child(function, arguments, folder, beside, **limits).wait(seconds)
 
 
@@ -89,7 +89,7 @@ def _run(function: Callable, arguments: tuple, folder: Path, beside: Path, limit
     output = os.open(beside / "output.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     for stream in (1, 2):
         os.dup2(output, stream)
-    # As Python does at its start, whatever the parent has made of it.
+    # Python's default, which the parent may have changed.
     sys.stderr.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limits = {"RLIMIT_AS": pages * resource.getpagesize() + MEMORY, **limits}
@@ -100,7 +100,7 @@ def _run(function: Callable, arguments: tuple, folder: Path, beside: Path, limit
         try:
             return function(*arguments)
         except BaseException as error:
-            # Opened before any limit on files, which this is none of.
+            # Opened before the limits on files.
             os.write(note, type(error).__name__.encode())
             raise
         finally:

@@ -1,4 +1,4 @@
-"""Disks that are full or read-only: real ones where this process may mount them."""
+"""Full and read-only disks, mounted in memory if this process may mount."""
 
 import contextlib
 import os
@@ -49,7 +49,7 @@ WRITERS = (save_recording, record_session, save_checkpoint, save_text, append_tr
 
 
 def full(folder: Path) -> list[str]:
-    """Fills disks of 16 KiB with each writer. What is wrong with what they say and leave."""
+    """Fills a disk of 16 KiB with each writer. Returns what is wrong with its error and what it leaves."""
     wrong = []
     for writer in WRITERS:
         with mounted(folder / writer.__name__, "size=16k") as disk:
@@ -67,7 +67,7 @@ def full(folder: Path) -> list[str]:
 
 
 def read_only(folder: Path) -> list[str]:
-    """Writes to disks that may only be read. What is wrong with what the writers say."""
+    """Writes to a read-only disk with each writer. Returns what is wrong with its error."""
     wrong = []
     for writer in WRITERS:
         with mounted(folder / writer.__name__, "ro") as disk:
@@ -77,7 +77,7 @@ def read_only(folder: Path) -> list[str]:
 
 
 def can_mount(folder: Path) -> bool:
-    """Whether this process may mount disks: the superuser outside of most containers."""
+    """Returns whether this process may mount disks; few but the superuser may."""
     if os.geteuid() != 0:
         return False
     try:
@@ -89,7 +89,7 @@ def can_mount(folder: Path) -> bool:
 
 @contextlib.contextmanager
 def mounted(folder: Path, options: str) -> Iterator[Path]:
-    """A disk in memory at `folder`, gone afterwards."""
+    """Mounts a disk in memory at `folder`."""
     folder.mkdir(parents=True)
     command = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
     subprocess.run(command, check=True, capture_output=True)

@@ -1,8 +1,8 @@
-"""A glove that fails in every way, and what the retargeting makes of it."""
+"""Faulty glove frames and wrist poses, through retargeting and arm."""
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 from arm_bench import PERIOD, ArmBench
@@ -33,7 +33,7 @@ def _stamped(shift: Callable[[float, np.random.Generator], float]) -> Fault:
     return lambda p, valid, stamp, last, rng: (p, valid, shift(stamp, rng))
 
 
-# Each changes a frame in its own way; `last` is the frame before.
+# Each changes a frame; `last` is the frame before.
 FAULTS: dict[str, Fault] = {
     "dropout": lambda p, valid, stamp, last, rng: (p, 0.0, stamp),
     "dropout with rubbish": lambda p, valid, stamp, last, rng: (rng.normal(0, 1e6, (21, 3)), 0.0, stamp),
@@ -61,7 +61,7 @@ def _moved(X_WH: RigidTransform, p: np.ndarray, rpy: np.ndarray) -> RigidTransfo
     return RigidTransform(X_WH.rotation() @ turned.rotation(), X_WH.translation() + turned.translation())
 
 
-# Each changes a wrist's pose X_WH and whether it is tracked in its own way.
+# Each changes a wrist's pose X_WH and whether it is tracked.
 WRIST_FAULTS: dict[str, WristFault] = {
     "dropout": lambda X, valid, rng: (X, 0.0),
     "dropout with rubbish": lambda X, valid, rng: (RigidTransform(rng.uniform(-99, 99, 3)), 0.0),
@@ -76,60 +76,62 @@ WRIST_FAULTS: dict[str, WristFault] = {
 }
 
 
-def _counted(count: int, spoilt: Counter[str], held: int, broken: Counter[str]) -> dict:
-    """What `count` frames came to, of which those without a fault stand under the empty name."""
-    faults = {name: spoilt[name] for name in sorted(spoilt) if name}
+def _episodes(names: Iterable[str], rng: np.random.Generator) -> Iterator[str]:
+    """Yields the name of each frame's fault, or empty; two thirds of the frames have one, in episodes."""
+    names = list(names)
+    while True:
+        fault = str(rng.choice(names)) if rng.random() < 2 / 3 else ""
+        for _ in range(int(rng.choice([1, 2, 5, 30, 120]))):
+            yield fault
+
+
+def _counted(faults: Counter[str], held: int, broken: Counter[str]) -> dict:
+    """Returns the figures of a run; frames without a fault are counted under the empty name."""
     return {
-        "frames": count,
-        "sound": spoilt[""],
-        "faults": faults,
+        "frames": faults.total(),
+        "sound": faults[""],
+        "faults": {name: faults[name] for name in sorted(faults) if name},
         "held": held,
-        "violations": sum(broken.values()),
+        "violations": broken.total(),
         "broken": dict(broken),
     }
 
 
 def fuzz_arm(count: int, seed: int) -> dict:
-    """Drives the arm through `count` poses of a wrist, two thirds of them spoilt in episodes.
+    """Drives the arm with `count` faulty wrist poses.
 
     Returns:
-        frames, how many were spoilt by which fault, how many were held, how often which limit was broken, and
-        the arm's largest speed from 0.35 s after it was held on, rad/s.
+        frames, how many had which fault, how many were held, how often which limit was broken, and the arm's
+        largest speed, rad/s, from 0.35 s after the beginning of a hold.
     """
     rng = np.random.default_rng(seed)
-    names, bench = list(WRIST_FAULTS), ArmBench()
-    spoilt: Counter[str] = Counter()
+    bench, episodes = ArmBench(), _episodes(WRIST_FAULTS, rng)
+    faults: Counter[str] = Counter()
     broken: Counter[str] = Counter()
-    left, fault, held, in_a_row, creeping = 0, "", 0, 0, 0.0
+    held, in_a_row, speed_when_held = 0, 0, 0.0
     for tick in range(count):
-        if left == 0:
-            fault = str(rng.choice(names)) if rng.random() < 2 / 3 else ""
-            left = int(rng.choice([1, 2, 5, 30, 120]))
-        left -= 1
+        fault = next(episodes)
         phase = tick * PERIOD * np.array([1.0, 1.7, 2.3])
         X_WH, valid = RigidTransform(RollPitchYaw(0.3 * np.sin(phase)), 0.15 * np.sin(1.3 * phase)), 1.0
         if fault:
             X_WH, valid = WRIST_FAULTS[fault](X_WH, valid, rng)
         q, v, state = bench.tick(X_WH, valid)
         broken.update(bench.watch.broken(q, v))
-        spoilt[fault] += 1
+        faults[fault] += 1
         in_a_row = 0 if valid >= 0.5 and not state else in_a_row + 1
         held += in_a_row > 0
         if in_a_row > 35:
-            creeping = max(creeping, float(np.abs(v).max()))
-    return {**_counted(count, spoilt, held, broken), "speed_when_held": creeping}
+            speed_when_held = max(speed_when_held, float(np.abs(v).max()))
+    return {**_counted(faults, held, broken), "speed_when_held": speed_when_held}
 
 
 def faulty_frames(count: int, rng: np.random.Generator) -> Iterator[tuple[Frame, str]]:
-    """`count` frames of play, two thirds of them spoilt in episodes, and the name of each one's fault."""
-    names, recording = list(FAULTS), play()
-    start, left, fault = int(rng.integers(0, len(recording))), 0, ""
-    last = recording.p_HK[start].astype(float)
+    """Yields `count` faulty frames of play and the name of each one's fault, or empty."""
+    recording = play()
+    start = int(rng.integers(0, len(recording)))
+    last, episodes = recording.p_HK[start].astype(float), _episodes(FAULTS, rng)
     for number in range(count):
-        if left == 0:
-            fault = str(rng.choice(names)) if rng.random() < 2 / 3 else ""
-            left = int(rng.choice([1, 2, 5, 30, 120]))
-        left -= 1
+        fault = next(episodes)
         frame = recording.p_HK[(start + number) % len(recording)].astype(float), 1.0, 100.0 + 0.01 * number
         if fault:
             frame = FAULTS[fault](*frame, last, rng)
@@ -141,16 +143,13 @@ def fuzz_system(count: int, seed: int) -> dict:
     """Drives systems of several periods, gains, low-passes and latencies through `count` faulty frames.
 
     Returns:
-        frames, how many were spoilt by which fault, how many were held, and how often which guarantee was
-        broken.
+        frames, how many had which fault, how many were held, and how often which guarantee was broken.
     """
     rng = np.random.default_rng(seed)
-    spoilt: Counter[str] = Counter()
+    faults: Counter[str] = Counter()
     broken: Counter[str] = Counter()
-    held = left = 0
-    done = 0
-    while done < count:
-        left = min(1000, count - done)
+    held = 0
+    for done in range(0, count, 1000):
         period = float(rng.choice([0.002, 0.01, 0.033]))
         limits = JointLimits(LOWER, UPPER, float(rng.choice([5.0, 7.0])), float(rng.choice([200.0, 700.0])))
         options = {"cutoff": float(rng.choice([0.0, 5.0])), "latency": float(rng.choice([0.0, 0.004]))}
@@ -160,13 +159,12 @@ def fuzz_system(count: int, seed: int) -> dict:
             limits=limits, **options,
         )  # fmt: skip
         watch = Watch(limits, period)
-        for (keypoints, valid, stamp), fault in faulty_frames(left, rng):
+        for (keypoints, valid, stamp), fault in faulty_frames(min(1000, count - done), rng):
             q, v, status = bench.tick(keypoints, valid, stamp)
             broken.update(watch.broken(q, v))
-            spoilt[fault] += 1
+            faults[fault] += 1
             held += status.state.startswith("held")
-        done += left
-    return _counted(count, spoilt, held, broken)
+    return _counted(faults, held, broken)
 
 
 def fuzz_call(count: int, seed: int, backend: str = "numpy") -> dict:
@@ -182,7 +180,7 @@ def fuzz_call(count: int, seed: int, backend: str = "numpy") -> dict:
             q = retarget(points)
         except GeortError:
             refused += 1
-            # Refused is what is not finite, or so large that its square is not.
+            # Refused are points that are not finite, or whose squares are not.
             violations += bool(np.abs(points).max() < 1e150)
         else:
             violations += not ((LOWER <= q) & (q <= UPPER)).all()

@@ -1,4 +1,4 @@
-"""Commands that fold the hand into itself, and what the guard makes of them."""
+"""Commands that fold the hand into itself, through the guard."""
 
 import time
 from collections import Counter
@@ -24,12 +24,11 @@ COMMANDS: dict[str, Callable[[np.ndarray, np.ndarray, np.random.Generator], np.n
 
 
 def fuzz_guard(count: int, seed: int) -> dict:
-    """Takes the guard of an Allegro hand through `count` commands, held for one to 40 steps each way.
+    """Gives the guard of an Allegro hand `count` commands, each repeated for one to 40 steps.
 
     Returns:
-        steps, how many were of which kind of command, how many of these were corrected, how often which
-        guarantee was broken, and the median times, µs, of steps that passed a finite command on and of those
-        that corrected one.
+        steps, how many had which kind of command, how many of these were corrected, how often which guarantee
+        was broken, and the median times, µs, of steps that passed a finite command on or corrected it.
     """
     rng = np.random.default_rng(seed)
     hand = HandModel(load_hand("allegro_right"))

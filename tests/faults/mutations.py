@@ -1,4 +1,4 @@
-"""Sound inputs that are changed at random: a reader takes them or refuses them by name, and nothing else."""
+"""Valid inputs changed at random: a reader accepts them or refuses them with an error of ours."""
 
 import copy
 import json
@@ -31,7 +31,7 @@ ARRAYS: tuple[Any, ...] = (
 
 
 def mutate(path: Path, rng: np.random.Generator) -> None:
-    """Changes a file: its bytes, or, half of the times where that can be, what is in it."""
+    """Changes a file: its bytes, or half of the time its parsed contents, if its format is known."""
     within = {
         ".json": _mutate_json, ".jsonl": _mutate_lines, ".yaml": _mutate_yaml, ".npz": _mutate_arrays,
         ".npy": _mutate_array, ".pkl": _mutate_pickle,
@@ -43,7 +43,7 @@ def mutate(path: Path, rng: np.random.Generator) -> None:
 
 
 def mutated(content: bytes, rng: np.random.Generator) -> bytes:
-    """Some bytes changed, left out, repeated or put in."""
+    """Returns the contents with some bytes changed, removed, repeated or inserted."""
     data = bytearray(content)
     for _ in range(int(rng.integers(1, 5))):
         # Half of the changes are in the first bytes, where headers are.
@@ -64,7 +64,7 @@ def mutated(content: bytes, rng: np.random.Generator) -> bytes:
 
 
 def changed(value: Any, rng: np.random.Generator) -> Any:
-    """The same lists and dicts with something else at one place."""
+    """Returns a copy of nested lists and dicts with one value changed or removed."""
     value = copy.deepcopy(value)
     place = value
     while isinstance(place, list | dict) and place:
@@ -85,14 +85,14 @@ def changed(value: Any, rng: np.random.Generator) -> Any:
 
 
 def fuzz(count: int, seed: int, folder: Path, report: Callable[[int, int], None] | None = None) -> dict:
-    """Changes sound inputs of every kind, `count` times in all, and reads them.
+    """Reads `count` changed inputs, evenly of every kind.
 
     Args:
         report: called with how many were read, and of how many.
 
     Returns:
-        inputs tried of each kind, and what failed: whatever is not read, nor refused by an error of ours, or
-        writes something, or hangs, or ends the process.
+        inputs, how many of each kind were tried, and the failures: other errors, files written, hangs and
+        crashes.
     """
     inputs, beside = folder / "inputs", folder / "beside"
     inputs.mkdir(parents=True)
@@ -123,7 +123,7 @@ def _fuzz(readers: list[Reader], numbers: range, seed: int, folder: Path) -> Non
         for number in numbers:
             reader = readers[number % len(readers)]
             content = reader.path.read_bytes()
-            # Each number's change can be made again without those before it.
+            # Each change is reproducible without those before it.
             mutate(reader.path, np.random.default_rng([seed, number]))
             os.pwrite(at.fileno(), str(number).encode(), 0)
             try:
@@ -137,7 +137,7 @@ def _fuzz(readers: list[Reader], numbers: range, seed: int, folder: Path) -> Non
 
 
 def wrong_with(reader: Reader) -> str:
-    """What a reader does to its input beyond reading it or refusing it by name; empty, where nothing."""
+    """Returns the error of a reader that is none of ours, or empty."""
     try:
         reader.read(reader.path)
     except GeortError:

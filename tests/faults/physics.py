@@ -1,4 +1,4 @@
-"""What physics forbids in a simulated trial: energy from nothing, pierced bodies, motors beyond limits."""
+"""Checks that a simulated trial obeys physics: energy, penetration, motor limits."""
 
 import dataclasses as dc
 
@@ -15,15 +15,15 @@ ENERGY = 0.05
 
 @dc.dataclass
 class Invariants:
-    """What was seen in a trial.
+    """Figures of a trial.
 
     Attributes:
         steps: of the plant.
-        effort: the largest share of a motor's limit.
-        penetration: the deepest that anything was in the object, m.
+        effort: the largest effort relative to a motor's limit.
+        penetration: the largest depth of a contact with the object, m.
         contacts: steps with a contact of the object.
-        gained: the most energy that came from nothing in any stretch of the trial, J.
-        violations: steps at which something was beyond its bound.
+        gained: the largest energy gained without work in any interval of the trial, J.
+        violations: steps with a figure beyond its bound.
     """
 
     steps: int = 0
@@ -35,11 +35,10 @@ class Invariants:
 
 
 def watched(parts: GraspDiagram, duration: float) -> Invariants:
-    """Simulates a trial for `duration` seconds, or until it is judged, and looks at every step of the plant.
+    """Simulates a trial for `duration` seconds, or until it is judged, and checks every step of the plant.
 
-    Energy: motors do work, everything else only takes, so kinetic and potential energy of all bodies may not
-    rise by more than the motors' work. Power at the end of a step times its length is no less than the work
-    in it, because of how the plant is stepped; what the energy rises beyond that came from nothing.
+    Only motors add energy, so the energy of all bodies may not rise by more than the motors' work. Because of
+    how the plant is stepped, power at the end of a step times its length is an upper bound of that work.
     """
     plant, seen = parts.plant, Invariants()
     actuators = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices()]

@@ -1,4 +1,4 @@
-"""Every reader of what people, gloves and robots hand in: a sound input of each, and what reads it."""
+"""Every reader of input from users, gloves and robots, with a valid input for each."""
 
 import dataclasses as dc
 import json
@@ -34,13 +34,13 @@ FRAMES = 60  # of a recording: enough to be one, and read quickly
 
 @dc.dataclass(frozen=True)
 class Reader:
-    """What reads a kind of input.
+    """A reader of one kind of input.
 
     Attributes:
         name: of the kind.
-        path: a sound input, which may be changed.
-        read: reads an input at a path. Raises GeortError where it refuses it, and AssertionError where it
-            takes it for what it is not.
+        path: a valid input, which may be changed.
+        read: reads the input at a path. Raises GeortError if it refuses it, and AssertionError if it accepts
+            something unusable.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Reader:
 
 
 def sound_inputs(folder: Path) -> list[Reader]:
-    """Writes a sound input of every kind into a folder; each reader takes its own."""
+    """Writes a valid input of every kind into a folder, and reads each."""
     readers = [*_recordings(folder), *_checkpoints(folder), *_descriptions(folder), *_messages(folder)]
     readers += _results(folder)
     for reader in readers:
@@ -131,7 +131,7 @@ def _room(folder: Path, name: str) -> Path:
     return folder / name
 
 
-# -- what reads them
+# -- readers
 
 
 def recording(path: Path) -> None:
@@ -150,7 +150,7 @@ def retargeter(path: Path) -> None:
 
 
 def forged_retargeter(path: Path) -> None:
-    """With a digest that agrees, of whatever is in the file."""
+    """Loads a checkpoint after its digest was made to agree."""
     config = path.with_name(CHECKPOINT_CONFIG)
     kept = config.read_bytes()
     stored = json.loads(kept)
@@ -173,7 +173,7 @@ def scenario(path: Path) -> None:
 
 
 def cached_samples(path: Path) -> None:
-    """Those that are damaged are made anew."""
+    """Damaged samples are made again."""
     data = robot_data(HandModel(load_hand(path.with_name("hand.yaml"))), 5, cache=path.parent)
     assert np.isfinite(data.p_BF).all() and len(data.q) == 5, "samples that are none"
 

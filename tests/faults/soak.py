@@ -1,4 +1,4 @@
-"""Very many updates of one system: whether it grows, and whether it slows down."""
+"""Very many updates of one system: whether its memory grows, and whether it slows down."""
 
 import gc
 import os
@@ -16,60 +16,45 @@ BLOCKS = 100
 
 
 def soak(count: int) -> dict[str, dict]:
-    """`count` updates of a `RetargetingSystem` and as many calls of a `Retargeter`.
+    """Makes `count` updates of a `RetargetingSystem` and as many calls of a `Retargeter`.
 
     Returns:
-        For each: updates; violations; growth_mb, of resident memory after the first tenth; and slow_down,
-        the median CPU time of an update in the last tenth over that in the first but one, less 1.
+        For each: updates; violations; us_per_update; growth_mb, growth of the resident memory after the first
+        tenth; and slow_down, the median CPU time of an update in the last tenth over that in the second, less
+        1.
     """
-    return {"RetargetingSystem": _system(count), "Retargeter": _call(count)}
+    bench, frames = Bench(checks=GloveChecks(ease_at_start=False)), play().p_HK.astype(float)
+    watch, retarget = Watch(bench.limits, bench.period), smooth_retargeter()
 
-
-def _system(count: int) -> dict:
-    bench = Bench(checks=GloveChecks(ease_at_start=False))
-    watch, frames = Watch(bench.limits, bench.period), play().p_HK.astype(float)
-    number = violations = 0
-
-    def update() -> None:
-        nonlocal number, violations
+    def update(number: int) -> int:
         q, v, _ = bench.tick(frames[number % len(frames)], float(number % 997 > 5))
-        violations += len(watch.broken(q, v))
-        number += 1
+        return len(watch.broken(q, v))
 
-    return _measured(update, count) | {"violations": violations}
+    def call(number: int) -> int:
+        return int(not np.isfinite(retarget(frames[number % len(frames)]).sum()))
 
-
-def _call(count: int) -> dict:
-    retarget, frames = smooth_retargeter(), play().p_HK.astype(float)
-    number = violations = 0
-
-    def call() -> None:
-        nonlocal number, violations
-        q = retarget(frames[number % len(frames)])
-        violations += not np.isfinite(q.sum())
-        number += 1
-
-    return _measured(call, count) | {"violations": violations}
+    return {"RetargetingSystem": _measured(update, count), "Retargeter": _measured(call, count)}
 
 
-def _measured(update: Callable[[], None], count: int) -> dict:
-    blocks = min(BLOCKS, count)
+def _measured(step: Callable[[int], int], count: int) -> dict:
+    """Calls `step`, which returns the violations of an update, with the update's number."""
+    blocks = np.array_split(np.arange(count), min(BLOCKS, count))
     # The first tenth fills caches and pools.
-    tenth = max(1, blocks // 10)
-    times, memory = [], {}
-    for block in range(blocks):
-        steps = count * (block + 1) // blocks - count * block // blocks
+    tenth = max(1, len(blocks) // 10)
+    times, memory, violations = [], {}, 0
+    for block, numbers in enumerate(blocks, 1):
         started = time.thread_time()
-        for _ in range(steps):
-            update()
-        times.append((time.thread_time() - started) / steps)
-        if block + 1 in (tenth, blocks):
+        for number in numbers.tolist():
+            violations += step(number)
+        times.append((time.thread_time() - started) / len(numbers))
+        if block in (tenth, len(blocks)):
             gc.collect()
-            memory[block + 1] = _resident_mb()
+            memory[block] = _resident_mb()
     early, late = np.median(times[tenth : 2 * tenth] or times), np.median(times[-tenth:])
     return {
         "updates": count,
-        "growth_mb": round(max(0.0, memory[blocks] - memory[tenth]), 2),
+        "violations": violations,
+        "growth_mb": round(max(0.0, memory[len(blocks)] - memory[tenth]), 2),
         "us_per_update": round(1e6 * float(np.median(times)), 1),
         "slow_down": round(float(late / early) - 1.0, 4),
     }

@@ -1,4 +1,4 @@
-"""Sound inputs that faults are put into: a hand in play, a map for it, and its checkpoint."""
+"""Valid inputs for fault injection: a recording, a retargeter for it, and its checkpoint."""
 
 from functools import cache
 from pathlib import Path
@@ -20,12 +20,12 @@ LOWER, UPPER = np.full(16, -0.4), np.full(16, 1.6)
 
 @cache
 def play() -> Recording:
-    """Twelve seconds at 100 Hz; nobody may change them."""
+    """Twelve seconds at 100 Hz, shared: do not change them."""
     return synthesize_play(4, duration_s=12.0, rate_hz=100.0)
 
 
 def smooth_arrays(gain: float = 1.0) -> dict[str, np.ndarray]:
-    """Random networks about the mean hand; in play their joints reach 4.2 rad/s times `gain`."""
+    """Random networks; for `play` the joints reach 4.2 rad/s times `gain`."""
     rng = np.random.default_rng(2)
     centre = play().p_HK[:, list(TIPS)].mean(axis=0)[:, None]
     weight0 = gain * rng.normal(0, 2.4, (4, 3, 8))
