@@ -174,7 +174,7 @@ def test_a_recording_unfit_for_training_is_refused_before_training(refused, comm
     """Too few frames and no pinch are found at once."""
     line = READERS[command]
     refused(line.format("@r/short.npy"), "short.npy: 100 valid frames, training needs at least 300")
-    refused(line.format("@r/no_pinch.npy"), "no_pinch.npy: no pinch", "within 15 mm")
+    refused(line.format("@r/no_pinch.npy"), "no_pinch.npy: the thumb never comes within 15 mm")
 
 
 @pytest.mark.parametrize(
