@@ -12,7 +12,7 @@ from geort_drake.benchmark import folder as benchmark_folder
 from geort_drake.benchmark import methods, trials
 from geort_drake.benchmark.config import read_config
 from geort_drake.benchmark.folder import open_benchmark
-from geort_drake.benchmark.methods import measure_latency, names_of
+from geort_drake.benchmark.methods import names_of
 from geort_drake.benchmark.records import TrialKey, TrialLog, key_of, read_records
 from geort_drake.benchmark.report import write_grasp_report
 from geort_drake.cli import run_command
@@ -286,19 +286,6 @@ def test_a_trial_can_be_recorded_and_must_come_out_the_same(copy, capsys):
 
 
 # -- latency and pairing
-
-
-def test_the_latency_is_the_median_of_successive_calls(play, monkeypatch):
-    """By a clock that the method advances; neither warm-up nor a few slow calls count."""
-    clock, calls = [0.0], [0]
-
-    def retarget(keypoints):
-        assert keypoints.shape == (21, 3)
-        clock[0] += 1.0 if calls[0] % 40 < 10 or calls[0] % 3 == 0 else 0.004
-        calls[0] += 1
-
-    monkeypatch.setattr(methods.time, "thread_time", lambda: clock[0])
-    assert measure_latency(retarget, play) == pytest.approx(0.004)
 
 
 def test_every_method_has_its_measured_latency_unless_none_is_wanted(tmp_path, play, monkeypatch):

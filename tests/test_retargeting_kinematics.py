@@ -50,19 +50,6 @@ def test_fingertips_equal_the_composition_of_transforms(rng):
     np.testing.assert_allclose(hand.fingertips(torch.tensor(q)).numpy(), expected, atol=1e-14)
 
 
-def test_fingertips_differentiate(rng):
-    """Autograd agrees with central differences of the composition."""
-    hand = random_hand(rng)
-    q = rng.uniform(-1, 1, len(hand.joint_names))
-    J = torch.autograd.functional.jacobian(hand.fingertips, torch.tensor(q)).numpy()
-    step = 1e-6
-    for j in range(len(q)):
-        e = np.zeros_like(q)
-        e[j] = step
-        numeric = (composed(hand, q + e) - composed(hand, q - e)) / (2 * step)
-        np.testing.assert_allclose(J[:, :, j], numeric, atol=1e-9)
-
-
 def test_the_mirror_image_has_its_fingertips_at_negative_y(rng):
     """Same q, reflected points: what a left hand is to a right one."""
     hand = random_hand(rng)

@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from geort_drake.errors import GeortError, UnknownNameError
-from geort_drake.settings import parse_settings, settings_of
+from geort_drake.settings import parse_settings
 
 
 @dataclasses.dataclass
@@ -22,12 +22,6 @@ def test_values_get_the_type_of_the_default():
     texts = ["steps=20", "rate=1e-3", "exact=False", "mode=a=b", "steps=30"]
     assert parse_settings(texts, Config, "x") == {"steps": 30, "rate": 1e-3, "exact": False, "mode": "a=b"}
     assert parse_settings([], Config(), "x") == {}
-
-
-def test_only_plain_fields_are_settings():
-    """Their values are those of the object, or the defaults of the class."""
-    assert settings_of(Config(steps=3)) == {"steps": 3, "rate": 0.5, "exact": True, "mode": "slow"}
-    assert list(settings_of(Config)) == ["steps", "rate", "exact", "mode"]
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake.errors import HandError
 from geort_drake.people.recording import Recording
 from geort_drake.systems.glove_checks import (
     FROZEN,
@@ -46,19 +45,6 @@ def test_a_joint_stops_at_a_far_target_without_overshoot():
         if q[0] > 1.5 - 1e-9:
             times.append(0.001 * (step + 1))
     assert times[0] == pytest.approx(1.5 / 5.0 + 5.0 / 100.0, abs=0.003)
-
-
-@pytest.mark.parametrize(
-    ("limits", "message"),
-    [
-        ({"upper": np.array([-1.0, 1.0])}, "lower ones must be below upper ones"),
-        ({"acceleration": np.array([1.0, np.inf])}, "acceleration must be positive and finite"),
-    ],
-)
-def test_joint_limits_that_make_no_sense_are_refused(limits, message):
-    """The message says which."""
-    with pytest.raises(HandError, match=message):
-        JointLimits(**({"lower": np.zeros(2), "upper": np.ones(2)} | limits))
 
 
 # -- what a good glove sends

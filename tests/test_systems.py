@@ -208,8 +208,8 @@ def test_clutch_moves_the_hand_by_what_the_wrist_moved_and_survives_a_gap():
 # -- GraspMonitor
 
 
-def run_monitor(heights, contacts, period=0.1, x=None, hand_heights=None, self_contacts=None, **config):
-    """Feeds one height, contact vector, place x, hand and self-contact per period; the outcome after them."""
+def run_monitor(heights, contacts, period=0.1, x=None, hand_heights=None, **config):
+    """Feeds one height, contact vector, place x and hand per period; the outcome after them."""
     monitor = GraspMonitor(
         2, lambda X_WO: X_WO.translation()[2] - 0.02, 0.1, GraspMonitorConfig(period=period, **config)
     )
@@ -219,7 +219,7 @@ def run_monitor(heights, contacts, period=0.1, x=None, hand_heights=None, self_c
         pose = pose_to_vector(RigidTransform([0.5 if x is None else x[step], 0, 0.12 + height]))
         monitor.GetInputPort("object_pose").FixValue(context, pose)
         monitor.GetInputPort("contact").FixValue(context, contact)
-        monitor.GetInputPort("self_contact").FixValue(context, self_contacts[step] if self_contacts else 0.0)
+        monitor.GetInputPort("self_contact").FixValue(context, 0.0)
         above = height if hand_heights is None else hand_heights[step]
         X_WB = RigidTransform(RotationMatrix.MakeXRotation(1.0), [0.4, 0.1, 0.3 + above])
         monitor.GetInputPort("hand_pose").FixValue(context, pose_to_vector(X_WB))

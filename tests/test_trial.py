@@ -109,7 +109,7 @@ def test_objects_are_lifted_by_the_other_grips(name):
 
 def test_one_seed_gives_one_trial():
     """To the last bit, also through a map with a memory, which `run_trial` resets."""
-    scenario = scenario_with("cylinder", "{timeout: 1.5}")
+    scenario = scenario_with("cylinder", "{timeout: 0.8}")
     used = centred_map()
     first, glove = run_trial(scenario, used, (person_and_rest()[0], planned_goal("cylinder")))
     used(glove.p_HK[0] + [0.02, 0.0, -0.03])
@@ -123,7 +123,7 @@ def test_one_seed_gives_one_trial():
 
 def test_a_map_that_does_nothing_times_out_in_a_named_phase():
     """Without finger motion nothing is lifted; the failure has the phase it ended in."""
-    scenario = scenario_with("cylinder", "{timeout: 5.0}")
+    scenario = scenario_with("cylinder", "{timeout: 3.0}")
     human = (person_and_rest()[0], planned_goal("cylinder"))
     result, glove = run_trial(scenario, HoldPose(), human)
     assert not result.success and result.completion_time is None and result.first_attempt is False
@@ -131,7 +131,7 @@ def test_a_map_that_does_nothing_times_out_in_a_named_phase():
     assert failure in ("timeout", "thrown")
     assert phase in {one.name.lower() for one in GraspPhase} - {"done", "hold", "lift"}
     if failure == "timeout":
-        assert result.simulated_time == pytest.approx(5.0)
+        assert result.simulated_time == pytest.approx(3.0)
     assert result.peak_height < 0.05 and result.slip is None
     assert glove.metadata["outcome"] == result.outcome
 
