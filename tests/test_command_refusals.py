@@ -193,7 +193,7 @@ def test_a_recording_unfit_for_training_is_refused_before_training(refused, comm
         ("--hand allegro_left --recording @r/no_wrist.npz", ["no_wrist.npz", "right hand", "left one"]),
         ("--scenario-name Lift", ["unknown scenario", "'Lift'", "Grasp"]),
         ("--scenario-file nowhere.yaml", ["nowhere.yaml does not exist"]),
-        ("--scenario-file @s/malformed.yaml", ["malformed.yaml", "no mapping of names"]),
+        ("--scenario-file @s/malformed.yaml", ["malformed.yaml", "must map names"]),
         ("--scenario-file @s/unknown_field.yaml", ["unknown_field.yaml", "colour"]),
         ("--scenario-file @s/wrong_type.yaml", ["wrong_type.yaml", "soon"]),
         ("--scenario-text '{timeout: .nan}'", ["timeout must be positive", "nan"]),

@@ -214,7 +214,7 @@ def test_results_without_their_configuration_are_refused(copy, play):
     (copy / "config.json").unlink()
     with pytest.raises(BenchmarkError, match=r"holds trials without their config\.json"):
         open_benchmark(copy, load_scenario(text=TOO_SHORT), play, ["hold"], ["cylinder"], 1)
-    with pytest.raises(BenchmarkError, match=r"config\.json: there is no such file"):
+    with pytest.raises(BenchmarkError, match=r"config\.json: no such file"):
         write_grasp_report(copy)
 
 

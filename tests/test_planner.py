@@ -114,9 +114,12 @@ def test_a_planned_grasp_touches_and_nothing_collides(name):
     """In the planned posture, in a plant without collision filters, only fingertips meet the object."""
     scenario, description = scenario_with(name), load_hand("allegro_right")
     planner = GraspPlanner(scenario, description)
+    # The goal does not hold the whole posture.
+    robot, tried = planner._kinematics, []
+    hand_pose = robot.hand_pose
+    robot.hand_pose = lambda q: tried.append(q) or hand_pose(q)
     goal = planner.plan()
-    # The whole posture is no part of the goal.
-    planned = planner._kinematics.joint_positions(planner._search().q_touch)
+    planned = robot.joint_positions(next(q for q in tried if hand_pose(q).IsExactlyEqualTo(goal.X_OB)))
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
     add_robot(plant, scenario, description)

@@ -153,8 +153,8 @@ def test_wrong_values_are_refused_by_name(text, message):
 @pytest.mark.parametrize(
     ("contents", "message"),
     [
-        (b"- a\n- b\n", "no mapping of names to scenarios"),
-        (b"Grasp: " + b"[" * 5000 + b"]" * 5000, "no mapping of names to scenarios"),
+        (b"- a\n- b\n", "must map names to scenarios"),
+        (b"Grasp: " + b"[" * 5000 + b"]" * 5000, "must map names to scenarios"),
         (b"Grasp:\n  timeout: 5\n  object: {yaw: 0.1, yaw: 0.2}\n", "'yaw' is given twice in .* line 3"),
     ],
 )

@@ -58,7 +58,7 @@ def read_config(folder: Path) -> dict:
     """Reads the configuration of a grasp benchmark; raises BenchmarkError if it is missing or damaged."""
     path = folder / CONFIG
     if not path.is_file():
-        raise BenchmarkError(f"{path}: there is no such file; a benchmark writes it when it begins")
+        raise BenchmarkError(f"{path}: no such file; a benchmark writes it when it begins")
     return parse_json(path.read_bytes(), GraspConfig, _NOT_CONFIG.format(path))
 
 

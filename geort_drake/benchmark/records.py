@@ -122,7 +122,7 @@ def read_records(path: str | os.PathLike) -> list[Record]:
     """
     path = Path(path)
     if not path.is_file():
-        raise BenchmarkError(f"{path}: there is no such results file")
+        raise BenchmarkError(f"{path}: no such results file")
     return _parse(path, path.read_bytes().rpartition(b"\n")[0])
 
 

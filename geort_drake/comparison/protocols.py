@@ -30,7 +30,7 @@ class Protocol:
     Attributes:
         name: SAME_PERSON, HELD_OUT or OTHER_PERSON.
         title: in tables.
-        meaning: of its metrics, and what is left out.
+        meaning: of its metrics, and omissions.
         cases: one per part.
         with_coverage: whether coverage of the robot's C-space is meaningful.
     """

@@ -17,7 +17,7 @@ from geort_drake.retargeting.training.human_data import HumanData
 ROUNDS = 20  # of closest points and least squares; further ones move points by less than a millimetre
 PINCH_WEIGHT = 10.0  # of a pinch's width against a fingertip's distance from its place in training
 SHEAR_WEIGHT = 3.0  # of everything but stretching along the axes
-PINCH_FRAMES = 2000  # at most so many are used
+PINCH_FRAMES = 2000  # maximum number of frames in the pinch equations
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ PROVENANCE, HISTORY, METRICS = "provenance.json", "history.csv", "metrics.json"
 REQUIRED = (CONFIG, WEIGHTS, HAND, PROVENANCE, HISTORY)
 DIGESTED = (WEIGHTS, HAND, HISTORY, PROVENANCE)
 TRAINED_POINTS = "trained_points"
-MAX_BYTES = 1 << 30  # of one file; the weights of a trained map take a megabyte
+MAX_BYTES = 1 << 30  # of one file; trained weights take a megabyte
 UNITS = {"human_points": "m, wrist frame H", "joint_angles": "rad"}
 
 _CONFIG_FIELDS = ("format", "method", "finger_names", "joint_names", "human_keypoints", "sha256")
@@ -103,13 +103,13 @@ def save_checkpoint(
         path: the directory.
         arrays: of the retargeter, and under `TRAINED_POINTS` those of a `TrainedSpace`.
         method: name of the retargeting method.
-        hand: name, joint_names, finger_names, lower, upper, model_sha256 and anything else.
+        hand: name, joint_names, finger_names, lower, upper, model_sha256, and other facts.
         human_keypoints: keypoint of each finger, in the order of finger_names.
         training, provenance, metrics: JSON-ready settings, origin and evaluation.
-        history: rows of equal keys.
+        history: rows with equal keys.
 
     Raises:
-        CheckpointError: `path` holds something that is not a checkpoint, or the hand lacks a field.
+        CheckpointError: `path` holds something else than a checkpoint, or the hand lacks a field.
     """
     check_replaceable(path)
     missing = [name for name in _HAND_FIELDS if name not in hand]
@@ -163,7 +163,7 @@ def load_checkpoint(path: str | os.PathLike) -> Checkpoint:
     """
     path = Path(path)
     if not path.is_dir():
-        raise CheckpointError(f"{path}: there is no such checkpoint directory; geort-drake train writes one")
+        raise CheckpointError(f"{path}: no such checkpoint directory; geort-drake train writes one")
     missing = [name for name in REQUIRED if not (path / name).is_file()]
     if missing:
         raise CheckpointError(
@@ -203,7 +203,6 @@ def _require(holds: bool, path: Path, message: str, value: object) -> None:
 
 
 def _check_config(path: Path, config: Mapping) -> None:
-    """Checks the fields that decide what is computed."""
     if config["format"] != FORMAT:
         raise CheckpointError(f"{path}: format is {config['format']}, this version reads {FORMAT}")
     _require(isinstance(config["method"], str), path, "method must be a text", config["method"])
@@ -230,7 +229,6 @@ def _check_config(path: Path, config: Mapping) -> None:
 
 
 def _check_hand(path: Path, hand: Mapping) -> None:
-    """Checks texts, and that every joint has a lower limit below its upper one."""
     for field in ("name", "model_sha256"):
         _require(isinstance(hand[field], str), path, f"{field} must be a text", hand[field])
     joints = hand["joint_names"]

@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from geort_drake.retargeting.training.kinematics import HandKinematics
 
-# Joint limits of many turns are mistakes, and what is computed from them may overflow.
+# Joint limits of many turns are mistakes, and could cause overflow.
 MAX_ANGLE = 100.0  # rad
 
 

@@ -57,7 +57,7 @@ def object_shape(plant: MultibodyPlant, inspector: SceneGraphInspector, body: Ri
     """Reads the collision geometry of `body`.
 
     Raises:
-        ScenarioError: the body has no collision geometry, or some that is no convex primitive.
+        ScenarioError: the body has no collision geometry, or some other than convex primitives.
     """
     parts = tuple(
         (inspector.GetShape(geometry), inspector.GetPoseInFrame(geometry))

@@ -218,9 +218,9 @@ def load_scenario(
     try:
         node = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise ScenarioError(f"scenario file {path} is no mapping of names to scenarios: {error}") from error
+        raise ScenarioError(f"scenario file {path} must map names to scenarios: {error}") from error
     if not isinstance(node, yaml.MappingNode):
-        raise ScenarioError(f"scenario file {path} is no mapping of names to scenarios")
+        raise ScenarioError(f"scenario file {path} must map names to scenarios")
     _refuse_duplicates(node, str(path))
     choices = [key.value for key, _ in node.value]
     if name not in choices:

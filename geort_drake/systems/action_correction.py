@@ -25,7 +25,7 @@ class CorrectionConfig:
     policy: str = ""
 
     def validate(self) -> None:
-        """Raises ValueError for values that cannot work."""
+        """Raises ValueError for a value out of range."""
         if self.kind not in CORRECTIONS:
             raise ValueError(f"correction.kind must be one of {', '.join(CORRECTIONS)}, not '{self.kind}'")
         if not (math.isfinite(self.clearance) and self.clearance >= 0):

@@ -46,7 +46,7 @@ class GloveChecks:
     trained_tolerance: float = 0.02
 
     def validate(self) -> None:
-        """Raises ValueError for values that cannot work."""
+        """Raises ValueError for a value out of range."""
         require_numbers(self, "checks", may_be_zero=True)
 
 

@@ -8,7 +8,7 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RotationMatrix
 
 # Reflection in the xz-plane of a point, and of a pose vector. A rotation's axis is an axial vector, so its
-# sign changes besides.
+# sign also changes.
 POINT_MIRROR = np.array([1.0, -1.0, 1.0])
 POSE_MIRROR = np.array([1.0, -1.0, 1.0, -1.0, *POINT_MIRROR])
 

@@ -161,7 +161,7 @@ class RetargetingSystem(LeafSystem):
         easing = Easing.at_start(self._checks.ease_at_start)
         numbers = [STATES.index(SETTLING), 0.0, math.nan, 0.0, math.nan, 0.0, *dc.astuple(easing)]
         self._memory = self.DeclareDiscreteState(np.concatenate([q0, np.full(63, math.nan), numbers]))
-        # With a latency, the output is kept apart from what is computed meanwhile.
+        # With a latency, the output has a state of its own.
         self._output = desired
         if latency > 0:
             self._output = self.DeclareDiscreteState(np.concatenate([q0, np.zeros(n)]))

@@ -14,7 +14,7 @@ from geort_drake.systems.joint_limits import JointLimits
 
 _SLACK = 2e-4  # m; a correction aims for this much more than the clearance
 _ITERATIONS = 4
-# Nearest pairs that are opened at once; fingers side by side have twenty, most of which open with these.
+# Number of nearest pairs that are opened at once; most other near pairs open with these.
 _PAIRS = 4
 
 

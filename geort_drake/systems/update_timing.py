@@ -2,7 +2,7 @@
 
 import math
 
-# Shorter periods are lost to rounding in a long session; longer ones are no control.
+# Shorter periods are lost to rounding in a long session; longer ones give no control.
 _PERIODS = (1e-5, 10.0)  # s
 # A slower low-pass hardly moves.
 _CUTOFFS = (1e-3, 1e6)  # Hz

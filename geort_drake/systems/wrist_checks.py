@@ -64,7 +64,7 @@ class WristChecks(LeafSystem):
             code = 0
         if not np.array_equal(pose, last):
             gap = max(min(time - changed, _LONGEST_GAP), self._period)
-            # |q · q'| is the cosine of half the angle. Before the first pose all is NaN, which is no fault.
+            # |q · q'| is the cosine of half the angle. Before the first pose, comparisons with NaN are false.
             turn = 2.0 * math.acos(min(abs(float(pose[:4] @ last[:4])), 1.0))
             distance = float(np.linalg.norm(pose[4:] - last[4:]))
             if distance > _MAX_SPEED * gap or turn > _MAX_ROTATION_SPEED * gap:

@@ -38,7 +38,7 @@ class WristToArmConfig:
     posture_gain: float = 0.5
 
     def validate(self) -> None:
-        """Raises ValueError for values that cannot work."""
+        """Raises ValueError for a value out of range."""
         require_numbers(self, "wrist_to_arm")
         if self.joint_speed_share > 1:
             raise ValueError(

@@ -62,7 +62,7 @@ class TaskVectors:
             start: (N, n) joint angles inside the limits from which the descent starts.
             previous: (N, n) joint angles that the regulariser pulls towards; None omits it.
             tolerance: a frame is done when its next step is shorter, rad.
-            iterations: at most so many steps.
+            iterations: maximum number of steps.
         """
         lower, upper = self.kinematics.lower, self.kinematics.upper
         q = np.clip(start, lower, upper)

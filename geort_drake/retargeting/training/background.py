@@ -71,7 +71,7 @@ def _named_failure() -> Iterator[None]:
         yield
     except BrokenExecutor as error:
         raise TrainingError(
-            "the background process of the training ended, perhaps for lack of memory"
+            "the background process of the training ended; memory may have run out"
         ) from error
 
 

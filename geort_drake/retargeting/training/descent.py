@@ -142,5 +142,5 @@ def device_of(name: str) -> torch.device:
     if name not in ("cpu", "cuda"):
         raise UnknownNameError("device", name, ("cpu", "cuda"))
     if name == "cuda" and not torch.cuda.is_available():
-        raise TrainingError("device 'cuda' was asked for, but this machine's torch sees no CUDA device")
+        raise TrainingError("device 'cuda': this machine's torch finds no CUDA device")
     return torch.device(name)

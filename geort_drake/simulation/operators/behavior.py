@@ -1,6 +1,6 @@
 """Behaviour of a person who grasps through a robot: reach, approach, close, squeeze, lift, and retry.
 
-The person sees the robot's fingertips, its hand and the object, with delay and noise, and moves the own hand.
+The person sees the robot's fingertips, its hand and the object, with delay and noise, and moves a hand.
 Fingers are corrected continuously, in proportion to the seen error. The wrist makes minimum-jerk movements
 and waits to see the result. Nothing here knows the retargeting map.
 """
@@ -22,7 +22,7 @@ from geort_drake.simulation.wrist_motion import WristMovement, minimum_jerk
 
 
 class GraspingPerson:
-    """Decides from the seen scene how the own fingers and wrist move next.
+    """Decides from the seen scene how their fingers and wrist move next.
 
     Args:
         hand: the person's hand.
@@ -175,7 +175,7 @@ class GraspingPerson:
             return
         p_HF = state.p_HF_past[-1]
         # Forward model (Miall and Wolpert 1996): since the seen scene, the robot's fingers are assumed to
-        # have moved like the own.
+        # have moved like the person's.
         done = (p_HF - state.p_HF_past[0])[self._own]
         error = self._fingertip_errors(state, seen) - done
         target = np.zeros((5, 3))

@@ -90,7 +90,7 @@ class OperatorConfig:
     lost_distance: float = 0.04
 
     def validate(self) -> None:
-        """Raises ValueError for values that cannot work."""
+        """Raises ValueError for a value out of range."""
         require_numbers(self, "operator", may_be_zero=True)
         for name in _DIVISORS:
             if getattr(self, name) == 0:

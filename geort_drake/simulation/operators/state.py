@@ -31,7 +31,7 @@ class OperatorState(Immutable):
     `GraspingPerson.step` changes only a copy of it.
     """
 
-    theta: np.ndarray  # (20,) joint angles of the own hand, rad
+    theta: np.ndarray  # (20,) joint angles of the own hand H, rad
     X_WH: RigidTransform
     # (5, 3) own fingertips in H at the last decisions, m: the oldest is as old as the seen scene, the newest
     # is at the joint angles before this decision.

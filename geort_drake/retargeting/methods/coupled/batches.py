@@ -150,7 +150,7 @@ class BatchMaker:
         return Prepared(by_finger, (before, after, pinching, weights), near_collisions)
 
     def _near_collisions(self, network: CoupledNetwork, gaps: CollisionGaps) -> list[NearCollisions | None]:
-        """For each step jittered hands, of which three quarters nearly collided."""
+        """For each step, jittered hands; three quarters of them nearly collided."""
         config, hands, steps = self._config, self._hands, STEPS_PER_SEARCH
         margin = config.collision_margin
         pinches, _ = hands.made_up_pinches(SEARCHED // 8)

@@ -54,7 +54,7 @@ class CoupledConfig(TrainingConfig):
     collision_margin: float = 0.001  # m
 
     def validate(self) -> None:
-        """Raises TrainingError where a value makes no sense."""
+        """Raises TrainingError for a value out of range."""
         super().validate()
         for name in ("motion_target", "closed_target"):
             if (value := getattr(self, name)) >= 1:

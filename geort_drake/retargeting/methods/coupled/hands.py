@@ -184,8 +184,8 @@ class TrainingHands:
 def rarity(points: np.ndarray, radius: float) -> np.ndarray:
     """For each of the distinct points (N, D), one over the fraction of all points within `radius` of it.
 
-    With these odds a place that was visited for long is no likelier than one that was passed through. Of more
-    than COUNTED points, evenly chosen ones are counted.
+    With these odds, the time spent at a place does not matter. Of more than COUNTED points, only evenly
+    chosen ones are counted.
     """
     some = points[:: len(points) // COUNTED + 1]
     near = cKDTree(some).query_ball_point(points, radius, return_length=True)

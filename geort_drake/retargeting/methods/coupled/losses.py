@@ -20,7 +20,7 @@ def bounded_coverage_loss(points: torch.Tensor, targets: torch.Tensor, radius: f
 
 
 def cross_talk_loss(answers: torch.Tensor, floor: float = 1e-4) -> torch.Tensor:
-    """Mean motion of the other fingertips over that of the one whose human finger moved.
+    """Mean motion of the other fingertips over that of the moved finger.
 
     Args:
         answers: (F, N, F, 3) motion of every robot fingertip when human finger i (first axis) moves.

@@ -1,4 +1,4 @@
-"""Trains `geort_coupled`; docs/concepts/derivations.md says where it departs from the paper, and why."""
+"""Trains `geort_coupled`; docs/concepts/derivations.md explains its differences from the paper."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -41,9 +41,7 @@ PINCH_TARGET = 0.0105  # m; between a touch (two tip radii) and fingertips in on
 TIP_MARGIN = 0.003  # m; fingertips that the person holds apart keep this distance from touching
 FALSE_PINCH_SCALE = 0.005  # m
 COLLISION_SCALE = 0.005  # m
-CHAIN_MARGIN = (
-    0.001  # m; collision margin of a finger's own links, and of them and the palm, where it is less
-)
+CHAIN_MARGIN = 0.001  # m; upper bound of the collision margin within a finger, and between finger and palm
 WEIGHT_DECAY = 0.01  # of the fingers' own networks
 RESIDUAL_DECAY = 0.05
 MIN_STEPS_FOR_PROCESS = 300  # a process starts in the time of some hundred steps
@@ -151,7 +149,7 @@ class _Training:
         ahead, behind = batch.moved.clone(), batch.moved.clone()
         _of_each(ahead, 2).add_(batch.d)
         _of_each(behind, 2).sub_(batch.d)
-        # All fingers are evaluated where they must not move, or meet; elsewhere only the finger in question.
+        # All fingers are needed for cross-talk, pinches and collisions; elsewhere only the moved finger.
         whole = [batch.moved.flatten(0, 1), ahead.flatten(0, 1), batch.before, batch.after, batch.pinching]
         whole.append(batch.near_collisions.hands if batch.near_collisions is not None else batch.before[:0])
         own = [behind, batch.covering, batch.contexts.flatten(1, 2)]

@@ -31,7 +31,7 @@ class GeortConfig(TrainingConfig):
     refreshes: int = 10  # how often the classifier learns from the retargeter's own outputs
 
     def validate(self) -> None:
-        """Raises TrainingError for a number that makes no sense, UnknownNameError for an unknown choice."""
+        """Raises TrainingError for a number out of range, UnknownNameError for an unknown choice."""
         check_numbers(self, may_be_zero=("refreshes", "other_pinches"))
         for name, choices in (("fk", FORWARD_KINEMATICS), ("resampling", RESAMPLING)):
             if getattr(self, name) not in choices:

@@ -30,7 +30,7 @@ class Grip:
     # Finger → its angle about the vertical from the grip's axis, rad, and its height above the grip, m. The
     # axis runs from the thumb to the fingers. Angles are a right hand's; a left hand's are opposite.
     fingers: dict[str, tuple[float, float]]
-    # Whether the object lies in the palm, whose normal then is at 90° from the grip's axis.
+    # Whether the object lies in the palm; the palm's normal is then at 90° from the grip's axis.
     palm: bool = False
 
 

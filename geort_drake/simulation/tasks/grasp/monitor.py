@@ -51,7 +51,7 @@ class GraspMonitorConfig:
     drop_time: float = 0.1
 
     def validate(self) -> None:
-        """Raises ValueError for values that cannot work."""
+        """Raises ValueError for a value out of range."""
         require_numbers(self, "monitor")
 
 

@@ -7,9 +7,9 @@ arm and hand that reaches them.
 
 import dataclasses as dc
 import itertools
+from operator import itemgetter
 
 import numpy as np
-from pydrake.math import RigidTransform
 
 from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import HandDescription
@@ -74,39 +74,23 @@ class GraspPlanner:
         Raises:
             ScenarioError: no grasp is found.
         """
-        robot, best = self._kinematics, self._search()
-        names = tuple(finger.name for finger in self._description.fingers)
-        normals = {contact.part: contact.n_O for contact in best.contacts}
-        X_OB = robot.hand_pose(best.q_touch)
-        return GraspGoal(
-            finger_names=names,
-            touches=np.array([name in normals for name in names]),
-            X_OB=X_OB,
-            X_OB_before=best.X_OB_before,
-            p_BF_open=X_OB.inverse().multiply(robot.fingertips(best.q_open).T).T,
-            p_OF_touch=robot.fingertips(best.q_touch),
-            n_OF=np.array([normals.get(name, np.zeros(3)) for name in names]),
-            yaw_symmetry=yaw_candidates(robot.shape)[1],
-        )
-
-    def _search(self) -> "_Grasp":
         for offset in finger_offsets(self._kinematics.shape, self._grip):
-            found: list[_Grasp] = []
+            found: list[tuple[float, GraspGoal]] = []
             for candidate in self._candidates(offset)[:_TRIES]:
-                if len(found) == _ENOUGH or any(candidate.cost >= grasp.cost for grasp in found):
+                if len(found) == _ENOUGH or any(candidate.cost >= cost for cost, _ in found):
                     break
                 grasp = self._grasp_from(candidate)
                 if grasp is not None:
                     found.append(grasp)
             if found:
-                return min(found, key=lambda grasp: grasp.cost)
+                return min(found, key=itemgetter(0))[1]
         raise ScenarioError(
             f"the robot cannot grasp object '{self._scenario.object.name}' at "
             f"{self._scenario.object.position}: no collision-free {self._grip} grasp was found"
         )
 
-    def _grasp_from(self, candidate: "_Candidate") -> "_Grasp | None":
-        """A collision-free grasp with open fingers and a path to it, or None."""
+    def _grasp_from(self, candidate: "_Candidate") -> tuple[float, GraspGoal] | None:
+        """Cost and goal of a collision-free grasp with open fingers and a path to it, or None."""
         robot = self._kinematics
         solution = robot.touch(candidate.contacts, candidate.palm, candidate.q)
         if solution is None:
@@ -118,10 +102,23 @@ class GraspPlanner:
         q_open = robot.open_wide(q_touch) if wide else robot.open(candidate.contacts, _OPENING, q_touch)
         if q_open is None:
             return None
-        X_OB_before = self._approach.waiting_pose(robot.hand_pose(q_touch), robot.joint_positions(q_open))
+        X_OB = robot.hand_pose(q_touch)
+        X_OB_before = self._approach.waiting_pose(X_OB, robot.joint_positions(q_open))
         if X_OB_before is None:
             return None
-        return _Grasp(discomfort + candidate.penalty, candidate.contacts, q_touch, q_open, X_OB_before)
+        names = tuple(finger.name for finger in self._description.fingers)
+        normals = {contact.part: contact.n_O for contact in candidate.contacts}
+        goal = GraspGoal(
+            finger_names=names,
+            touches=np.array([name in normals for name in names]),
+            X_OB=X_OB,
+            X_OB_before=X_OB_before,
+            p_BF_open=X_OB.inverse().multiply(robot.fingertips(q_open).T).T,
+            p_OF_touch=robot.fingertips(q_touch),
+            n_OF=np.array([normals.get(name, np.zeros(3)) for name in names]),
+            yaw_symmetry=yaw_candidates(robot.shape)[1],
+        )
+        return discomfort + candidate.penalty, goal
 
     def _candidates(self, offset: float) -> list["_Candidate"]:
         """Contacts within reach, the most promising first; `offset` is one of `finger_offsets`.
@@ -166,14 +163,3 @@ class _Candidate:
     contacts: list[Contact]
     palm: Contact | None
     q: np.ndarray
-
-
-@dc.dataclass(frozen=True)
-class _Grasp:
-    """Touching and open postures of arm and hand, and the hand's waiting pose."""
-
-    cost: float
-    contacts: list[Contact]
-    q_touch: np.ndarray
-    q_open: np.ndarray
-    X_OB_before: RigidTransform
