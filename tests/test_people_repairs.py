@@ -18,16 +18,12 @@ from geort_drake.people.checks import examine, verdict
 from geort_drake.people.readers import open_recording, read_recording
 
 FRAMES = 80
-TIME_FIELDS = ("t", "timestamps", "timestamp", "time", "timestampMs")
 
 
 @functools.cache
 def sound_hand() -> Hand:
     hand = moving()
     return Hand(hand.p_HK[:FRAMES], hand.t[:FRAMES], hand.R_WH[:FRAMES], hand.p_WH[:FRAMES])
-
-
-# -- faults of one frame's numbers (an array of any shape), which change it in place
 
 
 def set_to(value):
@@ -44,144 +40,106 @@ def one_number(value):
     return fault
 
 
-def scaled(numbers):
-    numbers *= 25.0
-
-
-FRAME_FAULTS = {
-    "all NaN": set_to(np.nan),
-    "all zero": set_to(0.0),
-    "all in one place": set_to(0.5),
-    "all huge": set_to(1e30),
-    "one NaN": one_number(np.nan),
-    "one infinite": one_number(np.inf),
-    "one far away": one_number(30.0),
-    "scaled": scaled,
-}
-# Given the times and the frame.
-TIME_FAULTS = {
-    "NaN": lambda t, i: np.nan,
-    "repeated": lambda t, i: t[i - 1] if i else t[i + 1],
-    "backward": lambda t, i: t[i - 3] if i > 2 else t[i + 3],
-    "slightly backward": lambda t, i: t[i - 1] - 0.4 * (t[1] - t[0]) if i else t[i + 1] + 0.4 * (t[1] - t[0]),
-    "zero": lambda t, i: t[0] - 1e6,
-    "far ahead": lambda t, i: t[0] + 1e6,
-}
+# Each changes the numbers of one frame in place.
+FRAME_FAULTS = [
+    *map(set_to, (np.nan, 0.0, 0.5, 1e30)),
+    *map(one_number, (np.nan, np.inf, 30.0)),
+    lambda numbers: np.multiply(numbers, 25.0, out=numbers),
+]
+# The time of a frame, given the times: none, repeated, backward, slightly backward, far behind or ahead.
+TIME_FAULTS = [
+    lambda t, i: np.nan,
+    lambda t, i: t[i - 1] if i else t[i + 1],
+    lambda t, i: t[i - 3] if i > 2 else t[i + 3],
+    lambda t, i: t[i - 1] - 0.4 * (t[1] - t[0]) if i else t[i + 1] + 0.4 * (t[1] - t[0]),
+    lambda t, i: t[0] - 1e6,
+    lambda t, i: t[0] + 1e6,
+]
 # What nobody reads does not count.
-UNREAD = (
-    "radius",
-    "score",
-    "systemTime",
-    "videoFrameIndex",
-    "camMat",
-    "objName",
-    "forearmWrist",
-    "forearmArm",
-)
-# What stands in place of an object, a point or a time in JSON, or of an array in a pickle.
+UNREAD = "radius score systemTime videoFrameIndex camMat objName forearmWrist forearmArm".split()
+# What stands in place of an object, a point or a time.
 OBJECTS = (None, 7, "x", [], {}, [1.0], [[None, 1.0, 2.0]] * 21, 10**400, float("nan"), True)
 
 
 def spoil_arrays(path: Path, i: int, draw) -> None:
-    with np.load(path) as file:
-        arrays = {"data": file} if isinstance(file, np.ndarray) else {name: file[name] for name in file.files}
+    loaded = np.load(path)
+    arrays = {"data": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
     fields = [name for name, array in arrays.items() if array.dtype.kind == "f" and len(array) == FRAMES]
     field = draw(st.sampled_from(fields))
-    if field in TIME_FIELDS:
-        arrays[field][i] = TIME_FAULTS[draw(st.sampled_from(sorted(TIME_FAULTS)))](arrays[field], i)
+    if arrays[field].ndim == 1:
+        arrays[field][i] = draw(st.sampled_from(TIME_FAULTS))(arrays[field], i)
     else:
-        FRAME_FAULTS[draw(st.sampled_from(sorted(FRAME_FAULTS)))](arrays[field][i])
-    np.savez(path, **arrays)
+        draw(st.sampled_from(FRAME_FAULTS))(arrays[field][i])
+    np.save(path, arrays["data"]) if path.suffix == ".npy" else np.savez(path, **arrays)
 
 
-def spoil_array(path: Path, i: int, draw) -> None:
-    array = np.load(path)
-    FRAME_FAULTS[draw(st.sampled_from(sorted(FRAME_FAULTS)))](array[i])
-    np.save(path, array)
-
-
-def spoil_objects(frames: list, i: int, draw) -> None:
-    """Something else stands at one place in a frame, or it is missing."""
-    frame = copy.deepcopy(frames[i])
-    parts = [(frames, i)]
-    while isinstance(frame, dict | list) and len(frame):
-        keys = [k for k in frame if k not in UNREAD] if isinstance(frame, dict) else range(len(frame))
-        key = draw(st.sampled_from(list(keys)))
-        parts.append((frame, key))
-        frame = frame[key]
-    place, key = parts[draw(st.integers(0, len(parts) - 1))]
-    if len(parts) > 1:
-        frames[i] = parts[1][0]
-    if isinstance(place, dict) and draw(st.booleans()):
-        del place[key]
+def spoiled(frame, draw):
+    """The same frame with something else at one place, or without it."""
+    if isinstance(frame, np.ndarray) and draw(st.booleans()):
+        numbers = frame.copy()
+        draw(st.sampled_from(FRAME_FAULTS))(numbers)
+        return numbers
+    keys = list(range(len(frame))) if isinstance(frame, list) else []
+    keys = [key for key in frame if key not in UNREAD] if isinstance(frame, dict) else keys
+    if not keys or draw(st.integers(0, 3)) == 0:
+        return copy.deepcopy(draw(st.sampled_from(OBJECTS)))
+    key, frame = draw(st.sampled_from(keys)), copy.copy(frame)
+    if isinstance(frame, dict) and draw(st.integers(0, 3)) == 0:
+        del frame[key]
     else:
-        place[key] = copy.deepcopy(draw(st.sampled_from(OBJECTS)))
+        frame[key] = spoiled(frame[key], draw)
+    return frame
 
 
-def spoil_json(path: Path, i: int, draw) -> None:
-    contents = json.loads(path.read_text())
-    frames = contents["frames"] if isinstance(contents, dict) else contents
-    if draw(st.booleans()):
-        text, frame = path.read_text(), json.dumps(frames[i])
+def spoil_objects(path: Path, i: int, draw) -> None:
+    if path.suffix == ".pkl":
+        contents = pickle.loads(path.read_bytes())  # noqa: S301 (our own)
+    elif path.suffix == ".jsonl":
+        contents = [json.loads(line) for line in path.read_text().splitlines()]
+    else:
+        contents = json.loads(path.read_text())
+    frames = contents if isinstance(contents, list) else contents.get("frames")
+    if frames is None:
+        contents = spoiled(contents, draw)  # a file with one frame
+    else:
+        frames[i] = spoiled(frames[i], draw)
+    if path.suffix == ".pkl":
+        path.write_bytes(pickle.dumps(contents))
+    else:
+        parts = contents if path.suffix == ".jsonl" else [contents]
+        path.write_text("\n".join(map(json.dumps, parts)))
+
+
+def spoil_text(path: Path, i: int, draw) -> None:
+    """Another character stands in a frame's text, or its line ends there."""
+    text, begin = path.read_text(), 0
+    if path.suffix == ".json":
+        contents = json.loads(text)
+        frame = json.dumps((contents if isinstance(contents, list) else contents["frames"])[i])
         begin = text.index(frame)
-        at = begin + draw(st.integers(0, len(frame) - 1))
-        path.write_text(text[:at] + draw(st.sampled_from(["#", "{", "]", '"'])) + text[at + 1 :])
     else:
-        spoil_objects(frames, i, draw)
-        path.write_text(json.dumps(contents))
+        lines = text.splitlines(keepends=True)
+        row = i + (path.suffix == ".csv")
+        frame, begin = lines[row].rstrip(), sum(map(len, lines[:row]))
+    at = draw(st.integers(0, len(frame) - 1))
+    cut = path.suffix != ".json" and draw(st.booleans())
+    end = begin + (len(frame) if cut else at + 1)
+    path.write_text(text[: begin + at] + ("" if cut else draw(st.sampled_from('#{]"'))) + text[end:])
 
 
-def spoil_lines(path: Path, i: int, draw) -> None:
-    lines = path.read_text().splitlines()
-    if draw(st.booleans()):
-        lines[i] = lines[i][: draw(st.integers(1, len(lines[i]) - 1))]
+def spoil_file(path: Path, i: int, draw) -> None:
+    if path.is_dir():
+        file = sorted(path.iterdir())[i]
+        if draw(st.booleans()):
+            spoil_objects(file, i, draw)
+        else:
+            file.write_bytes(file.read_bytes()[: draw(st.integers(0, file.stat().st_size - 1))])
+    elif path.suffix in (".npz", ".npy"):
+        spoil_arrays(path, i, draw)
+    elif path.suffix == ".csv" or (path.suffix != ".pkl" and draw(st.booleans())):
+        spoil_text(path, i, draw)
     else:
-        frames = [json.loads(line) for line in lines]
-        spoil_objects(frames, i, draw)
-        lines = [json.dumps(frame) for frame in frames]
-    path.write_text("\n".join(lines))
-
-
-def spoil_pickle(path: Path, i: int, draw) -> None:
-    frames = pickle.loads(path.read_bytes())  # noqa: S301 (our own)
-    if draw(st.booleans()):
-        spoil_objects(frames, i, draw)
-    else:
-        frames[i] = copy.deepcopy(frames[i])
-        fields = [frames[i]] if isinstance(frames[i], np.ndarray) else [
-            value for value in frames[i].values() if isinstance(value, np.ndarray)
-        ]  # fmt: skip
-        FRAME_FAULTS[draw(st.sampled_from(sorted(FRAME_FAULTS)))](draw(st.sampled_from(fields)))
-    path.write_bytes(pickle.dumps(frames))
-
-
-def spoil_folder(path: Path, i: int, draw) -> None:
-    file = sorted(path.iterdir())[i]
-    if draw(st.booleans()):
-        file.write_bytes(file.read_bytes()[: draw(st.integers(0, file.stat().st_size - 1))])
-    else:
-        frames = [pickle.loads(file.read_bytes())]  # noqa: S301 (our own)
-        spoil_objects(frames, 0, draw)
-        file.write_bytes(pickle.dumps(frames[0]))
-
-
-def spoil_table(path: Path, i: int, draw) -> None:
-    lines = path.read_text().splitlines()
-    cells = lines[i + 1].split(",")
-    kind = draw(st.sampled_from(["empty", "word", "cut", "bytes", "number"]))
-    place = draw(st.sampled_from([1, *range(3, len(cells))]))
-    if kind == "cut":
-        cells = cells[:place]
-    else:
-        cells[place] = {"empty": "", "word": "n/a", "bytes": "\ufffd", "number": "1e30"}[kind]
-    lines[i + 1] = ",".join(cells)
-    path.write_text("\n".join(lines))
-
-
-SPOIL = {
-    ".npz": spoil_arrays, ".npy": spoil_array, ".json": spoil_json, ".jsonl": spoil_lines,
-    ".pkl": spoil_pickle, ".csv": spoil_table, "": spoil_folder,
-}  # fmt: skip
+        spoil_objects(path, i, draw)
 
 
 @pytest.mark.parametrize("written", WRITERS)
@@ -193,7 +151,7 @@ def test_a_fault_in_one_frame_costs_that_frame_at_most(written, i, data):
         path = WRITERS[written](Path(folder), sound_hand())
         sound, known = open_recording(path)
         _, known_too = examine(sound)
-        SPOIL[path.suffix](path, i, data.draw)
+        spoil_file(path, i, data.draw)
         recording, findings = open_recording(path)
     recording, found = examine(recording)
     findings += found
