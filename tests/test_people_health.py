@@ -208,7 +208,7 @@ REFUSED = {
     ),
     "vision pro with the joints in the world": (
         lambda f, h: write_vision_pro(
-            f, h, right_fingers=vision_pro_arrays(h)["right_wrist"] @ vision_pro_arrays(h)["right_fingers"]
+            f, h, right_fingers=vision_pro_arrays(h)["right_wrist"] @ fingers(h)
         ),
         "joints in the wrist's frame",
     ),
@@ -229,13 +229,17 @@ def test_a_file_whose_meaning_is_open_is_refused(tmp_path, fault):
     assert str(refusal.value).startswith(str(path))
 
 
+def fingers(hand):
+    return vision_pro_arrays(hand)["right_fingers"]
+
+
 REPAIRED = {
     "mediapipe labelled for the mirror": (
         lambda f, h: write_mediapipe(f, h, relabelled(h, handedness=[["Left"]])),
         "labelled left, but the fingers bend as a right hand's: read as right, .* mirrored",
     ),
     "vision pro transposed": (
-        lambda f, h: write_vision_pro(f, h, right_fingers=vision_pro_arrays(h)["right_fingers"].swapaxes(2, 3)),
+        lambda f, h: write_vision_pro(f, h, right_fingers=np.swapaxes(fingers(h), 2, 3)),
         "transforms are stored transposed",
     ),
     "own with odd metadata": (

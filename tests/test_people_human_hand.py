@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError
 from geort_drake.people.human_hand import HumanHand
-from geort_drake.people.keypoints import FINGER_NAMES, bone_lengths, to_wrist_frame
+from geort_drake.people.keypoints import FINGER_NAMES, to_wrist_frame
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
@@ -97,13 +97,11 @@ def test_kinematics_equal_a_chain_of_rotations(rng):
     np.testing.assert_array_equal(hand.keypoints(theta)[:, 0], 0.0)
 
 
-def test_fingertips_and_keypoints_agree_and_keep_the_bones(hand, rng):
-    """Tips are the last keypoints, and bone lengths never change."""
+def test_fingertips_are_the_last_keypoints(hand, rng):
+    """In batches of any shape, in the wrist frame."""
     theta = rng.uniform(hand.lower, hand.upper, (4, 6, 20))
     p_HK = hand.keypoints(theta)
     np.testing.assert_allclose(hand.fingertips(theta), p_HK[..., 4::4, :], atol=1e-15)
-    expected = np.broadcast_to(hand.lengths.reshape(15), (4, 6, 15))
-    np.testing.assert_allclose(bone_lengths(p_HK).reshape(4, 6, 5, 4)[..., 1:].reshape(4, 6, 15), expected)
     np.testing.assert_allclose(to_wrist_frame(p_HK), p_HK, atol=1e-12)
 
 
@@ -235,14 +233,8 @@ def test_the_model_has_the_kinematics_of_the_hand(rng):
 
 def test_inertias_are_physical_and_a_hand_weighs_about_400_grams():
     """Every link's inertia is valid; the whole is 0.3 to 0.6 kg (0.6 % of 50 to 100 kg, de Leva 1996)."""
-    plant, diagram = build(MODEL.read_text())
-    context = diagram.CreateDefaultContext()
-    masses = []
-    for index in plant.GetBodyIndices(plant.GetModelInstanceByName("human_right")):
-        inertia = plant.get_body(index).default_spatial_inertia()
-        assert inertia.IsPhysicallyValid()
-        masses.append(inertia.get_mass())
-    assert len(masses) == 1 + 5 * 4
-    assert min(masses) > 1e-3
-    assert 0.3 < sum(masses) < 0.6
-    assert np.isfinite(plant.CalcMassMatrix(plant.GetMyContextFromRoot(context))).all()
+    plant, _ = build(MODEL.read_text())
+    bodies = plant.GetBodyIndices(plant.GetModelInstanceByName("human_right"))
+    inertias = [plant.get_body(index).default_spatial_inertia() for index in bodies]
+    assert all(inertia.IsPhysicallyValid() for inertia in inertias)
+    assert 0.3 < sum(inertia.get_mass() for inertia in inertias) < 0.6
