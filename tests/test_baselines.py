@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 from retargeting_toy import toy_data, toy_human, toy_kinematics, uneven_kinematics
-from scipy.optimize import minimize
 
 from geort_drake.errors import GeortError, HandError, TrainingError, UnknownNameError
 from geort_drake.retargeting.methods import make_untrained, untrained_methods
@@ -62,32 +61,6 @@ def test_fingertips_agree_with_drake_and_torch(allegro, kinematics, rng):
     q = rng.uniform(hand.lower, hand.upper, (20, len(hand.joint_names)))
     expected = hand.fingertips(torch.tensor(q)).numpy()
     np.testing.assert_allclose(NumpyKinematics(hand).fingertips(q), expected, atol=1e-12)
-
-
-@pytest.mark.parametrize("method", [VectorOnline, DexPilotOnline])
-def test_the_optimum_is_scipys(kinematics, method):
-    """The solver ends where SciPy's bounded quasi-Newton method ends, on targets out of reach too."""
-    online = method(kinematics)
-    rng = np.random.default_rng(3)
-    p_HF = reachable(kinematics, interior(kinematics, 4, 8)) + 0.02 * rng.normal(size=(4, 4, 3))
-    start = interior(kinematics, 4, 9)
-    switches = np.zeros((4, len(online._vectors.pairs)), dtype=bool)
-    targets, weights, _ = online._targets(p_HF, switches)
-    q = online._vectors.solve(targets, weights, start, start, tolerance=1e-7, iterations=500)
-    loss = online._vectors.objective(q, targets, weights, start)[0]
-    for k in range(4):
-        row = slice(k, k + 1)
-
-        def value(x, row=row):
-            arguments = x[None], targets[row], weights[row], start[row]
-            loss, gradient, _ = online._vectors.objective(*arguments)
-            return loss[0], gradient[0]
-
-        bounds = list(zip(kinematics.lower, kinematics.upper, strict=True))
-        found = minimize(
-            value, start[k], jac=True, method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-14, "gtol": 1e-9}
-        )
-        assert loss[k] == pytest.approx(found.fun, rel=1e-4)
 
 
 def test_a_reachable_hand_is_reproduced(kinematics):

@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from retargeting_toy import toy_human, toy_kinematics, toy_samples
 
-from geort_drake.people.recording import PINCH_M
 from geort_drake.retargeting.clouds import first_in_voxels, voxel_centres, voxel_index
-from geort_drake.retargeting.methods.coupled import CoupledConfig, hands
+from geort_drake.retargeting.methods.coupled import CoupledConfig
 from geort_drake.retargeting.methods.coupled.batches import Batches, BatchMaker
 from geort_drake.retargeting.methods.coupled.coverage import CoverageTargets
 from geort_drake.retargeting.methods.coupled.hands import TrainingHands
@@ -42,29 +41,6 @@ def recorded(tips: torch.Tensor, frames: np.ndarray) -> np.ndarray:
     """For each point (N, D) whether it is one of the frames (T, D)."""
     distance = np.linalg.norm(tips.numpy()[:, None] - frames.astype(np.float32)[None], axis=-1)
     return distance.min(axis=1) < 1e-7
-
-
-def test_made_up_pinches_meet_whatever_the_other_finger_does(human, monkeypatch):
-    """The third fingertip is from another frame in a fraction; offsets turn with their spread."""
-    monkeypatch.setattr(hands, "SPREAD_FRACTION", 0.0)
-    near = np.linalg.norm(human[:, 0] - human[:, 1], axis=-1) < hands.PINCH_REACH
-    directions = human[near, 1] - human[near, 0]
-    directions = torch.tensor(directions / np.linalg.norm(directions, axis=-1, keepdims=True)).float()
-    turned = {}
-    for spread in (0.0, 0.006, 0.06):
-        config = dataclasses.replace(CONFIG, mixed_pinch_fraction=0.5, pinch_offset_spread=spread)
-        made, weights = hands_of(human, config).made_up_pinches(2000)
-        assert (weights.sum(1) == 1).all()
-        chosen = weights[:, 0] == 1
-        offset = (made[:, 1] - made[:, 0])[chosen]
-        length = offset.norm(dim=-1, keepdim=True)
-        assert length.max() <= PINCH_M + 1e-6 and length.std() > 0.002
-        cosine = (offset / length) @ directions.T
-        turned[spread] = cosine[length[:, 0] > 0.001].max(dim=1).values.quantile(0.05).item()
-        assert recorded(made[1000:][chosen[1000:], 2], human[near, 2]).all()
-        assert not recorded(made[:1000][chosen[:1000], 2], human[near, 2]).all()
-    assert turned[0.0] > 0.9999
-    assert 0.0 < turned[0.06] < turned[0.006] < 0.99
 
 
 def test_postures_are_equally_likely_however_long_they_were_held(human):

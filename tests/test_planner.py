@@ -78,27 +78,6 @@ def test_contacts_lie_on_the_surface_and_point_inwards(name):
             assert thing.distance(tip + 0.005 * contact.n_O) < thing.distance(tip) - 0.002
 
 
-@pytest.mark.parametrize("name", object_names())
-def test_the_thumb_opposes_the_fingers(name):
-    """Along the grip's axis thumb and fingers push against each other; into the palm all push together."""
-    shape, grip = ObjectAlone(name).shape, grip_of(name)
-    for yaw in yaw_candidates(shape)[0]:
-        axis = np.array([math.cos(yaw), math.sin(yaw), 0])
-        across = np.array([-math.sin(yaw), math.cos(yaw), 0])
-        thumb, *fingers = grip_contacts(shape, yaw, grip=grip)
-        assert thumb.n_O @ axis > 0.8
-        pushes = np.array([finger.n_O for finger in fingers])
-        assert (pushes @ axis < -0.7).all()
-        assert all((finger.p_OC - thumb.p_OC) @ axis > 0 for finger in fingers)  # it is between them
-        if GRIPS[grip].palm:
-            palm = palm_contact(shape, yaw, 0.5)
-            assert (np.array([thumb.n_O, *pushes]) @ palm.n_O < -0.4).all()
-            np.testing.assert_allclose(palm.n_O, across, atol=1e-9)
-        else:
-            np.testing.assert_allclose(thumb.n_O, axis, atol=1e-9)
-            np.testing.assert_allclose(pushes.sum(axis=0) @ across, 0, atol=1e-9)
-
-
 def test_every_object_has_a_grip_and_an_unlisted_one_is_refused_by_name():
     """All three grips occur; the message lists the objects."""
     assert {grip_of(name) for name in object_names()} == set(GRIPS) == {"pinch", "tripod", "power"}
