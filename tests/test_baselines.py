@@ -35,7 +35,7 @@ def interior(kinematics, count: int, seed: int = 0) -> np.ndarray:
 
 def reachable(kinematics, q: np.ndarray, scale: float = 1.6) -> np.ndarray:
     """Human fingertips whose scaled vectors from the wrist are those of the robot at q."""
-    return (NumpyKinematics.of(kinematics).fingertips(q) - P_BW) / scale
+    return (NumpyKinematics(kinematics).fingertips(q) - P_BW) / scale
 
 
 def walk(kinematics, frames: int = 60, seed: int = 0) -> np.ndarray:

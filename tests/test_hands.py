@@ -22,7 +22,7 @@ def test_shipped_hands_start_free_and_pinch(name):
     """No self-collision at the start; the thumb's tip reaches every other one."""
     hand = HandModel(load_hand(name))
     assert not hand.collides(hand.default_position)
-    kinematics = NumpyKinematics.of(hand.kinematics())
+    kinematics = NumpyKinematics(hand.kinematics())
     for number in range(1, len(hand.finger_names)):
         assert nearest_pinch(kinematics, number) < 1.8 * hand.tip_radius
 

@@ -64,7 +64,7 @@ def test_pinches_are_of_the_nearest_finger():
     pinches = find_pinches(tips, NAMES)
     assert pinches.pair.tolist() == [[0, 2], [0, 1]]
     np.testing.assert_allclose(pinches.distance, [0.014, 0.016])
-    assert pinches.asked.tolist() == [True, False]
+    assert pinches.closed.tolist() == [True, False]
 
 
 def test_an_excerpt_begins_where_most_pinches_are():
@@ -79,7 +79,7 @@ def test_an_excerpt_begins_where_most_pinches_are():
     hands = excerpt(recording, rate_hz=10.0, duration_s=5.0)
     assert hands.start == pytest.approx(25.0)
     np.testing.assert_allclose(hands.t, np.arange(51) * 0.1, atol=1e-9)
-    assert find_pinches(hands.p_HK[:50, 4::4], ("thumb", "index", "middle", "ring", "little")).asked.all()
+    assert find_pinches(hands.p_HK[:50, 4::4], ("thumb", "index", "middle", "ring", "little")).closed.all()
     later = excerpt(recording, rate_hz=10.0, duration_s=5.0, start_s=38.0)
     assert later.t[-1] == pytest.approx(1.9)  # to the recording's end
     with pytest.raises(RecordingError, match=r"within the recording's 39.9 s"):
@@ -99,7 +99,7 @@ def test_a_left_hand_is_answered_in_its_mirror_image_and_shown_as_it_is(play):
     found = answers(half_way, left, hands)
     np.testing.assert_array_equal(given[0], tips_of(hands.p_HK, left))
     np.testing.assert_allclose(found.p_BF, left.fingertips(found.q))
-    np.testing.assert_allclose(found.asked, proportional_copy(mirrored(given[0]), found.p_BF))
+    np.testing.assert_allclose(found.copy, proportional_copy(mirrored(given[0]), found.p_BF))
 
 
 def test_the_recording_shows_what_the_methods_answer(tmp_path, hand, play):
@@ -114,7 +114,7 @@ def test_the_recording_shows_what_the_methods_answer(tmp_path, hand, play):
     write_exploration(path, hand, hands, methods, {"recording_sha256": play.digest})
     assert rerun("rrd", "verify", path).returncode == 0
     pinches = find_pinches(tips_of(hands.p_HK, hand), hand.finger_names)
-    assert pinches.asked.any()
+    assert pinches.closed.any()
     for name, q in (("fist", fist), ("rest", rest)):
         times, tips = read(path, f"/world/{name}/tips", "Ellipsoids3D:centers")
         np.testing.assert_allclose(times, hands.t, atol=1e-9)
@@ -123,7 +123,7 @@ def test_the_recording_shows_what_the_methods_answer(tmp_path, hand, play):
         _, balls = read(path, f"/world/{name}/collisions", "Ellipsoids3D:centers")
         assert [len(row) > 0 for row in balls] == [deep] * len(hands.t)
         _, cages = read(path, f"/world/{name}/pinch", "Ellipsoids3D:centers")
-        assert [len(row) for row in cages] == pinches.asked.astype(int).tolist()
+        assert [len(row) for row in cages] == pinches.closed.astype(int).tolist()
         _, states = read(path, f"/{name}", "StateChange:state")
         assert ("collides" in {state[0] for state in states}) == deep
     assert any(entity.startswith("/world/fist/allegro_right") for entity in entities(path))

@@ -38,7 +38,7 @@ class Answers:
     Attributes:
         q: (T, n) joint positions, rad.
         p_BF: (T, F, 3) robot fingertips, m.
-        asked: (T, F, 3) the human fingertips scaled and shifted per finger to come nearest to `p_BF` in least
+        copy: (T, F, 3) the human fingertips scaled and shifted per finger to come nearest to `p_BF` in least
             squares, m. Such a copy preserves every direction, so the difference is the price of reach,
             pinches and freedom from collisions.
         error: (T, F) distance between the two, m.
@@ -48,7 +48,7 @@ class Answers:
 
     q: np.ndarray
     p_BF: np.ndarray
-    asked: np.ndarray
+    copy: np.ndarray
     error: np.ndarray
     cosine: np.ndarray
 
@@ -60,12 +60,12 @@ class Pinches:
     Attributes:
         pair: (T, 2) numbers of the thumb and that finger.
         distance: (T,) of the two human tips, m.
-        asked: (T,) whether they pinch: less than 15 mm, as in `metrics.pinch`.
+        closed: (T,) whether they pinch: less than 15 mm, as in `metrics.pinch`.
     """
 
     pair: np.ndarray
     distance: np.ndarray
-    asked: np.ndarray
+    closed: np.ndarray
 
 
 def excerpt(
@@ -84,7 +84,7 @@ def excerpt(
     if len(t) == 0 or (start_s is not None and not 0 <= start_s < t[-1]):
         raise RecordingError(f"an excerpt must begin within the recording's {recording.duration_s:.1f} s")
     if start_s is None:
-        pinching = find_pinches(p_HK[:, 4::4], ("thumb", "index", "middle", "ring", "little")).asked
+        pinching = find_pinches(p_HK[:, 4::4], ("thumb", "index", "middle", "ring", "little")).closed
         before = np.concatenate([[0], np.cumsum(pinching)])
         ends = np.searchsorted(t, t + duration_s)
         fits = t + duration_s <= max(t[-1], duration_s)
@@ -121,9 +121,9 @@ def answers(retarget: Callable, hand: HandModel, hands: Excerpt) -> Answers:
     if hand.description.side == "left":
         human = mirrored(human)
     p_BF = hand.fingertips(q)
-    asked = proportional_copy(human, p_BF)
-    error = np.linalg.norm(asked - p_BF, axis=-1)
-    return Answers(q, p_BF, asked, error, motion_cosines(human, p_BF, round(WINDOW * hands.rate_hz)))
+    copy = proportional_copy(human, p_BF)
+    error = np.linalg.norm(copy - p_BF, axis=-1)
+    return Answers(q, p_BF, copy, error, motion_cosines(human, p_BF, round(WINDOW * hands.rate_hz)))
 
 
 def tips_of(p_HK: np.ndarray, hand: HandModel) -> np.ndarray:

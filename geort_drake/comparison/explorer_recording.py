@@ -145,7 +145,7 @@ def _write_marks(
 ) -> None:
     radius = 1.1 * hand.tip_radius  # covers the model's own tip
     writer.points(f"{path}/tips", list(answers.p_BF), radius, finger_colors(hand.finger_names), SOLID)
-    writer.points(f"{path}/copy", list(answers.asked), 1.1 * radius, _COPY_COLOR, CAGE)
+    writer.points(f"{path}/copy", list(answers.copy), 1.1 * radius, _COPY_COLOR, CAGE)
     colors = np.where(marks.closed[:, None], _RIGHT, _WRONG)
     _write_pinches(writer, path, answers.p_BF, pinches, colors, 2.2 * radius)
     writer.points(f"{path}/collisions", marks.collisions, 0.014, _WRONG, SOLID)
@@ -156,20 +156,20 @@ def _write_pinches(
 ) -> None:
     """Sends a cage between the tips that should meet, in colours (T, 3)."""
     middle = tips[np.arange(len(tips))[:, None], pinches.pair].mean(axis=1)
-    asked = pinches.asked.astype(int)
-    rows = [point[None][:count] for point, count in zip(middle, asked, strict=True)]
-    shades = [color[None][:count] for color, count in zip(colors, asked, strict=True)]
+    pinched = pinches.closed.astype(int)
+    rows = [point[None][:count] for point, count in zip(middle, pinched, strict=True)]
+    shades = [color[None][:count] for color, count in zip(colors, pinched, strict=True)]
     writer.points(f"{path}/pinch", rows, radius, shades, CAGE)
 
 
 def _write_lanes(writer: Writer, hand: HandModel, marks: Mapping[str, _Marks], pinches: Pinches) -> None:
-    codes = np.where(pinches.asked, 1.0 + pinches.pair[:, 1], 0.0)
+    codes = np.where(pinches.closed, 1.0 + pinches.pair[:, 1], 0.0)
     labels = dict(enumerate(("–", *hand.finger_names)))
     writer.states(entity_path(_PINCH_LANE), codes, labels, [_IDLE, *finger_colors(hand.finger_names)])
     for name, of_method in marks.items():
         collides = np.array([len(points) > 0 for points in of_method.collisions])
         pinch = np.where(of_method.closed, 1.0, 2.0)
-        codes = np.where(collides, 3.0, np.where(pinches.asked, pinch, 0.0))
+        codes = np.where(collides, 3.0, np.where(pinches.closed, pinch, 0.0))
         writer.states(entity_path(name), codes, _STATES, _STATE_COLORS)
 
 
@@ -196,11 +196,13 @@ def _layout(methods: Sequence[str]) -> views.View:
 def _text(
     hands: Excerpt, methods: Mapping[str, Answers], marks: Mapping[str, _Marks], pinches: Pinches
 ) -> str:
-    asked = pinches.asked
+    pinched = pinches.closed
     table = {
         "fingertips against a copy": [f"{1e3 * a.error.mean():.0f} mm" for a in methods.values()],
         "direction of motion kept": [f"{np.nanmean(a.cosine):.2f}" for a in methods.values()],
-        "pinches closed": [f"{m.closed[asked].mean():.0%}" if asked.any() else "–" for m in marks.values()],
+        "pinches closed": [
+            f"{m.closed[pinched].mean():.0%}" if pinched.any() else "–" for m in marks.values()
+        ],
         "self-collision": [f"{np.mean([len(p) > 0 for p in m.collisions]):.1%}" for m in marks.values()],
     }
     return _TEXT.format(

@@ -145,7 +145,7 @@ class TrainingScene:
         frames = tips_of(p_HK, hand)
         self._frames = frames[_evenly(len(frames), _FRAMES)]
         pinches = find_pinches(frames, hand.finger_names)
-        rows = np.flatnonzero(pinches.asked)
+        rows = np.flatnonzero(pinches.closed)
         self._pinching = frames[rows[_evenly(len(rows), _PINCHING)]]
         self._closest_pinch = p_HK[np.argmin(pinches.distance)]
         q = np.random.default_rng(seed).uniform(hand.lower, hand.upper, (_SAMPLES, len(hand.joint_names)))

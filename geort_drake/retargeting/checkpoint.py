@@ -109,12 +109,9 @@ def save_checkpoint(
         history: rows with equal keys.
 
     Raises:
-        CheckpointError: `path` holds something else than a checkpoint, or the hand lacks a field.
+        CheckpointError: `path` holds something else than a checkpoint.
     """
     check_replaceable(path)
-    missing = [name for name in _HAND_FIELDS if name not in hand]
-    if missing:
-        raise CheckpointError(f"{path}: the hand lacks {', '.join(missing)}")
     with atomic_directory(path) as draft:
         # Not save_file, which raises no OSError when the disk is full.
         (draft / WEIGHTS).write_bytes(
@@ -145,11 +142,7 @@ def save_checkpoint(
 def check_replaceable(path: str | os.PathLike) -> None:
     """Raises CheckpointError if saving would replace something that is not a checkpoint."""
     path = Path(path)
-    if path.is_dir():
-        harmless = (path / CONFIG).is_file() or not any(path.iterdir())
-    else:
-        harmless = not path.exists()
-    if not harmless:
+    if path.exists() and not (path.is_dir() and ((path / CONFIG).is_file() or not any(path.iterdir()))):
         raise CheckpointError(
             f"{path} exists and is not a checkpoint; it would be replaced: choose another directory"
         )

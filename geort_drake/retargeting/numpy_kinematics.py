@@ -51,11 +51,6 @@ class NumpyKinematics:
         self._p_tip = np.stack([finger.p_tip for finger in free.fingers])[:, :, None]
         self._indices = indices
 
-    @classmethod
-    def of(cls, kinematics: "HandKinematics | NumpyKinematics") -> "NumpyKinematics":
-        """The same hand as `kinematics`, which may be NumPy's already."""
-        return kinematics if isinstance(kinematics, NumpyKinematics) else cls(kinematics)
-
     def fingertips(self, q: np.ndarray) -> np.ndarray:
         """Fingertip points p_BF, (N, F, 3) in m, for joint angles (N, n) in rad."""
         return self.fingertips_and_jacobians(q)[0]

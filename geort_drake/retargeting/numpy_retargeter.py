@@ -82,7 +82,7 @@ class Retargeter:
             )
         # Layers 0 and 2 of all fingers are one block-diagonal matrix each, which is faster than a stack of
         # products; layer 1 would have too many zeros. Layers 0 and 1 are halved for `_silu`.
-        self._own, self._apart = slice(0, fingers * hidden), (fingers, 1, hidden)
+        self._own, self._finger_shape = slice(0, fingers * hidden), (fingers, 1, hidden)
         self._finger_weight0 = 0.5 * arrays["weight0"]
         self._weight0 = aligned(_block_diagonal(self._finger_weight0))
         self._bias0 = 0.5 * checked_array(arrays, "bias0", (fingers, 1, hidden)).ravel()
@@ -186,17 +186,21 @@ class Retargeter:
     def _layer1(self, h: np.ndarray, u: np.ndarray) -> None:
         """Layer 1 without its bias, from h (H,) or (N, H) into u of the same shape."""
         if h.ndim == 1:
-            np.matmul(h[self._own].reshape(self._apart), self._weight1, u[self._own].reshape(self._apart))
+            np.matmul(
+                h[self._own].reshape(self._finger_shape),
+                self._weight1,
+                u[self._own].reshape(self._finger_shape),
+            )
         else:
-            apart = (-1, len(self._weight1), self._weight1.shape[1])
-            into = u[:, self._own].reshape(apart).swapaxes(0, 1)
-            np.matmul(h[:, self._own].reshape(apart).swapaxes(0, 1), self._weight1, out=into)
+            shape = (-1, len(self._weight1), self._weight1.shape[1])
+            out = u[:, self._own].reshape(shape).swapaxes(0, 1)
+            np.matmul(h[:, self._own].reshape(shape).swapaxes(0, 1), self._weight1, out=out)
 
     def _gradient(self, slope0: np.ndarray, slope1: np.ndarray) -> np.ndarray:
         """Derivative (3F, n) of the input of the tanh, for the slopes (H,) of the activations."""
         # Forward mode, because a finger has fewer coordinates than joints.
-        chain = (self._finger_weight0 * slope0[self._own].reshape(self._apart)) @ self._weight1
-        chain *= slope1[self._own].reshape(self._apart)
+        chain = (self._finger_weight0 * slope0[self._own].reshape(self._finger_shape)) @ self._weight1
+        chain *= slope1[self._own].reshape(self._finger_shape)
         weight2 = self._weight2[self._own].reshape(*self._weight1.shape[:2], -1)
         return (chain @ weight2).reshape(len(self._weight0), -1)
 

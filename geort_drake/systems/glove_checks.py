@@ -61,7 +61,7 @@ class GloveMemory:
     moved: float = math.nan  # largest change of a coordinate since the update before, m
 
 
-def judge(
+def find_fault(
     checks: GloveChecks,
     memory: GloveMemory,
     time: float,

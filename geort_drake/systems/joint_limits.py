@@ -33,7 +33,7 @@ class JointLimits:
     speed: np.ndarray | float = 7.0
     acceleration: np.ndarray | float = DEFAULT_ACCELERATION
     # Results of `_free` by period.
-    _made: dict[float, tuple[np.ndarray, ...]] = dc.field(
+    _bounds: dict[float, tuple[np.ndarray, ...]] = dc.field(
         init=False, repr=False, compare=False, default_factory=dict
     )
 
@@ -122,12 +122,12 @@ class JointLimits:
 
         Cached, because computing them takes as long as a step.
         """
-        if period not in self._made:
+        if period not in self._bounds:
             gain = self.acceleration * period
             most = np.array([self.speed, gain, gain * period])
             low, high = np.array([*-most, self.lower]), np.array([*most, self.upper])
-            self._made[period] = (low, high, np.divide(0.5, self.acceleration))
-        return self._made[period]
+            self._bounds[period] = (low, high, np.divide(0.5, self.acceleration))
+        return self._bounds[period]
 
     def _braking_speed(self, distance: np.ndarray, period: float) -> np.ndarray:
         """The highest speed at which a joint can brake within `distance` (..., n), including the next step.

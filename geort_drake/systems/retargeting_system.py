@@ -22,7 +22,7 @@ from geort_drake.systems.glove_checks import (
     Easing,
     GloveChecks,
     GloveMemory,
-    judge,
+    find_fault,
 )
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.port_values import Immutable
@@ -257,7 +257,7 @@ class RetargetingSystem(LeafSystem):
         valid = self._valid_port.Eval(context)[0] >= 0.5
         stamped = self._stamp_port.HasValue(context)
         stamp = float(self._stamp_port.Eval(context)[0]) if stamped else None
-        fault = judge(self._checks, glove, time, self.period, keypoints, valid, stamp)
+        fault = find_fault(self._checks, glove, time, self.period, keypoints, valid, stamp)
         frozen = fault == FROZEN and easing.follows()
         if before == FROZEN and not frozen and easing.follows():
             easing.hold(since, good=True)  # what follows frozen input is eased as after a hold

@@ -55,7 +55,7 @@ def _limits(hand: HandModel) -> list[str]:
 def _pinches(hand: HandModel) -> list[str]:
     if "thumb" not in hand.finger_names:
         return ["no finger is called thumb, so the hand cannot pinch"]
-    kinematics = NumpyKinematics.of(hand.kinematics())
+    kinematics = NumpyKinematics(hand.kinematics())
     thumb = hand.description.fingers[0]
     found = []
     for number, finger in enumerate(hand.description.fingers[1:], start=1):

@@ -17,7 +17,6 @@ from geort_drake.errors import UnknownNameError
 from geort_drake.retargeting.method import Retarget, TrainedMethod, UntrainedMethod
 
 if TYPE_CHECKING:
-    from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
     from geort_drake.retargeting.training.kinematics import HandKinematics
 
 DEFAULT_METHOD = "geort_coupled"
@@ -57,7 +56,7 @@ def trained_method(name: str) -> TrainedMethod:
 
 def make_untrained(
     name: str,
-    kinematics: "HandKinematics | NumpyKinematics",
+    kinematics: "HandKinematics",
     human_keypoints: Sequence[int] | None = None,
     frames: np.ndarray | None = None,
     seed: int = 0,

@@ -43,7 +43,7 @@ class VectorOnline:
 
     def __init__(
         self,
-        kinematics: "HandKinematics | NumpyKinematics",
+        kinematics: "HandKinematics",
         human_keypoints: Sequence[int] | None = None,
         scale: float = SCALE,
     ):
@@ -58,7 +58,7 @@ class VectorOnline:
             UnknownNameError: a finger's name has no keypoint.
             HandError: the method needs other fingers.
         """
-        self.kinematics, self._scale = NumpyKinematics.of(kinematics), scale
+        self.kinematics, self._scale = NumpyKinematics(kinematics), scale
         self.finger_names, self.joint_names = self.kinematics.finger_names, self.kinematics.joint_names
         self.lower, self.upper = self.kinematics.lower, self.kinematics.upper
         self._points = HumanPoints(self.finger_names, human_keypoints)

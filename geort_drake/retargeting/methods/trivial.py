@@ -18,10 +18,8 @@ if TYPE_CHECKING:
 class Hold:
     """Keeps the joints in the middle of their ranges, whatever the person does."""
 
-    def __init__(
-        self, kinematics: "HandKinematics | NumpyKinematics", human_keypoints: Sequence[int] | None = None
-    ):
-        hand = NumpyKinematics.of(kinematics)
+    def __init__(self, kinematics: "HandKinematics", human_keypoints: Sequence[int] | None = None):
+        hand = NumpyKinematics(kinematics)
         self.finger_names, self.joint_names = hand.finger_names, hand.joint_names
         self.lower, self.upper = hand.lower, hand.upper
         self._points = HumanPoints(self.finger_names, human_keypoints)
@@ -40,7 +38,7 @@ class NearestNeighbour(Hold):
 
     def __init__(
         self,
-        kinematics: "HandKinematics | NumpyKinematics",
+        kinematics: "HandKinematics",
         frames: np.ndarray | None,
         count: int = 300,
         seed: int = 0,

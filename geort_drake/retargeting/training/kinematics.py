@@ -89,7 +89,7 @@ class HandKinematics:
         chains = self._chains(q.dtype, q.device)
         return chains.points(q.reshape(-1, n)).transpose(0, 1).reshape(*q.shape[:-1], len(self.fingers), 3)
 
-    def fingertips_apart(self, angles: torch.Tensor) -> torch.Tensor:
+    def fingertips_by_finger(self, angles: torch.Tensor) -> torch.Tensor:
         """Fingertip points p_BF (F, N, 3) in m, each finger at joint angles of its own.
 
         Args:

@@ -67,8 +67,8 @@ class CoverageTargets:
             hands = self._in_contexts(i, torch.arange(len(anchors)))
             with torch.no_grad():
                 own = hands.flatten(0, 1)[None]
-                angles = network.angles_apart(own[0, :0], own, slice(i, i + 1))
-                tips = self._fingers[i].fingertips_apart(angles)
+                angles = network.angles_by_finger(own[0, :0], own, slice(i, i + 1))
+                tips = self._fingers[i].fingertips_by_finger(angles)
             mean = tips.reshape(len(anchors), AVERAGED, 3).mean(1)
             # Few contexts make a noisy mean, so it is averaged with that of earlier searches.
             if len(self._means) == i:

@@ -51,8 +51,10 @@ class CoupledNetwork(RetargetingNetwork):
             y = y[:, self.columns]
         return self.centre + self.half_range * torch.tanh(y)
 
-    def angles_apart(self, whole: torch.Tensor, own: torch.Tensor, some: slice = slice(None)) -> torch.Tensor:
-        """Joint angles by finger, (G, N + M, k) rad, as `HandKinematics.fingertips_apart` takes them.
+    def angles_by_finger(
+        self, whole: torch.Tensor, own: torch.Tensor, some: slice = slice(None)
+    ) -> torch.Tensor:
+        """Joint angles by finger, (G, N + M, k) rad, as `HandKinematics.fingertips_by_finger` takes them.
 
         Args:
             whole: (N, F, 3) human fingertips in m of hands in which every one of the G fingers answers.

@@ -153,9 +153,9 @@ class _Training:
         whole = [batch.moved.flatten(0, 1), ahead.flatten(0, 1), batch.before, batch.after, batch.pinching]
         whole.append(batch.near_collisions.hands if batch.near_collisions is not None else batch.before[:0])
         own = [behind, batch.covering, batch.contexts.flatten(1, 2)]
-        angles = self.network.angles_apart(torch.cat(whole), torch.cat(own, dim=1))
+        angles = self.network.angles_by_finger(torch.cat(whole), torch.cat(own, dim=1))
         sizes = [len(hands) for hands in whole] + [hands.shape[1] for hands in own]
-        p_BF = self.kinematics.fingertips_apart(angles).split(sizes, dim=1)
+        p_BF = self.kinematics.fingertips_by_finger(angles).split(sizes, dim=1)
         here, ahead, before, after, pinching, _, behind, reached, in_contexts = p_BF
         here, ahead = (tips.reshape(fingers, fingers, n, 3) for tips in (here, ahead))
         return _Answers(
