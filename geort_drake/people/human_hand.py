@@ -25,6 +25,7 @@ _JOINT_SUFFIXES = {
 JOINT_NAMES = tuple(f"{finger}_{suffix}" for finger in FINGER_NAMES for suffix in _JOINT_SUFFIXES[finger])
 
 _LARGEST_STEP = 0.4  # rad per iteration of the inverse kinematics
+_DAMPING_M = 2e-3  # its steps are damped where a radian moves the tip by less than this
 
 # The straight thumb points 25° from z towards y; it flexes across the palm (−y) about +x.
 _THUMB_AZIMUTH = np.deg2rad(25.0)
@@ -139,7 +140,6 @@ class HumanHand:
         theta0: np.ndarray,
         weights: Sequence[float] | np.ndarray | None = None,
         iterations: int = 20,
-        damping_m: float = 2e-3,
     ) -> np.ndarray:
         """Finds joint angles (..., 20) within the limits that bring the tips nearest p_target (..., 5, 3), m.
 
@@ -150,12 +150,11 @@ class HumanHand:
             theta0: (..., 20) angles to start from, rad.
             weights: (5,) importance of each target; with 0 the finger stays at theta0.
             iterations: number of steps.
-            damping_m: steps are damped where a radian moves the tip by less than this.
         """
         theta = np.clip(np.asarray(theta0, dtype=float), self.lower, self.upper)
         weight = np.ones(5) if weights is None else np.asarray(weights, dtype=float)
         lower, upper = self.lower.reshape(5, 4), self.upper.reshape(5, 4)
-        damping = damping_m**2 * np.eye(3)
+        damping = _DAMPING_M**2 * np.eye(3)
         for _ in range(iterations):
             error = weight[:, None] * (p_target - self.fingertips(theta))
             J = weight[:, None, None] * self.fingertip_jacobians(theta)
