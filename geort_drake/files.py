@@ -93,17 +93,14 @@ def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
                 shutil.rmtree(draft)
             elif target.exists():
                 # rename() cannot replace a directory that holds files, so the old one steps aside.
-                old = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent))
-                aside = old / target.name
+                aside = draft.with_name(f"{draft.name}-old")
+                os.replace(target, aside)
                 try:
-                    os.replace(target, aside)
                     os.replace(draft, target)
                 except BaseException:
-                    if aside.exists():
-                        os.replace(aside, target)
-                    old.rmdir()
+                    os.replace(aside, target)
                     raise
-                shutil.rmtree(old)
+                shutil.rmtree(aside)
             else:
                 os.replace(draft, target)
         except BaseException:

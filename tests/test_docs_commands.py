@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from light_metrics import lighten
 
+from geort_drake.benchmark import trials
 from geort_drake.cli import COMMANDS, load_command, parser_of, run_command
 from geort_drake.comparison import train as comparison_train
 from geort_drake.comparison.train import train_checkpoint
@@ -126,6 +127,8 @@ def desk(tmp_path_factory):
         patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
         patch.setattr(comparison_train, "train_checkpoint", tiny)
         patch.setattr(GraspPlanner, "plan", plan_once)
+        # Workers are tested in test_grasp_workers.py.
+        patch.setattr(trials, "call_in_workers", lambda call, each, *_, **__: (call(*one) for one in each))
         patch.chdir(folder)
         np.save("hand.npy", play().p_HK.astype(float))
         play().save("hand.npz")
@@ -168,7 +171,7 @@ def test_every_command_is_run():
 
 
 @pytest.mark.parametrize(
-    ("edit", "options", "trials"),
+    ("edit", "options", "expected"),
     [
         ("", "", [("cylinder", 0), ("sphere", 0), ("cube", 0)]),
         ("object: { name: bottle }", "", [("bottle", 0)]),
@@ -177,7 +180,7 @@ def test_every_command_is_run():
         ("", "--scenario-text '{object: {name: rod}}'", [("rod", 0)]),
     ],
 )
-def test_one_line_gives_another_object_or_seed(edit, options, trials, tmp_path, monkeypatch):
+def test_one_line_gives_another_object_or_seed(edit, options, expected, tmp_path, monkeypatch):
     """In a copy of the shipped scenarios, or as text; --objects takes precedence."""
     monkeypatch.chdir(tmp_path)
     text = (diagrams_dir() / "grasp.scenarios.yaml").read_text("utf-8")
@@ -187,4 +190,4 @@ def test_one_line_gives_another_object_or_seed(edit, options, trials, tmp_path, 
     arguments = parser_of("grasp").parse_args([*shlex.split(options), "--scenario-file", "edited.yaml"])
     base = load_scenario("edited.yaml", "Grasp", arguments.scenario_text)
     found = load_command("grasp").scenarios_of(arguments, base)
-    assert [(scenario.object.name, scenario.random_seed) for scenario in found] == trials
+    assert [(scenario.object.name, scenario.random_seed) for scenario in found] == expected

@@ -4,6 +4,7 @@ Exit codes: 0 usable, perhaps with warnings; 2 refused.
 """
 
 import argparse
+import contextlib
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,8 +13,6 @@ from typing import TYPE_CHECKING, Any
 from geort_drake.cli.options import SIDES, CommandParser, command, finish, finite, output_file, write_json
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from geort_drake import Recording
     from geort_drake.people.checks.findings import Finding
 
@@ -148,51 +147,42 @@ def _print(result: dict[str, Any], findings: "Sequence[Finding]") -> None:
 
 def _watch(arguments: argparse.Namespace) -> None:
     """Shows what a file that is being recorded lacks, until it lacks nothing or Ctrl-C is pressed."""
-    from rich.live import Live
-
-    from geort_drake.console import console
-
     seen = None
-    with Live(console=console, auto_refresh=False) as live:
-        try:
-            while True:
-                stamp = arguments.input.stat().st_mtime_ns if arguments.input.exists() else None
-                if stamp != seen:
-                    seen = stamp
-                    table, complete = _coverage_table(arguments)
-                    live.update(table, refresh=True)
-                    if complete:
-                        return
-                time.sleep(_POLL_PERIOD_S)
-        except KeyboardInterrupt:
-            return
+    with contextlib.suppress(KeyboardInterrupt):
+        while True:
+            stamp = arguments.input.stat().st_mtime_ns if arguments.input.exists() else None
+            if stamp != seen and _print_coverage(arguments):
+                return
+            seen = stamp
+            time.sleep(_POLL_PERIOD_S)
 
 
-def _coverage_table(arguments: argparse.Namespace) -> "tuple[Table, bool]":
-    """The motions seen so far and what is still to do, and whether nothing is."""
-    from rich.table import Table
-
+def _print_coverage(arguments: argparse.Namespace) -> bool:
+    """Prints the motions recorded so far and what is still to do; returns whether nothing is."""
+    from geort_drake.console import console, print_table, say
     from geort_drake.errors import RecordingError
     from geort_drake.people.coverage import coverage
 
+    console.clear()
     try:
         recording = _read(arguments, [])
     except RecordingError as error:
         # A file that is being written may be empty, or end within a frame.
-        table = Table("waiting", box=None)
-        table.add_row(str(error))
-        return table, False
-    table = Table("motion", "seen", "wanted", "what to do", box=None, title=f"{recording.duration_s:.0f} s")
+        say(f"waiting: {error}")
+        return False
     motions = coverage(recording)
-    for motion in motions:
-        color = "green" if motion.enough else "red"
-        table.add_row(
-            f"[{color}]{motion.name}[/]",
+    rows = [
+        (
+            f"[{'green' if motion.enough else 'red'}]{motion.name}[/]",
             f"{motion.seen:.0f} {motion.unit}",
             f"{motion.wanted:.0f}",
             "" if motion.enough else motion.advice,
         )
-    return table, all(motion.enough for motion in motions)
+        for motion in motions
+    ]
+    headings = ("motion", "seen", "wanted", "what to do")
+    print_table(headings, rows, f"{recording.duration_s:.0f} s", text=headings[3:])
+    return all(motion.enough for motion in motions)
 
 
 def _draw(recording: "Recording", hand_name: str, path: Path) -> None:

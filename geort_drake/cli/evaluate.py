@@ -14,7 +14,6 @@ from geort_drake.cli.options import (
     finish,
     method_help,
     output_folder,
-    require_distinct,
     write_json,
 )
 
@@ -63,6 +62,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import HandModel, Recording, load_hand, read_recording
+    from geort_drake.benchmark.methods import names_of
     from geort_drake.comparison.comparison import Comparison, Outcome, check_methods, method_names
     from geort_drake.comparison.plots import write_plots
     from geort_drake.comparison.protocols import SAME_PERSON, held_out, other_person, same_person
@@ -70,14 +70,12 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.comparison.train import cached_checkpoint
     from geort_drake.console import console, progress_bar, warn
 
-    # Contradictions are found before anything is read.
-    require_distinct("--seeds", arguments.seeds)
-    require_distinct("--score-on", arguments.score_on or [])
-    require_distinct("--methods", [Path(name).name for name in arguments.methods or []])
     description = load_hand(arguments.hand)
     hand = HandModel(description)
-    methods = arguments.methods or list(method_names())
+    methods = list(dict.fromkeys(arguments.methods or method_names()))
+    names_of(methods)  # refuses two checkpoints whose directories have the same name
     check_methods(methods, hand)
+    seeds = list(dict.fromkeys(arguments.seeds))
     recording = read_recording(arguments.recording, description.side, training=True)
     protocols = [same_person(recording, arguments.recording.name)]
     if arguments.held_out is not None:
@@ -89,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
     def checkpoint_of(learned: Recording, method: str, seed: int) -> Path:
         return cached_checkpoint(arguments.hand, learned, method, seed)[0]
 
-    comparison = Comparison(hand, protocols, arguments.seeds, checkpoint_of, arguments.frames)
+    comparison = Comparison(hand, protocols, seeds, checkpoint_of, arguments.frames)
     results: dict[str, dict[str, list[Outcome]]] = {}
     done, total = itertools.count(), comparison.cases_per_method * len(methods)
     with progress_bar() as display:
@@ -108,7 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.plots:
         firsts = {name: of_method[SAME_PERSON][0].evaluation for name, of_method in results.items()}
         scored = {name: evaluation for name, evaluation in firsts.items() if evaluation is not None}
-        space = comparison.space(arguments.seeds[0])
+        space = comparison.space(seeds[0])
         written["Plots"] = ", ".join(map(str, write_plots(arguments.plots, scored, hand.finger_names, space)))
     if not (arguments.json or arguments.plots):
         console.print("Nothing was written: --json FILE keeps these figures, and --plots FOLDER draws them.")

@@ -31,13 +31,8 @@ def add_arguments(parser: CommandParser) -> None:
     methods = "methods listed below, or checkpoint directories"
     default = ["geort_coupled", "vector_online"]
     add("--methods", nargs="+", metavar="NAME", default=default, help=methods)
-    add(
-        "--output",
-        type=output_file(".rrd"),
-        required=True,
-        metavar="FILE.rrd",
-        help="Rerun recording to write",
-    )
+    output = "Rerun recording to write"
+    add("--output", type=output_file(".rrd"), required=True, metavar="FILE.rrd", help=output)
     parser.add_hand()
     add("--start", type=float, metavar="S", help="start time, s (default: the part with the most pinches)")
     add("--duration", type=finite, default=20.0, metavar="S", help="duration, s, from 0.1 to 600")
@@ -45,7 +40,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from geort_drake import HandModel, load_hand, load_retargeter
+    from geort_drake import HandModel, load_hand
     from geort_drake.cli.retargeters import retargeter_of
     from geort_drake.comparison.comparison import check_methods
     from geort_drake.comparison.exploration import answers, excerpt
@@ -54,22 +49,15 @@ def run(arguments: argparse.Namespace) -> int:
 
     if not 0.1 <= arguments.duration <= 600:
         raise UsageError(f"--duration must be from 0.1 to 600, not {arguments.duration:g}")
-    check_methods(arguments.methods)
     description = load_hand(arguments.hand)
     hand = HandModel(description)
     check_methods(arguments.methods, hand)
     recording = recording_of(arguments.recording, description.side, arguments.seed)
     hands = excerpt(recording, duration_s=arguments.duration, start_s=arguments.start)
-    retargeters = {
-        method: load_retargeter(method, hand)
-        if Path(method).is_dir()
-        else retargeter_of(method, arguments.hand, recording, arguments.seed)[0]
-        for method in arguments.methods
-    }
-    methods = {
-        Path(method).name: answers(retargeters[method], hand, hands)
-        for method in track("retargeting", retargeters, len(retargeters))
-    }
+    methods = {}
+    for method in track("retargeting", arguments.methods, len(arguments.methods)):
+        retarget, *_ = retargeter_of(method, arguments.hand, recording, arguments.seed)
+        methods[Path(method).name] = answers(retarget, hand, hands)
     properties = {
         "hand": description.name,
         "methods": ", ".join(methods),

@@ -6,10 +6,8 @@ Rerun recording (.rrd) and the glove and tracker data (.npz).
 """
 
 import argparse
-import contextlib
 import copy
 import dataclasses
-import json
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -70,6 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.console import print_table, progress_bar, say, track
     from geort_drake.files import write_text
     from geort_drake.people.human_hand import HumanHand
+    from geort_drake.retargeting.checkpoint import load_checkpoint
     from geort_drake.simulation.scenario import dump_scenario
     from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
@@ -105,7 +104,8 @@ def run(arguments: argparse.Namespace) -> int:
         say(f"Retargeter:   {arguments.method} (needs no training)")
     else:
         say(f"Retargeter:   {checkpoint} ({'reused' if reused else 'trained now'})")
-        properties = describe(checkpoint)
+        loaded = load_checkpoint(checkpoint)
+        properties |= {"checkpoint": str(checkpoint), "method": loaded.config["method"]}
 
     person = HumanHand.fit(recording)
     results = []
@@ -193,22 +193,6 @@ def _replay(arguments: argparse.Namespace, base: "Scenario", side: str) -> "Reco
             "the hand in place"
         )
     return replay
-
-
-def describe(checkpoint: Path) -> dict[str, str | float]:
-    """What recordings note of a checkpoint, with the measured time of one call if there is one."""
-    from geort_drake.retargeting.checkpoint import METRICS, load_checkpoint
-
-    loaded = load_checkpoint(checkpoint)
-    properties = {
-        "checkpoint": str(checkpoint),
-        "method": loaded.config["method"],
-        "hand": loaded.hand["name"],
-    }
-    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-        metrics = json.loads((checkpoint / METRICS).read_text(encoding="utf-8"))
-        properties["retargeting_call_us"] = float(metrics["latency_us"]["median"])
-    return properties
 
 
 def _row(result: Any) -> tuple[str, ...]:

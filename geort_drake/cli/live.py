@@ -12,7 +12,6 @@ import math
 from pathlib import Path
 
 from geort_drake.cli.options import (
-    DEFAULT_METHOD,
     CommandParser,
     command,
     finish,
@@ -66,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         read_recording,
         synthesize_play,
     )
-    from geort_drake.cli.retargeters import cached_or_trained
+    from geort_drake.comparison.train import cached_checkpoint
     from geort_drake.console import console, say, warn
     from geort_drake.live.devices import require_hand_messages
     from geort_drake.live.glove_stream import GloveStream
@@ -97,9 +96,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     checkpoint = arguments.retargeter
     if checkpoint is None:
-        hint = "; nothing moves until then. To start at once, give --retargeter and a checkpoint's directory"
         play = synthesize_play(seed=0, side=side)
-        checkpoint, _ = cached_or_trained(scenario.hand, play, DEFAULT_METHOD, 0, hint=hint)
+        checkpoint, _ = cached_checkpoint(scenario.hand, play)
     retarget = load_retargeter(checkpoint, HandModel(description), arguments.backend)
     model = RobotModel(scenario, description)
     recorder = None

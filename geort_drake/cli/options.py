@@ -177,14 +177,6 @@ def _json_file(text: str) -> Path:
     return output_file(".json")(text)
 
 
-def require_distinct(option: str, values: Iterable[Any]) -> None:
-    """Raises UsageError if an option lists a value twice."""
-    values = list(map(str, values))
-    twice = sorted({value for value in values if values.count(value) > 1})
-    if twice:
-        raise UsageError(f"{option} lists {', '.join(twice)} more than once")
-
-
 # -- what options stand for
 
 

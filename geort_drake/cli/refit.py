@@ -23,7 +23,8 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import refit_checkpoint
-    from geort_drake.console import print_table, progress_bar, say
+    from geort_drake.cli.train import metric_rows
+    from geort_drake.console import print_table, progress_bar
     from geort_drake.retargeting.checkpoint import METRICS, load_checkpoint
 
     with progress_bar() as display:
@@ -49,13 +50,8 @@ def run(arguments: argparse.Namespace) -> int:
         for finger, maps in provenance["refit"]["affine"].items()
     ]
     print_table(("finger", "scale, x y z", "shift, mm", "residual"), rows)
-    closed = metrics["pinch"]["closed"]
-    say(
-        f"motion preservation {metrics['motion_preservation']:.3f}, "
-        f"coverage {metrics['coverage']['10mm']:.2f}, "
-        f"pinches closed {'–' if closed is None else f'{100 * closed:.0f} %'}, self-collision "
-        f"{100 * metrics['self_collision']:.1f} %; fitted in {provenance['timings']['fit_s']:.1f} s"
-    )
+    title = f"after {provenance['timings']['fit_s']:.1f} s"
+    print_table(("metric", "value"), metric_rows(metrics), title)
     write_json(arguments.json, metrics)
     words = ("--retargeter", path, "--recording", arguments.recording, "--hand", arguments.hand)
     finish({"Checkpoint": path}, command("grasp", *words))

@@ -4,12 +4,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geort_drake.comparison.train import cached_checkpoint
-from geort_drake.console import warn
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.mirror import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.method import Retarget
-from geort_drake.retargeting.methods import make_untrained, untrained_methods
+from geort_drake.retargeting.methods import make_untrained, trained_methods, untrained_methods
 from geort_drake.retargeting.retargeter import load_retargeter
 
 if TYPE_CHECKING:
@@ -19,10 +18,10 @@ if TYPE_CHECKING:
 def retargeter_of(
     method: str, hand_name: str, recording: "Recording", seed: int, device: str = "cpu"
 ) -> tuple[Retarget, Path | None, bool]:
-    """Makes a retargeter of a method; trains it on the recording if the method needs training.
+    """The retargeter of a checkpoint's directory, or of a method, trained on the recording if it learns.
 
     Returns:
-        The retargeter; its checkpoint, None if the method needs no training; and whether it was reused.
+        The retargeter; its checkpoint, None if the method needs no training; and whether it existed before.
     """
     hand = HandModel(load_hand(hand_name))
     if method in untrained_methods():
@@ -30,19 +29,7 @@ def retargeter_of(
         frames = recording.fingertips(keypoints)
         kinematics = canonical_kinematics(hand)
         return make_untrained(method, kinematics, keypoints, frames=frames, seed=seed), None, True
-    path, reused = cached_or_trained(hand_name, recording, method, seed, device)
+    path, reused = Path(method), True
+    if method in trained_methods():
+        path, reused = cached_checkpoint(hand_name, recording, method, seed, device)
     return load_retargeter(path, hand), path, reused
-
-
-def cached_or_trained(
-    hand_name: str, recording: "Recording", method: str, seed: int, device: str = "cpu", hint: str = ""
-) -> tuple[Path, bool]:
-    """Calls `cached_checkpoint`; before a training, warns that it takes minutes, followed by `hint`."""
-
-    def announce() -> None:
-        warn(
-            f"the cache has no {method} retargeter for {hand_name} and this recording; training one now, "
-            f"which takes about two minutes{hint}"
-        )
-
-    return cached_checkpoint(hand_name, recording, method, seed, device, announce=announce)

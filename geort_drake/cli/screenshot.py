@@ -21,14 +21,11 @@ def add_arguments(parser: CommandParser) -> None:
         metavar="T",
         help="time to show, simulated s or training steps (default: the end)",
     )
-    add("--width", type=int, default=1440, metavar="PX", help="width of the window")
-    add("--height", type=int, default=900, metavar="PX", help="height of the window")
 
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake.rerun.screenshot import take_screenshot
 
-    size = (arguments.width, arguments.height)
-    take_screenshot(arguments.recording, arguments.picture, time=arguments.time, size=size)
+    take_screenshot(arguments.recording, arguments.picture, time=arguments.time)
     finish({"Picture": arguments.picture})
     return 0

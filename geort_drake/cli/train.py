@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
         recorder.write(arguments.rrd, load_retargeter(path), properties)
     spent = provenance["timings"]["robot_data_s"] + provenance["timings"]["fit_s"]
     title = f"{arguments.method} on {metrics['hand']}, seed {arguments.seed}, {spent:.0f} s"
-    print_table(("metric", "value"), _rows(metrics), title)
+    print_table(("metric", "value"), metric_rows(metrics), title)
     for text in provenance["warnings"]:
         warn(text)
     write_json(arguments.json, metrics)
@@ -116,11 +116,10 @@ def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
     settings = dict(PRESETS[arguments.preset]) if arguments.preset else {}
     settings |= parse_settings(arguments.set, config, method)
     settings |= {name: value for name in ("steps", "fk") if (value := getattr(arguments, name)) is not None}
-    training_config(method, settings, hand)
     return settings
 
 
-def _rows(metrics: dict) -> Iterator[tuple[str, str]]:
+def metric_rows(metrics: dict) -> Iterator[tuple[str, str]]:
     """Metrics and their values as text."""
 
     def text(form: str, *values: float | None) -> str:

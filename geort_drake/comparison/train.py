@@ -7,7 +7,7 @@ import json
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ import numpy as np
 
 from geort_drake.comparison.metrics import evaluate
 from geort_drake.comparison.versions import git_state, versions
-from geort_drake.console import progress_bar
+from geort_drake.console import progress_bar, say
 from geort_drake.errors import CheckpointError, GeortError, HandError, RecordingError
 from geort_drake.files import digest_of
 from geort_drake.hands.description import HandDescription, load_hand
@@ -226,16 +226,15 @@ def cached_checkpoint(
     seed: int = 0,
     device: str = "cpu",
     settings: Mapping | None = None,
-    announce: Callable[[], None] | None = None,
 ) -> tuple[Path, bool]:
     """The checkpoint for a hand and a recording from the cache, trained first if it is not there.
 
     The key covers the hand's model and description, the recording, method, seed, device, settings, and
-    `training_sources`. A damaged checkpoint is trained again. Warnings of training are repeated at every use.
+    `training_sources`. A damaged checkpoint is trained again. A line on stderr
+    announces a training. Warnings of training are repeated at every use.
 
     Args:
         hand_name, recording, method, seed, device, settings: as in `train_checkpoint`.
-        announce: called before a training.
 
     Returns:
         The checkpoint's directory in `cache_dir() / "retargeters"`, and whether it existed before.
@@ -266,8 +265,10 @@ def cached_checkpoint(
             for text in known:
                 warnings.warn(text, RuntimeWarning, stacklevel=2)
             return path, True
-    if announce is not None:
-        announce()
+    say(
+        f"The cache has no {method} retargeter for {hand.description.name} and this recording; training one "
+        "takes about two minutes."
+    )
     return train_checkpoint(hand_name, recording, path, method, seed, device, settings=settings), False
 
 
