@@ -4,10 +4,14 @@ import copy
 import dataclasses as dc
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from operator import attrgetter
+from typing import Any
 
 from geort_drake.benchmark.records import Record
 from geort_drake.errors import BenchmarkError, UnknownNameError
 from geort_drake.simulation.scenario import Scenario
+
+_NOISES = ("visual_noise", "visual_turn_noise", "contact_noise", "motor_noise", "tremor")
 
 
 @dc.dataclass(frozen=True)
@@ -27,40 +31,35 @@ class Parameter:
     nominal: Callable[[Scenario], float]
 
 
-def _set_delay(scenario: Scenario, milliseconds: float) -> None:
-    scenario.operator.visual_delay = milliseconds / 1000
+def _factor(
+    label: str, values: tuple[float, ...], part: Callable[[Scenario], Any], *fields: str
+) -> Parameter:
+    """Factors on fields of a part of the scenario."""
 
+    def change(scenario: Scenario, factor: float) -> None:
+        for field in fields:
+            setattr(part(scenario), field, factor * getattr(part(scenario), field))
 
-def _set_gain(scenario: Scenario, rate: float) -> None:
-    scenario.operator.correction_rate = rate
-
-
-def _scale_noise(scenario: Scenario, factor: float) -> None:
-    for field in ("visual_noise", "visual_turn_noise", "contact_noise", "motor_noise", "tremor"):
-        setattr(scenario.operator, field, factor * getattr(scenario.operator, field))
-
-
-def _scale_stiffness(scenario: Scenario, factor: float) -> None:
-    scenario.hand_stiffness_factor *= factor
-
-
-def _scale_friction(scenario: Scenario, factor: float) -> None:
-    scenario.object.friction_factor *= factor
-
-
-def _factor(label: str, values: tuple[float, ...], scale: Callable[[Scenario, float], None]) -> Parameter:
-    return Parameter(f"{label}, factor", values, scale, lambda _: 1.0)
+    return Parameter(f"{label}, factor", values, change, lambda _: 1.0)
 
 
 # Changed by the sensitivity analysis of a grasp benchmark.
 ASSUMPTIONS = {
     "delay": Parameter(
-        "visual delay, ms", (0, 100, 300), _set_delay, lambda s: round(1000 * s.operator.visual_delay, 9)
+        "visual delay, ms",
+        (0, 100, 300),
+        lambda s, milliseconds: setattr(s.operator, "visual_delay", milliseconds / 1000),
+        lambda s: round(1000 * s.operator.visual_delay, 9),
     ),
-    "gain": Parameter("naive gain, 1/s", (0.5, 1, 3), _set_gain, lambda s: s.operator.correction_rate),
-    "noise": _factor("the person's noise", (0, 2, 4), _scale_noise),
-    "stiffness": _factor("hand stiffness", (0.5, 2), _scale_stiffness),
-    "friction": _factor("object friction", (0.5, 2), _scale_friction),
+    "gain": Parameter(
+        "naive gain, 1/s",
+        (0.5, 1, 3),
+        lambda s, rate: setattr(s.operator, "correction_rate", rate),
+        lambda s: s.operator.correction_rate,
+    ),
+    "noise": _factor("the person's noise", (0, 2, 4), attrgetter("operator"), *_NOISES),
+    "stiffness": _factor("hand stiffness", (0.5, 2), lambda s: s, "hand_stiffness_factor"),
+    "friction": _factor("object friction", (0.5, 2), attrgetter("object"), "friction_factor"),
 }
 
 

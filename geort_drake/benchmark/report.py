@@ -42,7 +42,11 @@ def write_grasp_report(folder: Path) -> dict:
     config = read_config(folder)
     order = list(config["methods"])
     everything = read_records(folder / TRIALS)
-    _require_known(everything, config, folder)
+    conditions = ["", *config.get("conditions", {})]
+    for key in map(key_of, everything):
+        known = key.method in order and key.object in config["objects"] and key.condition in conditions
+        if not known:
+            raise BenchmarkError(f"{folder / TRIALS}: holds a trial of {key}, which is not in {CONFIG}")
     records = [record for record in everything if not record.get("condition")]
     records.sort(key=lambda r: (order.index(r["method"]), r["object"], r["seed"]))
     grips = {name: grip_of(name) for name in config["objects"]}
@@ -94,14 +98,6 @@ def _write(
     for name in names:
         template = environment.get_template(f"{kind}_{name}.j2")
         write_text(folder / name, template.render(summary=summary, figures=FIGURES, **content))
-
-
-def _require_known(records: Iterable[Record], config: dict, folder: Path) -> None:
-    conditions = ["", *config.get("conditions", {})]
-    for key in map(key_of, records):
-        known = key.method in config["methods"] and key.object in config["objects"]
-        if not known or key.condition not in conditions:
-            raise BenchmarkError(f"{folder / TRIALS}: holds a trial of {key}, which is not in {CONFIG}")
 
 
 def _group(summary: dict, *path: str) -> dict:

@@ -110,6 +110,14 @@ class WristToArm(Diagram):
             ),
         )
 
+        # A model without acceleration limits can stop from full speed within a period.
+        limits = JointLimits(
+            plant.GetPositionLowerLimits()[arm_dofs],
+            plant.GetPositionUpperLimits()[arm_dofs],
+            speed[arm_dofs],
+            np.minimum(plant.GetAccelerationUpperLimits()[arm_dofs], speed[arm_dofs] / config.period),
+        )
+
         builder = DiagramBuilder()
         clutch = builder.AddNamedSystem("clutch", Clutch(hand_frame.CalcPoseInWorld(context), config.period))
         # Drake's inverse kinematics takes a bus of frame name → X_WB.
@@ -127,7 +135,7 @@ class WristToArm(Diagram):
                 active,
                 arm_dofs,
                 hand_frame,
-                _arm_limits(config, plant, arm_dofs, speed),
+                limits,
                 config.period,
                 limit_acceleration,
             ),
@@ -143,19 +151,6 @@ class WristToArm(Diagram):
         builder.ConnectInput("valid", motion.GetInputPort("valid"))
         builder.ExportOutput(motion.GetOutputPort("arm_desired_state"), "arm_desired_state")
         builder.BuildInto(self)
-
-
-def _arm_limits(
-    config: WristToArmConfig, plant: MultibodyPlant, arm_dofs: np.ndarray, speed: np.ndarray
-) -> JointLimits:
-    """Returns the arm's limits; without an acceleration limit, one that stops from full speed in a period."""
-    speed = speed[arm_dofs]
-    return JointLimits(
-        plant.GetPositionLowerLimits()[arm_dofs],
-        plant.GetPositionUpperLimits()[arm_dofs],
-        speed,
-        np.minimum(plant.GetAccelerationUpperLimits()[arm_dofs], speed / config.period),
-    )
 
 
 def _recipe(
