@@ -13,7 +13,7 @@ from geort_drake.retargeting.method import TrainingData, TrainingResult
 from geort_drake.retargeting.methods.geort.config import GeortConfig
 from geort_drake.retargeting.training import criteria
 from geort_drake.retargeting.training.descent import Report, descend, device_of, one_thread
-from geort_drake.retargeting.training.human_data import HUMAN_VOXEL, HumanData
+from geort_drake.retargeting.training.human_data import HumanData
 from geort_drake.retargeting.training.networks import RetargetingNetwork
 from geort_drake.retargeting.training.pretraining import (
     fit_classifier,
@@ -55,8 +55,23 @@ class _Training:
         # One stream for all draws, on the CPU so that it does not depend on the device.
         self.generator = torch.Generator().manual_seed(seed)
         self.timings: dict[str, float] = {}
-        self._load_human(data.p_HF)
-        self._load_robot(data.q, labels)
+        human = HumanData(data.p_HF, kinematics.finger_names)
+        self.human_points = human.points
+        self.human_clouds = [self._tensor(cloud) for cloud in human.clouds]
+        self.frames = self._tensor(human.frames)
+        self.all_rows = torch.arange(len(human.frames))
+        self.pairs = human.pairs
+        self.pinch_weights = self._pinch_weights_of(self.frames)
+        self.pinch_rows = torch.nonzero(self.pinch_weights.sum(1).cpu() > 0)[:, 0]
+        if config.pinch_weight > 0:
+            human.check_pinches()
+        p_BF = kinematics.fingertips(torch.tensor(data.q, dtype=torch.float64)).numpy()
+        self.robot_clouds = [
+            self._tensor(voxel_thinned(p_BF[:, i], ROBOT_VOXEL)) for i in range(p_BF.shape[1])
+        ]
+        self.uniform = (self._tensor(data.q), self._tensor(np.asarray(labels, dtype=float)))
+        # Joint angles that the retargeter returned, with their labels.
+        self.own = (self.uniform[0][:0], self.uniform[1][:0])
 
         started = time.perf_counter()
         self.classifier, self.classifier_figures = fit_classifier(
@@ -72,9 +87,8 @@ class _Training:
             )
             self.fingertips = neural.fingertips
             self.timings["neural_kinematics_s"] = time.perf_counter() - started
-        self.network = RetargetingNetwork(
-            kinematics, self.mean, self.scale, config.hidden, self.generator
-        ).to(device)
+        mean, scale = torch.tensor(human.mean), torch.tensor(human.scale)
+        self.network = RetargetingNetwork(kinematics, mean, scale, config.hidden, self.generator).to(device)
 
     def run(self, report: Report | None) -> TrainingResult:
         config = self.config
@@ -145,32 +159,6 @@ class _Training:
     def _pinch_weights_of(self, hands: torch.Tensor) -> torch.Tensor:
         config = self.config
         return criteria.pinch_weights(hands, self.pairs, PINCH_M, config.other_pinches)
-
-    def _load_human(self, p_HF: np.ndarray) -> None:
-        human = HumanData(p_HF, self.kinematics.finger_names, HUMAN_VOXEL)
-        self.human_points = human.points
-        self.human_clouds = [self._tensor(cloud) for cloud in human.clouds]
-        self.mean, self.scale = torch.tensor(human.mean), torch.tensor(human.scale)
-        self.frames = self._tensor(human.frames)
-        self.all_rows = torch.arange(len(human.frames))
-        self.pairs = human.pairs
-        self.pinch_weights = self._pinch_weights_of(self.frames)
-        self.pinch_rows = torch.nonzero(self.pinch_weights.sum(1).cpu() > 0)[:, 0]
-        if self.config.pinch_weight > 0:
-            human.check_pinches()
-
-    def _load_robot(self, samples: np.ndarray, labels: np.ndarray) -> None:
-        q = torch.tensor(samples, dtype=torch.float64)
-        p_BF = self.kinematics.fingertips(q).numpy()
-        self.robot_clouds = [
-            self._tensor(voxel_thinned(p_BF[:, i], ROBOT_VOXEL)) for i in range(p_BF.shape[1])
-        ]
-        self.uniform = (
-            self._tensor(samples),
-            self._tensor(np.asarray(labels, dtype=float)),
-        )
-        # Joint angles that the retargeter returned, with their labels.
-        self.own = (self.uniform[0][:0], self.uniform[1][:0])
 
     def _refresh_classifier(self) -> None:
         """Fits the classifier to the retargeter's current outputs and their surroundings as well."""
