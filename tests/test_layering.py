@@ -69,15 +69,6 @@ def test_no_modules_import_each_other_in_a_cycle():
     graphlib.TopologicalSorter(graph).prepare()  # raises CycleError with the cycle
 
 
-def test_imports_inside_functions_name_modules_that_exist():
-    """Also those that only one command runs."""
-    known = modules()
-    for path in known.values():
-        for name in imports(path):
-            if name.startswith("geort_drake."):
-                assert name in known or name.rpartition(".")[0] in known, f"{path} imports {name}"
-
-
 @pytest.mark.parametrize(
     ("package", "room"), [("pydrake", "people"), ("pydrake", "retargeting"), ("rerun", ""), ("zmq", "")]
 )

@@ -58,16 +58,6 @@ def test_checking_writes_nothing_unless_there_is_a_second_file(npy, tmp_path):
     assert Recording.load(tmp_path / "hand.npz").rate_hz == pytest.approx(60.0)
 
 
-def test_a_recording_too_short_for_training_can_be_replayed(npy, tmp_path, capsys):
-    """The verdict says why it does not train."""
-    np.save(tmp_path / "short.npy", np.load(npy)[:100])
-    run_command("check-recording", [str(tmp_path / "short.npy")])
-    said = capsys.readouterr().err
-    assert "verdict: usable with warnings; not fit for training" in said
-    assert "training needs at least 300" in said
-    assert "next:" not in said
-
-
 def test_a_recording_is_mirrored_for_a_hand_of_the_other_side(npy, tmp_path, capsys):
     """The other hand makes the same motion: stored in the mirror, the keypoints are the same."""
     run_command("convert", [str(npy), str(tmp_path / "left.npz"), "--mirror", "--json"])
@@ -91,14 +81,9 @@ def test_the_report_is_also_given_as_json(npy, tmp_path, capsys):
     report = json.loads(capsys.readouterr().out)
     assert report["verdict"] in ("usable", "usable with warnings")
     assert report["fit_for_training"] is True
-    assert (report["format"], report["side"], report["frames"], report["wrist"]) == (
-        "geort",
-        "right",
-        450,
-        "none",
-    )
+    known = {"format": "geort", "side": "right", "frames": 450, "wrist": "none", "rate_known": True}
+    assert known.items() <= report.items()
     assert report["rate_hz"] == pytest.approx(60.0)
-    assert report["rate_known"] is True
     assert report["sha256"] == read_recording(npy, rate_hz=60.0).digest
     assert len(report["fingers"]["index"]["bones_mm"]) == 4
     assert {"check", "severity", "what", "where", "advice", "lost_frames"} == report["findings"][0].keys()
