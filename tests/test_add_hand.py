@@ -23,7 +23,6 @@ from geort_drake.hands.clearance import HandClearance
 from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.description import load_hand, write_description
 from geort_drake.hands.importers.checks import examine
-from geort_drake.hands.importers.couplings import read_couplings
 from geort_drake.hands.importers.finger_names import fingers_by_name
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.hands.model import HandModel
@@ -85,15 +84,6 @@ def test_fingers_are_known_by_usual_names(names):
     """Words, and two letters in either case; other words that contain these do not count."""
     assert fingers_by_name([[name] for name in names]) == list(FINGER_NAMES)
     assert fingers_by_name([[names[0]], ["shift_j0"]]) is None
-
-
-@pytest.mark.parametrize("kind", ["urdf", "sdf", "xml"])
-def test_couplings_are_read_from_every_format(kind, tmp_path):
-    """Ratio and offset, in the notation of each format."""
-    found = read_couplings(write_hand(tmp_path, HandSpec(3, kind)))
-    assert [(c.joint, c.follows) for c in found] == [("index_j3", "index_j2"), ("middle_j3", "middle_j2")]
-    for coupling in found:
-        assert (coupling.ratio, coupling.offset) == (pytest.approx(0.8), pytest.approx(0.1))
 
 
 @pytest.fixture(params=["urdf", "sdf", "xml"])

@@ -1,8 +1,5 @@
 """Hand descriptions: finding, reading and checking them."""
 
-import dataclasses as dc
-
-import numpy as np
 import pytest
 from model_scene import SHIPPED_HANDS
 
@@ -37,18 +34,6 @@ def test_unknown_hand_lists_the_choices():
         load_hand("alegro")
 
 
-def test_a_left_hand_is_described_as_its_right_one():
-    """The descriptions of the two Allegro hands differ only in name, model, side and mount."""
-    right, left = (dc.asdict(load_hand(f"allegro_{side}")) for side in ("right", "left"))
-    for facts, side in ((right, "right"), (left, "left")):
-        assert facts.pop("side") == side
-        assert facts.pop("name").endswith(f"_{side}") and facts.pop("model").endswith(f"_{side}.sdf")
-        facts.pop("mount")
-        for finger in facts["fingers"]:
-            finger["tip_point"] = np.abs(finger["tip_point"]).tolist()
-    assert left == right
-
-
 def _set(path: str, value):
     """A function that puts `value` at a dotted path of the description."""
 
@@ -65,24 +50,15 @@ def _set(path: str, value):
     ("change", "message"),
     [
         (_set("model", "nothing.sdf"), r"nothing\.sdf is missing"),
-        (_set("model", ""), r"hand\.yaml.*model must be given"),
         (_set("side", "middle"), r"side must be one of left, right; given: 'middle'"),
         (_set("base_frame", "palm"), r"base_frame names the frame or link 'palm'.*base_link"),
         (_set("fingers.1.tip_link", "tip"), r"fingers\.index\.tip_link names.*'tip'.*link_3"),
-        (_set("fingers.1.joints", ["joint_0", "knuckle"]), r"fingers\.index\.joints.*'knuckle'.*joint_1"),
         (_set("fingers.1.joints", ["joint_12", "joint_1"]), r"every joint once; given: twice: joint_12"),
         (_set("fingers.1.name", "pinky"), r"fingers\[1\]\.name must be one of thumb.*'pinky'"),
-        (_set("fingers.1.human_keypoint", 21), r"human_keypoint must be from 1 to 20; given: 21"),
-        (_set("fingers.1.tip_point", [0.0, 0.1]), r"tip_point must be three finite"),
         (_set("fingers.1.tip_radius", -0.01), r"tip_radius must be positive"),
-        (_set("fingers", []), r"fingers must be a list of at least one finger"),
-        (lambda facts: facts["fingers"].reverse(), r"fingers must be each at most once, as thumb, index"),
         (_set("default_positions.joint_12", 0.0), r"joint_12 must be within its limits.*0\.263.*given: 0"),
-        (_set("default_positions.wrist", 0.0), r"default_positions names.*'wrist'.*joint_0"),
         (_set("mount.frame", "wrist"), r"mount\.frame names the frame or link 'wrist'.*mount"),
-        (_set("mount.rpy_deg", [90]), r"mount\.rpy_deg must be three finite numbers"),
         (_set("colour", "red"), r"hand\.yaml is malformed.*colour"),
-        (_set("fingers.0.tip_radius", "wide"), r"hand\.yaml is malformed"),
     ],
 )
 def test_bad_descriptions_name_what_is_wrong(allegro_copy, change, message):

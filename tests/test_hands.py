@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 from model_scene import SHIPPED_HANDS
-from scipy.optimize import minimize
 
 from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.description import load_hand
@@ -103,34 +102,6 @@ def test_contacts_between_tips_are_distinguished(allegro, rng):
         assert [depth for depth, *_ in contacts] == sorted((c[0] for c in contacts), reverse=True)
         kinds.update(tip_tip for *_, tip_tip in contacts)
     assert kinds == {True, False}
-
-
-def test_a_pinch_is_a_contact_of_tips_only(allegro):
-    """Index and thumb tips brought together touch as spheres do: depth = 2 r - distance."""
-    thumb, index = (allegro.finger_names.index(name) for name in ("thumb", "index"))
-    free = [allegro.joint_names.index(f"joint_{i}") for i in (12, 13, 14, 15, 0, 1, 2, 3)]
-    around_a_cylinder = np.array([1.16, 0.42, 0.51, 0.58, -0.15, 0.55, 0.89, 0.77])
-
-    def q_of(x):
-        q = allegro.default_position
-        q[free] = x
-        return q
-
-    def cost(x):
-        tips = allegro.fingertips(q_of(x))
-        gap = 1e3 * (np.linalg.norm(tips[thumb] - tips[index]) - 0.020)
-        return gap**2 + np.sum((x - around_a_cylinder) ** 2)
-
-    bounds = list(zip(allegro.lower[free], allegro.upper[free], strict=True))
-    q = q_of(minimize(cost, around_a_cylinder, bounds=bounds, method="L-BFGS-B").x)
-    distance = np.linalg.norm(np.diff(allegro.fingertips(q)[[thumb, index]], axis=0))
-    assert distance < 0.021
-    assert allegro.collides(q)
-    assert not allegro.collides_beyond_tips(q)
-    depth, *links, tip_tip = allegro.penetrations(q)[0]
-    assert (links, tip_tip) == (["link_15", "link_3"], True)
-    # Sphere against sphere; the cylinders under the tips may reach deeper.
-    assert depth >= 2 * allegro.tip_radius - distance - 1e-6
 
 
 def test_a_joint_that_no_finger_lists_is_held_at_its_default(allegro_copy, rng):

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 from model_scene import tips_mm
-from pydrake.geometry import Role
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
-from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
@@ -82,46 +80,6 @@ def test_leap_fingertips_agree_with_the_published_description(leap, case):
         np.testing.assert_allclose(in_palm * 1e3, wanted[finger], atol=0.1)
 
 
-def test_leap_centres_of_mass_lie_in_the_links(leap):
-    """None lies on its joint, as in the public model."""
-    query = leap.scene_graph.get_query_output_port().Eval(
-        leap.scene_graph.GetMyContextFromRoot(leap.diagram.CreateDefaultContext())
-    )
-    context = leap.plant.GetMyContextFromRoot(leap.diagram.CreateDefaultContext())
-    for index in range(1, leap.plant.num_bodies()):
-        body = leap.plant.get_body(BodyIndex(index))
-        assert np.linalg.norm(body.default_com()) > 0.005, body.name()
-        p_WC = body.EvalPoseInWorld(context) @ body.default_com()
-        frame = leap.plant.GetBodyFrameIdOrThrow(body.index())
-        own = set(leap.scene_graph.model_inspector().GetGeometries(frame, Role.kProximity))
-        distances = [d.distance for d in query.ComputeSignedDistanceToPoint(p_WC, 0.05) if d.id_G in own]
-        assert min(distances) < 0.003, body.name()
-
-
-def test_leap_inertias_are_about_the_links_own_axes(leap):
-    """The smallest moment is about the longest side, unlike in the public model."""
-    for name, longest in (("index_pip", 0), ("thumb_base", 0), ("thumb_pip", 1)):
-        body = leap.plant.GetBodyByName(name)
-        M = body.default_spatial_inertia().Shift(body.default_com())
-        moments = M.CalcRotationalInertia().get_moments()
-        assert np.argmin(moments) == longest, name
-
-
-def test_leap_thumb_base_has_its_box_at_its_servo(leap):
-    """The public model has it mirrored, at +7.5 mm."""
-    inspector = leap.scene_graph.model_inspector()
-    frame = leap.plant.GetBodyFrameIdOrThrow(leap.plant.GetBodyByName("thumb_base").index())
-    (box,) = inspector.GetGeometries(frame, Role.kProximity)
-    assert inspector.GetPoseInFrame(box).translation()[0] == pytest.approx(-0.0075)
-
-
-def test_leap_thumb_limits_are_not_shifted_by_a_joint(leap):
-    """Another public model gives joint_14 the limits of joint_13."""
-    for name, limits in (("joint_13", (-0.47, 2.443)), ("joint_14", (-1.2, 1.9))):
-        number = leap.joint_names.index(name)
-        assert (leap.lower[number], leap.upper[number]) == limits
-
-
 def test_allegro_collides_with_itself_as_often_as_its_meshes_do(allegro, rng):
     """In 34.3 % of uniform joint positions, measured independently with the same primitives."""
     rate = allegro.collides(rng.uniform(allegro.lower, allegro.upper, (20_000, 16))).mean()
@@ -132,15 +90,6 @@ def test_leap_collides_with_itself_as_often_as_its_meshes_do(leap, rng):
     """In 79.1 % of uniform joint positions, with the meshes in 78.5 %."""
     rate = leap.collides(rng.uniform(leap.lower, leap.upper, (5000, 16))).mean()
     assert rate == pytest.approx(0.7912, abs=0.02)
-
-
-def test_allegro_masses_lie_beyond_their_joints(allegro):
-    """A last link has its own mass and the tip's, at their common centre."""
-    link = allegro.plant.GetBodyByName("link_3")
-    assert link.default_mass() == pytest.approx(0.0096 + 0.0168)
-    # Two point masses: the link's own at 9.59 mm, the tip's at 26.7 - 1.21 mm.
-    wanted = (0.0096 * 9.59 + 0.0168 * 25.49) / 0.0264
-    assert link.default_com()[2] * 1e3 == pytest.approx(wanted, abs=0.01)
 
 
 @pytest.mark.parametrize(

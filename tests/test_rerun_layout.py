@@ -10,7 +10,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from rerun_world import World, constant, pose_source, read
 
-from geort_drake.colours import FINGER_COLOURS, rgb
+from geort_drake.colours import FINGER_COLOURS
 from geort_drake.errors import ScenarioError
 from geort_drake.people.keypoints import TIP_KEYPOINT, wrist_pose
 from geort_drake.rerun import (
@@ -70,21 +70,6 @@ def test_plots_are_named_with_their_unit_and_are_on_pages(tmp_path, laid_out):
     assert plots == ["contact force [N]", "thumb [rad]", "index [rad]", "all [N m]"]
     assert [laid_out.pages[title] for title in plots] == ["angles"] * 3 + ["torques"]
     assert laid_out.views["thumb [rad]"].contents == ["/joints/command/thumb", "/joints/measured/thumb"]
-
-
-def test_a_series_has_the_colours_that_it_was_given(tmp_path):
-    """Such as those of the fingers; contact forces on a finger have its colour by themselves."""
-    world = World().finalize()
-    port = constant(world.builder, [1, 2])
-    colors = [rgb(FINGER_COLOURS[finger]) for finger in ("thumb", "ring")]
-    world.record(tmp_path / "c.rrd", signals={"tips/gap": SignalSpec(port, ["thumb", "ring"], colors=colors)})
-    with world.recorder:
-        world.simulator.AdvanceTo(0.05)
-    _, found = read(world.recorder.path, "/tips/gap", "SeriesLines:colors")
-    assert [f"#{color >> 8:06X}" for color in found[0].tolist()] == [
-        FINGER_COLOURS["thumb"],
-        FINGER_COLOURS["ring"],
-    ]
 
 
 def test_a_close_up_moves_with_its_frame(tmp_path, laid_out):
@@ -176,17 +161,3 @@ def test_a_plant_inside_another_diagram_is_recorded_by_exported_ports(tmp_path):
     _, found = read(recorder.path, "/world/ball/body", "Transform3D:translation")
     heights = np.array(found)[:, 0, 2]
     assert heights[0] == pytest.approx(2.0, abs=0.01) and (np.diff(heights) < 0).all()
-
-
-def test_a_port_inside_another_diagram_is_named(tmp_path):
-    """Drake's own error would come after the recorder was added."""
-    world = World().finalize()
-    inner = DiagramBuilder()
-    port = constant(inner, [1.0])
-    world.builder.AddNamedSystem("inner", inner.Build())
-    systems = world.builder.GetSystems()
-    with pytest.raises(
-        ScenarioError, match=r"'load': port 'y0' of '.*' is not in the diagram of the recorder.*ExportOutput"
-    ):
-        world.record(tmp_path / "no.rrd", signals={"load": SignalSpec(port, ["a"])})
-    assert world.builder.GetSystems() == systems

@@ -175,22 +175,13 @@ def test_what_is_derived_is_computed_when_it_is_written(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (lambda w: {"period": 0.0}, "period must be positive"),
         (
             lambda w: {"signals": {"q": SignalSpec(constant(w.builder, [1, 2]), ["a"])}},
             "'q'.*size 2, but 1 names",
         ),
         (
-            lambda w: {"points": {"p": PointsSpec(constant(w.builder, [1] * 4))}},
-            "'p'.*4 numbers, not 3 per point",
-        ),
-        (
             lambda w: {"signals": {"x": SignalSpec(pose_source(w.builder, RigidTransform()), ["a"])}},
             "'x'.*is abstract; expected a vector",
-        ),
-        (
-            lambda w: {"signals": {"q": SignalSpec(constant(w.builder, [1]), ["a"], colors=[])}},
-            "'q'.*1 names, but 0 colors",
         ),
         (
             lambda w: {"signals": {"q": SignalSpec(constant(w.builder, [1, 2]), ["a"], derive=lambda x: x)}},

@@ -101,18 +101,3 @@ def test_the_recording_holds_each_map_as_it_was(tmp_path, hand, play, network, m
     with torch.no_grad():
         q = network(torch.tensor(lattice.hands, dtype=torch.float32)).numpy().astype(float)
     np.testing.assert_allclose(lattices[0], lattice.segments(hand.fingertips(q)[:, 0]), atol=1e-5)
-
-
-def test_a_lattice_joins_neighbours(rng):
-    """Nodes lie in a plane where the fingertip was, edges along the axes, a spacing long."""
-    frames = rng.uniform(0, 0.05, (3000, 2, 3))
-    lattice = scene.Lattice(frames, 1)
-    segments = lattice.segments(lattice.nodes)
-    along = segments[:, 1] - segments[:, 0]
-    np.testing.assert_allclose(
-        np.sort(along, axis=1), np.tile([0, 0, scene._CELL], (len(along), 1)), atol=1e-12
-    )
-    np.testing.assert_array_equal(lattice.hands[:, 1], lattice.nodes)
-    assert np.ptp(lattice.nodes, axis=0).min() < 1e-12
-    distances = np.linalg.norm(frames[None, :, 1] - lattice.nodes[:, None], axis=-1).min(axis=1)
-    assert (distances < scene._CELL / 2).all()

@@ -68,20 +68,3 @@ def test_a_damaged_cache_is_replaced(allegro, tmp_path, damage):
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
     with np.load(path) as file:
         np.testing.assert_array_equal(file["q"], good.q)
-
-
-def test_cache_belongs_to_one_model(allegro_copy, tmp_path):
-    """A hand whose SDF text differs has another digest and another cache file."""
-    _, load = allegro_copy
-    original = HandModel(load())
-    assert original.digest == HandModel(load()).digest
-    sdf = tmp_path / "hand.sdf"
-    text = sdf.read_text(encoding="utf-8")
-    sdf.write_text(text.replace("<upper>1.61</upper>", "<upper>1.51</upper>", 1), encoding="utf-8")
-    changed = HandModel(load())
-    assert changed.digest != original.digest
-    cache = tmp_path / "cache"
-    robot_data(original, 50, cache=cache)
-    data = robot_data(changed, 50, cache=cache)
-    assert len(list(cache.iterdir())) == 2
-    assert data.q[:, changed.joint_names.index("joint_1")].max() <= 1.51
