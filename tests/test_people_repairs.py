@@ -206,3 +206,14 @@ def test_quaternions_of_the_wrist_are_scaled_or_their_frames_lost(tmp_path):
     told = " ".join(recording.metadata["warnings"])
     assert "2 of 400 quaternions of the wrist have a norm of 0.9 to 0.9" in told
     assert "1 of 400 frames have a wrist pose X_WH without a unit quaternion, the first is frame 20" in told
+
+
+@pytest.mark.parametrize("seconds", [-5.0, 500.0])
+def test_a_stretch_of_wrong_times_costs_about_its_frames(tmp_path, seconds):
+    """A clock that was set wrong for a while; other frames keep their times."""
+    hand = moving()
+    t = hand.t.copy()
+    t[100:120] += seconds
+    recording = read_recording(write_own(tmp_path, hand, t=t))
+    assert 20 <= np.count_nonzero(~recording.valid) <= 22
+    np.testing.assert_allclose(recording.t, hand.t, atol=1e-6)

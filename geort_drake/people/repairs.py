@@ -1,8 +1,10 @@
 """Repairs of recordings that need no guess: time stamps, and lengths of quaternions."""
 
+import bisect
+
 import numpy as np
 
-from geort_drake.people.checks.findings import MOST_LOST, Finding, FrameFaults, warning
+from geort_drake.people.checks.findings import Finding, FrameFaults, warning
 
 # A single first or last frame farther from the others than this has a wrong time.
 _LONGEST_GAP_S, _LONGEST_GAP_PERIODS = 60.0, 1000.0
@@ -36,22 +38,37 @@ def repaired_times(t: np.ndarray, numbers: np.ndarray, faults: FrameFaults) -> n
 def _increasing(t: np.ndarray) -> np.ndarray:
     """Indices of the times (N,) to keep, so that they increase.
 
-    Of two neighbours in the wrong order, the one off the clock's rhythm is dropped.
+    Of two neighbours in the wrong order, the one off the clock's rhythm is dropped; then as few as possible.
     """
     period = float(np.median(np.diff(t)))
     offset = np.pad(t - period * np.arange(len(t)), _WINDOW, constant_values=np.nan)
     near = np.lib.stride_tricks.sliding_window_view(offset, 2 * _WINDOW + 1)
     off = np.abs(near[:, _WINDOW] - np.nanmedian(near, axis=1))
-    kept = np.arange(len(t))
-    while len(kept) >= (1 - MOST_LOST) * len(t) and (back := np.flatnonzero(np.diff(t[kept]) <= 0)).size:
-        a, b = kept[back], kept[back + 1]
-        kept = np.setdiff1d(kept, np.where(off[a] > off[b], a, b))
+    back = np.flatnonzero(np.diff(t) <= 0)
+    kept = np.setdiff1d(np.arange(len(t)), np.where(off[back] > off[back + 1], back, back + 1))
+    kept = kept[_longest_increasing(t[kept])]
     longest = max(_LONGEST_GAP_S, _LONGEST_GAP_PERIODS * period)
     if len(kept) > 2 and t[kept[1]] - t[kept[0]] > longest:
         kept = kept[1:]
     if len(kept) > 2 and t[kept[-1]] - t[kept[-2]] > longest:
         kept = kept[:-1]
     return kept
+
+
+def _longest_increasing(t: np.ndarray) -> list[int]:
+    """Indices of a longest strictly increasing subsequence of t (N,)."""
+    ends: list[float] = []  # the least last time of a subsequence of each length
+    last: list[int] = []
+    before = [-1] * len(t)
+    for i, value in enumerate(t.tolist()):
+        length = bisect.bisect_left(ends, value)
+        before[i] = last[length - 1] if length else -1
+        ends[length : length + 1], last[length : length + 1] = [value], [i]
+    chain, i = [], last[-1] if last else -1
+    while i >= 0:
+        chain.append(i)
+        i = before[i]
+    return chain[::-1]
 
 
 def repaired_poses(
