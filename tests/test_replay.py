@@ -47,13 +47,13 @@ def test_a_simulated_session_meets_the_object_as_it_was():
 
 
 def test_another_session_meets_it_where_the_scenario_says():
-    """And it must be told what was grasped."""
+    """A session without a note of its object needs the name of the object."""
     scenario = scenario_with("cylinder")
     own = as_recorded(scenario, session(), "sphere").object
     assert (own.name, own.position, own.yaw, own.mass_factor) == (
         "sphere", scenario.object.position, 0.0, 1.0,
     )  # fmt: skip
-    with pytest.raises(ScenarioError, match="name it with --object"):
+    with pytest.raises(ScenarioError, match="give it with --object"):
         as_recorded(scenario, session(), None)
 
 

@@ -148,5 +148,5 @@ def test_unusable_input_is_refused_with_what_is_expected(hand, human):
     with pytest.raises(UnknownNameError, match="cpu, cuda"):
         quick(hand, human, device="tpu")
     if not torch.cuda.is_available():
-        with pytest.raises(TrainingError, match="sees no CUDA device"):
+        with pytest.raises(TrainingError, match="no CUDA device"):
             quick(hand, human, device="cuda")
