@@ -208,7 +208,7 @@ def cut(path):
         (lambda f: cut(f / "cube-0.rrd"), "cube-0.rrd: not a readable Rerun recording"),
     ],
 )
-def test_what_a_run_lacks_is_named(run, tmp_path, spoil, message):
+def test_incomplete_runs_are_refused(run, tmp_path, spoil, message):
     """And nothing is left behind."""
     spoil(run)
     with pytest.raises(RecordingError, match=message):
@@ -216,7 +216,7 @@ def test_what_a_run_lacks_is_named(run, tmp_path, spoil, message):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run"]
 
 
-def test_what_cannot_be_exported_is_refused(run, tmp_path):
+def test_unsuitable_exports_are_refused(run, tmp_path):
     """No robot in a LeRobot dataset, other joints in the same dataset, another folder in its place."""
     play = synthesize_play(0, 2.0, 30.0)
     with pytest.raises(RecordingError, match="no robot: export it as Parquet"):

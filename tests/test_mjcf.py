@@ -48,21 +48,6 @@ def test_settings_reach_inner_classes(tmp_path):
     assert inspector.GetShape(geometry).radius() == 0.03
 
 
-@pytest.mark.parametrize(
-    ("body", "lossy"),
-    [
-        ('<joint class="outer"/><geom class="between"/>', []),
-        ('<body childclass="between"><joint/></body>', ["between"]),
-        ('<body childclass="between"><joint class="outer"/></body>', []),
-    ],
-)
-def test_only_classes_in_use_count(body, lossy):
-    """By an element's own class, or by that of the bodies around it."""
-    inner = '<default class="between"><geom group="3"/></default>'
-    classes = f'<default><default class="outer"><joint range="0 1.5"/>{inner}</default></default>'
-    assert inherit_defaults(tree(body, classes)) == lossy
-
-
 def test_a_converted_model_has_the_limits_of_its_classes(tmp_path):
     """The original is refused, because Drake gives it no limits."""
     plain = write_hand(tmp_path, HandSpec(3, "xml", mimic=False), "plain")

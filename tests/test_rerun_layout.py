@@ -1,4 +1,4 @@
-"""How recordings are laid out: plots and their pages, close-ups, trails; and plants inside other diagrams."""
+"""The default layout: plots and their pages, close-ups, trails; and plants inside other diagrams."""
 
 from types import SimpleNamespace
 
@@ -73,7 +73,7 @@ def test_plots_are_named_with_their_unit_and_are_on_pages(tmp_path, laid_out):
 
 
 def test_a_close_up_moves_with_its_frame(tmp_path, laid_out):
-    """It is measured in the body's frame, upright at the end, and sees through what it was told to."""
+    """Eye and target are in the body's frame; the view is upright at the end, with one translucent body."""
     world = World(height=2.0).finalize()
     frame = world.plant.GetFrameByName("upper")
     spec = CloseUpSpec(frame, eye=(0.3, 0, 0.1), target=(0, 0, 0.1), see_through=[world.ball])

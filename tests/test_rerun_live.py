@@ -1,4 +1,4 @@
-"""Viewers that look on get the same data as the file, in batches; and the file does not wait for them."""
+"""Live viewers get the same data as the file, in batches, and never delay it."""
 
 import socket
 
@@ -18,7 +18,7 @@ def free_port():
 
 
 def looked_at(world, path):
-    """Has a file stand for a viewer, which is sent every sample as soon as it is taken."""
+    """Replaces the viewer by a file."""
     world.recorder._sinks = [rr.FileSink(path)]
     return world
 
@@ -57,7 +57,7 @@ def test_batches_add_up_to_what_the_file_holds(tmp_path, at_once):
     assert rerun("rrd", "verify", seen).returncode == 0
 
 
-def test_samples_are_forgotten_when_only_viewers_want_them(tmp_path, at_once):
+def test_without_a_file_samples_are_dropped_once_sent(tmp_path, at_once):
     """A session may go on for hours."""
     world = World().finalize()
     world.record(f"rerun+http://127.0.0.1:{free_port()}/proxy")

@@ -1,4 +1,4 @@
-"""What the recorder draws: every shape of a scene graph, where and in which colour it is."""
+"""Shapes, meshes, poses and colours of a scene graph in a recording."""
 
 import io
 import json
@@ -31,7 +31,7 @@ from rerun_world import World, entities, read
 from scipy.spatial.transform import Rotation
 
 
-def test_what_is_welded_to_the_world_is_written_once(tmp_path):
+def test_bodies_welded_to_the_world_are_static(tmp_path):
     """Static data belongs to every time."""
     world = World().finalize().record(tmp_path / "static.rrd")
     with world.recorder:
@@ -102,15 +102,6 @@ def test_every_shape_of_drake_is_drawn_or_named(tmp_path):
         assert vertices.shape == (12, 3)  # four triangles
         found = {tuple(np.round((v - [0, 0, 2.0]) / scale, 5)) for v in vertices}
         assert found == corners
-
-
-def test_the_role_chooses_the_geometry(tmp_path):
-    """Proximity geometry can be recorded instead of what is there for the eye."""
-    world = World().finalize().record(tmp_path / "role.rrd", role=Role.kProximity)
-    world.recorder.close()
-    found = entities(world.recorder.path)
-    assert "/world/ball/body/ellipsoids" in found
-    assert "/world/arm/upper/capsules" not in found
 
 
 CORNERS = np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0, 0, 0.1]], dtype="<f4")
@@ -297,9 +288,9 @@ def test_a_damaged_file_is_drawn_as_its_hull_or_left_out(tmp_path):
     world.plant.RegisterVisualGeometry(
         world.ball, RigidTransform(), Mesh(str(tmp_path / "t.gltf")), "mesh", [1, 1, 1, 1]
     )
-    with pytest.warns(UserWarning) as said:
+    with pytest.warns(UserWarning) as warned:
         world.finalize().record(tmp_path / "mesh.rrd")
     world.recorder.close()
-    text = " ".join(str(warning.message) for warning in said)
+    text = " ".join(str(warning.message) for warning in warned)
     assert "mesh: drawn as its convex hull; " in text
     assert "mesh: cannot draw a Mesh" in text  # Drake cannot compute a hull of it either

@@ -1,4 +1,4 @@
-"""What else a recorder is asked for: signals, states, hands, points and cameras."""
+"""Signals, states, hands, points and cameras in a recording."""
 
 import io
 
@@ -27,7 +27,7 @@ from geort_drake.rerun import (
 from geort_drake.rerun.writer import quaternions
 
 
-def test_signals_are_grouped_by_what_stands_before_the_slash(tmp_path):
+def test_signals_are_grouped_by_the_part_before_the_slash(tmp_path):
     """Each group is one entity with its own named series."""
     world = World().finalize()
     port = steps(world.builder, [0, 0.05, 1], [[1, 2, 2], [3, 4, 4], [5, 6, 6]])
@@ -125,7 +125,7 @@ def test_points_of_several_colours_keep_theirs(tmp_path):
     np.testing.assert_allclose(sizes[-1], np.full((2, 3), 0.02), rtol=1e-6)
 
 
-def test_points_begin_when_their_port_holds_something(tmp_path):
+def test_points_begin_at_their_start_time(tmp_path):
     """A delay, for example, gives zeros before its time."""
     world = World().finalize()
     points = {"late": PointsSpec(constant(world.builder, [1, 2, 3]), start=0.1)}
@@ -136,8 +136,8 @@ def test_points_begin_when_their_port_holds_something(tmp_path):
     assert [len(row) for row in found] == [0, 0, 1, 1, 1]
 
 
-def test_what_is_derived_is_computed_when_it_is_written(tmp_path):
-    """Of several ports, for all samples at once; a port that two want is read once."""
+def test_derived_values_are_computed_on_writing(tmp_path):
+    """From several ports, for all samples at once; a shared port is read once."""
     world = World(height=2.0).finalize()
     one = steps(world.builder, [0, 0.1, 1], [[1, 2, 2], [3, 4, 4]])
     other = constant(world.builder, [10])
@@ -197,7 +197,7 @@ def test_what_is_derived_is_computed_when_it_is_written(tmp_path):
         ),
     ],
 )
-def test_what_does_not_fit_is_named(tmp_path, options, message):
+def test_ports_that_do_not_fit_are_refused(tmp_path, options, message):
     """Key, port and sizes are in the message, and nothing has been added."""
     world = World().finalize()
     options = options(world)
@@ -240,7 +240,7 @@ class RedCamera(LeafSystem):
         return self.GetOutputPort("body_pose_in_world")
 
 
-def test_cameras_are_pictures_and_where_they_were_taken(tmp_path):
+def test_cameras_give_images_and_poses(tmp_path):
     """A picture is taken at most once per period of its own, and is not rendered in between."""
     world = World().finalize()
     X_WB = RigidTransform(RollPitchYaw(np.pi, 0, 0.3), [0, 0, 0.2])

@@ -49,7 +49,7 @@ Left: the **recorded hand**. Beside it: the answer of each method to its fingert
 
 @dataclass(frozen=True)
 class _Marks:
-    """Which of a method's answers are right or wrong.
+    """Pinches and collisions in the answers of a method.
 
     Attributes:
         gap: (T,) distance of the robot's tips of the pair that is nearest in the person's hand, m.
@@ -73,9 +73,9 @@ def write_exploration(
 
     Args:
         path: .rrd to write.
-        hands: what the person does.
+        hands: of the person.
         methods: name of a method → its answers.
-        properties: what the recording is about.
+        properties: of the recording.
     """
     p_HK = mirrored(hands.p_HK) if hand.description.side == "left" else hands.p_HK
     pinches = find_pinches(tips_of(p_HK, hand), hand.finger_names)

@@ -35,7 +35,7 @@ the robot's fingertips (II), keep cells alike (III), close pinches (IV) and not 
 
 Plots: I cosine; II, IV and V fractions; III 0 where the map is even. Both hands show one pinch.
 """
-# Title, eye, what it looks at (m, in W), and entities of each view.
+# Title, eye and target (m, in W), and entities of each view.
 _VIEWS = (
     ("the person's fingertips", (0.19, 0.18, 0.17), (0.03, 0.01, 0.1), ["/world/human/**"]),
     ("what the map makes of them", (0.22, 0.53, 0.19), (0.04, 0.33, 0.11), ["/world/robot/**"]),
@@ -67,7 +67,7 @@ class TrainingRecorder:
 
     Args:
         hand: model of the robot hand.
-        recording: what the map is trained on.
+        recording: training data.
         seed: of the samples for the figures.
     """
 
@@ -89,12 +89,12 @@ class TrainingRecorder:
             self._weights[step] = {name: value.detach().cpu().clone() for name, value in weights}
 
     def write(self, path: str | os.PathLike, trained: Map, properties: Mapping[str, Property]) -> None:
-        """Writes what was observed, with the criteria measured at every observed step.
+        """Writes the recording, with the criteria measured at every observed step.
 
         Args:
             path: .rrd to write.
             trained: the final map, shown last.
-            properties: what the recording is about; must hold `method`, `hand` and `seed`.
+            properties: of the recording; must hold `method`, `hand` and `seed`.
         """
         maps = {step: self._map(weights) for step, weights in self._weights.items()} | {self._steps: trained}
         names = [name for name in self._losses[0] if name not in ("step", "seconds", "total")]
@@ -127,7 +127,7 @@ class TrainingRecorder:
 
 
 class TrainingScene:
-    """The samples of a recording by which maps are shown and measured.
+    """Samples of a recording on which maps are shown and measured.
 
     Args:
         hand: model of the robot hand.
@@ -224,13 +224,13 @@ class Lattice:
         return nodes[self._edges]
 
 
-def _evenly(count: int, wanted: int) -> np.ndarray:
-    """At most `wanted` rows out of `count`."""
-    return np.linspace(0, count - 1, min(wanted, count)).astype(int)
+def _evenly(count: int, most: int) -> np.ndarray:
+    """At most `most` evenly spaced rows out of `count`."""
+    return np.linspace(0, count - 1, min(most, count)).astype(int)
 
 
 def _blueprint(steps: int, losses: np.ndarray) -> Any:
-    """The layout for so many steps and losses (observations, losses)."""
+    """The layout for losses (observations, losses)."""
     scenes = [views.scene_view(eye, target, title, contents) for title, eye, target, contents in _VIEWS]
     criteria = [
         views.time_series(title, [f"/criteria/{key}"], steps=steps, limits=limits)

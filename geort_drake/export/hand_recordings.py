@@ -1,4 +1,4 @@
-"""Rerun recordings of a hand alone: of a person's, and of a robot's that moves joint by joint."""
+"""Rerun recordings of one hand: a person's, or a robot hand that moves joint by joint."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,7 @@ from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.recording import Recording
 from geort_drake.rerun import blueprint as views
 from geort_drake.rerun.robot_hand import write_robot_hand
-from geort_drake.rerun.streams import Property, file_writer
+from geort_drake.rerun.streams import file_writer
 from geort_drake.rerun.writer import SOLID, Writer, entity_path
 
 _RATE, _FRAMES_PER_JOINT = 30.0, 24  # of a robot hand: frames per second, and for each joint
@@ -72,14 +72,13 @@ def write_joint_sweep(hand: HandModel, path: str | os.PathLike) -> None:
     q = _sweep(hand)
     tips = hand.fingertips(q)
     reach = float(np.abs(tips).max())
-    properties: dict[str, Property] = {"hand": hand.description.name}
     scene = views.scene_view(2.0 * reach * np.array([1.0, -0.8, 0.8]), (0.0, 0.0, 0.4 * reach))
     with file_writer(
         path,
         application_id="geort_drake_robot_hand",
         recording_id=f"hand-{hand.digest}",
         blueprint=views.blueprint(scene),
-        properties=properties,
+        properties={"hand": hand.description.name},
     ) as writer:
         writer.at(np.arange(len(q)) / _RATE)
         write_robot_hand(writer, "/world/hand", hand, q)

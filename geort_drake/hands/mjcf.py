@@ -1,4 +1,4 @@
-"""Default classes of MJCF, of which Drake loses some settings."""
+"""Default classes of MJCF. Drake loses some of their settings."""
 
 import copy
 import xml.etree.ElementTree as ET

@@ -100,7 +100,7 @@ class HandModel:
         self.scene_graph.collision_filter_manager(
             self.scene_graph.GetMyMutableContextFromRoot(self._beyond_tips_context)
         ).Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(list(self._tip_geometries))))
-        # They would take a tenth of the time of each query.
+        # Visual geometry would take a tenth of the time of each query.
         for context in (self._contact_context, self._beyond_tips_context):
             remove_visuals(self.plant, self.scene_graph, context)
         self._default = self.plant.GetPositions(self.plant.GetMyContextFromRoot(self._contact_context)).copy()

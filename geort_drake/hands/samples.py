@@ -104,8 +104,8 @@ def _labels(
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """The labels of each chunk, in order.
 
-    Workers begin with the last chunk, because they start late. This process begins with the first one and
-    does not wait: it labels what no worker has labelled in time, or at all because it failed.
+    Workers start late, so they begin with the last chunk. This process begins with the first one and labels
+    every chunk that no worker has finished.
     """
     if processes < 2:
         yield from (_labels_of(hand, q) for q in chunks)

@@ -74,7 +74,7 @@ def add_rerun_recorder(
         close_ups: name → another view of the scene, in the default layout.
         view_from: direction in W from the scene to the eye, in the default layout.
         properties: facts that the viewer lists, such as {"method": "geort", "seed": 3}.
-        blueprint: layout; by default all views of what is recorded.
+        blueprint: layout; by default one that shows all recorded data.
         plant_ports: for a plant inside a nested diagram, the ports by which that diagram exports the plant's
             `body_poses` and, if contact is recorded, `contact_results`.
 
@@ -152,7 +152,7 @@ def _plant_port(
 
 
 def _assign_inputs(tracks: Sequence[kinds.Track]) -> dict[str, OutputPort]:
-    """Names the recorder's input ports, tells each track which ones it reads, and returns their sources."""
+    """Names the recorder's input ports, assigns them to the tracks, and returns their sources."""
     sources: dict[str, OutputPort] = {}
     names: dict[tuple[Any, int], str] = {}
     for track in tracks:
@@ -164,7 +164,7 @@ def _assign_inputs(tracks: Sequence[kinds.Track]) -> dict[str, OutputPort]:
 
 
 def _check_connectable(where: object, builder: DiagramBuilder, sources: Mapping[str, OutputPort]) -> None:
-    """Raises ScenarioError if a port is in another diagram, before Drake does while connecting it."""
+    """Raises ScenarioError if a port is in another diagram."""
     systems = builder.GetSystems()
     for name, port in sources.items():
         system = port.get_system()

@@ -69,8 +69,8 @@ def scene_view(
     """The world, with a grid on the ground, or another entity in its own frame.
 
     Args:
-        eye, target, up: eye, what it looks at, and up direction, m, in the frame of `origin`.
-        contents: entities that are shown.
+        eye, target, up: eye point, target point and up direction, m, in the frame of `origin`.
+        contents: entities to show.
         overrides: entity path → components that the view replaces.
     """
     # A little below z = 0, where tables often have their tops.

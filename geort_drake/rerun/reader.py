@@ -20,7 +20,7 @@ _ROTATION, _TRANSLATION = "Transform3D:quaternion", "Transform3D:translation"
 
 @dataclass(frozen=True)
 class RecordedSamples:
-    """What a recorder sampled. Names are entity paths with dots, in the order of the file.
+    """Samples of a recorder. Names are entity paths with dots, in the order of the file.
 
     Attributes:
         t: (T,) all times at which anything was sampled, s.

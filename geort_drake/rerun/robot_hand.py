@@ -14,7 +14,7 @@ def write_robot_hand(
     """Sends a hand at joint positions q (T, n), rad, one row for each of the writer's times.
 
     Args:
-        path: entity path of the hand base B; what is sent below it is in B.
+        path: entity path of the hand base B, the frame of all entities below it.
         X_WB: pose of the hand base.
     """
     writer.static(path, transform(X_WB or RigidTransform()))

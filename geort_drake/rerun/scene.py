@@ -62,7 +62,7 @@ class Scene:
     body_of_geometry: dict[GeometryId, int] = field(default_factory=dict)
 
     def write(self, writer: Writer) -> None:
-        """Sends everything that does not change."""
+        """Sends the shapes and the fixed poses."""
         writer.up_axis()
         for index, X_WB in self.anchored.items():
             writer.static(self.paths[index], transform(X_WB))
@@ -70,7 +70,7 @@ class Scene:
             writer.static(path, archetype)
 
     def translucent_shapes(self, body: int) -> dict[str, rr.AsComponents]:
-        """Entity path of each shape of a body → what makes a view draw it translucent."""
+        """Entity path of each shape of a body → override that makes it translucent."""
         inside = f"{self.paths[body]}/"
         shapes = {path: _translucent(shape) for path, shape in self.shapes if path.startswith(inside)}
         return {path: style for path, style in shapes.items() if style is not None}
@@ -80,7 +80,7 @@ def describe_scene(
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
     role: Role = Role.kIllustration,
-    wanted: Collection = (),
+    followed: Collection = (),
     root: str = f"/{WORLD}",
 ) -> Scene:
     """Reads the geometry of a finalized plant.
@@ -89,7 +89,7 @@ def describe_scene(
     drawn. A geometry that cannot be drawn is left out with a warning that names it.
 
     Args:
-        wanted: indices of bodies whose poses are recorded even if they are not drawn.
+        followed: indices of bodies whose poses are recorded even if nothing is drawn.
         root: entity path of the world frame.
     """
     inspector = scene_graph.model_inspector()
@@ -107,7 +107,7 @@ def describe_scene(
         geometries = visible or proximity
         drawn_role = role if visible else Role.kProximity
         scene.shapes += _draw(inspector, geometries, drawn_role, scene.paths[index])
-        if not (geometries or index in wanted):
+        if not (geometries or index in followed):
             continue
         if plant.IsAnchored(body):
             scene.anchored[index] = plant.EvalBodyPoseInWorld(defaults, body)

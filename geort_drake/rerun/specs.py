@@ -1,4 +1,4 @@
-"""Descriptions of what a recorder records beside the bodies of a plant."""
+"""Specifications of data that a recorder adds to the bodies of a plant."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from pydrake.systems.sensors import RgbdSensor
 
 from geort_drake.colours import SKIN, Color
 
-# From the values (T, m) of ports at T times to what is recorded of them (T, n).
+# Maps the values (T, m) of ports at T times to the recorded values (T, n).
 Derive = Callable[[np.ndarray], np.ndarray]
 
 
@@ -31,8 +31,7 @@ class SignalSpec:
         page: the tab that holds the plot.
         limits: lowest and highest value of the plot; by default those of the data.
         colors: one per element; by default a palette.
-        derive: computes the elements from the ports' values when the recording is written, so that the
-            simulation does not wait for it.
+        derive: computes the elements from the ports' values when the recording is written.
     """
 
     port: OutputPort | Sequence[OutputPort]
@@ -125,7 +124,7 @@ class CloseUpSpec:
     Attributes:
         follows: frame F of the plant; or the key of a human hand, which the view shows alone, with the
             wrist frame H as F.
-        eye, target: where the eye is and what it looks at, m, in F.
+        eye, target: eye point and target point, m, in F.
         see_through: bodies that this view shows translucent.
     """
 

@@ -1,4 +1,4 @@
-"""Where recordings are written: to a file that is whole or absent, and to open viewers."""
+"""Rerun streams to a file, written atomically, and to open viewers."""
 
 import contextlib
 import os
@@ -67,7 +67,7 @@ def live_writer(
     name: str,
     properties: Mapping[str, Property],
 ) -> Writer:
-    """A writer to viewers that are open while the data come in."""
+    """A writer that sends data to open viewers."""
     stream = _stream(application_id, None)
     stream.set_sinks(*sinks, default_blueprint=blueprint)
     _send_properties(stream, name, properties)

@@ -1,4 +1,4 @@
-"""What a recorder samples: one class per kind, each of which reads ports and writes columns."""
+"""Tracks of a recorder. Each class reads one kind of port and writes Rerun columns."""
 
 import io
 import math
@@ -97,10 +97,10 @@ class SignalTrack(Track):
         n = len(spec.names)
         size = sum(_vector_size(key, port) for port in ports)
         if spec.derive is not None:
-            made = np.shape(spec.derive(np.zeros((1, size))))
-            if made != (1, n):
+            shape = np.shape(spec.derive(np.zeros((1, size))))
+            if shape != (1, n):
                 raise ScenarioError(
-                    f"recording of '{key}': derive makes {made} of (1, {size}) values; expected (1, {n}), "
+                    f"recording of '{key}': derive makes {shape} of (1, {size}) values; expected (1, {n}), "
                     "one per name"
                 )
         elif size != n:
@@ -355,13 +355,13 @@ def body_and_pose(frame: Frame) -> tuple[int, RigidTransform]:
     return int(frame.body().index()), frame.GetFixedPoseInBodyFrame()
 
 
-def _vector_size(key: str, port: OutputPort, wanted: int | None = None) -> int:
-    """The size of a vector port, which must be `wanted` if that is given."""
+def _vector_size(key: str, port: OutputPort, expected: int | None = None) -> int:
+    """The size of a vector port; raises ScenarioError if it differs from `expected`."""
     if port.get_data_type() != PortDataType.kVectorValued:
         raise ScenarioError(f"recording of '{key}': {port_name(port)} is abstract; expected a vector port")
-    if wanted is not None and port.size() != wanted:
+    if expected is not None and port.size() != expected:
         raise ScenarioError(
-            f"recording of '{key}': {port_name(port)} has size {port.size()}; expected {wanted}"
+            f"recording of '{key}': {port_name(port)} has size {port.size()}; expected {expected}"
         )
     return port.size()
 

@@ -40,7 +40,7 @@ class Writer:
 
     Attributes:
         times: (T,) of the rows that are sent next: s as floats, or steps as integers.
-        memory: what is kept from one batch to the next.
+        memory: state kept from one batch to the next.
     """
 
     def __init__(self, stream: rr.RecordingStream, timeline: str = TIMELINE):

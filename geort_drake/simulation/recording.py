@@ -1,4 +1,4 @@
-"""What the Rerun recording of a grasp trial holds."""
+"""The Rerun recorder of a grasp trial."""
 
 import importlib.metadata
 import math

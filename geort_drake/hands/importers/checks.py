@@ -1,4 +1,4 @@
-"""Checks a hand description and its model, and names what to correct."""
+"""Checks a hand description and its model for faults."""
 
 import itertools
 from collections import Counter
@@ -25,7 +25,7 @@ _SHORT_LINK = 0.012
 
 
 def examine(hand: HandModel) -> list[str]:
-    """Sentences on what to correct, most important first; none for a hand without faults."""
+    """Sentences that name the hand's faults, most important first."""
     return [*_limits(hand), *_pinches(hand), *_orientation(hand), *_collisions(hand), *_masses(hand)]
 
 
@@ -89,7 +89,7 @@ def nearest_pinch(kinematics: NumpyKinematics, number: int, seed: int = 0) -> fl
 
 
 def _orientation(hand: HandModel) -> list[str]:
-    """Whether the fingers' places agree with the axes of the hand base."""
+    """Faults in the fingers' places relative to the axes of the hand base."""
     found = []
     rng = np.random.default_rng(0)
     p_BF = hand.fingertips(rng.uniform(hand.lower, hand.upper, (_PINCH_SAMPLES // 4, len(hand.joint_names))))

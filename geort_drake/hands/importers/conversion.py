@@ -1,7 +1,4 @@
-"""Copies of models that Drake can read as intended: with convex hulls as meshes, and defaults written out.
-
-In collisions only convex hulls of meshes count, and fingertips are found on them.
-"""
+"""Converts models so that Drake reads them correctly: meshes become hulls, MJCF defaults are explicit."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -17,7 +14,7 @@ from geort_drake.errors import HandError
 from geort_drake.files import atomic_directory, require_fetched, write_text
 from geort_drake.hands.assembly import parse_model
 from geort_drake.hands.chains import inboard_joints
-from geort_drake.hands.importers.fingertips import link_points
+from geort_drake.hands.importers.fingertips import link_geometry
 from geort_drake.hands.mjcf import inherit_defaults
 from geort_drake.hands.model_files import mesh_elements, read_model
 
@@ -39,7 +36,7 @@ def unreadable_meshes(model: Path) -> list[Path]:
 
 
 def drake_misreadings(model: Path) -> list[str]:
-    """Notes on what Drake does not read in a model, or misreads; `convert_model` corrects it.
+    """Notes on parts of a model that Drake ignores or misreads; `convert_model` corrects them.
 
     Raises:
         HandError: the model is not XML.
@@ -59,7 +56,7 @@ def drake_misreadings(model: Path) -> list[str]:
 def convert_model(model: Path, folder: Path) -> Path:
     """Writes a converted copy of a model into a folder of its own; returns the copy.
 
-    MJCF becomes one file with all includes, and its default classes inherit as MuJoCo has it.
+    MJCF becomes one file with all includes, and its default classes inherit as in MuJoCo.
 
     Raises:
         HandError: a mesh is missing, damaged, or of an unknown format.
@@ -126,7 +123,8 @@ def add_hulls(model: Path) -> list[str]:
         points = [np.empty((0, 3))]
         for body in bodies:
             X_CB = body.body_frame().CalcPose(context, carrier.body_frame())
-            points += link_points(plant, scene_graph.model_inspector(), body, Role.kIllustration, X_CB)
+            parts = link_geometry(plant, scene_graph.model_inspector(), body, Role.kIllustration, X_CB)
+            points += [p_CP for *_, p_CP in parts]
         text = _hull_obj(np.concatenate(points))
         if text is None:
             continue

@@ -59,7 +59,7 @@ def find_fingertip(structure: HandStructure, chain: Chain) -> Fingertip:
         parts = []
         for body in chain.bodies:
             X_RL = plant.EvalBodyPoseInWorld(context, body)
-            parts += [(body, *part) for part in _link_geometry(plant, inspector, body, role, X_RL)]
+            parts += [(body, *part) for part in link_geometry(plant, inspector, body, role, X_RL)]
         if parts:
             return _end_of(parts, p_RJ, source)
     offsets = [p_RJ - X.translation() for X in X_RJ[::-1]]
@@ -117,14 +117,7 @@ def surface_points(inspector: SceneGraphInspector, geometry: GeometryId) -> np.n
     return None
 
 
-def link_points(
-    plant: MultibodyPlant, inspector: SceneGraphInspector, link: RigidBody, role: Role, X_BL: RigidTransform
-) -> list[np.ndarray]:
-    """Points (N, 3) on the surface of each of a link's geometries of a role, in a frame B, m."""
-    return [points for *_, points in _link_geometry(plant, inspector, link, role, X_BL)]
-
-
-def _link_geometry(
+def link_geometry(
     plant: MultibodyPlant, inspector: SceneGraphInspector, link: RigidBody, role: Role, X_BL: RigidTransform
 ) -> list[tuple[RigidTransform, RigidTransform, Shape, np.ndarray]]:
     """X_BL, X_BG, the shape and its surface points in B of each of a link's geometries of a role."""
@@ -144,7 +137,9 @@ def palm_points(structure: HandStructure, X_RB: RigidTransform) -> np.ndarray:
     X_BL = {body: X_RB.inverse() @ plant.EvalBodyPoseInWorld(context, body) for body in structure.palm}
     for role in (Role.kProximity, Role.kIllustration):
         found = [
-            points for body, X in X_BL.items() for points in link_points(plant, inspector, body, role, X)
+            points
+            for body, X in X_BL.items()
+            for *_, points in link_geometry(plant, inspector, body, role, X)
         ]
         if found:
             return np.concatenate(found)
