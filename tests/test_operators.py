@@ -187,6 +187,29 @@ def test_a_noisier_scene_makes_the_person_slower_but_lose_nothing():
     assert session.squeeze * 1.5 == pytest.approx(OperatorConfig().squeeze, rel=0.4)
 
 
+def test_the_person_does_not_repeat_what_is_done_but_not_yet_seen():
+    """Own motion of the last delay counts as done: an error that it will mend moves no finger further."""
+    config = OperatorConfig(**QUIET)
+    world = StandInWorld(1.0, config)
+    motion = FingerMotion(world.hand)
+    rest = world.hand.fingertips(motion.rest)
+    moved = motion.follow(motion.rest, rest + [0.004, 0.0, -0.004])
+    done = world.hand.fingertips(moved) - rest
+    assert np.linalg.norm(done, axis=1).min() > 1e-3
+    seen = world.advance(motion.rest, RigidTransform(), lifting=False)
+
+    def step_towards(p_BF_wanted: np.ndarray) -> np.ndarray:
+        goal = dc.replace(world.goal, p_BF_open=p_BF_wanted)
+        person = GraspingPerson(world.hand, goal, config, np.random.default_rng(0))
+        state = dc.replace(person.start(RigidTransform()), theta=moved)
+        return (world.hand.fingertips(person.step(state, 0.0, seen).theta) - rest - done)[:4]
+
+    # The robot is seen at rest still; wanted is where the own motion will have taken it.
+    np.testing.assert_allclose(step_towards(rest[:4] + done[:4]), 0, atol=1e-9)
+    # Wanted where it was, it is led back.
+    assert ((step_towards(rest[:4]) * done[:4]).sum(axis=1) < 0).all()
+
+
 def test_the_persons_joints_and_speeds_stay_human():
     """Joints keep the hand's limits and bend together, and no fingertip outruns a person's."""
     config = OperatorConfig()
