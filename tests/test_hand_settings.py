@@ -64,8 +64,6 @@ def test_training_uses_and_records_them(described, tmp_path):
         ({"geort_couple": {}}, "training: unknown retargeting method 'geort_couple'.*geort_coupled"),
         ({"geort": {"step": 1}}, "training: unknown setting of geort 'step'.*steps"),
         ({"geort": {"steps": 1.5}}, "training: setting steps of geort: must be int, not '1.5'"),
-        ({"geort": {"coverage_weight": -1}}, "training: .*coverage_weight must be zero or positive"),
-        ({"linear_offline": {"steps": 0}}, "training: .*steps must be"),
         ({"geort": {"coverage_weight": float("nan")}}, "training: .*coverage_weight must be"),
     ],
 )

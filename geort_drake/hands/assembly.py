@@ -154,11 +154,6 @@ def remove_visuals(plant: MultibodyPlant, scene_graph: SceneGraph, root: Context
             scene_graph.RemoveGeometry(context, plant.get_source_id(), geometry)
 
 
-def joint_names(plant: MultibodyPlant, hand: ModelInstanceIndex, kind: type[Joint] = Joint) -> list[str]:
-    """Names of a model's joints of a kind."""
-    return [joint.name() for joint in _joints(plant, hand) if isinstance(joint, kind)]
-
-
 def require_name(source: str, field: str, kind: str, name: str, choices: Iterable[str]) -> None:
     """Raises HandError, with the choices, if a model has nothing of the name that a field gives."""
     listed = [choice for choice in choices if choice]

@@ -22,7 +22,6 @@ from geort_drake.errors import HandError
 from geort_drake.hands.assembly import (
     add_hand_model,
     find_frame,
-    joint_names,
     position_limits,
     remove_visuals,
     require_name,
@@ -228,7 +227,8 @@ class HandModel:
         return find_frame(self.plant, self.instance, name, self._source, field)
 
     def _joint(self, name: str, field: str) -> RevoluteJoint:
-        choices = joint_names(self.plant, self.instance, RevoluteJoint)
+        joints = map(self.plant.get_joint, self.plant.GetJointIndices(self.instance))
+        choices = [joint.name() for joint in joints if isinstance(joint, RevoluteJoint)]
         require_name(self._source, field, "revolute joint", name, choices)
         return self.plant.GetJointByName(name, self.instance)
 

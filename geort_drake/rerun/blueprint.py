@@ -88,11 +88,6 @@ def scene_view(
     )
 
 
-def image_view(path: str) -> View:
-    """The images of a camera."""
-    return rrb.Spatial2DView(origin=path, name=path.rsplit("/", 1)[-1])
-
-
 def text_view(path: str, name: str) -> View:
     """A text."""
     return rrb.TextDocumentView(origin=path, name=name)

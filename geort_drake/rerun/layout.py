@@ -63,7 +63,8 @@ class Layout:
         target, eye = self._target_and_eye(poses, hands)
         shown = [views.scene_view(eye, target, overrides=trails)]
         shown += [self._close_up(name, spec, poses, hands, trails) for name, spec in self.close_ups.items()]
-        shown += [views.image_view(track.path) for track in of(CameraTrack)]
+        images = [track.path for track in of(CameraTrack)]
+        shown += [rrb.Spatial2DView(origin=path, name=path.rsplit("/", 1)[-1]) for path in images]
         pages = _plots(of(SignalTrack))
         if of(ContactTrack):
             forces = views.time_series("contact force [N]", ["/contact/**"], legend="left")
