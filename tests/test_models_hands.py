@@ -15,66 +15,42 @@ from geort_drake.resources import models_dir
 
 # Sphere centres in mm, rounded to 0.01 mm, from the manufacturer's description evaluated independently;
 # joint_0 to joint_15.
-ALLEGRO_TIPS = {
-    "zero": (
-        [0.0] * 16,
-        {
-            "index": [0.0, 55.31, 133.44],
-            "middle": [0.0, 0.0, 136.2],
-            "ring": [0.0, -55.31, 133.44],
-            "thumb": [-13.2, 167.7, -86.07],
-        },
-    ),
-    "random": (
-        [0.118, 1.424, 1.287, 0.189, -0.188, 1.382, -0.164, 1.288]
-        + [0.279, 0.649, 0.397, 0.287, 0.552, 0.459, 0.736, 0.879],
-        {
-            "index": [75.31, 49.21, -38.7],
-            "middle": [103.08, -19.61, 19.02],
-            "ring": [88.27, -25.71, 85.29],
-            "thumb": [64.22, 82.19, -9.51],
-        },
-    ),
-}
+ALLEGRO_TIPS = (
+    [0.118, 1.424, 1.287, 0.189, -0.188, 1.382, -0.164, 1.288]
+    + [0.279, 0.649, 0.397, 0.287, 0.552, 0.459, 0.736, 0.879],
+    {
+        "index": [75.31, 49.21, -38.7],
+        "middle": [103.08, -19.61, 19.02],
+        "ring": [88.27, -25.71, 85.29],
+        "thumb": [64.22, 82.19, -9.51],
+    },
+)
 # Centres of the pads' round ends in mm in the published palm frame: x along the fingers, y towards the index
 # side, z out of the back; joint_0 to joint_15.
-LEAP_TIPS = {
-    "zero": (
-        [0.0] * 16,
-        {
-            "index": [122.0, 8.1, -20.4],
-            "middle": [121.9, -37.3, -20.4],
-            "ring": [121.9, -82.7, -20.4],
-            "thumb": [-81.4, 128.5, -21.4],
-        },
-    ),
-    "random": (
-        [1.038, 1.703, 0.982, 2.015, -0.596, 0.094, 0.959, -0.26]
-        + [-0.972, 0.996, 0.609, 1.843, 1.188, 1.028, 0.34, -0.543],
-        {
-            "index": [-47.03, 12.14, -49.18],
-            "middle": [79.8, -0.4, -83.79],
-            "ring": [-20.78, -71.52, -82.31],
-            "thumb": [-79.04, 41.27, -140.49],
-        },
-    ),
-}
+LEAP_TIPS = (
+    [1.038, 1.703, 0.982, 2.015, -0.596, 0.094, 0.959, -0.26]
+    + [-0.972, 0.996, 0.609, 1.843, 1.188, 1.028, 0.34, -0.543],
+    {
+        "index": [-47.03, 12.14, -49.18],
+        "middle": [79.8, -0.4, -83.79],
+        "ring": [-20.78, -71.52, -82.31],
+        "thumb": [-79.04, 41.27, -140.49],
+    },
+)
 # That frame in base_link: origin in m, axes as columns.
 LEAP_PALM = RigidTransform(RotationMatrix.MakeYRotation(-np.pi / 2), [-0.0187, 0.038, 0.007])
 
 
-@pytest.mark.parametrize("case", ALLEGRO_TIPS)
-def test_allegro_fingertips_agree_with_the_manufacturers_description(allegro, case):
+def test_allegro_fingertips_agree_with_the_manufacturers_description(allegro):
     """Exact kinematics reproduce independently computed fingertip points to 0.1 mm."""
-    q, wanted = ALLEGRO_TIPS[case]
+    q, wanted = ALLEGRO_TIPS
     for finger, tip in tips_mm(allegro, q).items():
         np.testing.assert_allclose(tip, wanted[finger], atol=0.1)
 
 
-@pytest.mark.parametrize("case", LEAP_TIPS)
-def test_leap_fingertips_agree_with_the_published_description(leap, case):
+def test_leap_fingertips_agree_with_the_published_description(leap):
     """Exact kinematics reproduce independently computed fingertip points to 0.1 mm."""
-    q, wanted = LEAP_TIPS[case]
+    q, wanted = LEAP_TIPS
     for finger, tip in tips_mm(leap, q).items():
         in_palm = LEAP_PALM.inverse() @ (tip / 1e3)
         np.testing.assert_allclose(in_palm * 1e3, wanted[finger], atol=0.1)

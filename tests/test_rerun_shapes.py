@@ -239,23 +239,13 @@ def photo():
     return file.getvalue()
 
 
-@pytest.mark.parametrize("where", ["file", "memory"])
-def test_an_obj_file_has_the_colours_and_textures_of_its_materials(tmp_path, where):
+def test_an_obj_file_has_the_colours_and_textures_of_its_materials(tmp_path):
     """Each material is an entity; faces without one have the geometry's colour."""
     text = PAINTED + "f 1 3 2\nusemtl red\nf -4 2 4\nusemtl a photo\nf 1/1 4/2 3/3\nusemtl red\nf 2 3 4\n"
-    if where == "file":
-        (tmp_path / "t.obj").write_text(text)
-        (tmp_path / "t.mtl").write_text(MTL)
-        (tmp_path / "photo.png").write_bytes(photo())
-        shape = Mesh(str(tmp_path / "t.obj"), 2.0)
-    else:
-        beside = {
-            "t.mtl": MemoryFile(MTL.encode(), ".mtl", "t"),
-            "photo.png": MemoryFile(photo(), ".png", "p"),
-        }
-        file = MemoryFile(text.encode(), ".obj", "t")
-        shape = Mesh(InMemoryMesh(mesh_file=file, supporting_files=beside), np.full(3, 2.0))
-    drawn(tmp_path, shape)
+    (tmp_path / "t.obj").write_text(text)
+    (tmp_path / "t.mtl").write_text(MTL)
+    (tmp_path / "photo.png").write_bytes(photo())
+    drawn(tmp_path, Mesh(str(tmp_path / "t.obj"), 2.0))
     parts = {}
     for entity in sorted(e for e in entities(tmp_path / "mesh.rrd") if "/ball/body/mesh/" in e):
         corners = read(tmp_path / "mesh.rrd", entity, "Mesh3D:vertex_positions")[1][0]
