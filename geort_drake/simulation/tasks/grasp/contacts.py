@@ -119,7 +119,7 @@ def _contact(shape: ObjectShape, part: str, yaw: float, angle: float, z: float, 
     if isinstance(main, Box):
         p, outward = _on_box(main.size() / 2, X_OG, direction, yaw, offset)
     else:
-        p, outward = direction * _radius_at(main, z - X_OG.translation()[2]), direction
+        p, outward = direction * _radius_at(main, direction, z - X_OG.translation()[2]), direction
         p = p + X_OG.translation() * [1, 1, 0]
     return Contact(part, np.array([p[0], p[1], z]), -outward)
 
@@ -176,11 +176,20 @@ def yaw_candidates(shape: ObjectShape) -> tuple[list[float], float]:
         if not square and main.width() > main.depth():
             yaws = [math.pi / 2, -math.pi / 2]
         return yaws, math.pi / 2 if square else math.pi
-    return [math.radians(a) for a in range(-180, 180, 30)], 0.0
+    is_round = not isinstance(main, Ellipsoid) or math.isclose(main.a(), main.b(), rel_tol=0.02)
+    return [math.radians(a) for a in range(-180, 180, 30)], 0.0 if is_round else math.pi
 
 
-def _radius_at(shape: Shape, z: float) -> float:
-    """Returns the radius of a round shape at the height z above its centre, m."""
+def _radius_at(shape: Shape, direction: np.ndarray, z: float) -> float:
+    """Returns how far the surface of an upright shape is from its axis, m.
+
+    Args:
+        direction: horizontal unit vector from the axis.
+        z: height above the shape's centre, m.
+    """
+    if isinstance(shape, Ellipsoid):
+        across = math.hypot(direction[0] / shape.a(), direction[1] / shape.b())
+        return math.sqrt(max(1.0 - (z / shape.c()) ** 2, 0.0)) / across
     if hasattr(shape, "length"):
         return shape.radius()
     return math.sqrt(max(shape.radius() ** 2 - z**2, 0.0))
