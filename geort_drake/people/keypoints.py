@@ -13,8 +13,7 @@ import numpy as np
 FINGER_NAMES = ("thumb", "index", "middle", "ring", "little")
 KEYPOINT_COUNT = 21
 WRIST = 0
-THUMB_CMC = 1
-INDEX_MCP, MIDDLE_MCP, RING_MCP, LITTLE_MCP = 5, 9, 13, 17
+INDEX_MCP, MIDDLE_MCP, RING_MCP = 5, 9, 13
 
 # The four keypoints of each finger, base to tip; thumb: CMC, MCP, IP, tip; others: MCP, PIP, DIP, tip.
 FINGER_KEYPOINTS: dict[str, tuple[int, int, int, int]] = {
