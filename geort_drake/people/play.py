@@ -98,20 +98,20 @@ class Timeline:
     def __init__(self, hand: HumanHand, start: np.ndarray):
         self.hand = hand
         self.times = [0.0]
-        self.postures: list[np.ndarray] = []
-        self._append(start)
+        self.postures = [self._within(start)]
 
     def move(self, theta: np.ndarray, duration_s: float) -> None:
         """Reaches theta, (20,) rad or (5, 4), after `duration_s`."""
         self.times.append(self.times[-1] + duration_s)
-        self._append(theta)
+        self.postures.append(self._within(theta))
 
     def hold(self, duration_s: float) -> None:
         """Stays in the last posture."""
-        self.move(self.postures[-1], duration_s)
+        self.times.append(self.times[-1] + duration_s)
+        self.postures.append(self.postures[-1])
 
-    def _append(self, theta: np.ndarray) -> None:
-        self.postures.append(np.clip(np.reshape(theta, 20), self.hand.lower, self.hand.upper))
+    def _within(self, theta: np.ndarray) -> np.ndarray:
+        return np.clip(np.reshape(theta, 20), self.hand.lower, self.hand.upper)
 
 
 def _play(hand: HumanHand, duration_s: float, rng: np.random.Generator) -> Timeline:
