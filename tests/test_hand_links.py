@@ -13,7 +13,7 @@ from geort_drake.hands.description import CouplingDescription, HandDescription, 
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.hands.model import HandModel
 from geort_drake.simulation.scenario import load_scenario
-from geort_drake.simulation.world import add_object, add_robot
+from geort_drake.simulation.world import add_object, add_robot, add_scene
 from geort_drake.systems.scene_view import SceneView
 
 
@@ -111,3 +111,27 @@ def test_self_contact_equals_collisions_beyond_tips():
             plant.GetJointByName(name, hand).set_angle(context, angle)
         seen = view.GetOutputPort("self_contact").Eval(view.GetMyContextFromRoot(root))
         assert seen.tolist() == [float(expected)]
+
+
+@pytest.mark.parametrize("modulus", [0.0, 2e5])
+def test_touch_is_felt_with_rigid_and_with_soft_fingertips(modulus):
+    """A ball 1 mm deep in one fingertip presses on it, by a point or by a surface; no link touches another."""
+    text = f"{{plant_config: {{contact_model: hydroelastic_with_fallback}}, fingertip_modulus: {modulus}}}"
+    scenario = load_scenario(text=text)
+    scenario.object.name = "sphere"
+    builder, description = DiagramBuilder(), load_hand(scenario.hand)
+    scene = add_scene(builder, scenario, description, np.random.default_rng(0))
+    view = _view(builder, scene.plant, description, scene.hand, scene.object_body)
+    root = builder.Build().CreateDefaultContext()
+    context = scene.plant.GetMyMutableContextFromRoot(root)
+    index = description.fingers[1]
+    X_WL = scene.plant.GetBodyByName(index.tip_link, scene.hand).EvalPoseInWorld(context)
+    # In front of the finger pad; the ball's radius is 30 mm.
+    p_WO = X_WL @ (np.array(index.tip_point) + [index.tip_radius + 0.029, 0.0, 0.0])
+    scene.plant.SetFloatingBaseBodyPoseInWorldFrame(context, scene.object_body, RigidTransform(p_WO))
+    results = scene.plant.get_contact_results_output_port().Eval(context)
+    assert (results.num_hydroelastic_contacts() > 0) == (modulus > 0)
+    seen = view.GetMyContextFromRoot(root)
+    contact = view.GetOutputPort("contact").Eval(seen)
+    assert contact[1] > 0.05 and contact[[0, 2, 3]].max() == 0
+    assert view.GetOutputPort("self_contact").Eval(seen)[0] == 0

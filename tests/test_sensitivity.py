@@ -42,8 +42,16 @@ def test_a_condition_changes_what_its_name_says_and_the_nominal_value_makes_none
     scenario = load_scenario()
     before = dump_scenario(scenario)
     wanted = {"delay": [180, 300], "gain": [2.5, 0.5], "noise": [1, 2], "stiffness": [4], "friction": [0.5]}
+    wanted["modulus"] = [0, 200]
     conditions = make_conditions(scenario, wanted, ASSUMPTIONS)
-    assert list(conditions) == ["delay=300", "gain=0.5", "noise=2", "stiffness=4", "friction=0.5"]
+    assert list(conditions) == [
+        "delay=300",
+        "gain=0.5",
+        "noise=2",
+        "stiffness=4",
+        "friction=0.5",
+        "modulus=200",
+    ]
     assert conditions["delay=300"].operator.visual_delay == 0.3
     assert conditions["gain=0.5"].operator.correction_rate == 0.5
     noisy, person = conditions["noise=2"].operator, scenario.operator
@@ -51,6 +59,7 @@ def test_a_condition_changes_what_its_name_says_and_the_nominal_value_makes_none
         assert getattr(noisy, field) == 2 * getattr(person, field)
     assert conditions["stiffness=4"].hand_stiffness_factor == 4
     assert conditions["friction=0.5"].object.friction_factor == 0.5
+    assert conditions["modulus=200"].fingertip_modulus == 2e5
     assert dump_scenario(scenario) == before
     assert set(make_conditions(scenario, USUAL, ASSUMPTIONS)) == {
         f"{name}={value:g}" for name, values in USUAL.items() for value in values

@@ -43,6 +43,12 @@ def _factor(
     return Parameter(f"{label}, factor", values, change, lambda _: 1.0)
 
 
+def _soften(scenario: Scenario, modulus: float) -> None:
+    """Fingertips of a modulus in kPa; 0: contact of points."""
+    scenario.fingertip_modulus = 1000 * modulus
+    scenario.plant_config.contact_model = "hydroelastic_with_fallback" if modulus else "point"
+
+
 # Changed by the sensitivity analysis of a grasp benchmark.
 ASSUMPTIONS = {
     "delay": Parameter(
@@ -59,6 +65,12 @@ ASSUMPTIONS = {
     ),
     "noise": _factor("the person's noise", (0, 2, 4), attrgetter("operator"), *_NOISES),
     "stiffness": _factor("hand stiffness", (0.5, 2), lambda s: s, "hand_stiffness_factor"),
+    "modulus": Parameter(
+        "fingertip modulus, kPa (0: point contact)",
+        (200,),
+        _soften,
+        lambda s: s.fingertip_modulus / 1000,
+    ),
     "friction": _factor("object friction", (0.5, 2), attrgetter("object"), "friction_factor"),
 }
 

@@ -46,8 +46,8 @@ def add_arguments(parser: CommandParser) -> None:
     add("--zero-latency", action="store_true", help="do not simulate the methods' latencies")
     add("--recording", type=Path, help="recording of the person's hand (default: synthetic play)")
     assumptions = (
-        "repeat the trials with one assumption changed: delay (ms), gain (1/s), or a factor on noise, "
-        "stiffness or friction; NAME alone uses its default values, no NAME uses all"
+        "repeat the trials with one assumption changed: delay (ms), gain (1/s), modulus (kPa), or a "
+        "factor on noise, stiffness or friction; NAME alone uses its default values, no NAME uses all"
     )
     add("--sensitivity", nargs="*", metavar="NAME=V1,V2", help=assumptions)
     parser.add_side()

@@ -27,6 +27,7 @@ from pydrake.multibody.tree import BodyIndex, RigidBody
 
 from geort_drake.rerun.meshes import draw_mesh
 from geort_drake.rerun.writer import SOLID, WORLD, Writer, entity_path, transform, xyzw
+from geort_drake.systems.contacts import bodies_of_geometries
 
 _DEFAULT_COLOR = Rgba(0.75, 0.75, 0.78, 1.0)
 _TRANSLUCENT = 90  # opacity, of 255
@@ -94,17 +95,18 @@ def describe_scene(
     """
     inspector = scene_graph.model_inspector()
     bodies = [plant.get_body(index) for index in map(BodyIndex, range(plant.num_bodies()))]
-    scene = Scene(paths=[root + _body_path(plant, body) for body in bodies])
+    scene = Scene(
+        paths=[root + _body_path(plant, body) for body in bodies],
+        body_of_geometry=bodies_of_geometries(plant),
+    )
     defaults = plant.CreateDefaultContext()
     for body in bodies:
         index = int(body.index())
         frame = plant.GetBodyFrameIdIfExists(body.index())
         if frame is None:
             continue
-        proximity = inspector.GetGeometries(frame, Role.kProximity)
-        scene.body_of_geometry.update(dict.fromkeys(proximity, index))
         visible = inspector.GetGeometries(frame, role)
-        geometries = visible or proximity
+        geometries = visible or inspector.GetGeometries(frame, Role.kProximity)
         drawn_role = role if visible else Role.kProximity
         scene.shapes += _draw(inspector, geometries, drawn_role, scene.paths[index])
         if not (geometries or index in followed):

@@ -10,7 +10,7 @@ import rerun as rr
 from PIL import Image
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import ContactResults, PointPairContactInfo
+from pydrake.multibody.plant import ContactResults
 from pydrake.multibody.tree import Frame
 from pydrake.systems.framework import OutputPort, PortDataType
 from pydrake.systems.sensors import ImageRgba8U
@@ -20,9 +20,9 @@ from geort_drake.errors import ScenarioError
 from geort_drake.rerun.scene import Scene
 from geort_drake.rerun.specs import CameraSpec, ContactSpec, HandSpec, PointsSpec, SignalSpec, StateSpec
 from geort_drake.rerun.writer import PALETTE, SOLID, WORLD, Writer, entity_path
+from geort_drake.systems.contacts import contact_rows
 
 _CONTACT_COLOR: Color = (255, 200, 40)
-_NO_CONTACTS = np.empty((0, 8))
 _JPEG_QUALITY = 85  # a tenth of the size of PNG
 _IMAGE_DISTANCE = 0.15  # m; how far in front of the camera its image is drawn in the scene
 
@@ -271,7 +271,7 @@ class CameraTrack(Track):
 
 
 class ContactTrack(Track):
-    """Contact forces: rows (contacts, 8), body A, body B, p_WC (m), f_Bc_W (N)."""
+    """Contact forces: rows of `contact_rows`."""
 
     ARROWS = f"/{WORLD}/contact/forces"
     SERIES = "/contact/force"
@@ -285,29 +285,11 @@ class ContactTrack(Track):
             self._groups = {name: [int(b.index()) for b in bodies] for name, bodies in spec.groups.items()}
 
     def read(self, results: ContactResults) -> np.ndarray:
-        points, patches = results.num_point_pair_contacts(), results.num_hydroelastic_contacts()
-        if not points + patches:
-            return _NO_CONTACTS
-        row = np.empty((points + patches, 8))
-        # Calls into C++ dominate the cost of recording: five for each contact, and no loop around them.
-        infos = list(map(results.point_pair_contact_info, range(points)))
-        row[:points, 0] = np.fromiter(map(PointPairContactInfo.bodyA_index, infos), int, points)
-        row[:points, 1] = np.fromiter(map(PointPairContactInfo.bodyB_index, infos), int, points)
-        row[:points, 2:5] = np.reshape(list(map(PointPairContactInfo.contact_point, infos)), (points, 3))
-        row[:points, 5:] = np.reshape(list(map(PointPairContactInfo.contact_force, infos)), (points, 3))
-        of_geometry = self._scene.body_of_geometry
-        for i in range(patches):
-            patch = results.hydroelastic_contact_info(i)
-            surface = patch.contact_surface()
-            row[points + i, :2] = of_geometry[surface.id_M()], of_geometry[surface.id_N()]
-            row[points + i, 2:5] = surface.centroid()
-            # F_Ac_W acts on the body of M, at the centroid.
-            row[points + i, 5:] = -patch.F_Ac_W().translational()
-        return row
+        return contact_rows(results, self._scene.body_of_geometry)
 
     def write(self, writer: Writer, rows: Sequence[np.ndarray]) -> None:
         writer.static(self.ARROWS, rr.Arrows3D.from_fields(colors=[_CONTACT_COLOR], radii=[0.0025]))
-        contacts = np.concatenate([_NO_CONTACTS, *rows])
+        contacts = np.concatenate([np.empty((0, 8)), *rows])
         counts = np.array([len(row) for row in rows], dtype=int)
         force = contacts[:, 5:]
         arrows = self._spec.metres_per_newton * force

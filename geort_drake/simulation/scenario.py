@@ -44,7 +44,7 @@ _RULES = (
     (
         "finite and not negative",
         lambda value: 0 <= value < math.inf,
-        ("object.position_range", "object.yaw_range"),
+        ("object.position_range", "object.yaw_range", "fingertip_modulus"),
     ),
     ("in [0, 1)", lambda value: 0 <= value < 1, ("object.mass_range", "object.friction_range")),
     ("0 or more", lambda value: value >= 0, ("random_seed",)),
@@ -131,6 +131,9 @@ class Scenario:
     hand_parent: str = "adapter::hand_side"
     # Factor on the proportional gains of the hand's controllers; damping ratios stay.
     hand_stiffness_factor: float = 1.0
+    # Hydroelastic modulus of the hand's fingertips, Pa, on rigid objects: soft rubber has some 1e5. 0: the
+    # contact of all shapes is that of points. Needs `plant_config.contact_model: hydroelastic_with_fallback`.
+    fingertip_modulus: float = 0.0
     # Whether the arm stays where it starts. Replays then need no wrist poses.
     fixed_base: bool = False
     # Joint positions of the arm at the start, by name, rad; and those that differ for a left hand.
@@ -175,6 +178,12 @@ class Scenario:
             AddMultibodyPlant(self.plant_config, DiagramBuilder())
         except RuntimeError as error:
             raise ScenarioError(f"scenario field plant_config: {error}") from error
+        _require(
+            self.fingertip_modulus == 0 or self.plant_config.contact_model == "hydroelastic_with_fallback",
+            "fingertip_modulus",
+            "0 unless plant_config.contact_model is hydroelastic_with_fallback",
+            self.fingertip_modulus,
+        )
         for name in _PERIODS:
             period = attrgetter(name)(self)
             whole = abs(period / step - round(period / step)) <= 1e-6

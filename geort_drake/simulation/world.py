@@ -4,7 +4,12 @@ import dataclasses as dc
 import math
 
 import numpy as np
-from pydrake.geometry import RoleAssign, SceneGraph
+from pydrake.geometry import (
+    AddCompliantHydroelasticProperties,
+    AddRigidHydroelasticProperties,
+    RoleAssign,
+    SceneGraph,
+)
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.parsing import GetScopedFrameByName, ModelDirectives, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant
@@ -15,11 +20,13 @@ from pydrake.systems.primitives import MatrixGain
 from geort_drake.errors import HandError, ScenarioError, UnknownNameError
 from geort_drake.hands.assembly import add_hand_model, position_limits
 from geort_drake.hands.description import HandDescription
+from geort_drake.hands.model import tip_geometries
 from geort_drake.resources import PACKAGE_NAME, models_dir, resource_root
 from geort_drake.simulation.object_shape import ObjectShape, object_shape
 from geort_drake.simulation.scenario import Scenario, object_names
 
 ARM, HAND = "arm", "hand"  # names of model instances
+_MESH_SIZE = 0.004  # m; edges of hydroelastic meshes, a third of a fingertip's radius
 
 
 @dc.dataclass(frozen=True)
@@ -64,6 +71,8 @@ def add_scene(
     placement = draw_placement(scenario, shape.lowest_point(RigidTransform()), rng)
     plant.SetDefaultFloatingBaseBodyPose(body, placement.X_WO)
     _scale_friction(plant, scene_graph, body, placement.friction_factor)
+    if scenario.fingertip_modulus:
+        _soften_fingertips(plant, scene_graph, description, body, scenario.fingertip_modulus)
     arm, hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
     _scale_stiffness(plant, hand, scenario.hand_stiffness_factor)
     # A real arm's controller compensates gravity for the arm and the hand; everything else but the object
@@ -202,6 +211,25 @@ def _scale_friction(plant: MultibodyPlant, scene_graph: SceneGraph, body: RigidB
         friction = properties.GetProperty("material", "coulomb_friction")
         scaled = CoulombFriction(factor * friction.static_friction(), factor * friction.dynamic_friction())
         properties.UpdateProperty("material", "coulomb_friction", scaled)
+        scene_graph.AssignRole(plant.get_source_id(), geometry, properties, RoleAssign.kReplace)
+
+
+def _soften_fingertips(
+    plant: MultibodyPlant, scene_graph: SceneGraph, description: HandDescription, body: RigidBody, E: float
+) -> None:
+    """Gives fingertips a compliant hydroelastic shape of modulus E (Pa), and a body rigid ones."""
+    inspector, hand = scene_graph.model_inspector(), plant.GetModelInstanceByName(HAND)
+    tips = [
+        geometry
+        for finger in description.fingers
+        for geometry in tip_geometries(plant, inspector, plant.GetBodyByName(finger.tip_link, hand))
+    ]
+    for geometry in [*tips, *plant.GetCollisionGeometriesForBody(body)]:
+        properties = inspector.GetProximityProperties(geometry)
+        if geometry in tips:
+            AddCompliantHydroelasticProperties(_MESH_SIZE, E, properties)
+        else:
+            AddRigidHydroelasticProperties(_MESH_SIZE, properties)
         scene_graph.AssignRole(plant.get_source_id(), geometry, properties, RoleAssign.kReplace)
 
 

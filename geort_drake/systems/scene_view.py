@@ -13,6 +13,7 @@ from pydrake.systems.framework import Context, InputPort, LeafSystem, ValueProdu
 from geort_drake.hands.chains import finger_links
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import tip_geometries
+from geort_drake.systems.contacts import bodies_of_geometries, contact_geometries, contact_rows
 from geort_drake.systems.port_values import pose_to_vector
 
 
@@ -31,8 +32,6 @@ class SceneView(LeafSystem):
         self_contact (1): 1 while two links of the hand touch each other, else 0. Contacts between fingertips
             do not count (see `tip_geometries`). Neighbours along a finger and the description's
             `ignored_collisions` are filtered out.
-
-    Only point contacts are read.
 
     Args:
         plant: finalized.
@@ -63,6 +62,7 @@ class SceneView(LeafSystem):
             for number, links in enumerate(finger_links(plant, description, hand))
             for body in links
         }
+        self._body_of_geometry = bodies_of_geometries(plant)
         self._hand = {int(body) for body in plant.GetBodyIndices(hand)}
         self._tip_geometries = {
             geometry
@@ -108,16 +108,15 @@ class SceneView(LeafSystem):
     def _calc_touches(self, context: Context, output: AbstractValue) -> None:
         results = self._contacts.Eval(context)
         force, self_contact = np.zeros(self._num_fingers), 0.0
-        for number in range(results.num_point_pair_contacts()):
-            info = results.point_pair_contact_info(number)
-            pair = {int(info.bodyA_index()), int(info.bodyB_index())}
-            if self._object in pair:
-                (other,) = pair - {self._object}
-                finger = self._finger_of_body.get(other)
+        rows = contact_rows(results, self._body_of_geometry)
+        for number, (A, B, magnitude) in enumerate(
+            zip(*rows[:, :2].astype(int).T.tolist(), np.linalg.norm(rows[:, 5:], axis=1), strict=True)
+        ):
+            if self._object in (A, B):
+                finger = self._finger_of_body.get(B if A == self._object else A)
                 if finger is not None:
-                    force[finger] = max(force[finger], float(np.linalg.norm(info.contact_force())))
-            elif pair <= self._hand:
-                geometries = info.point_pair()
-                if not {geometries.id_A, geometries.id_B} <= self._tip_geometries:
+                    force[finger] = max(force[finger], magnitude)
+            elif {A, B} <= self._hand and not self_contact:
+                if not {*contact_geometries(results, number)} <= self._tip_geometries:
                     self_contact = 1.0
         output.set_value({"contact": force, "self_contact": np.array([self_contact])})

@@ -1,0 +1,56 @@
+"""Contacts between a plant's bodies, read alike from point and hydroelastic contact."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from pydrake.geometry import GeometryId
+from pydrake.multibody.plant import ContactResults, MultibodyPlant, PointPairContactInfo
+from pydrake.multibody.tree import BodyIndex
+
+_NO_CONTACTS = np.empty((0, 8))
+
+
+def bodies_of_geometries(plant: MultibodyPlant) -> dict[GeometryId, int]:
+    """Collision geometry → index of its body."""
+    bodies = map(plant.get_body, map(BodyIndex, range(plant.num_bodies())))
+    return {id: int(body.index()) for body in bodies for id in plant.GetCollisionGeometriesForBody(body)}
+
+
+def contact_rows(results: ContactResults, bodies: Mapping[GeometryId, int]) -> np.ndarray:
+    """Rows (contacts, 8): body A, body B, p_WC (m), f_Bc_W (N).
+
+    A pair of geometries has one row. Its force is the sum of normal force and friction; a hydroelastic
+    surface's acts at its centroid.
+
+    Args:
+        results: of the plant.
+        bodies: see `bodies_of_geometries`.
+    """
+    points, surfaces = results.num_point_pair_contacts(), results.num_hydroelastic_contacts()
+    if not points + surfaces:
+        return _NO_CONTACTS
+    rows = np.empty((points + surfaces, 8))
+    # Calls into C++ take most of the time: five for each contact, and no loop around them.
+    infos = list(map(results.point_pair_contact_info, range(points)))
+    rows[:points, 0] = np.fromiter(map(PointPairContactInfo.bodyA_index, infos), int, points)
+    rows[:points, 1] = np.fromiter(map(PointPairContactInfo.bodyB_index, infos), int, points)
+    rows[:points, 2:5] = np.reshape(list(map(PointPairContactInfo.contact_point, infos)), (points, 3))
+    rows[:points, 5:] = np.reshape(list(map(PointPairContactInfo.contact_force, infos)), (points, 3))
+    for number in range(surfaces):
+        info = results.hydroelastic_contact_info(number)
+        surface = info.contact_surface()
+        row = rows[points + number]
+        row[:2] = bodies[surface.id_M()], bodies[surface.id_N()]
+        # F_Ac_W acts on the body of M, at the centroid.
+        row[2:5], row[5:] = surface.centroid(), -info.F_Ac_W().translational()
+    return rows
+
+
+def contact_geometries(results: ContactResults, row: int) -> tuple[GeometryId, GeometryId]:
+    """The two geometries of a row of `contact_rows`."""
+    points = results.num_point_pair_contacts()
+    if row < points:
+        pair = results.point_pair_contact_info(row).point_pair()
+        return pair.id_A, pair.id_B
+    surface = results.hydroelastic_contact_info(row - points).contact_surface()
+    return surface.id_M(), surface.id_N()
