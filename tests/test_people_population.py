@@ -1,4 +1,4 @@
-"""The population of people: reproducible, within joint limits, of the stated kinds, and as wide as reality."""
+"""The population of people: reproducible, within joint limits, of the stated kinds, and wide enough."""
 
 import numpy as np
 import pytest
