@@ -30,6 +30,8 @@ def trial(method="a", thing="cube", seed=0, time=5.0, attempts=1, **changes) -> 
         "completion_time": time,
         "first_attempt": success and attempts == 1,
         "attempts": attempts,
+        "tip_success": success,
+        "holding": {"thumb": 2.0, "index": 2.0} if success else {},
         "phase_durations": {"REACH": 3.0, "LIFT": 1.0},
         "drops": attempts - 1,
         "slip": 0.002,
@@ -74,6 +76,14 @@ def test_success_at_once_is_told_from_success():
     assert found["success"]["successes"] == 2
     assert found["drops_per_trial"] == pytest.approx(1 / 3)
     assert found["failures"] == {"timeout: lift": 1}
+
+
+def test_success_is_told_from_success_by_fingertips_alone():
+    """A hold with the palm's help is a success; the links that held are counted."""
+    helped = trial(seed=1, tip_success=False, holding={"thumb": 2.0, "palm": 0.1})
+    found = figures([trial(), helped, trial(seed=2, time=None)], TIMEOUT)
+    assert (found["success"]["successes"], found["tip_success"]["successes"]) == (2, 1)
+    assert found["holding"] == {"thumb": 2, "index": 1, "palm": 1}
 
 
 def test_trials_that_raised_are_counted_and_in_no_figure():

@@ -115,7 +115,7 @@ def test_self_contact_equals_collisions_beyond_tips():
 
 @pytest.mark.parametrize("modulus", [0.0, 2e5])
 def test_touch_is_felt_with_rigid_and_with_soft_fingertips(modulus):
-    """A ball 1 mm deep in one fingertip presses on it, by a point or by a surface; no link touches another."""
+    """A ball 1 mm deep in one fingertip presses on it, by a point or by a surface."""
     text = f"{{plant_config: {{contact_model: hydroelastic_with_fallback}}, fingertip_modulus: {modulus}}}"
     scenario = load_scenario(text=text)
     scenario.object.name = "sphere"

@@ -208,10 +208,14 @@ def test_clutch_moves_the_hand_by_what_the_wrist_moved_and_survives_a_gap():
 # -- GraspMonitor
 
 
-def run_monitor(heights, contacts, period=0.1, x=None, hand_heights=None, **config):
-    """Feeds one height, contact vector, place x and hand per period; the outcome after them."""
+def run_monitor(heights, contacts, period=0.1, x=None, hand_heights=None, palm=None, **config):
+    """Feeds one height, contact vector, place x, hand and palm's force per period; the outcome after them."""
     monitor = GraspMonitor(
-        2, lambda X_WO: X_WO.translation()[2] - 0.02, 0.1, GraspMonitorConfig(period=period, **config)
+        2,
+        ["a", "b", "palm"],
+        lambda X_WO: X_WO.translation()[2] - 0.02,
+        0.1,
+        GraspMonitorConfig(period=period, **config),
     )
     simulator = Simulator(monitor)
     context = simulator.get_mutable_context()
@@ -219,6 +223,8 @@ def run_monitor(heights, contacts, period=0.1, x=None, hand_heights=None, **conf
         pose = pose_to_vector(RigidTransform([0.5 if x is None else x[step], 0, 0.12 + height]))
         monitor.GetInputPort("object_pose").FixValue(context, pose)
         monitor.GetInputPort("contact").FixValue(context, contact)
+        links = [*contact, 0.0 if palm is None else palm[step]]
+        monitor.GetInputPort("link_contact").FixValue(context, links)
         monitor.GetInputPort("self_contact").FixValue(context, 0.0)
         above = height if hand_heights is None else hand_heights[step]
         X_WB = RigidTransform(RotationMatrix.MakeXRotation(1.0), [0.4, 0.1, 0.3 + above])
@@ -237,6 +243,17 @@ def test_monitor_needs_the_height_for_the_whole_hold():
     assert list(outcome.times) == ["REACH", "GRASP", "LIFT", "HOLD", "DONE"]
     short = run_monitor(heights[:15], contacts[:15])
     assert not short.success and short.phase == GraspPhase.HOLD
+
+
+def test_monitor_names_the_links_that_hold():
+    """From the beginning of the hold on: the palm touches during the lift, and for 0.2 s of the hold."""
+    heights, palm = [0, 0.05] + [0.12] * 25, np.zeros(27)
+    palm[:2] = palm[10:12] = 1.0
+    outcome = run_monitor(heights, [[1, 1]] * 27, palm=palm)
+    assert outcome.success and outcome.holding["a"] == pytest.approx(2.1)
+    assert outcome.holding["palm"] == pytest.approx(0.2)
+    palm[10:12] = 0.0
+    assert list(run_monitor(heights, [[1, 1]] * 27, palm=palm).holding) == ["a", "b"]
 
 
 def test_monitor_does_not_count_a_dropped_or_thrown_object():

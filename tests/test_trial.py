@@ -73,6 +73,7 @@ def test_the_cylinder_is_lifted_through_a_known_map():
     assert sum(result.phase_durations.values()) == pytest.approx(result.simulated_time, abs=0.011)
     assert result.phase_durations["HOLD"] == pytest.approx(0.5, abs=0.011)
     assert 0 < result.slip < 0.05
+    assert result.tip_success and set(result.holding) <= {"link_15", "link_3", "link_7"}
     assert result.operator_phase in ("lift", "hold") and 0 <= result.self_contact <= 1
     # At least the weight of 0.1 kg held by friction of two sides, at most what the motors can do.
     assert 0.3 < result.peak_force < 20.0

@@ -67,8 +67,9 @@ def figures(records: Sequence[Record], timeout: float) -> dict:
     """Statistics of trials of one method; None where no trial has the quantity.
 
     Returns:
-        Numbers of `trials` and of `errors`, which are not among them; `one_time_success` and `success`, see
-        `proportion`; `completion_time_s`: `restricted_mean` up to the timeout with its interval, and
+        Numbers of `trials` and of `errors`, which are not among them; `one_time_success`, `success` and
+        `tip_success`, see `proportion`; `holding`: number of successes in which each link of the hand touched
+        the held object; `completion_time_s`: `restricted_mean` up to the timeout with its interval, and
         `median_of_successes`; `phase_s`: mean time in each phase; `slip_mm`: median and 95th percentile over
         trials with a lift; `drops_per_trial`; `peak_force_n`, median; `self_contact`, mean fraction of the
         time; `failures`: number of each `ending` other than success.
@@ -85,6 +86,8 @@ def figures(records: Sequence[Record], timeout: float) -> dict:
         "errors": len(records) - len(judged),
         "one_time_success": proportion(sum(bool(r["first_attempt"]) for r in judged), len(judged)),
         "success": proportion(sum(r["success"] for r in judged), len(judged)),
+        "tip_success": proportion(sum(r["tip_success"] for r in judged), len(judged)),
+        "holding": dict(Counter(link for r in judged if r["success"] for link in r["holding"]).most_common()),
         "completion_time_s": {
             "restricted_mean": mean_and_interval(list(by_object.values())),
             "median_of_successes": _median(times),

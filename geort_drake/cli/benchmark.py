@@ -163,9 +163,10 @@ def report(arguments: argparse.Namespace, summary: dict) -> int:
     from geort_drake.console import print_table, warn
 
     folder, errors = arguments.output, summary["errors"]
-    headings = ("method", "at once", "95 %", "success", "mean time", "points")
+    headings = ("method", "at once", "95 %", "success", "by tips", "mean time", "points")
     caption = (
-        "at once: lifted and held at the first closing, and in points against the first method; "
+        "at once: lifted and held at the first closing, and in points against the first method; by tips: "
+        "nothing else touched the held object; "
         "mean time: failures count as the timeout"
     )
     print_table(headings, _rows(summary), "Grasps", caption)
@@ -182,7 +183,7 @@ def _rows(summary: dict) -> Iterator[list[str]]:
         of = entry["overall"]
         once, success = of["one_time_success"], of["success"]
         if not once["trials"]:
-            yield [name, *["–"] * 5]
+            yield [name, *["–"] * 6]
             continue
         against = summary["differences"].get(name, {}).get("overall", {}).get("one_time_success", {})
         yield [
@@ -190,6 +191,7 @@ def _rows(summary: dict) -> Iterator[list[str]]:
             f"{once['successes']} of {once['trials']}",
             f"{100 * once['low']:.0f}–{100 * once['high']:.0f} %",
             f"{100 * success['rate']:.0f} %",
+            f"{100 * of['tip_success']['rate']:.0f} %",
             f"{of['completion_time_s']['restricted_mean']['mean']:.1f} s",
             "–" if against.get("mean") is None else f"{100 * against['mean']:+.0f}",
         ]

@@ -206,12 +206,13 @@ def make_grasp_diagram(
         "grasp_monitor",
         GraspMonitor(
             len(description.fingers),
+            view.links,
             scene.object_shape.lowest_point,
             scenario.object.support_height,
             scenario.monitor,
         ),
     )
-    for name in ("object_pose", "hand_pose", "contact", "self_contact"):
+    for name in ("object_pose", "hand_pose", "contact", "link_contact", "self_contact"):
         builder.Connect(view.GetOutputPort(name), monitor.GetInputPort(name))
     glove_recorder = builder.AddNamedSystem("glove_recorder", GloveRecorder(scenario.operator.period))
     for name in ("keypoints", "wrist_pose", "valid"):

@@ -30,6 +30,10 @@ class TrialResult:
     # "success"; "timeout: PHASE" with the monitor's last phase; or "thrown: PHASE" with the last phase in
     # which a finger touched the object, or reach if none did, as when the palm knocked it over.
     outcome: str
+    # Whether it succeeded and only links of fingertips touched the object during the hold.
+    tip_success: bool
+    # Time in which each link of the hand touched the object during the hold.
+    holding: dict[str, float]
     # The simulated operator's last phase, for example approach or close; None in a replay.
     operator_phase: str | None
     # Time from the start to the beginning of the hold; None without success.
@@ -120,11 +124,14 @@ def _result(
     else:
         text = f"timeout: {outcome.phase.name.lower()}"
     simulated_time = root.get_time()
+    tip_links = {finger.tip_link for finger in parts.description.fingers}
     return TrialResult(
         object=scenario.object.name,
         seed=scenario.random_seed,
         success=outcome.success,
         outcome=text,
+        tip_success=outcome.success and outcome.holding.keys() <= tip_links,
+        holding={link: round(spent, 6) for link, spent in outcome.holding.items()},
         operator_phase=operator_phase,
         completion_time=outcome.completion_time if outcome.success else None,
         first_attempt=None if attempts is None else outcome.success and attempts == 1,

@@ -27,11 +27,15 @@ class SceneView(LeafSystem):
         fingertips (3F): p_WF, m.
         hand_pose (7): X_WB of the hand base, qw qx qy qz x y z.
         object_pose (7): X_WO of the object, qw qx qy qz x y z.
-        contact (F): magnitude of the largest contact force, normal and friction, between one of a finger's
-            links and the object, N.
+        link_contact (L): magnitude of the largest contact force, normal and friction, between each link of
+            the hand and the object, N.
+        contact (F): the largest of these over the links of each finger, N.
         self_contact (1): 1 while two links of the hand touch each other, else 0. Contacts between fingertips
             do not count (see `tip_geometries`). Neighbours along a finger and the description's
             `ignored_collisions` are filtered out.
+
+    Attributes:
+        links: L names.
 
     Args:
         plant: finalized.
@@ -57,13 +61,14 @@ class SceneView(LeafSystem):
         ]
         # Homogeneous columns: one product for all fingers takes a third of the time of one product each.
         self._tip_points = np.array([[*finger.tip_point, 1.0] for finger in description.fingers])[:, :, None]
-        self._finger_of_body = {
-            int(body.index()): number
-            for number, links in enumerate(finger_links(plant, description, hand))
-            for body in links
-        }
+        links = [plant.get_body(index) for index in plant.GetBodyIndices(hand)]
+        self.links = [link.name() for link in links]
+        self._number_of_link = {int(link.index()): number for number, link in enumerate(links)}
+        self._finger_links = [
+            [self._number_of_link[int(link.index())] for link in of_finger]
+            for of_finger in finger_links(plant, description, hand)
+        ]
         self._body_of_geometry = bodies_of_geometries(plant)
-        self._hand = {int(body) for body in plant.GetBodyIndices(hand)}
         self._tip_geometries = {
             geometry
             for finger in description.fingers
@@ -76,7 +81,7 @@ class SceneView(LeafSystem):
         self._num_fingers = num_fingers
         places = {"fingertips": 3 * num_fingers, "hand_pose": 7, "object_pose": 7}
         self._declare_outputs(places, self._calc_places, self._poses)
-        touches = {"contact": num_fingers, "self_contact": 1}
+        touches = {"link_contact": len(self.links), "contact": num_fingers, "self_contact": 1}
         self._declare_outputs(touches, self._calc_touches, self._contacts)
 
     def _declare_outputs(self, sizes: dict[str, int], calculate: Callable, source: InputPort) -> None:
@@ -107,16 +112,21 @@ class SceneView(LeafSystem):
 
     def _calc_touches(self, context: Context, output: AbstractValue) -> None:
         results = self._contacts.Eval(context)
-        force, self_contact = np.zeros(self._num_fingers), 0.0
+        force, self_contact = np.zeros(len(self.links)), 0.0
         rows = contact_rows(results, self._body_of_geometry)
-        for number, (A, B, magnitude) in enumerate(
-            zip(*rows[:, :2].astype(int).T.tolist(), np.linalg.norm(rows[:, 5:], axis=1), strict=True)
-        ):
+        bodies, magnitudes = rows[:, :2].astype(int).tolist(), np.linalg.norm(rows[:, 5:], axis=1)
+        for row, ((A, B), magnitude) in enumerate(zip(bodies, magnitudes, strict=True)):
             if self._object in (A, B):
-                finger = self._finger_of_body.get(B if A == self._object else A)
-                if finger is not None:
-                    force[finger] = max(force[finger], magnitude)
-            elif {A, B} <= self._hand and not self_contact:
-                if not {*contact_geometries(results, number)} <= self._tip_geometries:
-                    self_contact = 1.0
-        output.set_value({"contact": force, "self_contact": np.array([self_contact])})
+                link = self._number_of_link.get(B if A == self._object else A)
+                if link is not None:
+                    force[link] = max(force[link], magnitude)
+            elif A in self._number_of_link and B in self._number_of_link and not self_contact:
+                tips_alone = self._tip_geometries.issuperset(contact_geometries(results, row))
+                self_contact = float(not tips_alone)
+        output.set_value(
+            {
+                "link_contact": force,
+                "contact": np.array([force[links].max() for links in self._finger_links]),
+                "self_contact": np.array([self_contact]),
+            }
+        )

@@ -3,7 +3,7 @@
 import dataclasses as dc
 import enum
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -65,6 +65,8 @@ class GraspOutcome(Immutable):
     durations: dict[str, float] = dc.field(default_factory=dict)
     # Since when the object has been high enough; NaN while it is lower.
     held_since: float = math.nan
+    # While it has been: time in which each link of the hand touched it, s, by name.
+    holding: dict[str, float] = dc.field(default_factory=dict)
     # Last phase in which a finger touched the object, without the phases that end a trial.
     last_touched: GraspPhase = GraspPhase.REACH
     # Lifts that ended: the object was back on its support, or two fingers had left it for `drop_time`.
@@ -109,6 +111,7 @@ class GraspMonitor(LeafSystem):
         object_pose (7): X_WO, qw qx qy qz x y z.
         hand_pose (7): X_WB of the robot's hand base.
         contact (F): force between each finger and the object, N.
+        link_contact (L): the same for each link of the hand.
         self_contact (1): above 0 while links of the hand touch each other.
     Output ports:
         phase (1): `GraspPhase` as a number.
@@ -117,6 +120,7 @@ class GraspMonitor(LeafSystem):
     State (abstract): the outcome, and memory of the present lift.
 
     Args:
+        links: L names.
         lowest_point: maps X_WO to the height in W of the object's lowest point, m.
         support_height: height of the support in W, m.
     """
@@ -124,6 +128,7 @@ class GraspMonitor(LeafSystem):
     def __init__(
         self,
         num_fingers: int,
+        links: Sequence[str],
         lowest_point: Callable[[RigidTransform], float],
         support_height: float,
         config: GraspMonitorConfig,
@@ -134,6 +139,8 @@ class GraspMonitor(LeafSystem):
         self._object_pose = self.DeclareVectorInputPort("object_pose", 7)
         self._hand_pose = self.DeclareVectorInputPort("hand_pose", 7)
         self._contact = self.DeclareVectorInputPort("contact", num_fingers)
+        self._links = np.array(links)
+        self._link_contact = self.DeclareVectorInputPort("link_contact", len(links))
         self._self_contact = self.DeclareVectorInputPort("self_contact", 1)
         ticket = {self.abstract_state_ticket(self.DeclareAbstractState(AbstractValue.Make(_Memory())))}
         self.DeclareVectorOutputPort(
@@ -163,9 +170,11 @@ class GraspMonitor(LeafSystem):
         height = self._lowest_point(X_WO) - self._support
         touching = sum(one > config.touch_force for one in force)
         x, y = (X_WO.translation() - p_WO_start)[:2].tolist()
-        held_since = math.nan
+        held_since, holding = math.nan, {}
         if height >= config.height and touching >= 2:
             held_since = t if math.isnan(before.held_since) else before.held_since
+            links = self._links[self._link_contact.Eval(context) > config.touch_force].tolist()
+            holding = before.holding | {link: before.holding.get(link, 0.0) + config.period for link in links}
             phase = GraspPhase.DONE if t - held_since >= config.hold_time else GraspPhase.HOLD
         elif height < -config.fallen or (math.hypot(x, y) > config.strayed and touching == 0):
             phase = GraspPhase.THROWN
@@ -198,6 +207,7 @@ class GraspMonitor(LeafSystem):
             times={**before.times, phase.name: before.times.get(phase.name, t)},
             durations=durations,
             held_since=held_since,
+            holding=holding,
             last_touched=phase if touching and phase not in _OVER else before.last_touched,
             drops=drops,
             slip=slip,
