@@ -9,6 +9,7 @@ from retargeting_toy import toy_data, toy_human, toy_kinematics, uneven_kinemati
 
 from geort_drake.errors import GeortError, HandError, TrainingError, UnknownNameError
 from geort_drake.retargeting.methods import make_untrained, untrained_methods
+from geort_drake.retargeting.methods.affine_ik import AffineIK
 from geort_drake.retargeting.methods.linear_offline import SCALE, LinearConfig, train_linear_offline
 from geort_drake.retargeting.methods.online import (
     DexPilotOnline,
@@ -146,6 +147,26 @@ def test_settled_answers_have_no_memory(kinematics):
     answers = online(np.concatenate([frames, np.repeat(frames[-1:], 80, axis=0)]))
     hand = online.kinematics
     assert np.abs(hand.fingertips(answers[-1:]) - hand.fingertips(first[-1:])).max() < 1e-3
+
+
+def test_the_affine_map_puts_one_workspace_onto_the_other(kinematics):
+    """Means and spreads match; what the robot can reach it reaches, whatever it was asked before."""
+    frames = walk(kinematics)
+    affine = AffineIK(kinematics, frames)
+    np.testing.assert_allclose(affine.targets(frames).mean(axis=0), affine.targets(frames.mean(axis=0)))
+    robot = affine.targets(frames) - affine.targets(frames).mean(axis=0)
+    q = np.random.default_rng(0).uniform(kinematics.lower, kinematics.upper, (4000, 16))
+    tips = NumpyKinematics(kinematics).fingertips(q)
+    np.testing.assert_allclose(
+        np.sqrt((robot**2).sum(-1).mean(axis=0)), np.sqrt(tips.var(axis=0).sum(-1)), rtol=1e-6
+    )
+    wanted = NumpyKinematics(kinematics).fingertips(interior(kinematics, 20))
+    answer = affine((wanted - affine.targets(np.zeros((4, 3)))) / affine.gain)
+    error = np.linalg.norm(NumpyKinematics(kinematics).fingertips(answer) - wanted, axis=-1)
+    assert np.median(error) < 1e-4
+    np.testing.assert_allclose(affine(frames[7]), affine(frames)[7], atol=1e-12)
+    with pytest.raises(GeortError, match="the thumb moves less than 1 mm"):
+        AffineIK(kinematics, np.ones((5, 4, 3)))
 
 
 def test_the_nearest_neighbour_answers_a_stored_hand_exactly(kinematics):

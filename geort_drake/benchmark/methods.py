@@ -52,8 +52,8 @@ def make_retargeter(
         keep: folder for a copy of the checkpoint.
         hand_name: name or file of the robot hand's description.
         hand: its model.
-        recording: training data, or the frames that nearest_neighbour stores.
-        seed: of the training, and of the choice of frames.
+        recording: training data, or the frames that an untrained method uses.
+        seed: of the training, and of an untrained method's draws.
 
     Raises:
         UnknownNameError, CheckpointError, TrainingError: see `cached_checkpoint` and `load_retargeter`.

@@ -23,6 +23,7 @@ _ENTRY_MODULES = (
     "benchmark/trials.py",
     "people/human_hand.py",
     "hands/mirror.py",
+    "retargeting/methods/affine_ik.py",
     "retargeting/methods/online.py",
     "retargeting/methods/trivial.py",
     "retargeting/methods/coupled/retargeter.py",

@@ -34,6 +34,7 @@ METHODS = {
     "linear_offline": "a network trained on Eq. 1 of the paper (Robotic Telekinesis)",
     "vector_online": "AnyTeleop's vectors, optimised at every frame",
     "dexpilot_online": "DexPilot's vectors, optimised at every frame",
+    "affine_ik": "an affine map of each fingertip, and inverse kinematics",
     "nearest_neighbour": "the closest of 300 stored hands",
     "hold": "a constant posture",
 }

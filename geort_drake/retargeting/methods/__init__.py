@@ -67,8 +67,8 @@ def make_untrained(
         name: one of `untrained_methods()`.
         kinematics: of the robot hand, mirrored for a left one.
         human_keypoints: keypoint of each finger's tip; None goes by the fingers' names.
-        frames: recorded fingertips (T, F, 3), m, which nearest_neighbour draws from.
-        seed: of that draw.
+        frames: recorded fingertips (T, F, 3), m, which affine_ik and nearest_neighbour need.
+        seed: of their draws.
 
     Raises:
         UnknownNameError: no such method.
