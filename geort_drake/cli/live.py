@@ -1,18 +1,24 @@
-"""Drive a robot, or a simulation of it, with a glove or a recording.
+"""Drive a robot or its simulation with your hand in a browser, a glove, or a recording.
 
-SOURCE is a recording's file, or an address: sub+tcp://127.0.0.1:5556 (ZeroMQ, from `geort-drake publish` or a
-MANUS bridge that publishes), pull+tcp://127.0.0.1:8000 (from a bridge that pushes), lcm, or lcm+URL.
-TARGET is simulation, lcm, or lcm+URL. Enter engages and disengages. Ctrl-C stops; the robot holds its place.
-Messages are neither signed nor encrypted: whoever can send them moves the robot.
+Without options, a page in the browser takes your hand from the camera or a headset and shows the simulation.
+
+SOURCE is web, a recording's file, or an address: sub+tcp://127.0.0.1:5556 (ZeroMQ, from `geort-drake publish`
+or a MANUS bridge that publishes), pull+tcp://127.0.0.1:8000 (from a bridge that pushes), lcm, or lcm+URL.
+TARGET is simulation, lcm, or lcm+URL. On the page, or with Enter, you engage and disengage. Ctrl-C stops; the
+robot holds its place. ZeroMQ's and LCM's messages are neither signed nor encrypted: whoever can send them
+moves the robot. The page asks for the key in its address.
 """
 
 import argparse
 import dataclasses
 import math
+import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from geort_drake.cli.options import (
     CommandParser,
+    at_least,
     command,
     finish,
     output_file,
@@ -22,10 +28,21 @@ from geort_drake.cli.options import (
 )
 from geort_drake.errors import UsageError
 
+if TYPE_CHECKING:
+    from geort_drake.hands.description import HandDescription
+    from geort_drake.live.robot_link import RobotLink
+    from geort_drake.live.session import SessionReport
+    from geort_drake.live.teleoperation import Teleoperation
+    from geort_drake.retargeting.retargeter import Retargeter
+    from geort_drake.simulation.scenario import Scenario
+
+# Where the page's recordings go.
+_RECORDINGS = Path("runs/live")
+
 
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
-    add("--glove", required=True, metavar="SOURCE", help="source of the hand motion")
+    add("--glove", default="web", metavar="SOURCE", help="source of the hand motion")
     add("--robot", default="simulation", metavar="TARGET", help="robot or simulation to drive")
     trained = (
         "directory of the checkpoint (default: one trained on synthetic play; if the cache has none, "
@@ -51,22 +68,18 @@ def add_arguments(parser: CommandParser) -> None:
     )
     record = "record the glove's data (.npz), to train on or replay"
     add("--record", type=output_file(".npz"), metavar="FILE", help=record)
+    local = "address of the page; any but this machine's own gets TLS with a certificate of its own"
+    add("--host", default="127.0.0.1", help=local)
+    add("--port", type=at_least(0), default=8742, help="port of the page; 0 for any")
+    add("--no-open", action="store_true", help="do not open the browser")
     add("--meshcat", action="store_true", help="show the simulation in a browser on this machine")
     parser.add_json("a report")
     parser.add_scenario("{correction: {kind: guard}}")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from geort_drake import (
-        GloveReplay,
-        HandModel,
-        load_hand,
-        load_retargeter,
-        read_recording,
-        synthesize_play,
-    )
-    from geort_drake.comparison.train import cached_checkpoint
-    from geort_drake.console import console, say, warn
+    from geort_drake import GloveReplay, load_hand, read_recording
+    from geort_drake.console import warn
     from geort_drake.live.devices import require_hand_messages
     from geort_drake.live.glove_stream import GloveStream
     from geort_drake.live.robot_link import RobotLink
@@ -82,6 +95,11 @@ def run(arguments: argparse.Namespace) -> int:
     scenario = scenario_of(arguments)
     description = load_hand(scenario.hand)
     side, duration = description.side, arguments.duration
+    lcm_url = None if arguments.robot == "simulation" else split_address(arguments.robot)[1]
+    if lcm_url:
+        require_hand_messages(description)
+    if arguments.glove == "web":
+        return _run_web(arguments, scenario, description, lcm_url)
     receiver = None
     if is_address(arguments.glove):
         receiver = open_receiver(arguments.glove)
@@ -89,16 +107,9 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         glove = GloveReplay(read_recording(arguments.glove, side))
         duration = min(duration, glove.duration)
-    lcm_url = None if arguments.robot == "simulation" else split_address(arguments.robot)[1]
-    if lcm_url:
-        require_hand_messages(description)
     _warn_of_open_addresses(arguments.glove if receiver else None, lcm_url)
 
-    checkpoint = arguments.retargeter
-    if checkpoint is None:
-        play = synthesize_play(seed=0, side=side)
-        checkpoint, _ = cached_checkpoint(scenario.hand, play)
-    retarget = load_retargeter(checkpoint, HandModel(description), arguments.backend)
+    retarget = _load(_checkpoint(arguments, description), description, arguments.backend)
     model = RobotModel(scenario, description)
     recorder = None
     if arguments.record:
@@ -128,24 +139,139 @@ def run(arguments: argparse.Namespace) -> int:
             recorder,
         )
         engaged = arguments.engage == "now"
-        console.print("Ctrl-C stops." if engaged else "Enter engages and disengages, Ctrl-C stops.")
+        _print_keys("" if engaged else "Enter engages and disengages. ")
         with stopping() as stop:
             report = run_session(
                 loop,
                 engaged,
                 None if engaged else EnterKey(),
                 duration,
-                stop,
+                stop.is_set,
                 lambda: link.require_alive(arguments.robot_silence) if link else None,
-                lambda time, state: say(f"{time:8.2f} s  {state}"),
+                _say_state,
             )
     finally:
         if receiver:
             receiver.close()
         # Also after a session that ended with an error.
         recorded = recorder is not None and recorder.finish()
+    summary = _summary(report, loop, link)
+    _print(summary)
+    if recorded:
+        finish({"Recording": arguments.record}, command("grasp", "--recording", arguments.record))
+    write_json(arguments.json, summary)
+    return 0
+
+
+def _run_web(
+    arguments: argparse.Namespace, scenario: "Scenario", description: "HandDescription", lcm_url: str | None
+) -> int:
+    """Serves the page and runs its sessions."""
+    from geort_drake.live.robot_link import RobotLink
+    from geort_drake.live.session import stopping
+    from geort_drake.live.teleoperation import RobotModel
+    from geort_drake.live.web.control import PageControl
+    from geort_drake.live.web.desk import About, Desk
+    from geort_drake.live.web.serve import open_server
+    from geort_drake.live.web.session import WebTeleoperation
+    from geort_drake.simulation.scenario import object_names
+
+    if arguments.record:
+        raise UsageError(f"--record: the page starts and stops recordings, in {_RECORDINGS}")
+    if arguments.meshcat:
+        raise UsageError("--meshcat: the page shows the simulation")
+    if lcm_url:
+        _confirm_real_robot()
+    checkpoint = _checkpoint(arguments, description)
+    model = RobotModel(scenario, description)
+    link = RobotLink(lcm_url, model.hand, model.arm, scenario.retargeting.period) if lcm_url else None
+    words = f"trained: {arguments.retargeter}" if arguments.retargeter else "trained on synthetic play"
+    robot, objects = ("lcm", []) if lcm_url else ("simulation", object_names())
+    desk = Desk(About(description.side, scenario.hand, robot, objects, words))
+    with open_server(desk, arguments.host, arguments.port, not arguments.no_open) as server:
+        control = PageControl(desk, server.publish, _RECORDINGS, checkpoint)
+        teleoperation = WebTeleoperation(
+            scenario,
+            description,
+            model,
+            lambda fitted: _load(fitted or checkpoint, description, arguments.backend),
+            desk,
+            server,
+            control,
+            link,
+            arguments.relax_after,
+        )
+        _print_keys("")
+        try:
+            with stopping() as stop:
+                report, loop = teleoperation.run(
+                    arguments.engage == "now",
+                    arguments.duration,
+                    stop.is_set,
+                    arguments.timeout,
+                    arguments.robot_silence,
+                    _say_state,
+                )
+        finally:
+            control.close()
+    summary = _summary(report, loop, link)
+    summary["glove"] |= {"received": desk.received, "refused": desk.refused + server.dropped}
+    _print(summary)
+    if control.recordings:
+        last = control.recordings[-1]
+        finish({"Recording": last}, command("grasp", "--recording", last))
+    write_json(arguments.json, summary)
+    return 0
+
+
+def _checkpoint(arguments: argparse.Namespace, description: "HandDescription") -> Path:
+    """The checkpoint of the retargeter; trains the default one if the cache lacks it."""
+    from geort_drake import synthesize_play
+    from geort_drake.comparison.train import cached_checkpoint
+    from geort_drake.console import say
+
+    if arguments.retargeter is not None:
+        return arguments.retargeter
+    say("retargeter: trained on synthetic play; the first time, this training takes minutes")
+    return cached_checkpoint(scenario_of(arguments).hand, synthesize_play(seed=0, side=description.side))[0]
+
+
+def _load(checkpoint: Path, description: "HandDescription", backend: str) -> "Retargeter":
+    from geort_drake import HandModel, load_retargeter
+
+    return load_retargeter(checkpoint, HandModel(description), backend)
+
+
+def _confirm_real_robot() -> None:
+    """Asks whether a page may move a real robot.
+
+    Raises:
+        UsageError: the answer is not yes.
+    """
+    from geort_drake.console import console
+
+    console.print("A web page will move a real robot. Is its emergency stop within reach? Type yes:")
+    if sys.stdin.readline().strip().lower() != "yes":
+        raise UsageError("--glove web --robot lcm needs the answer yes on the terminal")
+
+
+def _print_keys(keys: str) -> None:
+    from geort_drake.console import console
+
+    console.print(f"{keys}Ctrl-C stops.")
+
+
+def _say_state(time: float, state: str) -> None:
+    from geort_drake.console import say
+
+    say(f"{time:8.2f} s  {state}")
+
+
+def _summary(report: "SessionReport", loop: "Teleoperation", link: "RobotLink | None") -> dict:
+    """The report of a session, for --json."""
     summary = dataclasses.asdict(report)
     if (meter := loop.meter) is not None:
+        glove = loop.glove
         summary["glove"] = {
             "received": glove.received,
             "refused": glove.refused,
@@ -159,11 +285,7 @@ def run(arguments: argparse.Namespace) -> int:
         }
     if link:
         summary["robot"] = {"refused": link.inbox.refused}
-    _print(summary)
-    if recorded:
-        finish({"Recording": arguments.record}, command("grasp", "--recording", arguments.record))
-    write_json(arguments.json, summary)
-    return 0
+    return summary
 
 
 def _warn_of_open_addresses(glove: str | None, lcm_url: str | None) -> None:

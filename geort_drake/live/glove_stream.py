@@ -25,7 +25,7 @@ _SAME_CLOCK_S = 1.0
 LATEST_S = 0.2
 # The fastest transfer is assumed to slow down by this, s/s, because clocks drift by up to 100 ppm each.
 _DRIFT = 2e-4
-_HANDSHAKE_FRAMES = 5
+HANDSHAKE_FRAMES = 5
 _CHECKS = (
     anatomy.check_order,
     anatomy.check_unit,
@@ -127,15 +127,10 @@ class GloveStream(LeafSystem):
             frame = self._newest(at_handshake=True)
             if frame is not None and frame.p_HK is not None:
                 hands.append(frame.p_HK)
-            return True if len(hands) >= _HANDSHAKE_FRAMES else None
+            return True if len(hands) >= HANDSHAKE_FRAMES else None
 
         wait_for(poll, timeout_s, lambda: self._silence(timeout_s))
-        points = np.stack(hands)
-        t = np.arange(len(points), dtype=float)
-        hand = Recording(t, points, np.ones(len(t), bool), metadata={"side": self._side})
-        for check in _CHECKS:
-            refuse("the glove", check(hand))
-        _require_palm_side(points, self._side)
+        require_hand(np.stack(hands), self._side)
 
     def _silence(self, timeout_s: float) -> str:
         refused = f"; {self.refused} messages were refused, the last: {self.last_refusal}"
@@ -187,14 +182,18 @@ class GloveStream(LeafSystem):
         return EventStatus.Succeeded()
 
 
-def _require_palm_side(points: np.ndarray, side: str) -> None:
-    """Checks that the thumb of hands p_HK (T, 21, 3) is on the palm's side.
-
-    The checks of recordings use the way the fingers bend, but straight fingers bend backwards for seconds.
+def require_hand(points: np.ndarray, side: str) -> None:
+    """Checks that keypoints p_HK (T, 21, 3), m, are of a hand of that side, before anything follows them.
 
     Raises:
+        RecordingError: the keypoints are no hand, or not in the expected frame, order or unit.
         MismatchError: the thumb is behind the palm.
     """
+    t = np.arange(len(points), dtype=float)
+    hand = Recording(t, points, np.ones(len(t), bool), metadata={"side": side})
+    for check in _CHECKS:
+        refuse("the glove", check(hand))
+    # The checks of recordings use the way the fingers bend, but straight fingers bend backwards for seconds.
     x = float(np.median(points[:, FINGER_KEYPOINTS["thumb"][1], 0]))
     if x < -_BEHIND_M:
         other = SIDES[1 - SIDES.index(side)]

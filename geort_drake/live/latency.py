@@ -1,6 +1,7 @@
 """Measures the time from a hand's motion to the robot's command, and to the status that confirms it."""
 
 import dataclasses as dc
+import itertools
 import math
 import time
 from collections import OrderedDict, deque
@@ -63,9 +64,9 @@ class LatencyMeter(LeafSystem):
         self.DeclarePeriodicPublishEvent(period, 2 * AFTER, self._note_command)
         self.DeclarePeriodicPublishEvent(POLL_PERIOD, 2 * AFTER, self._note_echo)
 
-    def to_command(self) -> Latency:
-        """Returns the time from keypoints to command."""
-        return Latency.of(self._to_command)
+    def to_command(self, newest: int = _MAX_SAMPLES) -> Latency:
+        """Returns the time from keypoints to command, of the newest samples."""
+        return Latency.of([*itertools.islice(reversed(self._to_command), newest)])
 
     def to_echo(self) -> Latency:
         """Returns the time from keypoints to the robot's status that reports the command."""

@@ -150,7 +150,7 @@ def _decode_manus_text(message: bytes, side: str, glove_id: str | None) -> Glove
                 poses = np.array([float(word) for word in glove[1:]]).reshape(NODE_COUNT, 7)
             except ValueError as error:
                 raise LiveError(f"MANUS message: {error!s:.80}") from None
-            return _manus_frame(keypoints_of_nodes(poses[:, :3]), side)
+            return frame_of_points(keypoints_of_nodes(poses[:, :3]), side)
     return None
 
 
@@ -166,22 +166,26 @@ def _decode_manus_glove(fields: dict[str, Any]) -> GloveFrame:
             f"ManusGlove message: raw_nodes must be {NODE_COUNT} nodes with node_id from 0 to "
             f"{NODE_COUNT - 1} and pose.position with x, y, z"
         ) from None
-    return _manus_frame(p_WK, _side_of(fields))
+    return frame_of_points(p_WK, _side_of(fields))
 
 
-def _manus_frame(p_WK: np.ndarray, side: str) -> GloveFrame:
-    """Returns the frame of keypoints (21, 3), m, in any frame W; the keypoints give the wrist's pose."""
+def frame_of_points(p_WK: np.ndarray, side: str, time: float | None = None) -> GloveFrame:
+    """Returns the frame of keypoints (21, 3), m, in any frame W; the keypoints give the wrist's pose.
+
+    Raises:
+        LiveError: a position is not finite or too far away, or wrist and knuckles span no plane.
+    """
     p_VK = mirrored(p_WK) if side == "left" else p_WK
     # NaN fails the comparison.
     p_HK = to_wrist_frame(p_VK) if np.abs(p_WK).max() <= _FARTHEST_M else np.full((1,), np.nan)
     if not np.isfinite(p_HK).all():
         raise LiveError(
-            f"MANUS message: positions must be finite and within {_FARTHEST_M:g} m, and wrist and knuckles "
-            "must span a plane"
+            f"hand: positions must be finite and within {_FARTHEST_M:g} m, and wrist and knuckles must span "
+            "a plane"
         )
     R_WH, p_WH = wrist_pose(p_VK)
     quaternion = Rotation.from_matrix(R_WH).as_quat(scalar_first=True)
-    return GloveFrame(side, None, p_HK, np.concatenate([quaternion, p_WH]))
+    return GloveFrame(side, time, p_HK, np.concatenate([quaternion, p_WH]))
 
 
 def _parse_json(message: bytes) -> dict[str, Any]:

@@ -28,6 +28,7 @@ from geort_drake.live.devices import (
 )
 from geort_drake.live.glove_stream import POLL_PERIOD
 from geort_drake.live.transports import open_lcm
+from geort_drake.simulation.diagram import add_monitor
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import ARM, HAND, actuated_state, add_scene
 
@@ -43,9 +44,12 @@ class SimulatedRobot(Diagram):
             in the plant's actuator order.
     Output ports:
         hand_state (2n), arm_state (2m): measured positions (rad), then velocities (rad/s), in the same order.
+        body_poses (abstract list of RigidTransform): X_WB by the plant's body index.
+        outcome (abstract GraspOutcome): of the grasp so far.
 
     Attributes:
         hand, arm: their joints.
+        scene: the plant and its geometry.
 
     Args:
         scenario: arm, object and simulation settings.
@@ -66,7 +70,11 @@ class SimulatedRobot(Diagram):
             builder.ExportOutput(actuated_state(builder, plant, model), f"{name}_state")
         if meshcat is not None:
             MeshcatVisualizer.AddToBuilder(builder, scene.scene_graph, meshcat)
+        _, monitor = add_monitor(builder, scene, scenario, description)
+        builder.ExportOutput(plant.get_body_poses_output_port(), "body_poses")
+        builder.ExportOutput(monitor.GetOutputPort("outcome"), "outcome")
         builder.BuildInto(self)
+        self.scene = scene
         self.hand, self.arm = JointGroup.of_plant(plant, hand), JointGroup.of_plant(plant, arm)
 
 

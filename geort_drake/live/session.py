@@ -9,9 +9,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Protocol
 
 from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context
 
 from geort_drake.live.messages import GloveFrame, encode_frame
 from geort_drake.live.teleoperation import Teleoperation
@@ -41,6 +42,13 @@ class SessionReport:
     late: int
 
 
+class Control(Protocol):
+    """Engages and disengages the person."""
+
+    def step(self, root: Context, engaged: bool) -> bool:
+        """Returns whether the person shall be engaged; called at every step with the diagram's context."""
+
+
 class EnterKey:
     """Counts presses of Enter in the terminal, or newlines from a pipe.
 
@@ -50,6 +58,14 @@ class EnterKey:
 
     def __init__(self, stream: int | None = None):
         self._stream = sys.stdin.fileno() if stream is None else stream
+        self._ended = False
+
+    def step(self, root: Context, engaged: bool) -> bool:
+        """Toggles; at the end of the stream the person is disengaged."""
+        if self._ended or (presses := self.presses()) == 0:
+            return engaged
+        self._ended = presses is None
+        return False if presses is None else engaged != (presses % 2 == 1)
 
     def presses(self) -> int | None:
         """Returns the presses since the last call, or None at the end of the stream; does not wait."""
@@ -63,20 +79,20 @@ class EnterKey:
 def run_session(
     loop: Teleoperation,
     engaged: bool,
-    key: EnterKey | None,
+    control: Control | None,
     duration: float,
-    stop: threading.Event,
+    stop: Callable[[], bool],
     require_robot: Callable[[], None] = lambda: None,
     on_state: Callable[[float, str], None] = lambda time, state: None,
 ) -> SessionReport:
-    """Runs the loop in real time until `stop` is set or the duration is over, and then holds the robot.
+    """Runs the loop in real time until `stop()` or until the duration is over, and then holds the robot.
 
     Args:
         loop: the diagram of teleoperation.
         engaged: whether the person is engaged from the start.
-        key: toggles that; at the end of its stream the person is disengaged. None for no key.
+        control: changes that; None for none.
         duration: s.
-        stop: ends the session when it is set.
+        stop: whether the session shall end.
         require_robot: called after every step; raises if the robot is lost.
         on_state: called with the time (s) and the state when the state changes; a limit counts as tracking.
     """
@@ -89,13 +105,12 @@ def run_session(
     ended: float | None = None
 
     def go_on() -> bool:
-        nonlocal engaged, key, last, ended
+        nonlocal engaged, last, ended
         time = root.get_time()
         if time > 0.0:
             require_robot()
-        if key is not None and (presses := key.presses()) != 0:
-            engaged = engaged != (presses % 2 == 1) if presses else False
-            key = key if presses else None
+        if control is not None and (wanted := control.step(root, engaged)) != engaged:
+            engaged = wanted
             loop.engage(root, engaged and ended is None)
         state = loop.state(root)
         states[state] = states.get(state, 0.0) + _STEP_S
@@ -104,7 +119,7 @@ def run_session(
         if shown != last:
             on_state(time, shown)
             last = shown
-        if ended is None and (stop.is_set() or time >= duration):
+        if ended is None and (stop() or time >= duration):
             ended = time
             loop.engage(root, False)
         return ended is None or time < ended + HOLD_S

@@ -1,6 +1,7 @@
 """Builds the diagram: glove → engage switch → retargeting → watchdog → correction → robot."""
 
 import dataclasses as dc
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from geort_drake.live.latency import LatencyMeter
 from geort_drake.live.watchdog import EngageSwitch, Watchdog
 from geort_drake.simulation.diagram import Retarget
 from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.tasks.grasp.monitor import GraspOutcome
 from geort_drake.simulation.world import ARM, HAND, add_robot
 from geort_drake.systems.action_correction import ActionCorrection
 from geort_drake.systems.glove_checks import HELD_LOST
@@ -66,6 +68,7 @@ class Teleoperation:
 
     diagram: Diagram
     glove: LeafSystem
+    robot: System
     watchdog: Watchdog
     correction: ActionCorrection
     wrist_checks: WristChecks
@@ -76,12 +79,20 @@ class Teleoperation:
         """Makes the robot follow the person, or brake and hold, in a context of the diagram."""
         self.diagram.GetInputPort("engaged").FixValue(root, [float(engaged)])
 
+    def following(self, root: Context) -> bool:
+        """Returns whether the fingers follow the person."""
+        return bool(_eval(self.watchdog, "following", root)[0] >= 0.5)
+
+    def outcome(self, root: Context) -> GraspOutcome | None:
+        """Returns the grasp so far; None without a simulation."""
+        return _eval(self.robot, "outcome", root) if self.robot.HasOutputPort("outcome") else None
+
     def state(self, root: Context) -> str:
         """Returns what the fingers do; or, if they follow, why the policy or the arm is held, if it is."""
         state = _eval(self.watchdog, "state", root)
         if state == HELD_LOST and self.glove.HasOutputPort("lateness"):
             return HELD_LATE if _eval(self.glove, "lateness", root)[0] > LATEST_S else state
-        if _eval(self.watchdog, "following", root)[0] < 0.5:
+        if not self.following(root):
             return state
         if self.correction.HasOutputPort("status") and (status := _eval(self.correction, "status", root)):
             return status
@@ -89,7 +100,7 @@ class Teleoperation:
         return f"arm {wrist}" if wrist else state
 
 
-def _eval(system: LeafSystem, port: str, root: Context) -> Any:
+def _eval(system: System, port: str, root: Context) -> Any:
     return system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(root))
 
 
@@ -103,6 +114,7 @@ def make_teleoperation(
     start: tuple[np.ndarray, np.ndarray],
     relax_after: float = 5.0,
     recorder: GloveRecorder | None = None,
+    add_view: Callable[[DiagramBuilder, System], None] = lambda builder, robot: None,
 ) -> Teleoperation:
     """Builds the diagram for a glove and a robot. Engage the person in its context before the first step.
 
@@ -116,6 +128,7 @@ def make_teleoperation(
         start: present positions of hand (n,) and arm (m,), rad, in the model's order.
         relax_after: time for which a lost hand is held before it relaxes, s.
         recorder: records the glove's outputs, if given.
+        add_view: adds systems that show the robot.
 
     Raises:
         HandError: the retargeter and the robot move different joints.
@@ -199,6 +212,8 @@ def make_teleoperation(
         for name in ("keypoints", "wrist_pose", "valid"):
             builder.Connect(glove.GetOutputPort(name), recorder.GetInputPort(name))
 
+    add_view(builder, robot)
+
     built = builder.Build()
     built.set_name("teleoperation")
-    return Teleoperation(built, glove, watchdog, correction, wrist_checks, wrist_to_arm, meter)
+    return Teleoperation(built, glove, robot, watchdog, correction, wrist_checks, wrist_to_arm, meter)

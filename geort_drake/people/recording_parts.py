@@ -11,7 +11,9 @@ import shutil
 import tempfile
 import threading
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -64,8 +66,11 @@ class RecordingParts:
             except queue.Full:
                 self._fail(OutputError(f"{self._folder}: cannot be written: the disk is too slow"))
 
-    def finish(self) -> bool:
+    def finish(self, metadata: Mapping[str, Any] | None = None) -> bool:
         """Joins the parts into the file and removes them; False where there are none, and so no file.
+
+        Args:
+            metadata: what has become known since the start.
 
         Raises:
             OutputError: a part or the file could not be written. Written parts stay.
@@ -78,6 +83,7 @@ class RecordingParts:
             raise self._error
         recording = read_parts(self._folder)
         if recording is not None:
+            recording.metadata.update(metadata or {})
             recording.save(self.path)
         _remove(self._folder)
         return recording is not None

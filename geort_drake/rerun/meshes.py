@@ -54,7 +54,7 @@ def draw_mesh(
             warnings.warn(f"geometry {name}: drawn as its convex hull; {error}", stacklevel=5)
     triangles = _hydroelastic(inspector, geometry) if role == Role.kProximity else None
     if triangles is None:
-        triangles = _hull(inspector, geometry)
+        triangles = hull(inspector, geometry)
     return None if triangles is None else [((), _flat(triangles, X_BG, albedo_factor=color))]
 
 
@@ -90,6 +90,13 @@ def _gltf(path: Path, shape: Mesh, X_BG: RigidTransform, color: list[int]) -> li
     )
     pose = rr.Transform3D(translation=X_BG.translation(), mat3x3=X_BG.rotation().matrix() @ scaled)
     return [((), asset), ((), pose)]
+
+
+def load_triangles(path: Path, scale: np.ndarray) -> np.ndarray:
+    """Triangles (n, 3, 3), m, of a mesh file at a scale (3,), in the axes in which Drake reads it."""
+    triangles = np.asarray(_load(path).to_mesh().triangles)
+    turned = triangles if path.suffix == ".obj" else triangles @ _GLTF_UP.T
+    return turned * scale
 
 
 def _load(path: Path) -> Any:
@@ -142,15 +149,15 @@ def _hydroelastic(inspector: SceneGraphInspector, geometry: GeometryId) -> np.nd
     return vertices[[[triangle.vertex(i) for i in range(3)] for triangle in mesh.triangles()],]
 
 
-def _hull(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndarray | None:
+def hull(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndarray | None:
     """Triangles (n, 3, 3), m, of the convex hull; None if Drake cannot compute it."""
     try:
-        hull = inspector.GetConvexHull(geometry)
+        surface = inspector.GetConvexHull(geometry)
     except RuntimeError:  # Drake computes it on demand, and may find the file unreadable
         return None
-    vertices = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
+    vertices = np.array([surface.vertex(i) for i in range(surface.num_vertices())])
     fans = []
-    for face in map(hull.element, range(hull.num_elements())):
+    for face in map(surface.element, range(surface.num_elements())):
         ring = [face.vertex(i) for i in range(face.num_vertices())]
         fans += [[ring[0], a, b] for a, b in itertools.pairwise(ring[1:])]
     return vertices[fans]

@@ -27,6 +27,7 @@ from geort_drake.simulation.world import (
     ARM,
     HAND,
     Placement,
+    Scene,
     actuated_joints,
     actuated_state,
     add_robot,
@@ -119,12 +120,7 @@ def make_grasp_diagram(
 
     # A left hand is operated by a right-handed person in a mirror, who sees the scene in the mirror.
     in_mirror = description.side == "left"
-    view = builder.AddNamedSystem(
-        "scene_view",
-        SceneView(plant, description, hand, scene.object_body.index(), scene.scene_graph.model_inspector()),
-    )
-    builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
-    builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
+    view, monitor = add_monitor(builder, scene, scenario, description)
 
     # The human: an operator who sees the scene with a delay, or a recording.
     source: LeafSystem
@@ -201,19 +197,7 @@ def make_grasp_diagram(
     builder.Connect(source.GetOutputPort("valid"), wrist_to_arm.GetInputPort("valid"))
     builder.Connect(wrist_to_arm.GetOutputPort("arm_desired_state"), plant.get_desired_state_input_port(arm))
 
-    # Results: the outcome, the glove's data, and the recording for the viewer.
-    monitor = builder.AddNamedSystem(
-        "grasp_monitor",
-        GraspMonitor(
-            len(description.fingers),
-            view.links,
-            scene.object_shape.lowest_point,
-            scenario.object.support_height,
-            scenario.monitor,
-        ),
-    )
-    for name in ("object_pose", "hand_pose", "contact", "link_contact", "self_contact"):
-        builder.Connect(view.GetOutputPort(name), monitor.GetInputPort(name))
+    # Results: the glove's data, and the recording for the viewer.
     glove_recorder = builder.AddNamedSystem("glove_recorder", GloveRecorder(scenario.operator.period))
     for name in ("keypoints", "wrist_pose", "valid"):
         builder.Connect(source.GetOutputPort(name), glove_recorder.GetInputPort(name))
@@ -258,6 +242,32 @@ def make_grasp_diagram(
         recorder=recorder,
         fixed_base=scenario.fixed_base,
     )
+
+
+def add_monitor(
+    builder: DiagramBuilder, scene: Scene, scenario: Scenario, description: HandDescription
+) -> tuple[SceneView, GraspMonitor]:
+    """Adds the systems that observe and judge the grasp in a scene, and connects them."""
+    plant = scene.plant
+    inspector = scene.scene_graph.model_inspector()
+    view = builder.AddNamedSystem(
+        "scene_view", SceneView(plant, description, scene.hand, scene.object_body.index(), inspector)
+    )
+    builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
+    builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
+    monitor = builder.AddNamedSystem(
+        "grasp_monitor",
+        GraspMonitor(
+            len(description.fingers),
+            view.links,
+            scene.object_shape.lowest_point,
+            scenario.object.support_height,
+            scenario.monitor,
+        ),
+    )
+    for name in ("object_pose", "hand_pose", "contact", "link_contact", "self_contact"):
+        builder.Connect(view.GetOutputPort(name), monitor.GetInputPort(name))
+    return view, monitor
 
 
 def _delayed(builder: DiagramBuilder, port: OutputPort, scenario: Scenario) -> OutputPort:

@@ -32,6 +32,7 @@ class GloveRecorder(LeafSystem):
     def __init__(self, period: float, parts: RecordingParts | None = None, part: float = _PART_S):
         super().__init__()
         self._parts, self._part_samples = parts, max(round(part / period), 1)
+        self._paused = False
         self._samples: list[tuple[float, np.ndarray, RigidTransform, bool]] = []
         self._keypoints = self.DeclareVectorInputPort("keypoints", 63)
         self._wrist = self.DeclareAbstractInputPort("wrist_pose", AbstractValue.Make(RigidTransform()))
@@ -39,6 +40,8 @@ class GloveRecorder(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._sample)
 
     def _sample(self, context: Context, _state: DiscreteValues) -> EventStatus:
+        if self._paused:
+            return EventStatus.DidNothing()
         # Copies, because port values are overwritten.
         keypoints = self._keypoints.Eval(context).reshape(21, 3).copy()
         X_WH = RigidTransform(self._wrist.Eval(context))
@@ -52,6 +55,15 @@ class GloveRecorder(LeafSystem):
         """The samples so far, with tracker poses; only without `parts`."""
         t, p_HK, valid, X_WH = self._arrays()
         return Recording(t - t[0], p_HK, valid, X_WH, dict(metadata or {}))
+
+    def switch(self, parts: RecordingParts | None) -> RecordingParts | None:
+        """Takes samples to other parts from now on, or drops them, and returns the complete parts so far."""
+        before = self._parts
+        if before is not None and self._samples:
+            self._write(before)
+        self._samples.clear()
+        self._parts, self._paused = parts, parts is None
+        return before
 
     def finish(self) -> bool:
         """Joins the parts to a file; see `RecordingParts.finish`."""

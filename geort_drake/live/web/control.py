@@ -1,0 +1,245 @@
+"""Carries out what the page asks of a session, and tells the page what happens in it."""
+
+import math
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from pydrake.systems.framework import Context
+
+from geort_drake.errors import GeortError
+from geort_drake.live.teleoperation import Teleoperation
+from geort_drake.live.web.desk import Desk
+from geort_drake.live.web.guide import GuidedPlay
+from geort_drake.live.web.messages import Disengage, Engage, Guide, Record, Refit, Reset, Stop
+from geort_drake.people.recording_parts import RecordingParts
+from geort_drake.systems.glove_recorder import GloveRecorder
+
+_STATE_S, _GUIDE_S = 0.1, 1.0  # between two states, and two judgements of guided play
+_NEWEST = 300  # samples of the delay that is shown
+
+
+class Refitting:
+    """Fits a checkpoint to a recording in a process of its own, which is polite to the loop.
+
+    Args:
+        checkpoint: directory to start from.
+        recording: file of the person's hand.
+        output: directory of the result.
+    """
+
+    def __init__(self, checkpoint: Path, recording: Path, output: Path):
+        self.output = output
+        command = [sys.executable, "-m", "geort_drake", "refit", checkpoint, recording, output, "--quiet"]
+        self._process = subprocess.Popen(
+            ["nice", "-n", "10", *map(str, command)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def state(self) -> dict[str, str]:
+        """What the page is told."""
+        code = self._process.poll()
+        if code is None:
+            return {"state": "running", "text": "the map is being fitted to your hand"}
+        if code == 0:
+            return {"state": "done", "text": "the map is yours"}
+        assert self._process.stderr is not None
+        return {"state": "failed", "text": self._process.stderr.read().strip()[-300:] or "the fit failed"}
+
+    def close(self) -> None:
+        """Ends the process."""
+        self._process.kill()
+        self._process.communicate()
+
+
+class PageControl:
+    """Engages the person as the page asks. It is the `Control` of the sessions between two resets.
+
+    Attributes:
+        loop, recorder: of the present session.
+        object: that the next session has; None for the present one.
+        again: whether the page asked for a new session.
+        fitted: directory of the map that was fitted to the person; None without one.
+        recordings: files that were written.
+
+    Args:
+        desk: where commands come from.
+        publish: sends a state to all pages.
+        folder: of recordings.
+        checkpoint: of the map, to fit it to a person; None if it cannot be fitted.
+    """
+
+    def __init__(self, desk: Desk, publish: Callable[[str], None], folder: Path, checkpoint: Path | None):
+        self._desk, self._publish, self._folder, self._checkpoint = desk, publish, folder, checkpoint
+        self.loop: Teleoperation
+        self.recorder: GloveRecorder
+        self.object: str | None = None
+        self.again = False
+        self.fitted: Path | None = None
+        self.recordings: list[Path] = []
+        self._scene = 0
+        self._root: Context
+        self._published = self._judged = -math.inf
+        self._parts: RecordingParts | None = None
+        self._finishing: list[threading.Thread] = []
+        self._guide: GuidedPlay | None = None
+        self._missing: list[str] = []
+        self._refit: Refitting | None = None
+        self._refit_state: dict[str, str] | None = None
+        self._note = ""
+
+    def begin(self, loop: Teleoperation, recorder: GloveRecorder, name: str | None, scene: int) -> None:
+        """Begins a session with an object of that name, and the number of its scene."""
+        self.loop, self.recorder, self.object, self._scene = loop, recorder, name, scene
+        self.again = False
+        recorder.switch(None)
+
+    def end(self) -> None:
+        """Ends the session's recording."""
+        self._stop_recording()
+
+    def close(self) -> None:
+        """Waits for the recordings' files, and ends a fit."""
+        for thread in self._finishing:
+            thread.join()
+        if self._refit is not None:
+            self._refit.close()
+
+    def step(self, root: Context, engaged: bool) -> bool:
+        """Returns whether the person shall be engaged."""
+        self._root = root
+        while self._desk.commands:
+            command = self._desk.commands.popleft()
+            self._note = ""
+            if isinstance(command, Engage | Disengage):
+                engaged = isinstance(command, Engage)
+            elif isinstance(command, Reset):
+                self.object, self.again = command.object or self.object, True
+            elif isinstance(command, Record):
+                self._record()
+            elif isinstance(command, Stop):
+                self._stop_recording()
+            elif isinstance(command, Guide):
+                self._guide, self._missing = GuidedPlay(time.monotonic(), self._desk.about.side), []
+            elif isinstance(command, Refit):
+                self._begin_refit()
+        self._watch_refit()
+        now = time.monotonic()
+        if self._guide is not None:
+            self._guide.see(now, self._desk.p_HK)
+            if now - self._judged >= _GUIDE_S:
+                self._judged, self._missing = now, self._guide.missing()
+        if now - self._published >= _STATE_S:
+            self._published = now
+            self._publish(msgspec.json.encode(self._state(root, engaged)).decode())
+        return engaged
+
+    def _record(self) -> None:
+        if self._parts is None:
+            name, operator = time.strftime("%Y-%m-%dT%H-%M-%S.npz"), self._desk.operator
+            facts = {"side": self._desk.about.side, "source": "live web page", "consent": True}
+            facts |= {
+                "device": operator and operator.device,
+                "map": self._desk.about.map,
+                "object": self.object,
+            }
+            try:
+                self._parts = RecordingParts(self._folder / name, facts)
+            except GeortError as error:
+                self._note = str(error)
+                return
+            self.recorder.switch(self._parts)
+
+    def _stop_recording(self) -> None:
+        if self._parts is None:
+            return
+        parts, self._parts = self._parts, None
+        self.recorder.switch(None)
+        facts = {"outcome": self._outcome(self._root), "delay": self._delay()}
+
+        # Joining takes longer than a step of the loop.
+        def finish() -> None:
+            try:
+                if parts.finish(facts):
+                    self.recordings.append(parts.path)
+            except GeortError as error:
+                self._note = str(error)
+
+        self._finishing.append(threading.Thread(target=finish, name="joining"))
+        self._finishing[-1].start()
+
+    def _begin_refit(self) -> None:
+        if self._checkpoint is None or self._guide is None or self._guide.seconds_left > 0.0:
+            text = "guided play comes first" if self._checkpoint else "this map cannot be fitted"
+            self._refit_state = {"state": "failed", "text": text}
+        elif self._refit is None:
+            path = self._folder / time.strftime("%Y-%m-%dT%H-%M-%S-guided.npz")
+            try:
+                self._guide.recording().save(path)
+            except (GeortError, IndexError) as error:
+                self._refit_state = {"state": "failed", "text": str(error)}
+                return
+            self._refit = Refitting(self._checkpoint, path, path.with_suffix(""))
+
+    def _watch_refit(self) -> None:
+        if self._refit is None:
+            return
+        self._refit_state = self._refit.state()
+        if self._refit_state["state"] != "running":
+            if self._refit_state["state"] == "done":
+                self.fitted, self.again = self._refit.output, True
+            self._refit = None
+
+    def _state(self, root: Context, engaged: bool) -> dict[str, Any]:
+        desk, guide = self._desk, self._guide
+        return {
+            "type": "state",
+            "scene": self._scene,
+            "object": self.object,
+            "time": root.get_time(),
+            "engaged": engaged,
+            "following": self.loop.following(root),
+            "status": self._note or self.loop.state(root),
+            "fist": desk.fist,
+            "outcome": self._outcome(root),
+            "delay": self._delay(),
+            "filter_delay": desk.filter_delay,
+            "received": desk.received,
+            "refused": desk.refused,
+            "late": self.loop.glove.late,  # type: ignore[attr-defined]
+            "operator": desk.operator is not None,
+            "spectators": desk.spectators,
+            "recording": self._parts.path.name if self._parts else None,
+            "guide": guide
+            and {
+                "instruction": guide.instruction,
+                "seconds_left": guide.seconds_left,
+                "missing": self._missing,
+            },
+            "refit": self._refit_state,
+        }
+
+    def _outcome(self, root: Context) -> dict[str, Any] | None:
+        outcome = self.loop.outcome(root)
+        if outcome is None:
+            return None
+        held = 0.0 if math.isnan(outcome.held_since) else root.get_time() - outcome.held_since
+        return {
+            "phase": outcome.phase.name.lower(),
+            "held": held,
+            "seconds": outcome.completion_time if outcome.success else None,
+            "over": outcome.over,
+            "success": outcome.success,
+        }
+
+    def _delay(self) -> dict[str, Any]:
+        assert self.loop.meter is not None  # a glove stream has stamps
+        return msgspec.to_builtins(self.loop.meter.to_command(_NEWEST))

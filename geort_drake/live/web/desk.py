@@ -1,0 +1,238 @@
+"""Decides who is at the controls, and hands on what that person sends."""
+
+import dataclasses as dc
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from geort_drake.errors import GeortError, LiveError, MismatchError
+from geort_drake.live.glove_stream import HANDSHAKE_FRAMES, require_hand
+from geort_drake.live.messages import encode_frame
+from geort_drake.live.web.hands import HandReader
+from geort_drake.live.web.messages import (
+    VERSION,
+    Camera,
+    Command,
+    Disengage,
+    Engage,
+    Guide,
+    Hand,
+    Headset,
+    Hello,
+    Lost,
+    Refit,
+    Reset,
+    decode,
+)
+from geort_drake.people.keypoints import FINGER_KEYPOINTS
+
+# A fist that is held this long engages, s.
+FIST_S = 1.0
+# The second `engage` of a real robot must come within this time, s.
+_CONFIRM_S = 5.0
+_MOST_HANDS = 100  # that may wait for the loop
+# In a fist a fingertip is nearer to its knuckle than this share of the finger's length; around a cup not.
+_FIST = 0.5
+
+
+@dc.dataclass(frozen=True)
+class About:
+    """What a page is told of the robot: see `welcome` in docs/reference/web-protocol.md."""
+
+    side: str
+    hand: str
+    robot: str
+    objects: list[str]
+    map: str
+
+
+@dc.dataclass
+class Operator:
+    """The person at the controls.
+
+    Attributes:
+        number: of the connection.
+        device: as in `Hello`.
+        reader: of the hands.
+        time: of the last hand, s on the page's clock.
+        first: hands (21, 3), m, that are not checked yet.
+        known: whether they were.
+        fist_since: since when a fist is held, s; None without one.
+        asked: when a confirmation was asked for, s.
+    """
+
+    number: int
+    device: str
+    reader: HandReader
+    time: float = 0.0
+    first: list[np.ndarray] = dc.field(default_factory=list)
+    known: bool = False
+    fist_since: float | None = None
+    asked: float = -math.inf
+
+
+class Desk:
+    """The desk at which one person operates the robot and others look on. It is the loop's `Receiver`.
+
+    The server's thread calls `join`, `take` and `leave`; the loop's calls `drain` and reads `commands`.
+
+    Attributes:
+        about: the robot.
+        commands: what the operator asked for, oldest first.
+        operator: who is at the controls; None without one.
+        received, refused: counts of hands that were passed on, and of messages that could not be used.
+        fist: share of `FIST_S` for which a fist has been held.
+        p_HK: the operator's last hand (21, 3), m; None while it is lost.
+
+    Args:
+        about: the robot.
+        clock: monotonic, s.
+    """
+
+    def __init__(self, about: About, clock: Callable[[], float] = time.monotonic):
+        self.about, self._clock = about, clock
+        self.commands: deque[Command] = deque(maxlen=_MOST_HANDS)
+        self.operator: Operator | None = None
+        self.received = self.refused = 0
+        self.fist = 0.0
+        self.p_HK: np.ndarray | None = None
+        self._hands: deque[bytes] = deque(maxlen=_MOST_HANDS)
+        self._people: set[int] = set()
+
+    @property
+    def spectators(self) -> int:
+        """How many look on."""
+        return len(self._people) - (self.operator is not None)
+
+    @property
+    def filter_delay(self) -> float:
+        """Mean delay of the filter at the last hand, s."""
+        operator = self.operator
+        return 0.0 if operator is None else operator.reader.delay
+
+    def drain(self) -> list[bytes]:
+        """Returns the hands since the last call, oldest first, as messages of a glove."""
+        hands = []
+        while self._hands:
+            hands.append(self._hands.popleft())
+        return hands
+
+    def close(self) -> None:
+        """Does nothing; the server closes the connections."""
+
+    def join(self, person: int) -> None:
+        """Adds a connection."""
+        self._people.add(person)
+
+    def leave(self, person: int) -> None:
+        """Removes a connection. If it was at the controls, the hand is lost at once and disengaged."""
+        self._people.discard(person)
+        if self._is_operator(person):
+            self._leave_controls()
+
+    def take(self, person: int, text: str | bytes) -> dict[str, Any] | None:
+        """Handles a message.
+
+        Returns:
+            The answer, if there is one.
+
+        Raises:
+            GeortError: the message cannot be used; it is counted, and nothing follows from it.
+        """
+        try:
+            message = decode(text)
+            if isinstance(message, Hello):
+                return self._greet(person, message)
+            if self.operator is None or not self._is_operator(person):
+                raise LiveError("only the operator moves the robot")
+            if isinstance(message, Camera | Headset | Lost):
+                self._pass_on(self.operator, message)
+            else:
+                self._ask(self.operator, message)
+        except GeortError:
+            self.refused += 1
+            raise
+        return None
+
+    def _is_operator(self, person: int) -> bool:
+        return self.operator is not None and self.operator.number == person
+
+    def _greet(self, person: int, hello: Hello) -> dict[str, Any]:
+        wanted = hello.role == "operator"
+        if self._is_operator(person):
+            self._leave_controls()
+        if wanted and hello.side != self.about.side:
+            raise MismatchError(
+                f"this is a {hello.side} hand, but the robot's is a {self.about.side} one: use the other hand"
+            )
+        if wanted and self.operator is None:
+            self.operator = Operator(person, hello.device, HandReader(hello.side, hello.hand_length))
+        role = "operator" if self._is_operator(person) else "spectator"
+        return {"type": "welcome", "version": VERSION, "role": role, **dc.asdict(self.about)}
+
+    def _leave_controls(self) -> None:
+        assert self.operator is not None
+        self._pass_on(self.operator, Lost(self.operator.time))
+        self.commands.append(Disengage())
+        self.operator = None
+
+    def _pass_on(self, operator: Operator, message: Hand) -> None:
+        operator.time = message.t
+        if isinstance(message, Lost):
+            frame = operator.reader.lost(message.t)
+        else:
+            frame = operator.reader.read(message)
+            if not operator.known:
+                self._get_to_know(operator, frame.p_HK)
+                return
+        self.p_HK = frame.p_HK
+        self._watch_fist(operator)
+        self._hands.append(encode_frame(frame))
+        self.received += 1
+
+    def _get_to_know(self, operator: Operator, p_HK: np.ndarray | None) -> None:
+        """Checks a person's first hands, as a glove's handshake does."""
+        if p_HK is not None:
+            operator.first.append(p_HK)
+        if len(operator.first) == HANDSHAKE_FRAMES:
+            hands, operator.first = np.stack(operator.first), []
+            require_hand(hands, self.about.side)
+            operator.known = True
+
+    def _watch_fist(self, operator: Operator) -> None:
+        if self.p_HK is None or not is_fist(self.p_HK):
+            operator.fist_since, self.fist = None, 0.0
+            return
+        now = self._clock()
+        if operator.fist_since is None:
+            operator.fist_since = now
+        before, self.fist = self.fist, min((now - operator.fist_since) / FIST_S, 1.0)
+        # A fist is no confirmation that a real robot may move.
+        if before < 1.0 <= self.fist and self.about.robot == "simulation":
+            self.commands.append(Engage())
+
+    def _ask(self, operator: Operator, command: Command) -> None:
+        if isinstance(command, Reset) and command.object not in (None, *self.about.objects):
+            raise LiveError(f"no object '{command.object}'; there are {', '.join(self.about.objects)}")
+        if self.about.robot != "simulation":
+            if isinstance(command, Reset | Guide | Refit):
+                raise LiveError("this is for the simulation; here a real robot moves")
+            now = self._clock()
+            if isinstance(command, Engage) and now - operator.asked > _CONFIRM_S:
+                operator.asked = now
+                raise LiveError(f"this moves a real robot: engage once more within {_CONFIRM_S:g} s")
+        self.commands.append(command)
+
+
+def is_fist(p_HK: np.ndarray) -> bool:
+    """Whether all fingers but the thumb of a hand (21, 3) are closed."""
+    for name, chain in FINGER_KEYPOINTS.items():
+        points = p_HK[chain,]
+        length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+        if name != "thumb" and np.linalg.norm(points[-1] - points[0]) > _FIST * length:
+            return False
+    return True

@@ -1,0 +1,113 @@
+"""Messages from the page, as docs/reference/web-protocol.md states them."""
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from geort_drake.errors import LiveError
+from geort_drake.people.formats.manus import NODE_COUNT
+from geort_drake.people.keypoints import KEYPOINT_COUNT
+
+VERSION = 1
+MAX_BYTES = 16_384
+
+# Larger coordinates are refused, m.
+Coordinate = Annotated[float, Meta(ge=-100.0, le=100.0)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+# A landmark outside the picture is an extrapolation, and not far from it.
+PicturePoint = tuple[Annotated[float, Meta(ge=-10.0, le=10.0)], Annotated[float, Meta(ge=-10.0, le=10.0)]]
+Seconds = Annotated[float, Meta(ge=0.0, le=1e9)]
+Keypoints = Annotated[list[Point], Meta(min_length=KEYPOINT_COUNT, max_length=KEYPOINT_COUNT)]
+Picture = Annotated[list[PicturePoint], Meta(min_length=KEYPOINT_COUNT, max_length=KEYPOINT_COUNT)]
+Joints = Annotated[list[Point], Meta(min_length=NODE_COUNT, max_length=NODE_COUNT)]
+
+
+class Message(msgspec.Struct, forbid_unknown_fields=True, tag_field="type", tag=str.lower):
+    """A message from the page."""
+
+
+class Hello(Message):
+    """Who speaks, and with which hand; `hand_length` is from the wrist to the middle fingertip, m."""
+
+    version: Literal[1]
+    role: Literal["operator", "spectator"]
+    device: Literal["camera", "headset", "scripted"]
+    side: Literal["left", "right"]
+    hand_length: Annotated[float, Meta(ge=0.1, le=0.3)] | None = None
+
+
+class Camera(Message):
+    """MediaPipe's landmarks at time `t`, s: of the world, m, and of the picture, in parts of its sides."""
+
+    t: Seconds
+    world: Keypoints
+    image: Picture
+    aspect: Annotated[float, Meta(ge=0.2, le=5.0)]
+    score: Annotated[float, Meta(ge=0.0, le=1.0)] = 1.0
+
+
+class Headset(Message):
+    """Positions of WebXR's joints at time `t`, s, in a local-floor space, m."""
+
+    t: Seconds
+    joints: Joints
+
+
+class Lost(Message):
+    """No hand is seen at time `t`, s."""
+
+    t: Seconds
+
+
+class Engage(Message):
+    """The robot shall follow."""
+
+
+class Disengage(Message):
+    """The robot shall brake and hold."""
+
+
+class Reset(Message):
+    """The scene shall start again, with another object if one is named."""
+
+    object: Annotated[str, Meta(max_length=64)] | None = None
+
+
+class Record(Message):
+    """The session shall be recorded; the person agrees that the recording is kept."""
+
+    keep: Literal[True]
+
+
+class Stop(Message):
+    """The recording shall end."""
+
+
+class Guide(Message):
+    """Guided play shall begin."""
+
+
+class Refit(Message):
+    """The map shall be fitted to the guided play."""
+
+
+Command = Engage | Disengage | Reset | Record | Stop | Guide | Refit
+Hand = Camera | Headset | Lost
+_DECODER = msgspec.json.Decoder(Hello | Hand | Command)
+
+
+def decode(text: str | bytes) -> Hello | Hand | Command:
+    """Returns the message in a text.
+
+    Raises:
+        LiveError: it is too long or does not have one of the forms; the error names the field.
+    """
+    message = text.encode() if isinstance(text, str) else text
+    if len(message) > MAX_BYTES:
+        raise LiveError(f"message: {len(message)} bytes; at most {MAX_BYTES} are read")
+    try:
+        return _DECODER.decode(message)
+    # A surrogate is no UTF-8; deep nesting is a RecursionError.
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+        raise LiveError(f"message: {error!s:.120}") from None

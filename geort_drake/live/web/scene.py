@@ -1,0 +1,207 @@
+"""What the page draws: the shapes of a plant, once, and the poses of its bodies, many times a second."""
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.geometry import (
+    Box,
+    Capsule,
+    Convex,
+    Cylinder,
+    Ellipsoid,
+    GeometryId,
+    HalfSpace,
+    Mesh,
+    Role,
+    SceneGraphInspector,
+    Sphere,
+)
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex, RigidBody
+from pydrake.systems.framework import Context, EventStatus, LeafSystem
+
+from geort_drake.hands.description import HandDescription
+from geort_drake.people.keypoints import mirrored
+from geort_drake.simulation.world import ARM, HAND, actuated_joints
+from geort_drake.systems.port_values import pose_to_vector
+
+FRAME_PERIOD = 1.0 / 30.0
+_GREY = [0.75, 0.75, 0.78, 1.0]
+_GROUND_M = 2.0  # side of the square that stands for a half space
+# The person looks over the robot's shoulder, so that left is left.
+_CAMERA = {"eye": [-0.45, -0.55, 0.85], "target": [0.5, 0.0, 0.2]}
+_SHAPES: dict[type, Callable[[Any], tuple[str, list[float]]]] = {
+    Box: lambda s: ("box", s.size().tolist()),
+    HalfSpace: lambda s: ("box", [_GROUND_M, _GROUND_M, 0.0]),
+    Sphere: lambda s: ("ellipsoid", 3 * [s.radius()]),
+    Ellipsoid: lambda s: ("ellipsoid", [s.a(), s.b(), s.c()]),
+    Cylinder: lambda s: ("cylinder", [s.radius(), s.length()]),
+    Capsule: lambda s: ("capsule", [s.radius(), s.length()]),
+}
+
+
+class Scene:
+    """The geometry of a finalized plant.
+
+    Attributes:
+        description: contents of `/scene`, except its number.
+        meshes: contents of `/mesh/N`.
+        moving: indices of the bodies that move, in the order of a frame.
+
+    Args:
+        plant: finalized.
+        inspector: of its scene graph.
+        hand: its description.
+    """
+
+    def __init__(self, plant: MultibodyPlant, inspector: SceneGraphInspector, hand: HandDescription):
+        self._inspector = inspector
+        self.meshes: list[bytes] = []
+        self.moving: list[BodyIndex] = []
+        base = plant.GetFrameByName(hand.base_frame, plant.GetModelInstanceByName(HAND))
+        defaults = plant.CreateDefaultContext()
+        geometries: list[dict[str, Any]] = []
+        for body in map(plant.get_body, map(BodyIndex, range(plant.num_bodies()))):
+            ids = self._visible(plant, body)
+            number = None
+            if not plant.IsAnchored(body) and (ids or body.index() == base.body().index()):
+                number = len(self.moving)
+                self.moving.append(body.index())
+            for geometry in ids:
+                X = inspector.GetPoseInFrame(geometry)
+                if number is None:
+                    X = plant.EvalBodyPoseInWorld(defaults, body) @ X
+                if shape := self._shape(geometry):
+                    look = {"moving": number, "pose": _numbers(X), "color": self._color(geometry)}
+                    geometries.append(look | shape)
+        self.description = {
+            "camera": _CAMERA,
+            "moving": [plant.get_body(index).scoped_name().get_full() for index in self.moving],
+            "hand_base": {
+                "moving": self.moving.index(base.body().index()),
+                "pose": _numbers(base.GetFixedPoseInBodyFrame()),
+            },
+            "geometries": geometries,
+        }
+
+    def _visible(self, plant: MultibodyPlant, body: RigidBody) -> list[GeometryId]:
+        frame = plant.GetBodyFrameIdIfExists(body.index())
+        if frame is None:
+            return []
+        roles = (Role.kIllustration, Role.kProximity)
+        return next((ids for role in roles if (ids := self._inspector.GetGeometries(frame, role))), [])
+
+    def _shape(self, geometry: GeometryId) -> dict[str, Any] | None:
+        shape = self._inspector.GetShape(geometry)
+        if type(shape) in _SHAPES:
+            kind, size = _SHAPES[type(shape)](shape)
+            return {"shape": kind, "size": size}
+        if isinstance(shape, Mesh | Convex) and (triangles := self._triangles(geometry, shape)) is not None:
+            self.meshes.append(np.asarray(triangles, "<f4").tobytes())
+            return {"shape": "mesh", "url": f"/mesh/{len(self.meshes) - 1}"}
+        name = self._inspector.GetName(geometry)
+        warnings.warn(f"geometry {name}: cannot draw a {type(shape).__name__}", stacklevel=3)
+        return None
+
+    def _triangles(self, geometry: GeometryId, shape: Mesh | Convex) -> np.ndarray | None:
+        """Triangles (n, 3, 3), m, of the file of a mesh, or else of its convex hull."""
+        from geort_drake.rerun.meshes import (  # Rerun is heavy, and few plants have meshes
+            hull,
+            load_triangles,
+        )
+
+        source = shape.source()
+        if isinstance(shape, Mesh) and source.is_path():
+            try:
+                return load_triangles(Path(source.path()), shape.scale3())
+            except Exception as error:  # trimesh raises errors of many kinds
+                name = self._inspector.GetName(geometry)
+                warnings.warn(f"geometry {name}: drawn as its convex hull; {error}", stacklevel=4)
+        return hull(self._inspector, geometry)
+
+    def _color(self, geometry: GeometryId) -> list[float]:
+        properties = self._inspector.GetIllustrationProperties(geometry)
+        if properties is None or not properties.HasProperty("phong", "diffuse"):
+            return _GREY
+        rgba = properties.GetProperty("phong", "diffuse")
+        return [rgba.r(), rgba.g(), rgba.b(), rgba.a()]
+
+
+def _numbers(X: RigidTransform) -> list[float]:
+    return [round(value, 6) for value in pose_to_vector(X).tolist()]
+
+
+class PoseStream(LeafSystem):
+    """Sends the poses that the page draws.
+
+    Input ports:
+        body_poses (abstract list of RigidTransform): X_WB of all bodies of the scene's plant.
+
+    Args:
+        scene: what moves.
+        p_HK: returns the person's keypoints (21, 3), m, H; None while the hand is lost.
+        side: of the robot's hand. Keypoints of a left hand come as their mirror image.
+        send: called with the bytes of every frame.
+        period: between two frames, s.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        p_HK: Callable[[], np.ndarray | None],
+        side: str,
+        send: Callable[[bytes], None],
+        period: float = FRAME_PERIOD,
+    ):
+        super().__init__()
+        self._moving, self._p_HK, self._send = [int(index) for index in scene.moving], p_HK, send
+        self._mirror = side == "left"
+        self._poses = self.DeclareAbstractInputPort("body_poses", AbstractValue.Make([RigidTransform()]))
+        self.DeclarePeriodicPublishEvent(period, 0.0, self._publish)
+
+    def _publish(self, context: Context) -> EventStatus:
+        poses = self._poses.Eval(context)
+        p = self._p_HK()
+        points = np.full((21, 3), np.nan) if p is None else mirrored(p) if self._mirror else p
+        parts = [pose_to_vector(poses[index]) for index in self._moving]
+        frame = np.concatenate([[context.get_time()], *parts, points.ravel()])
+        self._send(frame.astype("<f4").tobytes())
+        return EventStatus.Succeeded()
+
+
+class RobotKinematics(LeafSystem):
+    """Computes the poses of a robot's bodies from its measured joints, for robots that are not simulated.
+
+    Input ports:
+        hand_state (2n), arm_state (2m): positions (rad), then velocities (rad/s), in actuator order.
+    Output port:
+        body_poses (abstract list of RigidTransform): X_WB by body index.
+
+    Args:
+        plant: finalized, of the robot.
+    """
+
+    def __init__(self, plant: MultibodyPlant):
+        super().__init__()
+        self._plant, self._context = plant, plant.CreateDefaultContext()
+        self._groups = []
+        for name in (HAND, ARM):
+            joints = actuated_joints(plant, plant.GetModelInstanceByName(name))
+            port = self.DeclareVectorInputPort(f"{name}_state", 2 * len(joints))
+            self._groups.append((port, [joint.position_start() for joint in joints]))
+        self.DeclareAbstractOutputPort(
+            "body_poses", lambda: AbstractValue.Make([RigidTransform()]), self._calc_poses
+        )
+
+    def _calc_poses(self, context: Context, output: AbstractValue) -> None:
+        q = self._plant.GetPositions(self._context)
+        for port, places in self._groups:
+            q[places] = port.Eval(context)[: len(places)]
+        self._plant.SetPositions(self._context, q)
+        bodies = map(self._plant.get_body, map(BodyIndex, range(self._plant.num_bodies())))
+        output.set_value([self._plant.EvalBodyPoseInWorld(self._context, body) for body in bodies])

@@ -1,0 +1,248 @@
+"""Serves the page, the scene and the WebSocket of docs/reference/web-protocol.md, in a thread of its own."""
+
+import asyncio
+import concurrent.futures
+import hmac
+import itertools
+import ssl
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from aiohttp import WSMsgType, web
+
+from geort_drake.errors import GeortError, LiveError
+from geort_drake.live.web.desk import Desk
+from geort_drake.live.web.messages import MAX_BYTES
+
+PAGES = Path(__file__).parent / "static"
+_MOST_CONNECTIONS = 8
+_RATE_HZ = 200.0  # messages of one connection, on average over a second
+_MOST_EXCESS = 1000  # messages beyond that rate, after which the connection is closed
+_REFUSAL_S = 1.0  # between two `refused`
+_HEARTBEAT_S = 2.0
+_NO_PAGE = (
+    "<!doctype html><title>geort-drake live</title><p>The page has not been built. "
+    "In a clone of the repository: <code>make live</code>, which needs Node."
+)
+# Nothing is loaded from elsewhere. WebAssembly and workers are for the hand tracking.
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'self' blob: data:; script-src 'self' blob: 'wasm-unsafe-eval'; "
+    "style-src 'self' 'unsafe-inline'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Embedder-Policy": "require-corp",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-cache",
+}
+
+
+class _Connection:
+    """What waits to be sent to one page: answers in order, and only the newest state and frame."""
+
+    def __init__(self, number: int, socket: web.WebSocketResponse):
+        self.number, self.socket = number, socket
+        self._texts: list[str] = []
+        self._state: str | None = None
+        self._frame: bytes | None = None
+        self._wake = asyncio.Event()
+        self._refused_at = -_REFUSAL_S
+        self._allowed, self._counted_at, self._excess = _RATE_HZ, time.monotonic(), 0
+
+    def answer(self, message: dict[str, Any]) -> None:
+        self._texts.append(msgspec.json.encode(message).decode())
+        self._wake.set()
+
+    def refuse(self, text: str) -> None:
+        now = time.monotonic()
+        if now - self._refused_at >= _REFUSAL_S:
+            self._refused_at = now
+            self.answer({"type": "refused", "text": text})
+
+    def publish(self, state: str | None, frame: bytes | None) -> None:
+        self._state, self._frame = state or self._state, frame or self._frame
+        self._wake.set()
+
+    def exceeds_rate(self) -> bool:
+        """Counts a message and returns whether it is one too many.
+
+        Raises:
+            LiveError: there were so many that the connection must end.
+        """
+        now = time.monotonic()
+        self._allowed = min(self._allowed + _RATE_HZ * (now - self._counted_at), _RATE_HZ)
+        self._counted_at = now
+        if self._allowed >= 1.0:
+            self._allowed -= 1.0
+            return False
+        self._excess += 1
+        if self._excess > _MOST_EXCESS:
+            raise LiveError(f"more than {_RATE_HZ:g} messages a second")
+        return True
+
+    async def send(self) -> None:
+        """Sends what waits, for ever."""
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            texts, self._texts = self._texts, []
+            state, self._state = self._state, None
+            frame, self._frame = self._frame, None
+            for text in [*texts, *([state] if state else [])]:
+                await self.socket.send_str(text)
+            if frame:
+                await self.socket.send_bytes(frame)
+
+
+class WebServer:
+    """A server whose methods may be called from any thread.
+
+    Attributes:
+        port: on which it listens.
+        dropped: messages that came faster than allowed.
+
+    Args:
+        desk: takes the messages.
+        host, port: where to listen; port 0 lets the system choose.
+        key: the secret that the WebSocket asks for.
+        tls: settings with a certificate; None for plain HTTP.
+        pages: folder of the built page.
+
+    Raises:
+        LiveError: the server cannot listen there.
+    """
+
+    def __init__(
+        self,
+        desk: Desk,
+        host: str,
+        port: int,
+        key: str,
+        tls: ssl.SSLContext | None = None,
+        pages: Path = PAGES,
+    ):
+        self._desk, self._key, self._tls, self._pages = desk, key, tls, pages
+        self.dropped = 0
+        self._scene, self._meshes = b"{}", list[bytes]()
+        self._connections: dict[int, _Connection] = {}
+        self._numbers, self._open = itertools.count(1), 0
+        ready: concurrent.futures.Future[int] = concurrent.futures.Future()
+        self._thread = threading.Thread(
+            target=lambda: asyncio.run(self._serve(host, port, ready)), name="web", daemon=True
+        )
+        self._thread.start()
+        self.port = ready.result()
+
+    def show(self, scene: bytes, meshes: list[bytes]) -> None:
+        """Serves another scene."""
+        self._scene, self._meshes = scene, meshes
+
+    def publish(self, state: str | None = None, frame: bytes | None = None) -> None:
+        """Sends a state or a frame of poses to all pages; a slow one gets only the newest."""
+
+        def send() -> None:
+            for connection in self._connections.values():
+                connection.publish(state, frame)
+
+        self._loop.call_soon_threadsafe(send)
+
+    def close(self) -> None:
+        """Ends all connections and the thread."""
+        self._loop.call_soon_threadsafe(self._stop.set)
+        self._thread.join()
+
+    async def _serve(self, host: str, port: int, ready: "concurrent.futures.Future[int]") -> None:
+        self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
+        app = web.Application()
+        app.on_response_prepare.append(_add_headers)
+        app.router.add_get("/", self._index)
+        app.router.add_get("/scene", self._send_scene)
+        app.router.add_get(r"/mesh/{number:\d{1,6}}", self._send_mesh)
+        app.router.add_get("/ws", self._talk)
+        if self._pages.is_dir():
+            app.router.add_static("/", self._pages)
+        runner = web.AppRunner(app, access_log=None, handle_signals=False, shutdown_timeout=0.5)
+        await runner.setup()
+        try:
+            await web.TCPSite(runner, host, port, ssl_context=self._tls).start()
+        except OSError as error:
+            await runner.cleanup()
+            ready.set_exception(LiveError(f"cannot listen on {host}:{port}: {error.strerror}"))
+            return
+        ready.set_result(runner.addresses[0][1])
+        await self._stop.wait()
+        for connection in list(self._connections.values()):
+            await connection.socket.close(code=1001, message=b"the session has ended")
+        await runner.cleanup()
+
+    async def _index(self, request: web.Request) -> web.StreamResponse:
+        index = self._pages / "index.html"
+        if index.is_file():
+            return web.FileResponse(index)
+        return web.Response(text=_NO_PAGE, content_type="text/html")
+
+    async def _send_scene(self, request: web.Request) -> web.Response:
+        return web.Response(body=self._scene, content_type="application/json")
+
+    async def _send_mesh(self, request: web.Request) -> web.Response:
+        number = int(request.match_info["number"])
+        if number >= len(self._meshes):
+            raise web.HTTPNotFound
+        return web.Response(body=self._meshes[number], content_type="application/octet-stream")
+
+    async def _talk(self, request: web.Request) -> web.StreamResponse:
+        """Serves a WebSocket until it ends, however it ends."""
+        self._require_access(request)
+        self._open += 1
+        try:
+            return await self._talk_with(request)
+        finally:
+            self._open -= 1
+
+    async def _talk_with(self, request: web.Request) -> web.WebSocketResponse:
+        socket = web.WebSocketResponse(heartbeat=_HEARTBEAT_S, max_msg_size=MAX_BYTES, compress=False)
+        await socket.prepare(request)
+        connection = _Connection(next(self._numbers), socket)
+        self._connections[connection.number] = connection
+        self._desk.join(connection.number)
+        sender = asyncio.create_task(connection.send())
+        try:
+            async for message in socket:
+                if message.type in (WSMsgType.TEXT, WSMsgType.BINARY):
+                    self._handle(connection, message.data)
+        except LiveError as error:
+            await socket.close(code=1008, message=str(error).encode())
+        finally:
+            sender.cancel()
+            del self._connections[connection.number]
+            self._desk.leave(connection.number)
+        return socket
+
+    def _require_access(self, request: web.Request) -> None:
+        given = request.query.get("key", "").encode(errors="replace")
+        if not hmac.compare_digest(given, self._key.encode()):
+            raise web.HTTPForbidden(text="wrong key: open the address that `geort-drake live` printed")
+        # Browsers state where a page comes from; others, which no page controls, need not.
+        origin = request.headers.get("Origin")
+        if origin is not None and origin != f"{'https' if self._tls else 'http'}://{request.host}":
+            raise web.HTTPForbidden(text="this page comes from elsewhere")
+        if self._open >= _MOST_CONNECTIONS:
+            raise web.HTTPServiceUnavailable(text=f"there are {_MOST_CONNECTIONS} connections already")
+
+    def _handle(self, connection: _Connection, data: str | bytes) -> None:
+        if connection.exceeds_rate():
+            self.dropped += 1
+            return
+        try:
+            answer = self._desk.take(connection.number, data)
+        except GeortError as error:
+            connection.refuse(str(error))
+            return
+        if answer is not None:
+            connection.answer(answer)
+
+
+async def _add_headers(request: web.Request, response: web.StreamResponse) -> None:
+    response.headers.update(_HEADERS)

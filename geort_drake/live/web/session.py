@@ -1,0 +1,144 @@
+"""Runs teleoperation from the page: one session after another, each begun by a reset."""
+
+import copy
+import dataclasses as dc
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+from pydrake.systems.framework import DiagramBuilder, System
+
+from geort_drake.hands.description import HandDescription
+from geort_drake.live.glove_stream import GloveStream
+from geort_drake.live.robot_link import RobotLink
+from geort_drake.live.robots import SimulatedRobot
+from geort_drake.live.session import SessionReport, run_session
+from geort_drake.live.teleoperation import RobotModel, Teleoperation, make_teleoperation
+from geort_drake.live.web.control import PageControl
+from geort_drake.live.web.desk import Desk
+from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
+from geort_drake.live.web.server import WebServer
+from geort_drake.simulation.diagram import Retarget
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.world import ARM, HAND
+from geort_drake.systems.glove_recorder import GloveRecorder
+
+
+@dc.dataclass
+class WebTeleoperation:
+    """What the sessions of one page have in common.
+
+    Attributes:
+        scenario: settings; every session has its own object.
+        description, model: of the robot.
+        load: returns the retargeter of a checkpoint, or for None the one to begin with.
+        desk, server, control: of the page.
+        link: to a real robot; None for the simulation.
+        relax_after: see `Watchdog`, s.
+    """
+
+    scenario: Scenario
+    description: HandDescription
+    model: RobotModel
+    load: Callable[[Path | None], Retarget]
+    desk: Desk
+    server: WebServer
+    control: PageControl
+    link: RobotLink | None = None
+    relax_after: float = 5.0
+
+    def run(
+        self,
+        engaged: bool,
+        duration: float,
+        stop: Callable[[], bool],
+        timeout: float,
+        silence: float,
+        on_state: Callable[[float, str], None],
+    ) -> tuple[SessionReport, Teleoperation]:
+        """Runs sessions until `stop()` or until they have taken `duration`, s.
+
+        Args:
+            engaged: whether a person is engaged from the start.
+            timeout, silence: how long to wait for a real robot, and for its next status, s.
+            on_state: see `run_session`.
+
+        Returns:
+            The report of all sessions, and the last one's diagram.
+        """
+        total = SessionReport(0.0, {}, 0)
+        link, control = self.link, self.control
+        scenes = 0
+        while True:
+            scenes += 1
+            loop = self._begin(scenes, timeout)
+            report = run_session(
+                loop,
+                engaged,
+                control,
+                duration - total.duration,
+                lambda: stop() or control.again,
+                lambda: link.require_alive(silence) if link else None,
+                on_state,
+            )
+            control.end()
+            states = {
+                name: total.states.get(name, 0.0) + report.states.get(name, 0.0)
+                for name in total.states | report.states
+            }
+            total = SessionReport(total.duration + report.duration, states, total.late + report.late)
+            if stop() or not control.again:
+                return total, loop
+            engaged = False
+
+    def _begin(self, number: int, timeout: float) -> Teleoperation:
+        """Builds a session's diagram and shows its scene."""
+        scenario, description = copy.deepcopy(self.scenario), self.description
+        robot: SimulatedRobot | RobotLink
+        if self.link is None:
+            scenario.object.name = self.control.object or scenario.object.name
+            scenario.random_seed += number - 1  # the object stands somewhere else
+            robot = SimulatedRobot(scenario, description)
+            start = robot.hand.start, robot.arm.start
+            scene = Scene(robot.scene.plant, robot.scene.scene_graph.model_inspector(), description)
+        else:
+            robot, start = self.link, self.link.handshake(timeout)
+            standing = self.model.standing_at({})
+            scene = Scene(standing.plant(), standing.scene_graph().model_inspector(), description)
+
+        def add_view(builder: DiagramBuilder, robot: System) -> None:
+            stream = builder.AddNamedSystem(
+                "pose_stream",
+                PoseStream(
+                    scene,
+                    lambda: self.desk.p_HK,
+                    description.side,
+                    lambda frame: self.server.publish(frame=frame),
+                ),
+            )
+            source: System = robot
+            if not robot.HasOutputPort("body_poses"):
+                source = builder.AddNamedSystem("robot_kinematics", RobotKinematics(standing.plant()))
+                for name in (HAND, ARM):
+                    builder.Connect(
+                        robot.GetOutputPort(f"{name}_state"), source.GetInputPort(f"{name}_state")
+                    )
+            builder.Connect(source.GetOutputPort("body_poses"), stream.GetInputPort("body_poses"))
+
+        recorder = GloveRecorder(scenario.retargeting.period)
+        loop = make_teleoperation(
+            scenario,
+            description,
+            self.model,
+            self.load(self.control.fitted),
+            GloveStream(self.desk, description.side),
+            robot,
+            start,
+            self.relax_after,
+            recorder,
+            add_view,
+        )
+        self.server.show(msgspec.json.encode({"scene": number, **scene.description}), scene.meshes)
+        name = scenario.object.name if self.link is None else None
+        self.control.begin(loop, recorder, name, number)
+        return loop
