@@ -3,14 +3,16 @@
 # make test-lowest, make test-newest: the same with the oldest and the newest versions of the dependencies,
 #             in .venv-lowest and .venv-newest; PYTHON=python3.13 chooses the interpreter.
 # make wheel: build wheel and source distribution into dist/ and check them.
+# make live: build the live web page, which needs Node.js 20; NPM_ARGS= also fetches what its tests need.
 # make docs: build the documentation into site/, offline.
 # make pictures: record a training, a grasp and the like, and make the docs' pictures of them.
 PYTHON ?= python3
 VENV ?= .venv
 CONSTRAINTS ?= constraints.txt
+NPM_ARGS ?= --omit=dev
 BIN := $(VENV)/bin
 
-.PHONY: grasp test test-lowest test-newest lint wheel docs pictures clean
+.PHONY: grasp test test-lowest test-newest lint wheel live docs pictures clean
 
 grasp: $(VENV)/installed
 	$(BIN)/python scripts/simulate_grasp.py $(ARGS)
@@ -23,6 +25,10 @@ test-lowest:
 
 test-newest:
 	$(MAKE) test VENV=.venv-newest CONSTRAINTS=/dev/null
+
+live:
+	@command -v npm >/dev/null || { echo "make live needs Node.js 20 or newer, with npm"; exit 1; }
+	cd web && npm ci --ignore-scripts $(NPM_ARGS) && npm run build
 
 pictures: $(VENV)/installed
 	$(BIN)/python studies/pictures.py $(ARGS)
@@ -56,4 +62,4 @@ $(VENV)/installed-docs: $(VENV)/installed
 	touch $@
 
 clean:
-	rm -rf $(VENV) .venv-lowest .venv-newest dist runs site
+	rm -rf $(VENV) .venv-lowest .venv-newest dist runs site web/node_modules geort_drake/live/web/static

@@ -1,0 +1,181 @@
+"""Chromium with the live web page, and a server that only the page's own tests have."""
+
+import base64
+import dataclasses as dc
+import functools
+import http.server
+import itertools
+import json
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "geort_drake" / "live" / "web" / "static"
+WEB = ROOT / "web"
+CHROMIUM = Path("/usr/bin/chromium")
+_WITHOUT_GPU = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+# The page gets the camera without a question.
+_FAKE_CAMERA = ("--use-fake-ui-for-media-stream", "--use-fake-device-for-media-stream")
+
+
+def require_page() -> None:
+    """Skips the test where the browser, its driver or the built page is absent."""
+    pytest.importorskip("playwright", reason="needs Playwright for Python")
+    if not CHROMIUM.is_file():
+        pytest.skip(f"needs {CHROMIUM}")
+    if not (PAGE / "main.js").is_file():
+        pytest.skip("needs the built page: `make live`")
+
+
+def require_package(name: str) -> None:
+    if not (WEB / "node_modules" / name).is_dir():
+        pytest.skip(f"needs the npm package {name}: `npm ci` in web/")
+
+
+@contextmanager
+def chromium(clip: Path | None = None) -> Iterator:
+    """A browser; its camera plays `clip`, or it has none."""
+    from playwright.sync_api import sync_playwright
+
+    camera = [*_FAKE_CAMERA, f"--use-file-for-fake-video-capture={clip}"] if clip else []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=str(CHROMIUM), args=[*_WITHOUT_GPU, *camera])
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+@contextmanager
+def serve(folder: Path) -> Iterator[str]:
+    """Serves a folder's files at the address that it yields."""
+
+    class Handler(http.server.SimpleHTTPRequestHandler):
+        def log_message(self, *_):
+            pass
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Handler, directory=folder))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}"
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+WELCOME = {
+    "type": "welcome",
+    "version": 1,
+    "role": "operator",
+    "side": "right",
+    "hand": "allegro_right",
+    "robot": "simulation",
+    "objects": ["cylinder", "sphere"],
+    "map": "one map for everyone",
+}
+STATE = {
+    "type": "state",
+    "scene": 1,
+    "object": "cylinder",
+    "time": 12.3,
+    "engaged": False,
+    "following": False,
+    "status": "held: the input has not been good for long enough",
+    "fist": 0.0,
+    "outcome": {"phase": "touch", "held": 0.0, "seconds": 12.3, "over": False, "success": False},
+    "delay": {"count": 100, "median": 0.004, "p99": 0.012},
+    "filter_delay": 0.02,
+    "received": 100,
+    "refused": 0,
+    "late": 0,
+    "operator": True,
+    "spectators": 0,
+    "recording": None,
+    "guide": None,
+    "refit": None,
+}
+SCENE = {
+    "scene": 1,
+    "camera": {"eye": [1.0, -0.9, 0.6], "target": [0.0, 0.0, 0.2]},
+    "moving": ["hand::palm"],
+    "hand_base": {"moving": 0, "pose": [1, 0, 0, 0, 0, 0, 0]},
+    "geometries": [
+        {"moving": None, "pose": [1, 0, 0, 0, 0, 0, -0.05], "color": [0.8, 0.7, 0.6, 1], "shape": "box",
+         "size": [1.0, 1.0, 0.1]},
+        {"moving": 0, "pose": [1, 0, 0, 0, 0, 0, 0.05], "color": [0.2, 0.2, 0.2, 1], "shape": "capsule",
+         "size": [0.04, 0.1]},
+    ],
+}  # fmt: skip
+
+
+@dc.dataclass
+class StubServer:
+    """The server's end of the page's WebSocket."""
+
+    messages: list[dict] = dc.field(default_factory=list)
+    requests: list[str] = dc.field(default_factory=list)
+    socket: object = None
+
+    def attach(self, page, scene: dict = SCENE) -> None:
+        page.on("request", lambda request: self.requests.append(request.url))
+        page.route("**/scene", lambda route: route.fulfill(json=scene))
+        page.route_web_socket("**/ws?key=*", self._open)
+
+    def send(self, **state) -> None:
+        self.socket.send(json.dumps({**STATE, **state}))
+
+    def send_poses(self, poses: np.ndarray, p_BK: np.ndarray) -> None:
+        self.socket.send(np.concatenate([[0.0], poses.ravel(), p_BK.ravel()]).astype("<f4").tobytes())
+
+    def welcome(self, **changes) -> None:
+        self.socket.send(json.dumps({**WELCOME, **changes}))
+
+    def of(self, kind: str) -> list[dict]:
+        return [message for message in self.messages if message["type"] == kind]
+
+    def _open(self, socket) -> None:
+        self.socket = socket
+        socket.on_message(lambda text: self._receive(json.loads(text)))
+
+    def _receive(self, message: dict) -> None:
+        self.messages.append(message)
+        if message["type"] == "hello":
+            self.welcome()
+            self.send()
+
+
+FLAT = {"curl": [0.15, 0.1, 0.1, 0.15], "thumb": [0.0, 0.0, 0.0, 0.0, 0.0], "turn": [0.0, 0.3, 0.0]}
+PINCH = {"curl": [0.8, 0.15, 0.1, 0.1], "thumb": [-0.44, 0.15, -0.03, 0.36, 0.09], "turn": [0.0, 0.3, 0.0]}
+CURL = {"curl": [0.8, 0.8, 0.8, 0.8], "thumb": [0.0, 0.0, 0.0, 0.0, 0.0], "turn": [0.2, 0.3, 0.1]}
+
+
+def film_hand(browser, file: Path, pictures: int = 12, repeats: int = 2) -> np.ndarray:
+    """Films the rendered hand as it pinches and curls, into Motion JPEG at 30 pictures a second.
+
+    Each of a movement's `pictures` comes `repeats` times. A row of squares in it is its number in binary.
+
+    Returns:
+        The joints in each picture, (T, 25, 3), m, in the order of XRHand.
+    """
+    joints = []
+    stops = [FLAT, PINCH, FLAT, CURL, FLAT]
+    with serve(WEB) as address, file.open("wb") as film:
+        page = browser.new_page()
+        page.goto(f"{address}/test/hand.html")
+        page.wait_for_function("window.ready")
+        for begin, end in itertools.pairwise(stops):
+            for share in (1 - np.cos(np.linspace(0, np.pi, pictures, endpoint=False))) / 2:
+                posture = {
+                    name: ((1 - share) * np.array(begin[name]) + share * np.array(end[name])).tolist()
+                    for name in begin
+                }
+                joints.append(page.evaluate("posture => pose(posture)", posture))
+                picture = page.evaluate("number => draw(number)", len(joints) - 1).split(",")[1]
+                film.write(repeats * base64.b64decode(picture))
+        page.close()
+    return np.array(joints)

@@ -1,0 +1,163 @@
+"""The live web page in Chromium, against a stub of its server."""
+
+import numpy as np
+import pytest
+from live_page import (
+    PAGE,
+    WEB,
+    StubServer,
+    chromium,
+    film_hand,
+    require_package,
+    require_page,
+    serve,
+)
+
+from geort_drake.people.keypoints import BONES
+
+# XRHand has a metacarpal's base for each finger as well.
+KEYPOINT_TO_XR = [0, 1, 2, 3, 4, 6, 7, 8, 9, 11, 12, 13, 14, 16, 17, 18, 19, 21, 22, 23, 24]
+# Notes which picture of the film the tracker gets at which time.
+READ_NUMBERS = """
+  const post = Worker.prototype.postMessage;
+  window.numbers = [];
+  Worker.prototype.postMessage = function (message, ...rest) {
+    const context = new OffscreenCanvas(128, 16).getContext("2d", { willReadFrequently: true });
+    context.drawImage(message.picture, 0, 0);
+    const bits = [0, 1, 2, 3, 4, 5, 6, 7].map((i) => context.getImageData(16 * i + 8, 8, 1, 1).data[0] > 128);
+    numbers.push([message.t, bits.reduce((number, bit, i) => number + (bit << i), 0)]);
+    return post.call(this, message, ...rest);
+  };
+"""
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory):
+    require_page()
+    require_package("@webxr-input-profiles/assets")
+    file = tmp_path_factory.mktemp("film") / "hand.mjpeg"
+    with chromium() as browser:
+        return file, film_hand(browser, file)
+
+
+@pytest.fixture
+def stub():
+    return StubServer()
+
+
+def open_page(browser, stub, address, *scripts):
+    page = browser.new_page(viewport={"width": 800, "height": 600})
+    for script in scripts:
+        page.add_init_script(**script)
+    stub.attach(page)
+    page.goto(f"{address}/#key")
+    return page
+
+
+def directions(points: np.ndarray) -> np.ndarray:
+    """Unit vectors of the `BONES` of keypoints (21, 3)."""
+    parents, children = np.array(BONES).T
+    bones = points[children] - points[parents]
+    return bones / np.linalg.norm(bones, axis=1, keepdims=True)
+
+
+def test_camera_sends_the_rendered_hand(film, stub):
+    file, joints = film
+    with chromium(file) as browser, serve(PAGE) as address:
+        page = open_page(browser, stub, address, {"script": READ_NUMBERS})
+        page.wait_for_selector("body[data-state=tracking]")
+        while len({m["t"] for m in stub.of("camera")}) < 30:
+            page.wait_for_timeout(100)
+        numbers = dict(page.evaluate("numbers"))
+    assert {url.split("/")[2] for url in stub.requests} == {address.split("/")[2]}, (
+        "no request leaves the machine"
+    )
+    hands = [(np.array(m["world"]), joints[numbers[m["t"]]][KEYPOINT_TO_XR]) for m in stub.of("camera")]
+    errors = []
+    for seen, rendered in hands:
+        a, b = directions(seen), directions(rendered)
+        u, _, v = np.linalg.svd(a.T @ b)
+        rotation = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
+        errors.append(np.degrees(np.arccos(np.clip(np.sum(a @ rotation * b, axis=1), -1, 1))))
+    assert np.median(errors) < 15
+    assert np.quantile(errors, 0.9) < 35
+    gaps = np.array([[np.linalg.norm(p[4] - p[8]) for p in pair] for pair in hands])
+    assert np.all(gaps[gaps[:, 1] < 0.02, 0] < 0.05), "a pinch is seen closed"
+    assert np.all(gaps[gaps[:, 1] > 0.08, 0] > 0.06), "an open hand is seen open"
+
+
+XR = """
+  const device = new IWER.XRDevice(IWER.metaQuest3);
+  device.installRuntime({ forceInstall: true });
+  const request = navigator.xr.requestSession.bind(navigator.xr);
+  navigator.xr.requestSession = async (...options) => (window.session = await request(...options));
+  window.play = async (hands) => {
+    const space = await session.requestReferenceSpace("local-floor");
+    const names = Array.from(device.hands.left.inputSource.hand.keys());
+    const still = [0, 0, 0, 0, 0, 0, 1];
+    const schema = Object.keys(hands).map((handedness, i) => [i, {
+      handedness, targetRayMode: "tracked-pointer", profiles: ["generic-hand"], hasGamepad: false, hasGrip: false,
+      hasHand: true, jointSequence: names,
+    }]);
+    const inputs = Object.values(hands).map((points, i) =>
+      [i, ...still, points.flatMap((point) => [...point, 0, 0, 0, 1, 0.01])]);
+    const frames = [0, 1e6].map((time) => [time, 0, 1.6, 0, 0, 0, 0, 1, ...inputs]);
+    device.createActionPlayer(space, { schema, frames }).play();
+  };
+"""
+
+
+def test_headset_sends_the_robots_side_in_order(stub, rng):
+    require_page()
+    require_package("iwer")
+    left, right = rng.uniform(-1, 1, (2, 25, 3)).round(3)
+    with chromium() as browser, serve(PAGE) as address:
+        page = open_page(
+            browser, stub, address, {"path": WEB / "node_modules/iwer/build/iwer.min.js"}, {"script": XR}
+        )
+        page.click("#headset")
+        page.wait_for_function("window.session")
+        page.evaluate("hands => play(hands)", {"left": left.tolist(), "right": right.tolist()})
+        page.wait_for_selector("body[data-state=tracking]")
+        page.evaluate("hands => play(hands)", {"left": left.tolist()})
+        page.wait_for_selector("body[data-state=waiting]")
+        assert "your left hand" in page.inner_text("#headline")
+    assert stub.of("hello")[-1]["device"] == "headset"
+    np.testing.assert_allclose(stub.of("headset")[-1]["joints"], right, atol=1e-5)
+    assert stub.messages[-1]["type"] == "lost"
+
+
+def test_panel_and_keys(stub, rng):
+    require_page()
+    with chromium() as browser, serve(PAGE) as address:
+        page = open_page(browser, stub, address)
+        page.wait_for_selector("body[data-state=waiting]")
+        assert "Hold up your right hand" in page.inner_text("#headline")
+        assert page.is_disabled("#engage")
+
+        stub.send(engaged=True, following=False)
+        page.wait_for_selector("body[data-state=lost]")
+        assert "The robot holds until" in page.inner_text("#headline")
+        page.keyboard.press("r")
+        page.select_option("#object", "sphere")
+        page.focus("#reset")
+        page.keyboard.press(" ")  # disengages, although a button has the focus
+        page.wait_for_timeout(50)
+        assert [m["object"] for m in stub.of("reset")] == [None, "sphere"]
+        assert len(stub.of("disengage")) == 1
+
+        assert page.is_disabled("#record")
+        page.check("#keep")
+        page.click("#record")
+        outcome = {"phase": "done", "held": 2.0, "seconds": 21.0, "over": True, "success": True}
+        guide = {"instruction": "Pinch", "seconds_left": 11.2, "missing": ["The little finger has not moved"]}
+        stub.send(outcome=outcome, guide=guide, recording="session.npz")
+        page.wait_for_selector("body[data-recording]")
+        assert "Done" in page.inner_text("#task")
+        assert "little finger" in page.inner_text("#guidance")
+        assert stub.of("record") == [{"type": "record", "keep": True}]
+
+        stub.welcome(role="spectator")
+        page.wait_for_function("document.querySelector('#headline').innerText.includes('watching')")
+        stub.socket.close()
+        page.wait_for_selector("body[data-state=connecting]")

@@ -1,0 +1,64 @@
+// The camera: its pictures go to the tracker, whose hands come back.
+
+export class Camera {
+  /**
+   * @param {HTMLVideoElement} video shows the picture.
+   * @param {(result: {t: number, hand: object | null, aspect: number, delay: number}) => void} onResult
+   *   `t` is when the picture was taken and `delay` how long ago that is, s.
+   * @param {(text: string) => void} onFailure
+   */
+  constructor(video, onResult, onFailure) {
+    this.video = video;
+    this.onResult = onResult;
+    this.onFailure = onFailure;
+  }
+
+  async start() {
+    if (!navigator.mediaDevices) throw new Error("the browser gives it to https and this machine only");
+    this.stream = await navigator.mediaDevices.getUserMedia({
+      video: { width: { ideal: 640 }, height: { ideal: 480 }, frameRate: { ideal: 30 }, facingMode: "user" },
+    });
+    this.busy = true;
+    this.worker = new Worker("tracker.js");
+    this.worker.onmessage = ({ data }) => this.#receive(data);
+    this.worker.onerror = (event) => this.onFailure(`The hand tracker did not start: ${event.message}.`);
+    this.video.srcObject = this.stream;
+    await this.video.play();
+    this.#watch();
+  }
+
+  stop() {
+    this.worker?.terminate();
+    this.stream?.getTracks().forEach((track) => track.stop());
+    this.video.srcObject = null;
+    this.worker = this.stream = undefined;
+  }
+
+  #watch() {
+    this.video.requestVideoFrameCallback(async (now, picture) => {
+      if (!this.worker) return;
+      this.#watch();
+      if (this.busy) return;
+      this.busy = true;
+      const t = (picture.captureTime ?? now) / 1000;
+      const bitmap = await createImageBitmap(this.video);
+      this.worker?.postMessage({ picture: bitmap, t }, [bitmap]);
+    });
+  }
+
+  #receive(data) {
+    if (data.failure) {
+      this.onFailure(`The hand tracker failed: ${data.failure}`);
+      return;
+    }
+    this.busy = false;
+    if (data.ready) return;
+    const { videoWidth, videoHeight } = this.video;
+    this.onResult({
+      t: data.t,
+      hand: data.hand,
+      aspect: videoWidth / videoHeight,
+      delay: performance.now() / 1000 - data.t,
+    });
+  }
+}

@@ -1,0 +1,45 @@
+// The WebSocket to `geort-drake live`; connects again by itself.
+
+const RETRY_MS = 1000;
+
+export class Connection {
+  /**
+   * @param {{onOpen: () => void, onClose: () => void, onMessage: (message: object) => void,
+   *   onPoses: (values: Float32Array) => void}} listeners
+   */
+  constructor(listeners) {
+    this.listeners = listeners;
+    this.#connect();
+  }
+
+  get open() {
+    return this.socket.readyState === WebSocket.OPEN;
+  }
+
+  send(message) {
+    if (this.open) this.socket.send(JSON.stringify(message));
+  }
+
+  /** Sends a hand, unless older ones still wait: a slow network must not delay the robot. */
+  sendHand(message) {
+    if (this.socket.bufferedAmount < 16384) this.send(message);
+  }
+
+  #connect() {
+    const url = new URL("ws", location.href);
+    url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+    url.hash = "";
+    url.search = `?key=${encodeURIComponent(location.hash.slice(1))}`;
+    const socket = (this.socket = new WebSocket(url));
+    socket.binaryType = "arraybuffer";
+    socket.onopen = () => this.listeners.onOpen();
+    socket.onmessage = ({ data }) => {
+      if (typeof data === "string") this.listeners.onMessage(JSON.parse(data));
+      else this.listeners.onPoses(new Float32Array(data));
+    };
+    socket.onclose = () => {
+      this.listeners.onClose();
+      setTimeout(() => this.#connect(), RETRY_MS);
+    };
+  }
+}

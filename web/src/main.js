@@ -1,0 +1,192 @@
+// Joins the devices, the connection, the view and the panel.
+
+import { Camera } from "./camera.js";
+import { Connection } from "./connection.js";
+import { Headset, headsetMode } from "./headset.js";
+import { show, showLandmarks, showObjects } from "./panel.js";
+import { View } from "./view.js";
+
+const VERSION = 1;
+const element = (id) => document.getElementById(id);
+const UNSEEN = { seen: false, side: "", score: 0, rate: 0, delay: 0 };
+
+/** @type {import("./words.js").Model} */
+const model = {
+  connected: false,
+  welcome: null,
+  state: null,
+  device: null,
+  failure: "",
+  refusal: "",
+  hand: UNSEEN,
+};
+const view = new View(element("view"));
+let scene = null;
+
+function refresh() {
+  const { headline, detail } = show(model);
+  view.setWords(headline, detail);
+}
+
+const connection = new Connection({
+  onOpen: hello,
+  onClose() {
+    Object.assign(model, { connected: false, welcome: null, state: null });
+    refresh();
+  },
+  onMessage(message) {
+    if (message.type === "welcome") receiveWelcome(message);
+    else if (message.type === "state") receiveState(message);
+    else if (message.type === "refused") model.refusal = message.text;
+    refresh();
+  },
+  onPoses: (values) => scene !== null && view.setPoses(values),
+});
+
+function hello() {
+  connection.send({
+    type: "hello",
+    version: VERSION,
+    role: "operator",
+    device: model.device ?? "camera",
+    side: model.welcome?.side ?? "right",
+    hand_length: Number(element("length").value) / 100 || null,
+  });
+}
+
+function receiveWelcome(welcome) {
+  const greet = !model.welcome && welcome.side !== "right";
+  Object.assign(model, { connected: true, welcome });
+  showObjects(welcome.objects);
+  if (greet) hello();
+}
+
+function receiveState(state) {
+  if (state.engaged) model.refusal = "";
+  model.state = state;
+  if (state.scene === scene) return;
+  scene = state.scene;
+  fetch("scene")
+    .then((response) => response.json())
+    .then((description) => view.load(description));
+}
+
+// Devices
+
+/** Takes a hand from a device: `fields` of its message, or null while no hand is seen. */
+function receiveHand(t, fields, seen) {
+  const previous = model.hand;
+  const usable = fields && seen.side === model.welcome?.side;
+  if (usable) connection.sendHand({ type: model.device, t, ...fields });
+  else if (previous.usable) connection.send({ type: "lost", t });
+  const interval = t - previous.t;
+  const rate = interval < 1 ? previous.rate + 0.1 * (1 / interval - previous.rate) : 0;
+  model.hand = fields ? { seen: true, usable, t, rate, ...seen } : { ...UNSEEN, t, rate };
+  if (Boolean(previous.usable) !== Boolean(usable)) refresh();
+}
+
+const camera = new Camera(
+  element("video"),
+  ({ t, hand, aspect, delay }) => {
+    showLandmarks(hand?.image);
+    if (!hand) return receiveHand(t, null);
+    const { side, ...fields } = hand;
+    receiveHand(t, { ...fields, aspect }, { side, score: fields.score, delay });
+  },
+  stopUsing,
+);
+
+const headset = new Headset(
+  view,
+  ({ t, side, joints }) =>
+    receiveHand(t, joints && { joints }, { side, score: 1, delay: performance.now() / 1000 - t }),
+  () => stopUsing(),
+);
+
+function stopUsing(failure = "") {
+  camera.stop();
+  showLandmarks(null);
+  if (model.hand.usable) receiveHand(performance.now() / 1000, null);
+  Object.assign(model, { device: null, failure, hand: UNSEEN });
+  refresh();
+}
+
+async function use(device, start) {
+  const previous = model.device;
+  if (previous === "headset") return headset.stop();
+  stopUsing();
+  if (previous === device) return;
+  model.device = device;
+  hello();
+  refresh();
+  await start().catch((error) => stopUsing(`The ${device} cannot be used: ${error.message}.`));
+}
+
+const useCamera = () => use("camera", () => camera.start());
+element("camera").onclick = useCamera;
+navigator.permissions
+  ?.query({ name: "camera" })
+  .then(({ state }) => state === "granted" && useCamera())
+  .catch(() => {});
+
+headsetMode().then((mode) => {
+  element("headset").hidden = mode === null;
+  element("headset").onclick = () => use("headset", () => headset.start(mode, model.welcome.side));
+});
+
+// A page that is not shown gets no pictures.
+document.addEventListener("visibilitychange", () => {
+  if (document.hidden && model.hand.usable) receiveHand(performance.now() / 1000, null);
+});
+
+// Controls
+
+async function toggle() {
+  if (model.state?.engaged) return connection.send({ type: "disengage" });
+  if (element("engage").disabled) return;
+  if (model.welcome.robot === "lcm" && !(await confirmRealRobot())) return;
+  connection.send({ type: "engage" });
+}
+
+function confirmRealRobot() {
+  const dialog = element("real-robot");
+  dialog.returnValue = "";
+  dialog.showModal();
+  return new Promise((resolve) => (dialog.onclose = () => resolve(dialog.returnValue === "engage")));
+}
+
+const reset = (object = null) => connection.send({ type: "reset", object });
+
+element("engage").onclick = toggle;
+element("reset").onclick = () => reset();
+element("object").onchange = ({ target }) => {
+  reset(target.value);
+  target.blur();
+};
+element("guide").onclick = () => connection.send({ type: "guide" });
+element("refit").onclick = () => connection.send({ type: "refit" });
+element("keep").onchange = refresh;
+element("record").onclick = () =>
+  connection.send(model.state?.recording ? { type: "stop" } : { type: "record", keep: true });
+
+element("length").value = localStorage.getItem("hand_length") ?? "";
+element("length").onchange = ({ target }) => {
+  localStorage.setItem("hand_length", target.value);
+  hello();
+};
+
+// Space always engages and disengages, whichever button was used last; Enter presses buttons.
+document.addEventListener("keydown", (event) => {
+  const { key, target, repeat } = event;
+  if (element("real-robot").open || target.matches("input, select")) return;
+  if (key === " ") event.preventDefault();
+  if (repeat || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (key === " ") toggle();
+  if (key === "Escape" && model.state?.engaged) connection.send({ type: "disengage" });
+  if (key.toLowerCase() === "r" && !element("reset").disabled) reset();
+});
+document.addEventListener("keyup", (event) => {
+  if (event.key === " " && event.target.matches("button")) event.preventDefault();
+});
+
+refresh();

@@ -1,0 +1,109 @@
+// The page's words and controls outside the 3D view.
+
+import { drawSkeleton } from "./skeleton.js";
+import { quality, situation } from "./words.js";
+
+const PHASES = ["reach", "touch", "grasp", "lift", "hold"];
+const element = (id) => document.getElementById(id);
+
+/** Shows a `Model`; returns its situation. */
+export function show(model) {
+  const { welcome, state, hand, device, failure } = model;
+  const now = situation(model);
+  const { body } = document;
+  body.dataset.state = now.name;
+  body.toggleAttribute("data-engaged", Boolean(state?.engaged));
+  body.toggleAttribute("data-recording", Boolean(state?.recording));
+  write("connection", !model.connected ? "Connecting" : welcome?.robot === "lcm" ? "Real robot" : "Simulation");
+  write(element("headline").querySelector("strong"), now.headline);
+  write(element("headline").querySelector("span"), now.detail);
+  element("fist").style.strokeDasharray = `${state?.fist ?? 0} 1`;
+
+  element("start").hidden = device !== null;
+  if (failure) write("start-words", failure);
+  write("camera", device === "camera" ? "Stop the camera" : "Use the camera");
+  write("headset", device === "headset" ? "Leave the headset" : "Use the headset");
+  element("camera").classList.toggle("primary", device === null);
+  const { value, words } = quality(hand);
+  element("quality").value = value;
+  write("quality-words", words);
+  const delay = hand.delay + (state?.delay.median ?? NaN);
+  write("delay", hand.seen && delay > 0 ? `delay ${Math.round(1000 * delay)} ms` : "");
+
+  const operator = model.connected && welcome?.role === "operator";
+  element("engage").disabled = !operator || !(state?.engaged || hand.seen);
+  write(element("engage").querySelector("span"), state?.engaged ? "Disengage" : "Engage");
+  element("reset").disabled = element("object").disabled = !operator || !welcome.objects.length;
+  if (state?.object && document.activeElement !== element("object")) element("object").value = state.object;
+
+  write("map", welcome ? sentenceCase(welcome.map) : "");
+  element("guide").disabled = element("refit").disabled = !operator;
+  write("refit-words", state?.refit?.text ?? "");
+  element("record").disabled = !operator || !(state?.recording || element("keep").checked);
+  write("record", state?.recording ? "Stop" : "Record");
+  write("recording", state?.recording ?? "");
+  write("counts", state ? counts(state) : "");
+
+  showGuide(state?.guide);
+  showTask(state);
+  return now;
+}
+
+/** Fills the choice of objects. */
+export function showObjects(names) {
+  element("object").replaceChildren(...names.map((name) => new Option(name.replaceAll("_", " "), name)));
+}
+
+/** Draws the landmarks over the camera's picture. */
+export function showLandmarks(image) {
+  const canvas = element("skeleton");
+  const video = element("video");
+  canvas.width = video.videoWidth;
+  canvas.height = video.videoHeight;
+  drawSkeleton(canvas, image);
+}
+
+function showGuide(guide) {
+  element("guidance").hidden = !guide;
+  if (!guide) return;
+  write("instruction", guide.instruction);
+  write("seconds-left", `${Math.ceil(guide.seconds_left)} s`);
+  const items = guide.missing.slice(0, 3).map((text) => Object.assign(document.createElement("li"), { textContent: text }));
+  element("missing").replaceChildren(...items);
+}
+
+function showTask(state) {
+  const outcome = state?.outcome;
+  element("task").hidden = !outcome;
+  if (!outcome) return;
+  const { phase, seconds, over, success } = outcome;
+  element("task").dataset.outcome = !over ? "open" : success ? "success" : "failure";
+  write("timer", `${(seconds ?? state.time).toFixed(1)} s`);
+  const done = phase === "done" ? PHASES.length : PHASES.indexOf(phase);
+  const items = PHASES.map((name, i) => {
+    const item = Object.assign(document.createElement("li"), { textContent: sentenceCase(name) });
+    item.classList.toggle("past", i < done);
+    if (i === done && !over) item.ariaCurrent = "step";
+    return item;
+  });
+  if (over) {
+    const end = document.createElement("li");
+    end.textContent = success ? "Done" : phase === "thrown" ? "Thrown" : "Time is up";
+    end.ariaCurrent = "step";
+    items.push(end);
+  }
+  element("phases").replaceChildren(...items);
+}
+
+function counts({ received, late, refused, spectators }) {
+  const watching = spectators ? ` · ${spectators} watching` : "";
+  return `${received} hands, ${late} late, ${refused} refused${watching}`;
+}
+
+/** Writes only what has changed, as screen readers read every change. */
+function write(target, text) {
+  const node = typeof target === "string" ? element(target) : target;
+  if (node.textContent !== text) node.textContent = text;
+}
+
+const sentenceCase = (text) => text && text[0].toUpperCase() + text.slice(1);

@@ -1,0 +1,163 @@
+// The 3D view of the robot, its object and the person's own hand.
+
+import * as THREE from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
+import { makeMesh, setPose } from "./geometry.js";
+import { OwnHand } from "./own_hand.js";
+import { Sign } from "./sign.js";
+import { KEYPOINT_TO_XR } from "./skeleton.js";
+
+// The world W has z up and x ahead of the person; three.js and WebXR have y up and −z ahead.
+const WORLD = new THREE.Matrix4().makeBasis(
+  new THREE.Vector3(0, 0, -1),
+  new THREE.Vector3(-1, 0, 0),
+  new THREE.Vector3(0, 1, 0),
+);
+// The own hand is drawn this far to the right of the robot's, m.
+const BESIDE = 0.24;
+// Where a headset shows the middle of the scene, m: above the floor and ahead of the person.
+const HEADSET_TARGET = new THREE.Vector3(0, 0.95, -0.65);
+
+export class View {
+  /** @param {HTMLCanvasElement} canvas */
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.toneMapping = THREE.ACESFilmicToneMapping;
+    this.camera = new THREE.PerspectiveCamera(38, 1, 0.02, 20);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.enableDamping = true;
+    this.controls.listenToKeyEvents(canvas);
+
+    this.scene = new THREE.Scene();
+    const studio = new THREE.PMREMGenerator(this.renderer);
+    this.scene.environment = studio.fromScene(new RoomEnvironment(), 0.04).texture;
+    this.scene.environmentIntensity = 0.55;
+    this.world = new THREE.Group();
+    this.world.applyMatrix4(WORLD);
+    this.scene.add(this.world, this.#makeSun());
+    this.ownHand = new OwnHand();
+    this.headsetHand = new OwnHand();
+    this.sign = new Sign();
+    this.sign.visible = false;
+    this.scene.add(this.headsetHand, this.sign);
+    this.bodies = [];
+    this.target = new THREE.Vector3();
+
+    new ResizeObserver(() => this.#resize()).observe(canvas);
+    this.controls.addEventListener("change", () => (this.stale = true));
+    this.renderer.setAnimationLoop((time, frame) => this.#draw(time, frame));
+  }
+
+  /** Shows a scene, as `/scene` describes it. */
+  async load(description) {
+    this.description = description;
+    this.world.clear();
+    this.bodies = description.moving.map(() => new THREE.Group());
+    this.world.add(...this.bodies, this.ownHand);
+    const meshes = await Promise.all(description.geometries.map(makeMesh));
+    if (this.description !== description) return;
+    meshes.forEach((mesh, i) => (this.bodies[description.geometries[i].moving] ?? this.world).add(mesh));
+    const { eye, target } = description.camera;
+    this.world.updateMatrixWorld();
+    this.target.set(...target).applyMatrix4(WORLD);
+    this.controls.target.copy(this.target);
+    this.camera.position.set(...eye).applyMatrix4(WORLD);
+    this.controls.update();
+    this.sun.position.copy(this.target).add(new THREE.Vector3(-0.7, 1.6, 0.9));
+    this.sun.target.position.copy(this.target);
+    this.stale = true;
+  }
+
+  /** Moves everything to a binary message's poses. */
+  setPoses(values) {
+    const n = this.bodies.length;
+    if (values.length !== 1 + 7 * n + 63) return;
+    this.bodies.forEach((body, i) => setPose(body, values, 1 + 7 * i));
+    this.#setOwnHand(values.subarray(1 + 7 * n));
+    this.stale = true;
+  }
+
+  /** Shows the joints that a headset sees where they are; null hides them. */
+  setOwnJoints(joints) {
+    this.headsetHand.setPoints(joints && KEYPOINT_TO_XR.map((joint) => joints[joint]));
+  }
+
+  /** Shows the words that a headset needs. */
+  setWords(headline, detail) {
+    this.sign.write(headline, detail);
+    this.stale = true;
+  }
+
+  /** Draws in a headset; `onFrame(time, frame, space)` runs before each picture. */
+  async enterHeadset(session, onFrame) {
+    this.renderer.xr.enabled = true;
+    this.renderer.xr.setReferenceSpaceType("local-floor");
+    await this.renderer.xr.setSession(session);
+    this.onFrame = onFrame;
+    this.world.position.copy(HEADSET_TARGET).sub(this.target);
+    this.sign.position.copy(HEADSET_TARGET).add(new THREE.Vector3(0, 0.55, -0.35));
+    this.sign.visible = true;
+  }
+
+  leaveHeadset() {
+    this.renderer.xr.enabled = false;
+    this.onFrame = undefined;
+    this.world.position.set(0, 0, 0);
+    this.sign.visible = false;
+    this.setOwnJoints(null);
+    this.stale = true;
+  }
+
+  #setOwnHand(p_BK) {
+    const { moving, pose } = this.description.hand_base;
+    const points = Array.from({ length: 21 }, (_, i) => Array.from(p_BK.subarray(3 * i, 3 * i + 3)));
+    this.ownHand.setPoints(points.flat().some(Number.isNaN) ? null : points);
+    const base = new THREE.Object3D();
+    setPose(base, pose);
+    const body = this.bodies[moving];
+    this.ownHand.quaternion.copy(body.quaternion).multiply(base.quaternion);
+    this.ownHand.position.copy(base.position).applyQuaternion(body.quaternion).add(body.position);
+    this.ownHand.position.add(this.#beside());
+  }
+
+  /** Sideways in the first picture, in W. */
+  #beside() {
+    const { eye, target } = this.description.camera;
+    const ahead = new THREE.Vector3(...target).sub(new THREE.Vector3(...eye));
+    return ahead.cross(new THREE.Vector3(0, 0, 1)).setLength(BESIDE);
+  }
+
+  #makeSun() {
+    this.sun = new THREE.DirectionalLight("#fff6ea", 2.4);
+    this.sun.castShadow = true;
+    this.sun.shadow.mapSize.set(2048, 2048);
+    this.sun.shadow.radius = 5;
+    this.sun.shadow.normalBias = 0.004;
+    Object.assign(this.sun.shadow.camera, { left: -1, right: 1, top: 1, bottom: -1, near: 0.3, far: 4 });
+    const lights = new THREE.Group();
+    lights.add(this.sun, this.sun.target);
+    return lights;
+  }
+
+  #resize() {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    if (this.renderer.xr.isPresenting || !width || !height) return;
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    this.stale = true;
+  }
+
+  #draw(time, frame) {
+    if (frame && this.onFrame) this.onFrame(time, frame, this.renderer.xr.getReferenceSpace());
+    else if (!this.renderer.xr.isPresenting) this.controls.update();
+    // A picture is drawn only when something has changed, which leaves time to the hand tracker.
+    if (!this.stale && !frame) return;
+    this.stale = false;
+    this.renderer.render(this.scene, this.camera);
+  }
+}

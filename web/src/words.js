@@ -1,0 +1,55 @@
+// What the page says, from what it knows.
+
+/**
+ * @typedef {object} Model
+ * @property {boolean} connected
+ * @property {object | null} welcome and `state`: the server's last messages of these types.
+ * @property {object | null} state
+ * @property {"camera" | "headset" | null} device
+ * @property {string} failure why the device cannot be used, or ""
+ * @property {string} refusal of the last message, or ""
+ * @property {{seen: boolean, side: string, score: number, rate: number, delay: number}} hand as the device sees it
+ */
+
+/**
+ * @param {Model} model
+ * @returns {{name: "connecting" | "waiting" | "tracking" | "engaged" | "lost", headline: string, detail: string}}
+ */
+export function situation({ connected, welcome, state, device, hand, refusal }) {
+  if (!connected || !welcome)
+    return location.hash
+      ? say("connecting", "Connecting", "Waiting for geort-drake live on this address.")
+      : say("connecting", "The address is incomplete", "Open the whole address that geort-drake live printed.");
+  const { side } = welcome;
+  if (welcome.role === "spectator" && state?.operator)
+    return say("waiting", "You are watching", "Another page has the controls.");
+  const wrong = hand.seen && hand.side !== side;
+  const seen = hand.seen && !wrong;
+  if (state?.engaged && !seen)
+    return say("lost", "Hand lost", `The robot holds until it sees your ${side} hand again.`);
+  if (state?.engaged)
+    return state.following
+      ? say("engaged", "The robot follows your hand", sentence(state.status))
+      : say("engaged", "The robot holds", sentence(state.status));
+  if (!device) return say("waiting", `Hold up your ${side} hand`, "Start the camera or the headset first.");
+  if (wrong)
+    return say("waiting", `That is your ${hand.side} hand`, `This robot has a ${side} one. Show your ${side} hand.`);
+  if (!seen) return say("waiting", `Hold up your ${side} hand`, "The whole hand, with the palm to the camera.");
+  if (refusal) return say("tracking", "Not yet", refusal);
+  return state?.fist > 0
+    ? say("tracking", "Keep the fist", "The robot follows when the ring is full.")
+    : say("tracking", "Hold a fist to take control", "Or press Space. The robot moves as your hand does.");
+}
+
+const say = (name, headline, detail) => ({ name, headline, detail });
+
+const sentence = (words) => (words ? `${words[0].toUpperCase()}${words.slice(1)}.` : "");
+
+/** Quality of tracking from 0 to 1, and in words. */
+export function quality({ seen, score, rate }) {
+  if (!seen) return { value: 0, words: "No hand" };
+  const value = score * Math.min(rate / 25, 1);
+  const grade = value > 0.8 ? "good" : value > 0.5 ? "fair" : "poor";
+  const advice = value > 0.8 ? "" : rate < 20 ? ": slow pictures" : ": more light helps";
+  return { value, words: `Tracking ${grade}${advice} · ${Math.round(rate)}/s` };
+}
