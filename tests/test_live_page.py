@@ -68,14 +68,15 @@ def test_camera_sends_the_rendered_hand(film, stub):
         page.wait_for_selector("body[data-state=tracking]")
         while len({m["t"] for m in stub.of("camera")}) < 30:
             page.wait_for_timeout(100)
+        seen = stub.of("camera")
         numbers = dict(page.evaluate("numbers"))
     assert {url.split("/")[2] for url in stub.requests} == {address.split("/")[2]}, (
         "no request leaves the machine"
     )
-    hands = [(np.array(m["world"]), joints[numbers[m["t"]]][KEYPOINT_TO_XR]) for m in stub.of("camera")]
+    hands = [(np.array(m["world"]), joints[numbers[m["t"]]][KEYPOINT_TO_XR]) for m in seen]
     errors = []
-    for seen, rendered in hands:
-        a, b = directions(seen), directions(rendered)
+    for tracked, rendered in hands:
+        a, b = directions(tracked), directions(rendered)
         u, _, v = np.linalg.svd(a.T @ b)
         rotation = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
         errors.append(np.degrees(np.arccos(np.clip(np.sum(a @ rotation * b, axis=1), -1, 1))))
@@ -96,8 +97,8 @@ XR = """
     const names = Array.from(device.hands.left.inputSource.hand.keys());
     const still = [0, 0, 0, 0, 0, 0, 1];
     const schema = Object.keys(hands).map((handedness, i) => [i, {
-      handedness, targetRayMode: "tracked-pointer", profiles: ["generic-hand"], hasGamepad: false, hasGrip: false,
-      hasHand: true, jointSequence: names,
+      handedness, targetRayMode: "tracked-pointer", profiles: ["generic-hand"], hasGamepad: false,
+      hasGrip: false, hasHand: true, jointSequence: names,
     }]);
     const inputs = Object.values(hands).map((points, i) =>
       [i, ...still, points.flatMap((point) => [...point, 0, 0, 0, 1, 0.01])]);
