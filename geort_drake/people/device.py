@@ -19,14 +19,14 @@ _KNUCKLE_M, _THUMB_BASE_M, _WRIST_M = 0.004, 0.009, 0.005
 # Where on the last bone the tip is measured, for the device and each finger. Assumption: under the skin, as
 # sensors sit on nails.
 _TIP_M, _TIP_DEVIATION_M, _FINGER_TIP_M = -0.003, 0.005, 0.002
-_SHORTEST_BONE_M = 0.010
+_SHORTEST_BONE_M = 0.012
 
 # Assumption: a quarter of all people are seen by a camera.
 _CAMERA_SHARE = 0.25
 _CAMERA_RATES_HZ, _GLOVE_RATES_HZ = (30.0, 60.0), (60.0, 72.0, 90.0, 120.0)
 # From frame to frame, the bones of MediaPipe deviate by 2 to 4 mm and the hand's scale by 5 % (measured on
 # the recording in dex-retargeting). Assumption: errors last a tenth of a second.
-_NOISE_M, _SCALE_NOISE, _NOISE_TIME_S = (0.0005, 0.003), (0.0, 0.05), 0.1
+_NOISE_M, _SCALE_NOISE, _NOISE_TIME_S = (0.0005, 0.0025), (0.0, 0.05), 0.1
 _JITTER = (0.3, 1.5)  # assumption
 
 

@@ -2,7 +2,7 @@
 
 The seed of the population and a number decide a person. The constants hold each distribution with its
 source, or say that it is an assumption; those of gloves and cameras are in `device`. None is fitted to a
-recording.
+recording. Hands whose recordings `read_recording` would refuse are not in the population.
 """
 
 import copy
@@ -16,6 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import UnknownNameError
 from geort_drake.people import play
+from geort_drake.people.checks.anatomy import check_bones, check_order, check_unit
+from geort_drake.people.checks.findings import Severity
 from geort_drake.people.device import Device
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import SIDES, Recording
@@ -115,15 +117,16 @@ class Person:
     def _play(self, duration_s: float, rng: np.random.Generator) -> play.Timeline:
         timeline = _PersonalTimeline(self)
         while timeline.times[-1] < self.stops_after * duration_s:
+            before = timeline.times[-1]
             activity = rng.choice(("pinch", "sweep", "gesture"), p=self.mix)
             if activity == "pinch":
                 finger = rng.choice(self.pinched)
                 postures = play.pinch_postures(self.hand, finger, rng)
                 play.pinch(timeline.touching(finger), finger, postures, rng)
-            elif activity == "sweep":
-                play.sweep(timeline, rng.choice(self.fingers), rng)
-            else:
+            elif activity == "gesture":
                 _GESTURES[rng.choice(self.gestures)](timeline, rng)
+            if activity == "sweep" or timeline.times[-1] == before:  # the pinch is out of reach
+                play.sweep(timeline, rng.choice(self.fingers), rng)
         timeline.hold(duration_s)
         return timeline
 
@@ -152,8 +155,9 @@ class _PersonalTimeline(play.Timeline):
 def sample_person(seed: int, number: int = 0) -> Person:
     """Draws a person: the one of this number in the population of this seed."""
     rng = np.random.default_rng([seed, number])
-    device = Device.sample(rng)
-    hand = device.shown(_sample_hand(rng))
+    device, hand, rest = _sample_equipped(rng)
+    while not _readable(device, hand, rest, rng):
+        device, hand, rest = _sample_equipped(rng)
     style = str(rng.choice(list(_STYLES), p=list(_STYLES.values())))
     amplitude = np.full(5, np.clip(rng.normal(*_AMPLITUDE), *_AMPLITUDE_BOUNDS))
     if style == "small":
@@ -176,7 +180,7 @@ def sample_person(seed: int, number: int = 0) -> Person:
         device=device,
         hand=hand,
         style=style,
-        rest=_in_range_of(hand, np.deg2rad(play.resting(rng)).ravel()),
+        rest=rest,
         amplitude=amplitude,
         pace=np.exp(rng.uniform(*np.log(_PACE))),
         fingers=fingers,
@@ -224,6 +228,22 @@ def sample_population(
 
 def _keypoints(seed: int, duration_s: float, rate_hz: float, number: int) -> np.ndarray:
     return sample_person(seed, number).record(duration_s, rate_hz).p_HK
+
+
+def _sample_equipped(rng: np.random.Generator) -> tuple[Device, HumanHand, np.ndarray]:
+    """A device, the hand that it shows, and how that hand rests: (20,) rad."""
+    device = Device.sample(rng)
+    hand = device.shown(_sample_hand(rng))
+    return device, hand, _in_range_of(hand, np.deg2rad(play.resting(rng)).ravel())
+
+
+def _readable(device: Device, hand: HumanHand, rest: np.ndarray, rng: np.random.Generator) -> bool:
+    """Whether the checks of recordings take two seconds of the resting hand for one."""
+    t = np.arange(60) / 30.0
+    p_HK = device.measure(np.repeat(hand.keypoints(rest)[None], len(t), axis=0), 30.0, rng)
+    recording = Recording(t, p_HK, np.ones(len(t), bool))
+    found = (finding for check in (check_order, check_unit, check_bones) for finding in check(recording))
+    return all(finding.severity is not Severity.ERROR for finding in found)
 
 
 def _sample_hand(rng: np.random.Generator) -> HumanHand:
