@@ -67,6 +67,7 @@ SHORT = "--scenario-text '{timeout: 0.3, monitor: {hold_time: 0.01}}'"
 CHAINS = {
     "recordings": {
         "synthesize play.npz --duration 60 --rate 30": None,
+        "synthesize people --people 1 --duration 5": None,
         "convert hand.npy copy.npz": "verdict",
         "check-recording copy.npz": "verdict",
         "export copy.npz hand.rrd --format rrd": "episodes",

@@ -1,41 +1,91 @@
-"""Make a synthetic recording of hand motion."""
+"""Make synthetic recordings of hand motion.
+
+One of an average adult's hand, or with --people one each of people who differ in hand, habits and device.
+"""
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from geort_drake.cli.options import CommandParser, command, finish, finite, output_file
+from geort_drake.cli.options import (
+    CommandParser,
+    at_least,
+    command,
+    finish,
+    finite,
+    output_file,
+    output_folder,
+)
 from geort_drake.errors import UsageError
 
+if TYPE_CHECKING:
+    from geort_drake.people.recording import Recording
+
 _MOST_FRAMES = 5_000_000  # half a day at 120 Hz, and two gigabytes while they are made
+_RATE_HZ = 120.0
+_MOST_DRAWN = 6
 
 
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
-    add("output", type=output_file(".npz"), help="recording to write (.npz)")
-    parser.add_seed("the motions")
+    add("output", help="recording to write (.npz), or with --people a folder for recordings")
+    parser.add_seed("the motions, and of the people")
     add("--duration", type=finite, default=300.0, help="duration, s")
-    add("--rate", type=finite, default=120.0, help="frames per second")
+    add("--rate", type=finite, help=f"frames per second (default: {_RATE_HZ:g}; of people, their device's)")
+    add("--people", type=at_least(1), metavar="N", help="draw N people, from 0 on in the seed's population")
     add("--hand-of", type=Path, help="recording of the hand to imitate (default: an average adult's hand)")
     parser.add_side("right")
+    picture = f"picture of the first {_MOST_DRAWN} people's hands and fingertips to write (.png)"
+    add("--picture", type=output_file(".png"), metavar="FILE", help=picture)
 
 
 def run(arguments: argparse.Namespace) -> int:
+    if arguments.duration * (arguments.rate or _RATE_HZ) > _MOST_FRAMES:
+        raise UsageError(f"--duration times --rate may be at most {_MOST_FRAMES:,} frames")
+    if arguments.people is None:
+        if arguments.picture is not None:
+            raise UsageError("--picture shows --people; for one recording use check-recording --picture")
+        return _average(arguments)
+    if arguments.hand_of is not None:
+        raise UsageError("--people have hands of their own; leave out --hand-of")
+    return _people(arguments)
+
+
+def _average(arguments: argparse.Namespace) -> int:
     from geort_drake import read_recording, synthesize_play
     from geort_drake.console import warn
     from geort_drake.people.checks import check_recording
     from geort_drake.people.human_hand import HumanHand
 
-    if arguments.duration * arguments.rate > _MOST_FRAMES:
-        raise UsageError(f"--duration times --rate may be at most {_MOST_FRAMES:,} frames")
-    hand = None
+    output, hand = output_file(".npz")(arguments.output), None
     if arguments.hand_of is not None:
         hand = HumanHand.fit(read_recording(arguments.hand_of, arguments.side))
-    recording = check_recording(
-        synthesize_play(arguments.seed, arguments.duration, arguments.rate, hand), str(arguments.output)
-    )
-    recording.save(arguments.output)
+    rate = arguments.rate or _RATE_HZ
+    made = synthesize_play(arguments.seed, arguments.duration, rate, hand, side=arguments.side)
+    recording = check_recording(made, str(output))
+    recording.save(output)
     for warning in recording.metadata["warnings"]:
         warn(warning)
     size = f"{len(recording)} frames at {recording.rate_hz:g} Hz"
-    finish({"Recording": f"{arguments.output} ({size})"}, command("grasp", "--recording", arguments.output))
+    finish({"Recording": f"{output} ({size})"}, command("grasp", "--recording", output))
+    return 0
+
+
+def _people(arguments: argparse.Namespace) -> int:
+    from geort_drake.people.picture import draw_people
+    from geort_drake.people.population import sample_person
+
+    folder = output_folder(arguments.output)
+    drawn: dict[str, Recording] = {}
+    for number in range(arguments.people):
+        person = sample_person(arguments.seed, number)
+        recording = person.record(arguments.duration, arguments.rate, arguments.side)
+        recording.save(folder / f"person_{number:03d}.npz")
+        if len(drawn) < _MOST_DRAWN:
+            drawn[f"person {number}\n{person}"] = recording
+    results = {"Recordings": f"{folder} ({arguments.people} people)"}
+    if arguments.picture is not None:
+        draw_people(drawn, arguments.picture)
+        results["Picture"] = str(arguments.picture)
+    finish(results, command("check-recording", folder / "person_000.npz"))
     return 0
