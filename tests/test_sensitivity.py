@@ -1,11 +1,14 @@
 """The sensitivity of a grasp benchmark: its conditions and whether the ranking of methods holds."""
 
+import math
+
 import pytest
 
 from geort_drake.benchmark.conditions import ASSUMPTIONS, make_conditions, parse_values
 from geort_drake.benchmark.sensitivity import summarize_sensitivity
 from geort_drake.errors import BenchmarkError, ScenarioError
 from geort_drake.simulation.scenario import Scenario, dump_scenario, load_scenario
+from geort_drake.simulation.worn_glove import WornGloveConfig
 
 USUAL = {name: list(parameter.values) for name, parameter in ASSUMPTIONS.items()}
 
@@ -42,20 +45,33 @@ def test_a_condition_changes_what_its_name_says_and_the_nominal_value_makes_none
     scenario = load_scenario()
     before = dump_scenario(scenario)
     wanted = {"delay": [180, 300], "gain": [2.5, 0.5], "noise": [1, 2], "stiffness": [4], "friction": [0.5]}
-    wanted["modulus"] = [0, 200]
+    wanted |= {
+        "touch": [0],
+        "tracker": [10],
+        "donning": [5],
+        "dropouts": [2],
+        "person": [3],
+        "modulus": [0, 200],
+    }
     conditions = make_conditions(scenario, wanted, ASSUMPTIONS)
-    assert list(conditions) == [
-        "delay=300",
-        "gain=0.5",
-        "noise=2",
-        "stiffness=4",
-        "friction=0.5",
-        "modulus=200",
-    ]
+    named = "delay=300 gain=0.5 noise=2 stiffness=4 friction=0.5"
+    named += " touch=0 tracker=10 donning=5 dropouts=2 person=3 modulus=200"
+    assert list(conditions) == named.split()
+    assert conditions["touch=0"].operator.touch is False and conditions["person=3"].person == 3
+    assert conditions["tracker=10"].glove.misalignment == pytest.approx(math.radians(10))
+    assert conditions["donning=5"].glove == WornGloveConfig(shift=0.005, turn=0.05)
+    assert conditions["dropouts=2"].glove.dropout_rate == 2
     assert conditions["delay=300"].operator.visual_delay == 0.3
     assert conditions["gain=0.5"].operator.correction_rate == 0.5
     noisy, person = conditions["noise=2"].operator, scenario.operator
-    for field in ("visual_noise", "visual_turn_noise", "contact_noise", "motor_noise", "tremor"):
+    for field in (
+        "visual_noise",
+        "visual_depth_noise",
+        "visual_turn_noise",
+        "contact_noise",
+        "motor_noise",
+        "tremor",
+    ):
         assert getattr(noisy, field) == 2 * getattr(person, field)
     assert conditions["stiffness=4"].hand_stiffness_factor == 4
     assert conditions["friction=0.5"].object.friction_factor == 0.5

@@ -11,7 +11,10 @@ from geort_drake.benchmark.records import Record
 from geort_drake.errors import BenchmarkError, UnknownNameError
 from geort_drake.simulation.scenario import Scenario
 
-_NOISES = ("visual_noise", "visual_turn_noise", "contact_noise", "motor_noise", "tremor")
+_NOISES = (
+    *("visual_noise", "visual_depth_noise", "visual_turn_noise"),
+    *("contact_noise", "motor_noise", "tremor"),
+)
 
 
 @dc.dataclass(frozen=True)
@@ -43,6 +46,17 @@ def _factor(
     return Parameter(f"{label}, factor", values, change, lambda _: 1.0)
 
 
+def _set(field: str, unit: float = 1) -> Callable[[Scenario, float], None]:
+    """Sets a field of the scenario, such as "glove.shift", which is in `unit` of the condition's value."""
+    part, _, name = field.rpartition(".")
+    return lambda scenario, value: setattr(attrgetter(part)(scenario), name, unit * value)
+
+
+def _wear_anew(scenario: Scenario, shift: float) -> None:
+    """A glove worn anew, shifted by `shift` mm, and turned by as much at a lever of 0.1 m."""
+    scenario.glove.shift, scenario.glove.turn = 1e-3 * shift, 1e-2 * shift
+
+
 def _soften(scenario: Scenario, modulus: float) -> None:
     """Fingertips of a modulus in kPa; 0: contact of points."""
     scenario.fingertip_modulus = 1000 * modulus
@@ -54,24 +68,48 @@ ASSUMPTIONS = {
     "delay": Parameter(
         "visual delay, ms",
         (0, 100, 300),
-        lambda s, milliseconds: setattr(s.operator, "visual_delay", milliseconds / 1000),
+        _set("operator.visual_delay", 1e-3),
         lambda s: round(1000 * s.operator.visual_delay, 9),
     ),
     "gain": Parameter(
         "naive gain, 1/s",
         (0.5, 1, 3),
-        lambda s, rate: setattr(s.operator, "correction_rate", rate),
+        _set("operator.correction_rate"),
         lambda s: s.operator.correction_rate,
     ),
     "noise": _factor("the person's noise", (0, 2, 4), attrgetter("operator"), *_NOISES),
+    "touch": Parameter(
+        "felt forces (0: none)",
+        (0,),
+        lambda s, value: setattr(s.operator, "touch", bool(value)),
+        lambda s: float(s.operator.touch),
+    ),
+    "tracker": Parameter(
+        "misaligned tracker, °",
+        (5, 10, 15),
+        _set("glove.misalignment", math.radians(1)),
+        lambda s: math.degrees(s.glove.misalignment),
+    ),
+    "donning": Parameter(
+        "glove worn anew, mm", (5, 10), _wear_anew, lambda s: round(1000 * s.glove.shift, 9)
+    ),
+    "dropouts": Parameter(
+        "dropouts of 40 ms, 1/s", (1, 3), _set("glove.dropout_rate"), lambda s: s.glove.dropout_rate
+    ),
+    "person": Parameter(
+        "another person, number",
+        (1, 2, 3),
+        lambda s, number: setattr(s, "person", int(number)),
+        lambda s: float(s.person),
+    ),
     "stiffness": _factor("hand stiffness", (0.5, 2), lambda s: s, "hand_stiffness_factor"),
+    "friction": _factor("object friction", (0.5, 2), attrgetter("object"), "friction_factor"),
     "modulus": Parameter(
         "fingertip modulus, kPa (0: point contact)",
         (200,),
         _soften,
         lambda s: s.fingertip_modulus / 1000,
     ),
-    "friction": _factor("object friction", (0.5, 2), attrgetter("object"), "friction_factor"),
 }
 
 

@@ -23,6 +23,7 @@ class _ScenarioFields(TypedDict):
 
 class _Settings(TypedDict):
     recording_sha256: str
+    operator_sha256: str
     training_seed: int
     latency: Literal["measured", "zero"]
     scenario: _ScenarioFields
@@ -40,6 +41,7 @@ class _MethodFields(TypedDict):
 
 class _Notes(TypedDict, total=False):
     recording: str | None
+    operator: str | None
     side: str
 
 

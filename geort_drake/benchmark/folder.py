@@ -42,6 +42,7 @@ from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
 from geort_drake.resources import diagrams_dir, models_dir
 from geort_drake.simulation.diagram import Retarget
+from geort_drake.simulation.person import persons_hand
 from geort_drake.simulation.scenario import Scenario, dump_scenario, load_scenario
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
@@ -56,7 +57,7 @@ class Benchmark:
         folder: of the results.
         config: content of `config.json`.
         scenario_text: the resolved scenario, as YAML.
-        person: the teleoperator's hand.
+        people: the operator's hand in the scenario itself, under "", and in each condition.
         methods: name → retargeter, which can be sent to another process, and its latency, s.
         conditions: name of each changed scenario → its resolved text.
     """
@@ -64,7 +65,7 @@ class Benchmark:
     folder: Path
     config: dict
     scenario_text: str
-    person: HumanHand
+    people: dict[str, HumanHand]
     methods: dict[str, tuple[Retarget, float]]
     conditions: dict[str, str] = dc.field(default_factory=dict)
 
@@ -83,7 +84,7 @@ class Benchmark:
         """A trial for a worker, with the planned grasp of its object."""
         retarget, latency = self.methods[key.method]
         text = self.conditions[key.condition] if key.condition else self.scenario_text
-        return Trial(key, text, retarget, latency, (self.person, goal))
+        return Trial(key, text, retarget, latency, (self.people[key.condition], goal))
 
 
 def read_person(path: Path | None, side: str, seed: int) -> tuple[Recording, dict[str, Any]]:
@@ -105,6 +106,7 @@ def open_benchmark(
     notes: dict | None = None,
     conditions: Mapping[str, Scenario] | None = None,
     any_code: bool = False,
+    operator: Recording | None = None,
 ) -> Benchmark:
     """Begins a benchmark in a folder, or continues the one that is there.
 
@@ -120,6 +122,7 @@ def open_benchmark(
         notes: further entries of the configuration, which are not compared.
         conditions: name → changed scenario in which the trials are also run.
         any_code: continue although the code of trials has changed.
+        operator: recording of the person who operates, such as another session; None: `recording`.
 
     Raises:
         BenchmarkError: the folder's benchmark was begun with another configuration.
@@ -133,6 +136,7 @@ def open_benchmark(
     config: dict[str, Any] = {
         "settings": {
             "recording_sha256": recording.digest,
+            "operator_sha256": (operator or recording).digest,
             "training_seed": seed,
             "latency": "zero" if zero_latency else "measured",
             "scenario": resolved,
@@ -168,7 +172,9 @@ def open_benchmark(
     if config != stored:
         write_text(folder / SCENARIO, text)
         write_text(path, json.dumps(config, indent=2, allow_nan=False) + "\n")
-    return Benchmark(folder, config, text, HumanHand.fit(recording), ready, texts)
+    scenarios = {"": scenario, **(conditions or {})}
+    people = {name: persons_hand(each, operator or recording) for name, each in scenarios.items()}
+    return Benchmark(folder, config, text, people, ready, texts)
 
 
 def repeat_trial(folder: Path, key: TrialKey) -> tuple[Record, Path]:
@@ -191,8 +197,11 @@ def repeat_trial(folder: Path, key: TrialKey) -> tuple[Record, Path]:
     scenario, conditions = load_scenario(folder / SCENARIO, "Resolved"), {}
     if key.condition:
         conditions = make_conditions(scenario, parse_values([key.condition], ASSUMPTIONS), ASSUMPTIONS)
-    recorded = Path(notes["recording"]) if notes.get("recording") else None
-    recording, _ = read_person(recorded, notes.get("side", "right"), settings["training_seed"])
+    side, seed = notes.get("side", "right"), settings["training_seed"]
+    recording, operator = (
+        read_person(Path(notes[name]) if notes.get(name) else None, side, seed)[0]
+        for name in ("recording", "operator")
+    )
     checkpoint = folder / METHODS / key.method
     benchmark = open_benchmark(
         folder,
@@ -205,6 +214,7 @@ def repeat_trial(folder: Path, key: TrialKey) -> tuple[Record, Path]:
         zero_latency=settings["latency"] == "zero",
         conditions=conditions,
         any_code=True,
+        operator=operator if notes.get("operator") else None,
     )
     ((_, goal),) = plan_grasps(benchmark.scenario_text, [key.object], 1, "loky")
     path = rerun_path(folder, key)

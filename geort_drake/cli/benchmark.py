@@ -45,9 +45,16 @@ def add_arguments(parser: CommandParser) -> None:
     parser.add_workers()
     add("--zero-latency", action="store_true", help="do not simulate the methods' latencies")
     add("--recording", type=Path, help="recording of the person's hand (default: synthetic play)")
+    add(
+        "--operator",
+        type=Path,
+        metavar="RECORDING",
+        help="recording of the person who operates, such as another session or person (default: --recording)",
+    )
     assumptions = (
-        "repeat the trials with one assumption changed: delay (ms), gain (1/s), modulus (kPa), or a "
-        "factor on noise, stiffness or friction; NAME alone uses its default values, no NAME uses all"
+        "repeat the trials with one assumption changed: delay, gain, noise, touch, tracker, donning, "
+        "dropouts, person, stiffness, friction or modulus; NAME alone uses its default values, no "
+        "NAME uses all"
     )
     add("--sensitivity", nargs="*", metavar="NAME=V1,V2", help=assumptions)
     parser.add_side()
@@ -109,6 +116,10 @@ def run_unfinished(arguments: argparse.Namespace) -> None:
     if arguments.sensitivity is not None:
         conditions = make_conditions(scenario, parse_values(arguments.sensitivity, ASSUMPTIONS), ASSUMPTIONS)
     recording, notes = folder.read_person(arguments.recording, side, arguments.seed)
+    operator = None
+    if arguments.operator:
+        operator, its_notes = folder.read_person(arguments.operator, side, arguments.seed)
+        notes["operator"] = its_notes["recording"]
     with TrialLog(arguments.output / TRIALS) as log:
         if log.torn:
             say("The last trial was not written completely and will be repeated.")
@@ -123,6 +134,7 @@ def run_unfinished(arguments: argparse.Namespace) -> None:
             arguments.zero_latency,
             notes,
             conditions,
+            operator=operator,
         )
         keys = benchmark.keys(names, objects, arguments.trials)
         left = log.unfinished(keys)

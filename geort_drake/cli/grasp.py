@@ -67,8 +67,8 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.cli.retargeters import Retarget, retargeter_of
     from geort_drake.console import print_table, progress_bar, say, track
     from geort_drake.files import write_text
-    from geort_drake.people.human_hand import HumanHand
     from geort_drake.retargeting.checkpoint import load_checkpoint
+    from geort_drake.simulation.person import persons_hand
     from geort_drake.simulation.scenario import dump_scenario
     from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
@@ -107,7 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
         loaded = load_checkpoint(checkpoint)
         properties |= {"checkpoint": str(checkpoint), "method": loaded.config["method"]}
 
-    person = HumanHand.fit(recording)
+    person = persons_hand(scenarios[0], recording)
     results = []
     with progress_bar() as display:
         update = display.counter("grasping")

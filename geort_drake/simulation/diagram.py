@@ -33,6 +33,7 @@ from geort_drake.simulation.world import (
     add_robot,
     add_scene,
 )
+from geort_drake.simulation.worn_glove import WornGlove
 from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.glove_replay import GloveReplay
@@ -148,6 +149,13 @@ def make_grasp_diagram(
             if in_mirror and name != "contact":
                 late = _mirrored(builder, name, late)
             builder.Connect(late, operator.GetInputPort(name))
+    if scenario.glove.faulty:
+        # Its own generator, so that the placement and the person's noise do not depend on it.
+        faults = np.random.default_rng([scenario.random_seed, 1])
+        glove = builder.AddNamedSystem("worn_glove", WornGlove(scenario.glove, scenario.timeout, faults))
+        for name in ("keypoints", "wrist_pose", "valid"):
+            builder.Connect(source.GetOutputPort(name), glove.GetInputPort(name))
+        source = glove
     # The human hand in the world, out of the mirror.
     hand_source: LeafSystem = source
     if in_mirror:
@@ -216,7 +224,7 @@ def make_grasp_diagram(
             scene.object_body,
             monitor,
             seen,
-            source,
+            operator or source,
             hand_source,
             retargeting,
             correction,

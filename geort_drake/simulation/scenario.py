@@ -19,6 +19,7 @@ from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.resources import diagrams_dir, models_dir
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.tasks.grasp.monitor import GraspMonitorConfig
+from geort_drake.simulation.worn_glove import WornGloveConfig
 from geort_drake.systems.action_correction import CorrectionConfig
 from geort_drake.systems.update_timing import check_timing
 from geort_drake.systems.wrist_to_arm import WristToArmConfig
@@ -47,7 +48,7 @@ _RULES = (
         ("object.position_range", "object.yaw_range", "fingertip_modulus"),
     ),
     ("in [0, 1)", lambda value: 0 <= value < 1, ("object.mass_range", "object.friction_range")),
-    ("0 or more", lambda value: value >= 0, ("random_seed",)),
+    ("0 or more", lambda value: value >= 0, ("random_seed", "person")),
 )
 _MIN_TIME_STEP = 1e-5  # s; a trial with a shorter step would hardly end
 # These must be multiples of the plant's time step.
@@ -140,6 +141,10 @@ class Scenario:
     arm_posture: dict[str, float] = dc.field(default_factory=dict)
     left_arm_posture: dict[str, float] = dc.field(default_factory=dict)
     object: ObjectConfig = dc.field(default_factory=ObjectConfig)
+    # Number of the simulated person in the population of seed 0, see `sample_person`; 0: the hand of the
+    # recording.
+    person: int = 0
+    glove: WornGloveConfig = dc.field(default_factory=WornGloveConfig)
     operator: OperatorConfig = dc.field(default_factory=OperatorConfig)
     retargeting: RetargetingConfig = dc.field(default_factory=RetargetingConfig)
     correction: CorrectionConfig = dc.field(default_factory=CorrectionConfig)
@@ -162,6 +167,7 @@ class Scenario:
         is_point = len(position) == 2 and all(map(math.isfinite, position))
         _require(is_point, "object.position", "[x, y] in m", position)
         try:
+            self.glove.validate()
             self.operator.validate()
             self.correction.validate()
             self.wrist_to_arm.validate()

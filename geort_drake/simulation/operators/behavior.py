@@ -15,7 +15,7 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.finger_motion import FingerMotion
-from geort_drake.simulation.operators.perception import Seen, SensedGain, averaged, perceive
+from geort_drake.simulation.operators.perception import Seen, SensedGain, SightError, averaged, perceive
 from geort_drake.simulation.operators.state import OperatorState, Phase
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.wrist_motion import WristMovement, minimum_jerk
@@ -46,13 +46,19 @@ class GraspingPerson:
         theta = self._motion.rest
         steps = round(self._config.visual_delay / self._config.period)
         p_HF = self._hand.fingertips(theta)
-        return OperatorState(theta=theta, X_WH=X_WH, p_HF_past=(p_HF,) * max(steps, 1), sensed=SensedGain())
+        return OperatorState(
+            theta=theta,
+            X_WH=X_WH,
+            p_HF_past=(p_HF,) * max(steps, 1),
+            sensed=SensedGain(),
+            sight=SightError.draw(len(self._own), self._config, self._rng),
+        )
 
     def step(self, state: OperatorState, t: float, scene: Seen) -> OperatorState:
         """The state after one decision at time t, s; does not change `state`."""
         past = (*state.p_HF_past[1:], self._hand.fingertips(state.theta))
-        state = dc.replace(state, p_HF_past=past)
-        seen = perceive(scene, self._config, self._rng)
+        state = dc.replace(state, p_HF_past=past, sight=state.sight.later(self._config, self._rng))
+        seen = perceive(scene, state.sight, self._config, self._rng)
         free = seen.contact <= self._config.touch_force
         # The oldest remembered own posture is as old as the seen scene.
         tips = np.stack([past[0][self._own], seen.p_BF])
@@ -87,7 +93,9 @@ class GraspingPerson:
             if self._wrist_rests(state, t) and self._shaped(state, t, seen, config.aperture_tolerance):
                 self._enter(state, Phase.CLOSE, t)
         elif state.phase == Phase.CLOSE:
-            if touching.all():
+            # Without touch, fingers that come no further are taken to touch.
+            stopped = not config.touch and self._fingers_at_limit(state, t)
+            if touching.all() or (stopped and self._hand_shift(state, seen) is None):
                 self._enter(state, Phase.SQUEEZE, t)
                 state.p_HF_start = state.p_HF_past[-1]
                 R_BO = (seen.X_BW @ goal.object_frame(seen.X_WO)).rotation().matrix()

@@ -22,7 +22,8 @@ class OperatorConfig:
     Sources: [S05] Saunders and Knill 2005, visual correction of reaching; [F65] Ferrell 1965, remote
     manipulation with delay; [FH85] Flash and Hogan 1985, minimum jerk; [HW98] Harris and Wolpert 1998,
     signal-dependent noise; [J89] Jones 1989, just noticeable differences of force; [R97] Riviere 1997,
-    tremor of eye surgeons; [M] fingertip speeds measured on recorded glove play.
+    tremor of eye surgeons; [B02] van Beers et al. 2002, vision in depth and in azimuth; [M] fingertip speeds
+    measured on recorded glove play.
     """
 
     # Time between two decisions, s.
@@ -30,11 +31,18 @@ class OperatorConfig:
     # Delay of vision, s; visual corrections start after 117 ms (direction) to 200 ms (distance) [S05]. A
     # multiple of `period`.
     visual_delay: float = 0.18
-    # Standard deviation of each seen coordinate of fingertips, hand and object, m.
-    visual_noise: float = 0.001
+    # Standard deviation of where fingertips and hand are seen relative to the object, m: across the line of
+    # sight, and along it, where vision is worse [B02]. Assumption: the sizes.
+    visual_noise: float = 0.002
+    visual_depth_noise: float = 0.005
     # Standard deviation of the seen rotation of hand and object about each axis, rad: `visual_noise` at a
     # lever of 0.1 m.
-    visual_turn_noise: float = 0.01
+    visual_turn_noise: float = 0.02
+    # Time constant of these errors, s, which are a first-order autoregressive process; 0: each look has new
+    # ones. Assumption: a look does not average them away.
+    visual_noise_time: float = 1.0
+    # Whether contact forces are felt. Without, closing ends when fingers are seen to come no further.
+    touch: bool = True
     # Standard deviation of a felt contact force as a share of it; the just noticeable difference is 7 to
     # 10 % [J89].
     contact_noise: float = 0.1

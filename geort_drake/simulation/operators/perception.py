@@ -1,13 +1,17 @@
-"""Perception of the simulated person: noisy looks, their averages, and the sensed gain of the robot."""
+"""Perception of the simulated person: errors of sight and touch, and the sensed gain of the robot."""
 
 import dataclasses as dc
 import functools
+import math
 
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.spatial.transform import Rotation
 
 from geort_drake.simulation.operators.config import OperatorConfig
+
+# The person looks ahead and down, along this direction in W.
+GAZE_W = np.array([0.8, 0.0, -0.6])
 
 
 @dc.dataclass(frozen=True)
@@ -30,18 +34,42 @@ class Seen:
         return self.X_BW.multiply(self.p_WF.T).T
 
 
-def perceive(scene: Seen, config: OperatorConfig, rng: np.random.Generator) -> Seen:
-    """The scene with noise on fingertips, poses and forces, drawn anew for each look."""
-    num_fingers = len(scene.p_WF)
-    noise = rng.normal(0, config.visual_noise, (num_fingers + 2, 3))
-    turns = Rotation.from_rotvec(rng.normal(0, config.visual_turn_noise, (2, 3))).as_matrix()
-    share = 1 + rng.normal(0, config.contact_noise, num_fingers)
+@dc.dataclass(frozen=True)
+class SightError:
+    """Present errors of sight."""
+
+    p: np.ndarray  # (F + 1, 3) of fingertips and hand relative to the object, in W, m
+    turn: np.ndarray  # (2, 3) rotation vectors of object and hand, rad
+
+    @classmethod
+    def draw(cls, num_fingers: int, config: OperatorConfig, rng: np.random.Generator) -> "SightError":
+        """Independent errors of the configured sizes."""
+        n = rng.normal(size=(num_fingers + 1, 3))
+        across, along = config.visual_noise, config.visual_depth_noise
+        p = across * n + (along - across) * np.outer(n @ GAZE_W, GAZE_W)
+        return cls(p, rng.normal(0, config.visual_turn_noise, (2, 3)))
+
+    def later(self, config: OperatorConfig, rng: np.random.Generator) -> "SightError":
+        """The errors one period later."""
+        kept = math.exp(-config.period / config.visual_noise_time) if config.visual_noise_time else 0.0
+        new, share = SightError.draw(len(self.p) - 1, config, rng), math.sqrt(1 - kept**2)
+        return SightError(kept * self.p + share * new.p, kept * self.turn + share * new.turn)
+
+
+def perceive(scene: Seen, error: SightError, config: OperatorConfig, rng: np.random.Generator) -> Seen:
+    """The scene with errors of sight, and with noise on forces, which is drawn anew for each look.
+
+    Only places relative to the object matter, so the object is seen where it is.
+    """
+    turns = Rotation.from_rotvec(error.turn).as_matrix()
+    share = 1 + rng.normal(0, config.contact_noise, len(scene.p_WF))
     X_WO, X_WB = (
         RigidTransform(RotationMatrix(turn) @ X.rotation(), X.translation() + shift)
-        for X, turn, shift in zip((scene.X_WO, scene.X_WB), turns, noise[-2:], strict=True)
+        for X, turn, shift in zip((scene.X_WO, scene.X_WB), turns, (np.zeros(3), error.p[-1]), strict=True)
     )
     # A felt force is never negative.
-    return Seen(scene.p_WF + noise[:-2], X_WB, X_WO, scene.contact * np.maximum(share, 0))
+    contact = scene.contact * np.maximum(share, 0) * config.touch
+    return Seen(scene.p_WF + error.p[:-1], X_WB, X_WO, contact)
 
 
 def averaged(before: np.ndarray | None, now: np.ndarray, config: OperatorConfig) -> np.ndarray:

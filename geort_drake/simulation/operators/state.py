@@ -6,7 +6,7 @@ import enum
 import numpy as np
 from pydrake.math import RigidTransform
 
-from geort_drake.simulation.operators.perception import SensedGain
+from geort_drake.simulation.operators.perception import SensedGain, SightError
 from geort_drake.simulation.wrist_motion import WristMovement
 from geort_drake.systems.port_values import Immutable
 
@@ -37,6 +37,7 @@ class OperatorState(Immutable):
     # is at the joint angles before this decision.
     p_HF_past: tuple[np.ndarray, ...]
     sensed: SensedGain
+    sight: SightError
     phase: Phase = Phase.REACH
     phase_start: float = 0.0
     attempt: int = 1

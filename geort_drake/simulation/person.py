@@ -1,0 +1,11 @@
+"""The hand of the simulated person."""
+
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.population import sample_person
+from geort_drake.people.recording import Recording
+from geort_drake.simulation.scenario import Scenario
+
+
+def persons_hand(scenario: Scenario, recording: Recording) -> HumanHand:
+    """The hand of the scenario's `person`: fitted to the recording, or another one's."""
+    return sample_person(0, scenario.person).hand if scenario.person else HumanHand.fit(recording)

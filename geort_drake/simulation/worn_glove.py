@@ -1,0 +1,89 @@
+"""What a glove and a tracker that are worn make of a hand: misalignment, a shift, and gaps."""
+
+import bisect
+import dataclasses as dc
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from scipy.spatial.transform import Rotation
+
+from geort_drake.settings import require_numbers
+
+
+@dc.dataclass
+class WornGloveConfig:
+    """Faults of a glove and a tracker; their directions and times are drawn for each trial."""
+
+    # Angle between the tracker's frame and the world's, about a random axis, rad.
+    misalignment: float = 0.0
+    # The glove is worn otherwise than in training: standard deviations of the shift, m, and the rotation,
+    # rad, of all keypoints about each axis of the wrist.
+    shift: float = 0.0
+    turn: float = 0.0
+    # Gaps in which the hand is lost: mean number per second, and duration, s.
+    dropout_rate: float = 0.0
+    dropout_time: float = 0.04
+
+    @property
+    def faulty(self) -> bool:
+        """Whether there is any fault."""
+        return any((self.misalignment, self.shift, self.turn, self.dropout_rate))
+
+    def validate(self) -> None:
+        """Raises ValueError for a value out of range."""
+        require_numbers(self, "glove", may_be_zero=True)
+
+
+class WornGlove(LeafSystem):
+    """Changes what a glove and a tracker measure as the configuration says.
+
+    Input ports:
+        keypoints (63): p_HK, keypoint-major, m, true wrist frame H.
+        wrist_pose (abstract RigidTransform): X_WH.
+        valid (1): 1 tracked, 0 lost.
+    Output ports:
+        keypoints (63): turned and shifted; the wrist stays at the origin.
+        wrist_pose (abstract RigidTransform): in the misaligned frame of the tracker.
+        valid (1): 0 also during a gap.
+
+    Args:
+        duration: gaps are drawn up to this time, s.
+        rng: draws everything.
+    """
+
+    def __init__(self, config: WornGloveConfig, duration: float, rng: np.random.Generator):
+        super().__init__()
+        axis = rng.normal(size=3)
+        R = Rotation.from_rotvec(config.misalignment * axis / np.linalg.norm(axis)).as_matrix()
+        self._X_TW = RigidTransform(RotationMatrix(R), np.zeros(3))
+        self._R = Rotation.from_rotvec(rng.normal(0, config.turn, 3)).as_matrix()
+        self._p = rng.normal(0, config.shift, 3)
+        # Starts of a Poisson process are uniform, once their number is drawn.
+        count = rng.poisson(config.dropout_rate * duration)
+        self._gaps, self._gap = sorted(rng.uniform(0, duration, count).tolist()), config.dropout_time
+        keypoints = self.DeclareVectorInputPort("keypoints", 63)
+        wrist = self.DeclareAbstractInputPort("wrist_pose", AbstractValue.Make(RigidTransform()))
+        valid = self.DeclareVectorInputPort("valid", 1)
+
+        def calc_keypoints(context: Context, output: BasicVector) -> None:
+            p_HK = keypoints.Eval(context).reshape(21, 3) @ self._R.T + self._p
+            p_HK[0] = 0.0
+            output.SetFromVector(p_HK.ravel())
+
+        def calc_valid(context: Context, output: BasicVector) -> None:
+            output.SetAtIndex(0, 0.0 if self._in_gap(context.get_time()) else valid.Eval(context)[0])
+
+        self.DeclareVectorOutputPort("keypoints", 63, calc_keypoints, {keypoints.ticket()})
+        self.DeclareAbstractOutputPort(
+            "wrist_pose",
+            lambda: AbstractValue.Make(RigidTransform()),
+            lambda context, output: output.set_value(self._X_TW @ wrist.Eval(context)),
+            {wrist.ticket()},
+        )
+        self.DeclareVectorOutputPort("valid", 1, calc_valid, {valid.ticket(), self.time_ticket()})
+
+    def _in_gap(self, t: float) -> bool:
+        begun = bisect.bisect_right(self._gaps, t)
+        return begun > 0 and t < self._gaps[begun - 1] + self._gap
