@@ -14,7 +14,7 @@ from geort_drake.people.population import sample_person, sample_population
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
 
-# What of the real recordings lies outside the population, 0.5th to 99.5th percentile: human_alex's ring
+# What of the real recordings lies outside the population's 0.5th to 99.5th percentile: human_alex's ring
 # finger measures 62 mm, the population's 66 to 131 mm.
 OUTSIDE = {"GeoRT": {"ring length"}, "MANUS": set()}
 

@@ -77,13 +77,18 @@ def record(
 ) -> Recording:
     """The recording of the hand that follows a timeline, with a glove's noise; metadata: source, seed."""
     hand = timeline.hand
-    t = np.arange(max(2, round(duration_s * rate_hz))) / rate_hz
+    t = np.arange(frame_count(duration_s, rate_hz)) / rate_hz
     theta = _minimum_jerk(t, np.array(timeline.times), np.stack(timeline.postures))
     theta = np.clip(theta + jitter * _glove_noise(len(t), rate_hz, rng), hand.lower, hand.upper)
     common = {"side": "right", "rate_known": True, "warnings": []}
     seed = metadata["seed"] if isinstance(metadata["seed"], int) else None
     metadata = {**common, **metadata, "seed": seed}
     return Recording(t, hand.keypoints(theta), np.ones(len(t), bool), None, metadata)
+
+
+def frame_count(duration_s: float, rate_hz: float) -> int:
+    """Number of frames of a recording, at least two."""
+    return max(2, round(duration_s * rate_hz))
 
 
 class Timeline:

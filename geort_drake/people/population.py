@@ -20,7 +20,7 @@ from geort_drake.people.checks.anatomy import check_bones, check_order, check_un
 from geort_drake.people.checks.findings import Severity
 from geort_drake.people.device import Device
 from geort_drake.people.human_hand import HumanHand
-from geort_drake.people.keypoints import FINGER_NAMES
+from geort_drake.people.keypoints import FINGER_NAMES, KEYPOINT_COUNT
 from geort_drake.people.recording import SIDES, Recording
 from geort_drake.processes import end_with, usable_cores
 
@@ -235,11 +235,12 @@ def sample_population(
     if processes is None:
         processes = usable_cores() if count >= _MIN_SHARED else 1
     keypoints = partial(_keypoints, seed, duration_s, rate_hz)
+    one = np.dtype((np.float32, (play.frame_count(duration_s, rate_hz), KEYPOINT_COUNT, 3)))
     if processes == 1:
-        return np.stack([keypoints(number) for number in range(count)])
+        return np.fromiter(map(keypoints, range(count)), one, count)
     start = {"initializer": end_with, "initargs": (os.getpid(),), "env": {"OMP_NUM_THREADS": "1"}}
     with ProcessPoolExecutor(processes, **start) as pool:
-        return np.stack(list(pool.map(keypoints, range(count), chunksize=4)))
+        return np.fromiter(pool.map(keypoints, range(count), chunksize=4), one, count)
 
 
 def _keypoints(seed: int, duration_s: float, rate_hz: float, number: int) -> np.ndarray:
