@@ -23,6 +23,9 @@ from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import ARM, HAND
 from geort_drake.systems.glove_recorder import GloveRecorder
 
+# A simulation takes joint targets this often, s, so that a hand waits for half of it on average.
+_PERIOD = 0.004
+
 
 @dc.dataclass
 class WebTeleoperation:
@@ -98,6 +101,7 @@ class WebTeleoperation:
         if self.link is None:
             scenario.object.name = self.control.object or scenario.object.name
             scenario.random_seed += number - 1  # the object stands somewhere else
+            scenario.retargeting.period = min(scenario.retargeting.period, _PERIOD)
             robot = SimulatedRobot(scenario, description)
             start = robot.hand.start, robot.arm.start
             scene = Scene(robot.scene.plant, robot.scene.scene_graph.model_inspector(), description)
@@ -125,7 +129,7 @@ class WebTeleoperation:
                     )
             builder.Connect(source.GetOutputPort("body_poses"), stream.GetInputPort("body_poses"))
 
-        recorder = GloveRecorder(scenario.retargeting.period)
+        recorder = GloveRecorder(scenario.operator.period)
         loop = make_teleoperation(
             scenario,
             description,
