@@ -86,6 +86,7 @@ class PageControl:
         self.fitted: Path | None = None
         self.recordings: list[Path] = []
         self._scene = 0
+        self._shown: str | None = None
         self._root: Context
         self._published = self._judged = -math.inf
         self._parts: RecordingParts | None = None
@@ -98,7 +99,8 @@ class PageControl:
 
     def begin(self, loop: Teleoperation, recorder: GloveRecorder, name: str | None, scene: int) -> None:
         """Begins a session with an object of that name, and the number of its scene."""
-        self.loop, self.recorder, self.object, self._scene = loop, recorder, name, scene
+        self.loop, self.recorder, self._scene = loop, recorder, scene
+        self.object = self._shown = name
         self.again = False
         recorder.switch(None)
 
@@ -149,7 +151,7 @@ class PageControl:
             facts |= {
                 "device": operator and operator.device,
                 "map": self._desk.about.map,
-                "object": self.object,
+                "object": self._shown,
             }
             try:
                 self._parts = RecordingParts(self._folder / name, facts)
@@ -203,7 +205,7 @@ class PageControl:
         return {
             "type": "state",
             "scene": self._scene,
-            "object": self.object,
+            "object": self._shown,
             "time": root.get_time(),
             "engaged": engaged,
             "following": self.loop.following(root),

@@ -62,7 +62,12 @@ class GuidedPlay:
         """What training would need more of."""
         if len(self._t) < _ENOUGH_HANDS:
             return []
-        return [f"{motion}: {motion.advice}" for motion in coverage(self.recording()) if not motion.enough]
+        return [
+            f"{motion.name}: {motion.advice}"
+            for motion in coverage(self.recording())
+            # Half a minute holds no five pinches.
+            if not (motion.enough or (motion.unit == "times" and motion.seen))
+        ]
 
     def recording(self) -> Recording:
         """The hands so far, of which there is at least one."""

@@ -103,11 +103,11 @@ def decode(text: str | bytes) -> Hello | Hand | Command:
     Raises:
         LiveError: it is too long or does not have one of the forms; the error names the field.
     """
-    message = text.encode() if isinstance(text, str) else text
+    message = text.encode(errors="replace") if isinstance(text, str) else text
     if len(message) > MAX_BYTES:
         raise LiveError(f"message: {len(message)} bytes; at most {MAX_BYTES} are read")
     try:
         return _DECODER.decode(message)
-    # A surrogate is no UTF-8; deep nesting is a RecursionError.
+    # Bytes that are no UTF-8 are a ValueError, and deep nesting a RecursionError.
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
         raise LiveError(f"message: {error!s:.120}") from None

@@ -1,0 +1,334 @@
+"""The live page's desk: what it reads, who may speak, and that nothing said there harms the loop."""
+
+import json
+
+import numpy as np
+import pytest
+from faults.bench import Watch
+from hypothesis import given
+from hypothesis import strategies as st
+from live_messages import Clock
+from pydrake.systems.analysis import Simulator
+from web_page import PLAY, R_CW, camera, headset, hello, in_world
+
+from geort_drake.errors import GeortError, LiveError, MismatchError
+from geort_drake.hands.description import load_hand
+from geort_drake.live.glove_stream import HANDSHAKE_FRAMES, GloveStream
+from geort_drake.live.messages import decode as decode_glove
+from geort_drake.live.robots import SimulatedRobot
+from geort_drake.live.teleoperation import RobotModel, make_teleoperation
+from geort_drake.live.web.desk import About, Desk, is_fist
+from geort_drake.live.web.guide import DURATION_S, GuidedPlay
+from geort_drake.live.web.hands import HandReader
+from geort_drake.live.web.messages import Disengage, Engage, Hello, Reset, decode
+from geort_drake.live.web.one_euro import OneEuroFilter
+from geort_drake.people.keypoints import bone_lengths
+from geort_drake.simulation.scenario import load_scenario
+from geort_drake.systems.glove_checks import HELD_CLOCK, HELD_LOST, HELD_STALE
+from geort_drake.systems.retargeting_system import TRACKING
+
+
+def desk(robot: str = "simulation", side: str = "right") -> Desk:
+    return Desk(About(side, f"allegro_{side}", robot, ["cube", "sphere"], "a map"), Clock())
+
+
+def known(operated: Desk, person: int = 1) -> Desk:
+    """A desk whose operator's first hands were checked."""
+    operated.join(person)
+    operated.take(person, hello())
+    for number in range(HANDSHAKE_FRAMES):
+        operated.take(person, headset(number))
+    return operated
+
+
+# -- hands
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_headset_and_camera_see_the_same_hand(side):
+    """The same keypoints; the camera also finds where the wrist is, seen from itself."""
+    p_CW = np.array([0.05, 0.02, 0.5])
+    for number in (0, 100, 200):
+        message = decode(headset(number, p_WK=in_world(number, side)))
+        frame = HandReader(side).read(message)
+        np.testing.assert_allclose(frame.p_HK, PLAY.p_HK[number], atol=1e-6)
+        assert frame.time == pytest.approx(PLAY.t[number])
+    for number, aspect in ((0, 4 / 3), (100, 9 / 16)):
+        frame = HandReader("right").read(decode(camera(number, p_CW, aspect)))
+        np.testing.assert_allclose(frame.p_HK, PLAY.p_HK[number], atol=1e-6)
+        p_CH = R_CW @ in_world(number)[0] + p_CW
+        np.testing.assert_allclose(frame.X_WH[4:], R_CW.T @ p_CH, atol=1e-6)
+
+
+def test_a_persons_hand_has_its_own_length():
+    """Whatever the device believes."""
+    for message in (headset(50), camera(50, np.array([0.0, 0.0, 0.6]))):
+        p_HK = HandReader("right", 0.17).read(decode(message)).p_HK
+        wrist_to_tip = [8, 9, 10, 11]  # the middle finger's bones
+        assert bone_lengths(p_HK)[wrist_to_tip].sum() == pytest.approx(0.17)
+
+
+@pytest.mark.parametrize("message", [headset(0, p_WK=np.zeros((21, 3))), camera(0, np.array([0, 0, -0.5]))])
+def test_joints_that_are_no_hand_are_refused(message):
+    with pytest.raises(LiveError, match="hand"):
+        HandReader("right", 0.18).read(decode(message))
+
+
+def test_the_filter_stills_a_hand_and_follows_a_fast_one():
+    """Jitter of a resting point shrinks; a fast one lags by its delay, which is short."""
+    rng = np.random.default_rng(0)
+    still = OneEuroFilter(2.0, 20.0)
+    noise = rng.normal(0.0, 1e-3, (300, 1, 3))
+    out = np.array([still(i / 30, p) for i, p in enumerate(noise)])
+    assert out[30:].std() < 0.5 * noise.std()
+    fast = OneEuroFilter(2.0, 20.0)
+    for i in range(60):
+        p = fast(i / 30, np.array([[i / 30, 0.0, 0.0]]))
+    assert 0.0 < 59 / 30 - p[0, 0] < 0.02
+    assert fast.delay < 0.01
+    fast.reset()
+    np.testing.assert_array_equal(fast(5.0, np.ones((1, 3))), 1.0)
+
+
+# -- who may speak
+
+
+def test_one_person_operates_and_others_look_on():
+    operated = known(desk())
+    operated.join(2)
+    assert operated.take(2, hello())["role"] == "spectator"
+    assert operated.spectators == 1
+    for message in (headset(9), '{"type": "engage"}'):
+        with pytest.raises(LiveError, match="only the operator"):
+            operated.take(2, message)
+    operated.take(1, headset(10))
+    operated.leave(1)
+    assert isinstance(operated.commands.pop(), Disengage)
+    assert [decode_glove(hand, "right").p_HK is None for hand in operated.drain()] == [False, True]
+    assert operated.p_HK is None
+    assert operated.take(2, hello())["role"] == "operator"
+
+
+def test_a_hand_of_the_other_side_is_refused_in_words():
+    """By what the page says, and by the hand itself."""
+    operated = desk()
+    with pytest.raises(MismatchError, match="use the other hand"):
+        operated.take(1, hello(side="left"))
+    operated.take(1, hello())
+    with pytest.raises(GeortError, match="left"):
+        for number in range(HANDSHAKE_FRAMES):
+            operated.take(1, headset(number, p_WK=in_world(number, "left")))
+    assert operated.drain() == [] and operated.refused == 2
+
+
+def test_a_real_robot_asks_twice():
+    operated = known(desk("lcm"))
+    with pytest.raises(LiveError, match="once more"):
+        operated.take(1, '{"type": "engage"}')
+    assert not operated.commands
+    operated.take(1, '{"type": "engage"}')
+    assert isinstance(operated.commands[0], Engage)
+    with pytest.raises(LiveError, match="real robot"):
+        operated.take(1, '{"type": "reset"}')
+
+
+def test_a_held_fist_engages():
+    """Once, after a second; an open hand does not."""
+    open_hand = next(p for p in PLAY.p_HK if not is_fist(p))
+    fist = open_hand.copy()
+    for base in (5, 9, 13, 17):
+        fist[base + 3] = fist[base] + [0.03, 0.0, -0.01]
+    assert is_fist(fist)
+    operated, now = known(desk()), 0.0
+    operated.drain()
+    to_world = np.array([[0, 0, -1.0], [0, 1, 0], [1, 0, 0]])
+    for _ in range(30):
+        now += 0.1
+        operated._clock.now += 0.1
+        operated.take(1, headset(0, 10.0 + now, fist @ to_world))
+    assert operated.fist == 1.0
+    assert [type(command) for command in operated.commands] == [Engage]
+    operated.take(1, headset(0, 20.0, open_hand @ to_world))
+    assert operated.fist == 0.0
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("{}", "type"),
+        ('{"type": "jump"}', "jump"),
+        ('{"type": "lost"}', "t"),
+        ('{"type": "lost", "t": NaN}', "JSON"),
+        ('{"type": "lost", "t": 1e400}', "message"),
+        ('{"type": "lost", "t": -1}', "0"),
+        ('{"type": "lost", "t": 1, "more": 2}', "more"),
+        ('{"type": "headset", "t": 1, "joints": [[0, 0, 0]]}', "25"),
+        (headset(0).replace("[[", "[[1e9, ", 1), "joints"),
+        ('{"type": "record", "keep": false}', "keep"),
+        (hello(version=2), "version"),
+        ("x" * 20_000, "16384"),
+        ("[" * 10_000, "message"),
+        ("\ud800", "message"),
+    ],
+)
+def test_a_malformed_message_is_refused_with_its_field(text, word):
+    with pytest.raises(LiveError, match=word):
+        decode(text)
+    assert isinstance(decode(hello()), Hello)
+
+
+def test_an_unknown_object_is_refused_with_the_choices():
+    operated = known(desk())
+    with pytest.raises(LiveError, match="cube, sphere"):
+        operated.take(1, '{"type": "reset", "object": "moon"}')
+    operated.take(1, '{"type": "reset", "object": "sphere"}')
+    assert operated.commands[0] == Reset("sphere")
+
+
+# -- guided play
+
+
+def test_guided_play_says_what_to_do_and_what_is_missing():
+    guide, told = GuidedPlay(0.0, "right"), set()
+    for i in range(round(50 * DURATION_S) + 10):
+        guide.see(i / 50, PLAY.p_HK[i % len(PLAY.p_HK)])
+        told.add(guide.instruction)
+    assert len(told) == 9 and guide.instruction == "" and guide.seconds_left == 0.0
+    assert guide.recording().t[-1] == pytest.approx(DURATION_S, abs=0.1)
+    assert all(": " in sentence for sentence in guide.missing())
+    still = GuidedPlay(0.0, "right")
+    for i in range(200):
+        still.see(i / 50, PLAY.p_HK[0].copy())
+    assert len(still.missing()) > len(guide.missing())
+
+
+# -- the loop
+
+
+class Toy:
+    """Moves all joints with the middle fingertip, now and then beyond their limits."""
+
+    def __init__(self, joint_names: list[str]):
+        self.joint_names = joint_names
+
+    def __call__(self, p_HK: np.ndarray) -> np.ndarray:
+        return np.full(len(self.joint_names), 20.0 * (p_HK[12, 2] - 0.1))
+
+
+class LoopBench:
+    """The simulation's loop behind a desk, in steps of the retargeting."""
+
+    def __init__(self):
+        scenario = load_scenario()
+        description = load_hand(scenario.hand)
+        model = RobotModel(scenario, description)
+        robot = SimulatedRobot(scenario, description)
+        start = robot.hand.start, robot.arm.start
+        self.desk = desk()
+        self.loop = make_teleoperation(
+            scenario, description, model, Toy(description.joint_names),
+            GloveStream(self.desk, "right", clock=Clock()), robot, start,
+        )  # fmt: skip
+        self.simulator = Simulator(self.loop.diagram)
+        self.context = self.simulator.get_mutable_context()
+        self.loop.engage(self.context, True)
+        self.watch = Watch(model.limits, scenario.retargeting.period, start[0])
+
+    def step(self) -> list[str]:
+        """Advances by a period; returns the limits that the hand's targets break."""
+        self.simulator.AdvanceTo(self.context.get_time() + 0.01)
+        correction = self.loop.correction
+        context = correction.GetMyContextFromRoot(self.context)
+        return self.watch.broken(*np.split(correction.GetOutputPort("desired_state").Eval(context), 2))
+
+    def state(self) -> str:
+        return self.loop.state(self.context)
+
+
+def test_a_page_that_sleeps_leaves_or_sets_its_clock_is_held_at_once_and_eased_back():
+    bench = LoopBench()
+    known(bench.desk)
+
+    def follow(t0: float, count: int = 60) -> list[str]:
+        """States and broken limits while the page sends 50 hands a second."""
+        seen = []
+        for i in range(count):
+            if i % 2 == 0:
+                bench.desk.take(1, headset(HANDSHAKE_FRAMES + i // 2, t0 + 0.01 * i))
+            seen += [*bench.step(), bench.state()]
+        return seen
+
+    assert follow(100.0)[-1] == TRACKING
+    asleep = [state for _ in range(40) for state in (*bench.step(), bench.state())]
+    assert asleep[-1] == HELD_STALE
+    awake = follow(101.6)
+    assert any(state.startswith("easing") for state in awake) and awake[-1] == TRACKING
+    backwards = follow(50.0)
+    assert HELD_CLOCK in backwards[:3] and backwards[-1] == TRACKING
+    bench.desk.leave(1)
+    bench.step()
+    bench.step()
+    assert bench.state() == HELD_LOST
+    states = {*asleep, *awake, *backwards}
+    assert not [state for state in states if "limit" in state and not state.startswith("limited")]
+
+
+def malformed(rng: np.random.Generator) -> str | bytes:
+    """A message with one fault, or one that is well formed and absurd."""
+    fields = json.loads(headset(int(rng.integers(len(PLAY.t)))))
+    kind = int(rng.integers(8))
+    if kind == 0:
+        return rng.bytes(int(rng.integers(200)))
+    if kind == 1:
+        text = json.dumps(fields)
+        return text[: int(rng.integers(len(text)))]
+    if kind == 2:
+        fields[str(rng.choice(list(fields)))] = [None, "x", [], {}, -1, 1e308, True, [[]]][
+            int(rng.integers(8))
+        ]
+    elif kind == 3:
+        fields["joints"][int(rng.integers(25))] = [None, [0.0], "x", [1e9, 0.0, 0.0]][int(rng.integers(4))]
+    elif kind == 4:
+        fields["joints"] = rng.normal(0.0, 10.0 ** rng.integers(-3, 3), (25, 3)).tolist()
+    elif kind == 5:
+        fields["t"] = float(10.0 ** rng.uniform(-9, 9))
+    elif kind == 6:
+        fields = {"type": str(rng.choice(["engage", "reset", "hello", "lost", "record", "", "💥"]))}
+    else:
+        return json.dumps(fields).replace("]", rng.choice(["", "]]", "NaN", "1e999", "\0"]), 1)
+    return json.dumps(fields)
+
+
+def test_ten_thousand_malformed_messages_harm_nothing():
+    """The loop runs on; the hand's targets keep their limits; every message is counted once."""
+    bench, rng = LoopBench(), np.random.default_rng(1)
+    known(bench.desk)
+    told = 0
+    for _ in range(100):
+        for _ in range(100):
+            told += 1
+            try:
+                bench.desk.take(1, malformed(rng))
+            except GeortError:
+                pass
+        assert bench.step() == []
+        bench.desk.commands.clear()
+    assert bench.desk.refused + bench.desk.received <= told
+    assert bench.desk.refused > 0.5 * told
+    assert bench.loop.glove.refused == 0  # what the desk passes on is well formed
+    hand = bench.loop.robot.GetOutputPort("hand_state")
+    assert np.isfinite(hand.Eval(bench.loop.robot.GetMyContextFromRoot(bench.context))).all()
+    t = 1e9
+    for i in range(100):
+        if i % 2 == 0:
+            bench.desk.take(1, headset(10 + i // 2, t - 2.0 + 0.01 * i))
+        assert bench.step() == []
+    assert bench.state() == TRACKING
+
+
+@given(st.text() | st.binary())
+def test_no_text_is_more_than_refused(text):
+    try:
+        decode(text)
+    except LiveError:
+        pass

@@ -1,0 +1,363 @@
+"""The live page's server: its scene, its gates, broken connections, and whole sessions over sockets."""
+
+import asyncio
+import contextlib
+import json
+import random
+import re
+import signal
+import socket
+import ssl
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import aiohttp
+import numpy as np
+import pytest
+import trimesh
+from faults.sound import checkpoint
+from pydrake.common.value import AbstractValue
+from pydrake.geometry import Mesh
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from web_page import headset, hello
+
+from geort_drake.errors import LiveError
+from geort_drake.hands.assembly import add_hand_model
+from geort_drake.hands.description import load_hand
+from geort_drake.live.robots import SimulatedRobot
+from geort_drake.live.teleoperation import RobotModel
+from geort_drake.live.web.certificate import own_addresses, self_signed_context
+from geort_drake.live.web.desk import About, Desk
+from geort_drake.live.web.messages import MAX_BYTES
+from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
+from geort_drake.live.web.serve import is_loopback
+from geort_drake.live.web.server import WebServer
+from geort_drake.people.recording import Recording
+from geort_drake.simulation.scenario import load_scenario
+
+KEY = "a-secret"
+PATIENCE_S = 120.0  # a busy machine takes long to start a program
+
+
+@contextlib.contextmanager
+def serving(pages=None, tls=None):
+    desk = Desk(About("right", "allegro_right", "simulation", ["cube"], "a map"))
+    server = WebServer(desk, "127.0.0.1", 0, KEY, tls, pages or Path("no-such-folder"))
+    try:
+        yield server, desk, f"{'https' if tls else 'http'}://127.0.0.1:{server.port}"
+    finally:
+        server.close()
+
+
+async def next_text(page) -> dict:
+    async with asyncio.timeout(PATIENCE_S):
+        async for message in page:
+            if message.type == aiohttp.WSMsgType.TEXT:
+                return json.loads(message.data)
+    raise AssertionError("the connection ended")
+
+
+def talk(conversation):
+    """Runs a coroutine function with a client's session."""
+
+    async def run():
+        async with aiohttp.ClientSession() as session:
+            return await conversation(session)
+
+    return asyncio.run(run())
+
+
+# -- pages and gates
+
+
+def test_the_built_page_is_served_and_loads_nothing_from_elsewhere(tmp_path):
+    (tmp_path / "index.html").write_text("a page")
+    (tmp_path / "app.js").write_text("a script")
+    with serving(tmp_path) as (server, _, base):
+        server.show(b'{"scene": 7}', [b"triangles"])
+
+        async def fetch(session):
+            for path, expected in (("/", "a page"), ("/app.js", "a script"), ("/mesh/0", "triangles")):
+                async with session.get(base + path) as answer:
+                    assert await answer.text() == expected
+                    assert "default-src 'self'" in answer.headers["Content-Security-Policy"]
+            async with session.get(base + "/scene") as answer:
+                assert (await answer.json())["scene"] == 7
+            for path in ("/mesh/1", "/..%2f..%2fetc/passwd", "/none.js"):
+                async with session.get(base + path) as answer:
+                    assert answer.status == 404
+
+        talk(fetch)
+
+
+def test_without_a_built_page_the_server_says_how_to_build_it():
+    with serving() as (_, _, base):
+
+        async def fetch(session):
+            async with session.get(base) as answer:
+                assert "make live" in await answer.text()
+
+        talk(fetch)
+
+
+def test_a_wrong_key_a_foreign_page_and_a_ninth_connection_are_turned_away():
+    with serving() as (server, _, base):
+
+        async def knock(session):
+            async def status(key: str, origin: str | None = None) -> int:
+                headers = {"Origin": origin} if origin else {}
+                try:
+                    async with session.ws_connect(f"{base}/ws?key={key}", headers=headers) as page:
+                        return 101 if not page.closed else 0
+                except aiohttp.WSServerHandshakeError as error:
+                    return error.status
+
+            assert await status("") == await status("another") == await status("é") == 403
+            assert await status(KEY, "http://evil.example") == 403
+            assert await status(KEY, f"https://127.0.0.1:{server.port}") == 403
+            assert await status(KEY, base) == await status(KEY) == 101
+            async with contextlib.AsyncExitStack() as stack:
+                for _ in range(8):
+                    await stack.enter_async_context(session.ws_connect(f"{base}/ws?key={KEY}"))
+                assert await status(KEY) == 503
+
+        talk(knock)
+
+
+def test_a_port_in_use_is_an_error_in_words():
+    with serving() as (server, desk, _):
+        with pytest.raises(LiveError, match=str(server.port)):
+            WebServer(desk, "127.0.0.1", server.port, KEY)
+
+
+def test_beyond_this_machine_there_is_a_certificate():
+    assert is_loopback("127.0.0.1") and is_loopback("::1") and is_loopback("localhost")
+    assert not is_loopback("0.0.0.0") and not is_loopback("192.168.1.2") and not is_loopback("desk.local")
+    assert "0.0.0.0" not in own_addresses("0.0.0.0")
+    with serving(tls=self_signed_context(["127.0.0.1", "desk.local"])) as (_, _, base):
+
+        async def greet(session):
+            async with session.ws_connect(f"{base}/ws?key={KEY}", ssl=False) as page:
+                await page.send_str(hello())
+                assert (await next_text(page))["role"] == "operator"
+            with pytest.raises(aiohttp.ClientConnectorCertificateError):
+                await session.get(base)
+
+        talk(greet)
+        host, port = base.removeprefix("https://").split(":")
+        certificate = ssl.get_server_certificate((host, int(port)))
+        assert "BEGIN CERTIFICATE" in certificate
+
+
+def test_states_and_frames_reach_the_page_and_refusals_are_few():
+    with serving() as (server, desk, base):
+
+        async def listen(session):
+            async with session.ws_connect(f"{base}/ws?key={KEY}") as page:
+                await page.send_str(hello())
+                await next_text(page)
+                for _ in range(50):
+                    await page.send_str("nonsense")
+                assert (await next_text(page))["type"] == "refused"
+                while desk.refused < 50:
+                    await asyncio.sleep(0.01)
+                server.publish('{"type": "state"}', b"poses")
+                kinds = [(await page.receive()).type for _ in range(2)]
+                assert kinds == [aiohttp.WSMsgType.TEXT, aiohttp.WSMsgType.BINARY]
+
+        talk(listen)
+
+
+@pytest.mark.parametrize("fault", ["a long message", "a flood"])
+def test_who_sends_too_much_is_disconnected_and_leaves_the_controls(fault):
+    with serving() as (server, desk, base):
+
+        async def send(session):
+            async with session.ws_connect(f"{base}/ws?key={KEY}") as page:
+                await page.send_str(hello())
+                await next_text(page)
+                with contextlib.suppress(ConnectionError):
+                    if fault == "a flood":
+                        for _ in range(3000):
+                            await page.send_str(headset(0))
+                    else:
+                        await page.send_str("x" * (MAX_BYTES + 1))
+                while not page.closed:
+                    await page.receive()
+                return page.close_code
+
+        assert talk(send) in (1008, 1009, 1006)
+        assert desk.operator is None
+        assert (server.dropped > 500) == (fault == "a flood")
+
+
+def test_a_hundred_broken_connections_leave_the_server_serving():
+    """Garbage, half a handshake, frames that are none, and connections that end in the middle."""
+    rng = random.Random(1)
+    with serving() as (server, desk, base):
+        upgrade = (
+            f"GET /ws?key={KEY} HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+        ).encode()
+        for number in range(100):
+            with socket.create_connection(("127.0.0.1", server.port), 10.0) as wire:
+                first = (rng.randbytes(50), upgrade[: rng.randrange(len(upgrade))], upgrade)[number % 3]
+                wire.sendall(first)
+                if first is upgrade:
+                    wire.recv(4096)
+                    wire.sendall(rng.randbytes(30))
+                if number % 2:  # the end comes as a reset
+                    wire.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+
+        async def greet(session):
+            async with asyncio.timeout(PATIENCE_S), session.ws_connect(f"{base}/ws?key={KEY}") as page:
+                await page.send_str(hello())
+                return (await next_text(page))["role"]
+
+        assert talk(greet) == "operator"
+        deadline = time.monotonic() + 10.0
+        while desk.spectators and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert desk.spectators == 0
+
+
+# -- the scene
+
+
+def test_the_scene_holds_every_body_that_moves_and_frames_follow_it():
+    scenario = load_scenario()
+    description = load_hand(scenario.hand)
+    robot = SimulatedRobot(scenario, description)
+    plant = robot.scene.plant
+    scene = Scene(plant, robot.scene.scene_graph.model_inspector(), description)
+    facts = json.loads(json.dumps(scene.description))
+    names = facts["moving"]
+    assert {"arm::panda_link7", "cylinder::cylinder"} <= {*names}
+    assert names[facts["hand_base"]["moving"]].startswith("hand::")
+    used = {geometry["moving"] for geometry in facts["geometries"]}
+    assert used == {None, *range(len(names))}
+    frames = []
+    points = np.arange(63.0).reshape(21, 3)
+    stream = PoseStream(scene, lambda: points, "left", frames.append)
+    simulator = Simulator(stream)
+    context = simulator.get_mutable_context()
+    poses = [RigidTransform([i, 0, 0]) for i in range(plant.num_bodies())]
+    stream.GetInputPort("body_poses").FixValue(context, AbstractValue.Make(poses))
+    simulator.Initialize()
+    frame = np.frombuffer(frames[0], "<f4")
+    assert len(frame) == 1 + 7 * len(names) + 63
+    body = plant.GetBodyByName("cylinder").index()
+    assert frame[1 + 7 * names.index("cylinder::cylinder") + 4] == int(body)
+    # A left hand is no longer its mirror image.
+    np.testing.assert_array_equal(frame[-63:].reshape(21, 3), points * [1, -1, 1])
+
+
+def test_a_mesh_is_served_as_triangles_in_drakes_axes(tmp_path):
+    """In metres at the mesh's scale; one that cannot be read as its convex hull."""
+    trimesh.creation.box((1.0, 2.0, 3.0)).export(tmp_path / "box.obj")
+    description = load_hand("allegro_right")
+    builder = DiagramBuilder()
+    plant, graph = AddMultibodyPlantSceneGraph(builder, 0.001)
+    hand = add_hand_model(plant, description, "hand")
+    body = plant.GetBodyByName("link_0", hand)
+    plant.RegisterVisualGeometry(
+        body, RigidTransform(), Mesh(str(tmp_path / "box.obj"), 0.1), "box", np.ones(4)
+    )
+    plant.Finalize()
+    scene = Scene(plant, graph.model_inspector(), description)
+    shape = next(g for g in scene.description["geometries"] if g["shape"] == "mesh")
+    assert shape["url"] == "/mesh/0"
+    triangles = np.frombuffer(scene.meshes[0], "<f4").reshape(-1, 3, 3)
+    np.testing.assert_allclose(triangles.max(axis=(0, 1)), [0.05, 0.1, 0.15], atol=1e-6)
+
+
+def test_a_real_robots_bodies_are_where_its_joints_say():
+    scenario = load_scenario()
+    description = load_hand(scenario.hand)
+    model = RobotModel(scenario, description)
+    plant = model.standing_at({}).plant()
+    kinematics = RobotKinematics(plant)
+    context = kinematics.CreateDefaultContext()
+    q_arm = model.arm.start + 0.1
+    for group, q in ((model.hand, model.hand.start), (model.arm, q_arm)):
+        kinematics.GetInputPort(f"{group.name}_state").FixValue(context, np.concatenate([q, 0 * q]))
+    poses = kinematics.GetOutputPort("body_poses").Eval(context)
+    moved = model.standing_at(dict(zip(model.arm.joints, q_arm.tolist(), strict=True))).plant()
+    link = moved.GetBodyByName("panda_link7")
+    X_WB = moved.EvalBodyPoseInWorld(moved.CreateDefaultContext(), link)
+    np.testing.assert_allclose(poses[link.index()].GetAsMatrix34(), X_WB.GetAsMatrix34(), atol=1e-9)
+
+
+# -- whole sessions
+
+
+@pytest.mark.slow
+def test_a_session_is_engaged_recorded_and_reset_from_the_page(tmp_path):
+    """The command, driven by a page that sends a headset's joints."""
+    checkpoint(tmp_path)
+    with subprocess.Popen(
+        [sys.executable, "-m", "geort_drake", "live", "--no-open", "--port", "0", "--json",
+         "--retargeter", str(tmp_path / "checkpoint")],
+        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as program:  # fmt: skip
+        try:
+            line = next(line for line in program.stderr if "Hold up your hand" in line)
+            address, key = re.search(r"(http://\S+)/#(\S+)", line).groups()
+            scenes = asyncio.run(_drive(f"{address}/ws?key={key}"))
+            program.send_signal(signal.SIGINT)
+            out, log = program.communicate(timeout=PATIENCE_S)
+        finally:
+            program.kill()
+    assert program.returncode == 0, log
+    assert scenes == {1, 2}
+    report = json.loads(out)
+    assert report["states"]["tracking"] > 0.5 and report["glove"]["received"] > 50
+    (file,) = (tmp_path / "runs" / "live").glob("*.npz")
+    recording = Recording.load(file)
+    assert recording.valid.sum() > 50
+    facts = recording.metadata
+    assert facts["consent"] and facts["object"] == "cylinder" and facts["device"] == "scripted"
+    assert facts["outcome"]["phase"] == "reach" and facts["delay"]["count"] > 20
+
+
+async def _drive(address: str) -> set[int]:
+    """Engages, records until the robot follows for a while, and resets with another object."""
+    scenes: set[int] = set()
+    state: dict = {}
+
+    async with aiohttp.ClientSession() as session, session.ws_connect(address) as page:
+
+        async def read():
+            async for message in page:
+                if message.type == aiohttp.WSMsgType.TEXT and '"state"' in message.data:
+                    state.update(json.loads(message.data))
+                    scenes.add(state["scene"])
+
+        reader = asyncio.create_task(read())
+        await page.send_str(hello())
+        number = 0
+
+        async def send_until(holds, *commands: dict) -> None:
+            nonlocal number
+            deadline = time.monotonic() + PATIENCE_S
+            while not holds():
+                assert time.monotonic() < deadline, state
+                await page.send_str(headset(number % 360, time.monotonic()))
+                number += 1
+                if number > 10 and commands:
+                    await page.send_str(json.dumps(commands[0]))
+                    commands = commands[1:]
+                await asyncio.sleep(1 / 60)
+
+        await send_until(lambda: state.get("recording"), {"type": "engage"}, {"type": "record", "keep": True})
+        await send_until(lambda: state["following"] and state["time"] > 2.0)
+        await send_until(lambda: state["scene"] == 2, {"type": "reset", "object": "sphere"})
+        assert state["object"] == "sphere"
+        assert not state["engaged"] and state["recording"] is None
+        reader.cancel()
+    return scenes
