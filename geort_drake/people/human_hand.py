@@ -32,7 +32,7 @@ _THUMB_AZIMUTH = np.deg2rad(25.0)
 
 # Anatomy of an adult, finger by finger from thumb to little.
 #
-# Bases: y and z from An et al. 1979 and Buchholz et al. 1992 (J. Biomech. 25:261) as shares of hand breadth
+# Bases: y and z from An et al. 1979 and Buchholz et al. 1992 (Ergonomics 35:261) as shares of hand breadth
 # and length; x and the thumb's CMC are means of two calibrated MANUS gloves.
 _BASE_BREADTH = np.array([[0.167, 0.240], [0.043, 0.252], [0.0, 0.0], [0.043, -0.206], [0.097, -0.402]])
 _BASE_LENGTH = np.array([0.101, 0.447, 0.446, 0.409, 0.368])

@@ -1,8 +1,9 @@
 """A population of people: hands drawn from published anthropometry, whose owners play before a device.
 
 The seed of the population and a number decide a person. The constants hold each distribution with its
-source, or say that it is an assumption; those of gloves and cameras are in `device`. None is fitted to a
-recording. Hands whose recordings `read_recording` would refuse are not in the population.
+source, or say that it is an assumption; those of gloves and cameras are in `device`. No spread is fitted to
+a recording; the average hand and its play owe some figures to two gloves (see `human_hand` and `play`). Hands
+that the checks of recordings refuse are not in the population.
 """
 
 import copy
