@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from geort_drake.benchmark.records import by_training
 from geort_drake.benchmark.statistics import (
     completed_share,
     difference,
@@ -93,22 +94,27 @@ def test_trials_that_raised_are_counted_and_in_no_figure():
     assert found["success"]["rate"] == 1.0
 
 
-def test_the_interval_of_a_mean_covers_it_as_often_as_it_says():
-    """Of 200 samples from one distribution some 95 % of the intervals hold its mean."""
-    rng = np.random.default_rng(0)
+@pytest.mark.parametrize("shape", [(1, 20, 4), (6, 8, 3)])
+def test_the_interval_of_a_mean_covers_it_about_as_often_as_it_says(shape):
+    """Objects and trainings vary as well as trials: of 100 samples nine in ten intervals hold the mean."""
+    rng, (trainings, objects, _) = np.random.default_rng(0), shape
     covered = 0
-    for _ in range(200):
-        found = mean_and_interval([rng.normal(1.0, 2.0, 30), rng.normal(5.0, 1.0, 30)])
+    for _ in range(100):
+        levels = (trainings > 1) * rng.normal(0, 1, (trainings, 1, 1)) + rng.normal(0, 1, (1, objects, 1))
+        found = mean_and_interval(3.0 + levels + rng.normal(0, 1, shape))
         covered += found["low"] <= 3.0 <= found["high"]
-    assert 0.89 <= covered / 200 <= 0.99
+    assert 0.82 <= covered / 100 <= 0.99
 
 
-def test_the_interval_does_not_take_objects_for_chance():
-    """An easy and a hard object differ by much, and the mean over both is known all the same."""
-    found = mean_and_interval([[2.0, 2.1, 1.9] * 5, [20.0, 20.1, 19.9] * 5])
-    assert found["high"] - found["low"] < 0.2
-    assert mean_and_interval([[1.0], [2.0, 3.0]]) == {"mean": 2.0, "low": None, "high": None}
-    assert mean_and_interval([])["mean"] is None
+def test_objects_that_differ_widen_the_interval_and_missing_trials_do_not_count():
+    """One object alone says only how its trials vary."""
+    easy, hard = [2.0, 2.1, 1.9] * 5, [20.0, 20.1, np.nan] * 5
+    found = mean_and_interval(np.array([[easy, hard]]))
+    assert found["mean"] == pytest.approx(np.nanmean([easy, hard])) and found["high"] - found["low"] > 10
+    alone = mean_and_interval(np.array([[easy]]))
+    assert alone["high"] - alone["low"] < 0.2
+    assert mean_and_interval(np.array([[[1.0]]])) == {"mean": 1.0, "low": None, "high": None}
+    assert mean_and_interval(np.full((1, 1, 0), np.nan))["mean"] is None
 
 
 # -- of two methods
@@ -123,6 +129,17 @@ def test_differences_are_between_trials_of_the_same_object_and_seed():
     assert found["completion_time_s"] == pytest.approx({"mean": 1.0, "low": 1.0, "high": 1.0})
     unpaired = difference(mine, theirs[:4] + [error("a", seed=seed) for seed in range(4, 10)], TIMEOUT)
     assert unpaired["pairs"] == 4
+
+
+def test_trainings_of_a_method_are_told_apart():
+    """Each is paired with the reference's own, or its only one; those that differ widen the interval."""
+    theirs = [trial("a", seed=seed) for seed in range(4)]
+    mine = [trial("b", seed=s, time=5.0 if k else None, training=k) for s in range(4) for k in (0, 1)]
+    found = difference(mine, theirs, TIMEOUT)
+    assert found["pairs"] == 8 and found["one_time_success"]["lost"] == 4
+    assert found["one_time_success"]["mean"] == pytest.approx(-0.5)
+    assert found["one_time_success"]["low"] == -1 and found["one_time_success"]["high"] == 0
+    assert by_training({"method": "geort~2", "seed": 1}) == {"method": "geort", "seed": 1, "training": 2}
 
 
 def test_won_and_lost_are_counted_and_tested():

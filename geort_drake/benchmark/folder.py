@@ -107,6 +107,7 @@ def open_benchmark(
     conditions: Mapping[str, Scenario] | None = None,
     any_code: bool = False,
     operator: Recording | None = None,
+    trainings: int = 1,
 ) -> Benchmark:
     """Begins a benchmark in a folder, or continues the one that is there.
 
@@ -123,12 +124,13 @@ def open_benchmark(
         conditions: name → changed scenario in which the trials are also run.
         any_code: continue although the code of trials has changed.
         operator: recording of the person who operates, such as another session; None: `recording`.
+        trainings: of each trained method, with seeds from `seed` on.
 
     Raises:
         BenchmarkError: the folder's benchmark was begun with another configuration.
         UnknownNameError, HandError, CheckpointError, TrainingError: see `make_retargeter`.
     """
-    names = names_of(methods)
+    names = names_of(methods, trainings)
     hand = HandModel(load_hand(scenario.hand))
     text = dump_scenario(scenario)
     resolved = yaml.safe_load(text)["Resolved"]

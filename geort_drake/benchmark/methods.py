@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from geort_drake.benchmark.records import training_of
 from geort_drake.comparison.comparison import check_methods, method_names
 from geort_drake.comparison.train import cached_checkpoint
 from geort_drake.errors import BenchmarkError
@@ -15,7 +16,7 @@ from geort_drake.hands.mirror import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import WEIGHTS
-from geort_drake.retargeting.methods import make_untrained, untrained_methods
+from geort_drake.retargeting.methods import make_untrained, trained_methods, untrained_methods
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.simulation.diagram import Retarget
 
@@ -23,8 +24,10 @@ from geort_drake.simulation.diagram import Retarget
 _PARTS, _SUCCESSIVE, _WARM_UP = 10, 40, 10
 
 
-def names_of(methods: Sequence[str]) -> dict[str, str]:
+def names_of(methods: Sequence[str], trainings: int = 1) -> dict[str, str]:
     """Name → method, without repeats; a checkpoint is named after its directory.
+
+    A method that is trained several times has a name for each training: geort, geort~1, geort~2.
 
     Raises:
         UnknownNameError: neither a method nor a checkpoint.
@@ -39,6 +42,8 @@ def names_of(methods: Sequence[str]) -> dict[str, str]:
             raise BenchmarkError(
                 f"two methods have the name '{name}': {names[name]} and {method}; rename one directory"
             )
+        if method in trained_methods():
+            names |= {f"{name}~{number}": method for number in range(1, trainings)}
     return names
 
 
@@ -53,7 +58,7 @@ def make_retargeter(
         hand_name: name or file of the robot hand's description.
         hand: its model.
         recording: training data, or the frames that an untrained method uses.
-        seed: of the training, and of an untrained method's draws.
+        seed: of the first training, and of an untrained method's draws.
 
     Raises:
         UnknownNameError, CheckpointError, TrainingError: see `cached_checkpoint` and `load_retargeter`.
@@ -63,13 +68,13 @@ def make_retargeter(
         frames = recording.fingertips(keypoints).astype(float)
         return make_untrained(method, canonical_kinematics(hand), keypoints, frames=frames, seed=seed), None
     kept = keep / name
-    if name != method:
+    if method not in trained_methods():
         load_retargeter(method, hand)
         source = Path(method)
     elif kept.is_dir():
         source = kept
     else:
-        source, _ = cached_checkpoint(hand_name, recording, method, seed)
+        source, _ = cached_checkpoint(hand_name, recording, method, seed + training_of(name)[1])
     if not kept.is_dir():
         with atomic_directory(kept) as draft:
             shutil.copytree(source, draft, dirs_exist_ok=True)

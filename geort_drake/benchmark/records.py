@@ -53,6 +53,18 @@ class TrialKey(NamedTuple):
         return " ".join(str(part) for part in self if part != "")
 
 
+def training_of(name: str) -> tuple[str, int]:
+    """The method and the number of its training, from the name of one of several trainings: "geort~1"."""
+    method, _, number = name.partition("~")
+    return method, int(number or 0)
+
+
+def by_training(record: Record) -> Record:
+    """The record under the name of its method, with the number of its `training`."""
+    method, number = training_of(record["method"])
+    return {**record, "method": method, "training": number}
+
+
 def key_of(record: Record) -> TrialKey:
     """The key of a record."""
     return TrialKey(record["method"], record["object"], record["seed"], record.get("condition", ""))

@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 from geort_drake.benchmark.config import CONFIG, SCENARIO, TRIALS, read_config
 from geort_drake.benchmark.folder import rerun_path
 from geort_drake.benchmark.plots import completion_plot, success_panels
-from geort_drake.benchmark.records import Record, key_of, read_records
+from geort_drake.benchmark.records import Record, by_training, key_of, read_records, training_of
 from geort_drake.benchmark.replay import summarize_replay
 from geort_drake.benchmark.sensitivity import summarize_sensitivity
 from geort_drake.benchmark.statistics import ending, summarize
@@ -40,21 +40,29 @@ def write_grasp_report(folder: Path) -> dict:
         UnknownNameError: an object has no known grip.
     """
     config = read_config(folder)
-    order = list(config["methods"])
+    order = list(dict.fromkeys(training_of(name)[0] for name in config["methods"]))
     everything = read_records(folder / TRIALS)
     conditions = ["", *config.get("conditions", {})]
     for key in map(key_of, everything):
-        known = key.method in order and key.object in config["objects"] and key.condition in conditions
+        known = (
+            key.method in config["methods"]
+            and key.object in config["objects"]
+            and key.condition in conditions
+        )
         if not known:
             raise BenchmarkError(f"{folder / TRIALS}: holds a trial of {key}, which is not in {CONFIG}")
     records = [record for record in everything if not record.get("condition")]
-    records.sort(key=lambda r: (order.index(r["method"]), r["object"], r["seed"]))
+    names = list(config["methods"])
+    records.sort(key=lambda r: (names.index(r["method"]), r["object"], r["seed"]))
+    by_method = list(map(by_training, records))
     grips = {name: grip_of(name) for name in config["objects"]}
-    summary = summarize(records, order, config["settings"]["scenario"]["timeout"], grips)
-    sensitivity = summarize_sensitivity(everything, order, load_scenario(folder / SCENARIO, "Resolved"))
+    summary = summarize(by_method, order, config["settings"]["scenario"]["timeout"], grips)
+    sensitivity = summarize_sensitivity(
+        map(by_training, everything), order, load_scenario(folder / SCENARIO, "Resolved")
+    )
     errors = [{**record, "trial": str(key_of(record))} for record in everything if "error" in record]
     summary = {**summary, "errors": len(errors), "sensitivity": sensitivity, "config": config}
-    plots = {"completion": completion_plot(records, order, summary["timeout_s"])}
+    plots = {"completion": completion_plot(by_method, order, summary["timeout_s"])}
     if sensitivity:
         plots["sensitivity"] = success_panels(sensitivity)
     content = {

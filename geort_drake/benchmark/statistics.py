@@ -5,11 +5,11 @@ censored at the timeout, whenever it ended.
 """
 
 import warnings
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from scipy.stats import CensoredData, binomtest, bootstrap, ecdf
+from scipy.stats import CensoredData, binomtest, ecdf
 
 from geort_drake.benchmark.records import Record
 
@@ -23,7 +23,7 @@ def summarize(
     """All figures of a benchmark, JSON-ready.
 
     Args:
-        records: in any order.
+        records: in any order; those of several trainings of a method have a `training`.
         methods: in the order of the report; differences refer to the first.
         timeout: at which failures are censored, s.
         grips: object → its grip, which is its class.
@@ -75,9 +75,7 @@ def figures(records: Sequence[Record], timeout: float) -> dict:
         time; `failures`: number of each `ending` other than success.
     """
     judged = [record for record in records if "error" not in record]
-    by_object: dict[str, list[float]] = defaultdict(list)
-    for record in judged:
-        by_object[record["object"]].append(restricted_time(record, timeout))
+    spent = _table(judged, _axes(judged), lambda record: restricted_time(record, timeout))
     times = [record["completion_time"] for record in judged if record["success"]]
     slips = [1e3 * record["slip"] for record in judged if record["slip"] is not None]
     phases = sorted({phase for record in judged for phase in record["phase_durations"]})
@@ -89,7 +87,7 @@ def figures(records: Sequence[Record], timeout: float) -> dict:
         "tip_success": proportion(sum(r["tip_success"] for r in judged), len(judged)),
         "holding": dict(Counter(link for r in judged if r["success"] for link in r["holding"]).most_common()),
         "completion_time_s": {
-            "restricted_mean": mean_and_interval(list(by_object.values())),
+            "restricted_mean": mean_and_interval(spent),
             "median_of_successes": _median(times),
         },
         "phase_s": {
@@ -115,26 +113,27 @@ def difference(records: Sequence[Record], reference: Sequence[Record], timeout: 
         this method or only the reference succeeded, and `p` of McNemar's exact test; `completion_time_s`:
         mean difference of the restricted times with its interval.
     """
-    mine, theirs = (
-        {(r["object"], r["seed"]): r for r in group if "error" not in r} for group in (records, reference)
-    )
-    success: dict[str, list[float]] = defaultdict(list)
-    time: dict[str, list[float]] = defaultdict(list)
-    for key in sorted(set(mine) & set(theirs)):
-        a, b = mine[key], theirs[key]
-        success[key[0]].append(float(bool(a["first_attempt"])) - float(bool(b["first_attempt"])))
-        time[key[0]].append(restricted_time(a, timeout) - restricted_time(b, timeout))
-    signs = [sign for strata in success.values() for sign in strata]
-    won, lost = signs.count(1.0), signs.count(-1.0)
+    judged = [r for r in records if "error" not in r], [r for r in reference if "error" not in r]
+    axes = _axes([*judged[0], *judged[1]])
+    once = [_table(group, axes, lambda r: float(bool(r["first_attempt"]))) for group in judged]
+    times = [_table(group, axes, lambda r: restricted_time(r, timeout)) for group in judged]
+    for pair in (once, times):
+        both = np.logical_and(*(~np.isnan(values).all(axis=0) for values in pair))
+        for values in pair:
+            values[:, ~both] = np.nan
+    # The same training of both; a method with fewer trainings has its first one for the others.
+    first = np.where(np.isnan(once[1]), once[1][:1], once[1])
+    signs = (once[0] - first)[~np.isnan(once[0] - first)]
+    won, lost = int((signs > 0).sum()), int((signs < 0).sum())
     return {
         "pairs": len(signs),
         "one_time_success": {
-            **mean_and_interval(list(success.values())),
+            **mean_and_interval(*once),
             "won": won,
             "lost": lost,
             "p": float(binomtest(won, won + lost).pvalue) if won + lost else 1.0,
         },
-        "completion_time_s": mean_and_interval(list(time.values())),
+        "completion_time_s": mean_and_interval(*times),
     }
 
 
@@ -163,30 +162,65 @@ def proportion(successes: int, trials: int) -> dict:
     }
 
 
-def mean_and_interval(strata: Sequence[Sequence[float]]) -> dict:
-    """`mean` over all values, and its 95 % percentile bootstrap interval `low` to `high`.
+def mean_and_interval(values: np.ndarray, reference: np.ndarray | None = None) -> dict:
+    """`mean` of values, or its difference to that of a reference, and its interval `low` to `high`.
 
-    Values are resampled within each stratum (the trials with one object), because objects are not drawn at
-    random. A stratum of one value gives no interval.
+    The interval is the 95 % percentile interval of a hierarchical bootstrap: objects are resampled, the seeds
+    of each object, and each method's trainings. Both methods share objects and seeds. A level with one
+    member does not vary; a single value gives no interval.
+
+    Args:
+        values: (trainings, objects, seeds), NaN where there is no trial.
+        reference: the same of the reference.
     """
-    if not strata:
+    groups = [values] if reference is None else [values, reference]
+    if any(np.isnan(group).all() for group in groups):
         return {"mean": None, "low": None, "high": None}
-    mean = float(np.mean(np.concatenate(strata)))
-    if min(map(len, strata)) < 2:
+    sign = (1.0, -1.0)
+    mean = sum(factor * float(np.nanmean(group)) for factor, group in zip(sign, groups, strict=False))
+    if max((~np.isnan(group)).sum() for group in groups) < 2:
         return {"mean": mean, "low": None, "high": None}
+    rng = np.random.default_rng(_BOOTSTRAP_SEED)
+    _, objects, seeds = values.shape
+    # How often each object, and each of its seeds, is drawn.
+    weight = _counts(rng, objects)[..., None] * _counts(rng, seeds, objects)
+    means = np.zeros(_BOOTSTRAP_RESAMPLES)
+    for factor, group in zip(sign, groups, strict=False):
+        made = group[~np.isnan(group).all(axis=(1, 2))]
+        trainings = _counts(rng, len(made))
+        total = np.einsum("rt,ros,tos->r", trainings, weight, np.nan_to_num(made), optimize=True)
+        count = np.einsum("rt,ros,tos->r", trainings, weight, ~np.isnan(made), optimize=True)
+        means += factor * total / np.where(count, count, np.nan)
+    low, high = np.nanpercentile(means, [2.5, 97.5])
+    return {"mean": mean, "low": float(low), "high": float(high)}
 
-    def pooled(*samples: np.ndarray, axis: int = -1) -> np.ndarray:
-        return np.concatenate(samples, axis=axis).mean(axis=axis)
 
-    interval = bootstrap(
-        [np.asarray(stratum, float) for stratum in strata],
-        pooled,
-        n_resamples=_BOOTSTRAP_RESAMPLES,
-        vectorized=True,
-        method="percentile",
-        rng=np.random.default_rng(_BOOTSTRAP_SEED),
-    ).confidence_interval
-    return {"mean": mean, "low": float(interval.low), "high": float(interval.high)}
+def _counts(rng: np.random.Generator, size: int, groups: int | None = None) -> np.ndarray:
+    """How often each of `size` members is drawn in each resample, (R, size) or (R, groups, size)."""
+    shape = (_BOOTSTRAP_RESAMPLES,) if groups is None else (_BOOTSTRAP_RESAMPLES, groups)
+    return rng.multinomial(size, np.full(size, 1 / size), shape).astype(float)
+
+
+_Axes = tuple[list[int], list[str], list[int]]
+
+
+def _axes(records: Sequence[Record]) -> _Axes:
+    """Trainings, objects and seeds of records."""
+    return (
+        sorted({r.get("training", 0) for r in records}),
+        sorted({r["object"] for r in records}),
+        sorted({r["seed"] for r in records}),
+    )
+
+
+def _table(records: Sequence[Record], axes: _Axes, value: Callable[[Record], float]) -> np.ndarray:
+    """Values (trainings, objects, seeds) of records, NaN where there is none."""
+    table = np.full([len(axis) for axis in axes], np.nan)
+    for r in records:
+        trainings, objects, seeds = axes
+        place = trainings.index(r.get("training", 0)), objects.index(r["object"]), seeds.index(r["seed"])
+        table[place] = value(r)
+    return table
 
 
 def completed_share(records: Sequence[Record], timeout: float) -> dict[str, np.ndarray]:

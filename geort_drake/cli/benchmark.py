@@ -41,6 +41,8 @@ def add_arguments(parser: CommandParser) -> None:
     add("--methods", nargs="+", metavar="NAME", help=methods)
     add("--objects", nargs="+", metavar="NAME", help="objects to grasp (default: all)")
     add("--trials", type=at_least(1), help="trials per method and object (default: 30)")
+    trainings = "trainings of each trained method, with successive seeds; every one does all trials"
+    add("--trainings", type=at_least(1), default=1, help=trainings)
     add("--quick", action="store_true", help="small benchmark that takes two to five minutes on two cores")
     parser.add_workers()
     add("--zero-latency", action="store_true", help="do not simulate the methods' latencies")
@@ -105,7 +107,7 @@ def run_unfinished(arguments: argparse.Namespace) -> None:
     from geort_drake.simulation.scenario import object_names
 
     # Everything wrong with the request is found before anything is computed or written.
-    names = names_of(arguments.methods)
+    names = names_of(arguments.methods, arguments.trainings)
     objects = list(dict.fromkeys(arguments.objects or object_names()))
     for name in objects:
         if name not in object_names():
@@ -135,6 +137,7 @@ def run_unfinished(arguments: argparse.Namespace) -> None:
             notes,
             conditions,
             operator=operator,
+            trainings=arguments.trainings,
         )
         keys = benchmark.keys(names, objects, arguments.trials)
         left = log.unfinished(keys)
