@@ -1,0 +1,5 @@
+"""The map for everyone: one network that takes fingertips and the code of a person."""
+
+from geort_drake.retargeting.methods.universal.config import UniversalConfig
+
+__all__ = ["UniversalConfig"]

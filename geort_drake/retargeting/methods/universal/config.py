@@ -1,0 +1,42 @@
+"""Settings of the training of a map for everyone."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+from geort_drake.errors import TrainingError
+
+
+@dataclass(frozen=True)
+class UniversalConfig:
+    """Size of the training, and the bounds of its constraints.
+
+    Coverage is maximised as far as the bounds allow. They hold on average over people and training hands,
+    many of which are harder than recorded ones.
+    """
+
+    people: int = 800
+    steps: int = 20_000
+    learning_rate: float = 0.006  # of SOAP; falls to zero along half a cosine
+    direction: float = 0.036  # 1 − mean cosine between motions of a human fingertip and the robot's
+    track: float = 0.034  # the same along recorded steps
+    cross_talk: float = 0.035  # mean motion of other fingertips over the moved one's
+    curvature: float = 0.08  # mean squared second over first differences
+    uneven: float = 0.12  # fraction of motions whose gain is far from the finger's median
+    open_pinch: float = 0.02  # fraction of pinches in which the robot's fingertips do not touch
+    deep_pinch: float = 0.01  # fraction in which they overlap by most of their radius
+    false_pinch: float = 0.0012  # fraction of pairs that touch although the person's are apart
+    collision: float = 0.0015  # fraction of hands in which links overlap by 2 mm
+
+    def validate(self) -> None:
+        """Raises TrainingError for a value out of range."""
+        for name, value in dataclasses.asdict(self).items():
+            whole = name in ("people", "steps")
+            if not math.isfinite(value) or value <= 0 or (whole and value != int(value)):
+                expected = "a positive whole number" if whole else "positive"
+                raise TrainingError(f"training config: {name} must be {expected}, it is {value}")
+
+
+CONSTRAINTS = tuple(
+    name for name in UniversalConfig.__dataclass_fields__ if name not in ("people", "steps", "learning_rate")
+)

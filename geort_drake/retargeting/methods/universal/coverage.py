@@ -1,0 +1,77 @@
+"""Coverage targets of the map for everyone: places of the robot's fingertips, each with a person's hand."""
+
+from collections.abc import Sequence
+
+import torch
+
+from geort_drake.retargeting.methods.universal.network import UniversalNetwork
+from geort_drake.retargeting.methods.universal.people import CODES, TrainingPeople
+from geort_drake.retargeting.training.kinematics import HandKinematics
+
+RADIUS = 0.010  # m; a target at this distance counts half
+POOL = 8  # people whose targets are kept; one is renewed at each step
+SEARCHED = 700  # hands of a person among which the nearest to a target is looked for
+TARGETS = 128  # per finger and person in the pool
+PEOPLE, DRAWN = 6, 32  # people of a batch, and targets per finger of each
+
+
+class CoverageTargets:
+    """A pool of people with a code, targets per finger, and the hands whose fingertips come nearest to them.
+
+    A search among many of a person's hands is worth several steps. It must be dense: where few hands are
+    searched, the nearest one is far from a target that the map reaches.
+
+    Attributes:
+        reached: fraction of the targets within RADIUS in the latest search.
+    """
+
+    def __init__(
+        self,
+        people: TrainingPeople,
+        kinematics: HandKinematics,
+        voxels: Sequence[torch.Tensor],
+        generator: torch.Generator,
+    ):
+        """Takes each finger's voxel centres (M, 3) in B, m."""
+        self._people, self._kinematics, self._voxels = people, kinematics, voxels
+        self._generator = generator
+        self._pool: list[tuple[int, int, torch.Tensor, torch.Tensor]] = []
+        self.reached = 0.0
+
+    def loss(self, network: UniversalNetwork) -> torch.Tensor:
+        """Mean of d⁴ / (d⁴ + RADIUS⁴), d the distance of a target to the nearest hand's fingertip.
+
+        A person's finger counts less where it visits fewer places than the average person's.
+        """
+        while len(self._pool) < POOL:
+            self._pool.append(self._search(network))
+        self._pool.append(self._search(network))
+        self._pool.pop(0)
+        people, fingers = self._people, len(self._voxels)
+        chosen = torch.randperm(POOL, generator=self._generator)[:PEOPLE].tolist()
+        number = torch.tensor([self._pool[i][0] for i in chosen])
+        code = torch.tensor([self._pool[i][1] for i in chosen])
+        some = people.below(TARGETS, PEOPLE, fingers, DRAWN)
+        targets = torch.stack([self._pool[i][2] for i in chosen])
+        targets = targets.gather(2, some[..., None].expand(-1, -1, -1, 3))
+        rows = torch.stack([self._pool[i][3] for i in chosen]).gather(2, some)
+        hands = people.p_HF[number[:, None], rows.flatten(1)]
+        tips = self._kinematics.fingertips(network(hands, people.codes[number, code]))
+        tips = tips.reshape(PEOPLE, fingers, DRAWN, fingers, 3).diagonal(dim1=1, dim2=3).movedim(-1, 1)
+        fourth = ((tips - targets) / RADIUS).square().sum(-1).square()
+        weight = people.reach[number][..., None]
+        return (weight * fourth / (fourth + 1.0)).mean() / weight.mean()
+
+    @torch.no_grad()
+    def _search(self, network: UniversalNetwork) -> tuple[int, int, torch.Tensor, torch.Tensor]:
+        """A person, a code, targets (F, TARGETS, 3) and the rows (F, TARGETS) of the nearest hands."""
+        people = self._people
+        number, code = int(people.below(len(people.p_HF), 1)), int(people.below(CODES, 1))
+        rows = people.anchors[number].flatten()
+        rows = rows[torch.randperm(len(rows), generator=self._generator)[:SEARCHED]]
+        hands = people.p_HF[number, rows][None]
+        tips = self._kinematics.fingertips(network(hands, people.codes[number, code][None]))[0]
+        targets = torch.stack([voxels[people.below(len(voxels), TARGETS)] for voxels in self._voxels])
+        distance, nearest = torch.cdist(targets, tips.transpose(0, 1)).min(2)
+        self.reached = float((distance < RADIUS).float().mean())
+        return number, code, targets, rows[nearest]

@@ -1,0 +1,113 @@
+"""The constraints of the map for everyone: for each a loss, and the figure that its bound is for.
+
+Lengths on the robot's side are in units of the fingertips' radius, so that small hands close their pinches.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch.nn.functional import cosine_similarity, one_hot
+
+from geort_drake.retargeting.methods.universal.people import APART, NEARLY_APART, Hands, TrainingPeople
+
+# In tip radii; two tips touch at a distance of 2.
+PINCH_TARGET, PINCH_SCALE = 0.875, 0.667
+DEEP, DEEP_MARGIN = 0.333, 0.5
+FALSE_MARGIN = 0.25
+SCALE = 0.4  # of depths and of false pinches
+GAIN_BAND = 0.6  # of log gain around its median
+STEP_RANGE = (0.001, 0.03)  # m; shorter steps are noise, longer ones gaps
+
+
+@dataclass(frozen=True)
+class RobotTips:
+    """The robot's fingertips (G, ·, F, 3) in B, m, for the hands of a batch of the same names.
+
+    `ahead` and `behind` are for the moved hands, whose finger is displaced by d and −d.
+    """
+
+    moved: torch.Tensor
+    ahead: torch.Tensor
+    behind: torch.Tensor
+    before: torch.Tensor
+    after: torch.Tensor
+    pinching: torch.Tensor
+
+
+def constraint_terms(
+    hands: Hands, robot: RobotTips, people: TrainingPeople, tip_radius: float
+) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
+    """Loss and figure of each constraint but collision, by the names of `UniversalConfig`."""
+    motion = robot.ahead - robot.moved
+    own = _of_finger(motion, hands.finger)
+    row = {
+        "direction": _twice((1.0 - cosine_similarity(own, hands.d, dim=-1, eps=1e-7)).mean()),
+        "track": _twice(_track(hands, robot)),
+        "cross_talk": _twice(_cross_talk(motion, hands.finger)),
+        "curvature": _twice(_curvature(hands, robot, own)),
+        "uneven": _uneven(own, hands.d, hands.finger, motion.shape[2]),
+    }
+    distance = people.pair_distances(robot.pinching) / tip_radius
+    pinched = distance.gather(-1, hands.pinch_pair[..., None])[..., 0]
+    weight = hands.pinched.float()
+    e = (pinched - PINCH_TARGET).abs() / PINCH_SCALE
+    row["open_pinch"] = (_mean(e.square() / (1.0 + e), weight), _mean(pinched > 2.0, weight))
+    deep = torch.relu(DEEP_MARGIN - pinched) / SCALE
+    row["deep_pinch"] = (_mean(deep, weight), _mean(pinched < DEEP, weight))
+    row["false_pinch"] = _false_pinches(hands, robot, people, tip_radius)
+    return row
+
+
+def _track(hands: Hands, robot: RobotTips) -> torch.Tensor:
+    step, answer = hands.after - hands.before, robot.after - robot.before
+    length = step.norm(dim=-1)
+    long = (length > STEP_RANGE[0]) & (length < STEP_RANGE[1])
+    return (1.0 - cosine_similarity(answer[long], step[long], dim=-1, eps=1e-7)).mean()
+
+
+def _cross_talk(motion: torch.Tensor, finger: torch.Tensor, floor: float = 1e-4) -> torch.Tensor:
+    """Mean motion of the others over that of the moved finger; `floor` (m) keeps gradients finite."""
+    fingers = motion.shape[2]
+    length = torch.sqrt(motion.square().sum(-1) + floor**2) - floor
+    own = length.gather(2, finger[..., None])[..., 0]
+    moved = one_hot(finger, fingers).float()
+    of_own = (own[..., None] * moved).sum((0, 1))
+    of_others = ((length.sum(2) - own)[..., None] * moved).sum((0, 1))
+    return (of_others / ((fingers - 1) * (of_own + floor))).mean()
+
+
+def _curvature(hands: Hands, robot: RobotTips, own: torch.Tensor) -> torch.Tensor:
+    second = _of_finger(robot.ahead + robot.behind - 2.0 * robot.moved, hands.finger)
+    return (second.square().sum(-1).mean(1) / (own.square().sum(-1).mean(1) + 1e-12)).mean()
+
+
+def _uneven(
+    own: torch.Tensor, d: torch.Tensor, finger: torch.Tensor, fingers: int
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Excess of log gain beyond the band around the person's median, and the fraction beyond it."""
+    gain = 0.5 * torch.log((own.square().sum(-1) + 1e-10) / d.square().sum(-1))
+    excess = torch.relu((gain - gain.detach().median(1, keepdim=True).values).abs() - GAIN_BAND)
+    return excess.mean(), (excess > 0).float().mean()
+
+
+def _false_pinches(
+    hands: Hands, robot: RobotTips, people: TrainingPeople, tip_radius: float
+) -> tuple[torch.Tensor, torch.Tensor]:
+    human = people.pair_distances(torch.cat([hands.after, hands.pinching, hands.moved], 1))
+    tips = torch.cat([robot.after, robot.pinching, robot.moved], 1)
+    distance = people.pair_distances(tips) / tip_radius
+    depth = torch.relu(2.0 + FALSE_MARGIN - distance) / SCALE
+    return _mean(depth, human > NEARLY_APART), _mean(distance < 2.0, human > APART)
+
+
+def _of_finger(x: torch.Tensor, finger: torch.Tensor) -> torch.Tensor:
+    """(G, N, 3) of x (G, N, F, 3): the finger of each hand."""
+    return x.gather(2, finger[..., None, None].expand(-1, -1, 1, 3))[:, :, 0]
+
+
+def _mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+    return (values * weight).sum() / (weight.sum() + 1e-9)
+
+
+def _twice(loss: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    return loss, loss
