@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from geort_drake.live.robot_link import RobotLink
     from geort_drake.live.session import SessionReport
     from geort_drake.live.teleoperation import Teleoperation
-    from geort_drake.retargeting.retargeter import Retargeter
+    from geort_drake.retargeting.retargeter import Retargeter, UniversalRetargeter
     from geort_drake.simulation.scenario import Scenario
 
 # Where the page's recordings go.
@@ -236,7 +236,9 @@ def _checkpoint(arguments: argparse.Namespace, description: "HandDescription") -
     return cached_checkpoint(scenario_of(arguments).hand, synthesize_play(seed=0, side=description.side))[0]
 
 
-def _load(checkpoint: Path, description: "HandDescription", backend: str) -> "Retargeter":
+def _load(
+    checkpoint: Path, description: "HandDescription", backend: str
+) -> "Retargeter | UniversalRetargeter":
     from geort_drake import HandModel, load_retargeter
 
     return load_retargeter(checkpoint, HandModel(description), backend)

@@ -16,6 +16,9 @@ from geort_drake.retargeting.clouds import first_in_voxels
 PLACE = 0.005  # m; edge of the voxels that count as one place
 _WEIGHTS = (2.0, 5.0, 10.0, 20.0, 40.0, 80.0, 160.0, 320.0)  # of the average person, in places
 _LOWER = np.tril_indices(3)
+# Parts of the code, and how many numbers each has of a finger.
+CODE_PARTS = {"base": 3, "length": 1, "reach": 3, "spread": 1, "covariance": 6, "places": 1}
+CODE_SIZE = sum(CODE_PARTS.values())
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,7 @@ class AveragePerson:
     covariance_weight: float
 
     def code(self, observation: Observation) -> np.ndarray:
-        """The code (16 F,) of a person, float32.
+        """The code (15 F,) of a person, float32.
 
         Finger by finger within each part: knuckles (3), length, mean of the reach (3), its spread (root of
         the mean variance of an axis), its covariance as a Cholesky factor (6), log of 1 + places.
@@ -84,6 +87,7 @@ class AveragePerson:
         covariance = (observation.scatter + between + prior) / count
         factor = np.linalg.cholesky(covariance)[:, _LOWER[0], _LOWER[1]]
         spread = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3)
+        # In the order of CODE_PARTS.
         parts = (observation.knuckles, observation.lengths, mean, spread, factor, np.log1p(n))
         return np.concatenate([np.ravel(part) for part in parts]).astype(np.float32)
 

@@ -1,41 +1,53 @@
-"""Loads a trained map from human fingertips to robot joints.
+"""Loads a trained map from human hands to robot joints.
 
-retarget = load_retargeter("runs/allegro_right")
-q = retarget(p_HF)
+retarget = load_retargeter("allegro_right")
+q = retarget(p_HK)
 """
 
 import os
+from pathlib import Path
 
 import numpy as np
 
-from geort_drake.errors import UnknownNameError
+from geort_drake.errors import CheckpointError, UnknownNameError
 from geort_drake.retargeting.checkpoint import TrainedHand, load_checkpoint
+from geort_drake.retargeting.map_file import load_map, shipped_maps
 from geort_drake.retargeting.methods import trained_method
 from geort_drake.retargeting.numpy_retargeter import Retargeter
+from geort_drake.retargeting.universal import UniversalRetargeter
 
 BACKENDS = ("numpy", "numba")
 
-__all__ = ["BACKENDS", "Retargeter", "load_retargeter"]
+__all__ = ["BACKENDS", "Retargeter", "UniversalRetargeter", "load_retargeter"]
 
 
 def load_retargeter(
-    path: str | os.PathLike, hand: TrainedHand | None = None, backend: str = "numpy"
-) -> Retargeter:
-    """Loads a checkpoint directory written by training.
+    source: str | os.PathLike, hand: TrainedHand | None = None, backend: str = "numpy"
+) -> Retargeter | UniversalRetargeter:
+    """Loads a map for everyone, or a checkpoint directory written by training.
 
     Args:
-        path: the directory.
-        hand: a hand model (`joint_names`, `finger_names`, `digest`) for which the checkpoint must have been
-            trained; None does not check.
+        source: name of a robot hand with a shipped map, path of a map's file, or the directory.
+        hand: a hand model (`joint_names`, `finger_names`, `digest`) for which the map must have been trained;
+            None does not check.
         backend: "numpy", or "numba", which halves the time of calls for one hand; see `Retargeter.compile`.
 
     Raises:
-        CheckpointError: a file is missing or altered, or the checkpoint is for another hand.
+        CheckpointError: a file is missing or altered, or the map is for another hand.
         UnknownNameError: this version does not know the checkpoint's method, or there is no such backend.
         GeortError: the backend is numba, which is not installed.
     """
     if backend not in BACKENDS:
         raise UnknownNameError("backend", backend, BACKENDS)
+    path = shipped_maps().get(os.fspath(source), Path(source))
+    if path.is_file():
+        return _universal(path, hand, backend)
+    if not path.exists():
+        shipped = ", ".join(shipped_maps()) or "none"
+        raise CheckpointError(
+            f"{path}: no such checkpoint directory, which geort-drake train writes, and no file of a map; "
+            f"maps shipped with this version: {shipped}"
+        )
     checkpoint = load_checkpoint(path)
     if hand is not None:
         checkpoint.check_hand(hand)
@@ -51,3 +63,18 @@ def load_retargeter(
     if backend == "numba":
         retargeter.compile()
     return retargeter
+
+
+def _universal(path: Path, hand: TrainedHand | None, backend: str) -> UniversalRetargeter:
+    file = load_map(path)
+    if hand is not None:
+        file.check_hand(path, hand)
+    return UniversalRetargeter(
+        file.arrays,
+        file.finger_names,
+        file.joint_names,
+        file.human_keypoints,
+        np.array(file.lower),
+        np.array(file.upper),
+        backend,
+    )
