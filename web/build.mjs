@@ -18,7 +18,7 @@ cpSync(`${here}../docs/assets/favicon.svg`, `${out}icon.svg`);
 for (const name of [
   "hands.js",
   "hands.binarypb",
-  "hand_landmark_full.tflite",
+  "hand_landmark_lite.tflite",
   "hands_solution_packed_assets.data",
   "hands_solution_packed_assets_loader.js",
   "hands_solution_simd_wasm_bin.js",

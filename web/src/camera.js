@@ -2,15 +2,17 @@
 
 export class Camera {
   /**
-   * @param {HTMLVideoElement} video shows the picture.
-   * @param {(result: {t: number, hand: object | null, aspect: number, delay: number}) => void} onResult
-   *   `t` is when the picture was taken and `delay` how long ago that is, s.
+   * @param {HTMLElement} mirror shows the pictures and the hand in them.
+   * @param {(result: {t: number, hand: object | null, aspect: number, delay: number}) => void} onResult `t` is when
+   *   the picture was taken and `delay` how long ago that is, s.
    * @param {(text: string) => void} onFailure
    */
-  constructor(video, onResult, onFailure) {
-    this.video = video;
+  constructor(mirror, onResult, onFailure) {
+    this.mirror = mirror;
     this.onResult = onResult;
     this.onFailure = onFailure;
+    // Not in the page: without a GPU, the browser takes longer to show a video than to track the hand in it.
+    this.video = Object.assign(document.createElement("video"), { muted: true, playsInline: true });
   }
 
   async start() {
@@ -22,6 +24,10 @@ export class Camera {
     this.worker = new Worker("tracker.js");
     this.worker.onmessage = ({ data }) => this.#receive(data);
     this.worker.onerror = (event) => this.onFailure(`The hand tracker did not start: ${event.message}.`);
+    const canvas = Object.assign(document.createElement("canvas"), { ariaLabel: "Mirrored picture of your hand" });
+    this.mirror.replaceChildren(canvas);
+    const offscreen = canvas.transferControlToOffscreen();
+    this.worker.postMessage({ canvas: offscreen }, [offscreen]);
     this.video.srcObject = this.stream;
     await this.video.play();
     this.#watch();
@@ -35,14 +41,14 @@ export class Camera {
   }
 
   #watch() {
-    this.video.requestVideoFrameCallback(async (now, picture) => {
+    this.video.requestVideoFrameCallback((now, picture) => {
       if (!this.worker) return;
       this.#watch();
       if (this.busy) return;
       this.busy = true;
       const t = (picture.captureTime ?? now) / 1000;
-      const bitmap = await createImageBitmap(this.video);
-      this.worker?.postMessage({ picture: bitmap, t }, [bitmap]);
+      const frame = new VideoFrame(this.video);
+      this.worker.postMessage({ frame, t }, [frame]);
     });
   }
 
@@ -53,12 +59,6 @@ export class Camera {
     }
     this.busy = false;
     if (data.ready) return;
-    const { videoWidth, videoHeight } = this.video;
-    this.onResult({
-      t: data.t,
-      hand: data.hand,
-      aspect: videoWidth / videoHeight,
-      delay: performance.now() / 1000 - data.t,
-    });
+    this.onResult({ ...data, delay: performance.now() / 1000 - data.t });
   }
 }

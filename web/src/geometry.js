@@ -1,17 +1,16 @@
-// Geometries of `/scene` as three.js meshes.
+// Geometries of `/scene` as three.js meshes, one for each body.
 
 import * as THREE from "three";
-import { mergeVertices, toCreasedNormals } from "three/addons/utils/BufferGeometryUtils.js";
+import { mergeGeometries, mergeVertices, toCreasedNormals } from "three/addons/utils/BufferGeometryUtils.js";
 
 const CREASE = Math.PI / 5;
-const meshes = new Map();
 
 const SHAPES = {
   box: ([x, y, z]) => new THREE.BoxGeometry(x, y, z),
-  ellipsoid: ([a, b, c]) => new THREE.SphereGeometry(1, 48, 32).scale(a, b, c),
+  ellipsoid: ([a, b, c]) => new THREE.SphereGeometry(1, 32, 20).scale(a, b, c),
   // three.js has these along y.
-  cylinder: ([radius, length]) => new THREE.CylinderGeometry(radius, radius, length, 64).rotateX(Math.PI / 2),
-  capsule: ([radius, length]) => new THREE.CapsuleGeometry(radius, length, 16, 32).rotateX(Math.PI / 2),
+  cylinder: ([radius, length]) => new THREE.CylinderGeometry(radius, radius, length, 40).rotateX(Math.PI / 2),
+  capsule: ([radius, length]) => new THREE.CapsuleGeometry(radius, length, 8, 28).rotateX(Math.PI / 2),
 };
 
 async function fetchMesh(url) {
@@ -23,23 +22,45 @@ async function fetchMesh(url) {
   return mergeVertices(toCreasedNormals(geometry, CREASE));
 }
 
-/** Makes the mesh of one entry of `geometries`. */
-export async function makeMesh({ shape, size, url, color, pose }) {
-  if (shape === "mesh" && !meshes.has(url)) meshes.set(url, fetchMesh(url));
-  const geometry = shape === "mesh" ? await meshes.get(url) : SHAPES[shape](size);
-  const [red, green, blue, alpha] = color;
-  const material = new THREE.MeshStandardMaterial({
-    color: new THREE.Color().setRGB(red, green, blue, THREE.SRGBColorSpace),
-    roughness: 0.55,
-    metalness: 0.05,
-    transparent: alpha < 1,
-    opacity: alpha,
-  });
-  const mesh = new THREE.Mesh(geometry, material);
-  mesh.castShadow = alpha === 1;
-  mesh.receiveShadow = true;
-  setPose(mesh, pose);
-  return mesh;
+/** Makes one entry of `geometries` in its body's frame, with its colour at every vertex. */
+async function makeGeometry({ shape, size, url, color: [red, green, blue], pose }) {
+  const geometry = shape === "mesh" ? await fetchMesh(url) : SHAPES[shape](size);
+  geometry.deleteAttribute("uv");
+  const place = new THREE.Object3D();
+  setPose(place, pose);
+  place.updateMatrix();
+  const { r, g, b } = new THREE.Color().setRGB(red, green, blue, THREE.SRGBColorSpace);
+  const colours = new Float32Array(3 * geometry.attributes.position.count);
+  for (let i = 0; i < colours.length; i += 3) colours.set([r, g, b], i);
+  geometry.setAttribute("color", new THREE.BufferAttribute(colours, 3));
+  return geometry.applyMatrix4(place.matrix);
+}
+
+/**
+ * Makes the meshes of a scene. A body's geometries of one opacity share a mesh, as every mesh costs time.
+ *
+ * @param {object[]} geometries of `/scene`
+ * @param {typeof THREE.Material} Material
+ * @returns {Promise<{moving: number | null, mesh: THREE.Mesh}[]>}
+ */
+export async function makeMeshes(geometries, Material) {
+  const groups = new Map();
+  for (const entry of geometries) {
+    const key = `${entry.moving} ${entry.color[3]}`;
+    groups.set(key, [...(groups.get(key) ?? []), entry]);
+  }
+  return Promise.all(
+    Array.from(groups.values(), async (entries) => {
+      const { moving, color } = entries[0];
+      const opacity = color[3];
+      const geometry = mergeGeometries(await Promise.all(entries.map(makeGeometry)));
+      const material = new Material({ vertexColors: true, transparent: opacity < 1, opacity });
+      const mesh = new THREE.Mesh(geometry, material);
+      mesh.castShadow = opacity === 1;
+      mesh.receiveShadow = true;
+      return { moving, mesh };
+    }),
+  );
 }
 
 /** Places an object at a pose qw qx qy qz x y z, which starts at `offset` of `values`. */

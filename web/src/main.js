@@ -3,7 +3,7 @@
 import { Camera } from "./camera.js";
 import { Connection } from "./connection.js";
 import { Headset, headsetMode } from "./headset.js";
-import { show, showLandmarks, showObjects } from "./panel.js";
+import { show, showObjects } from "./panel.js";
 import { View } from "./view.js";
 
 const VERSION = 1;
@@ -21,6 +21,7 @@ const model = {
   hand: UNSEEN,
 };
 const view = new View(element("view"));
+element("coarse").hidden = !view.coarse;
 let scene = null;
 
 function refresh() {
@@ -86,9 +87,8 @@ function receiveHand(t, fields, seen) {
 }
 
 const camera = new Camera(
-  element("video"),
+  element("mirror"),
   ({ t, hand, aspect, delay }) => {
-    showLandmarks(hand?.image);
     if (!hand) return receiveHand(t, null);
     const { side, ...fields } = hand;
     receiveHand(t, { ...fields, aspect }, { side, score: fields.score, delay });
@@ -105,7 +105,6 @@ const headset = new Headset(
 
 function stopUsing(failure = "") {
   camera.stop();
-  showLandmarks(null);
   if (model.hand.usable) receiveHand(performance.now() / 1000, null);
   Object.assign(model, { device: null, failure, hand: UNSEEN });
   refresh();
@@ -144,7 +143,10 @@ document.addEventListener("visibilitychange", () => {
 async function toggle() {
   if (model.state?.engaged) return connection.send({ type: "disengage" });
   if (element("engage").disabled) return;
-  if (model.welcome.robot === "lcm" && !(await confirmRealRobot())) return;
+  if (model.welcome.robot === "lcm") {
+    if (!(await confirmRealRobot())) return;
+    connection.send({ type: "engage" }); // a real robot wants it twice
+  }
   connection.send({ type: "engage" });
 }
 

@@ -1,6 +1,5 @@
 // The page's words and controls outside the 3D view.
 
-import { drawSkeleton } from "./skeleton.js";
 import { quality, situation } from "./words.js";
 
 const PHASES = ["reach", "touch", "grasp", "lift", "hold"];
@@ -19,7 +18,8 @@ export function show(model) {
   write(element("headline").querySelector("span"), now.detail);
   element("fist").style.strokeDasharray = `${state?.fist ?? 0} 1`;
 
-  element("start").hidden = device !== null;
+  element("start").hidden = device === "camera";
+  element("mirror").hidden = device !== "camera";
   if (failure) write("start-words", failure);
   write("camera", device === "camera" ? "Stop the camera" : "Use the camera");
   write("headset", device === "headset" ? "Leave the headset" : "Use the headset");
@@ -52,15 +52,6 @@ export function show(model) {
 /** Fills the choice of objects. */
 export function showObjects(names) {
   element("object").replaceChildren(...names.map((name) => new Option(name.replaceAll("_", " "), name)));
-}
-
-/** Draws the landmarks over the camera's picture. */
-export function showLandmarks(image) {
-  const canvas = element("skeleton");
-  const video = element("video");
-  canvas.width = video.videoWidth;
-  canvas.height = video.videoHeight;
-  drawSkeleton(canvas, image);
 }
 
 function showGuide(guide) {

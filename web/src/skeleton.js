@@ -16,15 +16,12 @@ export const BONES = FINGERS.flatMap(({ colour }, finger) =>
 /** Keypoint → place in the order of XRHand, which has a metacarpal's base for each finger as well. */
 export const KEYPOINT_TO_XR = [0, 1, 2, 3, 4, 6, 7, 8, 9, 11, 12, 13, 14, 16, 17, 18, 19, 21, 22, 23, 24];
 
-/** Draws `image`, 21 × [u, v] from 0 to 1, or nothing if it is null. */
-export function drawSkeleton(canvas, image) {
-  const context = canvas.getContext("2d");
-  const { width, height } = canvas;
-  context.clearRect(0, 0, width, height);
-  if (!image) return;
+/** Draws a hand, 21 × [u, v] from 0 to 1, into a 2D context. */
+export function drawSkeleton(context, image) {
+  const { width, height } = context.canvas;
   const at = ([u, v]) => [u * width, v * height];
   context.lineCap = "round";
-  context.lineWidth = width / 110;
+  context.lineWidth = width / 105;
   for (const { parent, child, colour } of BONES) {
     context.strokeStyle = colour;
     context.beginPath();

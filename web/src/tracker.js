@@ -1,7 +1,9 @@
-// A worker that finds one hand in pictures with MediaPipe Hands.
+// A worker that finds one hand in pictures with MediaPipe Hands, and draws both.
 //
-// Messages in: {picture: ImageBitmap, t}. Messages out: {ready}, {t, hand, seconds} or {failure}; `hand` is null
-// or {world: 21 × [x, y, z] m, image: 21 × [u, v], score, side}.
+// Messages in: {canvas: OffscreenCanvas} first, then {frame: VideoFrame, t}. Messages out: {ready},
+// {t, hand, aspect} or {failure}; `hand` is null or {world: 21 × [x, y, z] m, image: 21 × [u, v], score, side}.
+
+import { drawSkeleton } from "./skeleton.js";
 
 const files = new URL("hands/", self.location).href;
 
@@ -30,13 +32,20 @@ self.document = {
 // MediaPipe names sides as in a mirrored picture.
 const SIDE = { Left: "right", Right: "left" };
 
+// Width of the pictures, pixels: a hand is found in no more, and without a GPU, each pixel takes time.
+const WIDTH = 480;
+// Pictures stay in the processor's memory, where cameras put theirs.
+const IN_MEMORY = { willReadFrequently: true };
+const picture = new OffscreenCanvas(WIDTH, 1).getContext("2d", IN_MEMORY);
+let shown = null;
+
 let found = null;
 
 async function open() {
   importScripts(`${files}hands.js`);
   const hands = new self.Hands({ locateFile: (file) => files + file });
   // Inference on the CPU is fast on every machine, and leaves the GPU to the view.
-  hands.setOptions({ maxNumHands: 1, modelComplexity: 1, useCpuInference: true });
+  hands.setOptions({ maxNumHands: 1, modelComplexity: 0, useCpuInference: true });
   hands.onResults((results) => (found = results));
   await hands.initialize();
   return hands;
@@ -48,19 +57,32 @@ opening.then(
   (error) => postMessage({ failure: String(error) }),
 );
 
-onmessage = async ({ data: { picture, t } }) => {
-  const begin = performance.now();
+onmessage = async ({ data: { canvas, frame, t } }) => {
+  if (canvas) {
+    shown = canvas.getContext("2d", IN_MEMORY);
+    return;
+  }
   try {
     const hands = await opening;
     found = null;
-    await hands.send({ image: picture });
-    postMessage({ t, hand: first(found), seconds: (performance.now() - begin) / 1000 });
+    draw(frame);
+    await hands.send({ image: picture.canvas });
+    const hand = first(found);
+    shown.drawImage(picture.canvas, 0, 0);
+    if (hand) drawSkeleton(shown, hand.image);
+    postMessage({ t, hand, aspect: picture.canvas.width / picture.canvas.height });
   } catch (error) {
     postMessage({ failure: String(error) });
-  } finally {
-    picture.close();
   }
 };
+
+function draw(frame) {
+  const height = Math.round((WIDTH * frame.displayHeight) / frame.displayWidth);
+  for (const { canvas } of [picture, shown])
+    if (canvas.width !== WIDTH || canvas.height !== height) Object.assign(canvas, { width: WIDTH, height });
+  picture.drawImage(frame, 0, 0, WIDTH, height);
+  frame.close();
+}
 
 function first(results) {
   const world = results?.multiHandWorldLandmarks?.[0];

@@ -3,7 +3,7 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
-import { makeMesh, setPose } from "./geometry.js";
+import { makeMeshes, setPose } from "./geometry.js";
 import { OwnHand } from "./own_hand.js";
 import { Sign } from "./sign.js";
 import { KEYPOINT_TO_XR } from "./skeleton.js";
@@ -16,6 +16,9 @@ const WORLD = new THREE.Matrix4().makeBasis(
 );
 // The own hand is drawn this far to the right of the robot's, m.
 const BESIDE = 0.24;
+// Renderers that use the processor. The view then yields to the hand tracker: coarse, and a few pictures a second.
+const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
+const COARSE_INTERVAL_MS = 200;
 // Where a headset shows the middle of the scene, m: above the floor and ahead of the person.
 const HEADSET_TARGET = new THREE.Vector3(0, 0.95, -0.65);
 
@@ -23,10 +26,12 @@ export class View {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     this.canvas = canvas;
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
-    this.renderer.shadowMap.enabled = true;
+    this.coarse = SOFTWARE.test(rendererName());
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !this.coarse, alpha: true });
+    this.renderer.shadowMap.enabled = !this.coarse;
+    this.Material = this.coarse ? THREE.MeshLambertMaterial : THREE.MeshStandardMaterial;
     this.renderer.toneMapping = THREE.ACESFilmicToneMapping;
-    this.camera = new THREE.PerspectiveCamera(38, 1, 0.02, 20);
+    this.camera = new THREE.PerspectiveCamera(46, 1, 0.02, 20);
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.enableDamping = true;
     this.controls.listenToKeyEvents(canvas);
@@ -44,6 +49,7 @@ export class View {
     this.sign.visible = false;
     this.scene.add(this.headsetHand, this.sign);
     this.bodies = [];
+    this.drawn = 0;
     this.target = new THREE.Vector3();
 
     new ResizeObserver(() => this.#resize()).observe(canvas);
@@ -57,9 +63,9 @@ export class View {
     this.world.clear();
     this.bodies = description.moving.map(() => new THREE.Group());
     this.world.add(...this.bodies, this.ownHand);
-    const meshes = await Promise.all(description.geometries.map(makeMesh));
+    const meshes = await makeMeshes(description.geometries, this.Material);
     if (this.description !== description) return;
-    meshes.forEach((mesh, i) => (this.bodies[description.geometries[i].moving] ?? this.world).add(mesh));
+    for (const { moving, mesh } of meshes) (this.bodies[moving] ?? this.world).add(mesh);
     const { eye, target } = description.camera;
     this.world.updateMatrixWorld();
     this.target.set(...target).applyMatrix4(WORLD);
@@ -88,7 +94,6 @@ export class View {
   /** Shows the words that a headset needs. */
   setWords(headline, detail) {
     this.sign.write(headline, detail);
-    this.stale = true;
   }
 
   /** Draws in a headset; `onFrame(time, frame, space)` runs before each picture. */
@@ -145,7 +150,7 @@ export class View {
   #resize() {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (this.renderer.xr.isPresenting || !width || !height) return;
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.setPixelRatio(this.coarse ? 0.5 : Math.min(devicePixelRatio, 2));
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
@@ -156,8 +161,17 @@ export class View {
     if (frame && this.onFrame) this.onFrame(time, frame, this.renderer.xr.getReferenceSpace());
     else if (!this.renderer.xr.isPresenting) this.controls.update();
     // A picture is drawn only when something has changed, which leaves time to the hand tracker.
-    if (!this.stale && !frame) return;
+    if (!frame && (!this.stale || (this.coarse && time - this.drawn < COARSE_INTERVAL_MS))) return;
     this.stale = false;
+    this.drawn = time;
     this.renderer.render(this.scene, this.camera);
   }
+}
+
+function rendererName() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const names = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = names ? gl.getParameter(names.UNMASKED_RENDERER_WEBGL) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return name;
 }
