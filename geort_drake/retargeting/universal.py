@@ -46,7 +46,8 @@ class UniversalRetargeter:
         Args:
             arrays: reach_mean (F, 3), reach_covariance (F, 3, 3) and reach_weights (2,) of the average
                 person; code_mean, code_deviation (15 F,); code_weight0 (15 F, m), code_bias0 (m,),
-                code_weight1 (m, m), code_bias1 (m,); input_weight (m, 12 F), input_bias (12 F,);
+                code_weight1 (m, m), code_bias1 (m,); input_mean and input_scale (F, 3) of the inputs;
+                input_weight (m, 12 F), input_bias (12 F,);
                 modulation_weight (4, F, m, h), modulation_bias (4, F, h); residual_modulation_weight
                 (2, m, r), residual_modulation_bias (2, r); and those of `CoupledRetargeter`, whose
                 residual_weight0 is (3 F + 3 (F − 1), r).
@@ -90,6 +91,8 @@ class UniversalRetargeter:
             "code_bias0": (units,),
             "code_weight1": (units, units),
             "code_bias1": (units,),
+            "input_mean": (fingers, 3),
+            "input_scale": (fingers, 3),
             "input_weight": (units, 12 * fingers),
             "input_bias": (12 * fingers,),
             "modulation_weight": (4, fingers, units, hidden),
@@ -103,7 +106,7 @@ class UniversalRetargeter:
         }
         for name, shape in shapes.items():
             checked_array(self._arrays, name, shape)
-        for name in ("code_deviation", "reach_weights"):
+        for name in ("code_deviation", "input_scale", "reach_weights"):
             if not (self._arrays[name] > 0).all():
                 raise CheckpointError(f"weights: '{name}' must be positive")
         covariance = self._arrays["reach_covariance"]
@@ -148,10 +151,10 @@ class UniversalRetargeter:
         """
         p_HK = np.asarray(p_HK, dtype=float)
         if p_HK.ndim != 3 or p_HK.shape[1:] != (KEYPOINT_COUNT, 3) or len(p_HK) == 0:
+            hands = f"({KEYPOINT_COUNT}, 3) or (N, {KEYPOINT_COUNT}, 3) with N > 0"
             raise ValueError(
-                f"a person is seen in whole hands, ({KEYPOINT_COUNT}, 3) or (N, {KEYPOINT_COUNT}, 3) with N "
-                f"of at least 1, not in points of shape {p_HK.shape}; fingertips alone do not show the hand's "
-                "shape: call the map of `for_person` with them"
+                f"a person is seen in whole hands, {hands}, not in points of shape {p_HK.shape}; fingertips "
+                "do not show the hand's shape: call the map of `for_person` with them"
             )
         if not np.isfinite(p_HK).all():
             raise GeortError("human points must be finite; at least one coordinate is NaN or infinite")
@@ -209,13 +212,12 @@ class UniversalRetargeter:
         gain0, offset0, gain1, offset1 = modulation[:, :, None]  # each (F, 1, h)
         gain, offset = z @ arrays["residual_modulation_weight"] + arrays["residual_modulation_bias"]
 
-        # x' = p M + v of each finger, with the place of its tip in units of the person.
-        knuckles, lengths, mean, spread = np.split(code[: 8 * fingers], np.array([3, 4, 7]) * fingers)
+        # x' = p M + v of each finger.
+        knuckles = code[: 3 * fingers].reshape(fingers, 3)
+        lengths = code[3 * fingers : 4 * fingers, None]
         own = np.eye(3) + inputs[: 9 * fingers].reshape(fingers, 3, 3)
-        M = own / (lengths * spread)[:, None, None]
-        origin = (knuckles.reshape(fingers, 3) / lengths[:, None] + mean.reshape(fingers, 3)) / spread[
-            :, None
-        ]
+        M = own / (lengths * arrays["input_scale"])[:, :, None]
+        origin = (knuckles / lengths + arrays["input_mean"]) / arrays["input_scale"]
         v = inputs[9 * fingers :].reshape(fingers, 1, 3) - origin[:, None] @ own
 
         shared, pairs = np.split(arrays["residual_weight0"], [3 * fingers])
