@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 COMMANDS = (
     "grasp",
     "train",
+    "pretrain",
     "refit",
     "evaluate",
     "explore",

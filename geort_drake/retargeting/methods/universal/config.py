@@ -16,17 +16,17 @@ class UniversalConfig:
     """
 
     people: int = 800
-    steps: int = 20_000
-    learning_rate: float = 0.006  # of SOAP; falls to zero along half a cosine
+    steps: int = 16_000
+    learning_rate: float = 0.003  # of SOAP; falls to zero along half a cosine
     direction: float = 0.036  # 1 − mean cosine between motions of a human fingertip and the robot's
     track: float = 0.034  # the same along recorded steps
-    cross_talk: float = 0.035  # mean motion of other fingertips over the moved one's
-    curvature: float = 0.08  # mean squared second over first differences
-    uneven: float = 0.12  # fraction of motions whose gain is far from the finger's median
-    open_pinch: float = 0.02  # fraction of pinches in which the robot's fingertips do not touch
+    cross_talk: float = 0.036  # mean motion of other fingertips over the moved one's
+    curvature: float = 0.12  # mean squared second over first differences
+    uneven: float = 0.10  # fraction of motions whose gain is far from the finger's median
+    open_pinch: float = 0.012  # fraction of pinches in which the robot's fingertips do not touch
     deep_pinch: float = 0.01  # fraction in which they overlap by most of their radius
     false_pinch: float = 0.0012  # fraction of pairs that touch although the person's are apart
-    collision: float = 0.0015  # fraction of hands in which links overlap by 2 mm
+    collision: float = 0.0012  # fraction of hands in which links overlap by 2 mm
 
     def validate(self) -> None:
         """Raises TrainingError for a value out of range."""

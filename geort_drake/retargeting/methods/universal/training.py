@@ -24,6 +24,7 @@ ROBOT_SAMPLES, ROBOT_VOXEL = 60_000, 0.005  # of the robot's C-space; m
 COVERAGE_WEIGHT = 4.0
 PEOPLE_PER_BATCH = 24
 WEIGHT_DECAY = 0.01
+MOMENTUM = (0.95, 0.99)  # gradients differ from person to person
 AVERAGING = 0.997  # of the weights, in the second half
 
 
@@ -112,7 +113,7 @@ class _Training:
             config.steps,
             config.learning_rate,
             report,
-            Soap(groups, lr=config.learning_rate, clip=2.0),
+            Soap(groups, lr=config.learning_rate, betas=MOMENTUM, clip=2.0),
             warm_up=100,
             averaging=AVERAGING,
         )

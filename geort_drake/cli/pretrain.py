@@ -1,0 +1,38 @@
+"""Train the map for everyone of a robot hand, on synthetic people alone.
+
+geort-drake pretrain --hand my_hand.yaml --output my_hand.safetensors
+"""
+
+import argparse
+
+from geort_drake.cli.options import CommandParser, command, finish, output_file
+
+EPILOG = """\
+Training takes about half an hour on two cores. geort_drake.load_retargeter(FILE) loads the map, which serves
+any person. The seed and the version of the package determine its weights to the last bit.
+"""
+
+
+def add_arguments(parser: CommandParser) -> None:
+    add = parser.add_argument
+    parser.add_hand()
+    add("--output", type=output_file(".safetensors"), required=True, metavar="FILE", help="map to write")
+    parser.add_seed("population and training")
+    setting = "change a setting; repeatable; an unknown NAME lists all settings"
+    add("--set", action="append", default=[], metavar="NAME=VALUE", help=setting)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from geort_drake import load_hand
+    from geort_drake.comparison.pretrain import pretrain
+    from geort_drake.console import print_table
+    from geort_drake.retargeting.methods.universal import UniversalConfig
+    from geort_drake.settings import parse_settings
+
+    description = load_hand(arguments.hand)
+    config = UniversalConfig(**parse_settings(arguments.set, UniversalConfig(), "pretrain"))
+    figures = pretrain(description, arguments.output, config, arguments.seed, not arguments.quiet)
+    rows = [(name.replace("_", " "), f"{value:.4f}") for name, value in figures.items()]
+    print_table(("figure", "value"), rows, f"{description.name}, seed {arguments.seed}")
+    finish({"Map": arguments.output}, command("grasp", "--retargeter", arguments.output))
+    return 0

@@ -1,0 +1,84 @@
+"""Trains the map for everyone of a robot hand and writes its file."""
+
+import dataclasses
+import os
+
+import numpy as np
+import torch
+
+from geort_drake.comparison.versions import git_state, versions
+from geort_drake.console import progress_bar
+from geort_drake.errors import UnknownNameError
+from geort_drake.hands.description import HandDescription, load_hand
+from geort_drake.hands.mirror import canonical_kinematics, canonical_shapes
+from geort_drake.hands.model import HandModel
+from geort_drake.retargeting.map_file import MapFile
+from geort_drake.retargeting.methods.universal import UniversalConfig
+from geort_drake.retargeting.methods.universal.training import train_universal
+
+_MIRRORED = {"right": "left", "left": "right"}
+
+
+def pretrain(
+    description: HandDescription,
+    output: str | os.PathLike,
+    config: UniversalConfig | None = None,
+    seed: int = 0,
+    show_progress: bool = True,
+) -> dict[str, float]:
+    """Trains the map for everyone of a hand and writes it to a file; see `MapFile`.
+
+    The map is also for the hand's mirror image, where there is one whose name has the other side.
+
+    Args:
+        description: of the robot hand.
+        output: the file.
+        config: settings; None takes the defaults.
+        seed: of the population and the training.
+        show_progress: draw progress bars on stderr.
+
+    Returns:
+        The figures at the end of the training; see `UniversalTraining`.
+
+    Raises:
+        HandError, TrainingError: the hand or a setting is unusable.
+        OutputError: the file cannot be written.
+    """
+    config = config or UniversalConfig()
+    hand = HandModel(description)
+    with progress_bar(show_progress) as bars:
+        result = train_universal(
+            canonical_kinematics(hand), canonical_shapes(hand), config, seed, bars.losses("training", None)
+        )
+    MapFile(
+        result.arrays,
+        hands={description.name: hand.digest} | _mirror_image(hand),
+        finger_names=hand.finger_names,
+        joint_names=hand.joint_names,
+        human_keypoints=description.human_keypoints,
+        lower=hand.lower.tolist(),
+        upper=hand.upper.tolist(),
+        training={**dataclasses.asdict(config), "seed": seed},
+        provenance={
+            "versions": versions(),
+            "git": git_state(),
+            "seconds": round(result.seconds, 1),
+            "figures": {name: round(value, 6) for name, value in result.figures.items()},
+        },
+    ).save(output)
+    return result.figures
+
+
+def _mirror_image(hand: HandModel) -> dict[str, str]:
+    """Name and digest of the hand's mirror image; empty if there is none."""
+    side = hand.description.side
+    try:
+        other = HandModel(load_hand(hand.description.name.replace(side, _MIRRORED[side])))
+    except UnknownNameError:
+        return {}
+    if other.joint_names != hand.joint_names or other.description.side == side:
+        return {}
+    q = torch.tensor(np.random.default_rng(0).uniform(hand.lower, hand.upper, (100, len(hand.lower))))
+    tips, mirrored = (canonical_kinematics(each).fingertips(q).numpy() for each in (hand, other))
+    same = np.allclose(tips, mirrored, atol=1e-6) and np.allclose(hand.lower, other.lower)
+    return {other.description.name: other.digest} if same and np.allclose(hand.upper, other.upper) else {}
