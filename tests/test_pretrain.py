@@ -1,0 +1,80 @@
+"""The training of a map for everyone."""
+
+import numpy as np
+import pytest
+import torch
+from retargeting_toy import toy_kinematics
+
+from geort_drake.errors import TrainingError
+from geort_drake.hands.collision_shapes import collision_shapes
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.people.population import sample_population
+from geort_drake.retargeting.methods.universal.config import UniversalConfig
+from geort_drake.retargeting.methods.universal.constraints import Multipliers
+from geort_drake.retargeting.methods.universal.losses import RobotTips, constraint_terms
+from geort_drake.retargeting.methods.universal.people import TrainingPeople
+from geort_drake.retargeting.methods.universal.training import train_universal
+
+FINGERS = ("thumb", "index", "middle", "ring")
+
+
+@pytest.fixture(scope="module")
+def people():
+    p_HK = sample_population(4, seed=0, duration_s=20.0)
+    return TrainingPeople(p_HK, FINGERS, torch.Generator().manual_seed(0), seed=0)
+
+
+def test_the_seed_determines_the_map_to_the_last_bit():
+    """A small map of the Allegro hand, twice; another seed gives another."""
+    hand = HandModel(load_hand("allegro_right"))
+    config = UniversalConfig(people=6, steps=12)
+
+    def arrays(seed):
+        return train_universal(hand.kinematics(), collision_shapes(hand), config, seed).arrays
+
+    first, again, other = arrays(0), arrays(0), arrays(1)
+    for name, array in first.items():
+        np.testing.assert_array_equal(array, again[name])
+    assert not np.array_equal(first["weight0"], other["weight0"])
+
+
+def test_multipliers_rise_where_a_constraint_is_violated():
+    """And fall where it holds, but never to zero."""
+    multipliers = Multipliers({"held": 1.0, "violated": 1.0})
+    start = dict(multipliers.values)
+    for _ in range(400):
+        multipliers.update({"held": torch.tensor(0.1), "violated": torch.tensor(2.0)})
+    assert 0 < multipliers.values["held"] < start["held"]
+    assert multipliers.values["violated"] > start["violated"]
+
+
+def test_a_perfect_map_violates_nothing(people):
+    """The robot's fingertips move as the person's, over a distance where touching tips overlap by the aim."""
+    hands = people.draw(4)
+    d = torch.nn.functional.one_hot(hands.finger, 4)[..., None] * hands.d[:, :, None]
+    tips = RobotTips(hands.moved, hands.moved + d, hands.moved - d, hands.before, hands.after, hands.pinching)
+    figures = {
+        name: float(figure) for name, (_, figure) in constraint_terms(hands, tips, people, 0.012).items()
+    }
+    for name in ("direction", "track", "cross_talk", "curvature", "uneven", "open_pinch", "false_pinch"):
+        assert figures[name] < 1e-3, name
+    still = RobotTips(*(torch.zeros_like(part) for part in vars(tips).values()))
+    terms = constraint_terms(hands, still, people, 0.012)
+    assert float(terms["direction"][1]) == pytest.approx(1.0)
+    assert float(terms["deep_pinch"][1]) == 1.0 and float(terms["false_pinch"][1]) == 1.0
+
+
+def test_made_up_pinches_meet(people):
+    """Where they are possible, the pair's tips are nearer than a pinch."""
+    hands = people.draw(8)
+    distance = people.pair_distances(hands.pinching)
+    pinched = distance.gather(-1, hands.pinch_pair[..., None])[..., 0][hands.pinched]
+    assert len(pinched) and float(pinched.max()) < 0.0151
+
+
+def test_unusable_settings_and_hands_are_refused():
+    with pytest.raises(TrainingError, match="steps must be a positive whole number"):
+        UniversalConfig(steps=0).validate()
+    with pytest.raises(TrainingError, match="no thumb"):
+        train_universal(toy_kinematics(("index", "middle")), None)
