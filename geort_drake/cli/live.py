@@ -12,7 +12,6 @@ moves the robot. The page asks for the key in its address.
 import argparse
 import dataclasses
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,10 +33,6 @@ if TYPE_CHECKING:
     from geort_drake.live.session import SessionReport
     from geort_drake.live.teleoperation import Teleoperation
     from geort_drake.retargeting.retargeter import Retargeter, UniversalRetargeter
-    from geort_drake.simulation.scenario import Scenario
-
-# Where the page's recordings go.
-_RECORDINGS = Path("runs/live")
 
 
 def add_arguments(parser: CommandParser) -> None:
@@ -45,8 +40,8 @@ def add_arguments(parser: CommandParser) -> None:
     add("--glove", default="web", metavar="SOURCE", help="source of the hand motion")
     add("--robot", default="simulation", metavar="TARGET", help="robot or simulation to drive")
     trained = (
-        "directory of the checkpoint (default: one trained on synthetic play; if the cache has none, "
-        "training it takes minutes before anything moves)"
+        "checkpoint or map (default: the hand's map for everyone; without one, a checkpoint trained on "
+        "synthetic play; if the cache has none, training it takes minutes before anything moves)"
     )
     add("--retargeter", type=Path, help=trained)
     add("--backend", default="numpy", choices=["numpy", "numba"], help="numba takes half the time per call")
@@ -99,7 +94,9 @@ def run(arguments: argparse.Namespace) -> int:
     if lcm_url:
         require_hand_messages(description)
     if arguments.glove == "web":
-        return _run_web(arguments, scenario, description, lcm_url)
+        from geort_drake.cli.live_web import run_web
+
+        return run_web(arguments, scenario, description, lcm_url)
     receiver = None
     if is_address(arguments.glove):
         receiver = open_receiver(arguments.glove)
@@ -109,7 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
         duration = min(duration, glove.duration)
     _warn_of_open_addresses(arguments.glove if receiver else None, lcm_url)
 
-    retarget = _load(_checkpoint(arguments, description), description, arguments.backend)
+    retarget = load(checkpoint_of(arguments, description), description, arguments.backend)
     model = RobotModel(scenario, description)
     recorder = None
     if arguments.record:
@@ -139,7 +136,7 @@ def run(arguments: argparse.Namespace) -> int:
             recorder,
         )
         engaged = arguments.engage == "now"
-        _print_keys("" if engaged else "Enter engages and disengages. ")
+        print_keys("" if engaged else "Enter engages and disengages. ")
         with stopping() as stop:
             report = run_session(
                 loop,
@@ -148,128 +145,62 @@ def run(arguments: argparse.Namespace) -> int:
                 duration,
                 stop.is_set,
                 lambda: link.require_alive(arguments.robot_silence) if link else None,
-                _say_state,
+                say_state,
             )
     finally:
         if receiver:
             receiver.close()
         # Also after a session that ended with an error.
         recorded = recorder is not None and recorder.finish()
-    summary = _summary(report, loop, link)
-    _print(summary)
+    summary = summary_of(report, loop, link)
+    print_summary(summary)
     if recorded:
         finish({"Recording": arguments.record}, command("grasp", "--recording", arguments.record))
     write_json(arguments.json, summary)
     return 0
 
 
-def _run_web(
-    arguments: argparse.Namespace, scenario: "Scenario", description: "HandDescription", lcm_url: str | None
-) -> int:
-    """Serves the page and runs its sessions."""
-    from geort_drake.live.robot_link import RobotLink
-    from geort_drake.live.session import stopping
-    from geort_drake.live.teleoperation import RobotModel
-    from geort_drake.live.web.control import PageControl
-    from geort_drake.live.web.desk import About, Desk
-    from geort_drake.live.web.serve import open_server
-    from geort_drake.live.web.session import WebTeleoperation
-    from geort_drake.simulation.scenario import object_names
-
-    if arguments.record:
-        raise UsageError(f"--record: the page starts and stops recordings, in {_RECORDINGS}")
-    if arguments.meshcat:
-        raise UsageError("--meshcat: the page shows the simulation")
-    if lcm_url:
-        _confirm_real_robot()
-    checkpoint = _checkpoint(arguments, description)
-    model = RobotModel(scenario, description)
-    link = RobotLink(lcm_url, model.hand, model.arm, scenario.retargeting.period) if lcm_url else None
-    words = f"trained: {arguments.retargeter}" if arguments.retargeter else "trained on synthetic play"
-    robot, objects = ("lcm", []) if lcm_url else ("simulation", object_names())
-    desk = Desk(About(description.side, scenario.hand, robot, objects, words))
-    with open_server(desk, arguments.host, arguments.port, not arguments.no_open) as server:
-        control = PageControl(desk, server.publish, _RECORDINGS, checkpoint)
-        teleoperation = WebTeleoperation(
-            scenario,
-            description,
-            model,
-            lambda fitted: _load(fitted or checkpoint, description, arguments.backend),
-            desk,
-            server,
-            control,
-            link,
-            arguments.relax_after,
-        )
-        _print_keys("")
-        try:
-            with stopping() as stop:
-                report, loop = teleoperation.run(
-                    arguments.engage == "now",
-                    arguments.duration,
-                    stop.is_set,
-                    arguments.timeout,
-                    arguments.robot_silence,
-                    _say_state,
-                )
-        finally:
-            control.close()
-    summary = _summary(report, loop, link)
-    summary["glove"] |= {"received": desk.received, "refused": desk.refused + server.dropped}
-    _print(summary)
-    if control.recordings:
-        last = control.recordings[-1]
-        finish({"Recording": last}, command("grasp", "--recording", last))
-    write_json(arguments.json, summary)
-    return 0
-
-
-def _checkpoint(arguments: argparse.Namespace, description: "HandDescription") -> Path:
-    """The checkpoint of the retargeter; trains the default one if the cache lacks it."""
+def checkpoint_of(arguments: argparse.Namespace, description: "HandDescription") -> Path:
+    """The checkpoint or map that is asked for, or the hand's map for everyone, or else one trained first."""
     from geort_drake import synthesize_play
     from geort_drake.comparison.train import cached_checkpoint
     from geort_drake.console import say
+    from geort_drake.retargeting.map_file import shipped_maps
 
-    if arguments.retargeter is not None:
-        return arguments.retargeter
-    say("retargeter: trained on synthetic play; the first time, this training takes minutes")
-    return cached_checkpoint(scenario_of(arguments).hand, synthesize_play(seed=0, side=description.side))[0]
+    hand = scenario_of(arguments).hand
+    if (path := arguments.retargeter or shipped_maps().get(hand)) is not None:
+        return path
+    say(f"no map for everyone comes with {hand} yet: it follows a map trained on synthetic play")
+    return cached_checkpoint(hand, synthesize_play(seed=0, side=description.side))[0]
 
 
-def _load(
-    checkpoint: Path, description: "HandDescription", backend: str
+def load(
+    path: Path, description: "HandDescription", backend: str, person: Path | None = None
 ) -> "Retargeter | UniversalRetargeter":
-    from geort_drake import HandModel, load_retargeter
+    """The retargeter of a checkpoint or map; of a map for everyone the part of a recorded person, if given."""
+    from geort_drake import HandModel, load_retargeter, read_recording
+    from geort_drake.retargeting.retargeter import UniversalRetargeter
 
-    return load_retargeter(checkpoint, HandModel(description), backend)
-
-
-def _confirm_real_robot() -> None:
-    """Asks whether a page may move a real robot.
-
-    Raises:
-        UsageError: the answer is not yes.
-    """
-    from geort_drake.console import console
-
-    console.print("A web page will move a real robot. Is its emergency stop within reach? Type yes:")
-    if sys.stdin.readline().strip().lower() != "yes":
-        raise UsageError("--glove web --robot lcm needs the answer yes on the terminal")
+    retargeter = load_retargeter(path, HandModel(description), backend)
+    if person is not None and isinstance(retargeter, UniversalRetargeter):
+        recording = read_recording(person, description.side)
+        return retargeter.for_person(recording.p_HK[recording.valid])
+    return retargeter
 
 
-def _print_keys(keys: str) -> None:
+def print_keys(keys: str) -> None:
     from geort_drake.console import console
 
     console.print(f"{keys}Ctrl-C stops.")
 
 
-def _say_state(time: float, state: str) -> None:
+def say_state(time: float, state: str) -> None:
     from geort_drake.console import say
 
     say(f"{time:8.2f} s  {state}")
 
 
-def _summary(report: "SessionReport", loop: "Teleoperation", link: "RobotLink | None") -> dict:
+def summary_of(report: "SessionReport", loop: "Teleoperation", link: "RobotLink | None") -> dict:
     """The report of a session, for --json."""
     summary = dataclasses.asdict(report)
     if (meter := loop.meter) is not None:
@@ -307,7 +238,7 @@ def _warn_of_open_addresses(glove: str | None, lcm_url: str | None) -> None:
             )
 
 
-def _print(summary: dict) -> None:
+def print_summary(summary: dict) -> None:
     """The session in a few lines."""
     from geort_drake.console import say, warn
 

@@ -21,6 +21,7 @@ from geort_drake.people.recording_parts import RecordingParts
 from geort_drake.systems.glove_recorder import GloveRecorder
 
 _STATE_S, _GUIDE_S = 0.1, 1.0  # between two states, and two judgements of guided play
+DONE = {"state": "done", "text": "the map is yours"}
 _NEWEST = 300  # samples of the delay that is shown
 
 
@@ -50,7 +51,7 @@ class Refitting:
         if code is None:
             return {"state": "running", "text": "the map is being fitted to your hand"}
         if code == 0:
-            return {"state": "done", "text": "the map is yours"}
+            return DONE
         assert self._process.stderr is not None
         return {"state": "failed", "text": self._process.stderr.read().strip()[-300:] or "the fit failed"}
 
@@ -67,26 +68,29 @@ class PageControl:
         loop, recorder: of the present session.
         object: that the next session has; None for the present one.
         again: whether the page asked for a new session.
-        fitted: directory of the map that was fitted to the person; None without one.
+        person: file of the person's guided play; None without one.
+        fitted: directory of the checkpoint that was fitted to it; None without one.
         recordings: files that were written.
 
     Args:
         desk: where commands come from.
         publish: sends a state to all pages.
         folder: of recordings.
-        checkpoint: of the map, to fit it to a person; None if it cannot be fitted.
+        checkpoint: directory of a checkpoint, which is fitted to a person in the background, or file of a map
+            for everyone, of which a person's part is taken at once.
     """
 
-    def __init__(self, desk: Desk, publish: Callable[[str], None], folder: Path, checkpoint: Path | None):
+    def __init__(self, desk: Desk, publish: Callable[[str], None], folder: Path, checkpoint: Path):
         self._desk, self._publish, self._folder, self._checkpoint = desk, publish, folder, checkpoint
         self.loop: Teleoperation
         self.recorder: GloveRecorder
         self.object: str | None = None
         self.again = False
+        self.person: Path | None = None
         self.fitted: Path | None = None
         self.recordings: list[Path] = []
         self._scene = 0
-        self._shown: str | None = None
+        self._facts: dict[str, Any] = {}
         self._root: Context
         self._published = self._judged = -math.inf
         self._parts: RecordingParts | None = None
@@ -97,10 +101,10 @@ class PageControl:
         self._refit_state: dict[str, str] | None = None
         self._note = ""
 
-    def begin(self, loop: Teleoperation, recorder: GloveRecorder, name: str | None, scene: int) -> None:
-        """Begins a session with an object of that name, and the number of its scene."""
-        self.loop, self.recorder, self._scene = loop, recorder, scene
-        self.object = self._shown = name
+    def begin(self, loop: Teleoperation, recorder: GloveRecorder, scene: int, facts: dict[str, Any]) -> None:
+        """Begins a session with a numbered scene, and facts for its recordings, such as its object."""
+        self.loop, self.recorder, self._scene, self._facts = loop, recorder, scene, facts
+        self.object = facts.get("object")
         self.again = False
         recorder.switch(None)
 
@@ -147,11 +151,13 @@ class PageControl:
     def _record(self) -> None:
         if self._parts is None:
             name, operator = time.strftime("%Y-%m-%dT%H-%M-%S.npz"), self._desk.operator
-            facts = {"side": self._desk.about.side, "source": "live web page", "consent": True}
-            facts |= {
+            facts = {
+                "side": self._desk.about.side,
+                "source": "live web page",
+                "consent": True,
                 "device": operator and operator.device,
                 "map": self._desk.about.map,
-                "object": self._shown,
+                **self._facts,
             }
             try:
                 self._parts = RecordingParts(self._folder / name, facts)
@@ -179,24 +185,29 @@ class PageControl:
         self._finishing[-1].start()
 
     def _begin_refit(self) -> None:
-        if self._checkpoint is None or self._guide is None or self._guide.seconds_left > 0.0:
-            text = "guided play comes first" if self._checkpoint else "this map cannot be fitted"
-            self._refit_state = {"state": "failed", "text": text}
-        elif self._refit is None:
-            path = self._folder / time.strftime("%Y-%m-%dT%H-%M-%S-guided.npz")
-            try:
-                self._guide.recording().save(path)
-            except (GeortError, IndexError) as error:
-                self._refit_state = {"state": "failed", "text": str(error)}
-                return
+        if self._refit is not None:
+            return
+        if self._guide is None or self._guide.seconds_left > 0.0:
+            self._refit_state = {"state": "failed", "text": "guided play comes first"}
+            return
+        path = self._folder / time.strftime("%Y-%m-%dT%H-%M-%S-guided.npz")
+        try:
+            self._guide.recording().save(path)
+        except (GeortError, IndexError) as error:
+            self._refit_state = {"state": "failed", "text": str(error)}
+            return
+        self.person = path
+        if self._checkpoint.is_dir():
             self._refit = Refitting(self._checkpoint, path, path.with_suffix(""))
+        else:
+            self._refit_state, self.again = DONE, True
 
     def _watch_refit(self) -> None:
         if self._refit is None:
             return
         self._refit_state = self._refit.state()
         if self._refit_state["state"] != "running":
-            if self._refit_state["state"] == "done":
+            if self._refit_state == DONE:
                 self.fitted, self.again = self._refit.output, True
             self._refit = None
 
@@ -205,7 +216,7 @@ class PageControl:
         return {
             "type": "state",
             "scene": self._scene,
-            "object": self._shown,
+            "object": self._facts.get("object"),
             "time": root.get_time(),
             "engaged": engaged,
             "following": self.loop.following(root),

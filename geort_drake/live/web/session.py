@@ -4,6 +4,7 @@ import copy
 import dataclasses as dc
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 from pydrake.systems.framework import DiagramBuilder, System
@@ -17,11 +18,14 @@ from geort_drake.live.teleoperation import RobotModel, Teleoperation, make_teleo
 from geort_drake.live.web.control import PageControl
 from geort_drake.live.web.desk import Desk
 from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
-from geort_drake.live.web.server import WebServer
 from geort_drake.simulation.diagram import Retarget
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import ARM, HAND
 from geort_drake.systems.glove_recorder import GloveRecorder
+from geort_drake.systems.release import release
+
+if TYPE_CHECKING:
+    from geort_drake.live.web.server import WebServer
 
 # A simulation takes joint targets this often, s, so that a hand waits for half of it on average.
 _PERIOD = 0.004
@@ -34,7 +38,8 @@ class WebTeleoperation:
     Attributes:
         scenario: settings; every session has its own object.
         description, model: of the robot.
-        load: returns the retargeter of a checkpoint, or for None the one to begin with.
+        load: returns the retargeter of a fitted checkpoint, or for None the one to begin with; and with the
+            file of a person's hands that person's, if the retargeter is a map for everyone.
         desk, server, control: of the page.
         link: to a real robot; None for the simulation.
         relax_after: see `Watchdog`, s.
@@ -43,9 +48,9 @@ class WebTeleoperation:
     scenario: Scenario
     description: HandDescription
     model: RobotModel
-    load: Callable[[Path | None], Retarget]
+    load: Callable[[Path | None, Path | None], Retarget]
     desk: Desk
-    server: WebServer
+    server: "WebServer"
     control: PageControl
     link: RobotLink | None = None
     relax_after: float = 5.0
@@ -93,6 +98,7 @@ class WebTeleoperation:
             if stop() or not control.again:
                 return total, loop
             engaged = False
+            release(loop.diagram)  # a system in Python is never freed, so every reset would cost memory
 
     def _begin(self, number: int, timeout: float) -> Teleoperation:
         """Builds a session's diagram and shows its scene."""
@@ -134,7 +140,7 @@ class WebTeleoperation:
             scenario,
             description,
             self.model,
-            self.load(self.control.fitted),
+            self.load(self.control.fitted, self.control.person),
             GloveStream(self.desk, description.side),
             robot,
             start,
@@ -143,6 +149,6 @@ class WebTeleoperation:
             add_view,
         )
         self.server.show(msgspec.json.encode({"scene": number, **scene.description}), scene.meshes)
-        name = scenario.object.name if self.link is None else None
-        self.control.begin(loop, recorder, name, number)
+        facts = {} if self.link else {"object": scenario.object.name, "random_seed": scenario.random_seed}
+        self.control.begin(loop, recorder, number, facts)
         return loop

@@ -1,0 +1,87 @@
+"""`geort-drake live` with the page: serves it and runs its sessions."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from geort_drake.cli.live import checkpoint_of, load, print_keys, print_summary, say_state, summary_of
+from geort_drake.cli.options import command, finish, write_json
+from geort_drake.console import console
+from geort_drake.errors import UsageError
+from geort_drake.hands.description import HandDescription
+from geort_drake.live.robot_link import RobotLink
+from geort_drake.live.session import stopping
+from geort_drake.live.teleoperation import RobotModel
+from geort_drake.live.web.control import PageControl
+from geort_drake.live.web.desk import About, Desk
+from geort_drake.live.web.serve import open_server
+from geort_drake.live.web.session import WebTeleoperation
+from geort_drake.simulation.scenario import Scenario, object_names
+
+# Where the page's recordings go.
+_RECORDINGS = Path("runs/live")
+
+
+def run_web(
+    arguments: argparse.Namespace, scenario: Scenario, description: HandDescription, lcm_url: str | None
+) -> int:
+    """Serves the page and runs its sessions; arguments as in `geort_drake.cli.live.run`."""
+    if arguments.record:
+        raise UsageError(f"--record: the page starts and stops recordings, in {_RECORDINGS}")
+    if arguments.meshcat:
+        raise UsageError("--meshcat: the page shows the simulation")
+    if lcm_url:
+        _confirm_real_robot()
+    checkpoint = checkpoint_of(arguments, description)
+    model = RobotModel(scenario, description)
+    link = RobotLink(lcm_url, model.hand, model.arm, scenario.retargeting.period) if lcm_url else None
+    words = f"of {checkpoint.name}" if arguments.retargeter else "for everyone"
+    if arguments.retargeter is None and checkpoint.is_dir():
+        words = "trained on synthetic play"
+    robot, objects = ("lcm", []) if lcm_url else ("simulation", object_names())
+    desk = Desk(About(description.side, scenario.hand, robot, objects, words))
+    with open_server(desk, arguments.host, arguments.port, not arguments.no_open) as server:
+        control = PageControl(desk, server.publish, _RECORDINGS, checkpoint)
+        teleoperation = WebTeleoperation(
+            scenario,
+            description,
+            model,
+            lambda path, person: load(path or checkpoint, description, arguments.backend, person),
+            desk,
+            server,
+            control,
+            link,
+            arguments.relax_after,
+        )
+        print_keys("")
+        try:
+            with stopping() as stop:
+                report, loop = teleoperation.run(
+                    arguments.engage == "now",
+                    arguments.duration,
+                    stop.is_set,
+                    arguments.timeout,
+                    arguments.robot_silence,
+                    say_state,
+                )
+        finally:
+            control.close()
+    summary = summary_of(report, loop, link)
+    summary["glove"] |= {"received": desk.received, "refused": desk.refused + server.dropped}
+    print_summary(summary)
+    if control.recordings:
+        last = control.recordings[-1]
+        finish({"Recording": last}, command("replay", last, "--retargeter", checkpoint))
+    write_json(arguments.json, summary)
+    return 0
+
+
+def _confirm_real_robot() -> None:
+    """Asks whether a page may move a real robot.
+
+    Raises:
+        UsageError: the answer is not yes.
+    """
+    console.print("A web page will move a real robot. Is its emergency stop within reach? Type yes:")
+    if sys.stdin.readline().strip().lower() != "yes":
+        raise UsageError("--glove web --robot lcm needs the answer yes on the terminal")
