@@ -177,7 +177,7 @@ def checkpoint_of(arguments: argparse.Namespace, description: "HandDescription")
 def load(
     path: Path, description: "HandDescription", backend: str, person: Path | None = None
 ) -> "Retargeter | UniversalRetargeter":
-    """The retargeter of a checkpoint or map; of a map for everyone the part of a recorded person, if given."""
+    """The retargeter of a checkpoint or map; of a map for everyone a recorded person's, if one is given."""
     from geort_drake import HandModel, load_retargeter, read_recording
     from geort_drake.retargeting.retargeter import UniversalRetargeter
 

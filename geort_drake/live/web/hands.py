@@ -9,11 +9,12 @@ from geort_drake.live.messages import GloveFrame, frame_of_points
 from geort_drake.live.web.messages import Camera, Headset
 from geort_drake.live.web.one_euro import OneEuroFilter
 from geort_drake.people.formats.source import KEYPOINTS_OF_25
-from geort_drake.people.keypoints import FINGER_KEYPOINTS, WRIST
+from geort_drake.people.keypoints import FINGER_KEYPOINTS, WRIST, bone_lengths
 
 # The camera's angle of view along the picture's longer side; those of laptops and phones are 60° to 75°.
 _VIEW_RAD = math.radians(66.0)
 _NEAREST_M, _FARTHEST_M = 0.05, 5.0  # of the hand from the camera
+_SHORTEST_M = 1e-3  # bone
 # Of the One Euro filter. The jitter of a resting hand disappears, and a pinch at 0.3 m/s lags by 20 ms.
 _CUTOFF_HZ, _SLOPE = 2.0, 20.0
 _STRAIGHT = (WRIST, *FINGER_KEYPOINTS["middle"])
@@ -50,23 +51,28 @@ class HandReader:
         """
         if isinstance(message, Headset):
             p_SK = self._scaled(np.array(message.joints)[KEYPOINTS_OF_25,])
-            return frame_of_points(p_SK @ _R_WS.T, self._side, message.t)
+            return self._frame(p_SK @ _R_WS.T, message.t)
         world = self._scaled(np.array(message.world))
         p_CM = hand_translation(world, np.array(message.image), message.aspect)
         filtered = self._filter(message.t, np.vstack([world, p_CM]))
-        return frame_of_points((filtered[:-1] + filtered[-1]) @ _R_WC.T, self._side, message.t)
+        return self._frame((filtered[:-1] + filtered[-1]) @ _R_WC.T, message.t)
 
     def lost(self, time: float) -> GloveFrame:
         """Returns the frame of a lost hand, after which the filter starts anew."""
         self._filter.reset()
         return GloveFrame(self._side, time)
 
+    def _frame(self, p_WK: np.ndarray, time: float) -> GloveFrame:
+        if bone_lengths(p_WK).min() < _SHORTEST_M:
+            raise LiveError("hand: two joints of a bone coincide")
+        return frame_of_points(p_WK, self._side, time)
+
     def _scaled(self, points: np.ndarray) -> np.ndarray:
         """Points (21, 3) of a hand of this person's length; about their wrist, whose place is measured."""
         if self._length is None:
             return points
         length = float(np.linalg.norm(np.diff(points[_STRAIGHT,], axis=0), axis=1).sum())
-        if length < 1e-3:
+        if length < _SHORTEST_M:
             raise LiveError("hand: wrist and middle finger coincide")
         wrist = points[WRIST]
         return wrist + (points - wrist) * (self._length / length)
