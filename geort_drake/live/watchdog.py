@@ -9,9 +9,8 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Even
 
 from geort_drake.systems.glove_checks import FROZEN
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.retargeting_system import EASING, LIMITED, OUTSIDE, TRACKING, RetargetingStatus
+from geort_drake.systems.retargeting_status import FOLLOWED, RetargetingStatus
 
-_FOLLOWED_STATES = (TRACKING, LIMITED, OUTSIDE, EASING)
 # The watchdog updates this long after the retargeting, s; commands are sent later still.
 AFTER = 1e-4
 _PASSING, _RELAXING, _RETURNING = range(3)
@@ -148,7 +147,7 @@ class Watchdog(LeafSystem):
         output.SetFromVector(self._desired.Eval(context) if passing else value[: 2 * self._n])
 
     def _calc_following(self, context: Context, output: BasicVector) -> None:
-        followed = self._status.Eval(context).state in _FOLLOWED_STATES
+        followed = self._status.Eval(context).state in FOLLOWED
         output.SetAtIndex(0, float(followed and self._engaged.Eval(context)[0] >= 0.5))
 
     def _calc_state(self, context: Context, output: AbstractValue) -> None:

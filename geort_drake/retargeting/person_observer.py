@@ -13,6 +13,7 @@ WINDOW = 1000  # frames, whose medians are the shape of the hand
 RECENT = 40  # frames that show another person
 # They do if the logarithms of the bones' lengths change by more than this and these deviations, in the mean.
 CHANGE, DEVIATIONS = 0.03, 1.5
+SHORTEST_BONE = 0.002  # m; frames with shorter ones are of no hand
 _VOXELS = 4096  # along an axis, so places within 10 m of the wrist
 
 
@@ -44,12 +45,12 @@ class PersonObserver:
         return cls(tuple(finger_names), shapes, visited, np.zeros(F), np.zeros((F, 3)), np.zeros((F, 3, 3)))
 
     def seeing(self, p_HK: np.ndarray) -> "PersonObserver":
-        """The observer after one more frame of finite keypoints p_HK (21, 3), m; a bone without length is
-        of no hand, and the frame does not count."""
+        """The observer after one more frame of finite keypoints p_HK (21, 3), m; one with a bone shorter than
+        `SHORTEST_BONE` does not count."""
         chains = p_HK[[FINGER_KEYPOINTS[name] for name in self.finger_names]]
         bones = np.diff(chains, axis=1)
         lengths = np.sqrt(np.square(bones).sum(axis=2))
-        if not lengths.all():
+        if lengths.min() < SHORTEST_BONE:
             return self
         shape = np.concatenate([chains[:, 0], lengths], axis=1)
         tips, F = chains[:, 3], len(self.finger_names)

@@ -9,6 +9,7 @@ from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
 from geort_drake.retargeting.methods.coupled.retargeter import CoupledRetargeter
 from geort_drake.retargeting.numpy_retargeter import checked_array
 from geort_drake.retargeting.person_code import CODE_PARTS, CODE_SIZE, AveragePerson, observe
+from geort_drake.retargeting.person_observer import SHORTEST_BONE
 from geort_drake.retargeting.trained_space import TrainedSpace, trained_points
 
 PINCH_UNIT = 0.05  # m; unit of the thumb's distances from the other fingertips
@@ -160,8 +161,8 @@ class UniversalRetargeter:
             raise GeortError("human points must be finite; at least one coordinate is NaN or infinite")
         with np.errstate(divide="ignore", invalid="ignore"):
             observation = observe(p_HK, self.finger_names)
-        if not (observation.lengths > 0).all():
-            raise GeortError("human points must be a hand: a finger's length is zero")
+        if not (observation.lengths > 3 * SHORTEST_BONE).all():
+            raise GeortError("human points must be a hand in metres: a finger has hardly any length")
         return self.average.code(observation)
 
     def deviations(self, code: np.ndarray) -> np.ndarray:

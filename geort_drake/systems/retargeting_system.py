@@ -1,77 +1,43 @@
 """Runs a retargeter as a system, from human keypoints to targets of joint controllers."""
 
 import dataclasses as dc
-import functools
 import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem, State
 
 from geort_drake.errors import HandError
-from geort_drake.retargeting.trained_space import TrainedSpace
+from geort_drake.retargeting.universal import UniversalRetargeter
 from geort_drake.systems.glove_checks import (
     FROZEN,
-    HELD_CLOCK,
-    HELD_JUMPED,
-    HELD_LOST,
     HELD_NOT_FINITE,
-    HELD_OUT_OF_RANGE,
-    HELD_STALE,
     Easing,
     GloveChecks,
     GloveMemory,
     find_fault,
 )
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.port_values import Immutable
-from geort_drake.systems.update_timing import check_timing, low_pass_share
-
-TRACKING = "tracking"
-LIMITED = "limited: a joint is at a limit of its position, speed or acceleration"
-OUTSIDE = "outside: a fingertip is far from where training saw it"
-EASING = "easing: the joints catch up slowly after a hold"
-SETTLING = "held: the input has not been good for long enough"
-STATES = (
-    TRACKING,
+from geort_drake.systems.person_following import LEARNED, LOOK, PersonFollowing
+from geort_drake.systems.retargeting_status import (
+    EASING,
+    FOLLOWED,
+    HELD_OTHER_PERSON,
+    LEARNING,
     LIMITED,
     OUTSIDE,
-    EASING,
     SETTLING,
-    HELD_LOST,
-    HELD_NOT_FINITE,
-    HELD_OUT_OF_RANGE,
-    HELD_STALE,
-    HELD_CLOCK,
-    HELD_JUMPED,
-    FROZEN,
+    STATES,
+    TRACKING,
+    UNUSUAL,
+    RetargetingStatus,
 )
+from geort_drake.systems.update_timing import check_timing, low_pass_share
+
 # A point moves at most this many times as far as any of its coordinates.
 _DIAGONAL = math.sqrt(3.0)
 _ROUNDING = 1e-9  # m; of distances
-
-
-@dc.dataclass(frozen=True)
-class RetargetingStatus(Immutable):
-    """What the system does with its input, and since when (s)."""
-
-    state: str = SETTLING
-    since: float = 0.0
-    # Keypoints (21, 3), m in H, that `distance` is measured from; None while the input is not followed.
-    p_HK: np.ndarray | None = dc.field(default=None, repr=False, compare=False)
-    trained_space: TrainedSpace | None = dc.field(default=None, repr=False, compare=False)
-
-    @functools.cached_property
-    def distance(self) -> float:
-        """Largest distance of a fingertip from its places in training, m.
-
-        NaN if these are unknown or the input is not followed. Computed on first use, because it takes longer
-        than the rest of a status.
-        """
-        if self.p_HK is None or self.trained_space is None:
-            return math.nan
-        return self.trained_space.distances(self.p_HK).max().item()
 
 
 class RetargetingSystem(LeafSystem):
@@ -79,7 +45,8 @@ class RetargetingSystem(LeafSystem):
 
     While the input cannot be followed, the joints brake and hold. Then the hand follows again with growing
     speed. Joint targets appear `latency` after their keypoints. A retargeter that takes longer than the
-    period is called again as soon as it is done, with the latest keypoints.
+    period is called again as soon as it is done, with the latest keypoints. A map for everyone follows the
+    person: it looks at the hand every `LOOK` seconds while it is followed, and becomes the person's.
 
     Input ports:
         keypoints (63): p_HK, keypoint-major, m, wrist frame H.
@@ -95,11 +62,12 @@ class RetargetingSystem(LeafSystem):
         period: time between updates, s.
         delay: from keypoints to their joint targets, s: the latency plus the low-pass's for slow motion.
 
-    State: the last computed desired state (2n); memory of targets, input and status; and, with a latency, the
-    desired state (2n) of the output port.
+    State: the last computed desired state (2n); memory of targets, input and status; with a latency, the
+    desired state (2n) of the output port; and, for a map for everyone, an abstract `PersonFollowing`.
 
     Args:
-        retarget: maps keypoints (21, 3), m in H, to joint positions (n,), rad, in the order of `joint_names`.
+        retarget: a `UniversalRetargeter`, or maps keypoints (21, 3), m in H, to joint positions (n,), rad, in
+            the order of `joint_names`.
         joint_names: the retargeter's joints.
         actuated_joints: the same joints in actuator order.
         initial_positions: joint name → rad, the targets before the first update.
@@ -166,11 +134,15 @@ class RetargetingSystem(LeafSystem):
         if latency > 0:
             self._output = self.DeclareDiscreteState(np.concatenate([q0, np.zeros(n)]))
         self.DeclareStateOutputPort("desired_state", self._output)
+        tickets = {self.discrete_state_ticket(self._memory)}
+        self._person = None
+        if isinstance(retarget, UniversalRetargeter):
+            start = AbstractValue.Make(PersonFollowing.start(retarget))
+            self._person = self.DeclareAbstractState(start)
+            tickets.add(self.abstract_state_ticket(self._person))
+            self.DeclarePeriodicUnrestrictedUpdateEvent(max(LOOK, period), 0.0, self._look)
         self.DeclareAbstractOutputPort(
-            "status",
-            lambda: AbstractValue.Make(RetargetingStatus()),
-            self._calc_status,
-            {self.discrete_state_ticket(self._memory)},
+            "status", lambda: AbstractValue.Make(RetargetingStatus()), self._calc_status, tickets
         )
         # The order of two simultaneous events would depend on rounding, so with a latency of one period the
         # update itself outputs the last result.
@@ -184,6 +156,21 @@ class RetargetingSystem(LeafSystem):
         if lower is None or upper is None:
             raise HandError("the joint limits are unknown: give `limits`, as the retargeter has none")
         return JointLimits(lower[self._to_plant], upper[self._to_plant])
+
+    def _known(self, context: Context) -> PersonFollowing | None:
+        """What is known of the person; None for a map of one person."""
+        return None if self._person is None else context.get_abstract_state(self._person).get_value()
+
+    def _look(self, context: Context, state: State) -> EventStatus:
+        """Looks at the hand of the last update, if it passed the checks and is new."""
+        known, memory = self._known(context), context.get_discrete_state(self._memory).value()[self._n :]
+        p_HK = memory[:63].reshape(21, 3)
+        checked = STATES[int(memory[63])] in (*FOLLOWED, HELD_OTHER_PERSON)
+        if known is None or not checked or np.array_equal(known.last, p_HK):
+            return EventStatus.DidNothing()
+        known = known.seeing(p_HK.copy(), context.get_time())
+        state.get_mutable_abstract_state(self._person).set_value(known)
+        return EventStatus.Succeeded()
 
     def _output_result(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         discrete_state.get_mutable_vector(self._output).SetFromVector(context.get_discrete_state(0).value())
@@ -203,7 +190,7 @@ class RetargetingSystem(LeafSystem):
 
         state, q_new, excess = self._retargeted(context, time, glove, easing, before, since, excess)
         if q_new is None:
-            easing.hold(time, good=state == SETTLING)
+            easing.hold(time, good=state in (SETTLING, HELD_OTHER_PERSON))
             q, v = self._limits.step(q, v, q, q, period)
             target = q
         else:
@@ -220,7 +207,7 @@ class RetargetingSystem(LeafSystem):
             elif state is None and excess > 0.0:
                 state = OUTSIDE
             elif state is None:
-                state = TRACKING if reached else LIMITED
+                state = _quiet_state(self._known(context)) if reached else LIMITED
 
         if state != before:
             code, since = STATES.index(state), time
@@ -266,7 +253,14 @@ class RetargetingSystem(LeafSystem):
         if not easing.settled(time, self._checks.settle_time):
             return SETTLING, None, math.nan
         points = keypoints.reshape(21, 3)
-        q = self._retarget(points).take(self._to_plant)
+        known = self._known(context)
+        if known is None:
+            q = self._retarget(points)
+        elif known.holds(time):
+            return HELD_OTHER_PERSON, None, math.nan
+        else:
+            q = known.retarget(points, time)
+        q = q.take(self._to_plant)
         excess = self._excess(points, excess, glove.moved)
         if q.dot(self._zeros) != 0.0:  # zero times NaN or infinity is NaN
             return HELD_NOT_FINITE, None, excess
@@ -289,4 +283,15 @@ class RetargetingSystem(LeafSystem):
         memory = context.get_discrete_state(self._memory).value()[self._n :]
         code, since, excess = memory[63:66].tolist()
         followed = None if math.isnan(excess) else memory[:63].reshape(21, 3).copy()
-        output.set_value(RetargetingStatus(STATES[int(code)], since, followed, self._trained_space))
+        known = self._known(context)
+        unusual = known.unusual if known else ""
+        output.set_value(RetargetingStatus(STATES[int(code)], since, followed, self._trained_space, unusual))
+
+
+def _quiet_state(known: PersonFollowing | None) -> str:
+    """The state while all is well."""
+    if known is None:
+        return TRACKING
+    if len(known.observer.shapes) < LEARNED:
+        return LEARNING
+    return UNUSUAL if known.unusual else TRACKING

@@ -1,0 +1,91 @@
+"""Follows a person with the map for everyone: their code, and the map that is theirs so far."""
+
+import dataclasses as dc
+
+import numpy as np
+
+from geort_drake.people.keypoints import KEYPOINT_COUNT
+from geort_drake.retargeting.numpy_retargeter import Retargeter
+from geort_drake.retargeting.person_observer import PersonObserver
+from geort_drake.retargeting.universal import UniversalRetargeter
+from geort_drake.systems.port_values import Immutable
+
+LOOK = 0.03  # s between looks at the hand, as between the frames of the slowest device in training
+FADE = 0.5  # s in which a new map takes over from the one before
+HOLD = 1.0  # s for which another person is looked at before their hand is followed
+LEARNED = 100  # looks, after which the person is known
+_CHANGE = 0.1  # deviations of the code; after a smaller change the map stays
+_ROUNDING = 1e-9  # s
+
+
+@dc.dataclass(frozen=True)
+class PersonFollowing(Immutable):
+    """What is known of the person, and their map.
+
+    Attributes:
+        universal: the map for everyone.
+        observer: what has been seen.
+        last: keypoints (21, 3) of the last look, m; NaN before it.
+        code: of the person, of which `now` is the map; None before the first look.
+        now, before: the person's map, and the one from which it takes over.
+        since: when it began to take over, s.
+        judged: when the person was last judged, s.
+        changed: when another person was noticed, s.
+        unusual: what is unusual about the hand; see `UniversalRetargeter.unusual`.
+    """
+
+    universal: UniversalRetargeter
+    observer: PersonObserver
+    last: np.ndarray = dc.field(default_factory=lambda: np.full((KEYPOINT_COUNT, 3), np.nan))
+    code: np.ndarray | None = None
+    now: Retargeter | None = None
+    before: Retargeter | None = None
+    since: float = -np.inf
+    judged: float = -np.inf
+    changed: float = -np.inf
+    unusual: str = ""
+
+    @classmethod
+    def start(cls, universal: UniversalRetargeter, time: float = -np.inf) -> "PersonFollowing":
+        """Nothing is known; `time` is when another person was noticed, s."""
+        return cls(universal, PersonObserver.of_nobody(universal.finger_names), changed=time)
+
+    def seeing(self, p_HK: np.ndarray, time: float) -> "PersonFollowing":
+        """What is known after a look at keypoints p_HK (21, 3), m, at `time`, s."""
+        universal, observer = self.universal, self.observer.seeing(p_HK)
+        if time - self.judged < FADE - _ROUNDING or len(observer.shapes) == 0:
+            return dc.replace(self, observer=observer, last=p_HK)
+        if observer.has_changed():
+            return PersonFollowing.start(universal, time)
+        code = universal.average.code(observer.observation())
+        if self.code is not None:
+            change = universal.deviations(code) - universal.deviations(self.code)
+            if np.abs(change).max() < _CHANGE:
+                return dc.replace(self, observer=observer, last=p_HK, judged=time)
+        return dc.replace(
+            self,
+            observer=observer,
+            last=p_HK,
+            code=code,
+            now=universal.folded(code),
+            before=self.now,
+            since=time,
+            judged=time,
+            unusual=universal.unusual(code),
+        )
+
+    def holds(self, time: float) -> bool:
+        """Whether another person's hand is not followed yet at `time`, s."""
+        return time - self.changed < HOLD - _ROUNDING
+
+    def retarget(self, p_HK: np.ndarray, time: float) -> np.ndarray:
+        """Joint angles (n,), rad, of keypoints p_HK (21, 3) at `time`, s; NaN if these are no hand."""
+        if self.now is None:
+            first = self.seeing(p_HK, time)
+            missing = np.full(len(self.universal.joint_names), np.nan)
+            return missing if first.now is None else first.now(p_HK)
+        q = self.now(p_HK)
+        share = (time - self.since) / FADE
+        if self.before is None or share >= 1.0:
+            return q
+        return share * q + (1.0 - share) * self.before(p_HK)
