@@ -33,22 +33,15 @@ def require_page() -> None:
 
 
 def require_package(name: str) -> None:
+    """Skips the test where a package that only tests need is absent."""
     if not (WEB / "node_modules" / name).is_dir():
-        pytest.skip(f"needs the npm package {name}: `npm ci` in web/")
+        pytest.skip(f"needs the npm package {name}: `make live NPM_ARGS=`")
 
 
-@contextmanager
-def chromium(clip: Path | None = None) -> Iterator:
-    """A browser; its camera plays `clip`, or it has none."""
-    from playwright.sync_api import sync_playwright
-
+def launch(playwright, clip: Path | None = None):
+    """Starts a browser; its camera plays `clip`, or it has none."""
     camera = [*_FAKE_CAMERA, f"--use-file-for-fake-video-capture={clip}"] if clip else []
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=str(CHROMIUM), args=[*_WITHOUT_GPU, *camera])
-        try:
-            yield browser
-        finally:
-            browser.close()
+    return playwright.chromium.launch(executable_path=str(CHROMIUM), args=[*_WITHOUT_GPU, *camera])
 
 
 @contextmanager
@@ -154,7 +147,7 @@ PINCH = {"curl": [0.8, 0.15, 0.1, 0.1], "thumb": [-0.44, 0.15, -0.03, 0.36, 0.09
 CURL = {"curl": [0.8, 0.8, 0.8, 0.8], "thumb": [0.0, 0.0, 0.0, 0.0, 0.0], "turn": [0.2, 0.3, 0.1]}
 
 
-def film_hand(browser, file: Path, pictures: int = 12, repeats: int = 2) -> np.ndarray:
+def film_hand(browser, file: Path, pictures: int = 8, repeats: int = 3) -> np.ndarray:
     """Films the rendered hand as it pinches and curls, into Motion JPEG at 30 pictures a second.
 
     Each of a movement's `pictures` comes `repeats` times. A row of squares in it is its number in binary.

@@ -1,22 +1,18 @@
 """The live web page in Chromium, against a stub of its server."""
 
+import json
+
 import numpy as np
 import pytest
-from live_page import (
-    PAGE,
-    WEB,
-    StubServer,
-    chromium,
-    film_hand,
-    require_package,
-    require_page,
-    serve,
-)
+from live_page import PAGE, WEB, StubServer, film_hand, launch, require_package, require_page, serve
 
+from geort_drake.live.web.hands import HandReader
+from geort_drake.live.web.messages import decode
+from geort_drake.people.formats.source import KEYPOINTS_OF_25
 from geort_drake.people.keypoints import BONES
+from geort_drake.retargeting.methods import make_untrained
+from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
-# XRHand has a metacarpal's base for each finger as well.
-KEYPOINT_TO_XR = [0, 1, 2, 3, 4, 6, 7, 8, 9, 11, 12, 13, 14, 16, 17, 18, 19, 21, 22, 23, 24]
 # Notes which picture of the film the tracker gets at which time.
 READ_NUMBERS = """
   const post = Worker.prototype.postMessage;
@@ -33,12 +29,25 @@ READ_NUMBERS = """
 
 
 @pytest.fixture(scope="module")
-def film(tmp_path_factory):
+def playwright():
     require_page()
-    require_package("@webxr-input-profiles/assets")
-    file = tmp_path_factory.mktemp("film") / "hand.mjpeg"
-    with chromium() as browser:
-        return file, film_hand(browser, file)
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def browser(playwright):
+    browser = launch(playwright)
+    yield browser
+    browser.close()
+
+
+@pytest.fixture(scope="module")
+def address():
+    with serve(PAGE) as address:
+        yield address
 
 
 @pytest.fixture
@@ -47,7 +56,7 @@ def stub():
 
 
 def open_page(browser, stub, address, *scripts):
-    page = browser.new_page(viewport={"width": 800, "height": 600})
+    page = browser.new_page(viewport={"width": 800, "height": 480})
     for script in scripts:
         page.add_init_script(**script)
     stub.attach(page)
@@ -62,30 +71,55 @@ def directions(points: np.ndarray) -> np.ndarray:
     return bones / np.linalg.norm(bones, axis=1, keepdims=True)
 
 
-def test_camera_sends_the_rendered_hand(film, stub):
-    file, joints = film
-    with chromium(file) as browser, serve(PAGE) as address:
-        page = open_page(browser, stub, address, {"script": READ_NUMBERS})
-        page.wait_for_selector("body[data-state=tracking]")
-        while len({m["t"] for m in stub.of("camera")}) < 30:
-            page.wait_for_timeout(100)
-        seen = stub.of("camera")
-        numbers = dict(page.evaluate("numbers"))
-    assert {url.split("/")[2] for url in stub.requests} == {address.split("/")[2]}, (
-        "no request leaves the machine"
-    )
-    hands = [(np.array(m["world"]), joints[numbers[m["t"]]][KEYPOINT_TO_XR]) for m in seen]
+@pytest.fixture(scope="module")
+def filmed(playwright, browser, address, tmp_path_factory):
+    """What the page sends of a film, and the rendered joints (T, 25, 3) at the same time, m."""
+    require_package("@webxr-input-profiles/assets")
+    file = tmp_path_factory.mktemp("film") / "hand.mjpeg"
+    joints = film_hand(browser, file)
+    stub = StubServer()
+    camera = launch(playwright, file)
+    page = open_page(camera, stub, address, {"script": READ_NUMBERS})
+    page.wait_for_selector("body[data-state=tracking]")
+    while len(stub.of("camera")) < 30:
+        page.wait_for_timeout(100)
+    messages = stub.of("camera")
+    numbers = dict(page.evaluate("numbers"))
+    camera.close()
+    hosts = {url.split("/")[2] for url in stub.requests}
+    assert hosts == {address.split("/")[2]}, "no request leaves the machine"
+    return messages, joints[[numbers[message["t"]] for message in messages]]
+
+
+def test_camera_sees_the_rendered_bones(filmed):
+    messages, joints = filmed
     errors = []
-    for tracked, rendered in hands:
-        a, b = directions(tracked), directions(rendered)
+    for message, rendered in zip(messages, joints[:, KEYPOINTS_OF_25], strict=True):
+        a, b = directions(np.array(message["world"])), directions(rendered)
         u, _, v = np.linalg.svd(a.T @ b)
         rotation = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
         errors.append(np.degrees(np.arccos(np.clip(np.sum(a @ rotation * b, axis=1), -1, 1))))
     assert np.median(errors) < 15
     assert np.quantile(errors, 0.9) < 35
-    gaps = np.array([[np.linalg.norm(p[4] - p[8]) for p in pair] for pair in hands])
-    assert np.all(gaps[gaps[:, 1] < 0.02, 0] < 0.05), "a pinch is seen closed"
-    assert np.all(gaps[gaps[:, 1] > 0.08, 0] > 0.06), "an open hand is seen open"
+
+
+def test_the_robot_pinches_when_the_film_does(filmed, allegro):
+    messages, joints = filmed
+    kinematics = allegro.kinematics()
+    retarget = make_untrained("dexpilot_online", kinematics)
+    reader = HandReader("right")
+    frames = [reader.read(decode(json.dumps(message))) for message in messages]
+    gaps = np.linalg.norm(joints[:, 4] - joints[:, 9], axis=1)
+    order = np.argsort(gaps)
+    closed, opened = order[:3], order[-3:]
+    assert gaps[closed].max() < 0.02 and gaps[opened].min() > 0.09
+    q = np.stack([retarget(frames[i].p_HK) for i in (*closed, *opened)])
+    tips = dict(
+        zip(kinematics.finger_names, NumpyKinematics(kinematics).fingertips(q).swapaxes(0, 1), strict=True)
+    )
+    robot = np.linalg.norm(tips["thumb"] - tips["index"], axis=1)
+    assert np.median(robot[:3]) < 0.02
+    assert robot[3:].min() > 0.08
 
 
 XR = """
@@ -109,57 +143,53 @@ XR = """
 """
 
 
-def test_headset_sends_the_robots_side_in_order(stub, rng):
-    require_page()
+def test_headset_sends_the_robots_side_in_order(browser, stub, address, rng):
     require_package("iwer")
     left, right = rng.uniform(-1, 1, (2, 25, 3)).round(3)
-    with chromium() as browser, serve(PAGE) as address:
-        page = open_page(
-            browser, stub, address, {"path": WEB / "node_modules/iwer/build/iwer.min.js"}, {"script": XR}
-        )
-        page.click("#headset")
-        page.wait_for_function("window.session")
-        page.evaluate("hands => play(hands)", {"left": left.tolist(), "right": right.tolist()})
-        page.wait_for_selector("body[data-state=tracking]")
-        page.evaluate("hands => play(hands)", {"left": left.tolist()})
-        page.wait_for_selector("body[data-state=waiting]")
-        assert "your left hand" in page.inner_text("#headline")
+    page = open_page(
+        browser, stub, address, {"path": WEB / "node_modules/iwer/build/iwer.min.js"}, {"script": XR}
+    )
+    page.click("#headset")
+    page.wait_for_function("window.session")
+    page.evaluate("hands => play(hands)", {"left": left.tolist(), "right": right.tolist()})
+    page.wait_for_selector("body[data-state=tracking]")
+    page.evaluate("hands => play(hands)", {"left": left.tolist()})
+    page.wait_for_selector("body[data-state=waiting]")
+    assert "your left hand" in page.inner_text("#headline")
     assert stub.of("hello")[-1]["device"] == "headset"
     np.testing.assert_allclose(stub.of("headset")[-1]["joints"], right, atol=1e-5)
     assert stub.messages[-1]["type"] == "lost"
 
 
-def test_panel_and_keys(stub, rng):
-    require_page()
-    with chromium() as browser, serve(PAGE) as address:
-        page = open_page(browser, stub, address)
-        page.wait_for_selector("body[data-state=waiting]")
-        assert "Hold up your right hand" in page.inner_text("#headline")
-        assert page.is_disabled("#engage")
+def test_panel_and_keys(browser, stub, address):
+    page = open_page(browser, stub, address)
+    page.wait_for_selector("body[data-state=waiting]")
+    assert "Hold up your right hand" in page.inner_text("#headline")
+    assert page.is_disabled("#engage")
 
-        stub.send(engaged=True, following=False)
-        page.wait_for_selector("body[data-state=lost]")
-        assert "The robot holds until" in page.inner_text("#headline")
-        page.keyboard.press("r")
-        page.select_option("#object", "sphere")
-        page.focus("#reset")
-        page.keyboard.press(" ")  # disengages, although a button has the focus
-        page.wait_for_timeout(50)
-        assert [m["object"] for m in stub.of("reset")] == [None, "sphere"]
-        assert len(stub.of("disengage")) == 1
+    stub.send(engaged=True, following=False)
+    page.wait_for_selector("body[data-state=lost]")
+    assert "The robot holds until" in page.inner_text("#headline")
+    page.keyboard.press("r")
+    page.select_option("#object", "sphere")
+    page.focus("#reset")
+    page.keyboard.press(" ")  # disengages, although a button has the focus
+    page.wait_for_timeout(50)
+    assert [m["object"] for m in stub.of("reset")] == [None, "sphere"]
+    assert len(stub.of("disengage")) == 1
 
-        assert page.is_disabled("#record")
-        page.check("#keep")
-        page.click("#record")
-        outcome = {"phase": "done", "held": 2.0, "seconds": 21.0, "over": True, "success": True}
-        guide = {"instruction": "Pinch", "seconds_left": 11.2, "missing": ["The little finger has not moved"]}
-        stub.send(outcome=outcome, guide=guide, recording="session.npz")
-        page.wait_for_selector("body[data-recording]")
-        assert "Done" in page.inner_text("#task")
-        assert "little finger" in page.inner_text("#guidance")
-        assert stub.of("record") == [{"type": "record", "keep": True}]
+    assert page.is_disabled("#record")
+    page.check("#keep")
+    page.click("#record")
+    outcome = {"phase": "done", "held": 2.0, "seconds": 21.0, "over": True, "success": True}
+    guide = {"instruction": "Pinch", "seconds_left": 11.2, "missing": ["The little finger has not moved"]}
+    stub.send(outcome=outcome, guide=guide, recording="session.npz")
+    page.wait_for_selector("body[data-recording]")
+    assert "Done" in page.inner_text("#task")
+    assert "little finger" in page.inner_text("#guidance")
+    assert stub.of("record") == [{"type": "record", "keep": True}]
 
-        stub.welcome(role="spectator")
-        page.wait_for_function("document.querySelector('#headline').innerText.includes('watching')")
-        stub.socket.close()
-        page.wait_for_selector("body[data-state=connecting]")
+    stub.welcome(role="spectator")
+    page.wait_for_function("document.querySelector('#headline').innerText.includes('watching')")
+    stub.socket.close()
+    page.wait_for_selector("body[data-state=connecting]")

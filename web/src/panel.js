@@ -12,6 +12,7 @@ export function show(model) {
   const { body } = document;
   body.dataset.state = now.name;
   body.toggleAttribute("data-engaged", Boolean(state?.engaged));
+  body.toggleAttribute("data-holding", Boolean(state?.engaged && !state.following));
   body.toggleAttribute("data-recording", Boolean(state?.recording));
   write("connection", !model.connected ? "Connecting" : welcome?.robot === "lcm" ? "Real robot" : "Simulation");
   write(element("headline").querySelector("strong"), now.headline);
@@ -28,7 +29,7 @@ export function show(model) {
   element("quality").value = value;
   write("quality-words", words);
   const delay = hand.delay + (state?.delay.median ?? NaN);
-  write("delay", hand.seen && delay > 0 ? `delay ${Math.round(1000 * delay)} ms` : "");
+  write("delay", hand.seen && delay > 0 ? `${Math.round(1000 * delay)} ms` : "");
 
   const operator = model.connected && welcome?.role === "operator";
   element("engage").disabled = !operator || !(state?.engaged || hand.seen);

@@ -39,7 +39,7 @@ export class View {
     this.scene = new THREE.Scene();
     const studio = new THREE.PMREMGenerator(this.renderer);
     this.scene.environment = studio.fromScene(new RoomEnvironment(), 0.04).texture;
-    this.scene.environmentIntensity = 0.55;
+    this.scene.environmentIntensity = 0.45;
     this.world = new THREE.Group();
     this.world.applyMatrix4(WORLD);
     this.scene.add(this.world, this.#makeSun());
@@ -136,7 +136,7 @@ export class View {
   }
 
   #makeSun() {
-    this.sun = new THREE.DirectionalLight("#fff6ea", 2.4);
+    this.sun = new THREE.DirectionalLight("#fff6ea", 1.9);
     this.sun.castShadow = true;
     this.sun.shadow.mapSize.set(2048, 2048);
     this.sun.shadow.radius = 5;

@@ -27,6 +27,10 @@ export function situation({ connected, welcome, state, device, hand, refusal }) 
   const seen = hand.seen && !wrong;
   if (state?.engaged && !seen)
     return say("lost", "Hand lost", `The robot holds until it sees your ${side} hand again.`);
+  if (state?.outcome?.over)
+    return state.outcome.success
+      ? say(state.engaged ? "engaged" : "tracking", "Lifted and held", "Press R for another try.")
+      : say(state.engaged ? "engaged" : "tracking", "Not this time", "Press R to try again.");
   if (state?.engaged)
     return state.following
       ? say("engaged", "The robot follows your hand", sentence(state.status))
@@ -51,5 +55,5 @@ export function quality({ seen, score, rate }) {
   const value = score * Math.min(rate / 25, 1);
   const grade = value > 0.8 ? "good" : value > 0.5 ? "fair" : "poor";
   const advice = value > 0.8 ? "" : rate < 20 ? ": slow pictures" : ": more light helps";
-  return { value, words: `Tracking ${grade}${advice} · ${Math.round(rate)}/s` };
+  return { value, words: `Tracking ${grade}${advice}` };
 }
