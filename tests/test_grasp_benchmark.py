@@ -1,12 +1,13 @@
 """The grasp benchmark in its folder: running, continuing, conditions, pairing, the report and repetitions."""
 
 import json
+import re
 import shutil
 
 import numpy as np
 import pytest
 import yaml
-from grasp_setup import TOO_SHORT, judged, person_and_rest, planned_goal
+from grasp_setup import TOO_SHORT, allegro, judged, person_and_rest, planned_goal
 
 from geort_drake.benchmark import folder as benchmark_folder
 from geort_drake.benchmark import methods, trials
@@ -20,8 +21,9 @@ from geort_drake.errors import BenchmarkError, OutputError, TrainingError, Unkno
 from geort_drake.hands.description import load_hand
 from geort_drake.people.play import synthesize_play
 from geort_drake.resources import models_dir
+from geort_drake.retargeting.methods import make_untrained
 from geort_drake.simulation.diagram import make_grasp_diagram
-from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.scenario import dump_scenario, load_scenario
 from geort_drake.simulation.trial import run_trial
 
 
@@ -173,6 +175,53 @@ def test_a_trial_that_raises_is_recorded_and_stops_no_other(tmp_path, monkeypatc
     assert run(tmp_path, "--methods", "hold") == 0
     assert "ArithmeticError" not in (tmp_path / "report.html").read_text()
     assert len((tmp_path / "trials.jsonl").read_text().splitlines()) == 3
+
+
+def test_an_object_that_the_hand_cannot_grasp_is_left_out_and_named(tmp_path, monkeypatch):
+    """The others run, nothing is missing, and an object that is refused is no failure of a method."""
+    reason = "the robot cannot grasp object 'rod'"
+    plans = {"cylinder": planned_goal("cylinder"), "rod": reason}
+    monkeypatch.setattr(trials, "plan", lambda _, name: plans[name])
+    assert run(tmp_path, "--methods", "hold", "--objects", "rod", "cylinder") == 0
+    assert {record["object"] for record in read_records(tmp_path / "trials.jsonl")} == {"cylinder"}
+    assert json.loads((tmp_path / "summary.json").read_text())["refused"] == {"rod": reason}
+    report = (tmp_path / "report.md").read_text()
+    assert reason in report and "2 of 2 trials" in report
+
+
+class Faulty:
+    """A method that fails from its third call on."""
+
+    def __init__(self, fault):
+        hold = make_untrained("hold", allegro().kinematics())
+        self.joint_names, self._hold, self._fault, self._calls = hold.joint_names, hold, fault, 0
+
+    def __call__(self, keypoints):
+        self._calls += 1
+        q = self._hold(keypoints)
+        return q if self._calls < 3 else self._fault(q)
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        (lambda q: 1 / 0, "ZeroDivisionError"),
+        (lambda q: q[:-1], r"shape \(16,\), not \(15,\)"),
+        (lambda q: q[None], r"not \(1, 16\)"),
+        (lambda q: q * np.nan, None),
+        (lambda q: q + 100, None),
+    ],
+)
+def test_a_faulty_method_ends_in_a_record(fault, message):
+    """Raising and another shape are errors of the trial; NaN and angles outside limits are not followed."""
+    text = dump_scenario(load_scenario(text=TOO_SHORT))
+    human = (person_and_rest()[0], planned_goal("cylinder"))
+    trial = trials.Trial(TrialKey("faulty", "cylinder", 0), text, Faulty(fault), 0.05, human)
+    record = trials.simulate(trial)
+    if message is None:
+        assert record["outcome"].startswith("timeout")
+    else:
+        assert re.search(message, record["error"])
 
 
 def test_a_hand_given_as_a_file_is_the_one_that_is_trained(tmp_path, play, monkeypatch):

@@ -53,6 +53,7 @@ class GraspConfig(TypedDict):
     methods: Annotated[dict[str, _MethodFields], Meta(min_length=1)]
     trials: int
     conditions: NotRequired[dict[str, dict]]
+    refused: NotRequired[dict[str, str]]
     notes: _Notes
 
 

@@ -150,11 +150,13 @@ def open_benchmark(
         "conditions": {
             name: _changes(resolved, yaml.safe_load(changed)["Resolved"]) for name, changed in texts.items()
         },
+        "refused": {},
         "notes": {"platform": versions()["platform"], **(notes or {})},
     }
     path = folder / CONFIG
     stored = continue_config(folder, config, GraspConfig, ["methods", "conditions"], any_code)
     if stored is not None:
+        config["refused"] = stored.get("refused", {})
         config["objects"] = list(dict.fromkeys([*stored["objects"], *objects]))
         config["trials"] = max(trials, stored["trials"])
         config["notes"] = stored["notes"]
@@ -177,6 +179,14 @@ def open_benchmark(
     scenarios = {"": scenario, **(conditions or {})}
     people = {name: persons_hand(each, operator or recording) for name, each in scenarios.items()}
     return Benchmark(folder, config, text, people, ready, texts)
+
+
+def note_refused(benchmark: Benchmark, refused: Mapping[str, str]) -> None:
+    """Notes objects that the hand cannot grasp, and why; they have no trials."""
+    if not refused.items() <= benchmark.config["refused"].items():
+        benchmark.config["refused"] |= refused
+        text = json.dumps(benchmark.config, indent=2, allow_nan=False) + "\n"
+        write_text(benchmark.folder / CONFIG, text)
 
 
 def repeat_trial(folder: Path, key: TrialKey) -> tuple[Record, Path]:
@@ -219,6 +229,8 @@ def repeat_trial(folder: Path, key: TrialKey) -> tuple[Record, Path]:
         operator=operator if notes.get("operator") else None,
     )
     ((_, goal),) = plan_grasps(benchmark.scenario_text, [key.object], 1, "loky")
+    if isinstance(goal, str):
+        raise BenchmarkError(goal)
     path = rerun_path(folder, key)
     path.parent.mkdir(exist_ok=True)
     record = simulate(benchmark.trial(key, goal), path)

@@ -32,8 +32,7 @@ def write_grasp_report(folder: Path) -> dict:
 
     Returns:
         The summary: that of `summarize`; `errors`, their number; `sensitivity`, see `summarize_sensitivity`;
-            and
-        `config`, the benchmark's configuration.
+        `refused`: object that the hand cannot grasp → why; `config`, the benchmark's configuration.
 
     Raises:
         BenchmarkError: the folder holds no benchmark, or a damaged one.
@@ -62,6 +61,7 @@ def write_grasp_report(folder: Path) -> dict:
     )
     errors = [{**record, "trial": str(key_of(record))} for record in everything if "error" in record]
     summary = {**summary, "errors": len(errors), "sensitivity": sensitivity, "config": config}
+    summary["refused"] = refused = config.get("refused", {})
     plots = {"completion": completion_plot(by_method, order, summary["timeout_s"])}
     if sensitivity:
         plots["sensitivity"] = success_panels(sensitivity)
@@ -75,7 +75,7 @@ def write_grasp_report(folder: Path) -> dict:
         "plots": plots,
         "records": [_shown(folder, record) for record in records],
         "errors": errors,
-        "expected": len(config["methods"]) * len(config["objects"]) * config["trials"],
+        "expected": len(config["methods"]) * (len(config["objects"]) - len(refused)) * config["trials"],
         "command": f"geort-drake benchmark --output {shlex.quote(str(folder))} --rrd",
     }
     _write(folder, "grasp", (MARKDOWN, HTML), summary, plots, content)

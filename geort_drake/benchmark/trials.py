@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from geort_drake.benchmark.records import Record, TrialKey, TrialLog, identity, keep_error
 from geort_drake.benchmark.workers import call_in_workers
+from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import load_hand
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
@@ -58,16 +59,19 @@ def run_trials(log: TrialLog, trials: Iterable[Trial], jobs: int, backend: str) 
 
 def plan_grasps(
     scenario_text: str, objects: Sequence[str], jobs: int, backend: str
-) -> Iterator[tuple[str, GraspGoal]]:
-    """Plans a grasp of each object in workers; yields name and plan in the order of the objects."""
+) -> Iterator[tuple[str, GraspGoal | str]]:
+    """Plans a grasp of each object in workers; yields name and result of `plan` in the objects' order."""
     arguments = ((scenario_text, name) for name in objects)
     yield from zip(objects, call_in_workers(plan, arguments, jobs, backend, ordered=True), strict=True)
 
 
-def plan(scenario_text: str, object_name: str) -> GraspGoal:
-    """The planned grasp of an object in a resolved scenario."""
+def plan(scenario_text: str, object_name: str) -> GraspGoal | str:
+    """The planned grasp of an object in a resolved scenario, or why the hand cannot grasp it."""
     scenario = _scenario(scenario_text, object_name)
-    return GraspPlanner(scenario, load_hand(scenario.hand)).plan()
+    try:
+        return GraspPlanner(scenario, load_hand(scenario.hand)).plan()
+    except ScenarioError as error:
+        return str(error)
 
 
 def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Record:

@@ -102,7 +102,7 @@ def run_unfinished(arguments: argparse.Namespace) -> None:
     from geort_drake.benchmark.records import TrialLog, outcome_line
     from geort_drake.benchmark.trials import plan_grasps, run_trials
     from geort_drake.benchmark.workers import require_workers
-    from geort_drake.console import say, track
+    from geort_drake.console import say, track, warn
     from geort_drake.hands.description import load_hand
     from geort_drake.simulation.scenario import object_names
 
@@ -149,6 +149,11 @@ def run_unfinished(arguments: argparse.Namespace) -> None:
         planned = [name for name in objects if any(key.object == name for key in left)]
         plans = plan_grasps(benchmark.scenario_text, planned, min(jobs, len(planned)), backend)
         goals = dict(track("planning", plans, len(planned), lambda goal: goal[0]))
+        refused = {name: goal for name, goal in goals.items() if isinstance(goal, str)}
+        for message in refused.values():
+            warn(f"left out: {message}")
+        folder.note_refused(benchmark, refused)
+        left = [key for key in left if key.object not in refused]
         trials = (benchmark.trial(key, goals[key.object]) for key in left)
         for _ in track("grasping", run_trials(log, trials, jobs, backend), len(left), outcome_line):
             pass
@@ -185,6 +190,8 @@ def report(arguments: argparse.Namespace, summary: dict) -> int:
         "mean time: failures count as the timeout"
     )
     print_table(headings, _rows(summary), "Grasps", caption)
+    if summary["refused"]:
+        warn(f"objects left out, as the hand cannot grasp them: {', '.join(summary['refused'])}")
     if errors:
         warn(f"{errors} trials raised an error: see {folder / 'errors'}")
     write_json(arguments.json, summary)

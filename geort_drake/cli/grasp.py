@@ -65,7 +65,7 @@ def add_arguments(parser: CommandParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import HandModel, __version__, load_hand, load_retargeter, run_trial
     from geort_drake.cli.retargeters import Retarget, retargeter_of
-    from geort_drake.console import print_table, progress_bar, say, track
+    from geort_drake.console import print_table, progress_bar, say, track, warn
     from geort_drake.files import write_text
     from geort_drake.retargeting.checkpoint import load_checkpoint
     from geort_drake.simulation.person import persons_hand
@@ -92,7 +92,16 @@ def run(arguments: argparse.Namespace) -> int:
         for scenario in track("planning", scenarios, len(scenarios), lambda scenario: scenario.object.name):
             name = scenario.object.name
             if name not in goals:
-                goals[name] = GraspPlanner(scenario, description).plan()
+                try:
+                    goals[name] = GraspPlanner(scenario, description).plan()
+                except ScenarioError as error:
+                    goals[name] = error
+        refused = [goal for goal in goals.values() if isinstance(goal, ScenarioError)]
+        if len(refused) == len(goals):
+            raise refused[0]
+        for reason in refused:
+            warn(f"left out: {reason}")
+        scenarios = [s for s in scenarios if goals[s.object.name] not in refused]
     if retarget is None:
         retarget, checkpoint, reused = retargeter_of(
             arguments.method, base.hand, recording, arguments.seed, arguments.device

@@ -260,6 +260,10 @@ class RetargetingSystem(LeafSystem):
             return HELD_OTHER_PERSON, None, math.nan
         else:
             q = known.retarget(points, time)
+        if q.shape != self._to_plant.shape:
+            raise HandError(
+                f"the retargeter must return angles of shape {self._to_plant.shape}, not {q.shape}"
+            )
         q = q.take(self._to_plant)
         excess = self._excess(points, excess, glove.moved)
         if q.dot(self._zeros) != 0.0:  # zero times NaN or infinity is NaN
