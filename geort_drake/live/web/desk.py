@@ -124,9 +124,10 @@ class Desk:
     def close(self) -> None:
         """Does nothing; the server closes the connections."""
 
-    def join(self, person: int) -> None:
-        """Adds a connection."""
+    def join(self, person: int) -> dict[str, Any]:
+        """Adds a connection, which looks on until its `hello`, and returns the first answer to it."""
         self._people.add(person)
+        return self._welcome(person)
 
     def leave(self, person: int) -> None:
         """Removes a connection. If it was at the controls, the hand is lost at once and disengaged."""
@@ -171,6 +172,9 @@ class Desk:
             )
         if wanted and self.operator is None:
             self.operator = Operator(person, hello.device, HandReader(hello.side, hello.hand_length))
+        return self._welcome(person)
+
+    def _welcome(self, person: int) -> dict[str, Any]:
         role = "operator" if self._is_operator(person) else "spectator"
         return {"type": "welcome", "version": VERSION, "role": role, **dc.asdict(self.about)}
 

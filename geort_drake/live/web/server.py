@@ -206,7 +206,7 @@ class WebServer:
         await socket.prepare(request)
         connection = _Connection(next(self._numbers), socket)
         self._connections[connection.number] = connection
-        self._desk.join(connection.number)
+        connection.answer(self._desk.join(connection.number))
         sender = asyncio.create_task(connection.send())
         try:
             async for message in socket:
