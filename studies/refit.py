@@ -1,108 +1,84 @@
-"""Re-fit: how much of a map survives on another person's hand, and how much does a re-fit restore?
+"""Refit: how near does the map for everyone come to a training on one person alone?
 
-python studies/refit.py ben.npz alex.npy --json refit.json
+python studies/refit.py --people 3 --json refit.json
 
-The map trained on each recording is given to every other person. It is fitted to every other block of seven
-seconds of that person's recording, and evaluated on the rest: as it is, after the affine step, after both
-steps, and compared with the map trained on all of that person's recording. Prints a Markdown table; --json
-keeps all metrics. Times are of the re-fit; measure them on an idle machine.
+People of a population that no training has seen play for a minute, and for another one that is scored: with
+the map for everyone, folded for the first minute; refitted to that minute; and with a map that was trained on
+it alone. People who do not pinch in the first minute are left out, because the full training needs pinches.
 """
 
 import argparse
 import dataclasses
-import itertools
 import json
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 
-from geort_drake.comparison.metrics import RobotSpace, evaluate_frames, robot_space
+from geort_drake.comparison.metrics import evaluate_frames, robot_space
 from geort_drake.comparison.refit import refit_checkpoint
 from geort_drake.comparison.train import cached_checkpoint
-from geort_drake.console import console, run_main
-from geort_drake.files import write_text
+from geort_drake.console import print_table
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
-from geort_drake.people.readers import read_recording
+from geort_drake.people.population import sample_person
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import load_checkpoint
-from geort_drake.retargeting.methods.coupled import FINE_TUNING_STEPS
 from geort_drake.retargeting.retargeter import load_retargeter
 
-BLOCK_S = 7.0
-STEPS = {"affine": 0, "re-fit": FINE_TUNING_STEPS}
+SEED = 9  # of the population; that of the map is another
+SCORED_S = 60.0
 COLUMNS = {
     "motion preservation": lambda m: f"{m['motion_preservation']:.3f}",
     "along steps": lambda m: f"{m['motion_preservation_track']:.3f}",
-    "coverage": lambda m: f"{m['coverage']['10mm']:.2f}",
-    "pinches closed": lambda m: f"{m['pinch']['closed']:.1%}",
-    "too deep": lambda m: f"{m['pinch']['too_deep']:.1%}",
+    "pinches closed": lambda m: "–" if m["pinch"]["closed"] is None else f"{m['pinch']['closed']:.1%}",
+    "coverage": lambda m: f"{m['coverage']['10mm']:.3f}",
     "self-collision": lambda m: f"{m['self_collision']:.1%}",
     "cross-talk": lambda m: f"{m['cross_talk']:.3f}",
 }
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("recordings", nargs="+", type=Path, help="of different people's hands, two or more")
-    parser.add_argument("--hand", default="allegro_right", help="name or file of a hand description")
-    parser.add_argument("--seed", type=int, default=0, help="of training and re-fit (default: 0)")
-    parser.add_argument("--json", type=Path, help="where to write the figures")
-    arguments = parser.parse_args(argv)
-    if len(arguments.recordings) < 2:
-        parser.error("a map is given to another person: name two recordings or more")
-    description = load_hand(arguments.hand)
-    hand, seed = HandModel(description), arguments.seed
-    people = {path: read_recording(path, description.side, training=True) for path in arguments.recordings}
-    own = {}
-    for path, recording in people.items():
-        console.print(f"training on {path.name}, or finding what was trained", markup=False)
-        own[path], _ = cached_checkpoint(arguments.hand, recording, seed=seed)
-    space = robot_space(hand, seed)
-    headings = ["trained on → used by", "map", *COLUMNS, "time of the fit"]
-    console.print(f"| {' | '.join(headings)} |\n|{'---|' * len(headings)}", markup=False, soft_wrap=True)
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--hand", default="allegro_right")
+    parser.add_argument("--map", type=Path, required=True, help="map for everyone")
+    parser.add_argument("--people", type=int, nargs="+", default=[0, 1, 2], help="numbers in the population")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of play to fit to")
+    parser.add_argument("--rate", type=float, default=30.0, help="Hz")
+    parser.add_argument("--steps", type=int, nargs="+", default=[FINE_TUNING_STEPS], help="of the refit")
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    hand = HandModel(load_hand(arguments.hand))
+    universal, space = load_retargeter(arguments.map, hand), robot_space(hand)
+    keypoints, end = hand.description.human_keypoints, arguments.seconds
     rows = []
-    for trained_on, used_by in itertools.permutations(people, 2):
-        minute, rest = _split(people[used_by])
+    for number in arguments.people:
+        person = sample_person(SEED, number).record(end + SCORED_S, arguments.rate, hand.description.side)
+        t = person.t - person.t[0]
+        seen, unseen = (
+            dataclasses.replace(person, valid=person.valid & part) for part in (t < end, t >= end)
+        )
+        maps = {"for everyone": (universal.for_person(seen.p_HK[seen.valid]), None)}
         with tempfile.TemporaryDirectory() as folder:
-            maps = {"as is": own[trained_on]}
-            for name, steps in STEPS.items():
-                maps[name] = refit_checkpoint(
-                    own[trained_on], minute, Path(folder) / name, arguments.hand, steps, seed
+            paths = {
+                f"refit, {steps} steps": refit_checkpoint(
+                    seen, Path(folder) / str(steps), arguments.hand, arguments.map, steps
                 )
-            maps["own"] = own[used_by]
-            for name, checkpoint in maps.items():
-                row = {"trained_on": trained_on.name, "used_by": used_by.name, "map": name}
-                if name in STEPS:
-                    row["fit_s"] = load_checkpoint(checkpoint).provenance["timings"]["fit_s"]
-                row["metrics"] = _figures(checkpoint, hand, rest, seed, space)
-                rows.append(row)
-                console.print(_line(row), markup=False, highlight=False, soft_wrap=True)
+                for steps in arguments.steps
+            }
+            paths["own training"], _ = cached_checkpoint(arguments.hand, seen)
+            for name, path in paths.items():
+                seconds = load_checkpoint(path).provenance["timings"]["training_s"]
+                maps[name] = load_retargeter(path), seconds
+        for name, (retarget, seconds) in maps.items():
+            frames = unseen.fingertips(keypoints)
+            metrics, _ = evaluate_frames(retarget, hand, frames, unseen.rate_hz, 0, space)
+            rows.append({"person": number, "map": name, "training_s": seconds, "metrics": metrics})
+    table = [
+        (f"{row['person']}", row["map"], *(form(row["metrics"]) for form in COLUMNS.values())) for row in rows
+    ]
+    print_table(("person", "map", *COLUMNS), table, f"after {arguments.seconds:g} s of play")
     if arguments.json:
-        write_text(arguments.json, json.dumps(rows, indent=2) + "\n")
-    return 0
-
-
-def _split(recording: Recording) -> tuple[Recording, Recording]:
-    """Every other block of a recording, and the others."""
-    even = (recording.t - recording.t[0]) // BLOCK_S % 2 == 0
-    return tuple(dataclasses.replace(recording, valid=recording.valid & some) for some in (even, ~even))
-
-
-def _figures(checkpoint: Path, hand: HandModel, recording: Recording, seed: int, space: RobotSpace) -> dict:
-    frames = recording.fingertips(hand.description.human_keypoints)
-    retarget = load_retargeter(checkpoint, hand)
-    return evaluate_frames(retarget, hand, frames, recording.rate_hz, seed, space)[0]
-
-
-def _line(row: dict) -> str:
-    """A row of a Markdown table: from, to, map, figures, seconds."""
-    figures = [form(row["metrics"]) for form in COLUMNS.values()]
-    cells = [f"{row['trained_on']} → {row['used_by']}", row["map"], *figures]
-    return "| " + " | ".join([*cells, f"{row['fit_s']:.1f} s" if "fit_s" in row else ""]) + " |"
+        arguments.json.write_text(json.dumps(rows, indent=2) + "\n")
 
 
 if __name__ == "__main__":
-    run_main(main)
+    main()

@@ -10,6 +10,7 @@ from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.map_file import MapFile
 from geort_drake.retargeting.methods.universal.network import UniversalNetwork
 from geort_drake.retargeting.person_code import AveragePerson, observe
+from geort_drake.retargeting.training.kinematics import HandKinematics
 from geort_drake.retargeting.universal import UniversalRetargeter
 
 FINGERS = ("thumb", "index", "middle", "ring")
@@ -22,15 +23,18 @@ def average_person(fingers: Sequence[str] = FINGERS) -> AveragePerson:
     return AveragePerson(seen.mean, seen.scatter / seen.places[:, None, None], 20.0, 40.0)
 
 
-def random_network(fingers: Sequence[str] = FINGERS) -> UniversalNetwork:
-    """A network with random weights for people like that of `PLAY`, in double precision."""
+def random_network(fingers: Sequence[str] = FINGERS, hand: HandKinematics | None = None) -> UniversalNetwork:
+    """A network with random weights for people like that of `PLAY`, in double precision.
+
+    It is for a toy hand by default.
+    """
     generator = torch.Generator().manual_seed(0)
     code = torch.tensor(average_person(fingers).code(observe(PLAY, fingers))).double()
     codes = code * (1.0 + 0.05 * torch.randn(50, len(code), generator=generator))
     thumb = list(fingers).index("thumb")
     pairs = [(thumb, other) for other in range(len(fingers)) if other != thumb]
     x = torch.randn(50, len(fingers), 3, generator=generator)
-    network = UniversalNetwork(toy_kinematics(fingers), codes, x, pairs, generator)
+    network = UniversalNetwork(hand or toy_kinematics(fingers), codes, x, pairs, generator)
     with torch.no_grad():
         for parameter in network.parameters():
             parameter.add_(0.05 * torch.randn(parameter.shape, generator=generator))

@@ -1,6 +1,8 @@
-"""Fit a trained retargeter to another person's hand.
+"""Fit the map for everyone to one person's hand.
 
-The output is a checkpoint. Its metrics are measured on the new recording.
+geort-drake refit my_hand.npz runs/my_map
+
+The output is a checkpoint. Its metrics are measured on the recording.
 """
 
 import argparse
@@ -12,46 +14,33 @@ from geort_drake.cli.options import CommandParser, at_least, command, finish, ou
 
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
-    add("checkpoint", type=Path, help="directory of the checkpoint to start from")
-    add("recording", type=Path, help="recording of the new person's hand, about a minute")
-    add("output", type=output_folder, help="directory of the new checkpoint")
-    parser.add_hand(None, " (default: the checkpoint's)")
-    add("--steps", type=at_least(0), default=600, help="fine-tuning steps; 0 skips fine-tuning")
-    parser.add_seed("fine-tuning and metrics")
+    add("recording", type=Path, help="recording of the person's hand, about a minute")
+    add("output", type=output_folder, help="directory of the checkpoint")
+    parser.add_hand()
+    add("--map", type=Path, metavar="FILE", help="map for everyone (default: the one shipped for the hand)")
+    add("--steps", type=at_least(1), default=600, help="training steps")
+    parser.add_seed("training and metrics")
     parser.add_json("the metrics")
 
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import refit_checkpoint
     from geort_drake.cli.train import metric_rows
-    from geort_drake.console import print_table, progress_bar
+    from geort_drake.console import print_table
     from geort_drake.retargeting.checkpoint import METRICS, load_checkpoint
 
-    with progress_bar() as display:
-        update = display.counter("fitting")
-        path = refit_checkpoint(
-            arguments.checkpoint,
-            arguments.recording,
-            arguments.output,
-            arguments.hand,
-            arguments.steps,
-            arguments.seed,
-            lambda done, total, *_: update(done, total),
-        )
-    provenance = load_checkpoint(path).provenance
+    path = refit_checkpoint(
+        arguments.recording,
+        arguments.output,
+        arguments.hand,
+        arguments.map,
+        arguments.steps,
+        arguments.seed,
+        not arguments.quiet,
+    )
+    seconds = load_checkpoint(path).provenance["timings"]["fit_s"]
     metrics = json.loads((path / METRICS).read_text(encoding="utf-8"))
-    rows = [
-        (
-            finger,
-            "  ".join(f"{row[axis]:.2f}" for axis, row in enumerate(maps["A"])),
-            "  ".join(f"{1e3 * value:+.0f}" for value in maps["b"]),
-            f"{maps['miss_mm']:.1f} mm",
-        )
-        for finger, maps in provenance["refit"]["affine"].items()
-    ]
-    print_table(("finger", "scale, x y z", "shift, mm", "residual"), rows)
-    title = f"after {provenance['timings']['fit_s']:.1f} s"
-    print_table(("metric", "value"), metric_rows(metrics), title)
+    print_table(("metric", "value"), metric_rows(metrics), f"fitted in {seconds:.1f} s")
     write_json(arguments.json, metrics)
     words = ("--retargeter", path, "--recording", arguments.recording, "--hand", arguments.hand)
     finish({"Checkpoint": path}, command("grasp", *words))

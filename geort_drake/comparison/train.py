@@ -105,6 +105,8 @@ def train_checkpoint(
     settings: Mapping | None = None,
     robot_samples: int = 100_000,
     report: Report | None = None,
+    start: Mapping[str, np.ndarray] | None = None,
+    provenance: Mapping | None = None,
 ) -> Path:
     """Trains a retargeter, evaluates it on the same recording and writes its checkpoint.
 
@@ -119,6 +121,8 @@ def train_checkpoint(
         settings: fields of the method's config that differ from its defaults and the hand's.
         robot_samples: number of sampled joint positions of the robot.
         report: see `Report`.
+        start: arrays to start from, of the method `geort_coupled`; None starts from random weights.
+        provenance: more entries of the checkpoint's provenance.
 
     Returns:
         The checkpoint directory. Warnings about the recording and the training are in its provenance under
@@ -159,8 +163,9 @@ def train_checkpoint(
             p_HF, kinematics, samples.q, labels, hand.collides_beyond_tips, partial(canonical_shapes, hand)
         )
         trained = trained_method(method)
+        train = trained.train if start is None else partial(trained.train, start=start)
         with _timed(timings, "fit_s"), _collect_warnings(messages):
-            result = trained.train(data, config, seed, device, bars.losses("training", report))
+            result = train(data, config, seed, device, bars.losses("training", report))
         if labelled:  # within the time of the fit
             timings["fit_s"] -= timings["robot_data_s"]
         arrays = result.network.arrays()
@@ -187,6 +192,7 @@ def train_checkpoint(
         human_keypoints=keypoints,
         training={**dataclasses.asdict(config), "seed": seed, "device": device},
         provenance={
+            **(provenance or {}),
             "recording": {
                 "sha256": recording.digest,
                 "frames": len(p_HF),

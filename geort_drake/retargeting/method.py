@@ -116,9 +116,6 @@ class TrainedMethod:
             "cuda"; for `report` see `Report`. Raises TrainingError on unusable input, or when the loss is not
             finite from the start; for later divergence see `descend`.
         retargeter: makes the map from the arrays of a checkpoint, with the arguments of `Retargeter`.
-        fine_tune: fits the weights of a checkpoint to another person, called as fine_tune(arrays, data,
-            settings, steps, seed=0, report=None) with the training settings in config.json; returns a
-            `TrainingResult`, raises as `train`. None if the method cannot.
     """
 
     name: str
@@ -126,7 +123,6 @@ class TrainedMethod:
     config: type[TrainingConfig]
     train: Callable[..., TrainingResult]
     retargeter: "Callable[..., Retargeter]"
-    fine_tune: Callable[..., TrainingResult] | None = None
 
 
 @dataclass(frozen=True)

@@ -191,7 +191,7 @@ class UniversalRetargeter:
         The person's part is affine up to the activations, so it becomes part of the weights.
         """
         retargeter = CoupledRetargeter(
-            self._folded(code),
+            self.folded_arrays(code),
             self.finger_names,
             self.joint_names,
             self.human_keypoints,
@@ -202,7 +202,8 @@ class UniversalRetargeter:
             retargeter.compile()
         return retargeter
 
-    def _folded(self, code: np.ndarray) -> dict[str, np.ndarray]:
+    def folded_arrays(self, code: np.ndarray) -> dict[str, np.ndarray]:
+        """The weights of the map of the person with this code (15 F,)."""
         arrays, fingers, code = self._arrays, len(self.finger_names), np.asarray(code, dtype=float)
         z = np.clip(self.deviations(code), -MOST, MOST)
         for k in range(2):

@@ -26,7 +26,7 @@ class HumanData:
             without a thumb.
     """
 
-    def __init__(self, p_HF: np.ndarray, finger_names: Sequence[str], voxel: float = HUMAN_VOXEL):
+    def __init__(self, p_HF: np.ndarray, finger_names: Sequence[str]):
         """Takes the fingertips (T, F, 3) of a recording, in H, m.
 
         Raises:
@@ -41,12 +41,12 @@ class HumanData:
                 f"{', '.join(finger_names)}; they have shape {p_HF.shape}"
             )
         self.frames = without_repeats(p_HF)
-        self.clouds = [voxel_thinned(self.frames[:, i], voxel) for i in range(fingers)]
+        self.clouds = [voxel_thinned(self.frames[:, i], HUMAN_VOXEL) for i in range(fingers)]
         self.points = dict(zip(finger_names, map(len, self.clouds), strict=True))
         for name, count in self.points.items():
             if count < MIN_CLOUD:
                 raise TrainingError(
-                    f"the recording's {name} tip visits only {count} places {1000 * voxel:g} mm apart; "
+                    f"the recording's {name} tip visits only {count} places {1000 * HUMAN_VOXEL:g} mm apart; "
                     f"at least {MIN_CLOUD} are needed, better thousands"
                 )
         self.mean = np.stack([cloud.mean(axis=0) for cloud in self.clouds])

@@ -5,22 +5,29 @@ losses.
 """
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from geort_drake.retargeting.method import TrainedMethod, TrainingData, TrainingResult
 from geort_drake.retargeting.methods.coupled.config import (
+    FINE_TUNING,
     FINE_TUNING_STEPS,
     CoupledConfig,
-    fine_tuning_config,
 )
 from geort_drake.retargeting.methods.coupled.retargeter import CoupledRetargeter
 
 if TYPE_CHECKING:
     from geort_drake.retargeting.training.descent import Report
 
-__all__ = ["FINE_TUNING_STEPS", "METHODS", "CoupledConfig", "CoupledRetargeter", "fine_tune", "train_coupled"]
+__all__ = [
+    "FINE_TUNING",
+    "FINE_TUNING_STEPS",
+    "METHODS",
+    "CoupledConfig",
+    "CoupledRetargeter",
+    "train_coupled",
+]
 
 
 def train_coupled(
@@ -38,26 +45,12 @@ def train_coupled(
 
     Args:
         data, config, seed, device, report: see `TrainedMethod.train`.
-        start: arrays of a checkpoint to start from, whose layers are as wide as the config says; None starts
+        start: arrays of a `CoupledRetargeter` to start from, whose layers are as wide as the config says; None starts
             from random weights.
     """
     from geort_drake.retargeting.methods.coupled.training import train
 
     return train(data, config or CoupledConfig(), seed, device, report, start)
-
-
-def fine_tune(
-    arrays: Mapping[str, np.ndarray],
-    data: TrainingData,
-    settings: Mapping[str, Any],
-    steps: int,
-    seed: int = 0,
-    report: "Report | None" = None,
-) -> TrainingResult:
-    """Trains weights further, on another person's hands; see `TrainedMethod.fine_tune`."""
-    widths = {"hidden": arrays["weight0"].shape[2], "residual_hidden": arrays["residual_weight0"].shape[1]}
-    config = fine_tuning_config({**settings, **widths}, steps)
-    return train_coupled(data, config, seed, report=report, start=arrays)
 
 
 METHODS = (
@@ -67,6 +60,5 @@ METHODS = (
         CoupledConfig,
         train_coupled,
         CoupledRetargeter,
-        fine_tune,
     ),
 )

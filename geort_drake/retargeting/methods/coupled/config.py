@@ -1,25 +1,13 @@
 """Settings of `geort_coupled`."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 from geort_drake.errors import TrainingError
 from geort_drake.retargeting.method import TrainingConfig
-from geort_drake.settings import settings_of
 
-# Former name of a setting, in checkpoints of version 0.1 → its name now.
-_RENAMED = {
-    "motion_wanted": "motion_target",
-    "cross_talk_wanted": "cross_talk_target",
-    "closed_wanted": "closed_target",
-    "strange_pinch_share": "mixed_pinch_fraction",
-    "recorded_hand_share": "recorded_hand_fraction",
-    "even_share": "even_fraction",
-}
 # Of fine-tuning, which starts from a map that nearly fits.
 FINE_TUNING_STEPS = 600
-_FINE_TUNING = {"learning_rate": 0.01, "averaging": 0.98}
+FINE_TUNING = {"learning_rate": 0.01, "averaging": 0.98}
 
 
 @dataclass(frozen=True)
@@ -67,11 +55,3 @@ class CoupledConfig(TrainingConfig):
 
 
 MIXED_HAND_FRACTION = 0.4  # of moved hands: every other finger is from a frame of its own
-
-
-def fine_tuning_config(settings: Mapping[str, Any], steps: int) -> CoupledConfig:
-    """The settings of a checkpoint for fine-tuning; unknown ones, of other versions, are left out."""
-    known = settings_of(CoupledConfig)
-    renamed = {_RENAMED.get(name, name): value for name, value in settings.items()}
-    kept = {name: value for name, value in renamed.items() if name in known}
-    return replace(CoupledConfig(), **kept | _FINE_TUNING | {"steps": steps})
