@@ -20,8 +20,8 @@ from geort_drake.console import print_table
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.population import sample_person
-from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import load_checkpoint
+from geort_drake.retargeting.methods.coupled import FINE_TUNING_STEPS
 from geort_drake.retargeting.retargeter import load_retargeter
 
 SEED = 9  # of the population; that of the map is another

@@ -45,8 +45,8 @@ def train_coupled(
 
     Args:
         data, config, seed, device, report: see `TrainedMethod.train`.
-        start: arrays of a `CoupledRetargeter` to start from, whose layers are as wide as the config says; None starts
-            from random weights.
+        start: arrays of a `CoupledRetargeter` to start from, whose layers are as wide as the config says;
+            None starts from random weights.
     """
     from geort_drake.retargeting.methods.coupled.training import train
 
