@@ -67,6 +67,22 @@ def test_the_first_frame_is_followed_and_the_person_gets_known():
     np.testing.assert_allclose(known.code[: 7 * F], RETARGET.code(PLAY[: 4 * LEARNED])[: 7 * F], atol=0.1)
 
 
+def test_a_fitted_map_takes_over_without_a_jump_and_stays():
+    """Also in the middle of a fade; it is followed until another person is seen."""
+    session = Session()
+    session.show(PLAY[:60])
+    fitted = RETARGET.folded(RETARGET.code(OTHER))
+    before = session.context.get_abstract_state(0).get_value()
+    assert session.system.take_map(session.context, fitted)
+    known, now = session.context.get_abstract_state(0).get_value(), session.context.get_time()
+    np.testing.assert_allclose(known.retarget(PLAY[9], now), before.retarget(PLAY[9], now))
+    q, _ = session.show(PLAY[60 : 4 * LEARNED])
+    np.testing.assert_allclose(q[-1], fitted(PLAY[4 * LEARNED - 1]), atol=1e-6)
+    session.show(OTHER[:400])
+    assert not session.context.get_abstract_state(0).get_value().own
+    assert not Session(fitted).system.take_map(session.context, fitted)
+
+
 def test_a_new_map_takes_over_without_a_jump():
     """For a still hand, targets move from the old map's to the new one's, evenly over the fade."""
     old = PersonFollowing.start(RETARGET).seeing(PLAY[0], 0.0)

@@ -174,18 +174,11 @@ def checkpoint_of(arguments: argparse.Namespace, description: "HandDescription")
     return cached_checkpoint(hand, synthesize_play(seed=0, side=description.side))[0]
 
 
-def load(
-    path: Path, description: "HandDescription", backend: str, person: Path | None = None
-) -> "Retargeter | UniversalRetargeter":
-    """The retargeter of a checkpoint or map; of a map for everyone a recorded person's, if one is given."""
-    from geort_drake import HandModel, load_retargeter, read_recording
-    from geort_drake.retargeting.retargeter import UniversalRetargeter
+def load(path: Path, description: "HandDescription", backend: str) -> "Retargeter | UniversalRetargeter":
+    """The retargeter of a checkpoint or map."""
+    from geort_drake import HandModel, load_retargeter
 
-    retargeter = load_retargeter(path, HandModel(description), backend)
-    if person is not None and isinstance(retargeter, UniversalRetargeter):
-        recording = read_recording(person, description.side)
-        return retargeter.for_person(recording.p_HK[recording.valid])
-    return retargeter
+    return load_retargeter(path, HandModel(description), backend)
 
 
 def print_keys(keys: str) -> None:

@@ -41,12 +41,12 @@ def run_web(
     robot, objects = ("lcm", []) if lcm_url else ("simulation", object_names())
     desk = Desk(About(description.side, scenario.hand, robot, objects, words))
     with open_server(desk, arguments.host, arguments.port, not arguments.no_open) as server:
-        control = PageControl(desk, server.publish, _RECORDINGS, checkpoint)
+        control = PageControl(desk, server.publish, _RECORDINGS, checkpoint if checkpoint.is_file() else None)
         teleoperation = WebTeleoperation(
             scenario,
             description,
             model,
-            lambda path, person: load(path or checkpoint, description, arguments.backend, person),
+            lambda fitted: load(fitted or checkpoint, description, arguments.backend),
             desk,
             server,
             control,

@@ -13,6 +13,7 @@ from geort_drake.live.devices import JointGroup
 from geort_drake.live.glove_stream import LATEST_S
 from geort_drake.live.latency import LatencyMeter
 from geort_drake.live.watchdog import EngageSwitch, Watchdog
+from geort_drake.retargeting.numpy_retargeter import Retargeter
 from geort_drake.simulation.diagram import Retarget
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks.grasp.monitor import GraspOutcome
@@ -69,6 +70,7 @@ class Teleoperation:
     diagram: Diagram
     glove: LeafSystem
     robot: System
+    retargeting: RetargetingSystem
     watchdog: Watchdog
     correction: ActionCorrection
     wrist_checks: WristChecks
@@ -82,6 +84,10 @@ class Teleoperation:
     def following(self, root: Context) -> bool:
         """Returns whether the fingers follow the person."""
         return bool(_eval(self.watchdog, "following", root)[0] >= 0.5)
+
+    def take_map(self, root: Context, retargeter: Retargeter) -> bool:
+        """Lets a map that was fitted to the person take over; see `RetargetingSystem.take_map`."""
+        return self.retargeting.take_map(self.retargeting.GetMyMutableContextFromRoot(root), retargeter)
 
     def outcome(self, root: Context) -> GraspOutcome | None:
         """Returns the grasp so far; None without a simulation."""
@@ -216,4 +222,6 @@ def make_teleoperation(
 
     built = builder.Build()
     built.set_name("teleoperation")
-    return Teleoperation(built, glove, robot, watchdog, correction, wrist_checks, wrist_to_arm, meter)
+    return Teleoperation(
+        built, glove, robot, retargeting, watchdog, correction, wrist_checks, wrist_to_arm, meter
+    )

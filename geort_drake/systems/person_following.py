@@ -1,6 +1,8 @@
 """Follows a person with the map for everyone: their code, and the map that is theirs so far."""
 
 import dataclasses as dc
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -29,6 +31,7 @@ class PersonFollowing(Immutable):
         code: of the person, of which `now` is the map; None before the first look.
         now, before: the person's map, and the one from which it takes over.
         since: when it began to take over, s.
+        own: whether `now` was fitted to the person; then their code does not change it.
         judged: when the person was last judged, s.
         changed: when another person was noticed, s.
         unusual: what is unusual about the hand; see `UniversalRetargeter.unusual`.
@@ -39,8 +42,9 @@ class PersonFollowing(Immutable):
     last: np.ndarray = dc.field(default_factory=lambda: np.full((KEYPOINT_COUNT, 3), np.nan))
     code: np.ndarray | None = None
     now: Retargeter | None = None
-    before: Retargeter | None = None
+    before: Callable[[np.ndarray], np.ndarray] | None = None
     since: float = -np.inf
+    own: bool = False
     judged: float = -np.inf
     changed: float = -np.inf
     unusual: str = ""
@@ -57,6 +61,8 @@ class PersonFollowing(Immutable):
             return dc.replace(self, observer=observer, last=p_HK)
         if observer.has_changed():
             return PersonFollowing.start(universal, time)
+        if self.own:
+            return dc.replace(self, observer=observer, last=p_HK, judged=time)
         code = universal.average.code(observer.observation())
         if self.code is not None:
             change = universal.deviations(code) - universal.deviations(self.code)
@@ -72,6 +78,12 @@ class PersonFollowing(Immutable):
             since=time,
             judged=time,
             unusual=universal.unusual(code),
+        )
+
+    def taking(self, retargeter: Retargeter, time: float) -> "PersonFollowing":
+        """The same with a map that was fitted to the person, which takes over from `time` on, s."""
+        return dc.replace(
+            self, now=retargeter, before=partial(self.retarget, time=time), since=time, own=True
         )
 
     def holds(self, time: float) -> bool:

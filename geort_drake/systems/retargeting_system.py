@@ -9,6 +9,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem, State
 
 from geort_drake.errors import HandError
+from geort_drake.retargeting.numpy_retargeter import Retargeter
 from geort_drake.retargeting.universal import UniversalRetargeter
 from geort_drake.systems.glove_checks import (
     FROZEN,
@@ -156,6 +157,26 @@ class RetargetingSystem(LeafSystem):
         if lower is None or upper is None:
             raise HandError("the joint limits are unknown: give `limits`, as the retargeter has none")
         return JointLimits(lower[self._to_plant], upper[self._to_plant])
+
+    def take_map(self, context: Context, retargeter: Retargeter) -> bool:
+        """Lets a map that was fitted to the person take over, until another person is seen.
+
+        Targets do not jump: the map takes over within `FADE`.
+
+        Returns:
+            Whether it does; only a map for everyone follows a person.
+
+        Raises:
+            HandError: it moves other joints.
+        """
+        known = self._known(context)
+        if known is None:
+            return False
+        if retargeter.joint_names != known.universal.joint_names:
+            raise HandError(f"the map moves other joints: {', '.join(retargeter.joint_names)}")
+        known = known.taking(retargeter, context.get_time())
+        context.get_mutable_abstract_state(self._person).set_value(known)
+        return True
 
     def _known(self, context: Context) -> PersonFollowing | None:
         """What is known of the person; None for a map of one person."""

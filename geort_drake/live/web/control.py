@@ -18,6 +18,7 @@ from geort_drake.live.web.desk import Desk
 from geort_drake.live.web.guide import GuidedPlay
 from geort_drake.live.web.messages import Disengage, Engage, Guide, Record, Refit, Reset, Stop
 from geort_drake.people.recording_parts import RecordingParts
+from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.systems.glove_recorder import GloveRecorder
 
 _STATE_S, _GUIDE_S = 0.1, 1.0  # between two states, and two judgements of guided play
@@ -26,17 +27,19 @@ _NEWEST = 300  # samples of the delay that is shown
 
 
 class Refitting:
-    """Fits a checkpoint to a recording in a process of its own, which is polite to the loop.
+    """Fits the map for everyone to a person in a process of its own, which is polite to the loop.
 
     Args:
-        checkpoint: directory to start from.
         recording: file of the person's hand.
         output: directory of the result.
+        hand: name or file of the robot hand's description.
+        map_file: the map; None for the one that is shipped.
     """
 
-    def __init__(self, checkpoint: Path, recording: Path, output: Path):
+    def __init__(self, recording: Path, output: Path, hand: str, map_file: Path | None):
         self.output = output
-        command = [sys.executable, "-m", "geort_drake", "refit", checkpoint, recording, output, "--quiet"]
+        command = [sys.executable, "-m", "geort_drake", "refit", recording, output, "--hand", hand, "--quiet"]
+        command += ["--map", map_file] if map_file else []
         self._process = subprocess.Popen(
             ["nice", "-n", "10", *map(str, command)],
             stdin=subprocess.DEVNULL,
@@ -68,25 +71,22 @@ class PageControl:
         loop, recorder: of the present session.
         object: that the next session has; None for the present one.
         again: whether the page asked for a new session.
-        person: file of the person's guided play; None without one.
-        fitted: directory of the checkpoint that was fitted to it; None without one.
+        fitted: directory of the checkpoint that was fitted to the person; None without one.
         recordings: files that were written.
 
     Args:
         desk: where commands come from.
         publish: sends a state to all pages.
         folder: of recordings.
-        checkpoint: directory of a checkpoint, which is fitted to a person in the background, or file of a map
-            for everyone, of which a person's part is taken at once.
+        map_file: the map for everyone that is fitted to a person; None for the one that is shipped.
     """
 
-    def __init__(self, desk: Desk, publish: Callable[[str], None], folder: Path, checkpoint: Path):
-        self._desk, self._publish, self._folder, self._checkpoint = desk, publish, folder, checkpoint
+    def __init__(self, desk: Desk, publish: Callable[[str], None], folder: Path, map_file: Path | None):
+        self._desk, self._publish, self._folder, self._map_file = desk, publish, folder, map_file
         self.loop: Teleoperation
         self.recorder: GloveRecorder
         self.object: str | None = None
         self.again = False
-        self.person: Path | None = None
         self.fitted: Path | None = None
         self.recordings: list[Path] = []
         self._scene = 0
@@ -137,7 +137,7 @@ class PageControl:
                 self._guide, self._missing = GuidedPlay(time.monotonic(), self._desk.about.side), []
             elif isinstance(command, Refit):
                 self._begin_refit()
-        self._watch_refit()
+        self._watch_refit(root)
         now = time.monotonic()
         if self._guide is not None:
             self._guide.see(now, self._desk.p_HK)
@@ -196,19 +196,16 @@ class PageControl:
         except (GeortError, IndexError) as error:
             self._refit_state = {"state": "failed", "text": str(error)}
             return
-        self.person = path
-        if self._checkpoint.is_dir():
-            self._refit = Refitting(self._checkpoint, path, path.with_suffix(""))
-        else:
-            self._refit_state, self.again = DONE, True
+        self._refit = Refitting(path, path.with_suffix(""), self._desk.about.hand, self._map_file)
 
-    def _watch_refit(self) -> None:
+    def _watch_refit(self, root: Context) -> None:
         if self._refit is None:
             return
         self._refit_state = self._refit.state()
         if self._refit_state["state"] != "running":
             if self._refit_state == DONE:
-                self.fitted, self.again = self._refit.output, True
+                self.fitted = self._refit.output
+                self.again = not self.loop.take_map(root, load_retargeter(self.fitted))
             self._refit = None
 
     def _state(self, root: Context, engaged: bool) -> dict[str, Any]:

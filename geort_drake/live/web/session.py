@@ -38,8 +38,7 @@ class WebTeleoperation:
     Attributes:
         scenario: settings; every session has its own object.
         description, model: of the robot.
-        load: returns the retargeter of a fitted checkpoint, or for None the one to begin with; and with the
-            file of a person's hands that person's, if the retargeter is a map for everyone.
+        load: returns the retargeter of a fitted checkpoint, or for None the one to begin with.
         desk, server, control: of the page.
         link: to a real robot; None for the simulation.
         relax_after: see `Watchdog`, s.
@@ -48,7 +47,7 @@ class WebTeleoperation:
     scenario: Scenario
     description: HandDescription
     model: RobotModel
-    load: Callable[[Path | None, Path | None], Retarget]
+    load: Callable[[Path | None], Retarget]
     desk: Desk
     server: "WebServer"
     control: PageControl
@@ -140,7 +139,7 @@ class WebTeleoperation:
             scenario,
             description,
             self.model,
-            self.load(self.control.fitted, self.control.person),
+            self.load(self.control.fitted),
             GloveStream(self.desk, description.side),
             robot,
             start,
