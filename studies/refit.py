@@ -1,6 +1,6 @@
 """Refit: how near does the map for everyone come to a training on one person alone?
 
-python studies/refit.py --people 3 --json refit.json
+python studies/refit.py --people 0 1 2 --json refit.json
 
 People of a population that no training has seen play for a minute, and for another one that is scored: with
 the map for everyone, folded for the first minute; refitted to that minute; and with a map that was trained on
@@ -39,7 +39,7 @@ COLUMNS = {
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--hand", default="allegro_right")
-    parser.add_argument("--map", type=Path, required=True, help="map for everyone")
+    parser.add_argument("--map", type=Path, help="map for everyone (default: the shipped one)")
     parser.add_argument("--people", type=int, nargs="+", default=[0, 1, 2], help="numbers in the population")
     parser.add_argument("--seconds", type=float, default=60.0, help="of play to fit to")
     parser.add_argument("--rate", type=float, default=30.0, help="Hz")
@@ -47,7 +47,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     hand = HandModel(load_hand(arguments.hand))
-    universal, space = load_retargeter(arguments.map, hand), robot_space(hand)
+    universal, space = load_retargeter(arguments.map or arguments.hand, hand), robot_space(hand)
     keypoints, end = hand.description.human_keypoints, arguments.seconds
     rows = []
     for number in arguments.people:
