@@ -4,7 +4,7 @@ python studies/refit.py --people 0 1 2 --json refit.json
 
 People of a population that no training has seen play for a minute, and for another one that is scored: with
 the map for everyone, folded for the first minute; refitted to that minute; and with a map that was trained on
-it alone. People who do not pinch in the first minute are left out, because the full training needs pinches.
+it alone, for which the person must pinch in the first minute.
 """
 
 import argparse

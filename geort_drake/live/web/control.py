@@ -18,7 +18,7 @@ from geort_drake.live.web.desk import Desk
 from geort_drake.live.web.guide import GuidedPlay
 from geort_drake.live.web.messages import Disengage, Engage, Guide, Record, Refit, Reset, Stop
 from geort_drake.people.recording_parts import RecordingParts
-from geort_drake.retargeting.retargeter import load_retargeter
+from geort_drake.retargeting.retargeter import Retargeter, load_retargeter
 from geort_drake.systems.glove_recorder import GloveRecorder
 
 _STATE_S, _GUIDE_S = 0.1, 1.0  # between two states, and two judgements of guided play
@@ -205,7 +205,9 @@ class PageControl:
         if self._refit_state["state"] != "running":
             if self._refit_state == DONE:
                 self.fitted = self._refit.output
-                self.again = not self.loop.take_map(root, load_retargeter(self.fitted))
+                retargeter = load_retargeter(self.fitted)
+                assert isinstance(retargeter, Retargeter)
+                self.again = not self.loop.take_map(root, retargeter)
             self._refit = None
 
     def _state(self, root: Context, engaged: bool) -> dict[str, Any]:
