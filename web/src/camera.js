@@ -41,14 +41,15 @@ export class Camera {
   }
 
   #watch() {
-    this.video.requestVideoFrameCallback((now, picture) => {
+    this.video.requestVideoFrameCallback(async (now, picture) => {
       if (!this.worker) return;
       this.#watch();
       if (this.busy) return;
       this.busy = true;
       const t = (picture.captureTime ?? now) / 1000;
-      const frame = new VideoFrame(this.video);
-      this.worker.postMessage({ frame, t }, [frame]);
+      // Firefox on phones has no VideoFrame; the other takes longer.
+      const frame = self.VideoFrame ? new VideoFrame(this.video) : await createImageBitmap(this.video);
+      this.worker?.postMessage({ frame, t }, [frame]);
     });
   }
 

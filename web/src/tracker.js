@@ -1,6 +1,6 @@
 // A worker that finds one hand in pictures with MediaPipe Hands, and draws both.
 //
-// Messages in: {canvas: OffscreenCanvas} first, then {frame: VideoFrame, t}. Messages out: {ready},
+// Messages in: {canvas: OffscreenCanvas} first, then {frame: VideoFrame or ImageBitmap, t}. Messages out: {ready},
 // {t, hand, aspect} or {failure}; `hand` is null or {world: 21 × [x, y, z] m, image: 21 × [u, v], score, side}.
 
 import { drawSkeleton } from "./skeleton.js";
@@ -77,7 +77,8 @@ onmessage = async ({ data: { canvas, frame, t } }) => {
 };
 
 function draw(frame) {
-  const height = Math.round((WIDTH * frame.displayHeight) / frame.displayWidth);
+  const { displayWidth = frame.width, displayHeight = frame.height } = frame;
+  const height = Math.round((WIDTH * displayHeight) / displayWidth);
   for (const { canvas } of [picture, shown])
     if (canvas.width !== WIDTH || canvas.height !== height) Object.assign(canvas, { width: WIDTH, height });
   picture.drawImage(frame, 0, 0, WIDTH, height);
