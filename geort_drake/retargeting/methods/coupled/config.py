@@ -5,9 +5,16 @@ from dataclasses import dataclass
 from geort_drake.errors import TrainingError
 from geort_drake.retargeting.method import TrainingConfig
 
-# Of fine-tuning, which starts from the map for everyone. A minute shows few pinches, so they weigh more.
+# Of fine-tuning, which starts from the map for everyone. A minute shows few pinches and collisions, so they
+# weigh more; and the steps are small, because the map knows more than a minute shows.
 FINE_TUNING_STEPS = 600
-FINE_TUNING = {"learning_rate": 0.003, "averaging": 0.98, "pinch_weight": 3.0, "pinch_spread": 0.01}
+FINE_TUNING = {
+    "learning_rate": 0.001,
+    "averaging": 0.98,
+    "pinch_weight": 1.5,
+    "pinch_spread": 0.01,
+    "collision_weight": 2.0,
+}
 
 
 @dataclass(frozen=True)
