@@ -15,6 +15,7 @@ from geort_drake.cli.check_recording import FORMATS
 from geort_drake.cli.options import (
     DEFAULT_METHOD,
     METHODS,
+    SHIPPED_METHOD,
     SIDES,
     TRAINED_METHODS,
     CommandParser,
@@ -105,6 +106,7 @@ def test_facts_repeated_for_help_agree_with_their_modules():
 
     assert METHODS == {name: method.summary for name, method in methods.all_methods().items()}
     assert set(TRAINED_METHODS) == set(methods.trained_methods()) and DEFAULT_METHOD == methods.DEFAULT_METHOD
+    assert [SHIPPED_METHOD] == list(methods.shipped_methods())
     assert {name: entry.title for name, entry in formats.FORMATS.items()} == FORMATS
     assert set(SIDES) == set(recording.SIDES)
     assert parser_of("refit").get_default("steps") == FINE_TUNING_STEPS

@@ -219,7 +219,7 @@ def repeat_trial(folder: Path, key: TrialKey) -> tuple[Record, Path]:
         folder,
         scenario,
         recording,
-        [str(checkpoint) if checkpoint.is_dir() else key.method],
+        [str(checkpoint) if checkpoint.exists() else key.method],
         [key.object],
         trials=1,
         seed=settings["training_seed"],

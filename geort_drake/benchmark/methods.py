@@ -11,13 +11,19 @@ from geort_drake.benchmark.records import training_of
 from geort_drake.comparison.comparison import check_methods, method_names
 from geort_drake.comparison.train import cached_checkpoint
 from geort_drake.errors import BenchmarkError
-from geort_drake.files import atomic_directory, sha256_of
+from geort_drake.files import atomic_directory, atomic_path, sha256_of
 from geort_drake.hands.mirror import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import WEIGHTS
-from geort_drake.retargeting.methods import make_untrained, trained_methods, untrained_methods
-from geort_drake.retargeting.retargeter import load_retargeter
+from geort_drake.retargeting.map_file import SUFFIX
+from geort_drake.retargeting.methods import (
+    make_untrained,
+    shipped_methods,
+    trained_methods,
+    untrained_methods,
+)
+from geort_drake.retargeting.retargeter import UniversalRetargeter, load_retargeter, shipped_map
 from geort_drake.simulation.diagram import Retarget
 
 # Timed parts of a recording, successive frames in each, and frames at its start that are not timed.
@@ -54,7 +60,7 @@ def make_retargeter(
 
     Args:
         name, method: an item of `names_of`.
-        keep: folder for a copy of the checkpoint.
+        keep: folder for a copy of the checkpoint or map.
         hand_name: name or file of the robot hand's description.
         hand: its model.
         recording: training data, or the frames that an untrained method uses.
@@ -67,6 +73,12 @@ def make_retargeter(
         keypoints = hand.description.human_keypoints
         frames = recording.fingertips(keypoints).astype(float)
         return make_untrained(method, canonical_kinematics(hand), keypoints, frames=frames, seed=seed), None
+    if method in shipped_methods() or Path(method).suffix == SUFFIX:
+        kept = (keep / name).with_suffix(SUFFIX)
+        if not kept.is_file():
+            with atomic_path(kept) as draft:
+                shutil.copyfile(shipped_map(hand) if name == method else method, draft)
+        return load_retargeter(kept, hand), sha256_of(kept)
     kept = keep / name
     if method not in trained_methods():
         load_retargeter(method, hand)
@@ -87,6 +99,8 @@ def measure_latency(retarget: Retarget, recording: Recording) -> float:
     Wall time would include other work of the machine.
     """
     frames = recording.p_HK[recording.valid].astype(float)
+    if isinstance(retarget, UniversalRetargeter):
+        retarget = retarget.for_person(frames)  # as `RetargetingSystem` does, now and then
     times = []
     for first in np.linspace(0, max(len(frames) - _SUCCESSIVE, 0), _PARTS).astype(int):
         for number, frame in enumerate(frames[first : first + _SUCCESSIVE]):

@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from geort_drake.cli.options import (
-    METHODS,
     CommandParser,
     at_least,
     finish,
     method_help,
+    methods_for,
     scenario_of,
     view,
     write_json,
@@ -37,7 +37,7 @@ Exit codes: 0 success; 1 a trial raised an error; 2 the input is invalid.
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     parser.add_output("runs/benchmark")
-    methods = "methods listed below, or checkpoint directories; the first is the reference (default: all)"
+    methods = "methods listed below, checkpoints or maps; the first is the reference (default: all)"
     add("--methods", nargs="+", metavar="NAME", help=methods)
     add("--objects", nargs="+", metavar="NAME", help="objects to grasp (default: all)")
     add("--trials", type=at_least(1), help="trials per method and object (default: 30)")
@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"--rrd: SEED must be a whole number, not {seed}")
     if arguments.rrd and not arguments.report:
         return repeat(arguments.output, method, thing, int(seed), *condition)
-    chosen = QUICK if arguments.quick else {"methods": tuple(METHODS), "objects": None, "trials": 30}
+    chosen = QUICK if arguments.quick else {"methods": None, "objects": None, "trials": 30}
     for name, default in chosen.items():
         if getattr(arguments, name) is None:
             setattr(arguments, name, default)
@@ -107,12 +107,13 @@ def run_unfinished(arguments: argparse.Namespace) -> None:
     from geort_drake.simulation.scenario import object_names
 
     # Everything wrong with the request is found before anything is computed or written.
+    scenario = scenario_of(arguments)
+    arguments.methods = arguments.methods or methods_for(scenario.hand)
     names = names_of(arguments.methods, arguments.trainings)
     objects = list(dict.fromkeys(arguments.objects or object_names()))
     for name in objects:
         if name not in object_names():
             raise UnknownNameError("object", name, object_names())
-    scenario = scenario_of(arguments)
     side = arguments.side or load_hand(scenario.hand).side
     conditions = {}
     if arguments.sensitivity is not None:

@@ -13,6 +13,7 @@ from geort_drake.cli.options import (
     at_least,
     finish,
     method_help,
+    methods_for,
     output_folder,
     write_json,
 )
@@ -45,7 +46,7 @@ def add_arguments(parser: CommandParser) -> None:
     add("--recording", type=Path, required=True, help="recording to train on")
     add("--held-out", type=int, metavar="K", help="also score on K held-out blocks, for example 5")
     add("--score-on", type=Path, nargs="+", metavar="FILE", help="also score on recordings of other people")
-    methods = "methods listed below, or checkpoint directories (default: all)"
+    methods = "methods listed below, checkpoints or maps (default: all)"
     add("--methods", nargs="+", metavar="NAME", help=methods)
     seeds = "seeds of training and metrics; with several, shows mean and worst"
     add("--seeds", type=at_least(0), nargs="+", metavar="SEED", default=[0], help=seeds)
@@ -63,7 +64,7 @@ def add_arguments(parser: CommandParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import HandModel, Recording, load_hand, read_recording
     from geort_drake.benchmark.methods import names_of
-    from geort_drake.comparison.comparison import Comparison, Outcome, check_methods, method_names
+    from geort_drake.comparison.comparison import Comparison, Outcome, check_methods
     from geort_drake.comparison.plots import write_plots
     from geort_drake.comparison.protocols import SAME_PERSON, held_out, other_person, same_person
     from geort_drake.comparison.report import failures, report, tables
@@ -72,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     description = load_hand(arguments.hand)
     hand = HandModel(description)
-    methods = list(dict.fromkeys(arguments.methods or method_names()))
+    methods = list(dict.fromkeys(arguments.methods or methods_for(arguments.hand)))
     names_of(methods)  # refuses two checkpoints whose directories have the same name
     check_methods(methods, hand)
     seeds = list(dict.fromkeys(arguments.seeds))

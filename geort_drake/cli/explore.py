@@ -28,7 +28,7 @@ pinches, and collisions. Methods that need training are trained on the whole rec
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("--recording", type=Path, metavar="FILE", help="recording of a hand (default: synthetic play)")
-    methods = "methods listed below, or checkpoint directories"
+    methods = "methods listed below, checkpoints or maps"
     default = ["geort_coupled", "vector_online"]
     add("--methods", nargs="+", metavar="NAME", default=default, help=methods)
     output = "Rerun recording to write"
@@ -46,6 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.comparison.exploration import answers, excerpt
     from geort_drake.comparison.explorer_recording import write_exploration
     from geort_drake.console import track
+    from geort_drake.retargeting.retargeter import UniversalRetargeter
 
     if not 0.1 <= arguments.duration <= 600:
         raise UsageError(f"--duration must be from 0.1 to 600, not {arguments.duration:g}")
@@ -57,6 +58,8 @@ def run(arguments: argparse.Namespace) -> int:
     methods = {}
     for method in track("retargeting", arguments.methods, len(arguments.methods)):
         retarget, *_ = retargeter_of(method, arguments.hand, recording, arguments.seed)
+        if isinstance(retarget, UniversalRetargeter):
+            retarget = retarget.for_person(recording.p_HK[recording.valid])
         methods[Path(method).name] = answers(retarget, hand, hands)
     properties = {
         "hand": description.name,

@@ -1,8 +1,9 @@
-"""Grasp objects in simulation; train a retargeter first if needed.
+"""Grasp objects in simulation.
 
-Without arguments, it synthesises hand motion, trains a retargeter, grasps three objects with a Panda and an
-Allegro hand, and prints a table. The output folder gets results.json, the scenario, and for each trial a
-Rerun recording (.rrd) and the glove and tracker data (.npz).
+Without arguments, a simulated person grasps three objects with a Panda and an Allegro hand, through the map
+for everyone, and a table shows the outcomes. With --train, a retargeter is trained on the person first. The
+output folder gets results.json, the scenario, and for each trial a Rerun recording (.rrd) and the glove and
+tracker data (.npz).
 """
 
 import argparse
@@ -15,10 +16,12 @@ from typing import TYPE_CHECKING, Any
 from geort_drake.cli.options import (
     DEFAULT_METHOD,
     METHODS,
+    SHIPPED_METHOD,
     CommandParser,
     at_least,
     finish,
     method_help,
+    methods_for,
     recording_of,
     scenario_of,
     view,
@@ -46,10 +49,18 @@ def add_arguments(parser: CommandParser) -> None:
     )
     add("--objects", nargs="+", metavar="NAME", help=objects)
     add("--trials", type=at_least(1), default=1, help="trials per object, each with its own seed")
-    add("--recording", type=Path, help="recording of a hand to train on (default: synthetic play)")
+    add("--recording", type=Path, help="recording of the person's hand (default: synthetic play)")
     parser.add_side()
-    add("--retargeter", type=Path, help="checkpoint to use instead of training; also give its --recording")
-    add("--method", metavar="NAME", default=DEFAULT_METHOD, help="retargeting method, one of those below")
+    add("--retargeter", type=Path, help="checkpoint or map to use; also give the checkpoint's --recording")
+    method = (
+        f"method, one of those below (default: {SHIPPED_METHOD} if the hand has a map, or {DEFAULT_METHOD})"
+    )
+    add("--method", metavar="NAME", help=method)
+    add(
+        "--train",
+        action="store_true",
+        help=f"train on the person's hand; the same as --method {DEFAULT_METHOD}",
+    )
     add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train")
     parser.add_seed("training and synthetic play")
     add(
@@ -68,15 +79,18 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.console import print_table, progress_bar, say, track, warn
     from geort_drake.files import write_text
     from geort_drake.retargeting.checkpoint import load_checkpoint
+    from geort_drake.retargeting.retargeter import UniversalRetargeter
     from geort_drake.simulation.person import persons_hand
     from geort_drake.simulation.scenario import dump_scenario
     from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
     # Everything wrong with the request is found before anything is computed or written.
-    if arguments.method not in METHODS:
+    if arguments.method not in (None, *METHODS):
         raise UnknownNameError("retargeting method", arguments.method, METHODS)
     base = scenario_of(arguments)
     description = load_hand(base.hand)
+    has_map = SHIPPED_METHOD in methods_for(base.hand) and not arguments.train
+    method = arguments.method or (SHIPPED_METHOD if has_map else DEFAULT_METHOD)
     side = arguments.side or description.side
     scenarios = scenarios_of(arguments, base)
     replay = _replay(arguments, base, side)
@@ -104,13 +118,16 @@ def run(arguments: argparse.Namespace) -> int:
         scenarios = [s for s in scenarios if goals[s.object.name] not in refused]
     if retarget is None:
         retarget, checkpoint, reused = retargeter_of(
-            arguments.method, base.hand, recording, arguments.seed, arguments.device
+            method, base.hand, recording, arguments.seed, arguments.device
         )
     source = str(arguments.recording or f"synthetic play, seed {arguments.seed}")
     say(f"Human motion: {source}")
-    properties: dict[str, str | float] = {"method": arguments.method, "hand": description.name}
+    properties: dict[str, str | float] = {"method": method, "hand": description.name}
     if checkpoint is None:
-        say(f"Retargeter:   {arguments.method} (needs no training)")
+        say(f"Retargeter:   {method} (needs no training)")
+    elif isinstance(retarget, UniversalRetargeter):
+        say(f"Retargeter:   {checkpoint} (for everyone)")
+        properties |= {"checkpoint": str(checkpoint), "method": SHIPPED_METHOD}
     else:
         say(f"Retargeter:   {checkpoint} ({'reused' if reused else 'trained now'})")
         loaded = load_checkpoint(checkpoint)
@@ -142,7 +159,7 @@ def run(arguments: argparse.Namespace) -> int:
         "version": __version__,
         "human_motion": source,
         "recording_sha256": recording.digest,
-        "retargeter": str(checkpoint or arguments.method),
+        "retargeter": str(checkpoint or method),
         "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "successes": sum(result.success for result in results),
         "trials": [result.to_json() for result in results],

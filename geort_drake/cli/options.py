@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 DEFAULT_HAND = "allegro_right"
 SIDES = ("left", "right")
 METHODS = {
+    "universal": "one map for every person, shipped for the hand",
     "geort_coupled": "all five criteria, by a network that sees all fingertips; the default",
     "geort": "GeoRT as published: one network per finger",
     "linear_offline": "a network trained on Eq. 1 of the paper (Robotic Telekinesis)",
@@ -39,6 +40,7 @@ METHODS = {
     "hold": "a constant posture",
 }
 DEFAULT_METHOD = "geort_coupled"
+SHIPPED_METHOD = "universal"
 TRAINED_METHODS = ("geort_coupled", "geort", "linear_offline")  # the others need no training
 STDOUT = Path("-")
 
@@ -120,6 +122,15 @@ class CommandParser(argparse.ArgumentParser):
         group.add_argument("--scenario-name", default="Grasp", help="name of the scenario in the file")
         text = f"YAML merged into the scenario, for example '{example}'"
         group.add_argument("--scenario-text", help=text)
+
+
+def methods_for(hand: str) -> tuple[str, ...]:
+    """All methods; the map for everyone only where one is shipped for the hand, given by name or file."""
+    from geort_drake.hands.description import load_hand
+    from geort_drake.retargeting.map_file import shipped_maps
+
+    has_map = load_hand(hand).name in shipped_maps()
+    return tuple(name for name in METHODS if has_map or name != SHIPPED_METHOD)
 
 
 def method_help(names: Iterable[str] = tuple(METHODS)) -> str:

@@ -15,10 +15,19 @@ from geort_drake.hands.mirror import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import CONFIG, load_checkpoint
-from geort_drake.retargeting.methods import all_methods, make_untrained, trained_methods, untrained_methods
+from geort_drake.retargeting.map_file import SUFFIX
+from geort_drake.retargeting.methods import (
+    all_methods,
+    make_untrained,
+    shipped_methods,
+    trained_methods,
+    untrained_methods,
+)
 from geort_drake.retargeting.methods.online import VectorOnline
-from geort_drake.retargeting.retargeter import load_retargeter
+from geort_drake.retargeting.retargeter import UniversalRetargeter, load_retargeter, shipped_map
 
+# s of the scored person that a map for everyone is shown.
+SEEN_S = 1.0
 # (recording, method, seed) → directory of the checkpoint.
 CheckpointSource = Callable[[Recording, str, int], Path]
 
@@ -56,26 +65,30 @@ def method_names() -> tuple[str, ...]:
 
 
 def check_methods(names: Sequence[str], hand: HandModel | None = None) -> None:
-    """Checks names of methods, or directories of checkpoints, before anything is trained.
+    """Checks names of methods, directories of checkpoints, or files of maps, before anything is trained.
 
     Raises:
-        UnknownNameError: a name is neither a method nor a checkpoint's directory.
-        CheckpointError: a checkpoint is damaged or, where `hand` is given, for another hand.
+        UnknownNameError: a name is none of these.
+        CheckpointError: a checkpoint is damaged or, where `hand` is given, for another hand; or no map is
+            shipped for it.
     """
     checkpoints = [name for name in names if name not in method_names()]
     for name in checkpoints:
-        if not (Path(name) / CONFIG).is_file():
+        if not (Path(name) / CONFIG).is_file() and Path(name).suffix != SUFFIX:
             raise UnknownNameError("retargeting method or checkpoint", name, method_names())
     if hand is not None:
         for name in checkpoints:
-            load_checkpoint(name).check_hand(hand)
+            load_retargeter(name, hand)
+        if set(names) & set(shipped_methods()):
+            shipped_map(hand)
 
 
 class Comparison:
     """Evaluates methods one by one under the same protocols.
 
     An online method answers the recorded frames in order, from rest. Metrics of hands that were not recorded
-    use its settled answers, see `VectorOnline.settled_map`.
+    use its settled answers, see `VectorOnline.settled_map`. A map for everyone is shown the first second
+    of the person that it is scored on, and nothing else.
 
     Args:
         hand: model of the robot hand.
@@ -108,7 +121,7 @@ class Comparison:
         """Evaluates one method under every protocol.
 
         Args:
-            name: one of `method_names()`, or the directory of a checkpoint for this hand.
+            name: one of `method_names()`, or a checkpoint or map for this hand.
             starts: called before each case with its description.
 
         Returns:
@@ -184,6 +197,12 @@ class Comparison:
             return make_untrained(name, self._kinematics, self._keypoints, frames=learned, seed=seed)
         if name in trained_methods():
             return load_retargeter(self._checkpoint_of(case.trained_on, name, seed), self.hand)
+        if name in shipped_methods() or Path(name).suffix == SUFFIX:
+            path = shipped_map(self.hand) if name in shipped_methods() else name
+            universal = load_retargeter(path, self.hand)
+            assert isinstance(universal, UniversalRetargeter)
+            scored = case.scored_on
+            return universal.for_person(scored.p_HK[scored.valid][: max(1, round(scored.rate_hz * SEEN_S))])
         if protocol.name == HELD_OUT:
             raise CheckpointError(
                 f"{name}: a checkpoint cannot be trained without the block; name its method instead"

@@ -126,6 +126,18 @@ class TrainedMethod:
 
 
 @dataclass(frozen=True)
+class ShippedMethod:
+    """A map for everyone that is shipped for a robot hand; `shipped_map` finds it.
+
+    Attributes:
+        name, summary: as of `TrainedMethod`.
+    """
+
+    name: str
+    summary: str
+
+
+@dataclass(frozen=True)
 class UntrainedMethod:
     """A method that needs no training.
 

@@ -18,7 +18,22 @@ from geort_drake.retargeting.universal import UniversalRetargeter
 
 BACKENDS = ("numpy", "numba")
 
-__all__ = ["BACKENDS", "Retargeter", "UniversalRetargeter", "load_retargeter"]
+__all__ = ["BACKENDS", "Retargeter", "UniversalRetargeter", "load_retargeter", "shipped_map"]
+
+
+def shipped_map(hand: TrainedHand) -> Path:
+    """The file of the map for everyone that is shipped for `hand`.
+
+    Raises:
+        CheckpointError: there is none.
+    """
+    for path in dict.fromkeys(shipped_maps().values()):
+        if hand.digest in load_map(path).hands.values():
+            return path
+    hands = ", ".join(shipped_maps()) or "none"
+    raise CheckpointError(
+        f"no map for everyone is shipped for this hand, only for: {hands}; geort-drake pretrain makes one"
+    )
 
 
 def load_retargeter(

@@ -1,6 +1,7 @@
 """The retargeting methods by name.
 
-A module of this package adds methods by defining `METHODS`, a tuple of `TrainedMethod` or `UntrainedMethod`.
+A module of this package adds methods by defining `METHODS`, a tuple of `TrainedMethod`, `ShippedMethod` or
+`UntrainedMethod`.
 Such a module imports torch and SciPy inside its functions, because loading a retargeter imports all of them
 and works without torch.
 """
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geort_drake.errors import UnknownNameError
-from geort_drake.retargeting.method import Retarget, TrainedMethod, UntrainedMethod
+from geort_drake.retargeting.method import Retarget, ShippedMethod, TrainedMethod, UntrainedMethod
 
 if TYPE_CHECKING:
     from geort_drake.retargeting.training.kinematics import HandKinematics
@@ -23,18 +24,23 @@ DEFAULT_METHOD = "geort_coupled"
 
 
 @functools.cache
-def all_methods() -> dict[str, TrainedMethod | UntrainedMethod]:
+def all_methods() -> dict[str, TrainedMethod | ShippedMethod | UntrainedMethod]:
     """Every method by name: first those that are trained."""
-    found: list[TrainedMethod | UntrainedMethod] = []
+    found: list[TrainedMethod | ShippedMethod | UntrainedMethod] = []
     for module in pkgutil.iter_modules(__path__):
         found += getattr(importlib.import_module(f"{__name__}.{module.name}"), "METHODS", ())
-    found.sort(key=lambda method: (isinstance(method, UntrainedMethod), method.name))
+    found.sort(key=lambda method: (not isinstance(method, TrainedMethod), method.name))
     return {method.name: method for method in found}
 
 
 def trained_methods() -> dict[str, TrainedMethod]:
     """The methods that are trained, by name."""
     return {name: method for name, method in all_methods().items() if isinstance(method, TrainedMethod)}
+
+
+def shipped_methods() -> dict[str, ShippedMethod]:
+    """The methods whose maps are shipped, by name."""
+    return {name: method for name, method in all_methods().items() if isinstance(method, ShippedMethod)}
 
 
 def untrained_methods() -> dict[str, UntrainedMethod]:
