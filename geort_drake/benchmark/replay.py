@@ -27,7 +27,7 @@ from geort_drake.hands.model import HandModel
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import WEIGHTS
-from geort_drake.retargeting.retargeter import load_retargeter
+from geort_drake.retargeting.retargeter import load_retargeter, path_of
 from geort_drake.simulation.diagram import Retarget
 from geort_drake.simulation.scenario import Scenario, dump_scenario, object_names
 from geort_drake.simulation.world import draw_placement
@@ -46,7 +46,7 @@ class Replay:
         sessions: recordings with wrist poses.
         side: of the recorded hands; None: the robot hand's.
         object_name: the grasped object; None: as noted in each session.
-        retargeter: directory of a checkpoint.
+        retargeter: directory of a checkpoint, or a map by its hand's name or file.
         perturbations: name in `PERTURBATIONS` → sizes.
         trials: draws per session and perturbation.
 
@@ -69,7 +69,8 @@ class Replay:
         self.trials = trials
         self.hand = HandModel(description)
         self.retarget: Retarget = load_retargeter(retargeter, self.hand)
-        self.weights_sha256 = sha256_of(Path(retargeter) / WEIGHTS)
+        path = path_of(retargeter)
+        self.weights_sha256 = sha256_of(path if path.is_file() else path / WEIGHTS)
         self._scenarios = {
             name: as_recorded(scenario, recording, object_name) for name, recording in self.recordings.items()
         }

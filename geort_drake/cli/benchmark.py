@@ -20,9 +20,9 @@ from geort_drake.cli.options import (
 )
 from geort_drake.errors import UnknownNameError, UsageError
 
-# Methods that need no training beyond that of `geort-drake grasp`.
+# Methods that need no training.
 QUICK = {
-    "methods": ("geort_coupled", "vector_online", "dexpilot_online", "nearest_neighbour", "hold"),
+    "methods": ("universal", "vector_online", "dexpilot_online", "nearest_neighbour", "hold"),
     "objects": ("cylinder", "sphere", "cube"),
     "trials": 2,
 }

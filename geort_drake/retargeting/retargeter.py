@@ -18,7 +18,7 @@ from geort_drake.retargeting.universal import UniversalRetargeter
 
 BACKENDS = ("numpy", "numba")
 
-__all__ = ["BACKENDS", "Retargeter", "UniversalRetargeter", "load_retargeter", "shipped_map"]
+__all__ = ["BACKENDS", "Retargeter", "UniversalRetargeter", "load_retargeter", "path_of", "shipped_map"]
 
 
 def shipped_map(hand: TrainedHand) -> Path:
@@ -34,6 +34,11 @@ def shipped_map(hand: TrainedHand) -> Path:
     raise CheckpointError(
         f"no map for everyone is shipped for this hand, only for: {hands}; geort-drake pretrain makes one"
     )
+
+
+def path_of(source: str | os.PathLike) -> Path:
+    """The file of a map or the directory of a checkpoint that `load_retargeter` loads."""
+    return shipped_maps().get(os.fspath(source), Path(source))
 
 
 def load_retargeter(
@@ -54,7 +59,7 @@ def load_retargeter(
     """
     if backend not in BACKENDS:
         raise UnknownNameError("backend", backend, BACKENDS)
-    path = shipped_maps().get(os.fspath(source), Path(source))
+    path = path_of(source)
     if path.is_file():
         return _universal(path, hand, backend)
     if not path.exists():

@@ -170,10 +170,12 @@ class UniversalRetargeter:
         return (code - self._arrays["code_mean"]) / self._arrays["code_deviation"]
 
     def unusual(self, code: np.ndarray) -> str:
-        """Says which part of a person is farthest from the people of the training; empty if none is far."""
-        z = np.abs(self.deviations(code))
-        rows = np.cumsum([0, *(size * len(self.finger_names) for size in CODE_PARTS.values())])
-        z[rows[-2] :] = 0.0  # a number of places says how long the person played
+        """Says which part of the hand's shape is farthest from the training's people; empty if none is far.
+
+        How a person plays is not their hand, and also says how long they have played.
+        """
+        rows = np.cumsum([0, *(CODE_PARTS[part] * len(self.finger_names) for part in ("base", "length"))])
+        z = np.abs(self.deviations(code))[: rows[-1]]
         number = int(np.argmax(z))
         if z[number] <= _UNUSUAL:
             return ""
