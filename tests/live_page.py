@@ -134,6 +134,7 @@ class StubServer:
     def _open(self, socket) -> None:
         self.socket = socket
         socket.on_message(lambda text: self._receive(json.loads(text)))
+        self.welcome(role="spectator")
 
     def _receive(self, message: dict) -> None:
         self.messages.append(message)

@@ -1,13 +1,16 @@
-"""The live web page in Chromium, against a stub of its server."""
+"""The live web page in Chromium, against a stub of its server and the server itself."""
 
 import json
 
 import numpy as np
 import pytest
 from live_page import PAGE, WEB, StubServer, film_hand, launch, require_package, require_page, serve
+from web_page import headset as seen_hand
 
+from geort_drake.live.web.desk import About, Desk
 from geort_drake.live.web.hands import HandReader
 from geort_drake.live.web.messages import decode
+from geort_drake.live.web.server import WebServer
 from geort_drake.people.formats.source import KEYPOINTS_OF_25
 from geort_drake.people.keypoints import BONES
 from geort_drake.retargeting.methods import make_untrained
@@ -44,6 +47,13 @@ def browser(playwright):
     browser.close()
 
 
+@pytest.fixture(autouse=True)
+def _close_pages(browser):
+    yield
+    for context in browser.contexts:
+        context.close()
+
+
 @pytest.fixture(scope="module")
 def address():
     with serve(PAGE) as address:
@@ -59,7 +69,8 @@ def open_page(browser, stub, address, *scripts):
     page = browser.new_page(viewport={"width": 800, "height": 480})
     for script in scripts:
         page.add_init_script(**script)
-    stub.attach(page)
+    if stub:
+        stub.attach(page)
     page.goto(f"{address}/#key")
     return page
 
@@ -141,22 +152,62 @@ XR = """
 """
 
 
-def test_headset_sends_the_robots_side_in_order(browser, stub, address, rng):
+@pytest.fixture
+def headset(browser, stub):
+    """Opens the page in an emulated headset that sees `hands`: side → joints (25, 3)."""
     require_package("iwer")
-    left, right = rng.uniform(-1, 1, (2, 25, 3)).round(3)
-    page = open_page(
-        browser, stub, address, {"path": WEB / "node_modules/iwer/build/iwer.min.js"}, {"script": XR}
-    )
-    page.click("#headset")
-    page.wait_for_function("window.session")
-    page.evaluate("hands => play(hands)", {"left": left.tolist(), "right": right.tolist()})
+
+    def open_headset(address, hands, stub=stub):
+        emulator = {"path": WEB / "node_modules/iwer/build/iwer.min.js"}
+        page = open_page(browser, stub, address, emulator, {"script": XR})
+        page.click("#headset")
+        page.wait_for_function("window.session")
+        page.evaluate("hands => play(hands)", hands)
+        return page
+
+    return open_headset
+
+
+def test_headset_sends_the_robots_side_in_order(headset, stub, address, rng):
+    left, right = rng.uniform(-1, 1, (2, 25, 3)).round(3).tolist()
+    page = headset(address, {"left": left, "right": right})
     page.wait_for_selector("body[data-state=tracking]")
-    page.evaluate("hands => play(hands)", {"left": left.tolist()})
+    page.evaluate("hands => play(hands)", {"left": left})
     page.wait_for_selector("body[data-state=waiting]")
     assert "your left hand" in page.inner_text("#headline")
     assert stub.of("hello")[-1]["device"] == "headset"
     np.testing.assert_allclose(stub.of("headset")[-1]["joints"], right, atol=1e-5)
     assert stub.messages[-1]["type"] == "lost"
+
+
+def test_a_real_robot_is_engaged_after_a_question(headset, stub, address, rng):
+    page = headset(address, {"right": rng.uniform(-1, 1, (25, 3)).tolist()})
+    page.wait_for_selector("body[data-state=tracking]")
+    stub.welcome(robot="lcm")
+    page.wait_for_function("document.querySelector('#connection').innerText == 'Real robot'")
+    for answer in ("cancel", "engage"):
+        assert not stub.of("engage")
+        page.keyboard.press(" ")
+        page.click(f"dialog button[value={answer}]")
+    page.wait_for_timeout(50)
+    assert len(stub.of("engage")) == 2  # the server wants it twice
+
+
+def test_the_page_and_the_server_understand_each_other(headset):
+    desk = Desk(About("right", "allegro_right", "simulation", ["cube"], "a map"))
+    server = WebServer(desk, "127.0.0.1", 0, "key")
+    try:
+        page = headset(
+            f"http://127.0.0.1:{server.port}", {"right": json.loads(seen_hand(0))["joints"]}, stub=None
+        )
+        page.wait_for_selector("body[data-state=tracking]")
+        while desk.received < 3:
+            page.wait_for_timeout(50)
+        assert desk.operator.device == "headset"
+        assert desk.refused == 0
+        assert page.inner_text("#map") == "A map"
+    finally:
+        server.close()
 
 
 def test_panel_and_keys(browser, stub, address):

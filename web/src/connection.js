@@ -4,7 +4,7 @@ const RETRY_MS = 1000;
 
 export class Connection {
   /**
-   * @param {{onOpen: () => void, onClose: () => void, onMessage: (message: object) => void,
+   * @param {{onClose: () => void, onMessage: (message: object) => void,
    *   onPoses: (values: Float32Array) => void}} listeners
    */
   constructor(listeners) {
@@ -32,7 +32,6 @@ export class Connection {
     url.search = `?key=${encodeURIComponent(location.hash.slice(1))}`;
     const socket = (this.socket = new WebSocket(url));
     socket.binaryType = "arraybuffer";
-    socket.onopen = () => this.listeners.onOpen();
     socket.onmessage = ({ data }) => {
       if (typeof data === "string") this.listeners.onMessage(JSON.parse(data));
       else this.listeners.onPoses(new Float32Array(data));

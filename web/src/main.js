@@ -7,6 +7,8 @@ import { show, showObjects } from "./panel.js";
 import { View } from "./view.js";
 
 const VERSION = 1;
+// How long the reason of a refusal is shown.
+const REFUSAL_MS = 4000;
 const element = (id) => document.getElementById(id);
 const UNSEEN = { seen: false, side: "", score: 0, rate: 0, delay: 0 };
 
@@ -30,7 +32,6 @@ function refresh() {
 }
 
 const connection = new Connection({
-  onOpen: hello,
   onClose() {
     Object.assign(model, { connected: false, welcome: null, state: null });
     refresh();
@@ -38,7 +39,7 @@ const connection = new Connection({
   onMessage(message) {
     if (message.type === "welcome") receiveWelcome(message);
     else if (message.type === "state") receiveState(message);
-    else if (message.type === "refused") model.refusal = message.text;
+    else if (message.type === "refused") receiveRefusal(message);
     refresh();
   },
   onPoses: (values) => scene !== null && view.setPoses(values),
@@ -50,20 +51,29 @@ function hello() {
     version: VERSION,
     role: "operator",
     device: model.device ?? "camera",
-    side: model.welcome?.side ?? "right",
+    side: model.welcome.side,
     hand_length: Number(element("length").value) / 100 || null,
   });
 }
 
+/** The first welcome says of which side the robot is; the answer to `hello` whether this page has the controls. */
 function receiveWelcome(welcome) {
-  const greet = !model.welcome && welcome.side !== "right";
+  const first = !model.welcome;
   Object.assign(model, { connected: true, welcome });
   showObjects(welcome.objects);
-  if (greet) hello();
+  if (first) hello();
+}
+
+function receiveRefusal({ text }) {
+  model.refusal = text;
+  clearTimeout(receiveRefusal.timeout);
+  receiveRefusal.timeout = setTimeout(() => {
+    model.refusal = "";
+    refresh();
+  }, REFUSAL_MS);
 }
 
 function receiveState(state) {
-  if (state.engaged) model.refusal = "";
   model.state = state;
   if (state.scene === scene) return;
   scene = state.scene;
@@ -116,7 +126,7 @@ async function use(device, start) {
   stopUsing();
   if (previous === device) return;
   model.device = device;
-  hello();
+  if (model.connected) hello();
   refresh();
   await start().catch((error) => stopUsing(`The ${device} cannot be used: ${error.message}.`));
 }
@@ -174,7 +184,7 @@ element("record").onclick = () =>
 element("length").value = localStorage.getItem("hand_length") ?? "";
 element("length").onchange = ({ target }) => {
   localStorage.setItem("hand_length", target.value);
-  hello();
+  if (model.connected) hello();
 };
 
 // Space always engages and disengages, whichever button was used last; Enter presses buttons.

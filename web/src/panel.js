@@ -3,6 +3,7 @@
 import { quality, situation } from "./words.js";
 
 const PHASES = ["reach", "touch", "grasp", "lift", "hold"];
+const IN_HEADSET = "The robot is in your headset.";
 const element = (id) => document.getElementById(id);
 
 /** Shows a `Model`; returns its situation. */
@@ -21,9 +22,9 @@ export function show(model) {
 
   element("start").hidden = device === "camera";
   element("mirror").hidden = device !== "camera";
-  if (failure) write("start-words", failure);
+  write("start-words", failure || (device === "headset" ? IN_HEADSET : element("start").dataset.words));
   write("camera", device === "camera" ? "Stop the camera" : "Use the camera");
-  write("headset", device === "headset" ? "Leave the headset" : "Use the headset");
+  write("headset", device === "headset" ? "Leave headset" : "Use the headset");
   element("camera").classList.toggle("primary", device === null);
   const { value, words } = quality(hand);
   element("quality").value = value;

@@ -19,8 +19,8 @@ const BESIDE = 0.24;
 // Renderers that use the processor. The view then yields to the hand tracker: coarse, and a few pictures a second.
 const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
 const COARSE_INTERVAL_MS = 200;
-// Where a headset shows the middle of the scene, m: above the floor and ahead of the person.
-const HEADSET_TARGET = new THREE.Vector3(0, 0.95, -0.65);
+// Where a headset shows the middle of the scene, m: ahead of the person, who looks past the arm's right side.
+const HEADSET_TARGET = new THREE.Vector3(-0.3, 0.95, -0.9);
 
 export class View {
   /** @param {HTMLCanvasElement} canvas */

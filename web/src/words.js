@@ -33,8 +33,8 @@ export function situation({ connected, welcome, state, device, hand, refusal }) 
       : say(state.engaged ? "engaged" : "tracking", "Not this time", "Press R to try again.");
   if (state?.engaged)
     return state.following
-      ? say("engaged", "The robot follows your hand", sentence(state.status))
-      : say("engaged", "The robot holds", sentence(state.status));
+      ? say("engaged", "The robot follows your hand", refusal || sentence(state.status))
+      : say("engaged", "The robot holds", refusal || sentence(state.status));
   if (!device) return say("waiting", `Hold up your ${side} hand`, "Start the camera or the headset first.");
   if (wrong)
     return say("waiting", `That is your ${hand.side} hand`, `This robot has a ${side} one. Show your ${side} hand.`);
