@@ -71,7 +71,9 @@ def run_web(
     print_summary(summary)
     if control.recordings:
         last = control.recordings[-1]
-        finish({"Recording": last}, command("replay", last, "--retargeter", checkpoint))
+        trained = checkpoint if checkpoint.is_dir() else None  # a map for everyone drives no trial
+        following = ("--replay", last, "--objects", control.object, "--retargeter", trained)
+        finish({"Recording": last}, command("grasp", *following))
     write_json(arguments.json, summary)
     return 0
 
