@@ -49,6 +49,7 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
     from geort_drake.hands.model import HandModel
     from geort_drake.people.human_hand import HumanHand
     from geort_drake.people.play import synthesize_play
+    from geort_drake.simulation.free_play import keep_attainable, seen_fingertips
     from geort_drake.simulation.scenario import load_scenario
     from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
     from geort_drake.simulation.trial import run_trial
@@ -67,8 +68,10 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
     gain, turn, offset = MAPS[map_name]
     R = Rotation.from_rotvec(turn, degrees=True).as_matrix()
     retarget = AffineMap(hand, rest, gain, R, shift + np.array(offset))
-    goal = GraspPlanner(scenario, description).plan()
-    result, _ = run_trial(scenario, retarget, (HumanHand.fit(play), goal))
+    person = HumanHand.fit(play)
+    seen = seen_fingertips(retarget, hand, person)
+    goal, _ = keep_attainable(GraspPlanner(scenario, description).plans(), seen)
+    result, _ = run_trial(scenario, retarget, (person, goal))
     return {"map": map_name, **result.to_json()}
 
 

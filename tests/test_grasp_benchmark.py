@@ -43,7 +43,7 @@ def quick(play):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(methods, "_PARTS", 1)
         patch.setattr(trials, "call_in_workers", in_this_process)
-        patch.setattr(trials, "plan", lambda *_: planned_goal("cylinder"))
+        patch.setattr(trials, "plan", lambda *_: [planned_goal("cylinder")])
         patch.setattr(
             benchmark_folder, "read_person", lambda *_: (play, {"recording": None, "side": "right"})
         )
@@ -180,7 +180,7 @@ def test_a_trial_that_raises_is_recorded_and_stops_no_other(tmp_path, monkeypatc
 def test_an_object_that_the_hand_cannot_grasp_is_left_out_and_named(tmp_path, monkeypatch):
     """The others run, nothing is missing, and an object that is refused is no failure of a method."""
     reason = "the robot cannot grasp object 'rod'"
-    plans = {"cylinder": planned_goal("cylinder"), "rod": reason}
+    plans = {"cylinder": [planned_goal("cylinder")], "rod": reason}
     monkeypatch.setattr(trials, "plan", lambda _, name: plans[name])
     assert run(tmp_path, "--methods", "hold", "--objects", "rod", "cylinder") == 0
     assert {record["object"] for record in read_records(tmp_path / "trials.jsonl")} == {"cylinder"}
@@ -349,7 +349,7 @@ def test_every_method_has_its_measured_latency_unless_none_is_wanted(tmp_path, p
     monkeypatch.setattr(trials, "run_trial", lambda scenario, *_: used.append(scenario.retargeting.latency))
     for made in (measured, zero):
         key = TrialKey("vector_online", "cylinder", 0)
-        trials.simulate(made.trial(key, planned_goal("cylinder")))
+        trials.simulate(made.trial(key, [planned_goal("cylinder")]))
     assert used == [stored["vector_online"], 0.0]
 
 

@@ -17,6 +17,7 @@ from geort_drake.hands.model import HandModel
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import mirrored
 from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
+from geort_drake.simulation.free_play import keep_attainable, seen_fingertips
 from geort_drake.simulation.object_shape import object_shape
 from geort_drake.simulation.scenario import load_scenario
 from geort_drake.simulation.tasks.grasp.contacts import GRIPS, grip_contacts, palm_contact
@@ -97,6 +98,7 @@ def reach_goal() -> GraspGoal:
         touches=np.array([True, True, True, False]),
         X_OB=X_OB,
         X_OB_before=RigidTransform([0.0, -0.03, 0.12]) @ X_OB,
+        clearance=0.012,
         p_BF_open=tips,
         p_OF_touch=X_OB.multiply(tips.T).T,
         n_OF=np.tile([1.0, 0.0, 0.0], (4, 1)),
@@ -145,7 +147,9 @@ def test_leap_grasps():
     """The simulated person lifts the object with the planned contacts and the hand's own gains."""
     text = "{object: {name: cube}, monitor: {hold_time: 0.5}, timeout: 15.0}"
     scenario, hand = load_scenario(hand="leap_right", text=text), HandModel(load_hand("leap_right"))
-    goal = GraspPlanner(scenario, hand.description).plan()
-    result, _ = run_trial(scenario, centred_map(hand), (person_and_rest()[0], goal))
+    person, retarget = person_and_rest()[0], centred_map(hand)
+    plans = GraspPlanner(scenario, hand.description).plans(2)
+    goal, _ = keep_attainable(plans, seen_fingertips(retarget, hand, person))
+    result, _ = run_trial(scenario, retarget, (person, goal))
     assert result.success and result.attempts == 1
     assert result.slip < 0.03

@@ -54,6 +54,7 @@ class StandInWorld:
             touches=touches,
             X_OB=X_BO.inverse(),
             X_OB_before=X_BO.inverse() @ RigidTransform([-0.08, 0, 0]),
+            clearance=0.012,
             p_BF_open=rest - 0.02 * np.where(touches[:, None], inwards, 0.0),
             p_OF_touch=rest + 0.02 * inwards - centre,
             n_OF=np.where(touches[:, None], inwards, 0.0),

@@ -115,6 +115,8 @@ def test_the_hand_waits_where_it_gets_to_without_touching_the_object():
     X_OB = RigidTransform(R, [-0.10, -0.04, 0.0])
     behind = approach(RigidTransform(R, [-0.4, -0.04, 0.0])).waiting_pose(X_OB, angles)
     assert behind is not None
+    behind, clearance = behind
+    assert 0 < clearance <= 0.05
     np.testing.assert_allclose(behind.rotation().matrix(), R.matrix(), atol=1e-12)
     np.testing.assert_allclose(behind.translation(), [-0.18, -0.04, 0.0], atol=1e-12)
     # Through the can there is no way, and beneath it none either.

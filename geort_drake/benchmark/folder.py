@@ -14,6 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from geort_drake.benchmark.conditions import ASSUMPTIONS, make_conditions, parse_values
@@ -42,6 +43,7 @@ from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
 from geort_drake.resources import diagrams_dir, models_dir
 from geort_drake.simulation.diagram import Retarget
+from geort_drake.simulation.free_play import keep_attainable, seen_fingertips
 from geort_drake.simulation.person import persons_hand
 from geort_drake.simulation.scenario import Scenario, dump_scenario, load_scenario
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
@@ -57,6 +59,7 @@ class Benchmark:
         folder: of the results.
         config: content of `config.json`.
         scenario_text: the resolved scenario, as YAML.
+        hand: the robot's.
         people: the operator's hand in the scenario itself, under "", and in each condition.
         methods: name → retargeter, which can be sent to another process, and its latency, s.
         conditions: name of each changed scenario → its resolved text.
@@ -65,9 +68,11 @@ class Benchmark:
     folder: Path
     config: dict
     scenario_text: str
+    hand: HandModel
     people: dict[str, HumanHand]
     methods: dict[str, tuple[Retarget, float]]
     conditions: dict[str, str] = dc.field(default_factory=dict)
+    _seen: dict[tuple[str, str], np.ndarray] = dc.field(default_factory=dict)
 
     def keys(self, methods: Iterable[str], objects: Iterable[str], trials: int) -> list[TrialKey]:
         """The trials in order: seed by seed, so that a part of them is balanced."""
@@ -80,11 +85,15 @@ class Benchmark:
             for method in dict.fromkeys(methods)
         ]
 
-    def trial(self, key: TrialKey, goal: GraspGoal) -> Trial:
-        """A trial for a worker, with the planned grasp of its object."""
-        retarget, latency = self.methods[key.method]
+    def trial(self, key: TrialKey, plans: Sequence[GraspGoal]) -> Trial:
+        """A trial for a worker, with the plan for its object that the person keeps after free play."""
+        (retarget, latency), person = self.methods[key.method], self.people[key.condition]
         text = self.conditions[key.condition] if key.condition else self.scenario_text
-        return Trial(key, text, retarget, latency, (self.people[key.condition], goal))
+        if (key.method, key.condition) not in self._seen:
+            seen = seen_fingertips(retarget, self.hand, person)
+            self._seen[key.method, key.condition] = seen
+        goal, attainable = keep_attainable(plans, self._seen[key.method, key.condition])
+        return Trial(key, text, retarget, latency, (person, goal), attainable)
 
 
 def read_person(path: Path | None, side: str, seed: int) -> tuple[Recording, dict[str, Any]]:
@@ -178,7 +187,7 @@ def open_benchmark(
         write_text(path, json.dumps(config, indent=2, allow_nan=False) + "\n")
     scenarios = {"": scenario, **(conditions or {})}
     people = {name: persons_hand(each, operator or recording) for name, each in scenarios.items()}
-    return Benchmark(folder, config, text, people, ready, texts)
+    return Benchmark(folder, config, text, hand, people, ready, texts)
 
 
 def note_refused(benchmark: Benchmark, refused: Mapping[str, str]) -> None:
@@ -228,12 +237,12 @@ def repeat_trial(folder: Path, key: TrialKey) -> tuple[Record, Path]:
         any_code=True,
         operator=operator if notes.get("operator") else None,
     )
-    ((_, goal),) = plan_grasps(benchmark.scenario_text, [key.object], 1, "loky")
-    if isinstance(goal, str):
-        raise BenchmarkError(goal)
+    ((_, plans),) = plan_grasps(benchmark.scenario_text, [key.object], 1, "loky")
+    if isinstance(plans, str):
+        raise BenchmarkError(plans)
     path = rerun_path(folder, key)
     path.parent.mkdir(exist_ok=True)
-    record = simulate(benchmark.trial(key, goal), path)
+    record = simulate(benchmark.trial(key, plans), path)
     if "error" not in record:
         before = records[key]
         differing = [name for name in record if name != "wall_time" and record[name] != before.get(name)]

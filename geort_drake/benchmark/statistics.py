@@ -71,7 +71,8 @@ def figures(records: Sequence[Record], timeout: float) -> dict:
         `tip_success`, see `proportion`; `holding`: number of successes in which each link of the hand touched
         the held object; `completion_time_s`: `restricted_mean` up to the timeout with its interval, and
         `median_of_successes`; `phase_s`: mean time in each phase; `slip_mm`: median and 95th percentile over
-        trials with a lift; `drops_per_trial`; `peak_force_n`, median; `self_contact`, mean fraction of the
+        trials with a lift; `unattainable`: number of trials in which free play showed
+        no attainable plan; `drops_per_trial`; `peak_force_n`, median; `self_contact`, mean fraction of the
         time; `failures`: number of each `ending` other than success.
     """
     judged = [record for record in records if "error" not in record]
@@ -98,6 +99,7 @@ def figures(records: Sequence[Record], timeout: float) -> dict:
             "median": _median(slips),
             "p95": float(np.percentile(slips, 95)) if slips else None,
         },
+        "unattainable": sum(not r.get("attainable", True) for r in judged),
         "drops_per_trial": float(np.mean([r["drops"] for r in judged])) if judged else None,
         "peak_force_n": _median([r["peak_force"] for r in judged]),
         "self_contact": float(np.mean([r["self_contact"] for r in judged])) if judged else None,

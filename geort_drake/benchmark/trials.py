@@ -31,6 +31,7 @@ class Trial(NamedTuple):
         retarget: can be sent to another process.
         latency: from keypoints to joint targets, s.
         human: the simulated person and the planned grasp, or a recorded session.
+        attainable: whether free play showed the person an attainable plan.
     """
 
     key: TrialKey
@@ -38,6 +39,7 @@ class Trial(NamedTuple):
     retarget: Retarget
     latency: float
     human: tuple[HumanHand, GraspGoal] | Recording
+    attainable: bool = True
 
 
 def run_trials(log: TrialLog, trials: Iterable[Trial], jobs: int, backend: str) -> Iterator[Record]:
@@ -59,17 +61,17 @@ def run_trials(log: TrialLog, trials: Iterable[Trial], jobs: int, backend: str) 
 
 def plan_grasps(
     scenario_text: str, objects: Sequence[str], jobs: int, backend: str
-) -> Iterator[tuple[str, GraspGoal | str]]:
-    """Plans a grasp of each object in workers; yields name and result of `plan` in the objects' order."""
+) -> Iterator[tuple[str, list[GraspGoal] | str]]:
+    """Plans grasps of each object in workers; yields name and result of `plan` in the objects' order."""
     arguments = ((scenario_text, name) for name in objects)
     yield from zip(objects, call_in_workers(plan, arguments, jobs, backend, ordered=True), strict=True)
 
 
-def plan(scenario_text: str, object_name: str) -> GraspGoal | str:
-    """The planned grasp of an object in a resolved scenario, or why the hand cannot grasp it."""
+def plan(scenario_text: str, object_name: str) -> list[GraspGoal] | str:
+    """The planned grasps of an object in a resolved scenario, or why the hand cannot grasp it."""
     scenario = _scenario(scenario_text, object_name)
     try:
-        return GraspPlanner(scenario, load_hand(scenario.hand)).plan()
+        return GraspPlanner(scenario, load_hand(scenario.hand)).plans()
     except ScenarioError as error:
         return str(error)
 
@@ -82,8 +84,8 @@ def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Recor
         rerun_path: file of the Rerun recording; None for none.
 
     Returns:
-        The fields of `TrialResult`, `method` and `condition`; after an exception, `error` with its traceback
-        instead of a result.
+        The fields of `TrialResult`, `method`, `condition` and `attainable`; after an exception, `error` with
+        its traceback instead of a result.
     """
     key = trial.key
     try:
@@ -93,7 +95,7 @@ def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Recor
         result, _ = run_trial(scenario, trial.retarget, trial.human, rerun_path, {"method": key.method})
     except Exception:
         return {**identity(key), "error": traceback.format_exc()}
-    return {**identity(key), **result.to_json()}
+    return {**identity(key), **result.to_json(), "attainable": trial.attainable}
 
 
 def _scenario(text: str, object_name: str) -> Scenario:

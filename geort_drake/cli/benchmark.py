@@ -149,8 +149,9 @@ def run_unfinished(arguments: argparse.Namespace) -> None:
         require_workers(jobs, backend)
         planned = [name for name in objects if any(key.object == name for key in left)]
         plans = plan_grasps(benchmark.scenario_text, planned, min(jobs, len(planned)), backend)
-        goals = dict(track("planning", plans, len(planned), lambda goal: goal[0]))
-        refused = {name: goal for name, goal in goals.items() if isinstance(goal, str)}
+        found = dict(track("planning", plans, len(planned), lambda each: each[0]))
+        refused = {name: reason for name, reason in found.items() if isinstance(reason, str)}
+        goals = {name: plans for name, plans in found.items() if not isinstance(plans, str)}
         for message in refused.values():
             warn(f"left out: {message}")
         folder.note_refused(benchmark, refused)

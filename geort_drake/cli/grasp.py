@@ -80,6 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.files import write_text
     from geort_drake.retargeting.checkpoint import load_checkpoint
     from geort_drake.retargeting.retargeter import UniversalRetargeter
+    from geort_drake.simulation.free_play import keep_attainable, seen_fingertips
     from geort_drake.simulation.person import persons_hand
     from geort_drake.simulation.scenario import dump_scenario
     from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
@@ -101,21 +102,21 @@ def run(arguments: argparse.Namespace) -> int:
         retarget = load_retargeter(checkpoint, HandModel(description))
 
     # Planning comes before training because it shows whether the robot can grasp the objects at all.
-    goals: dict[str, Any] = {}
+    plans: dict[str, Any] = {}
     if replay is None:
         for scenario in track("planning", scenarios, len(scenarios), lambda scenario: scenario.object.name):
             name = scenario.object.name
-            if name not in goals:
+            if name not in plans:
                 try:
-                    goals[name] = GraspPlanner(scenario, description).plan()
+                    plans[name] = GraspPlanner(scenario, description).plans()
                 except ScenarioError as error:
-                    goals[name] = error
-        refused = [goal for goal in goals.values() if isinstance(goal, ScenarioError)]
-        if len(refused) == len(goals):
+                    plans[name] = error
+        refused = [each for each in plans.values() if isinstance(each, ScenarioError)]
+        if len(refused) == len(plans):
             raise refused[0]
         for reason in refused:
             warn(f"left out: {reason}")
-        scenarios = [s for s in scenarios if goals[s.object.name] not in refused]
+        scenarios = [s for s in scenarios if isinstance(plans[s.object.name], list)]
     if retarget is None:
         retarget, checkpoint, reused = retargeter_of(
             method, base.hand, recording, arguments.seed, arguments.device
@@ -134,6 +135,11 @@ def run(arguments: argparse.Namespace) -> int:
         properties |= {"checkpoint": str(checkpoint), "method": loaded.config["method"]}
 
     person = persons_hand(scenarios[0], recording)
+    goals = {}
+    if replay is None:
+        seen = seen_fingertips(retarget, HandModel(description), person)
+        found = {name: each for name, each in plans.items() if isinstance(each, list)}
+        goals = {name: keep_attainable(each, seen)[0] for name, each in found.items()}
     results = []
     with progress_bar() as display:
         update = display.counter("grasping")

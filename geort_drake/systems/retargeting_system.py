@@ -283,7 +283,7 @@ class RetargetingSystem(LeafSystem):
             q = known.retarget(points, time)
         if q.shape != self._to_plant.shape:
             raise HandError(
-                f"the retargeter must return angles of shape {self._to_plant.shape}, not {q.shape}"
+                f"angles must have shape {self._to_plant.shape}, not {q.shape} as the retargeter's"
             )
         q = q.take(self._to_plant)
         excess = self._excess(points, excess, glove.moved)

@@ -209,7 +209,7 @@ def _goal() -> GraspGoal:
     X_OB, X_OB_before = RigidTransform([-0.1, 0.0, 0.05]), RigidTransform([-0.2, 0.0, 0.1])
     everyone = np.ones(len(tips), bool)
     return GraspGoal(
-        tuple(hand.finger_names), everyone, X_OB, X_OB_before, tips, 0.03 * inwards, inwards, 0.0
+        tuple(hand.finger_names), everyone, X_OB, X_OB_before, 0.012, tips, 0.03 * inwards, inwards, 0.0
     )
 
 

@@ -84,7 +84,9 @@ class GraspingPerson:
         )
         touching = (seen.contact > config.touch_force)[goal.touches]
         if state.phase in (Phase.REACH, Phase.RELEASE):
-            if there and self._shaped(state, t, seen, config.shape_tolerance):
+            # Fingers at their limit may be as far off as the object leaves room.
+            near = goal.clearance if self._fingers_at_limit(state, t) else 0.0
+            if there and self._worst_error(state) < max(config.shape_tolerance, near):
                 self._enter(state, Phase.APPROACH, t)
         elif state.phase == Phase.APPROACH:
             if there:
@@ -121,9 +123,7 @@ class GraspingPerson:
         """Whether the fingertips are at their targets, or as near as fingers and hand can bring them."""
         if self._worst_error(state) < tolerance:
             return True
-        at_limit = self._fingers_at_limit(state, t)
-        shiftable = state.phase in (Phase.SURROUND, Phase.CLOSE)
-        return at_limit and not (shiftable and self._hand_shift(state, seen) is not None)
+        return self._fingers_at_limit(state, t) and self._hand_shift(state, seen) is None
 
     def _worst_error(self, state: OperatorState) -> float:
         assert state.shape_error is not None  # set at the start of every decision

@@ -72,10 +72,13 @@ class GraspApproach:
         self._context = self._diagram.CreateDefaultContext()
         self._plant_context = self._plant.GetMyMutableContextFromRoot(self._context)
 
-    def waiting_pose(self, X_OB: RigidTransform, q_open: dict[str, float]) -> RigidTransform | None:
+    def waiting_pose(
+        self, X_OB: RigidTransform, q_open: dict[str, float]
+    ) -> tuple[RigidTransform, float] | None:
         """X_OB at which the open hand can wait before the grasp at X_OB; None if there is none.
 
-        The straight movements from the start to it and from it to the grasp are free of collisions. `q_open`
+        The second value is the least distance between fingers and object from there to the grasp, m. The
+        straight movements from the start to it and from it to the grasp are free of collisions. `q_open`
         are the joint positions of the open hand by name, rad.
         """
         clearance = self._distance(X_OB, X_OB, q_open, fingers_only=True)
@@ -88,7 +91,7 @@ class GraspApproach:
                 self._distance(self._X_OB_start, X_OB_before, q) >= _REACH_CLEARANCE
                 for q in (q_open, self._q_start)
             ):
-                return X_OB_before
+                return X_OB_before, approach
         return None
 
     def _distance(

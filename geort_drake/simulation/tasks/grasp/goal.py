@@ -24,6 +24,9 @@ class GraspGoal:
     # Hand base at the grasp, and before it, clear of the object.
     X_OB: RigidTransform
     X_OB_before: RigidTransform
+    # Least distance between the fingers of the open hand and the object on the way between the two, m: the
+    # fingertips may be as far from their places.
+    clearance: float
     # (F, 3) fingertip points of the open hand in B, m.
     p_BF_open: np.ndarray
     # (F, 3) fingertip points in O when touching, m, and unit vectors inwards.

@@ -32,8 +32,8 @@ from geort_drake.simulation.tasks.grasp.kinematics import GraspKinematics
 _TIP_GAP = 0.002
 # Discomfort of each step down the list of heights.
 _HEIGHT_STEP = 0.2
-# The best of this many grasps is taken, and at most this many candidates are tried.
-_ENOUGH, _TRIES = 2, 15
+# At most this many candidates are tried for each of `finger_offsets`.
+_TRIES = 36
 # Opening of the fingertips around their contacts, m.
 _OPENING = 0.025
 
@@ -69,21 +69,25 @@ class GraspPlanner:
         )
 
     def plan(self) -> GraspGoal:
-        """The most comfortable grasp found; deterministic.
+        """The most comfortable of two `plans`."""
+        return self.plans(2)[0]
+
+    def plans(self, enough: int = 20) -> list[GraspGoal]:
+        """Different grasps, at most `enough`, the most comfortable first; deterministic.
 
         Raises:
             ScenarioError: no grasp is found.
         """
+        found: list[tuple[float, GraspGoal]] = []
         for offset in finger_offsets(self._kinematics.shape, self._grip):
-            found: list[tuple[float, GraspGoal]] = []
             for candidate in self._candidates(offset)[:_TRIES]:
-                if len(found) == _ENOUGH or any(candidate.cost >= cost for cost, _ in found):
+                if len(found) == enough:
                     break
                 grasp = self._grasp_from(candidate)
                 if grasp is not None:
                     found.append(grasp)
-            if found:
-                return min(found, key=itemgetter(0))[1]
+        if found:
+            return [goal for _, goal in sorted(found, key=itemgetter(0))]
         raise ScenarioError(
             f"the robot cannot grasp object '{self._scenario.object.name}' at "
             f"{self._scenario.object.position}: no collision-free {self._grip} grasp was found"
@@ -103,9 +107,10 @@ class GraspPlanner:
         if q_open is None:
             return None
         X_OB = robot.hand_pose(q_touch)
-        X_OB_before = self._approach.waiting_pose(X_OB, robot.joint_positions(q_open))
-        if X_OB_before is None:
+        waiting = self._approach.waiting_pose(X_OB, robot.joint_positions(q_open))
+        if waiting is None:
             return None
+        X_OB_before, clearance = waiting
         names = tuple(finger.name for finger in self._description.fingers)
         normals = {contact.part: contact.n_O for contact in candidate.contacts}
         goal = GraspGoal(
@@ -113,6 +118,8 @@ class GraspPlanner:
             touches=np.array([name in normals for name in names]),
             X_OB=X_OB,
             X_OB_before=X_OB_before,
+            # A hand that opens wide has no places to keep to.
+            clearance=np.inf if wide else clearance,
             p_BF_open=X_OB.inverse().multiply(robot.fingertips(q_open).T).T,
             p_OF_touch=robot.fingertips(q_touch),
             n_OF=np.array([normals.get(name, np.zeros(3)) for name in names]),
