@@ -6,7 +6,7 @@ Lengths on the robot's side are in units of the fingertips' radius, so that smal
 from dataclasses import dataclass
 
 import torch
-from torch.nn.functional import cosine_similarity, one_hot
+from torch.nn.functional import cosine_similarity
 
 from geort_drake.retargeting.methods.universal.people import APART, NEARLY_APART, Hands, TrainingPeople
 
@@ -41,7 +41,7 @@ def constraint_terms(
     motion = robot.ahead - robot.moved
     own = _of_finger(motion, hands.finger)
     row = {
-        "direction": _twice((1.0 - cosine_similarity(own, hands.d, dim=-1, eps=1e-7)).mean()),
+        "direction": _twice(_worse_half((1.0 - cosine_similarity(own, hands.d, dim=-1, eps=1e-7)).mean(1))),
         "track": _twice(_track(hands, robot)),
         "cross_talk": _twice(_cross_talk(motion, hands.finger)),
         "curvature": _twice(_curvature(hands, robot, own)),
@@ -62,7 +62,9 @@ def _track(hands: Hands, robot: RobotTips) -> torch.Tensor:
     step, answer = hands.after - hands.before, robot.after - robot.before
     length = step.norm(dim=-1)
     long = (length > STEP_RANGE[0]) & (length < STEP_RANGE[1])
-    return (1.0 - cosine_similarity(answer[long], step[long], dim=-1, eps=1e-7)).mean()
+    error = 1.0 - cosine_similarity(answer, step, dim=-1, eps=1e-7)
+    weight = long.float()
+    return _worse_half((error * weight).sum((1, 2)) / (weight.sum((1, 2)) + 1e-9))
 
 
 def _cross_talk(motion: torch.Tensor, finger: torch.Tensor, floor: float = 1e-4) -> torch.Tensor:
@@ -70,10 +72,8 @@ def _cross_talk(motion: torch.Tensor, finger: torch.Tensor, floor: float = 1e-4)
     fingers = motion.shape[2]
     length = torch.sqrt(motion.square().sum(-1) + floor**2) - floor
     own = length.gather(2, finger[..., None])[..., 0]
-    moved = one_hot(finger, fingers).float()
-    of_own = (own[..., None] * moved).sum((0, 1))
-    of_others = ((length.sum(2) - own)[..., None] * moved).sum((0, 1))
-    return (of_others / ((fingers - 1) * (of_own + floor))).mean()
+    others = (length.sum(2) - own) / (fingers - 1)
+    return _worse_half(others.mean(1) / (own.mean(1) + floor))
 
 
 def _curvature(hands: Hands, robot: RobotTips, own: torch.Tensor) -> torch.Tensor:
@@ -103,6 +103,11 @@ def _false_pinches(
 def _of_finger(x: torch.Tensor, finger: torch.Tensor) -> torch.Tensor:
     """(G, N, 3) of x (G, N, F, 3): the finger of each hand."""
     return x.gather(2, finger[..., None, None].expand(-1, -1, 1, 3))[:, :, 0]
+
+
+def _worse_half(values: torch.Tensor) -> torch.Tensor:
+    """The mean over the half of the people (G,) for whom a figure is worse."""
+    return values.topk((len(values) + 1) // 2).values.mean()
 
 
 def _mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
