@@ -5,7 +5,11 @@ import pytest
 import torch
 from universal_map import FINGERS, PLAY, map_of, random_network, random_retargeter, retargeter_of
 
+from geort_drake.comparison.metrics import evaluate_frames
 from geort_drake.errors import CheckpointError, GeortError
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.people.population import sample_person
 from geort_drake.retargeting.map_file import load_map
 from geort_drake.retargeting.retargeter import load_retargeter
 
@@ -86,3 +90,16 @@ def test_a_file_that_is_no_map_is_refused(tmp_path):
         path.write_bytes(contents)
         with pytest.raises(CheckpointError, match=message):
             load_retargeter(path)
+
+
+@pytest.mark.parametrize("name", ["allegro_right", "allegro_left", "leap_right"])
+def test_the_shipped_map_serves_a_stranger_from_the_first_second(name):
+    """A person whom the training has not seen: fingertips move as theirs do, and most pinches close."""
+    hand = HandModel(load_hand(name))
+    retarget = load_retargeter(name, hand)
+    recording = sample_person(0, 803).record(20.0, rate_hz=30.0)
+    own = retarget.for_person(recording.p_HK[:30].astype(float))
+    p_HF = recording.fingertips(hand.description.human_keypoints)
+    metrics, _ = evaluate_frames(own, hand, p_HF, recording.rate_hz)
+    assert metrics["motion_preservation"] > 0.94
+    assert metrics["pinch"]["closed"] > 0.9
