@@ -6,7 +6,7 @@ from geort_drake.errors import TrainingError
 from geort_drake.retargeting.method import TrainingConfig
 
 # Of fine-tuning, which starts from the map for everyone. A minute shows few pinches and collisions, so they
-# weigh more; and the steps are small, because the map knows more than a minute shows.
+# weigh more; coverage weighs less, and the steps are small, because the map knows more than a minute shows.
 FINE_TUNING_STEPS = 600
 FINE_TUNING = {
     "learning_rate": 0.001,
@@ -14,6 +14,8 @@ FINE_TUNING = {
     "pinch_weight": 1.5,
     "pinch_spread": 0.01,
     "collision_weight": 2.0,
+    "coverage_weight": 0.8,
+    "context_weight": 1.0,
 }
 
 
