@@ -76,7 +76,8 @@ CHAINS = {
     },
     "retargeters": {
         f"train --recording hand.npz --output map --robot-samples 1000 {SETTINGS}": "coverage",
-        "refit hand.npz refitted --steps 2": "coverage",
+        "pretrain --output everyone.safetensors --set people=4 --set steps=2": None,
+        "refit hand.npz refitted --map everyone.safetensors --steps 2": "coverage",
         "evaluate --recording hand.npz --methods nearest_neighbour --frames 10 --held-out 2": "methods",
         "explore --recording hand.npz --methods refitted hold --duration 0.5 --output e.rrd": None,
         "live --glove hand.npz --retargeter map --engage now --duration 0.5": "states",
