@@ -26,6 +26,7 @@ from geort_drake.people.play import synthesize_play
 from geort_drake.resources import models_dir
 from geort_drake.retargeting.method import TrainingConfig
 from geort_drake.retargeting.methods.coupled import CoupledConfig
+from geort_drake.retargeting.methods.universal import UniversalConfig
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.systems.glove_replay import GloveReplay
 
@@ -238,7 +239,7 @@ def hooks():
     return module
 
 
-@pytest.mark.parametrize("config", [Scenario, HandDescription, TrainingConfig, CoupledConfig])
+@pytest.mark.parametrize("config", [Scenario, HandDescription, TrainingConfig, CoupledConfig, UniversalConfig])
 def test_tables_of_fields_have_every_field_and_its_default(config):
     """The site's tables are read from the source; they must agree with the classes themselves."""
     rows = hooks().field_rows(config.__name__)
