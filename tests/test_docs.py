@@ -239,7 +239,10 @@ def hooks():
     return module
 
 
-@pytest.mark.parametrize("config", [Scenario, HandDescription, TrainingConfig, CoupledConfig, UniversalConfig])
+CONFIGS = [Scenario, HandDescription, TrainingConfig, CoupledConfig, UniversalConfig]
+
+
+@pytest.mark.parametrize("config", CONFIGS)
 def test_tables_of_fields_have_every_field_and_its_default(config):
     """The site's tables are read from the source; they must agree with the classes themselves."""
     rows = hooks().field_rows(config.__name__)
