@@ -17,7 +17,7 @@ from pydrake.systems.framework import Context
 from geort_drake.live.messages import GloveFrame, encode_frame
 from geort_drake.live.teleoperation import Teleoperation
 from geort_drake.people.recording import Recording
-from geort_drake.systems.retargeting_system import LIMITED, TRACKING
+from geort_drake.systems.retargeting_status import LEARNING, LIMITED, TRACKING, UNUSUAL
 
 # At the end the robot is commanded to brake and hold for this long, s.
 HOLD_S = 0.5
@@ -94,7 +94,7 @@ def run_session(
         duration: s.
         stop: whether the session shall end.
         require_robot: called after every step; raises if the robot is lost.
-        on_state: called with the time (s) and the state when the state changes; a limit counts as tracking.
+        on_state: called with the time (s) and the state when the state changes; a limit does not count.
     """
     simulator = Simulator(loop.diagram)
     root = simulator.get_mutable_context()
@@ -115,7 +115,8 @@ def run_session(
         state = loop.state(root)
         states[state] = states.get(state, 0.0) + _STEP_S
         # A fast hand reaches its limits many times a second, which would flood the user.
-        shown = TRACKING if state == LIMITED else state
+        usual = last if last in (LEARNING, UNUSUAL) else TRACKING
+        shown = usual if state == LIMITED else state
         if shown != last:
             on_state(time, shown)
             last = shown

@@ -11,6 +11,7 @@ from geort_drake.retargeting.numpy_retargeter import Retargeter
 from geort_drake.retargeting.person_observer import PersonObserver
 from geort_drake.retargeting.universal import UniversalRetargeter
 from geort_drake.systems.port_values import Immutable
+from geort_drake.systems.retargeting_status import LEARNING, TRACKING, UNUSUAL
 
 LOOK = 0.03  # s between looks at the hand, as between the frames of the slowest device in training
 FADE = 0.5  # s in which a new map takes over from the one before
@@ -79,6 +80,13 @@ class PersonFollowing(Immutable):
             judged=time,
             unusual=universal.unusual(code),
         )
+
+    @property
+    def state(self) -> str:
+        """The state of the system while it tracks the hand."""
+        if len(self.observer.shapes) < LEARNED:
+            return LEARNING
+        return UNUSUAL if self.unusual else TRACKING
 
     def taking(self, retargeter: Retargeter, time: float) -> "PersonFollowing":
         """The same with a map that was fitted to the person, which takes over from `time` on, s."""

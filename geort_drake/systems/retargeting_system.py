@@ -20,18 +20,16 @@ from geort_drake.systems.glove_checks import (
     find_fault,
 )
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.person_following import LEARNED, LOOK, PersonFollowing
+from geort_drake.systems.person_following import LOOK, PersonFollowing
 from geort_drake.systems.retargeting_status import (
     EASING,
     FOLLOWED,
     HELD_OTHER_PERSON,
-    LEARNING,
     LIMITED,
     OUTSIDE,
     SETTLING,
     STATES,
     TRACKING,
-    UNUSUAL,
     RetargetingStatus,
 )
 from geort_drake.systems.update_timing import check_timing, low_pass_share
@@ -228,7 +226,8 @@ class RetargetingSystem(LeafSystem):
             elif state is None and excess > 0.0:
                 state = OUTSIDE
             elif state is None:
-                state = _quiet_state(self._known(context)) if reached else LIMITED
+                known = self._known(context)
+                state = LIMITED if not reached else known.state if known else TRACKING
 
         if state != before:
             code, since = STATES.index(state), time
@@ -311,12 +310,3 @@ class RetargetingSystem(LeafSystem):
         known = self._known(context)
         unusual = known.unusual if known else ""
         output.set_value(RetargetingStatus(STATES[int(code)], since, followed, self._trained_space, unusual))
-
-
-def _quiet_state(known: PersonFollowing | None) -> str:
-    """The state while all is well."""
-    if known is None:
-        return TRACKING
-    if len(known.observer.shapes) < LEARNED:
-        return LEARNING
-    return UNUSUAL if known.unusual else TRACKING
