@@ -1,6 +1,6 @@
 """Refit: how near does the map for everyone come to a training on one person alone?
 
-python studies/refit.py --people 0 1 2 --json refit.json
+python studies/refit.py --people 0 1 2 4 --json refit.json
 
 People of a population that no training has seen play for a minute, and for another one that is scored: with
 the map for everyone, folded for the first minute; refitted to that minute; and with a map that was trained on
@@ -25,7 +25,7 @@ from geort_drake.retargeting.methods.coupled import FINE_TUNING_STEPS
 from geort_drake.retargeting.retargeter import load_retargeter
 
 SEED = 9  # of the population; that of the map is another
-SCORED_S = 60.0
+END_S, SCORED_S = 300.0, 60.0  # of the play to fit to, and of the scored one
 COLUMNS = {
     "motion preservation": lambda m: f"{m['motion_preservation']:.3f}",
     "along steps": lambda m: f"{m['motion_preservation_track']:.3f}",
@@ -48,14 +48,13 @@ def main() -> None:
     arguments = parser.parse_args()
     hand = HandModel(load_hand(arguments.hand))
     universal, space = load_retargeter(arguments.map or arguments.hand, hand), robot_space(hand)
-    keypoints, end = hand.description.human_keypoints, arguments.seconds
+    keypoints = hand.description.human_keypoints
     rows = []
     for number in arguments.people:
-        person = sample_person(SEED, number).record(end + SCORED_S, arguments.rate, hand.description.side)
+        person = sample_person(SEED, number).record(END_S + SCORED_S, arguments.rate, hand.description.side)
         t = person.t - person.t[0]
-        seen, unseen = (
-            dataclasses.replace(person, valid=person.valid & part) for part in (t < end, t >= end)
-        )
+        parts = (t >= END_S - arguments.seconds) & (t < END_S), t >= END_S
+        seen, unseen = (dataclasses.replace(person, valid=person.valid & part) for part in parts)
         maps = {"for everyone": (universal.for_person(seen.p_HK[seen.valid]), None)}
         with tempfile.TemporaryDirectory() as folder:
             paths = {
