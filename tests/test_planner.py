@@ -26,6 +26,7 @@ from geort_drake.simulation.tasks.grasp.contacts import (
     vertical_extent,
     yaw_candidates,
 )
+from geort_drake.simulation.tasks.grasp.kinematics import GraspKinematics
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.world import HAND, add_object, add_robot
 
@@ -207,3 +208,24 @@ def test_what_cannot_be_grasped_is_refused_by_name():
     description.fingers = description.fingers[1:]
     with pytest.raises(ScenarioError, match=r"a tripod grasp needs a thumb; .* has: index, middle, ring"):
         GraspPlanner(scenario_with("cube"), description)
+
+
+def test_a_hand_that_cannot_take_an_object_into_its_palm_holds_it_by_a_tripod(monkeypatch):
+    """The can, once no posture brings it to the palm."""
+    touch = GraspKinematics.touch
+
+    def without_palm(self, contacts, palm, *rest, **options):
+        return None if palm else touch(self, contacts, palm, *rest, **options)
+
+    monkeypatch.setattr(GraspKinematics, "touch", without_palm)
+    goal = GraspPlanner(scenario_with("bottle"), allegro().description).plan()
+    assert goal.touches.tolist() == [True, True, True, False]
+
+
+def test_links_that_are_close_at_rest_do_not_forbid_every_posture():
+    """Hulls of described hands overlap; here two fingers cross in the default posture."""
+    description = load_hand("allegro_right")
+    description.default_positions |= {"joint_0": -0.45, "joint_4": 0.45}
+    robot = GraspKinematics(scenario_with("cylinder"), description, ["thumb", "index"])
+    query = query_of(robot._plant, robot._context)
+    assert not query.ComputeSignedDistancePairwiseClosestPoints(1e-4)

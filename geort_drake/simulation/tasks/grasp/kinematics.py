@@ -73,6 +73,7 @@ class GraspKinematics:
         self._plant_context = plant.GetMyMutableContextFromRoot(self._context)
         # Solving leaves its last iterate in the context.
         self.q_default = plant.GetPositions(self._plant_context).copy()
+        self._ignore_links_close_at_rest()
 
     def touch(
         self, contacts: list[Contact], palm: Contact | None, guess: np.ndarray, collisions: bool = True
@@ -220,6 +221,21 @@ class GraspKinematics:
         declaration.ExcludeWithin(GeometrySet(tips))
         declaration.ExcludeBetween(GeometrySet(tips), GeometrySet(fixed))
         scene_graph.collision_filter_manager().Apply(declaration)
+
+    def _ignore_links_close_at_rest(self) -> None:
+        """Filters pairs of the hand's own shapes that are closer than the clearance in its default posture.
+
+        Hulls of described hands overlap; no posture would be clear of such pairs.
+        """
+        links = map(self._plant.get_body, self._plant.GetBodyIndices(self._hand))
+        own = {geometry for link in links for geometry in self._plant.GetCollisionGeometriesForBody(link)}
+        query = self._plant.get_geometry_query_input_port().Eval(self._plant_context)
+        scene_graph = self._diagram.GetSubsystemByName("scene_graph")
+        filters = scene_graph.collision_filter_manager(scene_graph.GetMyMutableContextFromRoot(self._context))
+        for pair in query.ComputeSignedDistancePairwiseClosestPoints(_CLEARANCE):
+            if {pair.id_A, pair.id_B} <= own:
+                a, b = GeometrySet([pair.id_A]), GeometrySet([pair.id_B])
+                filters.Apply(CollisionFilterDeclaration().ExcludeBetween(a, b))
 
     def _position_index(self, joint: str) -> int:
         return self._plant.GetJointByName(joint, self._hand).position_start()

@@ -41,13 +41,18 @@ _OPENING = 0.025
 class GraspPlanner:
     """Plans grasps of one object with the scenario's robot.
 
+    A hand that cannot take an object into its palm holds it by a tripod.
+
+    Args:
+        grip: one of `GRIPS`; None: the object's.
+
     Raises:
         ScenarioError: the hand lacks a finger of the object's grip.
         UnknownNameError: no grip is known for the object.
     """
 
-    def __init__(self, scenario: Scenario, description: HandDescription):
-        self._grip = grip_of(scenario.object.name)
+    def __init__(self, scenario: Scenario, description: HandDescription, grip: str | None = None):
+        self._grip = grip or grip_of(scenario.object.name)
         names = [finger.name for finger in description.fingers]
         for needed in GRIPS[self._grip].fingers:
             if needed not in names:
@@ -88,6 +93,8 @@ class GraspPlanner:
                     found.append(grasp)
         if found:
             return [goal for _, goal in sorted(found, key=itemgetter(0))]
+        if GRIPS[self._grip].palm:
+            return GraspPlanner(self._scenario, self._description, "tripod").plans(enough)
         raise ScenarioError(
             f"the robot cannot grasp object '{self._scenario.object.name}' at "
             f"{self._scenario.object.position}: no collision-free {self._grip} grasp was found"
