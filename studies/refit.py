@@ -11,6 +11,7 @@ import argparse
 import dataclasses
 import json
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from geort_drake.comparison.metrics import evaluate_frames, robot_space
@@ -36,7 +37,7 @@ COLUMNS = {
 }
 
 
-def main() -> None:
+def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--hand", default="allegro_right")
     parser.add_argument("--map", type=Path, help="map for everyone (default: the shipped one)")
@@ -45,7 +46,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=30.0, help="Hz")
     parser.add_argument("--steps", type=int, nargs="+", default=[FINE_TUNING_STEPS], help="of the refit")
     parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(argv)
     hand = HandModel(load_hand(arguments.hand))
     universal, space = load_retargeter(arguments.map or arguments.hand, hand), robot_space(hand)
     keypoints = hand.description.human_keypoints

@@ -9,7 +9,7 @@ recording; figures are of the whole recording.
 
 import argparse
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -53,14 +53,14 @@ def people_of(
         yield path.stem, read_recording(path, side)
 
 
-def main() -> None:
+def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("map", type=Path)
     parser.add_argument("--people", type=int, default=12)
     parser.add_argument("--duration", type=float, default=60.0, help="of each person's play, s")
     parser.add_argument("--recordings", nargs="*", type=Path, default=[])
     parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(argv)
     file = load_map(arguments.map)
     hand = HandModel(load_hand(next(iter(file.hands))))
     retarget, space = load_retargeter(arguments.map), robot_space(hand)

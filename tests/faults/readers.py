@@ -110,7 +110,7 @@ def _results(folder: Path) -> list[Reader]:
     trial = {"method": "hold", "object": "cube", "error": "no", "traceback": "errors/hold.txt"}
     lines = [json.dumps({**trial, "seed": seed}) + "\n" for seed in range(3)]
     (room / TRIALS).write_text("".join(lines))
-    digests = ("recording_sha256", "hand_sha256", "models_sha256", "code_sha256")
+    digests = ("recording_sha256", "operator_sha256", "hand_sha256", "models_sha256", "code_sha256")
     settings = {
         **dict.fromkeys(digests, "0" * 64), "training_seed": 0, "latency": "zero", "hand": "allegro_right",
         "scenario": {"random_seed": 0, "timeout": 25.0}, "versions": {"python": "3.11"},

@@ -101,7 +101,7 @@ def benchmark(seed: int, jobs: int = 1) -> None:
         "--scenario_text", SHORT, "--trials", "1" if seed == 1 else "2", "--zero_latency",
     ]  # fmt: skip
     with (
-        mock.patch.object(trials, "plan", lambda *_: goal),
+        mock.patch.object(trials, "plan", lambda *_: [goal]),
         mock.patch.object(folder, "synthesize_play", lambda seed, side: play()),
     ):
         run_command("benchmark", argv)
