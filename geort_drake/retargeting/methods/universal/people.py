@@ -28,14 +28,12 @@ class Hands:
     """A batch of hands of G people, fingertips (G, ·, F, 3) in H, m.
 
     Attributes:
-        people: (G,) numbers.
         codes: (G, C).
         moved: of which the finger `finger` (G, ·) moves by d (G, ·, 3) and −d.
         before, after: the beginning and the end of steps.
         pinching: the pair `pinch_pair` (G, ·) meets, where `pinched` (G, ·) is true.
     """
 
-    people: torch.Tensor
     codes: torch.Tensor
     moved: torch.Tensor
     finger: torch.Tensor
@@ -105,7 +103,6 @@ class TrainingPeople:
         real, real_pair, really = self._recorded_pinches(people)
         made, made_pair, possible = self._made_up_pinches(people)
         return Hands(
-            people,
             codes,
             moved=hands + self._offset(count, MOVED),
             finger=finger,

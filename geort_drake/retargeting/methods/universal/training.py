@@ -34,13 +34,11 @@ class UniversalTraining:
 
     Attributes:
         arrays: of the network and of the average person, as `UniversalRetargeter` takes them.
-        history: losses, see `Descent`.
         figures: running mean of each constraint's figure at the end, and "coverage".
         seconds: wall time of the descent.
     """
 
     arrays: dict[str, np.ndarray]
-    history: list[dict[str, float]]
     figures: dict[str, float]
     seconds: float
 
@@ -58,7 +56,7 @@ def train_universal(
         kinematics, shapes: of the robot hand, mirrored for a left one.
         config: settings; None takes the defaults.
         seed: of the population, the initial weights and all draws.
-        report: called at each row of the history.
+        report: see `Report`.
 
     Raises:
         TrainingError: a setting is out of range, the hand has no thumb, or the loss is not finite at the
@@ -121,7 +119,7 @@ class _Training:
             raise TrainingError(f"the loss stopped being finite at step {descent.stopped_at}")
         arrays = self.network.arrays() | self.people.average.arrays()
         figures = self.multipliers.figures | {"coverage": self.covered}
-        return UniversalTraining(arrays, descent.history, figures, descent.seconds)
+        return UniversalTraining(arrays, figures, descent.seconds)
 
     def _losses(self, step: int) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
         """The Lagrangian on one batch, and each loss."""
