@@ -43,7 +43,7 @@ def test_a_failure_while_writing_leaves_nothing(tmp_path, monkeypatch):
     """Half a file would look like a short simulation."""
     world = World().finalize().record(tmp_path / "half.rrd")
     world.simulator.AdvanceTo(0.1)
-    monkeypatch.setattr(type(world.recorder._tracks[-1]), "write", lambda *_: 1 / 0)
+    monkeypatch.setattr(type(world.recorder._tracks[-1].spec), "write", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         world.recorder.close()
     assert list(tmp_path.iterdir()) == []

@@ -14,20 +14,22 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder, OutputPort
 
 from geort_drake.errors import ScenarioError
-from geort_drake.rerun import tracks as kinds
 from geort_drake.rerun.layout import VIEW_FROM, Layout, followed_bodies
+from geort_drake.rerun.plant import Contacts, ContactSpec, Poses
 from geort_drake.rerun.recorder import RerunRecorder
 from geort_drake.rerun.scene import describe_scene
 from geort_drake.rerun.specs import (
     CameraSpec,
     CloseUpSpec,
-    ContactSpec,
     HandSpec,
     PointsSpec,
     SignalSpec,
+    Spec,
     StateSpec,
+    port_name,
 )
 from geort_drake.rerun.streams import LiveSink, Property, is_live
+from geort_drake.rerun.track import Track
 
 Target = str | os.PathLike | LiveSink
 
@@ -95,19 +97,29 @@ def add_rerun_recorder(
         raise ScenarioError(f"{where}: view_from must be three numbers, not all 0; given {view_from!r}")
     followed = followed_bodies(close_ups or {}, hands or {})
     scene = describe_scene(plant, scene_graph, role, followed)
-    poses_port = _plant_port(where, plant, "body_poses", plant_ports or {})
-    tracks: list[kinds.Track] = [kinds.PoseTrack(scene, poses_port)]
+    specs: list[tuple[str, Spec]] = [("body_poses", Poses(scene))]
     if contact:
-        port = _plant_port(where, plant, "contact_results", plant_ports or {})
-        tracks.append(
-            kinds.ContactTrack(scene, port, contact if isinstance(contact, ContactSpec) else ContactSpec())
-        )
-    tracks += [kinds.StateTrack(key, state) for key, state in (states or {}).items()]
-    tracks += [kinds.SignalTrack(key, signal) for key, signal in (signals or {}).items()]
-    tracks += [kinds.HandTrack(key, hand) for key, hand in (hands or {}).items()]
-    tracks += [kinds.PointTrack(key, spec, poses_port) for key, spec in (points or {}).items()]
-    tracks += [kinds.CameraTrack(key, camera) for key, camera in (cameras or {}).items()]
-    sources = _assign_inputs(tracks)
+        options = contact if isinstance(contact, ContactSpec) else ContactSpec()
+        specs.append(("contact_results", Contacts(scene, options)))
+    for given in (states, signals, hands, points, cameras):
+        specs += (given or {}).items()
+
+    def plant_port(name: str) -> OutputPort:
+        own = plant.GetOutputPort(name)
+        port = (plant_ports or {}).get(name, own)
+        if type(port.Allocate()) is not type(own.Allocate()):
+            raise ScenarioError(f"{where}: plant_ports: {port_name(port)} does not hold {name}")
+        return port
+
+    tracks, sources = [], dict[str, OutputPort]()
+    names: dict[tuple[Any, int], str] = {}
+    for key, spec in specs:
+        inputs = []
+        for name, port in spec.ports(key, plant_port).items():
+            # A port that several tracks share is read once.
+            inputs.append(names.setdefault((port.get_system(), int(port.get_index())), name))
+            sources.setdefault(inputs[-1], port)
+        tracks.append(Track(key, spec, inputs))
     _check_connectable(where, builder, sources)
     recorder = RerunRecorder(
         path,
@@ -140,29 +152,6 @@ def _targets(path_or_viewer: Target | Sequence[Target]) -> tuple[Path | None, li
     return Path(files[0]) if files else None, sinks
 
 
-def _plant_port(
-    where: object, plant: MultibodyPlant, name: str, exported: Mapping[str, OutputPort]
-) -> OutputPort:
-    """The plant's port with a name, or the port that a nested diagram exports in its place."""
-    own = plant.GetOutputPort(name)
-    port = exported.get(name, own)
-    if type(port.Allocate()) is not type(own.Allocate()):
-        raise ScenarioError(f"{where}: plant_ports: {kinds.port_name(port)} does not hold {name}")
-    return port
-
-
-def _assign_inputs(tracks: Sequence[kinds.Track]) -> dict[str, OutputPort]:
-    """Names the recorder's input ports, assigns them to the tracks, and returns their sources."""
-    sources: dict[str, OutputPort] = {}
-    names: dict[tuple[Any, int], str] = {}
-    for track in tracks:
-        for name, port in track.ports.items():
-            known = names.setdefault((port.get_system(), int(port.get_index())), name)
-            sources.setdefault(known, port)
-            track.inputs.append(known)
-    return sources
-
-
 def _check_connectable(where: object, builder: DiagramBuilder, sources: Mapping[str, OutputPort]) -> None:
     """Raises ScenarioError if a port is in another diagram."""
     systems = builder.GetSystems()
@@ -170,7 +159,7 @@ def _check_connectable(where: object, builder: DiagramBuilder, sources: Mapping[
         system = port.get_system()
         if not any(one is system for one in systems):
             raise ScenarioError(
-                f"{where}: '{name}': {kinds.port_name(port)} is not in the diagram of the recorder. "
+                f"{where}: '{name}': {port_name(port)} is not in the diagram of the recorder. "
                 "If it is in a nested diagram, export it there (ExportOutput) and give the exported port; "
                 "for a plant, as plant_ports={'body_poses': ..., 'contact_results': ...}"
             )

@@ -11,19 +11,19 @@ import rerun.blueprint as rrb
 from geort_drake.errors import ScenarioError
 from geort_drake.people.keypoints import FINGER_NAMES, wrist_pose
 from geort_drake.rerun import blueprint as views
+from geort_drake.rerun.plant import Contacts, Poses
 from geort_drake.rerun.scene import Scene
-from geort_drake.rerun.specs import CloseUpSpec
-from geort_drake.rerun.tracks import (
-    CameraTrack,
-    ContactTrack,
-    HandTrack,
-    PointTrack,
-    PoseTrack,
-    SignalTrack,
-    StateTrack,
-    Track,
+from geort_drake.rerun.specs import (
+    CameraSpec,
+    CloseUpSpec,
+    HandSpec,
+    PointsSpec,
+    SignalSpec,
+    Spec,
+    StateSpec,
     body_and_pose,
 )
+from geort_drake.rerun.track import Track
 from geort_drake.rerun.writer import HAND_FRAME, TIMELINE, WORLD, entity_path
 
 VIEW_FROM = (0.62, -0.62, 0.48)  # from the scene to the eye: from the front left, above
@@ -55,35 +55,37 @@ class Layout:
     def blueprint(self, tracks: Sequence[Track]) -> rrb.Blueprint:
         """The layout for what has been sampled."""
 
-        def of(kind: type) -> list[Any]:
-            return [track for track in tracks if isinstance(track, kind)]
+        def of(kind: type[Spec]) -> list[Track]:
+            return [track for track in tracks if isinstance(track.spec, kind)]
 
-        hands, (poses,) = of(HandTrack), of(PoseTrack)
-        trails = {track.path: _visible_past(track.trail) for track in of(PointTrack) if track.trail}
+        hands = {track.key: track.rows for track in of(HandSpec)}
+        (poses,) = (track.rows for track in of(Poses))
+        points: dict[str, Any] = {entity_path(WORLD, track.key): track.spec for track in of(PointsSpec)}
+        trails = {path: _visible_past(spec.trail) for path, spec in points.items() if spec.trail}
         target, eye = self._target_and_eye(poses, hands)
         shown = [views.scene_view(eye, target, overrides=trails)]
         shown += [self._close_up(name, spec, poses, hands, trails) for name, spec in self.close_ups.items()]
-        images = [track.path for track in of(CameraTrack)]
+        images = [entity_path(WORLD, track.key) for track in of(CameraSpec)]
         shown += [rrb.Spatial2DView(origin=path, name=path.rsplit("/", 1)[-1]) for path in images]
-        pages = _plots(of(SignalTrack))
-        if of(ContactTrack):
+        pages = _plots(of(SignalSpec))
+        if of(Contacts):
             forces = views.time_series("contact force [N]", ["/contact/**"], legend="left")
             pages.setdefault(next(iter(pages), ""), []).insert(0, forces)
-        rows, shares = [views.row(*shown)], [_VIEWS]
-        if states := [track.path for track in of(StateTrack)]:
-            rows.append(views.lanes_view(states, "phase"))
+        bands, shares = [views.row(*shown)], [_VIEWS]
+        if states := [entity_path(track.key) for track in of(StateSpec)]:
+            bands.append(views.lanes_view(states, "phase"))
             shares.append(views.lanes_share(len(states), _VIEWS + (_PLOTS if pages else 0.0)))
         if pages:
-            rows.append(views.tabs(*(views.row(*plots, name=page) for page, plots in pages.items())))
+            bands.append(views.tabs(*(views.row(*plots, name=page) for page, plots in pages.items())))
             shares.append(_PLOTS)
-        return views.blueprint(views.column(*rows, shares=shares))
+        return views.blueprint(views.column(*bands, shares=shares))
 
     def _close_up(
         self,
         name: str,
         spec: CloseUpSpec,
-        poses: PoseTrack,
-        hands: Sequence[HandTrack],
+        poses: Sequence[np.ndarray],
+        hands: Mapping[str, Sequence[np.ndarray]],
         trails: Mapping[str, rrb.VisibleTimeRanges],
     ) -> views.View:
         # The view turns with what it follows, so it is upright at the end only.
@@ -91,8 +93,7 @@ class Layout:
         if isinstance(spec.follows, str):
             path = entity_path(WORLD, spec.follows)
             origin, contents = f"{path}/{HAND_FRAME}", f"{path}/**"
-            (hand,) = (track for track in hands if track.key == spec.follows)
-            tracked = (row for row in reversed(hand.rows) if np.isfinite(row).all())
+            tracked = (row for row in reversed(hands[spec.follows]) if np.isfinite(row).all())
             if (row := next(tracked, None)) is not None:
                 R_WF = wrist_pose(row)[0]
         else:
@@ -101,21 +102,22 @@ class Layout:
             eye, target = X_BF @ eye, X_BF @ target
             if body in self.scene.anchored:
                 R_WF = self.scene.anchored[body].rotation().matrix()
-            elif poses.rows:
-                R_WF = poses.rows[-1][self.scene.moving.index(body), :, :3]
+            elif poses:
+                R_WF = poses[-1][self.scene.moving.index(body), :, :3]
         overrides: dict[str, Any] = dict(trails)
         for body in spec.see_through:
             overrides |= self.scene.translucent_shapes(int(body.index()))
         return views.scene_view(eye, target, name, [contents], overrides, origin, R_WF[2])
 
-    def _target_and_eye(self, poses: PoseTrack, hands: Sequence[HandTrack]) -> tuple[np.ndarray, np.ndarray]:
+    def _target_and_eye(
+        self, poses: Sequence[np.ndarray], hands: Mapping[str, Sequence[np.ndarray]]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Target and eye, m, in W, for a view of the moving bodies and the hands.
 
         The outermost two percent are left out, so that one thrown object does not shrink everything else.
         """
-        points = [poses.poses(poses.rows)[..., 3].reshape(-1, 3)]
-        points += [np.array(track.rows).reshape(-1, 3) for track in hands]
-        cloud = np.concatenate(points)
+        points = [X_WB[..., 3] for X_WB in poses] + [p_WK for rows in hands.values() for p_WK in rows]
+        cloud = np.concatenate([np.empty((0, 3)), *points])
         cloud = cloud[np.isfinite(cloud).all(axis=1)]
         low, high = np.percentile(cloud, [2, 98], axis=0) if len(cloud) else np.zeros((2, 3))
         target = (low + high) / 2
@@ -141,15 +143,16 @@ def followed_bodies(close_ups: Mapping[str, CloseUpSpec], hands: Collection[str]
     return bodies
 
 
-def _plots(signals: Sequence[SignalTrack]) -> dict[str, list[views.View]]:
+def _plots(signals: Sequence[Track]) -> dict[str, list[views.View]]:
     """The plots of each page; fingers in their usual order, whatever the order of the joints."""
     # Signals with the same title, such as commanded and measured, share a plot.
     paths: dict[tuple[str, str], list[str]] = {}
     limits: dict[str, tuple[float, float] | None] = {}
     for track in signals:
-        for path, title in track.titles.items():
-            paths.setdefault((track.spec.page, title), []).append(path)
-            limits.setdefault(title, track.spec.limits)
+        spec: Any = track.spec
+        for path, (title, _) in spec.plots(track.key).items():
+            paths.setdefault((spec.page, title), []).append(path)
+            limits.setdefault(title, spec.limits)
     order = {name: number for number, name in enumerate(FINGER_NAMES)}
     pages: dict[str, list[views.View]] = {page: [] for page, _ in paths}
     for page, title in sorted(paths, key=lambda key: order.get(key[1].partition(" ")[0], len(order))):

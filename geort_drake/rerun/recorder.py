@@ -26,7 +26,7 @@ from pydrake.systems.framework import (
 
 from geort_drake.rerun.layout import Layout
 from geort_drake.rerun.streams import LiveSink, Property, file_writer, live_writer
-from geort_drake.rerun.tracks import Track
+from geort_drake.rerun.track import Track
 from geort_drake.rerun.writer import Writer
 
 _BATCH_S = 0.1  # wall time between two batches for viewers
@@ -159,7 +159,7 @@ class RerunRecorder(LeafSystem):
                 if name not in copies:
                     copies[name] = self._copies[name](context)
             sample.append(tuple(copies[name] for name in track.inputs))
-            large = large or track.large
+            large = large or track.spec.large
         self._times.append(now)
         self._unread.append(sample)
         self._changed = True
@@ -187,7 +187,7 @@ class RerunRecorder(LeafSystem):
     def _read(self) -> None:
         """Makes rows of the unread samples; a batch takes a third less time than one sample after another."""
         columns = [
-            [None if values is None else track.read(*map(_content, values)) for values in column]
+            [None if values is None else track.spec.read(*map(_content, values)) for values in column]
             for track, *column in zip(self._tracks, *self._unread, strict=True)
         ]
         # Only now, so that the tracks stay equally long when the process is interrupted.
@@ -218,7 +218,7 @@ class RerunRecorder(LeafSystem):
         self._layout.scene.write(writer)
         writer.at(np.array(self._times[first:]))
         for track in self._tracks:
-            track.write(writer, track.rows[first:])
+            track.spec.write(writer, track.key, track.rows[first:])
 
     def _digest(self) -> str:
         """A hash of the contents: equal simulations give equal recordings."""

@@ -1,26 +1,63 @@
-"""Specifications of data that a recorder adds to the bodies of a plant."""
+"""Kinds of data that a recorder adds to the bodies of a plant. Each reads ports and writes Rerun columns."""
 
+import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+import rerun as rr
+from PIL import Image
+from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.tree import Frame, RigidBody
-from pydrake.systems.framework import OutputPort
-from pydrake.systems.sensors import RgbdSensor
+from pydrake.systems.framework import OutputPort, PortDataType
+from pydrake.systems.sensors import ImageRgba8U, RgbdSensor
 
 from geort_drake.colours import SKIN, Color
+from geort_drake.errors import ScenarioError
+from geort_drake.rerun.writer import PALETTE, SOLID, WORLD, Writer, entity_path
 
 # Maps the values (T, m) of ports at T times to the recorded values (T, n).
 Derive = Callable[[np.ndarray], np.ndarray]
+_JPEG_QUALITY = 85  # a tenth of the size of PNG
+_IMAGE_DISTANCE = 0.15  # m; how far in front of the camera its image is drawn in the scene
+
+
+class Spec:
+    """One kind of recorded data; `key` is its entity path.
+
+    Attributes:
+        period: least time between two rows, s.
+        large: whether the ports' values are too large to keep many of them.
+    """
+
+    period: float = 0.0
+    large = False
+
+    def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
+        """Name of an input port of the recorder → output port to read; `plant_port` gives the plant's.
+
+        Raises:
+            ScenarioError: a port does not fit.
+        """
+        raise NotImplementedError
+
+    def read(self, *values: Any) -> Any:
+        """One row from the values of the ports."""
+        raise NotImplementedError
+
+    def write(self, writer: Writer, key: str, rows: Sequence) -> None:
+        """Sends rows, one for each of the writer's times; None where none was due."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class SignalSpec:
+class SignalSpec(Spec):
     """Records a vector output port as time series, one per element.
 
     Attributes:
-        port: vector output port of any system of the diagram, or several, whose values are concatenated.
+        port: of any system of the diagram; or several ports, whose values are concatenated.
         names: one per element. Elements that share the part before the last slash share a plot:
             "index/joint_0".
         label: added to each name in the plot, such as "command".
@@ -45,10 +82,73 @@ class SignalSpec:
     colors: Sequence[Color] | None = None
     derive: Derive | None = None
 
+    def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
+        ports = [self.port] if isinstance(self.port, OutputPort) else list(self.port)
+        n = len(self.names)
+        size = sum(_vector_size(key, port) for port in ports)
+        if self.derive is not None:
+            shape = np.shape(self.derive(np.zeros((1, size))))
+            if shape != (1, n):
+                raise ScenarioError(
+                    f"recording of '{key}': derive makes {shape} of (1, {size}) values; expected (1, {n}), "
+                    "one per name"
+                )
+        elif size != n:
+            raise ScenarioError(f"recording of '{key}': {port_name(ports[0])} has size {size}, but {n} names")
+        if self.colors is not None and len(self.colors) != n:
+            raise ScenarioError(f"recording of '{key}': {n} names, but {len(self.colors)} colors")
+        return {f"{key}/{i}" if len(ports) > 1 else key: port for i, port in enumerate(ports)}
+
+    def plots(self, key: str) -> dict[str, tuple[str, list[int]]]:
+        """Entity path of each group of series → title of its plot, and indices of its elements."""
+        plots: dict[str, tuple[str, list[int]]] = {}
+        for i, name in enumerate(self.names):
+            group = name.rpartition("/")[0]
+            title = self.title or group or key.partition("/")[0]
+            title += f" [{self.unit}]" if self.unit else ""
+            plots.setdefault(entity_path(key, group), (title, []))[1].append(i)
+        return plots
+
+    def read(self, *values: np.ndarray) -> np.ndarray:
+        return np.concatenate(values)
+
+    def write(self, writer: Writer, key: str, rows: Sequence[np.ndarray]) -> None:
+        values = _derived(self.derive, rows, len(self.names))
+        for path, (_, members) in self.plots(key).items():
+            # A joint has the same colour in every signal.
+            colors = np.array([self.colors[i] for i in members] if self.colors else PALETTE)
+            if self.faint:
+                colors = (colors + 255) // 2
+            names = [f"{self.names[i].rpartition('/')[2]} {self.label}".strip() for i in members]
+            writer.series(path, names, values[:, members], colors, 1.0 if self.faint else 1.75)
+
 
 @dataclass(frozen=True)
-class HandSpec:
-    """Records a human hand as measured by a glove and a tracker.
+class StateSpec(Spec):
+    """Records a port of size 1 with an integer code as a lane of named states.
+
+    Attributes:
+        labels: names of the codes 0, 1, ..., or a mapping from code to name.
+    """
+
+    port: OutputPort
+    labels: Sequence[str] | Mapping[int, str]
+
+    def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
+        _vector_size(key, self.port, 1)
+        return {key: self.port}
+
+    def read(self, value: np.ndarray) -> float:
+        return float(value[0])
+
+    def write(self, writer: Writer, key: str, rows: Sequence[float]) -> None:
+        labels = self.labels if isinstance(self.labels, Mapping) else dict(enumerate(self.labels))
+        writer.states(entity_path(key), rows, labels)
+
+
+@dataclass(frozen=True)
+class HandSpec(Spec):
+    """Records a human hand as measured by a glove and a tracker: rows p_WK (21, 3), NaN where it is lost.
 
     Attributes:
         keypoints_port: 63 numbers, p_HK, keypoint-major, m.
@@ -64,9 +164,32 @@ class HandSpec:
     color: Color = SKIN
     X_WO: RigidTransform = field(default_factory=RigidTransform)
 
+    def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
+        ports = {f"{key}/keypoints": self.keypoints_port, f"{key}/wrist_pose": self.wrist_pose_port}
+        _vector_size(f"{key}/keypoints", self.keypoints_port, 63)
+        value: Any = self.wrist_pose_port.Allocate()
+        if not isinstance(value, Value[RigidTransform]):
+            raise ScenarioError(
+                f"recording of '{key}/wrist_pose': {port_name(self.wrist_pose_port)} holds no RigidTransform"
+            )
+        if self.valid_port is not None:
+            _vector_size(f"{key}/valid", self.valid_port, 1)
+            ports[f"{key}/valid"] = self.valid_port
+        return ports
+
+    def read(
+        self, keypoints: np.ndarray, X_OH: RigidTransform, valid: np.ndarray | None = None
+    ) -> np.ndarray:
+        if valid is not None and not valid[0] > 0.5:
+            return np.full((21, 3), np.nan)
+        return ((self.X_WO @ X_OH) @ keypoints.reshape(21, 3).T).T
+
+    def write(self, writer: Writer, key: str, rows: Sequence[np.ndarray]) -> None:
+        writer.human_hand(entity_path(WORLD, key), np.reshape(rows, (len(rows), 21, 3)), self.color)
+
 
 @dataclass(frozen=True)
-class PointsSpec:
+class PointsSpec(Spec):
     """Records a vector output port of 3k coordinates as k spheres; points with a NaN are not drawn.
 
     Attributes:
@@ -87,34 +210,80 @@ class PointsSpec:
     start: float = 0.0
     derive: Derive | None = None
 
+    def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
+        size = _vector_size(key, self.port)
+        if self.derive is not None:
+            size = np.size(self.derive(np.zeros((1, size))))
+        if not size or size % 3:
+            raise ScenarioError(
+                f"recording of '{key}': {port_name(self.port)} gives {size} numbers, not 3 per point"
+            )
+        if np.ndim(self.color) == 2 and len(self.color) != size // 3:
+            raise ScenarioError(f"recording of '{key}': {size // 3} points, but {len(self.color)} colors")
+        return {key: self.port} | ({} if self.frame is None else {"body_poses": plant_port("body_poses")})
+
+    def read(
+        self, value: np.ndarray, body_poses: Sequence[RigidTransform] | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        X_WF = RigidTransform()
+        if self.frame is not None and body_poses is not None:
+            body, X_BF = body_and_pose(self.frame)
+            X_WF = body_poses[body] @ X_BF
+        return np.array(value), X_WF.GetAsMatrix34()
+
+    def write(self, writer: Writer, key: str, rows: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
+        values, X_WF = [value for value, _ in rows], np.reshape([X for _, X in rows], (-1, 3, 4))
+        p_FP = _derived(self.derive, values, -1).reshape(len(rows), -1, 3) if rows else np.empty((0, 1, 3))
+        p_WP = p_FP @ X_WF[:, :, :3].swapaxes(1, 2) + X_WF[:, None, :, 3]
+        drawn = np.isfinite(p_WP).all(axis=2) & (writer.times[:, None] >= self.start - 1e-9)
+        palette = np.atleast_2d(np.asarray(self.color))
+        # A point keeps its colour when others are missing.
+        colors: Any = [palette[mask] for mask in drawn] if len(palette) > 1 else palette[0]
+        fill = SOLID if (palette[:, 3:] < 255).any() else None
+        visible = [row[mask] for row, mask in zip(p_WP, drawn, strict=True)]
+        writer.points(entity_path(WORLD, key), visible, self.radius, colors, fill)
+
 
 @dataclass(frozen=True)
-class StateSpec:
-    """Records a port of size 1 with an integer code as a lane of named states.
+class CameraSpec(Spec):
+    """Records the colour images of a camera, as JPEG, and X_WC; C is the colour camera, z forward, y down.
 
     Attributes:
-        port: vector output port of size 1.
-        labels: names of the codes 0, 1, ..., or a mapping from code to name.
+        sensor: rendered for each image, which takes far longer than everything else.
+        period: between images, s; at least the recorder's.
     """
 
-    port: OutputPort
-    labels: Sequence[str] | Mapping[int, str]
+    sensor: RgbdSensor
+    period: float = 0.1
+    large = True
 
+    def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
+        return {
+            f"{key}/color_image": self.sensor.color_image_output_port(),
+            f"{key}/body_pose": self.sensor.body_pose_in_world_output_port(),
+        }
 
-@dataclass(frozen=True)
-class ContactSpec:
-    """Options for recording contact forces.
+    def read(self, image: ImageRgba8U, X_WB: RigidTransform) -> tuple[bytes, np.ndarray]:
+        file = io.BytesIO()
+        Image.fromarray(np.ascontiguousarray(image.data[..., :3])).save(file, "JPEG", quality=_JPEG_QUALITY)
+        X_BC = self.sensor.default_color_render_camera().core().sensor_pose_in_camera_body()
+        return file.getvalue(), (X_WB @ X_BC).GetAsMatrix34()
 
-    Attributes:
-        groups: bodies whose contact forces are summed to one time series each, such as the links of a
-            finger: {"thumb": [link_12, ...]}. By default each moving body that is touched.
-        metres_per_newton: length of the arrows.
-        max_length: longer arrows are cut to this length, m.
-    """
-
-    groups: Mapping[str, Sequence[RigidBody]] | None = None
-    metres_per_newton: float = 0.02
-    max_length: float = 0.25
+    def write(self, writer: Writer, key: str, rows: Sequence[tuple[bytes, np.ndarray] | None]) -> None:
+        path, optics = entity_path(WORLD, key), self.sensor.default_color_render_camera().core().intrinsics()
+        pinhole = rr.Pinhole(
+            image_from_camera=optics.intrinsic_matrix(),
+            resolution=[optics.width(), optics.height()],
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=_IMAGE_DISTANCE,
+        )
+        writer.static(path, pinhole)
+        X_WC = np.array([np.full((3, 4), np.nan) if row is None else row[1] for row in rows])
+        writer.poses([path], X_WC.reshape(-1, 1, 3, 4))
+        taken = np.array([i for i, row in enumerate(rows) if row is not None], dtype=int)
+        images = [row[0] for row in rows if row is not None]
+        columns = rr.EncodedImage.columns(blob=images, media_type=["image/jpeg"] * len(images))
+        writer.columns(path, columns, taken)
 
 
 @dataclass(frozen=True)
@@ -134,14 +303,29 @@ class CloseUpSpec:
     see_through: Sequence[RigidBody] = ()
 
 
-@dataclass(frozen=True)
-class CameraSpec:
-    """Records the colour images and the pose of a camera in the diagram.
+def body_and_pose(frame: Frame) -> tuple[int, RigidTransform]:
+    """Index of the body that carries a frame F, and X_BF."""
+    return int(frame.body().index()), frame.GetFixedPoseInBodyFrame()
 
-    Attributes:
-        sensor: rendered for each image, which takes far longer than everything else.
-        period: between images, s; at least the recorder's.
-    """
 
-    sensor: RgbdSensor
-    period: float = 0.1
+def port_name(port: OutputPort) -> str:
+    """A port and its system, for messages."""
+    system: Any = port.get_system()
+    return f"port '{port.get_name()}' of '{system.get_name()}'"
+
+
+def _derived(derive: Derive | None, rows: Sequence[np.ndarray], size: int) -> np.ndarray:
+    """The recorded values (T, n) of rows; `derive` is not called without rows."""
+    values = np.array(rows, dtype=float)
+    return (derive(values) if derive is not None and len(rows) else values).reshape(len(rows), size)
+
+
+def _vector_size(key: str, port: OutputPort, expected: int | None = None) -> int:
+    """The size of a vector port; raises ScenarioError if it differs from `expected`."""
+    if port.get_data_type() != PortDataType.kVectorValued:
+        raise ScenarioError(f"recording of '{key}': {port_name(port)} is abstract; expected a vector port")
+    if expected is not None and port.size() != expected:
+        raise ScenarioError(
+            f"recording of '{key}': {port_name(port)} has size {port.size()}; expected {expected}"
+        )
+    return port.size()
