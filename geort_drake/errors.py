@@ -35,6 +35,10 @@ class PolicyError(GeortError):
     """A policy that corrects commands is missing, cannot be run, or has the wrong inputs or outputs."""
 
 
+class MethodError(GeortError):
+    """A retargeting method that a user wrote cannot be loaded or answers unusably."""
+
+
 class TrainingError(GeortError):
     """Training cannot start or had to stop."""
 

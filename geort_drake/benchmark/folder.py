@@ -90,7 +90,7 @@ class Benchmark:
         (retarget, latency), person = self.methods[key.method], self.people[key.condition]
         text = self.conditions[key.condition] if key.condition else self.scenario_text
         if (key.method, key.condition) not in self._seen:
-            seen = seen_fingertips(retarget, self.hand, person)
+            seen = seen_fingertips(retarget, self.hand, person, latency)
             self._seen[key.method, key.condition] = seen
         goal, attainable = keep_attainable(plans, self._seen[key.method, key.condition])
         return Trial(key, text, retarget, latency, (person, goal), attainable)

@@ -73,7 +73,8 @@ def figures(records: Sequence[Record], timeout: float) -> dict:
         `median_of_successes`; `phase_s`: mean time in each phase; `slip_mm`: median and 95th percentile over
         trials with a lift; `unattainable`: number of trials in which free play showed
         no attainable plan; `drops_per_trial`; `peak_force_n`, median; `self_contact`, mean fraction of the
-        time; `failures`: number of each `ending` other than success.
+        time; `faults`: number of answers with each kind of fault, see `OwnMethod`; `failures`: number of
+        each `ending` other than success.
     """
     judged = [record for record in records if "error" not in record]
     spent = _table(judged, _axes(judged), lambda record: restricted_time(record, timeout))
@@ -103,6 +104,7 @@ def figures(records: Sequence[Record], timeout: float) -> dict:
         "drops_per_trial": float(np.mean([r["drops"] for r in judged])) if judged else None,
         "peak_force_n": _median([r["peak_force"] for r in judged]),
         "self_contact": float(np.mean([r["self_contact"] for r in judged])) if judged else None,
+        "faults": dict(sum((Counter(r.get("faults", {})) for r in judged), Counter())),
         "failures": dict(Counter(ending(r) for r in judged if not r["success"]).most_common()),
     }
 

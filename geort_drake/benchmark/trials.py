@@ -9,6 +9,7 @@ import traceback
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
+from geort_drake.benchmark.own_method import OwnMethod
 from geort_drake.benchmark.records import Record, TrialKey, TrialLog, identity, keep_error
 from geort_drake.benchmark.workers import call_in_workers
 from geort_drake.errors import ScenarioError
@@ -84,8 +85,8 @@ def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Recor
         rerun_path: file of the Rerun recording; None for none.
 
     Returns:
-        The fields of `TrialResult`, `method`, `condition` and `attainable`; after an exception, `error` with
-        its traceback instead of a result.
+        The fields of `TrialResult`, `method`, `condition`, `attainable` and, of an `OwnMethod`, its `faults`;
+        after an exception, `error` with its traceback instead of a result.
     """
     key = trial.key
     try:
@@ -95,7 +96,10 @@ def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Recor
         result, _ = run_trial(scenario, trial.retarget, trial.human, rerun_path, {"method": key.method})
     except Exception:
         return {**identity(key), "error": traceback.format_exc()}
-    return {**identity(key), **result.to_json(), "attainable": trial.attainable}
+    record = {**identity(key), **result.to_json(), "attainable": trial.attainable}
+    if isinstance(trial.retarget, OwnMethod):
+        record["faults"] = dict(trial.retarget.faults)
+    return record
 
 
 def _scenario(text: str, object_name: str) -> Scenario:

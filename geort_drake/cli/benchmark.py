@@ -37,7 +37,9 @@ Exit codes: 0 success; 1 a trial raised an error; 2 the input is invalid.
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     parser.add_output("runs/benchmark")
-    methods = "methods listed below, checkpoints or maps; the first is the reference (default: all)"
+    methods = (
+        "methods listed below, checkpoints, maps or Python files; the first is the reference (default: all)"
+    )
     add("--methods", nargs="+", metavar="NAME", help=methods)
     add("--objects", nargs="+", metavar="NAME", help="objects to grasp (default: all)")
     add("--trials", type=at_least(1), help="trials per method and object (default: 30)")
@@ -194,6 +196,10 @@ def report(arguments: argparse.Namespace, summary: dict) -> int:
     print_table(headings, _rows(summary), "Grasps", caption)
     if summary["refused"]:
         warn(f"objects left out, as the hand cannot grasp them: {', '.join(summary['refused'])}")
+    for name, entry in summary["methods"].items():
+        if faults := entry["overall"]["faults"]:
+            counted = ", ".join(f"{number} {kind}" for kind, number in faults.items())
+            warn(f"faulty answers of {name}, for which the joints hold or stay at their limits: {counted}")
     if errors:
         warn(f"{errors} trials raised an error: see {folder / 'errors'}")
     write_json(arguments.json, summary)

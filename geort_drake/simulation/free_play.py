@@ -1,6 +1,7 @@
 """Free play before a task: the person sees where the robot's fingertips go, and keeps a plan."""
 
 import dataclasses as dc
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -15,12 +16,16 @@ DURATION, RATE = 30.0, 30.0  # s, looks per second
 
 
 def seen_fingertips(
-    retarget: Callable[[np.ndarray], np.ndarray], hand: HandModel, person: HumanHand
+    retarget: Callable[[np.ndarray], np.ndarray], hand: HandModel, person: HumanHand, latency: float = 0.0
 ) -> np.ndarray:
-    """Robot fingertips (T, F, 3), m in B, during the person's free play; none if the method fails in it."""
+    """Robot fingertips (T, F, 3), m in B, during the person's free play; none if the method fails in it.
+
+    A method of longer `latency` (s) than a look is asked less often.
+    """
     if callable(reset := getattr(retarget, "reset", None)):
         reset()
     frames = synthesize_play(seed=0, duration_s=DURATION, rate_hz=RATE, hand=person).p_HK.astype(float)
+    frames = frames[:: max(1, math.ceil(latency * RATE))]
     order = [list(retarget.joint_names).index(name) for name in hand.joint_names]  # type: ignore[attr-defined]
     try:
         if isinstance(retarget, UniversalRetargeter):

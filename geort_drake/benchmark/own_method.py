@@ -1,0 +1,109 @@
+"""A retargeting method of one's own: a Python file with a function `make(hand)`."""
+
+import importlib.util
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geort_drake.errors import MethodError
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+
+PYTHON = ".py"
+LONGEST = 0.3  # s, of an answer
+_TOLERANCE = 2e-3  # rad; optimisers end a little outside limits
+
+
+class OwnMethod:
+    """Calls a retargeter that a user's file makes, and lets no fault of it end a trial.
+
+    The file defines `make(hand)`: it gets the `HandModel` and returns a function from keypoints p_HK (21, 3)
+    of a right hand, m in H, to joint angles (n,), rad, in the order of `hand.joint_names`. It is called anew
+    for each trial, so the function may remember earlier frames. An answer that is unusable becomes NaN, which
+    `RetargetingSystem` does not follow; angles outside the limits are moved to them.
+
+    Attributes:
+        joint_names, lower, upper: of the hand.
+        faults: kind of fault → number of answers since `reset`.
+    """
+
+    def __init__(self, path: Path, hand_name: str):
+        """`hand_name` is the name or file of the hand's description."""
+        self._path, self._hand_name = path, hand_name
+        hand = HandModel(load_hand(hand_name))
+        self.joint_names, self.lower, self.upper = hand.joint_names, hand.lower, hand.upper
+        self.reset()
+
+    def __reduce__(self) -> tuple:
+        return OwnMethod, (self._path, self._hand_name)  # a process makes its own; solvers cannot be sent
+
+    def reset(self) -> None:
+        """Begins a new trial."""
+        self._retarget: Callable[[np.ndarray], Any] | None = None
+        self.faults: Counter[str] = Counter()
+
+    def check(self, p_HK: np.ndarray) -> None:
+        """Answers one frame twice, the first time to warm up.
+
+        Raises:
+            MethodError: the file has no `make`, an exception was raised, or the answer is unusable or takes
+                longer than `LONGEST`; names the file.
+        """
+        self.reset()
+        try:
+            self._answer(p_HK)
+            started = time.perf_counter()
+            q = self._answer(p_HK)
+            spent = time.perf_counter() - started
+        except Exception as error:
+            raise MethodError(f"{self._path}: raised {type(error).__name__}: {error}") from error
+        if fault := self._fault(q):
+            wanted = f"joint angles ({len(self.lower)},), rad, within the limits"
+            raise MethodError(f"{self._path}: the answer to a frame must be {wanted}; it is {fault}")
+        if spent > LONGEST:
+            raise MethodError(f"{self._path}: an answer may take {LONGEST} s; it takes {spent:.2g} s")
+
+    def __call__(self, p_HK: np.ndarray) -> np.ndarray:
+        """Joint angles (n,), rad; NaN after a fault."""
+        try:
+            q = self._answer(p_HK)
+        except Exception as error:  # of any kind; a trial records it
+            fault, q = f"raised {type(error).__name__}", np.empty(0)
+        else:
+            fault = self._fault(q)
+        if fault:
+            self.faults[fault] += 1
+        if q.shape != self.lower.shape:
+            return np.full(len(self.lower), np.nan)
+        return np.clip(q, self.lower, self.upper)  # NaN stays
+
+    def _answer(self, p_HK: np.ndarray) -> np.ndarray:
+        if self._retarget is None:
+            make = getattr(_load(self._path), "make", None)
+            if not callable(make):
+                raise MethodError("the file must define a function make(hand)")
+            self._retarget = make(HandModel(load_hand(self._hand_name)))
+        return np.asarray(self._retarget(np.array(p_HK, float)), float)
+
+    def _fault(self, q: np.ndarray) -> str:
+        if q.shape != self.lower.shape:
+            return f"of shape {q.shape}"
+        if not np.isfinite(q).all():
+            return "not finite"
+        outside = (q < self.lower - _TOLERANCE) | (q > self.upper + _TOLERANCE)
+        return "outside the limits" if outside.any() else ""
+
+
+def _load(path: Path) -> Any:
+    name = f"geort_drake_method_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None  # as the file ends with .py
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look there
+    spec.loader.exec_module(module)
+    return module

@@ -1,0 +1,135 @@
+"""A method given as a Python file: how it is called, and what becomes of its faults."""
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import pytest
+from grasp_setup import TOO_SHORT, allegro, person_and_rest, planned_goal
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+
+from geort_drake.benchmark import trials
+from geort_drake.benchmark.folder import open_benchmark
+from geort_drake.benchmark.methods import measure_latency, names_of
+from geort_drake.benchmark.own_method import OwnMethod
+from geort_drake.benchmark.records import TrialKey
+from geort_drake.benchmark.statistics import figures
+from geort_drake.errors import BenchmarkError, MethodError
+from geort_drake.hands.urdf import hand_urdf
+from geort_drake.people.play import synthesize_play
+from geort_drake.simulation.scenario import dump_scenario, load_scenario
+
+FILE = """
+import time
+import numpy as np
+
+def make(hand):
+    calls = []
+    middle = 0.5 * (hand.lower + hand.upper)
+    def retarget(p_HK):
+        calls.append(p_HK)
+        q = middle
+        {}
+        return q
+    return retarget
+"""
+
+
+@pytest.fixture(scope="module")
+def play():
+    return synthesize_play(seed=0, duration_s=20.0)
+
+
+def own(tmp_path, line: str = "pass") -> OwnMethod:
+    path = tmp_path / "mine.py"
+    path.write_text(FILE.format(line))
+    return OwnMethod(path, "allegro_right")
+
+
+def test_each_trial_and_each_process_begins_anew(tmp_path, play):
+    """What a method remembers ends with its trial."""
+    method, p_HK = own(tmp_path, "q = middle + 0.01 * len(calls)"), play.p_HK[0]
+    first = method(p_HK)
+    assert not np.array_equal(method(p_HK), first)
+    assert np.array_equal(copy.copy(method)(p_HK), first)
+    method.reset()
+    assert np.array_equal(method(p_HK), first) and method.joint_names == allegro().joint_names
+
+
+FAULTS = {
+    "raise ValueError('why')": "raised ValueError",
+    "q = None": "of shape ()",
+    "q = q[:-1]": "of shape (15,)",
+    "q = q[None]": "of shape (1, 16)",
+    "q = q * np.nan": "not finite",
+    "q = q + 100": "outside the limits",
+    "q = q + 'rad'": "raised UFuncTypeError",
+}
+
+
+@pytest.mark.parametrize(("line", "fault"), FAULTS.items())
+def test_a_fault_during_a_trial_is_counted_and_the_trial_goes_on(tmp_path, line, fault):
+    """The joints hold, or stay at their limits; the summary counts the answers."""
+    method = own(tmp_path, f"if len(calls) > 3: {line}")
+    text = dump_scenario(load_scenario(text=TOO_SHORT))
+    human = (person_and_rest()[0], planned_goal("cylinder"))
+    record = trials.simulate(trials.Trial(TrialKey("mine.py", "cylinder", 0), text, method, 0.05, human))
+    assert record["outcome"].startswith("timeout") and list(record["faults"]) == [fault]
+    assert figures([record, record], 25.0)["faults"] == {fault: 2 * record["faults"][fault]}
+
+
+@pytest.mark.parametrize(("line", "fault"), [*FAULTS.items(), ("time.sleep(0.4)", "may take 0.3 s")])
+def test_a_method_that_cannot_answer_the_first_frame_is_refused_by_its_file(tmp_path, play, line, fault):
+    """Nothing is simulated, and the message says what is wrong."""
+    with pytest.raises(MethodError) as error:
+        own(tmp_path, line).check(play.p_HK[0])
+    assert "mine.py" in str(error.value) and fault in str(error.value)
+
+
+@pytest.mark.parametrize("text", ["", "make = 3", "import nothing_of_this_name", "def make(:"])
+def test_a_file_without_a_method_is_refused(tmp_path, play, text):
+    (tmp_path / "mine.py").write_text(text)
+    with pytest.raises(MethodError, match=r"mine\.py: raised"):
+        OwnMethod(tmp_path / "mine.py", "allegro_right").check(play.p_HK[0])
+    with pytest.raises(MethodError, match=r"other\.py: no such file"):
+        names_of([str(tmp_path / "other.py")])
+
+
+def test_time_that_a_method_waits_counts_as_latency(tmp_path, play, monkeypatch):
+    monkeypatch.setattr("geort_drake.benchmark.methods._PARTS", 1)
+    assert measure_latency(own(tmp_path, "time.sleep(0.005)"), play) >= 0.005
+
+
+def test_a_benchmark_keeps_its_file_and_refuses_another(tmp_path, play):
+    """A folder's trials are of one method."""
+    arguments = (load_scenario(text=TOO_SHORT), play, [str(tmp_path / "mine.py")], ["cylinder"], 1)
+    own(tmp_path)
+    benchmark = open_benchmark(tmp_path / "run", *arguments, zero_latency=True)
+    assert list(benchmark.methods) == ["mine.py"] and (tmp_path / "run/methods/mine.py").is_file()
+    own(tmp_path, "q = q + 0.1")
+    with pytest.raises(BenchmarkError, match=r"mine\.py\.weights_sha256"):
+        open_benchmark(tmp_path / "run", *arguments, zero_latency=True)
+
+
+def test_the_urdf_of_a_hand_has_its_fingertips(tmp_path):
+    """Of the joints' names and limits too."""
+    hand = allegro()
+    plant = MultibodyPlant(0.0)
+    (tmp_path / "hand.urdf").write_text(hand_urdf(hand))
+    Parser(plant).AddModels(str(tmp_path / "hand.urdf"))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base"))
+    plant.Finalize()
+    context, q = plant.CreateDefaultContext(), np.linspace(hand.lower, hand.upper, 5)[2]
+    for name, angle, low in zip(hand.joint_names, q, hand.lower, strict=True):
+        plant.GetJointByName(name).set_angle(context, angle)
+        assert plant.GetJointByName(name).position_lower_limit() == low
+    tips = [plant.GetBodyByName(f"{name}_tip").EvalPoseInWorld(context) for name in hand.finger_names]
+    assert np.allclose([X.translation() for X in tips], hand.fingertips(q), atol=1e-9)
+
+
+def test_a_method_of_another_package_answers(play):
+    """dex-retargeting, by the example in the docs."""
+    pytest.importorskip("dex_retargeting")
+    example = Path(__file__).parents[1] / "examples" / "dex_retargeting_method.py"
+    OwnMethod(example, "allegro_right").check(play.p_HK[0])
