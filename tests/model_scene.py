@@ -2,12 +2,10 @@
 
 from pathlib import Path
 
-import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake.hands.model import HandModel
 from geort_drake.resources import models_dir
 
 SDF_FILES = sorted((models_dir() / "sdf").rglob("*.sdf"))
@@ -41,10 +39,3 @@ class Scene:
 
     def collides(self) -> bool:
         return self.plant.get_geometry_query_input_port().Eval(self.context).HasCollisions()
-
-
-def tips_mm(hand: HandModel, by_number: list[float]) -> dict[str, np.ndarray]:
-    """Fingertips (3,) by finger, mm, at the angles of joint_0, joint_1, … in rad."""
-    named = {f"joint_{i}": angle for i, angle in enumerate(by_number)}
-    tips = hand.fingertips(np.array([named[name] for name in hand.joint_names]))
-    return dict(zip(hand.finger_names, tips * 1e3, strict=True))

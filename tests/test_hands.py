@@ -1,19 +1,89 @@
-"""The exact hand model: fingertips, kinematics, contacts and digest."""
+"""Hand descriptions, the exact hand model and its digest."""
+
+import shutil
 
 import numpy as np
 import pytest
 import torch
+from hand_family import HandSpec, write_hand
 from model_scene import SHIPPED_HANDS
 
+from geort_drake.errors import HandError
 from geort_drake.hands.collision_shapes import collision_shapes
-from geort_drake.hands.description import load_hand
+from geort_drake.hands.description import hand_names, load_hand, write_description
 from geort_drake.hands.importers.checks import nearest_pinch
+from geort_drake.hands.importers.proposal import propose
 from geort_drake.hands.model import HandModel
+from geort_drake.resources import models_dir
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 
 def _uniform(hand: HandModel, rng, count: int) -> np.ndarray:
     return rng.uniform(hand.lower, hand.upper, (count, len(hand.joint_names)))
+
+
+# -- descriptions
+
+
+def test_fingers_come_thumb_first_and_joints_finger_by_finger():
+    """The order of q is the description's, whatever order the plant has."""
+    hand = load_hand("allegro_right")
+    assert hand.finger_names == ["thumb", "index", "middle", "ring"]
+    assert hand.joint_names == [f"joint_{i}" for i in (12, 13, 14, 15, *range(12))]
+    assert [finger.human_keypoint for finger in hand.fingers] == [4, 8, 12, 16]
+
+
+def test_hands_have_the_names_of_their_files(monkeypatch, tmp_path):
+    """The shipped ones, and one that a user puts beside them."""
+    assert set(SHIPPED_HANDS) <= set(hand_names())
+    (tmp_path / "hands").mkdir()
+    text = (models_dir() / "hands" / "leap_right.yaml").read_text(encoding="utf-8")
+    (tmp_path / "hands" / "mine.yaml").write_text(text.replace("name: leap_right", "name: mine"))
+    monkeypatch.setattr("geort_drake.hands.description.models_dir", lambda: tmp_path)
+    assert hand_names() == ["mine"]
+    assert load_hand("mine").name == "mine"
+
+
+def _set(path: str, value):
+    """A function that puts `value` at a dotted path of the description."""
+
+    def apply(facts):
+        *parents, last = path.split(".")
+        for key in parents:
+            facts = facts[int(key) if isinstance(facts, list) else key]
+        facts[last] = value
+
+    return apply
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (_set("model", "nothing.sdf"), r"nothing\.sdf is missing"),
+        (_set("side", "middle"), r"side must be one of left, right; given: 'middle'"),
+        (_set("base_frame", "palm"), r"base_frame names the frame or link 'palm'.*base_link"),
+        (_set("fingers.1.tip_link", "tip"), r"fingers\.index\.tip_link names.*'tip'.*link_3"),
+        (_set("fingers.1.joints", ["joint_12", "joint_1"]), r"every joint once; given: twice: joint_12"),
+        (_set("fingers.1.name", "pinky"), r"fingers\[1\]\.name must be one of thumb.*'pinky'"),
+        (_set("fingers.1.tip_radius", -0.01), r"tip_radius must be positive"),
+        (_set("default_positions.joint_12", 0.0), r"joint_12 must be within its limits.*0\.263.*given: 0"),
+        (_set("mount.frame", "wrist"), r"mount\.frame names the frame or link 'wrist'.*mount"),
+        (_set("colour", "red"), r"hand\.yaml is malformed.*colour"),
+        (
+            _set("fingers.1.joints", [f"joint_{i}" for i in (3, 2, 1, 0)]),
+            "finger 'index': its joints must be listed base to tip",
+        ),
+    ],
+)
+def test_bad_descriptions_name_what_is_wrong(allegro_copy, change, message):
+    """Every error names the field, what was expected, what was given, and the choices."""
+    facts, load = allegro_copy
+    change(facts)
+    with pytest.raises(HandError, match=f"(?s){message}"):
+        HandModel(load()).kinematics()
+
+
+# -- the model
 
 
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
@@ -26,14 +96,15 @@ def test_shipped_hands_start_free_and_pinch(name):
         assert nearest_pinch(kinematics, number) < 1.8 * hand.tip_radius
 
 
-def test_a_mirrored_left_hand_equals_the_right_one(allegro, rng):
-    """In the mirror, kinematics, wrist and collision shapes of a left hand are those of the right one."""
-    left = HandModel(load_hand("allegro_left"))
+def test_a_mirrored_left_hand_equals_the_right_one(allegro, allegro_left, rng):
+    """In the mirror, limits, kinematics, wrist and collision shapes of a left hand are those of the right."""
+    for name in ("joint_names", "lower", "upper"):
+        np.testing.assert_array_equal(getattr(allegro_left, name), getattr(allegro, name))
     q = torch.tensor(_uniform(allegro, rng, 20))
-    ours, theirs = left.kinematics().mirrored(), allegro.kinematics()
+    ours, theirs = allegro_left.kinematics().mirrored(), allegro.kinematics()
     torch.testing.assert_close(ours.fingertips(q), theirs.fingertips(q), rtol=0, atol=1e-9)
     np.testing.assert_allclose(ours.p_BW, theirs.p_BW, atol=1e-12)
-    ours, theirs = collision_shapes(left).mirrored(), collision_shapes(allegro)
+    ours, theirs = collision_shapes(allegro_left).mirrored(), collision_shapes(allegro)
     for field in ("joint", "half", "radius", "pairs"):
         np.testing.assert_array_equal(getattr(ours, field), getattr(theirs, field))
     np.testing.assert_allclose(ours.X_JS, theirs.X_JS, atol=1e-12)
@@ -50,15 +121,8 @@ def test_the_mount_is_the_wrist_and_not_part_of_the_hand(allegro_copy):
     assert bare.digest == mounted.digest
 
 
-def test_torch_kinematics_agree_with_drake(allegro, rng):
-    """The serial chains give Drake's fingertips to 1e-9 m."""
-    q = _uniform(allegro, rng, 300)
-    tips = allegro.kinematics().fingertips(torch.tensor(q))
-    np.testing.assert_allclose(tips.numpy(), allegro.fingertips(q), atol=1e-9)
-
-
 def test_kinematics_survive_an_offset_base_and_welded_links(allegro_copy, rng, tmp_path):
-    """With a base frame away from its link, and a tip on a welded link, they still agree."""
+    """With a base frame away from its link, and a tip on a welded link, torch agrees with Drake to 1e-9 m."""
     facts, load = allegro_copy
     sdf = tmp_path / "hand.sdf"
     extra = """
@@ -115,3 +179,71 @@ def test_a_joint_that_no_finger_lists_is_held_at_its_default(allegro_copy, rng):
     np.testing.assert_allclose(hand.kinematics().fingertips(torch.tensor(q)), hand.fingertips(q), atol=1e-9)
     at = whole.joint_names.index("joint_0")
     np.testing.assert_allclose(whole.fingertips(np.insert(q, at, 0.2, axis=1)), hand.fingertips(q), atol=1e-9)
+
+
+# -- the digest
+
+
+def _described(folder, model):
+    write_description(propose(model).description, folder / "hand.yaml")
+    return HandModel(load_hand(folder / "hand.yaml"))
+
+
+def _palm_mesh(depth: float) -> str:
+    """A wedge as an .obj file, of which only the depth differs, m."""
+    corners = np.array([[0, 0, 0], [0, 0.04, 0], [0, 0, 0.07], [0, 0.04, 0.07], [-depth, 0.02, 0.03]])
+    faces = ["1 2 4 3", "1 5 2", "2 5 4", "4 5 3", "3 5 1"]
+    return "".join(f"v {x} {y} {z}\n" for x, y, z in corners) + "".join(f"f {face}\n" for face in faces)
+
+
+def test_the_digest_covers_collision_meshes(tmp_path):
+    """But neither unused files nor the folder."""
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    model = write_hand(folder, HandSpec(3))
+    box = '<box size="0.02 0.044 0.08"/>'
+    assert box in model.read_text()
+    model.write_text(model.read_text().replace(box, '<mesh filename="palm.obj"/>'), encoding="utf-8")
+    (folder / "palm.obj").write_text(_palm_mesh(0.03))
+    digest = _described(folder, model).digest
+    (folder / "other.obj").write_text(_palm_mesh(0.02))
+    shutil.copytree(folder, tmp_path / "elsewhere")
+    assert HandModel(load_hand(tmp_path / "elsewhere" / "hand.yaml")).digest == digest
+    (folder / "palm.obj").write_text(_palm_mesh(0.031))
+    assert HandModel(load_hand(folder / "hand.yaml")).digest != digest
+
+
+@pytest.mark.parametrize("kind", ["sdf", "xml"])
+def test_the_digest_covers_included_files(kind, tmp_path):
+    """A whole SDF model in another's file, and actuators in a file of their own in MJCF."""
+    (tmp_path / "parts").mkdir()
+    inner = write_hand(tmp_path / "parts", HandSpec(3, kind), "inner")
+    text = inner.read_text()
+    outer = tmp_path / f"hand.{kind}"
+    if kind == "sdf":
+        include = "<include merge='true'><uri>package://parts/inner.sdf</uri></include>"
+        outer.write_text(f'<sdf version="1.11"><model name="outer">{include}</model></sdf>')
+        change = ("<mass>0.03</mass>", "<mass>0.04</mass>")
+    else:
+        begin = text.index("<actuator>")
+        end = text.index("</actuator>") + len("</actuator>")
+        inner.write_text(f"<mujoco>{text[begin:end]}</mujoco>")
+        outer.write_text(text[:begin] + '<include file="parts/inner.xml"/>' + text[end:])
+        change = ('kp="1"', 'kp="2"')
+    before = _described(tmp_path, outer).digest
+    assert HandModel(load_hand(tmp_path / "hand.yaml")).digest == before
+    inner.write_text(inner.read_text().replace(*change))
+    assert HandModel(load_hand(tmp_path / "hand.yaml")).digest != before
+
+
+@pytest.mark.parametrize(
+    ("name", "start"),
+    [
+        ("allegro_left", "800cb801fb4a12d0"),
+        ("allegro_right", "06a693eef3b0f675"),
+        ("leap_right", "59d2d7f8cb1425a2"),
+    ],
+)
+def test_shipped_hands_keep_their_digest(name, start):
+    """Saved checkpoints fit a hand with the same digest only."""
+    assert HandModel(load_hand(name)).digest.startswith(start)

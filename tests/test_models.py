@@ -1,4 +1,4 @@
-"""Every model in models/sdf, and the objects."""
+"""The models in models/sdf against their makers' descriptions, data sheets and physics."""
 
 import numpy as np
 import pytest
@@ -8,16 +8,27 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import Simulator
 
+from geort_drake.errors import HandError
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.mirror import left_sdf
+from geort_drake.hands.model import HandModel
 from geort_drake.resources import models_dir
-from geort_drake.simulation.object_shape import half_extents
+from geort_drake.simulation.object_shape import half_extents, object_shape
 
+SDF = models_dir() / "sdf"
 # The manufacturer's masses in kg: palm, three fingers and a thumb with four links and a tip each.
 ALLEGRO_MASSES = [0.4154, *3 * (0.0119, 0.065, 0.0355, 0.0096, 0.0168), 0.0176, 0.0119, 0.038, 0.0388, 0.0168]
 
 
+# -- every model
+
+
 @pytest.mark.parametrize("path", SDF_FILES, ids=lambda path: path.stem)
-def test_every_link_is_physically_possible(path):
-    """Every model parses strictly; every link has a positive mass and a valid spatial inertia."""
+def test_a_model_is_self_contained_and_physically_possible(path):
+    """It parses strictly and refers to no other file; every link has a positive mass and a valid inertia."""
+    text = path.read_text(encoding="utf-8").replace("http://drake.mit.edu", "")
+    for reference in ("<mesh", "<uri", "package://", "drake_models", "http", "<include"):
+        assert reference not in text
     scene = Scene(path)
     bodies = [scene.plant.get_body(BodyIndex(i)) for i in range(1, scene.plant.num_bodies())]
     assert bodies
@@ -34,12 +45,7 @@ def test_total_masses_are_those_of_the_hardware(allegro, allegro_left, leap, pan
     assert panda.plant.CalcTotalMass(panda.context) == pytest.approx(17.99)
 
 
-@pytest.mark.parametrize("path", SDF_FILES, ids=lambda path: path.stem)
-def test_models_are_self_contained(path):
-    """No model refers to a mesh, a texture, another package or an address."""
-    text = path.read_text(encoding="utf-8").replace("http://drake.mit.edu", "")
-    for reference in ("<mesh", "<uri", "package://", "drake_models", "http", "<include"):
-        assert reference not in text
+# -- objects
 
 
 def test_the_objects_differ_in_size_and_mass():
@@ -67,13 +73,13 @@ def test_the_objects_differ_in_size_and_mass():
 @pytest.mark.parametrize("path", OBJECTS, ids=lambda path: path.stem)
 def test_objects_stand_on_the_plinth(path):
     """An object released on the plinth moves by less than 1 mm and turns by less than 0.5° in 1 s."""
-    scene = Scene(models_dir() / "sdf" / "plinth.sdf", path, welded=("plinth_base",))
+    scene = Scene(SDF / "plinth.sdf", path, welded=("plinth_base",))
     body = scene.plant.GetBodyByName(path.stem)
-    lowest = _lowest_point(scene, body)
-    start = RigidTransform(RotationMatrix.MakeZRotation(0.3), [0.01, -0.005, 0.1 - lowest])
+    shape = object_shape(scene.plant, scene.scene_graph.model_inspector(), body)
+    height = 0.1 - shape.lowest_point(RigidTransform())
+    start = RigidTransform(RotationMatrix.MakeZRotation(0.3), [0.01, -0.005, height])
     scene.plant.SetFreeBodyPose(scene.context, body, start)
-    simulator = Simulator(scene.diagram, scene.root)
-    simulator.AdvanceTo(1.0)
+    Simulator(scene.diagram, scene.root).AdvanceTo(1.0)
     moved = start.inverse() @ scene.plant.EvalBodyPoseInWorld(scene.context, body)
     assert np.linalg.norm(moved.translation()) < 1e-3
     assert abs(moved.rotation().ToAngleAxis().angle()) < np.deg2rad(0.5)
@@ -81,14 +87,153 @@ def test_objects_stand_on_the_plinth(path):
     assert np.linalg.norm(speed.translational()) < 1e-3
 
 
-def _lowest_point(scene: Scene, body) -> float:
-    """z in the body frame of the lowest point of its collision geometry, by bisecting on contact."""
-    inspector = scene.scene_graph.model_inspector()
-    frame = scene.plant.GetBodyFrameIdOrThrow(body.index())
-    low, high = 0.0, 0.5  # heights of the body above the plinth: touching, clear
-    assert inspector.GetGeometries(frame, Role.kProximity)
-    while high - low > 1e-7:
-        middle = (low + high) / 2
-        scene.plant.SetFreeBodyPose(scene.context, body, RigidTransform([0, 0, 0.1 + middle]))
-        low, high = (middle, high) if scene.collides() else (low, middle)
-    return -high
+# -- hands
+
+# Fingertips in mm at angles of joint_0 to joint_15, from the makers' descriptions evaluated independently,
+# and the frame that they are in, in the hand base. Allegro: sphere centres.
+ALLEGRO_TIPS = (
+    [0.118, 1.424, 1.287, 0.189, -0.188, 1.382, -0.164, 1.288]
+    + [0.279, 0.649, 0.397, 0.287, 0.552, 0.459, 0.736, 0.879],
+    {
+        "index": [75.31, 49.21, -38.7],
+        "middle": [103.08, -19.61, 19.02],
+        "ring": [88.27, -25.71, 85.29],
+        "thumb": [64.22, 82.19, -9.51],
+    },
+    RigidTransform(),
+)
+# LEAP: centres of the pads' round ends in the published palm frame, with x along the fingers, y towards the
+# index side, z out of the back.
+LEAP_TIPS = (
+    [1.038, 1.703, 0.982, 2.015, -0.596, 0.094, 0.959, -0.26]
+    + [-0.972, 0.996, 0.609, 1.843, 1.188, 1.028, 0.34, -0.543],
+    {
+        "index": [-47.03, 12.14, -49.18],
+        "middle": [79.8, -0.4, -83.79],
+        "ring": [-20.78, -71.52, -82.31],
+        "thumb": [-79.04, 41.27, -140.49],
+    },
+    RigidTransform(RotationMatrix.MakeYRotation(-np.pi / 2), [-0.0187, 0.038, 0.007]),
+)
+
+
+@pytest.mark.parametrize(("name", "published"), [("allegro", ALLEGRO_TIPS), ("leap", LEAP_TIPS)])
+def test_fingertips_agree_with_the_makers_description(name, published, request):
+    """To 0.1 mm."""
+    hand, (angles, wanted, X_BP) = request.getfixturevalue(name), published
+    named = {f"joint_{i}": angle for i, angle in enumerate(angles)}
+    tips = hand.fingertips(np.array([named[joint] for joint in hand.joint_names]))
+    for finger, tip in zip(hand.finger_names, tips, strict=True):
+        np.testing.assert_allclose(1e3 * (X_BP.inverse() @ tip), wanted[finger], atol=0.1)
+
+
+@pytest.mark.parametrize(("name", "count", "rate"), [("allegro", 20_000, 0.3431), ("leap", 5000, 0.7912)])
+def test_a_hand_collides_with_itself_as_often_as_its_meshes_do(name, count, rate, rng, request):
+    """Share of uniform joint positions, measured independently."""
+    hand = request.getfixturevalue(name)
+    found = hand.collides(rng.uniform(hand.lower, hand.upper, (count, 16))).mean()
+    assert found == pytest.approx(rate, abs=1.4 / np.sqrt(count))
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted", "speed"),
+    [
+        ("allegro_right", (1.0, 0.1, 0.7), 7),
+        ("allegro_left", (1.0, 0.1, 0.7), 7),
+        ("leap_right", (3.0, 0.17, 0.95), 8.48),
+    ],
+)
+def test_hand_actuators_reach_and_hold_their_position(name, wanted, speed):
+    """All sixteen joints have PD gains and a torque limit, and come within 0.02 rad of a target in 1.5 s."""
+    scene, model = Scene(SDF / f"{name}.sdf", welded=("base_link",)), HandModel(load_hand(name))
+    plant, hand = scene.plant, scene.plant.GetModelInstanceByName(name)
+    actuators = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices()]
+    order = [actuator.joint().name() for actuator in actuators]
+    assert sorted(order) == sorted(model.joint_names)
+    for actuator in actuators:
+        assert actuator.has_controller()
+        gains = actuator.get_controller_gains()
+        assert (gains.p, gains.d, actuator.effort_limit()) == wanted
+        assert actuator.default_gear_ratio() ** 2 * actuator.default_rotor_inertia() == pytest.approx(1e-4)
+        assert actuator.joint().velocity_upper_limit() == speed
+    plant.gravity_field().set_gravity_vector(np.zeros(3))
+    start = dict(zip(model.joint_names, model.default_position, strict=True))
+    scene.set_joints(start)
+    target = np.array([start[joint] + 0.2 for joint in order])
+    plant.get_desired_state_input_port(hand).FixValue(scene.context, np.concatenate([target, 0 * target]))
+    Simulator(scene.diagram, scene.root).AdvanceTo(1.5)
+    reached = [plant.GetJointByName(joint).get_angle(scene.context) for joint in order]
+    np.testing.assert_allclose(reached, target, atol=0.02)
+
+
+def test_the_left_allegro_is_made_from_the_right_one():
+    """The committed file equals the output of `left_sdf`."""
+    made = left_sdf((SDF / "allegro_right.sdf").read_text(encoding="utf-8"))
+    assert (SDF / "allegro_left.sdf").read_text(encoding="utf-8") == made
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("<sphere>", "<mesh>"), "<mesh"),
+        (("<pose>0 0", '<pose degrees="true">0 0'), "degrees="),
+        (('name="allegro_right"', 'name="allegro"'), "ends in '_right'"),
+        (("<xyz>0 0 1<", "<xyz>0 1<"), "'0 1' must be 3 numbers"),
+    ],
+)
+def test_models_that_cannot_be_mirrored_are_refused(change, message):
+    with pytest.raises(HandError, match=message):
+        left_sdf((SDF / "allegro_right.sdf").read_text(encoding="utf-8").replace(*change))
+
+
+# -- the arm
+
+# Franka's modified Denavit-Hartenberg parameters a, d in m and alpha in rad, frame 1 to flange.
+PANDA_DH = [
+    (0.0, 0.333, 0.0),
+    (0.0, 0.0, -np.pi / 2),
+    (0.0, 0.316, np.pi / 2),
+    (0.0825, 0.0, np.pi / 2),
+    (-0.0825, 0.384, -np.pi / 2),
+    (0.0, 0.0, np.pi / 2),
+    (0.088, 0.0, np.pi / 2),
+    (0.0, 0.107, 0.0),
+]
+
+
+def test_panda_agrees_with_its_denavit_hartenberg_table(panda, rng):
+    """The flange's pose is the product of Franka's link transforms, for any joint positions."""
+    for q in rng.uniform(-2, 2, (20, 7)):
+        panda.set_joints({f"panda_joint{i + 1}": angle for i, angle in enumerate(q)})
+        X = RigidTransform()
+        for (a, d, alpha), theta in zip(PANDA_DH, [*q, 0.0], strict=True):
+            X = X @ RigidTransform(RotationMatrix.MakeXRotation(alpha), [a, 0, 0])
+            X = X @ RigidTransform(RotationMatrix.MakeZRotation(theta), [0, 0, 0])
+            X = X @ RigidTransform([0, 0, d])
+        flange = panda.plant.GetFrameByName("panda_link8").CalcPoseInWorld(panda.context)
+        np.testing.assert_allclose(flange.GetAsMatrix4(), X.GetAsMatrix4(), atol=1e-9)
+
+
+def test_panda_collides_with_itself_as_often_as_its_meshes_do(panda, rng):
+    """3.2 % of uniform joint positions collide; exact triangle tests of Franka's meshes give 2.9 %."""
+    joints = [panda.plant.GetJointByName(f"panda_joint{i}") for i in range(1, 8)]
+    limits = [(joint.position_lower_limit(), joint.position_upper_limit()) for joint in joints]
+    hits = 0
+    for q in rng.uniform(*np.transpose(limits), (5000, 7)):
+        panda.set_joints({joint.name(): angle for joint, angle in zip(joints, q, strict=True)})
+        hits += panda.collides()
+    assert hits / 5000 == pytest.approx(0.0321, abs=0.01)
+
+
+def test_panda_actuators_hold_their_position(panda):
+    """All seven joints have the stiffness of the arm's own controller, and settle without swinging."""
+    ready = [0.0, -0.7854, 0.0, -2.35619, 0.0, 1.5708, 0.7854]
+    panda.set_joints({f"panda_joint{i + 1}": angle for i, angle in enumerate(ready)})
+    inertia = panda.plant.CalcMassMatrix(panda.context)
+    assert panda.plant.num_actuators() == 7
+    for i, stiffness in enumerate([3000, 3000, 3000, 2500, 2500, 2000, 2000]):
+        actuator = panda.plant.GetJointActuatorByName(f"panda_joint{i + 1}")
+        gains = actuator.get_controller_gains()
+        assert gains.p == stiffness
+        row = actuator.joint().velocity_start()
+        assert 0.7 < gains.d / (2 * np.sqrt(gains.p * inertia[row, row])) < 1.4
