@@ -11,14 +11,11 @@ import yaml
 from hand_family import HandSpec, joint_name, write_hand
 from pydrake.geometry import Role
 from pydrake.math import RollPitchYaw
-from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.cli import run_command
 from geort_drake.comparison.train import train_checkpoint
 from geort_drake.errors import HandError, OutputError
-from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.clearance import HandClearance
 from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.description import load_hand, write_description
@@ -110,16 +107,6 @@ def test_all_kinematics_agree_on_followers(coupled, rng):
     np.testing.assert_allclose(mirrored, p_BF * [1, -1, 1], atol=1e-12)
 
 
-def test_followers_keep_their_limits(coupled):
-    """The leader's range ends where the follower reaches its own limit of 1.5 rad."""
-    text = coupled.description
-    low = HandModel(dc.replace(text, couplings=[dc.replace(c, ratio=2.0) for c in text.couplings]))
-    leader = low.joint_names.index("index_j2")
-    assert low.upper[leader] == pytest.approx(0.7)
-    with pytest.raises(HandError, match="'index_j3', which follows 'index_j2', would leave its limits"):
-        HandModel(dc.replace(text, couplings=[dc.replace(c, offset=9.0) for c in text.couplings]))
-
-
 def test_collision_shapes_lie_where_drake_has_them(coupled, rng):
     """Also on followers; and the clearance's gradient is that of its gaps."""
     shapes = collision_shapes(coupled)
@@ -147,28 +134,6 @@ def test_collision_shapes_lie_where_drake_has_them(coupled, rng):
     assert len(both) > 5
     # Between two edges the gradient is only approximate, so the median is compared.
     assert np.median(np.abs(change - near.gradient[here] @ step)) < 0.05 * np.linalg.norm(step) * 0.05
-
-
-def test_followers_follow_in_simulation(coupled):
-    """Without motors; they keep their coupled angle to 1 mrad while their leaders move."""
-    builder = DiagramBuilder()
-    config = MultibodyPlantConfig(time_step=0.002, discrete_contact_approximation="sap")
-    plant, _ = AddMultibodyPlant(config, builder)
-    hand = add_hand_model(plant, coupled.description, "hand")
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(coupled.description.base_frame, hand))
-    plant.Finalize()
-    actuated = [plant.get_joint_actuator(i).joint().name() for i in plant.GetJointActuatorIndices(hand)]
-    assert sorted(actuated) == sorted(coupled.joint_names)
-    assert all(plant.get_joint_actuator(i).has_controller() for i in plant.GetJointActuatorIndices(hand))
-    simulator = Simulator(builder.Build())
-    context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
-    target = np.where([name.endswith("j2") for name in actuated], 0.9, 0.0)
-    desired = np.concatenate([target, np.zeros_like(target)])
-    plant.get_desired_state_input_port(hand).FixValue(context, desired)
-    simulator.AdvanceTo(0.5)
-    leader, follower = (plant.GetJointByName(name).get_angle(context) for name in ("index_j2", "index_j3"))
-    assert leader > 0.5
-    assert follower == pytest.approx(0.8 * leader + 0.1, abs=1e-3)
 
 
 @pytest.mark.usefixtures("light_evaluation")
@@ -223,69 +188,61 @@ def test_the_hand_is_recorded(tmp_path):
     assert b"tips/index" in content and b"hand_base/x" in content
 
 
-def _findings(tmp_path, spec: HandSpec, change=lambda text: text, correct=lambda description: None) -> str:
-    """The findings on a hand after changes to its model text and to its description."""
-    model = write_hand(tmp_path, spec)
-    model.write_text(change(model.read_text()), encoding="utf-8")
+def _mirrored(description):
+    description.side = "left"
+
+
+def _far(description):
+    description.fingers[3].tip_point = [0.0, 0.0, -0.2]
+
+
+def _swapped(description):
+    first, second = description.fingers[1:3]
+    first.joints, second.joints = second.joints, first.joints
+    first.tip_link, second.tip_link = second.tip_link, first.tip_link
+
+
+# Changes to the text of a model, and what the checks find then.
+MODEL_FAULTS = {
+    "degrees": (('upper="1.5"', 'upper="0.01"'), "moves only from 0 to 1 degrees"),
+    "turn": (('upper="1.5"', 'upper="90"'), "more than a turn"),
+    "bare": (("<(/?)collision>", r"<\1drawn>"), "no collision geometry"),
+    "massless": (("<inertial>.*?</inertial>", ""), "links without mass"),
+    "palm": (('"0.02 0.066 0.08"', '"0.02 0.066 0.16"'), "touch in"),
+}
+# Changes to a description.
+DESCRIPTION_FAULTS = {
+    "side": (_mirrored, "the thumb lies on the little finger's side of a left hand"),
+    "tip": (_far, "the tips of thumb and ring touch at 16 mm, but come no nearer than"),
+    "order": (_swapped, "the fingers index, middle, ring do not lie in this order"),
+    "none": (lambda description: None, ""),
+}
+
+
+def _found(model, change=lambda description: None) -> str:
+    """What the checks find in a model that is described, changed, written and read."""
     description = propose(model).description
-    correct(description)
-    write_description(description, tmp_path / "hand.yaml")
-    return "\n".join(examine(HandModel(load_hand(tmp_path / "hand.yaml"))))
+    change(description)
+    write_description(description, model.with_name("hand.yaml"))
+    return "\n".join(examine(HandModel(load_hand(model.with_name("hand.yaml")))))
 
 
-def test_a_sound_hand_has_nothing_to_correct(tmp_path):
-    """No check gives a false alarm."""
-    assert _findings(tmp_path, HandSpec(4)) == ""
-
-
-def _wide_palm(text: str) -> str:
-    return text.replace('<box size="0.02 0.066 0.08"/>', '<box size="0.02 0.066 0.16"/>')
-
-
-@pytest.mark.parametrize(
-    ("change", "finding"),
-    [
-        (lambda text: text.replace('upper="1.5"', 'upper="0.01"', 1), "moves only from 0 to 1 degrees"),
-        (lambda text: text.replace('upper="1.5"', 'upper="90"', 1), "more than a turn"),
-        (
-            lambda text: text.replace("<collision>", "<!--").replace("</collision>", "-->"),
-            "no collision geometry",
-        ),
-        (lambda text: re.sub("<inertial>.*?</inertial>", "", text), "links without mass"),
-        (_wide_palm, "touch in"),
-    ],
-    ids=["degrees", "turn", "bare", "massless", "palm"],
-)
-def test_faults_of_a_model_are_named(change, finding, tmp_path):
+@pytest.mark.parametrize("fault", MODEL_FAULTS)
+def test_faults_of_a_model_are_named(fault, tmp_path):
     """Limits in the wrong unit, missing or useless collision geometry, links without mass."""
-    assert finding in _findings(tmp_path, HandSpec(4, mimic=False), change)
+    (pattern, replacement), finding = MODEL_FAULTS[fault]
+    model = write_hand(tmp_path, HandSpec(4, mimic=False))
+    count = 1 if "upper" in pattern else 0
+    model.write_text(re.sub(pattern, replacement, model.read_text(), count=count), encoding="utf-8")
+    assert finding in _found(model)
 
 
-def test_faults_of_a_description_are_named(tmp_path):
-    """A mirrored side, tips where nothing reaches them, fingers in the wrong order."""
-
-    def mirrored(description):
-        description.side = "left"
-
-    assert "the thumb lies on the little finger's side of a left hand" in _findings(
-        tmp_path, HandSpec(4), correct=mirrored
-    )
-
-    def far(description):
-        description.fingers[3].tip_point = [0.0, 0.0, -0.2]
-
-    assert "the tips of thumb and ring touch at 16 mm, but come no nearer than" in _findings(
-        tmp_path, HandSpec(4), correct=far
-    )
-
-    def swapped(description):
-        first, second = description.fingers[1:3]
-        first.joints, second.joints = second.joints, first.joints
-        first.tip_link, second.tip_link = second.tip_link, first.tip_link
-
-    assert "the fingers index, middle, ring do not lie in this order" in _findings(
-        tmp_path, HandSpec(4), correct=swapped
-    )
+@pytest.mark.parametrize("fault", DESCRIPTION_FAULTS)
+def test_faults_of_a_description_are_named(fault, tmp_path):
+    """A mirrored side, tips where nothing reaches them, fingers in the wrong order; else nothing is found."""
+    change, finding = DESCRIPTION_FAULTS[fault]
+    found = _found(write_hand(tmp_path, HandSpec(4)), change)
+    assert finding in found and bool(finding) == bool(found)
 
 
 def test_permanent_contacts_are_ignored(tmp_path):
@@ -346,9 +303,11 @@ def test_models_that_cannot_be_used_are_refused(kind, change, message, tmp_path)
     assert str(model) in str(error.value)
 
 
-def test_on_the_arm_only_listed_joints_are_commanded(tmp_path):
-    """A replayed glove moves a described hand in the shipped scenario, with its followers."""
-    run_command("add-hand", [str(write_hand(tmp_path, HandSpec(4))), "--output", str(tmp_path / "mine.yaml")])
+@pytest.mark.parametrize("kind", ["urdf", "sdf", "xml"])
+def test_on_the_arm_only_listed_joints_are_commanded(kind, tmp_path):
+    """A replayed glove moves a described hand in the shipped scenario; followers follow without motors."""
+    model = write_hand(tmp_path, HandSpec(4, kind))
+    write_description(propose(model).description, tmp_path / "mine.yaml")
     hand = HandModel(load_hand(tmp_path / "mine.yaml"))
     play = synthesize_play(seed=0, duration_s=0.4, rate_hz=30.0)
     still = dc.replace(play, X_WH=np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(play.t), 1)))
@@ -363,8 +322,8 @@ def test_on_the_arm_only_listed_joints_are_commanded(tmp_path):
     )
     assert leader > 0.3
     assert follower == pytest.approx(0.8 * leader + 0.1, abs=2e-3)
-    command = parts.retargeting.GetOutputPort("desired_state")
-    assert command.size() == 2 * len(hand.joint_names)
+    arm_joints = 7
+    assert parts.plant.num_actuators() == arm_joints + len(hand.joint_names)
 
 
 class _Halfway:

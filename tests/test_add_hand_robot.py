@@ -10,19 +10,20 @@ from geort_drake.errors import HandError, UnknownNameError
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.importers.proposal import propose
 
+INERTIA = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+INERTIAL = f'<inertial><mass value="1"/>{INERTIA}</inertial>'
+
 
 def _robot(folder, arm_joints: int, legs: int = 0, hands=("left", "right"), fingers: int = 3):
     """A URDF of a torso with an arm on each side, each with a hand, and with legs of three joints."""
     limit = '<limit lower="-1" upper="1" effort="9" velocity="2"/>'
-    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
-    inertial = f'<inertial><mass value="1"/>{inertia}</inertial>'
-    lines = [f'<link name="torso">{inertial}</link>']
+    lines = [f'<link name="torso">{INERTIAL}</link>']
 
     def chain(name, count, kind="revolute"):
         parent = "torso"
         for number in range(count):
             link = f"{name}_{number}"
-            lines.append(f'<link name="{link}">{inertial}</link>')
+            lines.append(f'<link name="{link}">{INERTIAL}</link>')
             lines.append(
                 f'<joint name="{link}_joint" type="{kind}"><parent link="{parent}"/><child link="{link}"/>'
                 f'<origin xyz="0 0.1 0.1"/><axis xyz="1 0 0"/>{limit}</joint>'
@@ -49,18 +50,12 @@ def _robot(folder, arm_joints: int, legs: int = 0, hands=("left", "right"), fing
 @pytest.mark.parametrize(
     ("arm_joints", "legs", "hands", "message"),
     [
-        (
-            7,
-            2,
-            ("left", "right"),
-            "leave each of 'torso', 'left_palm', 'right_palm'; give the palm as --palm",
-        ),
-        (2, 2, ("left", "right"), "leave each of 'torso', 'left_palm', 'right_palm'"),
-        (7, 0, ("left", "right"), "leave each of 'torso', 'left_palm', 'right_palm'"),
+        (7, 2, ("left", "right"), "of 'torso', 'left_palm', 'right_palm'; give the palm as --palm"),
+        (2, 0, ("left", "right"), "leave each of 'torso', 'left_palm', 'right_palm'"),
         (0, 0, ("left", "right"), "6 chains of joints leave its palm, the link 'torso'"),
         (7, 2, ("right",), "leave each of 'torso', 'right_palm'"),
     ],
-    ids=["humanoid", "short arms", "two arms", "no arms", "one hand with legs"],
+    ids=["humanoid", "two short arms", "no arms", "one hand with legs"],
 )
 def test_more_than_one_hand_is_refused(tmp_path, arm_joints, legs, hands, message):
     """Fingers of both would be taken for one hand's; the message lists the possible palms."""
@@ -88,15 +83,11 @@ def test_the_named_palm_of_a_robot_is_described(tmp_path, side):
 
 def test_one_hand_may_have_an_arm_or_a_folding_palm(tmp_path):
     """An arm that carries all fingers, or a joint of the palm that carries two of four."""
-    assert propose(_robot(tmp_path, 7, hands=("right",))).description.finger_names == [
-        "thumb",
-        "index",
-        "middle",
-    ]
+    described = propose(_robot(tmp_path, 7, hands=("right",))).description
+    assert described.finger_names == ["thumb", "index", "middle"]
     model = write_hand(tmp_path, HandSpec(4, mimic=False))
     fold = (
-        '<link name="fold"><inertial><mass value="0.03"/><inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" '
-        'ixz="0" iyz="0"/></inertial></link><joint name="fold" type="revolute"><parent link="palm"/>'
+        f'<link name="fold">{INERTIAL}</link><joint name="fold" type="revolute"><parent link="palm"/>'
         '<child link="fold"/><axis xyz="0 0 1"/><limit lower="0" upper="0.4" effort="1" velocity="1"/>'
         "</joint>"
     )

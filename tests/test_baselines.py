@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from retargeting_toy import toy_data, toy_human, toy_kinematics, uneven_kinematics
+from retargeting_toy import toy_data, toy_human, toy_kinematics
 
 from geort_drake.errors import GeortError, HandError, TrainingError, UnknownNameError
 from geort_drake.retargeting.methods import make_untrained, untrained_methods
@@ -52,16 +52,6 @@ def pinching(kinematics, distance: float) -> np.ndarray:
     p[:, 1] -= 0.07 * np.arange(len(p))
     p[1] = p[0] + [0.0, 0.0, distance]
     return p
-
-
-def test_fingertips_agree_with_drake_and_torch(allegro, kinematics, rng):
-    """Also for fingers of different lengths."""
-    q = rng.uniform(allegro.lower, allegro.upper, (40, 16))
-    np.testing.assert_allclose(NumpyKinematics(kinematics).fingertips(q), allegro.fingertips(q), atol=1e-9)
-    hand = uneven_kinematics()
-    q = rng.uniform(hand.lower, hand.upper, (20, len(hand.joint_names)))
-    expected = hand.fingertips(torch.tensor(q)).numpy()
-    np.testing.assert_allclose(NumpyKinematics(hand).fingertips(q), expected, atol=1e-12)
 
 
 def test_a_reachable_hand_is_reproduced(kinematics):

@@ -7,6 +7,7 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.framework import DiagramBuilder
 
+from geort_drake.errors import HandError
 from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.chains import finger_links, palm_links
 from geort_drake.hands.description import CouplingDescription, HandDescription, load_hand
@@ -74,6 +75,9 @@ def test_followers_limit_their_leader_on_the_arm(description):
     joints = [plant.GetJointByName(name) for name in hand.joint_names]
     np.testing.assert_array_equal([joint.position_upper_limit() for joint in joints], hand.upper)
     assert hand.upper[hand.joint_names.index("index_j1")] == pytest.approx(0.75)
+    description.couplings[-1].offset = 9.0
+    with pytest.raises(HandError, match="'index_j3', which follows 'index_j1', would leave its limits"):
+        HandModel(description)
 
 
 @pytest.mark.parametrize("link", ["index_l1", "index_l2", "index_l3"])

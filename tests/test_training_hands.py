@@ -1,4 +1,4 @@
-"""From a recording to an evaluated checkpoint, on the Allegro hand."""
+"""From a recording to an evaluated checkpoint."""
 
 import json
 
@@ -8,7 +8,7 @@ import pytest
 from geort_drake.cli import run_command
 from geort_drake.comparison.metrics import evaluate
 from geort_drake.comparison.train import train_checkpoint
-from geort_drake.errors import CheckpointError, UnknownNameError
+from geort_drake.errors import CheckpointError, RecordingError
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.play import synthesize_play
@@ -79,23 +79,6 @@ def test_a_checkpoint_is_refused_for_an_altered_hand(checkpoint):
         load_retargeter(checkpoint, HandModel(description))
 
 
-def test_unknown_names_are_refused_before_any_work(play, tmp_path):
-    """Methods, kinematics, settings and hands; nothing is left behind, and no other folder is replaced."""
-    for arguments, message in (
-        ({"method": "geort", "settings": {"fk": "guess"}}, "exact, neural"),
-        ({"method": "geort", "settings": {"jitter": 1}}, "setting of geort 'jitter'; choose one of: class"),
-        ({"hand_name": "no_such_hand"}, "allegro_right"),
-    ):
-        with pytest.raises(UnknownNameError, match=message):
-            train_checkpoint(
-                **{"hand_name": "allegro_right", "recording": play, "output": tmp_path / "x"} | arguments
-            )
-    assert list(tmp_path.iterdir()) == []
-    (tmp_path / "thesis.tex").touch()
-    with pytest.raises(CheckpointError, match="exists and is not a checkpoint"):
-        train_checkpoint("allegro_right", play, tmp_path)
-
-
 @pytest.mark.usefixtures("light_evaluation")
 def test_the_command_passes_on_presets_and_settings(play, tmp_path, capsys):
     """--set and --steps take precedence over --preset; --json prints the stored metrics."""
@@ -154,6 +137,41 @@ def test_a_diverging_training_leaves_a_usable_checkpoint(play, tmp_path, capsys,
     assert checkpoint.provenance["training"]["stopped_at"] < 40
     assert np.isfinite(load_retargeter(tmp_path / "run", allegro)(play.p_HK[:50])).all()
     assert (tmp_path / "run" / "metrics.json").is_file()
+
+
+def left_or_right(side: str) -> Recording:
+    return synthesize_play(seed=1, duration_s=20.0, rate_hz=60.0, side=side)
+
+
+def briefly(hand: str, recording: Recording, output):
+    return train_checkpoint(
+        hand, recording, output, show_progress=False, settings={"steps": 5}, robot_samples=1000
+    )
+
+
+@pytest.mark.usefixtures("light_evaluation")
+def test_a_left_hand_learns_what_the_right_one_learns(tmp_path, allegro, allegro_left):
+    """From mirrored recordings: the same joint angles and figures."""
+    with pytest.MonkeyPatch.context() as patch:
+        # The default method has the collision geometry instead.
+        patch.setattr(HandModel, "collides_beyond_tips", lambda *_: pytest.fail("labels nobody needs"))
+        right = briefly("allegro_right", left_or_right("right"), tmp_path / "right")
+    assert load_checkpoint(right).provenance["robot_data"]["labels"] is False
+    left = briefly("allegro_left", left_or_right("left"), tmp_path / "left")
+    frames = left_or_right("right").p_HK[::50].astype(float)
+    q_right, q_left = (load_retargeter(path)(frames) for path in (right, left))
+    np.testing.assert_allclose(q_left, q_right, atol=1e-3)
+    mirrored = allegro.fingertips(q_right) * [1, -1, 1]
+    np.testing.assert_allclose(allegro_left.fingertips(q_left), mirrored, atol=1e-3)
+    figures = [json.loads((path / "metrics.json").read_text()) for path in (right, left)]
+    for name in ("motion_preservation", "flatness", "self_collision_raw"):
+        assert figures[1][name] == pytest.approx(figures[0][name], abs=0.01), name
+
+
+def test_a_left_hand_refuses_a_right_ones_recording(tmp_path):
+    """The message names both sides."""
+    with pytest.raises(RecordingError, match="of a right hand, the robot's is a left hand"):
+        briefly("allegro_left", left_or_right("right"), tmp_path / "left")
 
 
 @pytest.mark.slow
