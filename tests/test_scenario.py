@@ -9,7 +9,7 @@ import yaml
 from pydrake.common.yaml import yaml_dump_typed
 from pydrake.multibody.plant import MultibodyPlant
 
-from geort_drake.errors import HandError, ScenarioError, UnknownNameError
+from geort_drake.errors import HandError, ScenarioError
 from geort_drake.hands.description import load_hand
 from geort_drake.resources import diagrams_dir
 from geort_drake.simulation.scenario import (
@@ -165,16 +165,6 @@ def test_malformed_files_are_refused_by_name(tmp_path, contents, message):
     with pytest.raises(ScenarioError, match=message) as caught:
         load_scenario(path)
     assert str(path) in str(caught.value)
-
-
-def test_unknown_names_are_refused_with_the_choices(tmp_path):
-    """Files, scenarios and objects."""
-    with pytest.raises(ScenarioError, match=r"nowhere\.yaml does not exist"):
-        load_scenario(tmp_path / "nowhere.yaml")
-    with pytest.raises(UnknownNameError, match=r"'Gras'.*Defaults, OneOfEverything"):
-        load_scenario(SCENARIOS, "Gras")
-    with pytest.raises(UnknownNameError, match=r"unknown object 'teapot'; .*cube.*cylinder"):
-        load_scenario(text="{object: {name: teapot}}")
 
 
 @pytest.mark.parametrize(
