@@ -10,7 +10,6 @@ from geort_drake.comparison.exploration import (
     find_pinches,
     motion_cosines,
     proportional_copy,
-    tips_of,
 )
 from geort_drake.comparison.explorer_recording import write_exploration
 from geort_drake.errors import RecordingError
@@ -77,7 +76,7 @@ def test_an_excerpt_begins_where_most_pinches_are():
     p_HK[~valid] = 9.0
     recording = Recording(np.arange(400) * 0.1 + 5.0, p_HK, valid)
     hands = excerpt(recording, rate_hz=10.0, duration_s=5.0)
-    assert hands.start == pytest.approx(25.0)
+    assert hands.metadata["start_s"] == pytest.approx(25.0)
     np.testing.assert_allclose(hands.t, np.arange(51) * 0.1, atol=1e-9)
     assert find_pinches(hands.p_HK[:50, 4::4], ("thumb", "index", "middle", "ring", "little")).closed.all()
     later = excerpt(recording, rate_hz=10.0, duration_s=5.0, start_s=38.0)
@@ -97,7 +96,7 @@ def test_a_left_hand_is_answered_in_its_mirror_image_and_shown_as_it_is(play):
         return left.lower + (left.upper - left.lower) * (0.5 + 4 * p_HF.reshape(len(p_HF), -1)[:, :1])
 
     found = answers(half_way, left, hands)
-    np.testing.assert_array_equal(given[0], tips_of(hands.p_HK, left))
+    np.testing.assert_array_equal(given[0], hands.fingertips(left.description.human_keypoints))
     np.testing.assert_allclose(found.p_BF, left.fingertips(found.q))
     np.testing.assert_allclose(found.copy, proportional_copy(mirrored(given[0]), found.p_BF))
 
@@ -113,7 +112,7 @@ def test_the_recording_shows_what_the_methods_answer(tmp_path, hand, play):
     path = tmp_path / "explorer.rrd"
     write_exploration(path, hand, hands, methods, {"recording_sha256": play.digest})
     assert rerun("rrd", "verify", path).returncode == 0
-    pinches = find_pinches(tips_of(hands.p_HK, hand), hand.finger_names)
+    pinches = find_pinches(hands.fingertips(hand.description.human_keypoints), hand.finger_names)
     assert pinches.closed.any()
     for name, q in (("fist", fist), ("rest", rest)):
         times, tips = read(path, f"/world/{name}/tips", "Ellipsoids3D:centers")

@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
         "methods": ", ".join(methods),
         "recording": arguments.recording.name if arguments.recording else "synthetic play",
         "recording_sha256": recording.digest,
-        "start_s": hands.start,
+        "start_s": hands.metadata["start_s"],
         "seed": arguments.seed,
     }
     write_exploration(arguments.output, hand, hands, methods, properties)

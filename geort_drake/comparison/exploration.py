@@ -1,13 +1,15 @@
 """Answers of retargeting methods to an excerpt of a recording, frame by frame."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from geort_drake.comparison.metrics import PENETRATION
 from geort_drake.errors import RecordingError
 from geort_drake.hands.model import HandModel
-from geort_drake.people.keypoints import mirrored
+from geort_drake.people.keypoints import FINGER_NAMES, mirrored
 from geort_drake.people.recording import PINCH_M, Recording
 
 WINDOW = 0.1  # s; a motion extends this far before and after a frame
@@ -15,20 +17,25 @@ SHORTEST = 0.003  # m; the direction of shorter motions of a human fingertip is 
 
 
 @dataclass(frozen=True)
-class Excerpt:
-    """Hands at a constant rate.
+class Pinches:
+    """The thumb and the finger nearest to it, of T hands.
 
     Attributes:
-        t: (T,) time from the excerpt's beginning, s.
-        start: time of the beginning in the recording, s.
-        p_HK: (T, 21, 3) keypoints of a canonical right hand, m.
-        rate_hz: hands per second.
+        pair: (T, 2) numbers of the thumb and that finger.
+        distance: (T,) of the two human tips, m.
     """
 
-    t: np.ndarray
-    start: float
-    p_HK: np.ndarray
-    rate_hz: float
+    pair: np.ndarray
+    distance: np.ndarray
+
+    @property
+    def closed(self) -> np.ndarray:
+        """(T,) whether they pinch, as in `metrics.pinch`."""
+        return self.distance < PINCH_M
+
+    def of(self, tips: np.ndarray) -> np.ndarray:
+        """The two tips (T, 2, 3) of other fingertips (T, F, 3)."""
+        return tips[np.arange(len(tips))[:, None], self.pair]
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,9 @@ class Answers:
         error: (T, F) distance between the two, m.
         cosine: (T,) cosine of the angle between human and robot fingertip motion, averaged over the moving
             fingers; NaN if none moves.
+        gap: (T,) distance of the robot's tips of the pair that is nearest in the person's hand, m.
+        closed: (T,) whether these tips meet.
+        collisions: T times (k, 3) in B, where parts of the hand penetrate each other by over 2 mm, m.
     """
 
     q: np.ndarray
@@ -51,27 +61,17 @@ class Answers:
     copy: np.ndarray
     error: np.ndarray
     cosine: np.ndarray
-
-
-@dataclass(frozen=True)
-class Pinches:
-    """The thumb and the finger nearest to it, of T hands.
-
-    Attributes:
-        pair: (T, 2) numbers of the thumb and that finger.
-        distance: (T,) of the two human tips, m.
-        closed: (T,) whether they pinch: less than 15 mm, as in `metrics.pinch`.
-    """
-
-    pair: np.ndarray
-    distance: np.ndarray
+    gap: np.ndarray
     closed: np.ndarray
+    collisions: list[np.ndarray]
 
 
 def excerpt(
     recording: Recording, rate_hz: float = 30.0, duration_s: float = 20.0, start_s: float | None = None
-) -> Excerpt:
-    """An excerpt of a recording; while tracking is lost, the last hand stays.
+) -> Recording:
+    """Part of a recording at a constant rate; while tracking is lost, the last hand stays.
+
+    Its times are from its beginning, which is `start_s` in its metadata, s.
 
     Args:
         start_s: its beginning, s; None: where the excerpt has most pinches.
@@ -79,12 +79,12 @@ def excerpt(
     Raises:
         RecordingError: it begins after the recording's end, or holds fewer than two hands.
     """
-    t = recording.t[recording.valid] - recording.t[0]
-    p_HK = recording.p_HK[recording.valid].astype(float)
+    tracked = recording.tracked()
+    t = tracked.t - recording.t[0]
     if len(t) == 0 or (start_s is not None and not 0 <= start_s < t[-1]):
         raise RecordingError(f"an excerpt must begin within the recording's {recording.duration_s:.1f} s")
     if start_s is None:
-        pinching = find_pinches(p_HK[:, 4::4], ("thumb", "index", "middle", "ring", "little")).closed
+        pinching = find_pinches(tracked.fingertips(), FINGER_NAMES).closed
         before = np.concatenate([[0], np.cumsum(pinching)])
         ends = np.searchsorted(t, t + duration_s)
         fits = t + duration_s <= max(t[-1], duration_s)
@@ -94,8 +94,9 @@ def excerpt(
         raise RecordingError(
             f"an excerpt from {start_s:g} s on holds {len(times)} hands; at least 2 are needed"
         )
-    rows = np.maximum(np.searchsorted(t, times + 1e-9) - 1, 0)
-    return Excerpt(times - start_s, start_s, p_HK[rows], rate_hz)
+    found = tracked.at(times + recording.t[0])
+    metadata = {**recording.metadata, "start_s": start_s}
+    return dataclasses.replace(found, t=times - start_s, metadata=metadata)
 
 
 def find_pinches(tips: np.ndarray, finger_names: Sequence[str]) -> Pinches:
@@ -104,31 +105,35 @@ def find_pinches(tips: np.ndarray, finger_names: Sequence[str]) -> Pinches:
     others = np.array([i for i in range(len(finger_names)) if i != thumb])
     distances = np.linalg.norm(tips[:, others] - tips[:, [thumb]], axis=-1)
     nearest = distances.argmin(axis=1)
-    distance = distances[np.arange(len(tips)), nearest]
     pair = np.stack([np.full(len(tips), thumb), others[nearest]], axis=1)
-    return Pinches(pair, distance, distance < PINCH_M)
+    return Pinches(pair, distances[np.arange(len(tips)), nearest])
 
 
-def answers(retarget: Callable, hand: HandModel, hands: Excerpt) -> Answers:
-    """Answers of a method to the hands, in their order.
+def answers(retarget: Callable, hand: HandModel, hands: Recording) -> Answers:
+    """Answers of a method to an excerpt.
 
     Args:
         retarget: from human fingertips (T, F, 3) of a canonical right hand, m, to joint positions (T, n).
     """
-    human = tips_of(hands.p_HK, hand)
+    human = hands.fingertips(hand.description.human_keypoints)
     q = np.asarray(retarget(human))
     # For a left robot hand: recordings are mirrored to right hands.
     if hand.description.side == "left":
         human = mirrored(human)
     p_BF = hand.fingertips(q)
     copy = proportional_copy(human, p_BF)
-    error = np.linalg.norm(copy - p_BF, axis=-1)
-    return Answers(q, p_BF, copy, error, motion_cosines(human, p_BF, round(WINDOW * hands.rate_hz)))
-
-
-def tips_of(p_HK: np.ndarray, hand: HandModel) -> np.ndarray:
-    """(T, F, 3) human fingertips that the robot's fingers follow, m."""
-    return p_HK[:, hand.description.human_keypoints]
+    pinching = find_pinches(human, hand.finger_names).of(p_BF)
+    gap = np.linalg.norm(pinching[:, 1] - pinching[:, 0], axis=-1)
+    return Answers(
+        q,
+        p_BF,
+        copy,
+        np.linalg.norm(copy - p_BF, axis=-1),
+        motion_cosines(human, p_BF, round(WINDOW * hands.rate_hz)),
+        gap,
+        gap <= 2 * hand.tip_radius,
+        _collisions(hand, q),
+    )
 
 
 def proportional_copy(human: np.ndarray, robot: np.ndarray) -> np.ndarray:
@@ -141,8 +146,7 @@ def proportional_copy(human: np.ndarray, robot: np.ndarray) -> np.ndarray:
 
 def motion_cosines(human: np.ndarray, robot: np.ndarray, window: int) -> np.ndarray:
     """(T,) cosines between motions of fingertips (T, F, 3), from `window` hands before to as many after."""
-    window = max(window, 1)
-    rows = np.arange(len(human))
+    rows, window = np.arange(len(human)), max(window, 1)
     before, after = np.maximum(rows - window, 0), np.minimum(rows + window, len(human) - 1)
     d, answer = human[after] - human[before], robot[after] - robot[before]
     length, robot_length = np.linalg.norm(d, axis=-1), np.linalg.norm(answer, axis=-1)
@@ -150,3 +154,14 @@ def motion_cosines(human: np.ndarray, robot: np.ndarray, window: int) -> np.ndar
     cosine = np.einsum("tfx,tfx->tf", d, answer) / np.maximum(length * robot_length, 1e-12)
     count = moves.sum(axis=1)
     return np.where(count > 0, (cosine * moves).sum(axis=1) / np.maximum(count, 1), np.nan)
+
+
+def _collisions(hand: HandModel, q: np.ndarray) -> list[np.ndarray]:
+    """The `collisions` of `Answers`; two fingertips may touch, as in `metrics.self_collision`."""
+    context = hand.contact_context()
+    found = []
+    for row in q:
+        pairs = hand.query(row, context).ComputePointPairPenetration()
+        deep = [(pair.p_WCa + pair.p_WCb) / 2 for pair in pairs if pair.depth > PENETRATION]
+        found.append(np.array(deep).reshape(-1, 3))
+    return found

@@ -11,7 +11,7 @@ from pydrake.math import RigidTransform
 from scipy.spatial import cKDTree
 
 from geort_drake.colours import SKIN, finger_colors
-from geort_drake.comparison.exploration import find_pinches, tips_of
+from geort_drake.comparison.exploration import find_pinches
 from geort_drake.comparison.metrics import flatness_and_gain, pinch, self_collision
 from geort_drake.hands.mirror import canonical_kinematics
 from geort_drake.hands.model import HandModel
@@ -142,12 +142,14 @@ class TrainingScene:
         # Maps work on canonical right hands; a left hand is drawn mirrored back.
         self._shown: Callable = mirrored if hand.description.side == "left" else np.asarray
         p_HK = recording.p_HK[recording.valid].astype(float)
-        frames = tips_of(p_HK, hand)
+        keypoints = hand.description.human_keypoints
+        frames = p_HK[:, keypoints]
         self._frames = frames[_evenly(len(frames), _FRAMES)]
         pinches = find_pinches(frames, hand.finger_names)
         rows = np.flatnonzero(pinches.closed)
         self._pinching = frames[rows[_evenly(len(rows), _PINCHING)]]
         self._closest_pinch = p_HK[np.argmin(pinches.distance)]
+        self._closest_tips = self._closest_pinch[None, keypoints]
         q = np.random.default_rng(seed).uniform(hand.lower, hand.upper, (_SAMPLES, len(hand.joint_names)))
         p_BF = self._fingertips(q)
         self._reachable = [voxel_thinned(p_BF[:, i], _VOXEL) for i in range(len(self._fingers))]
@@ -157,8 +159,7 @@ class TrainingScene:
         """Sends everything; one map for each of the writer's times."""
         writer.up_axis()
         writer.human_hand(_HUMAN, np.array([self._shown(self._closest_pinch)] * len(maps)), SKIN)
-        instant = tips_of(self._closest_pinch[None], self._hand)
-        q = np.concatenate([answer(instant) for answer in maps])
+        q = np.concatenate([answer(self._closest_tips) for answer in maps])
         X_WB = RigidTransform([0.0, _SPACING, -self._hand.p_BW[2]])
         write_robot_hand(writer, _ROBOT, self._hand, q, X_WB)
         for i, (name, color) in enumerate(self._fingers):

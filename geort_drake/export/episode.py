@@ -10,12 +10,11 @@ import numpy as np
 import yaml
 
 from geort_drake.errors import RecordingError
-from geort_drake.people.recording import Recording
+from geort_drake.people.recording import Recording, newest
 from geort_drake.rerun.reader import read_samples
 from geort_drake.simulation.world import HAND
 
 RESULTS, SCENARIO = "results.json", "scenario.yaml"
-_TIME_TOLERANCE = 1e-6  # s; recorded times are sums of binary fractions
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -69,7 +68,7 @@ class Episode:
         return dataclasses.replace(
             self,
             t=np.asarray(t, dtype=float),
-            glove=glove_at(self.glove, t),
+            glove=self.glove.at(t),
             signals={name: values[rows] for name, values in self.signals.items()},
             states={name: values[rows] for name, values in self.states.items()},
             poses={name: values[rows] for name, values in self.poses.items()},
@@ -104,28 +103,12 @@ def read_episodes(path: str | os.PathLike) -> Iterator[Episode]:
                 )
     for name, facts in zip(names, trials, strict=True):
         samples = read_samples(folder / f"{name}.rrd")
-        glove = glove_at(Recording.load(folder / f"{name}.glove.npz"), samples.t)
+        glove = Recording.load(folder / f"{name}.glove.npz").at(samples.t)
         recorded = (samples.signals, samples.states, samples.poses)
         yield Episode(name, samples.t, glove, *recorded, facts, Path(robot).stem)
 
 
 def episode_of(recording: Recording, name: str) -> Episode:
     """A recording of a hand, without a robot."""
-    return Episode(name, recording.t - recording.t[0], recording, facts=recording.metadata)
-
-
-def newest(sampled: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Row of the newest sample, of those at times `sampled` (S,), for each of `t` (T,); or else the first."""
-    return np.maximum(np.searchsorted(sampled, np.asarray(t) + _TIME_TOLERANCE, side="right") - 1, 0)
-
-
-def glove_at(recording: Recording, t: np.ndarray) -> Recording:
-    """The recording at times t (T,), s from its first frame, as a glove delivers it."""
-    rows = newest(recording.t - recording.t[0], t)
-    return Recording(
-        t,
-        recording.p_HK[rows],
-        recording.valid[rows],
-        None if recording.X_WH is None else recording.X_WH[rows],
-        recording.metadata,
-    )
+    recording = dataclasses.replace(recording, t=recording.t - recording.t[0])
+    return Episode(name, recording.t, recording, facts=recording.metadata)

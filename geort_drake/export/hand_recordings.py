@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from geort_drake.colours import FINGER_COLOURS, SKIN, finger_colors, rgb
-from geort_drake.export.episode import newest
 from geort_drake.hands.model import HandModel
 from geort_drake.people.coverage import tip_distances
 from geort_drake.people.keypoints import FINGER_NAMES
-from geort_drake.people.recording import Recording
+from geort_drake.people.recording import Recording, newest
 from geort_drake.rerun import blueprint as views
 from geort_drake.rerun.robot_hand import write_robot_hand
 from geort_drake.rerun.streams import file_writer

@@ -21,6 +21,7 @@ SIDES = ("left", "right")
 PINCH_M = 0.015  # a thumb–finger distance below this counts as a pinch
 # Of a file, packed and unpacked: the largest format takes 1.5 GB for an hour at 120 Hz.
 MOST_BYTES = 2 << 30
+_TIME_TOLERANCE = 1e-6  # s; recorded times are sums of binary fractions
 
 # Types of the metadata that programs use.
 _METADATA = {
@@ -102,6 +103,19 @@ class Recording:
         """Returns p_HF (T, F, 3) float64, m: the given keypoints of the valid frames."""
         return self.p_HK[self.valid][:, list(keypoints)].astype(float)
 
+    def tracked(self) -> "Recording":
+        """The recording without the frames in which tracking was lost."""
+        X_WH = None if self.X_WH is None else self.X_WH[self.valid]
+        return dataclasses.replace(
+            self, t=self.t[self.valid], p_HK=self.p_HK[self.valid], valid=self.valid[self.valid], X_WH=X_WH
+        )
+
+    def at(self, t: np.ndarray) -> "Recording":
+        """The recording at times t (T,), s, as a device delivers it: each has the newest frame until then."""
+        rows = newest(self.t, t)
+        X_WH = None if self.X_WH is None else self.X_WH[rows]
+        return dataclasses.replace(self, t=t, p_HK=self.p_HK[rows], valid=self.valid[rows], X_WH=X_WH)
+
     def mirrored(self) -> "Recording":
         """Returns the same motion of the other hand, mirrored in the xz-plane of H.
 
@@ -154,6 +168,11 @@ class Recording:
             return cls(arrays["t"], arrays["p_HK"], arrays["valid"], arrays.get("X_WH"), metadata)
         except RecordingError as error:
             raise RecordingError(f"{name}: {str(error).removeprefix('recording: ')}") from None
+
+
+def newest(sampled: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Row of the newest sample, of those at times `sampled` (S,), for each of `t` (T,); or else the first."""
+    return np.maximum(np.searchsorted(sampled, np.asarray(t) + _TIME_TOLERANCE, side="right") - 1, 0)
 
 
 def _checked_metadata(metadata: dict) -> dict:
