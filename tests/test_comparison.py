@@ -37,7 +37,7 @@ def play():
 def quick(light_evaluation, tmp_path):
     """Few samples and short training, so that what is tested is the plumbing."""
 
-    def train(hand_name, recording, method="geort", seed=0):
+    def train(hand_name, recording, method="geort", seed=0, device="cpu"):
         path = tmp_path / f"{method}-{seed}-{recording.digest[:8]}"
         if path.is_dir():
             return path, True
@@ -129,7 +129,7 @@ def test_a_checkpoint_is_scored_only_where_its_training_fits(evaluate, play, qui
 def test_a_case_that_fails_leaves_the_others(evaluate, quick, monkeypatch, capsys):
     """A fold that cannot be learned from has its reason in place of figures; means are of the rest."""
 
-    def train(hand_name, recording, method, seed):
+    def train(hand_name, recording, method, seed, device="cpu"):
         if recording.valid[-1] and not recording.valid[0]:
             raise TrainingError("the recording's ring tip visits only 7 places")
         return quick(hand_name, recording, method, seed)
@@ -155,7 +155,7 @@ def test_a_stopped_run_leaves_the_methods_that_were_done(evaluate, quick, monkey
     """The file is whole after each method, and trained checkpoints are found again."""
     trained = []
 
-    def train(hand_name, recording, method, seed):
+    def train(hand_name, recording, method, seed, device="cpu"):
         if method == "geort" and not trained[1:]:
             raise KeyboardInterrupt
         path, found = quick(hand_name, recording, method, seed)

@@ -13,10 +13,10 @@ from geort_drake.benchmark import folder as benchmark_folder
 from geort_drake.benchmark import methods, trials
 from geort_drake.benchmark.config import read_config
 from geort_drake.benchmark.folder import open_benchmark
-from geort_drake.benchmark.methods import names_of
 from geort_drake.benchmark.records import TrialKey, TrialLog, key_of, read_records
 from geort_drake.benchmark.report import write_grasp_report
 from geort_drake.cli import run_command
+from geort_drake.comparison.retargeters import names_of
 from geort_drake.errors import BenchmarkError, OutputError, TrainingError, UnknownNameError
 from geort_drake.hands.description import load_hand
 from geort_drake.people.play import synthesize_play
@@ -233,7 +233,7 @@ def test_a_hand_given_as_a_file_is_the_one_that_is_trained(tmp_path, play, monke
     def train(hand_name, *_):
         raise TrainingError(f"trained for {load_hand(hand_name).name}")
 
-    monkeypatch.setattr(methods, "cached_checkpoint", train)
+    monkeypatch.setattr("geort_drake.comparison.train.cached_checkpoint", train)
     scenario = load_scenario(text=f"{{timeout: 0.3, hand: {path}}}")
     with pytest.raises(TrainingError, match="trained for my_hand"):
         open_benchmark(tmp_path / "benchmark", scenario, play, ["geort"], ["cylinder"], 1)

@@ -11,10 +11,11 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from geort_drake.benchmark import trials
 from geort_drake.benchmark.folder import open_benchmark
-from geort_drake.benchmark.methods import measure_latency, names_of
+from geort_drake.benchmark.methods import measure_latency
 from geort_drake.benchmark.own_method import OwnMethod
 from geort_drake.benchmark.records import TrialKey
 from geort_drake.benchmark.statistics import figures
+from geort_drake.comparison.retargeters import names_of
 from geort_drake.errors import BenchmarkError, MethodError
 from geort_drake.hands.urdf import hand_urdf
 from geort_drake.people.play import synthesize_play

@@ -28,10 +28,11 @@ from geort_drake.benchmark.config import (
     read_config,
     require_same,
 )
-from geort_drake.benchmark.methods import make_retargeter, measure_latency, names_of
+from geort_drake.benchmark.methods import make_retargeter, measure_latency
 from geort_drake.benchmark.records import Record, TrialKey, key_of, read_records
 from geort_drake.benchmark.trials import Trial, plan_grasps, simulate
 from geort_drake.benchmark.workers import code_digest
+from geort_drake.comparison.retargeters import names_of
 from geort_drake.comparison.versions import versions
 from geort_drake.errors import BenchmarkError, UnknownNameError
 from geort_drake.files import digest_of, write_text

@@ -2,61 +2,24 @@
 
 import shutil
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from geort_drake.benchmark.own_method import PYTHON, OwnMethod
+from geort_drake.benchmark.own_method import OwnMethod
 from geort_drake.benchmark.records import training_of
-from geort_drake.comparison.comparison import check_methods, method_names
-from geort_drake.comparison.train import cached_checkpoint
-from geort_drake.errors import BenchmarkError, MethodError
+from geort_drake.comparison.retargeters import PYTHON, from_cache, retargeter_of
 from geort_drake.files import atomic_directory, atomic_path, sha256_of
-from geort_drake.hands.mirror import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import WEIGHTS
 from geort_drake.retargeting.map_file import SUFFIX
-from geort_drake.retargeting.methods import (
-    make_untrained,
-    shipped_methods,
-    trained_methods,
-    untrained_methods,
-)
-from geort_drake.retargeting.retargeter import UniversalRetargeter, load_retargeter, shipped_map
+from geort_drake.retargeting.methods import shipped_methods, trained_methods
+from geort_drake.retargeting.retargeter import UniversalRetargeter
 from geort_drake.simulation.diagram import Retarget
 
 # Timed parts of a recording, successive frames in each, and frames at its start that are not timed.
 _PARTS, _SUCCESSIVE, _WARM_UP = 10, 40, 10
-
-
-def names_of(methods: Sequence[str], trainings: int = 1) -> dict[str, str]:
-    """Name → method, without repeats; a checkpoint, map or Python file is named after its directory or file.
-
-    A method that is trained several times has a name for each training: geort, geort~1, geort~2.
-
-    Raises:
-        UnknownNameError: neither a method nor a checkpoint.
-        MethodError: there is no such Python file.
-        BenchmarkError: two different ones have the same name.
-    """
-    files = [given for given in methods if Path(given).suffix == PYTHON]
-    check_methods([given for given in methods if given not in files])
-    for given in files:
-        if not Path(given).is_file():
-            raise MethodError(f"{given}: no such file; it must define make(hand)")
-    names: dict[str, str] = {}
-    for given in methods:
-        path = Path(given).resolve()
-        name, method = (given, given) if given in method_names() else (path.name, str(path))
-        if names.setdefault(name, method) != method:
-            raise BenchmarkError(
-                f"two methods have the name '{name}': {names[name]} and {method}; rename one directory"
-            )
-        if method in trained_methods():
-            names |= {f"{name}~{number}": method for number in range(1, trainings)}
-    return names
 
 
 def make_retargeter(
@@ -73,13 +36,9 @@ def make_retargeter(
         seed: of the first training, and of an untrained method's draws.
 
     Raises:
-        UnknownNameError, CheckpointError, TrainingError: see `cached_checkpoint` and `load_retargeter`.
+        UnknownNameError, CheckpointError, TrainingError: see `retargeter_of`.
         MethodError: see `OwnMethod.check`.
     """
-    if method in untrained_methods():
-        keypoints = hand.description.human_keypoints
-        frames = recording.fingertips(keypoints).astype(float)
-        return make_untrained(method, canonical_kinematics(hand), keypoints, frames=frames, seed=seed), None
     if Path(method).suffix == PYTHON:
         kept = keep / name
         OwnMethod(Path(method), hand_name).check(recording.p_HK[recording.valid][0])
@@ -87,24 +46,21 @@ def make_retargeter(
             with atomic_path(kept) as draft:
                 shutil.copyfile(method, draft)
         return OwnMethod(kept, hand_name), sha256_of(method)
-    if method in shipped_methods() or Path(method).suffix == SUFFIX:
-        kept = (keep / name).with_suffix(SUFFIX)
-        if not kept.is_file():
-            with atomic_path(kept) as draft:
-                shutil.copyfile(shipped_map(hand) if name == method else method, draft)
-        return load_retargeter(kept, hand), sha256_of(kept)
-    kept = keep / name
-    if method not in trained_methods():
-        load_retargeter(method, hand)
-        source = Path(method)
-    elif kept.is_dir():
-        source = kept
-    else:
-        source, _ = cached_checkpoint(hand_name, recording, method, seed + training_of(name)[1])
-    if not kept.is_dir():
+    is_map = method in shipped_methods() or Path(method).suffix == SUFFIX
+    kept = (keep / name).with_suffix(SUFFIX) if is_map else keep / name
+    again = kept.exists() and (is_map or method in trained_methods())
+    retarget, path = retargeter_of(
+        str(kept) if again else method, hand, recording, seed + training_of(name)[1], from_cache(hand_name)
+    )
+    if path is None:
+        return retarget, None
+    if is_map and not kept.is_file():
+        with atomic_path(kept) as draft:
+            shutil.copyfile(path, draft)
+    elif not kept.exists():
         with atomic_directory(kept) as draft:
-            shutil.copytree(source, draft, dirs_exist_ok=True)
-    return load_retargeter(source, hand), sha256_of(source / WEIGHTS)
+            shutil.copytree(path, draft, dirs_exist_ok=True)
+    return retarget, sha256_of(path if is_map else path / WEIGHTS)
 
 
 def measure_latency(retarget: Retarget, recording: Recording) -> float:

@@ -14,7 +14,6 @@ from geort_drake.errors import MethodError
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 
-PYTHON = ".py"
 LONGEST = 0.3  # s, of an answer
 _TOLERANCE = 2e-3  # rad; optimisers end a little outside limits
 

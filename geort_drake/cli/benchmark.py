@@ -100,10 +100,10 @@ def run_unfinished(arguments: argparse.Namespace) -> None:
     from geort_drake.benchmark import folder
     from geort_drake.benchmark.conditions import ASSUMPTIONS, make_conditions, parse_values
     from geort_drake.benchmark.config import TRIALS
-    from geort_drake.benchmark.methods import names_of
     from geort_drake.benchmark.records import TrialLog, outcome_line
     from geort_drake.benchmark.trials import plan_grasps, run_trials
     from geort_drake.benchmark.workers import require_workers
+    from geort_drake.comparison.retargeters import names_of
     from geort_drake.console import say, track, warn
     from geort_drake.hands.description import load_hand
     from geort_drake.simulation.scenario import object_names

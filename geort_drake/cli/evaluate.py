@@ -62,20 +62,18 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from geort_drake import HandModel, Recording, load_hand, read_recording
-    from geort_drake.benchmark.methods import names_of
-    from geort_drake.comparison.comparison import Comparison, Outcome, check_methods
+    from geort_drake import HandModel, load_hand, read_recording
+    from geort_drake.comparison.comparison import Comparison, Outcome
     from geort_drake.comparison.plots import write_plots
     from geort_drake.comparison.protocols import SAME_PERSON, held_out, other_person, same_person
     from geort_drake.comparison.report import failures, report, tables
-    from geort_drake.comparison.train import cached_checkpoint
+    from geort_drake.comparison.retargeters import from_cache, names_of
     from geort_drake.console import console, progress_bar, warn
 
     description = load_hand(arguments.hand)
     hand = HandModel(description)
     methods = list(dict.fromkeys(arguments.methods or methods_for(arguments.hand)))
-    names_of(methods)  # refuses two checkpoints whose directories have the same name
-    check_methods(methods, hand)
+    names_of(methods, hand=hand)  # refuses unusable ones before anything is trained
     seeds = list(dict.fromkeys(arguments.seeds))
     recording = read_recording(arguments.recording, description.side, training=True)
     protocols = [same_person(recording, arguments.recording.name)]
@@ -84,11 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.score_on:
         others = {str(path): read_recording(path, description.side) for path in arguments.score_on}
         protocols.append(other_person(recording, others))
-
-    def checkpoint_of(learned: Recording, method: str, seed: int) -> Path:
-        return cached_checkpoint(arguments.hand, learned, method, seed)[0]
-
-    comparison = Comparison(hand, protocols, seeds, checkpoint_of, arguments.frames)
+    comparison = Comparison(hand, protocols, seeds, from_cache(arguments.hand), arguments.frames)
     results: dict[str, dict[str, list[Outcome]]] = {}
     done, total = itertools.count(), comparison.cases_per_method * len(methods)
     with progress_bar() as display:

@@ -41,10 +41,9 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import HandModel, load_hand
-    from geort_drake.cli.retargeters import retargeter_of
-    from geort_drake.comparison.comparison import check_methods
     from geort_drake.comparison.exploration import answers, excerpt
     from geort_drake.comparison.explorer_recording import write_exploration
+    from geort_drake.comparison.retargeters import from_cache, names_of, retargeter_of
     from geort_drake.console import track
     from geort_drake.retargeting.retargeter import UniversalRetargeter
 
@@ -52,15 +51,15 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--duration must be from 0.1 to 600, not {arguments.duration:g}")
     description = load_hand(arguments.hand)
     hand = HandModel(description)
-    check_methods(arguments.methods, hand)
+    names = names_of(arguments.methods, hand=hand)
     recording = recording_of(arguments.recording, description.side, arguments.seed)
     hands = excerpt(recording, duration_s=arguments.duration, start_s=arguments.start)
     methods = {}
-    for method in track("retargeting", arguments.methods, len(arguments.methods)):
-        retarget, *_ = retargeter_of(method, arguments.hand, recording, arguments.seed)
+    for name, method in track("retargeting", names.items(), len(names), lambda item: item[0]):
+        retarget, _ = retargeter_of(method, hand, recording, arguments.seed, from_cache(arguments.hand))
         if isinstance(retarget, UniversalRetargeter):
             retarget = retarget.for_person(recording.p_HK[recording.valid])
-        methods[Path(method).name] = answers(retarget, hand, hands)
+        methods[name] = answers(retarget, hand, hands)
     properties = {
         "hand": description.name,
         "methods": ", ".join(methods),

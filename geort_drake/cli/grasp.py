@@ -74,8 +74,8 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from geort_drake import HandModel, __version__, load_hand, load_retargeter, run_trial
-    from geort_drake.cli.retargeters import Retarget, retargeter_of
+    from geort_drake import HandModel, __version__, load_hand, run_trial
+    from geort_drake.comparison.retargeters import Retarget, from_cache, retargeter_of
     from geort_drake.console import print_table, progress_bar, say, track, warn
     from geort_drake.files import write_text
     from geort_drake.retargeting.checkpoint import load_checkpoint
@@ -96,10 +96,12 @@ def run(arguments: argparse.Namespace) -> int:
     scenarios = scenarios_of(arguments, base)
     replay = _replay(arguments, base, side)
     recording = recording_of(arguments.recording, side, arguments.seed)
-    checkpoint, reused = arguments.retargeter, True
-    retarget: Retarget | None = None
-    if checkpoint is not None:
-        retarget = load_retargeter(checkpoint, HandModel(description))
+    hand, cache = HandModel(description), from_cache(base.hand, arguments.device)
+
+    def load(method: str) -> tuple[Retarget, Path | None]:
+        return retargeter_of(method, hand, recording, arguments.seed, cache)
+
+    loaded = None if arguments.retargeter is None else load(str(arguments.retargeter))
 
     # Planning comes before training because it shows whether the robot can grasp the objects at all.
     plans: dict[str, Any] = {}
@@ -117,10 +119,7 @@ def run(arguments: argparse.Namespace) -> int:
         for reason in refused:
             warn(f"left out: {reason}")
         scenarios = [s for s in scenarios if isinstance(plans[s.object.name], list)]
-    if retarget is None:
-        retarget, checkpoint, reused = retargeter_of(
-            method, base.hand, recording, arguments.seed, arguments.device
-        )
+    retarget, checkpoint = loaded or load(method)
     source = str(arguments.recording or f"synthetic play, seed {arguments.seed}")
     say(f"Human motion: {source}")
     properties: dict[str, str | float] = {"method": method, "hand": description.name}
@@ -130,14 +129,13 @@ def run(arguments: argparse.Namespace) -> int:
         say(f"Retargeter:   {checkpoint} (for everyone)")
         properties |= {"checkpoint": str(checkpoint), "method": SHIPPED_METHOD}
     else:
-        say(f"Retargeter:   {checkpoint} ({'reused' if reused else 'trained now'})")
-        loaded = load_checkpoint(checkpoint)
-        properties |= {"checkpoint": str(checkpoint), "method": loaded.config["method"]}
+        say(f"Retargeter:   {checkpoint}")
+        properties |= {"checkpoint": str(checkpoint), "method": load_checkpoint(checkpoint).config["method"]}
 
     person = persons_hand(scenarios[0], recording)
     goals = {}
     if replay is None:
-        seen = seen_fingertips(retarget, HandModel(description), person)
+        seen = seen_fingertips(retarget, hand, person)
         found = {name: each for name, each in plans.items() if isinstance(each, list)}
         goals = {name: keep_attainable(each, seen)[0] for name, each in found.items()}
     results = []

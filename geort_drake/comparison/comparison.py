@@ -9,27 +9,18 @@ import numpy as np
 from geort_drake.comparison.metric_table import mean, worst
 from geort_drake.comparison.metrics import MIN_FRAMES, RobotSpace, evaluate_frames, pinch, robot_space
 from geort_drake.comparison.protocols import HELD_OUT, SAME_PERSON, Case, Protocol
-from geort_drake.errors import CheckpointError, GeortError, RecordingError, UnknownNameError
+from geort_drake.comparison.retargeters import CheckpointSource, retargeter_of
+from geort_drake.errors import CheckpointError, GeortError, RecordingError
 from geort_drake.files import finite_json
-from geort_drake.hands.mirror import canonical_kinematics
 from geort_drake.hands.model import HandModel
-from geort_drake.people.recording import Recording
-from geort_drake.retargeting.checkpoint import CONFIG, load_checkpoint
+from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.map_file import SUFFIX
-from geort_drake.retargeting.methods import (
-    all_methods,
-    make_untrained,
-    shipped_methods,
-    trained_methods,
-    untrained_methods,
-)
+from geort_drake.retargeting.methods import all_methods
 from geort_drake.retargeting.methods.online import VectorOnline
-from geort_drake.retargeting.retargeter import UniversalRetargeter, load_retargeter, shipped_map
+from geort_drake.retargeting.retargeter import UniversalRetargeter
 
 # s of the scored person that a map for everyone is shown.
 SEEN_S = 1.0
-# (recording, method, seed) → directory of the checkpoint.
-CheckpointSource = Callable[[Recording, str, int], Path]
 
 
 @dataclass(frozen=True)
@@ -59,30 +50,6 @@ class Outcome:
     error: str = ""
 
 
-def method_names() -> tuple[str, ...]:
-    """Names of all methods: first those that are trained, then the others."""
-    return tuple(all_methods())
-
-
-def check_methods(names: Sequence[str], hand: HandModel | None = None) -> None:
-    """Checks names of methods, directories of checkpoints, or files of maps, before anything is trained.
-
-    Raises:
-        UnknownNameError: a name is none of these.
-        CheckpointError: a checkpoint is damaged or, where `hand` is given, for another hand; or no map is
-            shipped for it.
-    """
-    checkpoints = [name for name in names if name not in method_names()]
-    for name in checkpoints:
-        if not (Path(name) / CONFIG).is_file() and Path(name).suffix != SUFFIX:
-            raise UnknownNameError("retargeting method or checkpoint", name, method_names())
-    if hand is not None:
-        for name in checkpoints:
-            load_retargeter(name, hand)
-        if set(names) & set(shipped_methods()):
-            shipped_map(hand)
-
-
 class Comparison:
     """Evaluates methods one by one under the same protocols.
 
@@ -108,8 +75,6 @@ class Comparison:
     ):
         self.hand, self.protocols, self.seeds = hand, tuple(protocols), tuple(seeds)
         self._checkpoint_of, self.frame_limit = checkpoint_of, frame_limit
-        self._keypoints = hand.description.human_keypoints
-        self._kinematics = canonical_kinematics(hand)
         self._spaces: dict[int, RobotSpace] = {}
 
     @property
@@ -121,7 +86,7 @@ class Comparison:
         """Evaluates one method under every protocol.
 
         Args:
-            name: one of `method_names()`, or a checkpoint or map for this hand.
+            name: of a method, or the path of a checkpoint or map for this hand.
             starts: called before each case with its description.
 
         Returns:
@@ -172,7 +137,7 @@ class Comparison:
 
     def _evaluate(self, name: str, protocol: Protocol, case: Case, seed: int) -> Evaluation:
         source = case.scored_on
-        frames = source.fingertips(self._keypoints)[: self.frame_limit]
+        frames = source.fingertips(self.hand.description.human_keypoints)[: self.frame_limit]
         if len(frames) < MIN_FRAMES:
             raise RecordingError(f"{case.part}: {len(frames)} valid frames, at least {MIN_FRAMES} are needed")
         retarget = self._retargeter(name, protocol, case, seed)
@@ -192,33 +157,32 @@ class Comparison:
         return Evaluation(finite_json(metrics), settled is not None, frames, p_BF)
 
     def _retargeter(self, name: str, protocol: Protocol, case: Case, seed: int) -> Callable:
-        if name in untrained_methods():
-            learned = case.trained_on.fingertips(self._keypoints)
-            return make_untrained(name, self._kinematics, self._keypoints, frames=learned, seed=seed)
-        if name in trained_methods():
-            return load_retargeter(self._checkpoint_of(case.trained_on, name, seed), self.hand)
-        if name in shipped_methods() or Path(name).suffix == SUFFIX:
-            path = shipped_map(self.hand) if name in shipped_methods() else name
-            universal = load_retargeter(path, self.hand)
-            assert isinstance(universal, UniversalRetargeter)
-            scored = case.scored_on
-            return universal.for_person(scored.p_HK[scored.valid][: max(1, round(scored.rate_hz * SEEN_S))])
-        if protocol.name == HELD_OUT:
-            raise CheckpointError(
-                f"{name}: a checkpoint cannot be trained without the block; name its method instead"
-            )
-        known = load_checkpoint(name).provenance["recording"]["sha256"] == case.scored_on.digest
-        if protocol.name == SAME_PERSON and not known:
-            raise CheckpointError(
-                f"{name}: was trained on another recording than {case.part}; give that one as --recording, "
-                "and this one to --score-on"
-            )
-        if protocol.name != SAME_PERSON and known:
-            raise CheckpointError(f"{name}: was trained on {case.part}; give another person's recording")
-        return load_retargeter(name, self.hand)
+        if name not in all_methods() and Path(name).suffix != SUFFIX:
+            _check_checkpoint(name, protocol, case)
+        retarget, _ = retargeter_of(name, self.hand, case.trained_on, seed, self._checkpoint_of)
+        if isinstance(retarget, UniversalRetargeter):
+            seen = case.scored_on.tracked().p_HK[: max(1, round(case.scored_on.rate_hz * SEEN_S))]
+            return retarget.for_person(seen)
+        return retarget
 
     def space(self, seed: int) -> RobotSpace:
         """The C-space of the hand."""
         if seed not in self._spaces:
             self._spaces[seed] = robot_space(self.hand, seed)
         return self._spaces[seed]
+
+
+def _check_checkpoint(name: str, protocol: Protocol, case: Case) -> None:
+    """Raises CheckpointError unless a checkpoint's training fits the protocol."""
+    if protocol.name == HELD_OUT:
+        raise CheckpointError(
+            f"{name}: a checkpoint cannot be trained without the block; name its method instead"
+        )
+    known = load_checkpoint(name).provenance["recording"]["sha256"] == case.scored_on.digest
+    if protocol.name == SAME_PERSON and not known:
+        raise CheckpointError(
+            f"{name}: was trained on another recording than {case.part}; give that one as --recording, "
+            "and this one to --score-on"
+        )
+    if protocol.name != SAME_PERSON and known:
+        raise CheckpointError(f"{name}: was trained on {case.part}; give another person's recording")

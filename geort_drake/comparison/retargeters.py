@@ -1,0 +1,89 @@
+"""Retargeters by the name of a method, the directory of a checkpoint, or the file of a map."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from geort_drake.comparison import train
+from geort_drake.errors import BenchmarkError, MethodError, UnknownNameError
+from geort_drake.hands.mirror import canonical_kinematics
+from geort_drake.hands.model import HandModel
+from geort_drake.people.recording import Recording
+from geort_drake.retargeting.checkpoint import CONFIG
+from geort_drake.retargeting.map_file import SUFFIX
+from geort_drake.retargeting.method import Retarget
+from geort_drake.retargeting.methods import (
+    all_methods,
+    make_untrained,
+    shipped_methods,
+    trained_methods,
+    untrained_methods,
+)
+from geort_drake.retargeting.retargeter import load_retargeter, shipped_map
+
+# (recording, method, seed) → directory of the checkpoint.
+CheckpointSource = Callable[[Recording, str, int], Path]
+PYTHON = ".py"  # a method of one's own, for the grasp benchmark
+
+
+def names_of(methods: Sequence[str], trainings: int = 1, hand: HandModel | None = None) -> dict[str, str]:
+    """Name → method, without repeats; a checkpoint, map or Python file is named after its path.
+
+    A method that is trained several times has a name for each training: geort, geort~1, geort~2.
+
+    Raises:
+        UnknownNameError: neither a method nor a checkpoint nor a map; or, without `hand`, a Python file.
+        MethodError: there is no such Python file.
+        BenchmarkError: two different ones have the same name.
+        CheckpointError: where `hand` is given: a checkpoint or map is damaged or for another hand, or no map
+            is shipped for it.
+    """
+    names: dict[str, str] = {}
+    for given in methods:
+        path, is_method = Path(given).resolve(), given in all_methods()
+        own = path.suffix == PYTHON and hand is None
+        if own and not path.is_file():
+            raise MethodError(f"{given}: no such file; it must define make(hand)")
+        if not (own or is_method or (path / CONFIG).is_file() or path.suffix == SUFFIX):
+            raise UnknownNameError("retargeting method or checkpoint", given, all_methods())
+        if hand is not None and not is_method:
+            load_retargeter(path, hand)
+        elif hand is not None and given in shipped_methods():
+            shipped_map(hand)
+        name, method = (given, given) if is_method else (path.name, str(path))
+        if names.setdefault(name, method) != method:
+            raise BenchmarkError(
+                f"two methods have the name '{name}': {names[name]} and {method}; rename one directory"
+            )
+        if method in trained_methods():
+            names |= {f"{name}~{number}": method for number in range(1, trainings)}
+    return names
+
+
+def retargeter_of(
+    method: str, hand: HandModel, recording: Recording, seed: int, checkpoint_of: CheckpointSource
+) -> tuple[Retarget, Path | None]:
+    """A retargeter and its checkpoint or map; None if the method has none.
+
+    Args:
+        method: name of a method, or the path of a checkpoint or map.
+        recording: training data, or the frames that an untrained method uses.
+        seed: of the training, or of an untrained method's draws.
+        checkpoint_of: trains a method, or finds its checkpoint.
+    """
+    if method in untrained_methods():
+        keypoints, kinematics = hand.description.human_keypoints, canonical_kinematics(hand)
+        frames = recording.fingertips(keypoints)
+        return make_untrained(method, kinematics, keypoints, frames=frames, seed=seed), None
+    path = Path(method)
+    if method in shipped_methods():
+        path = shipped_map(hand)
+    elif method in trained_methods():
+        path = checkpoint_of(recording, method, seed)
+    return load_retargeter(path, hand), path
+
+
+def from_cache(hand_name: str, device: str = "cpu") -> CheckpointSource:
+    """Takes checkpoints from the cache; see `cached_checkpoint`."""
+    return lambda recording, method, seed: train.cached_checkpoint(
+        hand_name, recording, method, seed, device
+    )[0]
