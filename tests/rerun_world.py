@@ -72,11 +72,15 @@ class World:
         self.plant.SetDefaultFloatingBaseBodyPose(self.ball, RigidTransform([0, 0, self.height]))
         return self
 
-    def record(self, path, **options):
+    def record(self, path, until=None, **options):
+        """Adds the recorder; with `until`, simulates to that time (s) and writes the file."""
         self.recorder = add_rerun_recorder(self.builder, self.plant, self.scene_graph, path, **options)
         self.simulator = Simulator(self.builder.Build())
         root = self.simulator.get_mutable_context()
         self.context = self.plant.GetMyMutableContextFromRoot(root)
+        if until is not None:
+            with self.recorder:
+                self.simulator.AdvanceTo(until)
         return self
 
     def kick(self, speed):

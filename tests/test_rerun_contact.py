@@ -28,9 +28,7 @@ def test_contact_force_of_a_resting_ball_is_its_weight(tmp_path, contact_model):
     """Both arrows of a contact are as long as the force, and opposite; the series holds the force."""
     world = World(0.0499, contact_model=contact_model).finalize()
     spec = ContactSpec(metres_per_newton=0.1, groups={"ball": [world.ball], "arm": [world.upper]})
-    world.record(tmp_path / "rest.rrd", contact=spec)
-    with world.recorder:
-        world.simulator.AdvanceTo(1.0)
+    world.record(tmp_path / "rest.rrd", contact=spec, until=1.0)
     _, vectors = read(world.recorder.path, "/world/contact/forces", "Arrows3D:vectors")
     _, origins = read(world.recorder.path, "/world/contact/forces", "Arrows3D:origins")
     up, down = sorted(vectors[-1].tolist(), key=lambda v: -v[2])
@@ -68,18 +66,14 @@ def test_long_contact_arrows_are_cut(tmp_path):
     """An impact must not fill the screen."""
     world = World(height=0.06).finalize()
     spec = ContactSpec(metres_per_newton=10.0, max_length=0.3)
-    world.record(tmp_path / "cut.rrd", contact=spec)
-    with world.recorder:
-        world.simulator.AdvanceTo(0.3)
+    world.record(tmp_path / "cut.rrd", contact=spec, until=0.3)
     _, vectors = read(world.recorder.path, "/world/contact/forces", "Arrows3D:vectors")
     np.testing.assert_allclose(np.linalg.norm(vectors[-1], axis=1), 0.3, rtol=1e-5)
 
 
 def test_without_groups_each_touched_body_has_a_series(tmp_path):
     """The ground does not move, and nothing touches the arm."""
-    world = World(height=0.0499).finalize().record(tmp_path / "bodies.rrd")
-    with world.recorder:
-        world.simulator.AdvanceTo(0.5)
+    world = World(height=0.0499).finalize().record(tmp_path / "bodies.rrd", until=0.5)
     series = {entity for entity in entities(world.recorder.path) if entity.startswith("/contact/")}
     assert series == {"/contact/force/ball/body"}
     _, force = read(world.recorder.path, "/contact/force/ball/body", "Scalars:scalars")

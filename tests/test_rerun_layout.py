@@ -64,8 +64,7 @@ def test_plots_are_named_with_their_unit_and_are_on_pages(tmp_path, laid_out):
         "joints/measured": SignalSpec(q, names, "measured", unit="rad", page="angles"),
         "torques/all": SignalSpec(torque, ["x", "y"], title="all", unit="N m", page="torques", limits=(0, 1)),
     }
-    world.record(tmp_path / "p.rrd", signals=signals)
-    world.recorder.close()
+    world.record(tmp_path / "p.rrd", signals=signals, until=0.0)
     plots = [title for title in laid_out.views if title != "scene"]
     assert plots == ["contact force [N]", "thumb [rad]", "index [rad]", "all [N m]"]
     assert [laid_out.pages[title] for title in plots] == ["angles"] * 3 + ["torques"]
@@ -104,9 +103,8 @@ def test_a_close_up_of_a_hand_moves_with_its_wrist(tmp_path, laid_out, rng):
         tmp_path / "hand.rrd",
         hands={"person": HandSpec(keypoints, wrist)},
         close_ups={"hand": CloseUpSpec("person", (0.2, 0, 0))},
+        until=0.05,
     )
-    with world.recorder:
-        world.simulator.AdvanceTo(0.05)
     R_WH, p_WH = wrist_pose((X_OH @ p_HK.T).T)
     view = laid_out.views["hand"]
     assert (view.origin, view.contents) == ("/world/person/wrist", ["/world/person/**"])
@@ -130,9 +128,7 @@ def test_the_scene_is_seen_from_the_given_direction(tmp_path, laid_out):
     """From that direction, at a distance that takes the motion in."""
     world = World().finalize()
     view_from = (-1.0, 1.0, 0.5)
-    world.record(tmp_path / "v.rrd", view_from=view_from)
-    with world.recorder:
-        world.simulator.AdvanceTo(0.1)
+    world.record(tmp_path / "v.rrd", view_from=view_from, until=0.1)
     eye, target, _ = eye_of(laid_out.views["scene"])
     sight = (eye - target) / np.linalg.norm(eye - target)
     np.testing.assert_allclose(sight, view_from / np.linalg.norm(view_from), atol=1e-5)

@@ -32,9 +32,9 @@ def test_signals_are_grouped_by_the_part_before_the_slash(tmp_path):
     world = World().finalize()
     port = steps(world.builder, [0, 0.05, 1], [[1, 2, 2], [3, 4, 4], [5, 6, 6]])
     names = ["index/a", "thumb/b", "index/c"]
-    world.record(tmp_path / "s.rrd", signals={"joints/command": SignalSpec(port, names, "command")})
-    with world.recorder:
-        world.simulator.AdvanceTo(0.08)
+    world.record(
+        tmp_path / "s.rrd", signals={"joints/command": SignalSpec(port, names, "command")}, until=0.08
+    )
     times, values = read(world.recorder.path, "/joints/command/index", "Scalars:scalars")
     before = np.array(times) < 0.05
     np.testing.assert_array_equal(np.array(values)[before], np.tile([1, 5], (3, 1)))
@@ -49,9 +49,9 @@ def test_states_are_written_where_they_change(tmp_path):
     """Codes become names; a code without a name shows as a number."""
     world = World().finalize()
     port = steps(world.builder, [0, 0.1, 0.2, 0.3, 1], [[0, 0, 1, 7, 7]])
-    world.record(tmp_path / "p.rrd", states={"phase": StateSpec(port, ["reach", "grasp"])}, period=0.05)
-    with world.recorder:
-        world.simulator.AdvanceTo(0.4)
+    world.record(
+        tmp_path / "p.rrd", states={"phase": StateSpec(port, ["reach", "grasp"])}, period=0.05, until=0.4
+    )
     times, states = read(world.recorder.path, "/phase", "StateChange:state")
     np.testing.assert_allclose(times, [0, 0.2, 0.3], atol=1e-9)
     assert [state[0] for state in states] == ["reach", "grasp", "code 7"]
@@ -66,9 +66,7 @@ def test_the_hand_is_drawn_where_it_is_tracked(tmp_path, rng):
     X_WO = RigidTransform(RollPitchYaw(np.pi, 0, np.pi / 2), [0, 0, 1])
     valid = steps(world.builder, [0, 0.1, 0.2, 1], [[1, 0, 1, 1]])
     hand = HandSpec(constant(world.builder, p_HK.ravel()), pose_source(world.builder, X_OH), valid, X_WO=X_WO)
-    world.record(tmp_path / "h.rrd", hands={"operator/hand": hand}, period=0.05)
-    with world.recorder:
-        world.simulator.AdvanceTo(0.25)
+    world.record(tmp_path / "h.rrd", hands={"operator/hand": hand}, period=0.05, until=0.25)
     times, drawn = read(world.recorder.path, "/world/operator/hand/keypoints", "Points3D:positions")
     assert [len(points) for points in drawn] == [21, 21, 0, 0, 21, 21]
     np.testing.assert_allclose(times, np.arange(6) * 0.05, atol=1e-9)
@@ -110,9 +108,7 @@ def test_points_of_several_colours_keep_theirs(tmp_path):
         "plain": PointsSpec(port, color=colors),
         "glass": PointsSpec(port, radius=0.02, color=[(*color, 100) for color in colors]),
     }
-    world.record(tmp_path / "c.rrd", points=points)
-    with world.recorder:
-        world.simulator.AdvanceTo(0.04)
+    world.record(tmp_path / "c.rrd", points=points, until=0.04)
     for entity, kind, places, wanted in (
         ("plain", "Points3D", "positions", [0xFF0000FF, 0x0000FFFF]),
         ("glass", "Ellipsoids3D", "centers", [0xFF000064, 0x0000FF64]),
@@ -129,9 +125,7 @@ def test_points_begin_at_their_start_time(tmp_path):
     """A delay, for example, gives zeros before its time."""
     world = World().finalize()
     points = {"late": PointsSpec(constant(world.builder, [1, 2, 3]), start=0.1)}
-    world.record(tmp_path / "late.rrd", points=points, period=0.05)
-    with world.recorder:
-        world.simulator.AdvanceTo(0.2)
+    world.record(tmp_path / "late.rrd", points=points, period=0.05, until=0.2)
     _, found = read(world.recorder.path, "/world/late", "Points3D:positions")
     assert [len(row) for row in found] == [0, 0, 1, 1, 1]
 
@@ -247,9 +241,9 @@ def test_cameras_give_images_and_poses(tmp_path):
     X_BC = RigidTransform([0.01, 0, 0])
     sensor = world.builder.AddSystem(RedCamera(X_BC))
     world.builder.Connect(pose_source(world.builder, X_WB), sensor.get_input_port())
-    world.record(tmp_path / "camera.rrd", cameras={"eye": CameraSpec(sensor, period=0.1)}, period=0.05)
-    with world.recorder:
-        world.simulator.AdvanceTo(0.4)
+    world.record(
+        tmp_path / "camera.rrd", cameras={"eye": CameraSpec(sensor, period=0.1)}, period=0.05, until=0.4
+    )
     times, pictures = read(world.recorder.path, "/world/eye", "EncodedImage:blob")
     np.testing.assert_allclose(times, np.arange(5) * 0.1, atol=1e-9)
     assert sensor.pictures == 5
