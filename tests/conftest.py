@@ -34,13 +34,33 @@ def manus_npz() -> Path:
     return _recording_file("manus_right_subject-000_run-010.npz")
 
 
+@pytest.fixture(scope="session")
+def play():
+    """A minute of synthetic play at 30 Hz, a `Recording`."""
+    from geort_drake.people.play import synthesize_play
+
+    return synthesize_play(0, duration_s=60.0, rate_hz=30.0)
+
+
 @pytest.fixture
 def light_evaluation(tmp_path, monkeypatch):
     """A cache of its own and an evaluation with few samples, where the plumbing is what is tested."""
-    from light_metrics import lighten
+    from light_training import lighten
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     lighten(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def light_desk(tmp_path_factory):
+    """The same for a whole module, and its folder."""
+    from light_training import lighten
+
+    folder = tmp_path_factory.mktemp("desk")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        lighten(patch)
+        yield folder
 
 
 # Models that several modules look at, loaded once; imported only where one is asked for.

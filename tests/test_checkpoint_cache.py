@@ -1,12 +1,12 @@
 """The cache of trained checkpoints: equal requests share one, and only what decides the weights counts."""
 
 import pytest
+from light_training import train_lightly
 
 from geort_drake import files
 from geort_drake.comparison import train as comparison_train
-from geort_drake.comparison.train import cached_checkpoint, train_checkpoint, training_sources
+from geort_drake.comparison.train import cached_checkpoint, training_sources
 from geort_drake.errors import UnknownNameError
-from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.methods import trained_methods
 from geort_drake.sources import PACKAGE
 
@@ -18,16 +18,10 @@ def trained(light_evaluation, monkeypatch):
 
     def train(hand, recording, path, method, seed, device, settings):
         runs.append(method)
-        quick = {"steps": 10, "hidden": 8} | settings
-        return train_checkpoint(hand, recording, path, method, seed, device, False, quick, robot_samples=2000)
+        return train_lightly(hand, recording, path, method, seed, **settings)
 
     monkeypatch.setattr(comparison_train, "train_checkpoint", train)
     return runs
-
-
-@pytest.fixture(scope="module")
-def play():
-    return synthesize_play(seed=1, duration_s=40.0, rate_hz=60.0)
 
 
 def test_equal_requests_share_a_checkpoint(trained, play, monkeypatch):

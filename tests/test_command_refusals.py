@@ -9,19 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from light_training import train_lightly
 
 from geort_drake.cli import main, run_command
 from geort_drake.comparison import train as comparison_train
-from geort_drake.comparison.train import train_checkpoint
-from geort_drake.people.play import synthesize_play
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
 
 @pytest.fixture(scope="module")
-def inputs(tmp_path_factory):
+def inputs(light_desk, play):
     """Folder of recordings, checkpoints and scenarios with one fault each, and of good ones."""
-    folder = tmp_path_factory.mktemp("inputs")
-    play = synthesize_play(0, duration_s=60.0, rate_hz=30.0)
+    folder = light_desk
     p_HK = play.p_HK.astype(float)
     lost = p_HK.copy()
     lost[100 : 100 + len(lost) // 5] = np.nan
@@ -33,12 +31,7 @@ def inputs(tmp_path_factory):
     (folder / "table.csv").write_text("0,0,0\n")
     (folder / "scenarios.yaml").write_text("Grasp: {colour: red}")
     play.save(folder / "no_wrist.npz")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
-        patch.setattr("geort_drake.comparison.metrics.ROBOT_SAMPLES", 2_000)
-        settings = {"steps": 3, "points": 16, "hidden": 8}
-        options = {"show_progress": False, "settings": settings, "robot_samples": 2000}
-        good = train_checkpoint("allegro_right", play, folder / "map", "linear_offline", **options)
+    good = train_lightly("allegro_right", play, folder / "map")
     weights = Path(shutil.copytree(good, folder / "altered")) / "weights.safetensors"
     weights.write_bytes(weights.read_bytes()[:-1] + b"x")
     return folder
@@ -52,7 +45,7 @@ def refused(tmp_path, inputs, monkeypatch, capsys):
         raise AssertionError("planning or training began before the input was checked")
 
     monkeypatch.setattr(comparison_train, "TrainingData", too_early)
-    monkeypatch.setattr(GraspPlanner, "plan", too_early)
+    monkeypatch.setattr(GraspPlanner, "plans", too_early)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     work = tmp_path / "work"
     work.mkdir()

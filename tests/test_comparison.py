@@ -5,32 +5,21 @@ import shlex
 
 import numpy as np
 import pytest
+from light_training import train_lightly
 
 from geort_drake.cli import run_command
 from geort_drake.comparison.comparison import Comparison, Evaluation, Outcome
 from geort_drake.comparison.metric_table import mean
 from geort_drake.comparison.metrics import pinch
 from geort_drake.comparison.protocols import held_out
-from geort_drake.comparison.train import train_checkpoint
 from geort_drake.errors import TrainingError
-from geort_drake.hands.description import load_hand
-from geort_drake.hands.model import HandModel
 from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.methods.online import VectorOnline
-
-QUICK = {"steps": 5, "hidden": 8}
-QUICK_BY_METHOD = {"geort": QUICK | {"points": 16, "targets": 32, "classifier_steps": 5, "refreshes": 0}}
 
 
 def judged(figures: dict, p_HF: np.ndarray, p_BF: np.ndarray) -> Evaluation:
     """What is known of a method that put the fingertips there."""
     return Evaluation(figures, False, p_HF, p_BF)
-
-
-@pytest.fixture(scope="module")
-def play():
-    """A minute of synthetic play at 30 Hz."""
-    return synthesize_play(0, duration_s=60.0, rate_hz=30.0)
 
 
 @pytest.fixture
@@ -39,20 +28,8 @@ def quick(light_evaluation, tmp_path):
 
     def train(hand_name, recording, method="geort", seed=0, device="cpu"):
         path = tmp_path / f"{method}-{seed}-{recording.digest[:8]}"
-        if path.is_dir():
-            return path, True
-        settings = QUICK_BY_METHOD.get(method, QUICK)
-        train_checkpoint(
-            hand_name,
-            recording,
-            path,
-            method,
-            seed,
-            show_progress=False,
-            settings=settings,
-            robot_samples=2000,
-        )
-        return path, False
+        found = path.is_dir()
+        return path if found else train_lightly(hand_name, recording, path, method, seed), found
 
     return train
 
@@ -138,11 +115,8 @@ def test_a_case_that_fails_leaves_the_others(evaluate, quick, monkeypatch, capsy
     code, report = evaluate("--methods linear_offline hold --held_out 2")
     assert code == 1
     failed, done = report["methods"]["linear_offline"]["held_out"]["outcomes"]
-    assert failed == {
-        "part": "block 1 of 2",
-        "seed": 0,
-        "error": "the recording's ring tip visits only 7 places",
-    }
+    reason = "the recording's ring tip visits only 7 places"
+    assert failed == {"part": "block 1 of 2", "seed": 0, "error": reason}
     mean = report["methods"]["linear_offline"]["held_out"]["mean"]
     assert mean["motion_preservation"] == done["metrics"]["motion_preservation"]
     assert len(report["methods"]["hold"]["held_out"]["outcomes"]) == 2
@@ -171,25 +145,24 @@ def test_a_stopped_run_leaves_the_methods_that_were_done(evaluate, quick, monkey
     assert trained == [("linear_offline", False), ("linear_offline", True), ("geort", False)]
 
 
-def compare(play, seeds):
+@pytest.fixture
+def halves(play, allegro) -> Comparison:
     """A comparison on the halves of the play, of methods that need no training."""
-    hand = HandModel(load_hand("allegro_right"))
-    return Comparison(hand, [held_out(play, 2)], seeds, checkpoint_of=pytest.fail, frame_limit=20)
+    return Comparison(allegro, [held_out(play, 2)], (0,), checkpoint_of=pytest.fail, frame_limit=20)
 
 
-def test_pinches_of_all_blocks_count_alike(play):
+def test_pinches_of_all_blocks_count_alike(halves):
     """A block without pinches has no share of closed ones, and one with few does not count as much."""
-    comparison = compare(play, seeds=(0,))
     rng = np.random.default_rng(0)
     outcomes = []
-    for case, pinches in zip(comparison.protocols[0].cases, (1, 3), strict=True):
+    for case, pinches in zip(halves.protocols[0].cases, (1, 3), strict=True):
         p_HF = np.zeros((4, 4, 3)) + [[0, 0, 0], [0, 0.1, 0], [0, 0.2, 0], [0, 0.3, 0]]
         p_HF[:pinches, 1, 1] = 0.01
         p_BF = p_HF + (0.05 if pinches == 1 else 0.0) * np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0], [0, 0, 0]])
         figures = {**mean([]), "motion_preservation": float(rng.uniform())}
-        figures["pinch"] = pinch(p_HF, p_BF, comparison.hand.finger_names, 0.012)
+        figures["pinch"] = pinch(p_HF, p_BF, halves.hand.finger_names, 0.012)
         outcomes.append(Outcome(case, 0, judged(figures, p_HF, p_BF)))
-    summary = comparison.summary(outcomes)
+    summary = halves.summary(outcomes)
     assert summary["mean"]["pinch"]["closed"] == pytest.approx(3 / 4)
     assert summary["mean"]["pinch"]["frames"] == 4
     assert summary["worst_part"]["pinch"]["closed"] == 0.0
@@ -198,12 +171,10 @@ def test_pinches_of_all_blocks_count_alike(play):
     assert summary["worst_part"]["motion_preservation"] == min(motions)
 
 
-def test_recorded_frames_are_answered_in_their_order_from_rest(play, quick):
+def test_recorded_frames_are_answered_in_their_order_from_rest(halves, quick):
     """Track and coverage of an online method are of each sequence, whatever was asked about before."""
-    comparison = compare(play, seeds=(0,))
-    results = comparison.run("vector_online")
-    keypoints, hand = [4, 8, 12, 16], comparison.hand
-    for outcomes in results.values():
+    keypoints, hand = [4, 8, 12, 16], halves.hand
+    for outcomes in halves.run("vector_online").values():
         for outcome in outcomes:
             frames = outcome.case.scored_on.fingertips(keypoints)[:20]
             p_BF = hand.fingertips(VectorOnline(hand.kinematics())(frames))

@@ -11,6 +11,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from light_training import train_lightly
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
@@ -18,7 +19,6 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
 from geort_drake import rerun
-from geort_drake.comparison.train import train_checkpoint
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.checks import examine, verdict
 from geort_drake.people.formats import FORMATS
@@ -33,10 +33,6 @@ from geort_drake.systems.glove_replay import GloveReplay
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FENCE = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
-QUICK = {
-    "steps": 5, "points": 16, "targets": 32, "pinches": 8, "frames": 8, "hidden": 8,
-    "classifier_steps": 5, "refreshes": 0,
-}  # fmt: skip
 
 
 def fences(page: Path, *languages: str) -> list[str]:
@@ -69,23 +65,16 @@ SNIPPETS = [
 
 
 @pytest.fixture(scope="module")
-def desk(tmp_path_factory):
+def desk(light_desk, play):
     """A folder with the files that snippets name: a checkpoint, recordings, a robot."""
-    folder = tmp_path_factory.mktemp("desk")
-    play = synthesize_play(0, duration_s=60.0, rate_hz=30.0)
+    folder = light_desk
     play.save(folder / "hand.npz")
     np.save(folder / "hand.npy", play.p_HK)
     np.save(folder / "points.npy", 1000 * play.p_HK)
     shutil.copy(models_dir() / "sdf" / "allegro_right.sdf", folder / "hand.sdf")
     shutil.copy(models_dir() / "sdf" / "objects" / "sphere.sdf", folder / "robot.sdf")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
-        patch.setattr("geort_drake.comparison.metrics.ROBOT_SAMPLES", 2_000)
-        train_checkpoint(
-            "allegro_right", play, folder / "runs" / "allegro_right", "geort",
-            show_progress=False, settings=QUICK, robot_samples=2000,
-        )  # fmt: skip
-        yield folder
+    train_lightly("allegro_right", play, folder / "runs" / "allegro_right", "geort")
+    return folder
 
 
 def names_of_a_diagram() -> dict:
@@ -150,12 +139,12 @@ def test_a_snippet_runs(page, number, desk, monkeypatch):
 
 
 @pytest.mark.parametrize(("page", "number"), [("import-a-recording.md", 0), ("add-a-glove-format.md", 1)])
-def test_a_glove_of_ones_own_is_read(page, number, desk, monkeypatch):
+def test_a_glove_of_ones_own_is_read(page, number, desk, play, monkeypatch):
     """The pages' ways to read a file give the hand that is in it, in the wrist frame, m."""
     monkeypatch.chdir(desk)
     given = run_snippet(ROOT / "docs" / "how-to" / page, number)
-    read, play = given["recording"], given.get("play") or synthesize_play(0, duration_s=60.0, rate_hz=30.0)
-    np.testing.assert_allclose(read.p_HK, play.p_HK, atol=1e-6)
+    read = given["recording"]
+    np.testing.assert_allclose(read.p_HK, given.get("play", play).p_HK, atol=1e-6)
     assert read.valid.all() and read.side == "right"
     assert "refused" not in verdict(examine(read)[1])
 

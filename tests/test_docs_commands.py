@@ -1,6 +1,5 @@
 """Commands of README and docs: each one parses, and a chain of them from play to a benchmark runs."""
 
-import functools
 import json
 import re
 import shlex
@@ -9,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from light_metrics import lighten
+from light_training import train_lightly
 
 from geort_drake.benchmark import trials
 from geort_drake.cli import COMMANDS, load_command, parser_of, run_command
 from geort_drake.comparison import train as comparison_train
-from geort_drake.comparison.train import train_checkpoint
 from geort_drake.console import console
+from geort_drake.hands.description import load_hand
 from geort_drake.people.play import synthesize_play
 from geort_drake.resources import diagrams_dir
 from geort_drake.simulation.scenario import load_scenario
@@ -101,42 +100,27 @@ CHAINS = {
 }
 
 
-@functools.cache
-def play():
-    return synthesize_play(0, 60.0, 30.0)
-
-
 def tiny(hand, recording, path, method="geort_coupled", seed=0, device="cpu", settings=None, **_):
     """`train_checkpoint` that hardly trains."""
-    settings = {**(settings or {}), **TINY}
-    more = {"show_progress": False, "robot_samples": 1000}
-    return train_checkpoint(hand, recording, path, method, seed, device, settings=settings, **more)
+    return train_lightly(hand, recording, path, method, seed, **{**(settings or {}), **TINY})
 
 
 @pytest.fixture(scope="module")
-def desk(tmp_path_factory):
+def desk(light_desk, play):
     """A folder with recordings, where metrics and trainings are tiny and a plan is made once."""
-    folder = tmp_path_factory.mktemp("desk")
-    plan, plans = GraspPlanner.plan, {}
-
-    def plan_once(planner):
-        if not plans:
-            plans["only"] = plan(planner)  # no trial lasts long enough to follow it
-        return plans["only"]
+    plans = GraspPlanner(load_scenario(), load_hand("allegro_right")).plans(2)
 
     with pytest.MonkeyPatch.context() as patch:
-        lighten(patch)
-        patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
         patch.setattr(comparison_train, "train_checkpoint", tiny)
-        patch.setattr(GraspPlanner, "plan", plan_once)
+        patch.setattr(GraspPlanner, "plans", lambda _: plans)  # no trial lasts long enough to follow one
         # Workers are tested in test_grasp_workers.py.
         patch.setattr(trials, "call_in_workers", lambda call, each, *_, **__: (call(*one) for one in each))
-        patch.chdir(folder)
-        np.save("hand.npy", play().p_HK.astype(float))
-        play().save("hand.npz")
+        patch.chdir(light_desk)
+        np.save("hand.npy", play.p_HK.astype(float))
+        play.save("hand.npz")
         synthesize_play(0, 0.3, 30.0).save("short.npz")
-        tiny("allegro_right", play(), folder / "tiny")
-        yield folder
+        tiny("allegro_right", play, light_desk / "tiny")
+        yield
     console.quiet = False
 
 

@@ -1,9 +1,8 @@
 """The list of retargeting methods."""
 
 import pytest
+from light_training import train_lightly
 
-from geort_drake.comparison.train import train_checkpoint
-from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting import methods
 from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.retargeter import load_retargeter
@@ -18,18 +17,14 @@ METHODS = (TrainedMethod("mine", "of a newcomer", LinearConfig, train_linear_off
 
 
 @pytest.mark.usefixtures("light_evaluation")
-def test_one_module_adds_a_method(tmp_path, monkeypatch):
+def test_one_module_adds_a_method(tmp_path, play, monkeypatch):
     """It is listed, trained, stored and loaded under its name."""
     (tmp_path / "newcomer.py").write_text(MODULE)
     monkeypatch.setattr(methods, "__path__", [*methods.__path__, str(tmp_path)])
     methods.all_methods.cache_clear()
     try:
         assert methods.trained_method("mine").summary == "of a newcomer"
-        play = synthesize_play(0, 60.0, 30.0)
-        path = train_checkpoint(
-            "allegro_right", play, tmp_path / "map", "mine", show_progress=False,
-            settings={"steps": 2, "hidden": 4}, robot_samples=1000,
-        )  # fmt: skip
+        path = train_lightly("allegro_right", play, tmp_path / "map", "mine")
         assert load_checkpoint(path).config["method"] == "mine"
         assert load_retargeter(path)(play.p_HK[:3]).shape == (3, 16)
     finally:

@@ -13,23 +13,10 @@ from geort_drake.comparison.exploration import (
 )
 from geort_drake.comparison.explorer_recording import write_exploration
 from geort_drake.errors import RecordingError
-from geort_drake.hands.description import load_hand
-from geort_drake.hands.model import HandModel
 from geort_drake.people.keypoints import mirrored
-from geort_drake.people.play import synthesize_play
 from geort_drake.people.recording import Recording
 
 NAMES = ("thumb", "index", "middle")
-
-
-@pytest.fixture(scope="module")
-def hand():
-    return HandModel(load_hand("allegro_right"))
-
-
-@pytest.fixture(scope="module")
-def play():
-    return synthesize_play(0, duration_s=20.0, rate_hz=30.0)
 
 
 def test_a_scaled_and_shifted_hand_is_its_own_copy(rng):
@@ -85,9 +72,9 @@ def test_an_excerpt_begins_where_most_pinches_are():
         excerpt(recording, start_s=40.0)
 
 
-def test_a_left_hand_is_answered_in_its_mirror_image_and_shown_as_it_is(play):
+def test_a_left_hand_is_answered_in_its_mirror_image_and_shown_as_it_is(play, allegro_left):
     """The methods get canonical right hands; robot and asked fingertips are where the left hand's are."""
-    left = HandModel(load_hand("allegro_left"))
+    left = allegro_left
     hands = excerpt(play, duration_s=2.0)
     given = []
 
@@ -101,24 +88,24 @@ def test_a_left_hand_is_answered_in_its_mirror_image_and_shown_as_it_is(play):
     np.testing.assert_allclose(found.copy, proportional_copy(mirrored(given[0]), found.p_BF))
 
 
-def test_the_recording_shows_what_the_methods_answer(tmp_path, hand, play):
+def test_the_recording_shows_what_the_methods_answer(tmp_path, allegro, play):
     """Poses, tips, pinches and collisions of every method, at every instant."""
     hands = excerpt(play, rate_hz=10.0, duration_s=3.0)
-    fist, rest = hand.upper, np.clip(np.zeros(len(hand.lower)), hand.lower, hand.upper)
+    fist, rest = allegro.upper, np.clip(np.zeros(len(allegro.lower)), allegro.lower, allegro.upper)
     methods = {
-        "fist": answers(lambda p_HF: np.tile(fist, (len(p_HF), 1)), hand, hands),
-        "rest": answers(lambda p_HF: np.tile(rest, (len(p_HF), 1)), hand, hands),
+        "fist": answers(lambda p_HF: np.tile(fist, (len(p_HF), 1)), allegro, hands),
+        "rest": answers(lambda p_HF: np.tile(rest, (len(p_HF), 1)), allegro, hands),
     }
     path = tmp_path / "explorer.rrd"
-    write_exploration(path, hand, hands, methods, {"recording_sha256": play.digest})
+    write_exploration(path, allegro, hands, methods, {"recording_sha256": play.digest})
     assert rerun("rrd", "verify", path).returncode == 0
-    pinches = find_pinches(hands.fingertips(hand.description.human_keypoints), hand.finger_names)
+    pinches = find_pinches(hands.fingertips(allegro.description.human_keypoints), allegro.finger_names)
     assert pinches.closed.any()
     for name, q in (("fist", fist), ("rest", rest)):
         times, tips = read(path, f"/world/{name}/tips", "Ellipsoids3D:centers")
         np.testing.assert_allclose(times, hands.t, atol=1e-9)
-        np.testing.assert_allclose(tips[3], hand.fingertips(q), atol=1e-6)
-        deep = any(depth > 0.002 and not tip_tip for depth, _, _, tip_tip in hand.penetrations(q))
+        np.testing.assert_allclose(tips[3], allegro.fingertips(q), atol=1e-6)
+        deep = any(depth > 0.002 and not tip_tip for depth, _, _, tip_tip in allegro.penetrations(q))
         _, balls = read(path, f"/world/{name}/collisions", "Ellipsoids3D:centers")
         assert [len(row) > 0 for row in balls] == [deep] * len(hands.t)
         _, cages = read(path, f"/world/{name}/pinch", "Ellipsoids3D:centers")

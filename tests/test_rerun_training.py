@@ -7,21 +7,8 @@ from rerun_world import read, rerun
 
 from geort_drake.comparison import training_recording as scene
 from geort_drake.comparison.training_recording import TrainingRecorder
-from geort_drake.hands.description import load_hand
-from geort_drake.hands.model import HandModel
-from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.training.descent import descend
 from geort_drake.retargeting.training.networks import RetargetingNetwork
-
-
-@pytest.fixture(scope="module")
-def hand():
-    return HandModel(load_hand("allegro_right"))
-
-
-@pytest.fixture(scope="module")
-def play():
-    return synthesize_play(0, duration_s=20.0, rate_hz=30.0)
 
 
 def make_network(hand):
@@ -31,8 +18,8 @@ def make_network(hand):
 
 
 @pytest.fixture
-def network(hand):
-    return make_network(hand)
+def network(allegro):
+    return make_network(allegro)
 
 
 def move(network):
@@ -41,12 +28,12 @@ def move(network):
             parameter.mul_(1.5)
 
 
-def test_training_is_the_same_when_it_is_observed(hand, play):
+def test_training_is_the_same_when_it_is_observed(allegro, play):
     """The weights are kept as they were at each step, and observing changes none of them."""
-    hands = torch.full((4, len(hand.finger_names), 3), 0.1)
+    hands = torch.full((4, len(allegro.finger_names), 3), 0.1)
 
     def train(report=None):
-        network, outputs = make_network(hand), []
+        network, outputs = make_network(allegro), []
 
         def losses(_step):
             answer = network(hands)
@@ -57,7 +44,7 @@ def test_training_is_the_same_when_it_is_observed(hand, play):
         descend(network, losses, 300, 0.01, report)
         return torch.stack(outputs)
 
-    recorder = TrainingRecorder(hand, play)
+    recorder = TrainingRecorder(allegro, play)
     observed = train(recorder.observe)
     assert torch.equal(observed, train())
     assert list(recorder._weights) == [1, 2, *range(4, 300, 3)]
@@ -65,11 +52,11 @@ def test_training_is_the_same_when_it_is_observed(hand, play):
         np.testing.assert_allclose(recorder._map(weights)(hands.numpy()), observed[step], atol=1e-6)
 
 
-def test_the_recording_holds_each_map_as_it_was(tmp_path, hand, play, network, monkeypatch):
+def test_the_recording_holds_each_map_as_it_was(tmp_path, allegro, play, network, monkeypatch):
     """Robot hand, reach, pinches and criteria at each step are those of that step's weights."""
     monkeypatch.setattr(scene, "_SAMPLES", 2000)
     monkeypatch.setattr(scene, "_COLLIDING", 10)
-    recorder = TrainingRecorder(hand, play)
+    recorder = TrainingRecorder(allegro, play)
     kept = []
     for step in (1, 50, 100):
         losses = {"step": step - 1, "total": 2.0, "pinch": 1.0 / step, "seconds": 0.1}
@@ -78,7 +65,7 @@ def test_the_recording_holds_each_map_as_it_was(tmp_path, hand, play, network, m
         move(network)
 
     def trained(p_HF):
-        return np.tile(hand.default_position, (len(p_HF), 1))
+        return np.tile(allegro.default_position, (len(p_HF), 1))
 
     path = tmp_path / "training.rrd"
     properties = {"method": "geort", "hand": "allegro_right", "seed": 0}
@@ -89,15 +76,15 @@ def test_the_recording_holds_each_map_as_it_was(tmp_path, hand, play, network, m
     assert steps == [1, 50, 100]
     steps, pinch = read(path, "/losses/pinch", "Scalars:scalars", timeline="step")
     assert (steps, np.ravel(pinch).tolist()) == ([0, 49, 99], [1.0, 0.02, 0.01])
-    tips = hand.fingertips(hand.default_position)
+    tips = allegro.fingertips(allegro.default_position)
     # The final map closes no pinch; the hand and the lattices are those of each step's own map.
-    thumb = hand.description.fingers[0]
+    thumb = allegro.description.fingers[0]
     gaps = np.linalg.norm(tips[1:] - tips[0], axis=1)
-    assert closed[-1] == (gaps.min() <= 2 * hand.tip_radius)
+    assert closed[-1] == (gaps.min() <= 2 * allegro.tip_radius)
     _, lattices = read(path, f"/world/robot/lattice/{thumb.name}", "LineStrips3D:strips", timeline="step")
     np.testing.assert_allclose(lattices[-1], np.broadcast_to(tips[0], lattices[-1].shape), atol=1e-6)
     network.load_state_dict(kept[0])
-    lattice = scene.Lattice(play.fingertips(hand.description.human_keypoints), 0)
+    lattice = scene.Lattice(play.fingertips(allegro.description.human_keypoints), 0)
     with torch.no_grad():
         q = network(torch.tensor(lattice.hands, dtype=torch.float32)).numpy().astype(float)
-    np.testing.assert_allclose(lattices[0], lattice.segments(hand.fingertips(q)[:, 0]), atol=1e-5)
+    np.testing.assert_allclose(lattices[0], lattice.segments(allegro.fingertips(q)[:, 0]), atol=1e-5)
