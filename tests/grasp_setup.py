@@ -5,11 +5,15 @@ from functools import cache
 
 import numpy as np
 from affine_map import AffineMap
+from pydrake.systems.analysis import Simulator
 
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.play import synthesize_play
+from geort_drake.people.recording import Recording
+from geort_drake.simulation.diagram import GraspDiagram
+from geort_drake.simulation.operators.finger_motion import FingerMotion
 from geort_drake.simulation.scenario import Scenario, load_scenario
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
@@ -69,6 +73,39 @@ def scenario_with(object_name: str = "cylinder", text: str = "{}") -> Scenario:
     scenario = load_scenario(text=text)
     scenario.object.name = object_name
     return scenario
+
+
+class Constant:
+    """A retargeter that answers every hand with joint positions q, by default the starting ones."""
+
+    def __init__(self, hand: HandModel | None = None, q: np.ndarray | None = None):
+        hand = hand or allegro()
+        self.joint_names = list(hand.joint_names)
+        self.q = hand.default_position if q is None else q
+
+    def __call__(self, p_HK: np.ndarray) -> np.ndarray:
+        return self.q.copy()
+
+
+def resting_glove(duration: float, **metadata) -> Recording:
+    """A hand at rest and a wrist that keep still, at 100 Hz."""
+    hand, _ = person_and_rest()
+    t = np.arange(0, duration, 0.01)
+    p_HK = hand.keypoints(FingerMotion(hand).rest)
+    return Recording(
+        t=t,
+        p_HK=np.tile(p_HK, (len(t), 1, 1)),
+        valid=np.ones(len(t), bool),
+        X_WH=np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(t), 1)),
+        metadata={"side": "right", **metadata},
+    )
+
+
+def started(parts: GraspDiagram) -> Simulator:
+    """A simulator at the beginning of a trial."""
+    simulator = Simulator(parts.diagram)
+    parts.initialize(simulator.get_mutable_context())
+    return simulator
 
 
 def judged(record: dict) -> dict:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from grasp_setup import Constant, started
 from hand_family import HandSpec, joint_name, write_hand
 from pydrake.geometry import Role
 from pydrake.math import RollPitchYaw
-from pydrake.systems.analysis import Simulator
 
 from geort_drake.cli import run_command
 from geort_drake.comparison.train import train_checkpoint
@@ -311,10 +311,9 @@ def test_on_the_arm_only_listed_joints_are_commanded(kind, tmp_path):
     hand = HandModel(load_hand(tmp_path / "mine.yaml"))
     play = synthesize_play(seed=0, duration_s=0.4, rate_hz=30.0)
     still = dc.replace(play, X_WH=np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(play.t), 1)))
-    retarget = _Halfway(hand)
+    retarget = Constant(hand, 0.5 * (hand.lower + hand.upper))
     parts = make_grasp_diagram(load_scenario(hand=str(tmp_path / "mine.yaml")), retarget, still)
-    simulator = Simulator(parts.diagram)
-    parts.initialize(simulator.get_mutable_context())
+    simulator = started(parts)
     simulator.AdvanceTo(0.4)
     context = parts.plant.GetMyContextFromRoot(simulator.get_context())
     leader, follower = (
@@ -324,14 +323,3 @@ def test_on_the_arm_only_listed_joints_are_commanded(kind, tmp_path):
     assert follower == pytest.approx(0.8 * leader + 0.1, abs=2e-3)
     arm_joints = 7
     assert parts.plant.num_actuators() == arm_joints + len(hand.joint_names)
-
-
-class _Halfway:
-    """Answers every hand with the middle of the robot's joint ranges."""
-
-    def __init__(self, hand: HandModel):
-        self.joint_names = hand.joint_names
-        self._q = 0.5 * (hand.lower + hand.upper)
-
-    def __call__(self, p_HK: np.ndarray) -> np.ndarray:
-        return self._q

@@ -4,12 +4,11 @@ import dataclasses as dc
 
 import numpy as np
 import pytest
+from grasp_setup import Constant, allegro, started
 from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.systems.analysis import Simulator
 
 from geort_drake.cli import run_command
 from geort_drake.errors import ScenarioError
-from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.play import synthesize_play
 from geort_drake.simulation.diagram import make_grasp_diagram
@@ -18,27 +17,15 @@ from geort_drake.simulation.world import HAND
 from geort_drake.systems.port_values import pose_to_vector
 
 
-class _Still:
-    """Keeps the hand as it starts."""
-
-    def __init__(self, hand: HandModel):
-        self.joint_names, self._q = hand.joint_names, hand.default_position
-
-    def __call__(self, p_HK: np.ndarray) -> np.ndarray:
-        return self._q
-
-
 def test_the_floating_base_carries_the_hand_after_the_wrist():
     """5 cm up and to the side, and 0.3 rad about the vertical, to 2 mm and 0.02 rad."""
     play = synthesize_play(seed=0, duration_s=1.5, rate_hz=60.0)
     part = np.clip(play.t / 0.8, 0.0, 1.0)
     wrist = [RigidTransform(RollPitchYaw(0, 0, 0.3 * s), [0, 0.05 * s, 0.05 * s]) for s in part]
     moving = dc.replace(play, X_WH=np.array([pose_to_vector(X) for X in wrist]))
-    retarget = _Still(HandModel(load_hand("allegro_right")))
-    parts = make_grasp_diagram(load_scenario(name="Floating"), retarget, moving)
-    simulator = Simulator(parts.diagram)
-    root = simulator.get_mutable_context()
-    parts.initialize(root)
+    parts = make_grasp_diagram(load_scenario(name="Floating"), Constant(), moving)
+    simulator = started(parts)
+    root = simulator.get_context()
     base = parts.plant.GetFrameByName("base_link", parts.plant.GetModelInstanceByName(HAND))
     context = parts.plant.GetMyContextFromRoot(root)
     before = base.CalcPoseInWorld(context)
@@ -66,11 +53,9 @@ def test_on_a_fixed_base_only_the_fingers_move():
     """The base does not move at all with the wrist; the fingers follow the recording."""
     play = synthesize_play(seed=0, duration_s=0.5, rate_hz=60.0)
     wrist = np.array([pose_to_vector(RigidTransform([0, 0, 0.2 * t])) for t in play.t])
-    hand = HandModel(load_hand("allegro_right"))
-    parts = make_grasp_diagram(load_scenario(name="Fixed"), _Closing(hand), dc.replace(play, X_WH=wrist))
-    simulator = Simulator(parts.diagram)
-    root = simulator.get_mutable_context()
-    parts.initialize(root)
+    parts = make_grasp_diagram(load_scenario(name="Fixed"), _Closing(allegro()), dc.replace(play, X_WH=wrist))
+    simulator = started(parts)
+    root = simulator.get_context()
     model = parts.plant.GetModelInstanceByName(HAND)
     base = parts.plant.GetFrameByName("base_link", model)
     context = parts.plant.GetMyContextFromRoot(root)

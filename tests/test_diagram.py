@@ -1,19 +1,26 @@
 """The assembled diagram: hand and arm follow the glove, and ports are described."""
 
+import dataclasses as dc
 import inspect
 import re
 from functools import cache
 
 import numpy as np
 import pytest
-from grasp_setup import allegro, centred_map, person_and_rest, planned_goal, scenario_with
-from pydrake.systems.analysis import Simulator
+from grasp_setup import (
+    allegro,
+    centred_map,
+    person_and_rest,
+    planned_goal,
+    resting_glove,
+    scenario_with,
+    started,
+)
 from pydrake.systems.framework import LeafSystem
 
 from geort_drake.errors import HandError
 from geort_drake.people.recording import Recording
 from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
-from geort_drake.simulation.operators.finger_motion import FingerMotion
 from geort_drake.simulation.world import HAND
 from geort_drake.systems.self_collision_guard import SelfCollisionGuard
 
@@ -22,26 +29,12 @@ OWN_PACKAGE = "geort_drake."
 
 def glove(p_W_moved=(0.0, 0.0, 0.0), spread: float = 0.0, duration: float = 3.0) -> Recording:
     """A hand held still at rest, its fingertips spread by a share, and a wrist that moves away at once."""
-    hand, _ = person_and_rest()
-    keypoints = hand.keypoints(FingerMotion(hand).rest)
-    keypoints[[4, 8, 12, 16, 20]] *= 1 + spread
-    t = np.arange(0, duration, 0.01)
-    X_WH = np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(t), 1))
+    still = resting_glove(duration)
+    p_HK, X_WH = still.p_HK.copy(), still.X_WH.copy()
+    p_HK[:, [4, 8, 12, 16, 20]] *= 1 + spread
     # The clutch engages at the first sample; the wrist moves in the half second after it.
-    X_WH[:, 4:] = np.clip((t - 0.1) / 0.5, 0, 1)[:, None] * np.asarray(p_W_moved)
-    return Recording(
-        t=t,
-        p_HK=np.tile(keypoints, (len(t), 1, 1)),
-        valid=np.ones(len(t), bool),
-        X_WH=X_WH,
-        metadata={"side": "right"},
-    )
-
-
-def start(parts: GraspDiagram) -> Simulator:
-    simulator = Simulator(parts.diagram)
-    parts.initialize(simulator.get_mutable_context())
-    return simulator
+    X_WH[:, 4:] = np.clip((still.t - 0.1) / 0.5, 0, 1)[:, None] * np.asarray(p_W_moved)
+    return dc.replace(still, p_HK=p_HK, X_WH=X_WH)
 
 
 @cache
@@ -59,7 +52,7 @@ def test_the_hand_follows_the_glove():
     shift = (0.05, -0.03, 0.0)
     recording = glove(shift, spread=0.05)
     parts = make_grasp_diagram(scenario_with("cylinder"), centred_map(), recording)
-    simulator = start(parts)
+    simulator = started(parts)
     root, plant = simulator.get_context(), parts.plant
     context = plant.GetMyContextFromRoot(root)
     hand = plant.GetModelInstanceByName(HAND)
@@ -87,7 +80,7 @@ def test_the_retargeting_has_the_scenarios_latency_and_speed():
     """The latency is rounded up to plant steps; no joint is sent further than speed times time."""
     scenario = scenario_with("cylinder", "{retargeting: {latency: 0.0131, max_joint_speed: 0.5}}")
     parts = make_grasp_diagram(scenario, centred_map(), glove(spread=0.05))
-    simulator = start(parts)
+    simulator = started(parts)
     context = parts.retargeting.GetMyContextFromRoot(simulator.get_context())
     port = parts.retargeting.GetOutputPort("desired_state")
     rest = port.Eval(context).copy()
@@ -149,7 +142,7 @@ def test_the_person_sees_the_scene_late():
     """At a tick, the person is shown in every port the scene as it was `visual_delay` before."""
     scenario = scenario_with("cylinder")
     parts = make_grasp_diagram(scenario, centred_map(), (person_and_rest()[0], planned_goal("cylinder")))
-    simulator = start(parts)
+    simulator = started(parts)
     root = simulator.get_context()
     period = scenario.operator.period
     steps = round(scenario.operator.visual_delay / period)

@@ -1,6 +1,7 @@
 """A benchmark's workers: processes here and a Ray cluster give the same results as one process."""
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -135,3 +136,21 @@ def _grow() -> int:
     _grown.append(np.ones(25_000_000))
     time.sleep(1)
     return os.getpid()
+
+
+WORKER = (
+    "import os, time; from geort_drake.processes import end_with; "
+    "end_with(os.getppid()); print(os.getpid(), flush=True); time.sleep(600)"
+)
+STARTER = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {WORKER!r}])"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_a_worker_ends_when_its_starter_is_killed():
+    """Even by a signal that the starter cannot handle."""
+    starter = subprocess.Popen([sys.executable, "-c", STARTER], stdout=subprocess.PIPE, text=True)
+    worker = int(starter.stdout.readline())
+    os.kill(worker, 0)
+    starter.send_signal(signal.SIGKILL)
+    # The worker holds the other end of the pipe for as long as it lives.
+    assert starter.communicate(timeout=60.0) == ("", None)

@@ -87,10 +87,3 @@ def test_a_retargeter_needs_no_heavy_package(module):
     code = f"import sys, geort_drake.{module}; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not {"torch", "pydrake", "rerun", "matplotlib", "rich"} & {*done.stdout.split()}
-
-
-def test_schema_modules_do_not_postpone_annotations():
-    """Drake's YAML loader reads types, which a future import would turn into strings."""
-    for name, path in modules().items():
-        if any(used.startswith("pydrake.common.yaml") for used in imports(path)) or name.endswith(".config"):
-            assert "__future__.annotations" not in set(imports(path)), name

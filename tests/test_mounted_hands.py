@@ -5,11 +5,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from grasp_setup import allegro, centred_map, person_and_rest
+from grasp_setup import allegro, centred_map, person_and_rest, started
 from model_scene import SHIPPED_HANDS
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from geort_drake.hands.description import load_hand
@@ -110,8 +109,7 @@ def simulate(hand: str, goal: GraspGoal, person: HumanHand, seconds: float) -> t
     still = "position_range: 0, yaw_range: 0, mass_range: 0"
     scenario = load_scenario(text=f"{{hand: {hand}, object: {{{still}}}}}")
     parts = make_grasp_diagram(scenario, copy.copy(centred_map()), (person, goal))
-    simulator = Simulator(parts.diagram)
-    parts.initialize(simulator.get_mutable_context())
+    simulator = started(parts)
     simulator.AdvanceTo(seconds)
     return parts, simulator.get_context()
 

@@ -13,7 +13,6 @@ from glove_files import (
     mediapipe_frames,
     stacked,
     vision_pro_arrays,
-    write_dex_retargeting,
     write_manus,
     write_manus_csv,
     write_mediapipe,
@@ -157,11 +156,6 @@ def commas(table):
     return [[str(cell).replace(".", ",") for cell in row] for row in table]
 
 
-def cut(path):
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    return path
-
-
 # Files that leave the meaning open: how each is written, and what the message must say.
 REFUSED = {
     "own of another convention": (
@@ -212,10 +206,6 @@ REFUSED = {
         ),
         "joints in the wrist's frame",
     ),
-    "dex-retargeting with code": (
-        lambda f, h: write_dex_retargeting(f, h, [*h.p_HK, print]), "names builtins.print, which could run"
-    ),
-    "archive cut off": (lambda f, h: cut(write_manus(f, h)), "not a readable NumPy file"),
 }  # fmt: skip
 
 

@@ -5,37 +5,22 @@ import json
 
 import numpy as np
 import pytest
-from grasp_setup import allegro, person_and_rest, scenario_with
+from grasp_setup import allegro, resting_glove, scenario_with
 
 from geort_drake.benchmark import replay, trials
 from geort_drake.benchmark.records import read_records
 from geort_drake.benchmark.replay import as_recorded, summarize_replay
 from geort_drake.cli import run_command
 from geort_drake.errors import BenchmarkError, RecordingError, ScenarioError
-from geort_drake.people.recording import Recording
 from geort_drake.retargeting.methods.trivial import Hold
-from geort_drake.simulation.operators.finger_motion import FingerMotion
 from geort_drake.simulation.world import draw_placement
-
-
-def session(**metadata) -> Recording:
-    """A tenth of a second of a hand that rests."""
-    hand, _ = person_and_rest()
-    t = np.arange(0, 0.1, 0.01)
-    return Recording(
-        t=t,
-        p_HK=np.tile(hand.keypoints(FingerMotion(hand).rest), (len(t), 1, 1)),
-        valid=np.ones(len(t), bool),
-        X_WH=np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(t), 1)),
-        metadata={"side": "right", **metadata},
-    )
 
 
 def test_a_simulated_session_meets_the_object_as_it_was():
     """Place, yaw and mass are those that its seed drew, and nothing is left to chance."""
     scenario = scenario_with("cylinder")
     drawn = draw_placement(scenario_with("cube"), -0.05, np.random.default_rng(7))
-    again = as_recorded(scenario, session(object="cube", seed=7), None)
+    again = as_recorded(scenario, resting_glove(0.1, object="cube", seed=7), None)
     assert again.object.name == "cube" and scenario.object.name == "cylinder"
     assert again.timeout == pytest.approx(0.09 + scenario.monitor.hold_time)
     for seed in (0, 1):
@@ -49,12 +34,12 @@ def test_a_simulated_session_meets_the_object_as_it_was():
 def test_another_session_meets_it_where_the_scenario_says():
     """A session without a note of its object needs the name of the object."""
     scenario = scenario_with("cylinder")
-    own = as_recorded(scenario, session(), "sphere").object
+    own = as_recorded(scenario, resting_glove(0.1), "sphere").object
     assert (own.name, own.position, own.yaw, own.mass_factor) == (
         "sphere", scenario.object.position, 0.0, 1.0,
     )  # fmt: skip
     with pytest.raises(ScenarioError, match="give it with --object"):
-        as_recorded(scenario, session(), None)
+        as_recorded(scenario, resting_glove(0.1), None)
 
 
 def test_the_summary_pools_sessions_and_begins_without_a_change():
@@ -90,7 +75,7 @@ def untrained(monkeypatch, tmp_path):
 
 def test_sessions_are_replayed_under_every_change_and_gone_on_with(untrained, tmp_path):
     """One trial without a change, some with each; more trials add to them; another map is refused."""
-    session(object="cube", seed=3).save(tmp_path / "cube-3.glove.npz")
+    resting_glove(0.1, object="cube", seed=3).save(tmp_path / "cube-3.glove.npz")
     folder = tmp_path / "out"
     common = [
         str(tmp_path / "cube-3.glove.npz"), "--retargeter", str(tmp_path / "map"), "--output", str(folder),
@@ -115,8 +100,8 @@ def test_sessions_are_replayed_under_every_change_and_gone_on_with(untrained, tm
 
 def test_what_cannot_be_replayed_is_refused_by_its_file(untrained, tmp_path):
     """No wrist poses, and a share above what can be drawn; nothing is written."""
-    dc.replace(session(object="cube"), X_WH=None).save(tmp_path / "glove.npz")
-    session(object="cube").save(tmp_path / "good.npz")
+    dc.replace(resting_glove(0.1, object="cube"), X_WH=None).save(tmp_path / "glove.npz")
+    resting_glove(0.1, object="cube").save(tmp_path / "good.npz")
     common = ["--retargeter", str(tmp_path / "map"), "--output", str(tmp_path / "out")]
     with pytest.raises(ScenarioError, match=r"glove\.npz: a replay needs wrist poses"):
         run_command("replay", [str(tmp_path / "glove.npz"), *common])

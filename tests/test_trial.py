@@ -12,7 +12,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grasp_setup import allegro, centred_map, person_and_rest, planned_goal, scenario_with
+from grasp_setup import (
+    Constant,
+    allegro,
+    centred_map,
+    person_and_rest,
+    planned_goal,
+    resting_glove,
+    scenario_with,
+)
 
 from geort_drake.people.recording import Recording
 from geort_drake.simulation.tasks.grasp.monitor import GraspPhase
@@ -28,30 +36,6 @@ def lifted(name: str = "cylinder") -> tuple[TrialResult, Recording]:
     """An object grasped by the simulated operator through the centred map."""
     human = (person_and_rest()[0], planned_goal(name))
     return run_trial(scenario_with(name, TEXT), centred_map(), human)
-
-
-def still_hand(duration: float = 2.0) -> Recording:
-    """A hand that does nothing."""
-    hand, _ = person_and_rest()
-    t = np.arange(0, duration, 0.01)
-    return Recording(
-        t=t,
-        p_HK=np.tile(hand.keypoints(np.zeros(20)), (len(t), 1, 1)),
-        valid=np.ones(len(t), bool),
-        X_WH=np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(t), 1)),
-        metadata={"side": "right"},
-    )
-
-
-class HoldPose:
-    """A retargeter that ignores the human."""
-
-    def __init__(self):
-        self.joint_names = list(allegro().joint_names)
-        self._q = allegro().default_position
-
-    def __call__(self, _keypoints: np.ndarray) -> np.ndarray:
-        return self._q.copy()
 
 
 # -- a grasp
@@ -126,7 +110,7 @@ def test_a_map_that_does_nothing_times_out_in_a_named_phase():
     """Without finger motion nothing is lifted; the failure has the phase it ended in."""
     scenario = scenario_with("cylinder", "{timeout: 3.0}")
     human = (person_and_rest()[0], planned_goal("cylinder"))
-    result, glove = run_trial(scenario, HoldPose(), human)
+    result, glove = run_trial(scenario, Constant(), human)
     assert not result.success and result.completion_time is None and result.first_attempt is False
     failure, phase = result.outcome.split(": ")
     assert failure in ("timeout", "thrown")
@@ -140,36 +124,30 @@ def test_a_map_that_does_nothing_times_out_in_a_named_phase():
 def test_an_object_that_falls_off_its_support_ends_the_trial():
     """Beside the plinth the object falls to the table: thrown, long before the timeout."""
     scenario = scenario_with("cylinder", "{object: {position: [0.5, 0.35]}}")
-    result, _ = run_trial(scenario, HoldPose(), still_hand())
+    result, _ = run_trial(scenario, Constant(), resting_glove(2.0))
     assert result.outcome == "thrown: reach" and not result.success
     assert result.simulated_time < 1.0
     assert result.phase_times["THROWN"] == pytest.approx(result.simulated_time, abs=0.011)
 
 
-class Fist(HoldPose):
-    """A retargeter that presses the middle finger's side into the index's."""
-
-    def __init__(self):
-        super().__init__()
-        # The two fingers' joints that swing them sideways, towards each other.
-        for name, angle in (("joint_0", -0.45), ("joint_4", 0.45)):
-            self._q[self.joint_names.index(name)] = angle
-
-
 def test_the_time_in_self_contact_is_the_trials():
     """A hand that crosses two fingers touches itself almost all the time; one at rest never does."""
+    fist = Constant()
+    # The two fingers' joints that swing them sideways, towards each other.
+    for name, angle in (("joint_0", -0.45), ("joint_4", 0.45)):
+        fist.q[fist.joint_names.index(name)] = angle
     scenario = scenario_with("cylinder", "{timeout: 1.0}")
-    crossed, _ = run_trial(scenario, Fist(), still_hand())
+    crossed, _ = run_trial(scenario, fist, resting_glove(2.0))
     assert 0.5 < crossed.self_contact < 1.0
-    rest, _ = run_trial(scenario, HoldPose(), still_hand())
+    rest, _ = run_trial(scenario, Constant(), resting_glove(2.0))
     assert rest.self_contact == 0.0
 
 
 def test_a_trial_is_freed():
     """Nothing refers to the map after its trial, though Drake never frees systems written in Python."""
-    retarget = HoldPose()
+    retarget = Constant()
     freed = weakref.ref(retarget)
-    run_trial(scenario_with("cylinder", "{timeout: 0.1}"), retarget, still_hand())
+    run_trial(scenario_with("cylinder", "{timeout: 0.1}"), retarget, resting_glove(2.0))
     del retarget
     gc.collect()
     assert freed() is None
@@ -229,7 +207,7 @@ def test_the_recording_shows_what_fingertips_are_asked_for_and_how_hard_joints_w
 def test_what_was_recorded_before_a_failure_is_kept(tmp_path):
     """When the retargeter raises, its error comes through and Rerun accepts the recording."""
     path = tmp_path / "trial.rrd"
-    hold = HoldPose()
+    hold = Constant()
 
     def failing(keypoints):
         if next(calls) > 100:
@@ -239,7 +217,7 @@ def test_what_was_recorded_before_a_failure_is_kept(tmp_path):
     calls = itertools.count()
     failing.joint_names = hold.joint_names
     with pytest.raises(ArithmeticError, match="the map has failed"):
-        run_trial(scenario_with("cylinder", "{timeout: 3.0}"), failing, still_hand(), path)
+        run_trial(scenario_with("cylinder", "{timeout: 3.0}"), failing, resting_glove(2.0), path)
     rerun = Path(sysconfig.get_path("scripts")) / "rerun"
     assert subprocess.run([rerun, "rrd", "verify", path], check=False).returncode == 0
 
@@ -248,6 +226,6 @@ def test_progress_is_reported_in_simulated_time():
     """The callback sees rising times, some four a simulated second."""
     seen: list[float] = []
     scenario = scenario_with("cylinder", "{timeout: 1.0}")
-    run_trial(scenario, HoldPose(), still_hand(), report=seen.append)
+    run_trial(scenario, Constant(), resting_glove(2.0), report=seen.append)
     assert seen[0] == 0.0 and seen == sorted(seen)
     assert 4 <= len(seen) <= 6

@@ -49,47 +49,33 @@ def test_a_torn_last_line_is_dropped_from_the_file(tmp_path):
         assert path.read_text() == json.dumps(line()) + "\n" + json.dumps(line(seed=2)) + "\n"
 
 
+FAILED = {"success": False, "outcome": "timeout: touch", "completion_time": None, "first_attempt": False}
+
+
 @pytest.mark.parametrize(
     ("bad", "message"),
     [
         ('{"method": "ho', "line 2: not a trial's result"),
         ('{"method": "hold", "object": "cylinder", "seed": 1}', "line 2: .*missing.*; repair or delete"),
-        (json.dumps(result(seed=1)) + "\n" + json.dumps(result(seed=1)), "line 3: a second result of hold"),
+        (json.dumps(result(1)) + "\n" + json.dumps(result(1)), "line 3: a second result of hold"),
+        (result(1, completion_time="4"), "Expected `float . null`, got `str` - at `..completion_time`"),
+        (result(1, slip=float("nan")), "slip must be finite, not nan"),
+        (result(1, error="ValueError: no"), "missing required field `traceback`"),
+        (result(1, outcome="thrown: lift"), "success is True, which contradicts .*thrown"),
+        (result(1, **{**FAILED, "first_attempt": True}), "False, which contradicts .*first_attempt': True"),
     ],
 )
 def test_a_corrupt_line_is_refused_by_file_and_number(tmp_path, bad, message):
-    """And the file stays as it is."""
+    """With what was expected and what was given, and the file stays as it is."""
     path = tmp_path / "trials.jsonl"
+    if isinstance(bad, dict):
+        bad, message = json.dumps(bad), f"line 2: not a trial's result: .*{message}"
     content = json.dumps(line()) + "\n" + bad + "\n" + json.dumps(line(seed=2)) + "\n"
     path.write_text(content)
     for read in (TrialLog, read_records):
         with pytest.raises(BenchmarkError, match=f"trials.jsonl, {message}"):
             read(path)
     assert path.read_text() == content
-
-
-FAILED = {"success": False, "outcome": "timeout: touch", "completion_time": None, "first_attempt": False}
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"completion_time": "4"}, "Expected `float . null`, got `str` - at `..completion_time`"),
-        ({"slip": float("nan")}, "slip must be finite, not nan"),
-        ({"error": "ValueError: no"}, "missing required field `traceback`"),
-        ({"outcome": "thrown: lift"}, "success is True, which contradicts .*thrown"),
-        ({**FAILED, "first_attempt": True}, "success is False, which contradicts .*first_attempt': True"),
-    ],
-)
-def test_an_invalid_value_is_refused_by_its_field(tmp_path, changes, message):
-    """With file and line, what was expected and what was given."""
-    path = tmp_path / "trials.jsonl"
-    path.write_text(json.dumps(result()) + "\n" + json.dumps(result(**{"seed": 1, **changes})) + "\n")
-    for read in (TrialLog, read_records):
-        with pytest.raises(
-            BenchmarkError, match=rf"trials\.jsonl, line 2: not a trial's result: .*{message}"
-        ):
-            read(path)
 
 
 @pytest.mark.parametrize("changes", [{}, FAILED, {"first_attempt": None, "attempts": None}, {"note": "x"}])
