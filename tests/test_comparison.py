@@ -1,5 +1,6 @@
 """The evaluation of several methods, and its script."""
 
+import dataclasses
 import json
 import shlex
 
@@ -11,8 +12,8 @@ from geort_drake.cli import run_command
 from geort_drake.comparison.comparison import Comparison, Evaluation, Outcome
 from geort_drake.comparison.metric_table import mean
 from geort_drake.comparison.metrics import pinch
-from geort_drake.comparison.protocols import held_out
-from geort_drake.errors import TrainingError
+from geort_drake.comparison.protocols import GUARD_S, held_out, other_person
+from geort_drake.errors import RecordingError, TrainingError
 from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.methods.online import VectorOnline
 
@@ -180,3 +181,56 @@ def test_recorded_frames_are_answered_in_their_order_from_rest(halves, quick):
             p_BF = hand.fingertips(VectorOnline(hand.kinematics())(frames))
             np.testing.assert_allclose(outcome.evaluation.p_BF, p_BF, atol=1e-12)
             assert outcome.evaluation.remembers and outcome.evaluation.metrics["motion_preservation"] > 0.5
+
+
+# -- protocols: no frame on both sides, none forgotten
+
+
+@pytest.fixture(scope="module")
+def gaps(play):
+    """Twenty seconds in which tracking was lost twice."""
+    frames = np.arange(len(play)) < 600
+    frames[100:140] = frames[400:403] = False
+    part = slice(0, 600)
+    return dataclasses.replace(play, t=play.t[part], p_HK=play.p_HK[part], valid=frames[part])
+
+
+def test_held_out_blocks_share_out_the_valid_frames(gaps):
+    """Every valid frame is scored once, in a block without gaps other than lost tracking."""
+    cases = held_out(gaps, 4).cases
+    assert len(cases) == 4
+    scored = np.array([case.scored_on.valid for case in cases])
+    np.testing.assert_array_equal(scored.sum(axis=0), gaps.valid.astype(int))
+    assert np.ptp(scored.sum(axis=1)) <= 1
+    for block in scored:
+        first, last = np.flatnonzero(block)[[0, -1]]
+        np.testing.assert_array_equal(block[first : last + 1], gaps.valid[first : last + 1])
+
+
+def test_nothing_near_a_held_out_block_is_learned_from(gaps):
+    """What is learned from is all that is valid and at least the guard away in time, on both sides."""
+    for case in held_out(gaps, 4).cases:
+        assert not (case.trained_on.valid & case.scored_on.valid).any()
+        first, last = gaps.t[case.scored_on.valid][[0, -1]]
+        learned = gaps.t[case.trained_on.valid]
+        away = np.maximum(first - learned, learned - last)
+        assert away.min() == pytest.approx(GUARD_S, abs=0.04)
+        assert away.min() > GUARD_S
+        outside = gaps.valid & ((gaps.t < first - GUARD_S) | (gaps.t > last + GUARD_S))
+        assert case.trained_on.valid.sum() == outside.sum()
+
+
+@pytest.mark.parametrize("blocks", [1, 56])
+def test_too_few_or_too_many_blocks_are_refused(gaps, blocks):
+    """557 valid frames make at most 55 blocks that can be measured on."""
+    with pytest.raises(RecordingError, match=f"2 to 55 for 557 valid frames .* not {blocks}"):
+        held_out(gaps, blocks)
+
+
+def test_other_people_are_learned_from_nowhere(gaps):
+    """Trained on the one, scored on each of the others; the same recording again is no other person."""
+    other = synthesize_play(1, duration_s=5.0, rate_hz=30.0)
+    (case,) = other_person(gaps, {"other.npz": other}).cases
+    assert (case.part, case.trained_on, case.scored_on) == ("other.npz", gaps, other)
+    with pytest.raises(RecordingError, match=r"again.npz: is the recording that methods are trained on"):
+        other_person(gaps, {"other.npz": other, "again.npz": dataclasses.replace(gaps)})

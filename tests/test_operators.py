@@ -127,15 +127,7 @@ def act(gain: float, seed: int = 3, slips: int = 0, until: float = 20.0, **chang
     )
 
 
-STRAIGHT = [
-    Phase.REACH,
-    Phase.APPROACH,
-    Phase.SURROUND,
-    Phase.CLOSE,
-    Phase.SQUEEZE,
-    Phase.LIFT,
-    Phase.HOLD,
-]
+STRAIGHT = [Phase.REACH, Phase.APPROACH, Phase.SURROUND, Phase.CLOSE, Phase.SQUEEZE, Phase.LIFT, Phase.HOLD]
 
 
 @pytest.mark.parametrize("gain", [0.7, 1.5, 2.5])

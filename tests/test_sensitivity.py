@@ -45,14 +45,8 @@ def test_a_condition_changes_what_its_name_says_and_the_nominal_value_makes_none
     scenario = load_scenario()
     before = dump_scenario(scenario)
     wanted = {"delay": [180, 300], "gain": [2.5, 0.5], "noise": [1, 2], "stiffness": [4], "friction": [0.5]}
-    wanted |= {
-        "touch": [0],
-        "tracker": [10],
-        "donning": [5],
-        "dropouts": [2],
-        "person": [3],
-        "modulus": [0, 200],
-    }
+    wanted |= {"touch": [0], "tracker": [10], "donning": [5], "dropouts": [2], "person": [3]}
+    wanted |= {"modulus": [0, 200]}
     conditions = make_conditions(scenario, wanted, ASSUMPTIONS)
     named = "delay=300 gain=0.5 noise=2 stiffness=4 friction=0.5"
     named += " touch=0 tracker=10 donning=5 dropouts=2 person=3 modulus=200"
@@ -64,14 +58,8 @@ def test_a_condition_changes_what_its_name_says_and_the_nominal_value_makes_none
     assert conditions["delay=300"].operator.visual_delay == 0.3
     assert conditions["gain=0.5"].operator.correction_rate == 0.5
     noisy, person = conditions["noise=2"].operator, scenario.operator
-    for field in (
-        "visual_noise",
-        "visual_depth_noise",
-        "visual_turn_noise",
-        "contact_noise",
-        "motor_noise",
-        "tremor",
-    ):
+    fields = "visual_noise visual_depth_noise visual_turn_noise contact_noise motor_noise tremor"
+    for field in fields.split():
         assert getattr(noisy, field) == 2 * getattr(person, field)
     assert conditions["stiffness=4"].hand_stiffness_factor == 4
     assert conditions["friction=0.5"].object.friction_factor == 0.5
