@@ -15,7 +15,7 @@ def imported_sources(
     """The files `entries` and all that they import from these rooms, at once or inside functions.
 
     Args:
-        entries: files, absolute or relative to the package, such as "hands/samples.py".
+        entries: files, absolute or relative to the package, such as "hands/model.py".
         rooms: folders of the package, such as "hands".
         left_out: files that are neither listed nor followed.
     """

@@ -56,7 +56,7 @@ def test_only_sources_that_decide_the_weights_count(method):
     names = {path.relative_to(PACKAGE).as_posix() for path in training_sources(method)}
     assert all(name.endswith(".py") for name in names)
     assert {
-        "hands/samples.py",
+        "hands/model.py",
         "hands/collision_shapes.py",
         "hands/chains.py",
         "retargeting/training/descent.py",

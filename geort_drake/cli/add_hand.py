@@ -122,8 +122,7 @@ def _rows(hand: "HandModel") -> Iterator[tuple[str, ...]]:
     """One row a finger."""
     import numpy as np
 
-    rng = np.random.default_rng(0)
-    p_BF = hand.fingertips(rng.uniform(hand.lower, hand.upper, (200, len(hand.joint_names))))
+    p_BF = hand.fingertips(hand.sample(200))
     for number, finger in enumerate(hand.description.fingers):
         chain = hand.kinematics().fingers[number]
         followers = [joint for joint in chain.all_joint_names if joint not in chain.joint_names]

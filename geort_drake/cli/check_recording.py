@@ -187,15 +187,12 @@ def _print_coverage(arguments: argparse.Namespace) -> bool:
 
 def _draw(recording: "Recording", hand_name: str, path: Path) -> None:
     """Draws the fingertips against those of random postures of a robot hand."""
-    import numpy as np
-
     from geort_drake import HandModel, load_hand
     from geort_drake.people.keypoints import mirrored
     from geort_drake.people.picture import draw_fingertips
 
     hand = HandModel(load_hand(hand_name))
-    shape = (_ROBOT_SAMPLES, len(hand.joint_names))
-    p_BF = hand.fingertips(np.random.default_rng(0).uniform(hand.lower, hand.upper, shape))
+    p_BF = hand.fingertips(hand.sample(_ROBOT_SAMPLES))
     # Recordings hold canonical right hands, so a left robot hand is mirrored for the picture.
     p_BF = mirrored(p_BF) if hand.description.side == "left" else p_BF
     tips = {finger: p_BF[:, i] for i, finger in enumerate(hand.finger_names)}

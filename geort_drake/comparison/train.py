@@ -22,7 +22,6 @@ from geort_drake.files import digest_of
 from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.hands.mirror import canonical_kinematics, canonical_shapes
 from geort_drake.hands.model import HandModel
-from geort_drake.hands.samples import robot_data
 from geort_drake.people.coverage import finger_motions
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording
@@ -52,7 +51,7 @@ def training_sources(method: str) -> list[Path]:
     """
     trained = trained_method(method)
     return imported_sources(
-        map(source_of, (trained.train, robot_data, canonical_shapes)),
+        map(source_of, (trained.train, HandModel, canonical_shapes)),
         rooms=("retargeting", "hands"),
         # They use the weights, but do not change them.
         left_out=map(source_of, (Retargeter, trained.retargeter)),
@@ -148,19 +147,16 @@ def train_checkpoint(
             motions = finger_motions(recording.p_HK[recording.valid], keypoints)
             messages = [f"narrow motion, {each}; {each.advice}" for each in motions if not each.enough]
         with _timed(timings, "robot_data_s"):
-            samples = robot_data(hand, robot_samples, seed, labels=False)
+            q = hand.sample(robot_samples, seed)
         labelled: list[np.ndarray] = []
 
         def labels() -> np.ndarray:
-            with _timed(timings, "robot_data_s"):
-                counter = bars.counter("robot samples")
-                found = robot_data(hand, robot_samples, seed, progress=counter).collides_beyond_tips
-            assert found is not None
-            labelled.append(found)
-            return found
+            with _timed(timings, "robot_data_s"), bars.spinner("self-collisions of the robot"):
+                labelled.append(hand.collides_beyond_tips(q))
+            return labelled[-1]
 
         data = TrainingData(
-            p_HF, kinematics, samples.q, labels, hand.collides_beyond_tips, partial(canonical_shapes, hand)
+            p_HF, kinematics, q, labels, hand.collides_beyond_tips, partial(canonical_shapes, hand)
         )
         trained = trained_method(method)
         train = trained.train if start is None else partial(trained.train, start=start)
@@ -199,9 +195,9 @@ def train_checkpoint(
                 "metadata": recording.metadata,
             },
             "robot_data": {
-                "count": len(samples.q),
+                "count": len(q),
                 "seed": seed,
-                "model_sha256": samples.digest,
+                "model_sha256": hand.digest,
                 "labels": bool(labelled),
             },
             "seed": seed,

@@ -150,7 +150,7 @@ class TrainingScene:
         self._pinching = frames[rows[_evenly(len(rows), _PINCHING)]]
         self._closest_pinch = p_HK[np.argmin(pinches.distance)]
         self._closest_tips = self._closest_pinch[None, keypoints]
-        q = np.random.default_rng(seed).uniform(hand.lower, hand.upper, (_SAMPLES, len(hand.joint_names)))
+        q = hand.sample(_SAMPLES, seed)
         p_BF = self._fingertips(q)
         self._reachable = [voxel_thinned(p_BF[:, i], _VOXEL) for i in range(len(self._fingers))]
         self._lattices = [Lattice(frames, i) for i in range(len(self._fingers))]

@@ -124,6 +124,11 @@ class HandModel:
         """The largest radius among the fingertip spheres, m."""
         return max(finger.tip_radius for finger in self.description.fingers)
 
+    def sample(self, count: int, seed: int = 0) -> np.ndarray:
+        """(count, n) joint positions, rad, uniform within the limits; the same for the same seed."""
+        size = (count, len(self.joint_names))
+        return np.random.default_rng(seed).uniform(self.lower, self.upper, size)
+
     def fingertips(self, q: np.ndarray) -> np.ndarray:
         """Fingertip points p_BF, (N, F, 3) or (F, 3) in m, for joint positions q, (N, n) or (n,) in rad."""
         p_BF = self._fingertips(self._checked(q))

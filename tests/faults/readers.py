@@ -19,7 +19,6 @@ from geort_drake.files import sha256_of
 from geort_drake.hands.description import load_hand, write_description
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.hands.model import HandModel
-from geort_drake.hands.samples import robot_data
 from geort_drake.live.devices import ALLEGRO, PANDA, JointStatus
 from geort_drake.live.messages import decode
 from geort_drake.people.checks import examine
@@ -81,12 +80,9 @@ def _descriptions(folder: Path) -> list[Reader]:
     file, scenarios = room / "hand.yaml", room / "grasp.scenarios.yaml"
     write_description(propose(write_hand(room, HandSpec(fingers=2)), "small").description, file)
     shutil.copyfile(default_scenario_file(), scenarios)
-    robot_data(HandModel(load_hand(file)), 5, cache=room)
-    (samples,) = room.glob("robot-data-*.npz")
     return [
         Reader("hand description", file, hand),
         Reader("scenarios", scenarios, scenario),
-        Reader("robot samples", samples, cached_samples),
     ]
 
 
@@ -170,12 +166,6 @@ def hand(path: Path) -> None:
 def scenario(path: Path) -> None:
     read = load_scenario(path)
     assert np.isfinite(read.plant_config.time_step), "no time step"
-
-
-def cached_samples(path: Path) -> None:
-    """Damaged samples are made again."""
-    data = robot_data(HandModel(load_hand(path.with_name("hand.yaml"))), 5, cache=path.parent)
-    assert np.isfinite(data.p_BF).all() and len(data.q) == 5, "samples that are none"
 
 
 def glove_message(path: Path) -> None:

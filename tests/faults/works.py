@@ -52,19 +52,12 @@ class Work:
 
 
 def generate(seed: int) -> None:
-    """A synthetic recording, and the robot's samples in their cache."""
-    from geort_drake.hands.samples import robot_data
-
+    """A synthetic recording."""
     run_command("synthesize", ["play.npz", "--duration", "20", "--seed", str(seed)])
-    robot_data(allegro(), 300, seed, cache=Path())
 
 
 def generated(folder: Path) -> dict[str, str]:
-    found = {path.name: Recording.load(path).digest for path in _visible(folder, "play.npz")}
-    for path in _visible(folder, "robot-data-*.npz"):
-        with np.load(path) as arrays:
-            found[path.name] = _digest(b"".join(arrays[name].tobytes() for name in sorted(arrays.files)))
-    return found
+    return {path.name: Recording.load(path).digest for path in _visible(folder, "play.npz")}
 
 
 def train(seed: int) -> None:

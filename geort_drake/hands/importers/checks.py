@@ -29,11 +29,10 @@ def examine(hand: HandModel) -> list[str]:
     return [*_limits(hand), *_pinches(hand), *_orientation(hand), *_collisions(hand), *_masses(hand)]
 
 
-def contact_shares(hand: HandModel, seed: int = 0) -> dict[tuple[str, str], float]:
+def contact_shares(hand: HandModel) -> dict[tuple[str, str], float]:
     """The share of random postures in which two links touch, by pairs; pairs of fingertips left out."""
-    rng = np.random.default_rng(seed)
     counts: Counter[tuple[str, str]] = Counter()
-    for q in rng.uniform(hand.lower, hand.upper, (_POSTURES, len(hand.joint_names))):
+    for q in hand.sample(_POSTURES):
         counts.update({(a, b) for _, a, b, tips in hand.penetrations(q) if not tips})
     return {pair: count / _POSTURES for pair, count in counts.items()}
 
@@ -91,8 +90,7 @@ def nearest_pinch(kinematics: NumpyKinematics, number: int, seed: int = 0) -> fl
 def _orientation(hand: HandModel) -> list[str]:
     """Faults in the fingers' places relative to the axes of the hand base."""
     found = []
-    rng = np.random.default_rng(0)
-    p_BF = hand.fingertips(rng.uniform(hand.lower, hand.upper, (_PINCH_SAMPLES // 4, len(hand.joint_names))))
+    p_BF = hand.fingertips(hand.sample(_PINCH_SAMPLES // 4))
     sign = 1.0 if hand.description.side == "right" else -1.0
     names = hand.finger_names
     fingers = [number for number, name in enumerate(names) if name != "thumb"]

@@ -277,7 +277,7 @@ def _free_posture(hand: HandModel) -> np.ndarray | None:
         q = start + opening * (0.5 * (hand.lower + hand.upper) - start)
         if not hand.collides(q):
             return q
-    q = np.random.default_rng(0).uniform(hand.lower, hand.upper, (_POSTURES, len(start)))
+    q = hand.sample(_POSTURES)
     free = q[~hand.collides(q)]
     return free[np.linalg.norm(free - start, axis=1).argmin()] if len(free) else None
 
