@@ -17,6 +17,7 @@ DATA = Path(__file__).resolve().parent / "results" / "data"
 TABLE = re.compile(r"^\{\{ table ([\w-]+\.csv) \}\}$", re.MULTILINE)
 PROGRAM = re.compile(r"^\{\{ python ([\w/]+\.py) \}\}$", re.MULTILINE)
 FIELDS = re.compile(r"^\{\{ fields (\w+) \}\}$", re.MULTILINE)
+GENERATED = re.compile(r"^\{\{ (\w+) \}\}$", re.MULTILINE)
 MATH = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 # Browsers ignore MathML's mathvariant, so these letters are given as characters of their own.
 LETTERS = {r"\mathcal L": "ℒ", r"\mathbb E": "𝔼"}
@@ -27,10 +28,7 @@ def on_page_markdown(markdown: str, **_: object) -> str:
     markdown = PROGRAM.sub(lambda found: program(ROOT / found[1]), markdown)
     markdown = TABLE.sub(lambda found: csv_table(DATA / found[1]), markdown)
     markdown = FIELDS.sub(lambda found: fields_table(found[1]), markdown)
-    for name, make in {"commands": commands_table, "options": commands_help}.items():
-        if f"{{{{ {name} }}}}" in markdown:
-            markdown = markdown.replace(f"{{{{ {name} }}}}", make())
-    return markdown
+    return GENERATED.sub(lambda found: GENERATORS[found[1]](), markdown)
 
 
 def on_page_content(html_text: str, **_: object) -> str:
@@ -157,3 +155,38 @@ def commands() -> list[tuple[str, str, str]]:
         parser = parser_of(name)
         found.append((name, parser.description.splitlines()[0], parser.format_help()))
     return found
+
+
+def protocol_table() -> str:
+    """A Markdown table of the capture protocol's steps."""
+    from geort_drake.people.protocol import STEPS
+
+    rows, start = ["| start | time | step | what to do |", "|---|---|---|---|"], 0.0
+    for step in STEPS:
+        clock = f"{start // 60:.0f}:{start % 60:02.0f}"
+        rows.append(f"| {clock} | {step.seconds:.0f} s | {step.name} | {step.instruction} |")
+        start += step.seconds
+    return "\n".join(rows)
+
+
+def parameters_table(kind: str, nominal: bool) -> str:
+    """A Markdown table of the parameters that conditions of grasp trials change."""
+    from geort_drake.benchmark import conditions
+    from geort_drake.simulation.scenario import Scenario
+
+    head = ["name", "what changes", *(["nominal"] if nominal else []), "default values"]
+    rows = [head, ["---"] * len(head)]
+    for name, parameter in getattr(conditions, kind).items():
+        values = ", ".join(f"{value:g}" for value in parameter.values)
+        own = [f"{parameter.nominal(Scenario()):g}"] if nominal else []
+        rows.append([f"`{name}`", parameter.label, *own, values])
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+GENERATORS = {
+    "commands": commands_table,
+    "options": commands_help,
+    "protocol": protocol_table,
+    "assumptions": lambda: parameters_table("ASSUMPTIONS", nominal=True),
+    "perturbations": lambda: parameters_table("PERTURBATIONS", nominal=False),
+}

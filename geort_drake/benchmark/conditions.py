@@ -22,10 +22,10 @@ class Parameter:
     """A parameter of a scenario that conditions change.
 
     Attributes:
-        label: of the plot's axis.
+        label: of the plot's axis, with unit.
         values: the default values.
         change: sets a value in a scenario.
-        nominal: the scenario's own value.
+        nominal: reads the unchanged value from a scenario.
     """
 
     label: str
@@ -37,7 +37,7 @@ class Parameter:
 def _factor(
     label: str, values: tuple[float, ...], part: Callable[[Scenario], Any], *fields: str
 ) -> Parameter:
-    """Factors on fields of a part of the scenario."""
+    """A factor on fields of a part of the scenario."""
 
     def change(scenario: Scenario, factor: float) -> None:
         for field in fields:
@@ -47,18 +47,18 @@ def _factor(
 
 
 def _set(field: str, unit: float = 1) -> Callable[[Scenario, float], None]:
-    """Sets a field of the scenario, such as "glove.shift", which is in `unit` of the condition's value."""
+    """Sets a field of the scenario, such as "glove.shift", to `unit` times a value."""
     part, _, name = field.rpartition(".")
     return lambda scenario, value: setattr(attrgetter(part)(scenario), name, unit * value)
 
 
-def _wear_anew(scenario: Scenario, shift: float) -> None:
-    """A glove worn anew, shifted by `shift` mm, and turned by as much at a lever of 0.1 m."""
+def _shift_glove(scenario: Scenario, shift: float) -> None:
+    """A glove shifted on the hand by `shift` mm and turned by shift / 0.1 m, as after putting it on again."""
     scenario.glove.shift, scenario.glove.turn = 1e-3 * shift, 1e-2 * shift
 
 
 def _soften(scenario: Scenario, modulus: float) -> None:
-    """Fingertips of a modulus in kPa; 0: contact of points."""
+    """Sets the fingertips' hydroelastic modulus, kPa; 0: rigid point contact."""
     scenario.fingertip_modulus = 1000 * modulus
     scenario.plant_config.contact_model = "hydroelastic_with_fallback" if modulus else "point"
 
@@ -72,7 +72,7 @@ ASSUMPTIONS = {
         lambda s: round(1000 * s.operator.visual_delay, 9),
     ),
     "gain": Parameter(
-        "naive gain, 1/s",
+        "correction rate of a seen error, 1/s",
         (0.5, 1, 3),
         _set("operator.correction_rate"),
         lambda s: s.operator.correction_rate,
@@ -85,19 +85,19 @@ ASSUMPTIONS = {
         lambda s: float(s.operator.touch),
     ),
     "tracker": Parameter(
-        "misaligned tracker, °",
+        "angle between tracker and world, °",
         (5, 10, 15),
         _set("glove.misalignment", math.radians(1)),
         lambda s: math.degrees(s.glove.misalignment),
     ),
     "donning": Parameter(
-        "glove worn anew, mm", (5, 10), _wear_anew, lambda s: round(1000 * s.glove.shift, 9)
+        "shift of the glove, mm", (5, 10), _shift_glove, lambda s: round(1000 * s.glove.shift, 9)
     ),
     "dropouts": Parameter(
-        "dropouts of 40 ms, 1/s", (1, 3), _set("glove.dropout_rate"), lambda s: s.glove.dropout_rate
+        "gaps of 40 ms, 1/s", (1, 3), _set("glove.dropout_rate"), lambda s: s.glove.dropout_rate
     ),
     "person": Parameter(
-        "another person, number",
+        "person, by number in the population of seed 0",
         (1, 2, 3),
         lambda s, number: setattr(s, "person", int(number)),
         lambda s: float(s.person),
@@ -114,7 +114,7 @@ ASSUMPTIONS = {
 
 
 def _range(label: str, sizes: tuple[float, ...], field: str, unit: float = 1.0) -> Parameter:
-    """The range of a random change of the object; its field in the scenario is in units of `unit`."""
+    """A range of random changes of the object. `unit` converts a size to the unit of the scenario's field."""
 
     def change(scenario: Scenario, size: float) -> None:
         setattr(scenario.object, field, unit * size)
@@ -125,7 +125,7 @@ def _range(label: str, sizes: tuple[float, ...], field: str, unit: float = 1.0) 
 # Changed by replays.
 PERTURBATIONS = {
     "position": _range("largest shift in x and y, mm", (5, 10, 20), "position_range", 1e-3),
-    "yaw": _range("largest turn, °", (5, 15, 30), "yaw_range", math.radians(1)),
+    "yaw": _range("largest rotation, °", (5, 15, 30), "yaw_range", math.radians(1)),
     "mass": _range("largest change of mass, fraction", (0.2, 0.5, 0.8), "mass_range"),
     "friction": _range("largest change of friction, fraction", (0.2, 0.5, 0.8), "friction_range"),
 }
