@@ -13,7 +13,7 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.finger_motion import FingerMotion
-from geort_drake.simulation.operators.perception import GAZE_W, Seen, SightError, perceive
+from geort_drake.simulation.operators.perception import GAZE_W, Seen, VisualError, perceive
 from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
 from geort_drake.simulation.operators.state import Phase
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
@@ -156,7 +156,7 @@ def test_the_person_tries_again_when_the_object_stays_behind():
 def test_the_person_sees_with_the_configured_errors():
     """Larger in depth than across, lasting for the configured time; the object is the reference."""
     config = OperatorConfig(visual_noise_time=0.1)
-    error = SightError.draw(4, config, rng := np.random.default_rng(0))
+    error = VisualError.draw(4, config, rng := np.random.default_rng(0))
     errors = [error := error.later(config, rng) for _ in range(20000)]
     p, turn = np.array([e.p for e in errors]), np.array([e.turn for e in errors])
     across = p @ np.array([[0.0, 1.0, 0.0], [0.6, 0.0, 0.8]]).T
@@ -175,7 +175,7 @@ def test_the_person_feels_with_noise_or_not_at_all(touch):
     scene = world.advance(FingerMotion(world.hand).rest, RigidTransform(), lifting=False)
     scene = dc.replace(scene, contact=np.array([2.0, 0.5, 0.0, 0.0]))
     rng = np.random.default_rng(0)
-    error = SightError.draw(4, config, rng)
+    error = VisualError.draw(4, config, rng)
     felt = np.array([perceive(scene, error, config, rng).contact for _ in range(2000)])
     np.testing.assert_allclose(felt.std(axis=0), 0.2 * touch * scene.contact, rtol=0.1)
     np.testing.assert_allclose(felt.mean(axis=0), touch * scene.contact, rtol=0.02)

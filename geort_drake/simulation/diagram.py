@@ -53,7 +53,7 @@ Retarget = Callable[[np.ndarray], np.ndarray]
 
 @dc.dataclass(frozen=True)
 class GraspDiagram:
-    """The diagram, and the parts of it that hold results."""
+    """The diagram of a trial, and its parts with results."""
 
     diagram: Diagram
     plant: MultibodyPlant
@@ -69,10 +69,9 @@ class GraspDiagram:
     fixed_base: bool
 
     def initialize(self, root: Context) -> None:
-        """Sets the object's mass in a context, locks the arm of a fixed base, and removes shapes without
-        physics.
+        """Sets the object's mass in a context, locks the arm of a fixed base, and removes visual geometry.
 
-        The recorder has read them before.
+        The recorder has already read that geometry.
         """
         remove_visuals(self.plant, self.scene_graph, root)
         context = self.plant.GetMyMutableContextFromRoot(root)
@@ -119,7 +118,7 @@ def make_grasp_diagram(
     base = robot.plant().GetFrameByName(description.base_frame, robot.plant().GetModelInstanceByName(HAND))
     X_WB_start = base.CalcPoseInWorld(robot.plant().CreateDefaultContext())
 
-    # A left hand is operated by a right-handed person in a mirror, who sees the scene in the mirror.
+    # A left hand is operated by the mirror image of a right-handed person, who sees the mirrored scene.
     in_mirror = description.side == "left"
     view, monitor = add_monitor(builder, scene, scenario, description)
 
@@ -156,7 +155,7 @@ def make_grasp_diagram(
         for name in ("keypoints", "wrist_pose", "valid"):
             builder.Connect(source.GetOutputPort(name), glove.GetInputPort(name))
         source = glove
-    # The human hand in the world, out of the mirror.
+    # The human hand in the world, mirrored back.
     hand_source: LeafSystem = source
     if in_mirror:
         hand_source = builder.AddNamedSystem("hand_mirror", HandMirror())
@@ -283,8 +282,8 @@ def _delayed(builder: DiagramBuilder, port: OutputPort, scenario: Scenario) -> O
     steps = round(config.visual_delay / config.period)
     if steps == 0:
         return port
-    # A system that samples a delay's output at the same ticks reads it before the tick's update, so one
-    # period later.
+    # A system that samples the delay's output reads it before the delay's update at the same time, which
+    # adds one period.
     delay = builder.AddNamedSystem(
         f"{port.get_name()}_seen_late", DiscreteTimeDelay(config.period, steps - 1, port.size())
     )
@@ -293,7 +292,7 @@ def _delayed(builder: DiagramBuilder, port: OutputPort, scenario: Scenario) -> O
 
 
 def _mirrored(builder: DiagramBuilder, name: str, port: OutputPort) -> OutputPort:
-    """A port of poses or points in the mirror."""
+    """A port of mirrored poses or points."""
     signs = POSE_MIRROR if name.endswith("_pose") else np.tile(POINT_MIRROR, port.size() // 3)
     mirror = builder.AddNamedSystem(f"{name}_mirrored", Gain(signs))
     builder.Connect(port, mirror.get_input_port())

@@ -1,4 +1,4 @@
-"""Free play before a task: the person sees where the robot's fingertips go, and keeps a plan."""
+"""Free motion before a task: the person sees where the robot's fingertips go, and selects a plan."""
 
 import dataclasses as dc
 import math
@@ -12,15 +12,15 @@ from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.universal import UniversalRetargeter
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
-DURATION, RATE = 30.0, 30.0  # s, looks per second
+DURATION, RATE = 30.0, 30.0  # s, frames per second
 
 
 def seen_fingertips(
     retarget: Callable[[np.ndarray], np.ndarray], hand: HandModel, person: HumanHand, latency: float = 0.0
 ) -> np.ndarray:
-    """Robot fingertips (T, F, 3), m in B, during the person's free play; none if the method fails in it.
+    """Robot fingertips (T, F, 3), m in B, during the person's free play; T is 0 if the method raises.
 
-    A method of longer `latency` (s) than a look is asked less often.
+    A method whose `latency` (s) exceeds the time between frames gets fewer of them.
     """
     if callable(reset := getattr(retarget, "reset", None)):
         reset()
@@ -31,20 +31,22 @@ def seen_fingertips(
         if isinstance(retarget, UniversalRetargeter):
             retarget = retarget.for_person(frames)
         q = np.array([retarget(frame) for frame in frames])[:, order]
-    except Exception:  # of any method; its trials record the error
+    except Exception:  # a method may raise anything; its trials record the error
         q = np.empty((0, len(order)))
     return hand.fingertips(np.clip(q[np.isfinite(q).all(axis=1)], hand.lower, hand.upper))
 
 
 def keep_attainable(plans: Sequence[GraspGoal], p_BF: np.ndarray) -> tuple[GraspGoal, bool]:
-    """The plan whose open hand the person has seen within its clearance, and True.
+    """Selects the first plan whose open hand the robot's fingertips have reached, within its clearance.
 
-    Each grasping fingertip counts by its least distance from its place in the open hand. If no plan is
-    attainable, it is the nearest, which the person tries as near as the fingers come, and False.
+    Each grasping fingertip is compared by its smallest distance from its target in the open hand.
 
     Args:
         plans: at least one, in the order of preference.
         p_BF: see `seen_fingertips`.
+
+    Returns:
+        The plan and True. Without an attainable plan: the nearest one, with an infinite clearance, and False.
     """
 
     def excess(goal: GraspGoal) -> float:

@@ -27,7 +27,7 @@ class ObjectShape:
 
     def lowest_point(self, X_WO: RigidTransform) -> float:
         """Height in W of the lowest point of the object at X_WO, m."""
-        R_OG, p_OG, box, disk, ellipsoid = self._sums
+        R_OG, p_OG, box, disk, ellipsoid = self._minkowski_summands
         down_O = X_WO.rotation().matrix()[2]  # the world's z axis in O
         down_G = down_O @ R_OG
         reach = (np.abs(down_G) * box).sum(axis=1)
@@ -36,7 +36,7 @@ class ObjectShape:
         return float(X_WO.translation()[2] + (p_OG @ down_O - reach).min())
 
     @functools.cached_property
-    def _sums(self) -> tuple[np.ndarray, ...]:
+    def _minkowski_summands(self) -> tuple[np.ndarray, ...]:
         """Poses R_OG (N, 3, 3) and p_OG (N, 3) of the parts, and the summands of their Minkowski sums.
 
         The summands are boxes of half sides (N, 3), disks of radius (N,) across z, and ellipsoids of half
@@ -57,7 +57,7 @@ def object_shape(plant: MultibodyPlant, inspector: SceneGraphInspector, body: Ri
     """Reads the collision geometry of `body`.
 
     Raises:
-        ScenarioError: the body has no collision geometry, or some other than convex primitives.
+        ScenarioError: the body has no collision geometry, or geometry other than convex primitives.
     """
     parts = tuple(
         (inspector.GetShape(geometry), inspector.GetPoseInFrame(geometry))

@@ -7,5 +7,5 @@ from geort_drake.simulation.scenario import Scenario
 
 
 def persons_hand(scenario: Scenario, recording: Recording) -> HumanHand:
-    """The hand of the scenario's `person`: fitted to the recording, or another one's."""
+    """The hand of the scenario's `person`: fitted to the recording for 0, otherwise from the population."""
     return sample_person(0, scenario.person).hand if scenario.person else HumanHand.fit(recording)

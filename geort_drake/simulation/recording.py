@@ -112,7 +112,7 @@ def add_grasp_recorder(
     )
     base = plant.GetFrameByName(description.base_frame, hand)
     points = {
-        # Translucent, and a little larger than the fingertips that are in them while they follow.
+        # Translucent and slightly larger than the fingertips, which are inside while they follow.
         "fingertips/commanded": PointsSpec(
             commanded["joints"],
             base,
@@ -163,7 +163,7 @@ def _joint_signals(
     commanded: OutputPort,
     measured: OutputPort,
 ) -> dict[str, SignalSpec]:
-    """Positions, and torques as shares of their limits; in N m if a joint of the model has no limit.
+    """Positions, and torques as fractions of their limits; in N m if a joint of the model has no limit.
 
     Args:
         key: entity path.

@@ -50,7 +50,7 @@ _RULES = (
     ("in [0, 1)", lambda value: 0 <= value < 1, ("object.mass_range", "object.friction_range")),
     ("0 or more", lambda value: value >= 0, ("random_seed", "person")),
 )
-_MIN_TIME_STEP = 1e-5  # s; a trial with a shorter step would hardly end
+_MIN_TIME_STEP = 1e-5  # s; with a shorter step, a trial would take hours
 # These must be multiples of the plant's time step.
 _PERIODS = tuple(
     f"{part}.period" for part in ("retargeting", "wrist_to_arm", "operator", "monitor", "recording")
@@ -81,7 +81,7 @@ class ObjectConfig:
 
 @dc.dataclass
 class RetargetingConfig:
-    """How the retargeter runs in the diagram."""
+    """Timing and limits of the retargeter in the diagram."""
 
     # Time between updates, s.
     period: float = 0.01
@@ -90,8 +90,8 @@ class RetargetingConfig:
     max_joint_acceleration: float = 700.0
     # Cutoff of a low-pass on the joint targets, Hz; 0 for none.
     cutoff: float = 0.0
-    # Duration of a call, s, rounded up to whole steps of the plant. The joint targets come this much later,
-    # and the retargeter is not called again before.
+    # Duration of a call, s, rounded up to whole steps of the plant. It delays the joint targets, and the
+    # retargeter is not called again before they are out.
     latency: float = 0.0
 
 
@@ -132,8 +132,8 @@ class Scenario:
     hand_parent: str = "adapter::hand_side"
     # Factor on the proportional gains of the hand's controllers; damping ratios stay.
     hand_stiffness_factor: float = 1.0
-    # Hydroelastic modulus of the hand's fingertips, Pa, on rigid objects: soft rubber has some 1e5. 0: the
-    # contact of all shapes is that of points. Needs `plant_config.contact_model: hydroelastic_with_fallback`.
+    # Hydroelastic modulus of the hand's fingertips, Pa, on rigid objects; soft rubber has about 1e5. 0: point
+    # contact. Other values need `plant_config.contact_model: hydroelastic_with_fallback`.
     fingertip_modulus: float = 0.0
     # Whether the arm stays where it starts. Replays then need no wrist poses.
     fixed_base: bool = False

@@ -49,7 +49,7 @@ class TrialResult:
     drops: int
     # Largest displacement of the object in the hand during the last lift, m; None without a lift.
     slip: float | None
-    # Share of the time in which two links of the hand touched each other, see `SceneView`.
+    # Fraction of the time in which two links of the hand touched each other, see `SceneView`.
     self_contact: float
     peak_force: float
     peak_height: float
@@ -72,13 +72,13 @@ def run_trial(
 
     Args:
         scenario, retarget, human, rerun_path, properties: as for `make_grasp_diagram`.
-        report: called with the simulated time now and then, for a progress display.
+        report: called with the simulated time, s, every 0.25 simulated s.
 
     Returns:
         The result, and the glove and tracker data of the trial for `GloveReplay`.
     """
     started = time.perf_counter()
-    # Methods that continue from their last output start anew.
+    # Methods with a memory forget the previous trial.
     if callable(reset := getattr(retarget, "reset", None)):
         reset()
     properties = {**(properties or {}), "seed": scenario.random_seed}

@@ -75,8 +75,8 @@ def add_scene(
         _soften_fingertips(plant, scene_graph, description, body, scenario.fingertip_modulus)
     arm, hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
     _scale_stiffness(plant, hand, scenario.hand_stiffness_factor)
-    # A real arm's controller compensates gravity for the arm and the hand; everything else but the object
-    # is fixed.
+    # Gravity acts on the object only: a real arm's controller compensates it for arm and hand, and
+    # everything else is fixed.
     for number in range(plant.num_model_instances()):
         if (model := ModelInstanceIndex(number)) != body.model_instance():
             plant.set_gravity_enabled(model, False)

@@ -1,4 +1,4 @@
-"""What a glove and a tracker that are worn make of a hand: misalignment, a shift, and gaps."""
+"""Measurement faults of a worn glove and tracker: misalignment, a shift, and gaps."""
 
 import bisect
 import dataclasses as dc
@@ -18,8 +18,8 @@ class WornGloveConfig:
 
     # Angle between the tracker's frame and the world's, about a random axis, rad.
     misalignment: float = 0.0
-    # The glove is worn otherwise than in training: standard deviations of the shift, m, and the rotation,
-    # rad, of all keypoints about each axis of the wrist.
+    # The glove sits differently than in training: standard deviations of the shift, m, along each axis of
+    # the wrist, and of the rotation, rad, about it, of all keypoints.
     shift: float = 0.0
     turn: float = 0.0
     # Gaps in which the hand is lost: mean number per second, and duration, s.
@@ -37,20 +37,20 @@ class WornGloveConfig:
 
 
 class WornGlove(LeafSystem):
-    """Changes what a glove and a tracker measure as the configuration says.
+    """Adds the configured faults to the measurements of a glove and a tracker.
 
     Input ports:
         keypoints (63): p_HK, keypoint-major, m, true wrist frame H.
         wrist_pose (abstract RigidTransform): X_WH.
         valid (1): 1 tracked, 0 lost.
     Output ports:
-        keypoints (63): turned and shifted; the wrist stays at the origin.
-        wrist_pose (abstract RigidTransform): in the misaligned frame of the tracker.
+        keypoints (63): rotated and shifted; the wrist stays at the origin.
+        wrist_pose (abstract RigidTransform): X_TH, in the misaligned frame T of the tracker.
         valid (1): 0 also during a gap.
 
     Args:
         duration: gaps are drawn up to this time, s.
-        rng: draws everything.
+        rng: draws all faults.
     """
 
     def __init__(self, config: WornGloveConfig, duration: float, rng: np.random.Generator):
@@ -60,7 +60,7 @@ class WornGlove(LeafSystem):
         self._X_TW = RigidTransform(RotationMatrix(R), np.zeros(3))
         self._R = Rotation.from_rotvec(rng.normal(0, config.turn, 3)).as_matrix()
         self._p = rng.normal(0, config.shift, 3)
-        # Starts of a Poisson process are uniform, once their number is drawn.
+        # Given their number, the events of a Poisson process are distributed uniformly.
         count = rng.poisson(config.dropout_rate * duration)
         self._gaps, self._gap = sorted(rng.uniform(0, duration, count).tolist()), config.dropout_time
         keypoints = self.DeclareVectorInputPort("keypoints", 63)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 @dc.dataclass
 class WristMovement:
-    """A minimum-jerk movement (Flash and Hogan 1985); times in s."""
+    """A minimum-jerk movement (Flash and Hogan 1985) between two poses X_WH; times in s."""
 
     X_start: RigidTransform
     X_end: RigidTransform
@@ -22,14 +22,14 @@ class WristMovement:
         return self.t_start + self.duration
 
     def pose(self, t: float) -> RigidTransform:
-        """Returns the pose at time t: on a straight line, turned about one axis."""
+        """Returns the pose at time t: on a straight line, rotated about a fixed axis."""
         s = minimum_jerk((t - self.t_start) / self.duration)
         p = self.X_start.translation() + s * (self.X_end.translation() - self.X_start.translation())
-        turn = Rotation.from_rotvec(self._turn * s).as_matrix()
-        return RigidTransform(self.X_start.rotation() @ RotationMatrix(turn), p)
+        rotation = Rotation.from_rotvec(self._rotation_vector * s).as_matrix()
+        return RigidTransform(self.X_start.rotation() @ RotationMatrix(rotation), p)
 
     @functools.cached_property
-    def _turn(self) -> np.ndarray:
+    def _rotation_vector(self) -> np.ndarray:
         R_SE = self.X_start.rotation().inverse() @ self.X_end.rotation()
         return Rotation.from_matrix(R_SE.matrix()).as_rotvec()
 

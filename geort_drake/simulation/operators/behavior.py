@@ -15,7 +15,7 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.finger_motion import FingerMotion
-from geort_drake.simulation.operators.perception import Seen, SensedGain, SightError, averaged, perceive
+from geort_drake.simulation.operators.perception import Seen, SensedGain, VisualError, averaged, perceive
 from geort_drake.simulation.operators.state import OperatorState, Phase
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.wrist_motion import WristMovement, minimum_jerk
@@ -37,7 +37,7 @@ class GraspingPerson:
         self._goal = goal
         self._config = config
         self._rng = rng
-        # Own finger of each robot finger; the other own fingers follow their neighbour.
+        # Own finger for each robot finger; the other own fingers follow their neighbour.
         self._own = np.array([FINGER_NAMES.index(name) for name in goal.finger_names])
         self._followers = [i for i in range(5) if i not in self._own]
 
@@ -51,20 +51,22 @@ class GraspingPerson:
             X_WH=X_WH,
             p_HF_past=(p_HF,) * max(steps, 1),
             sensed=SensedGain(),
-            sight=SightError.draw(len(self._own), self._config, self._rng),
+            visual_error=VisualError.draw(len(self._own), self._config, self._rng),
         )
 
     def step(self, state: OperatorState, t: float, scene: Seen) -> OperatorState:
         """The state after one decision at time t, s; does not change `state`."""
         past = (*state.p_HF_past[1:], self._hand.fingertips(state.theta))
-        state = dc.replace(state, p_HF_past=past, sight=state.sight.later(self._config, self._rng))
-        seen = perceive(scene, state.sight, self._config, self._rng)
+        state = dc.replace(
+            state, p_HF_past=past, visual_error=state.visual_error.later(self._config, self._rng)
+        )
+        seen = perceive(scene, state.visual_error, self._config, self._rng)
         free = seen.contact <= self._config.touch_force
-        # The oldest remembered own posture is as old as the seen scene.
+        # The oldest remembered own fingertips are as old as the seen scene.
         tips = np.stack([past[0][self._own], seen.p_BF])
         state.fingertips = averaged(state.fingertips, tips, self._config)
         own, robot = state.fingertips
-        state.sensed = state.sensed.look(t, own, robot, free)
+        state.sensed = state.sensed.update(t, own, robot, free)
         state.p_BO = averaged(state.p_BO, seen.X_BW @ seen.X_WO.translation(), self._config)
         state.shape_error = averaged(state.shape_error, self._fingertip_errors(state, seen), self._config)
         self._advance_phase(state, t, seen)
@@ -78,13 +80,13 @@ class GraspingPerson:
 
     def _advance_phase(self, state: OperatorState, t: float, seen: Seen) -> None:
         config, goal = self._config, self._goal
-        # After several movements the hand is as near as the arm can bring it.
+        # After several movements the arm can bring the hand no nearer.
         there = self._wrist_rests(state, t) and (
             state.movements >= config.max_corrections or self._at(seen, self._target_hand_pose(state, seen))
         )
         touching = (seen.contact > config.touch_force)[goal.touches]
         if state.phase in (Phase.REACH, Phase.RELEASE):
-            # Fingers at their limit may be as far off as the object leaves room.
+            # Fingers at their limit may be off by the clearance.
             near = goal.clearance if self._fingers_at_limit(state, t) else 0.0
             if there and self._worst_error(state) < max(config.shape_tolerance, near):
                 self._enter(state, Phase.APPROACH, t)
@@ -95,7 +97,7 @@ class GraspingPerson:
             if self._wrist_rests(state, t) and self._shaped(state, t, seen, config.aperture_tolerance):
                 self._enter(state, Phase.CLOSE, t)
         elif state.phase == Phase.CLOSE:
-            # Without touch, fingers that come no further are taken to touch.
+            # Without touch, fingers that have stopped are taken to touch.
             stopped = not config.touch and self._fingers_at_limit(state, t)
             if touching.all() or (stopped and self._hand_shift(state, seen) is None):
                 self._enter(state, Phase.SQUEEZE, t)
@@ -136,7 +138,7 @@ class GraspingPerson:
         return t - state.best_time > self._config.patience
 
     def _hand_shift(self, state: OperatorState, seen: Seen) -> np.ndarray | None:
-        """Shift of the hand, (3,) m in W, that makes up for what the fingers cannot reach; None if it is
+        """Shift of the hand, (3,) m in W, that compensates for errors out of the fingers' reach; None if
         small.
 
         It is the middle of the fingertips' errors, which minimises the largest error.
@@ -144,7 +146,7 @@ class GraspingPerson:
         error = state.shape_error
         assert error is not None  # set at the start of every decision
         if state.phase == Phase.CLOSE:
-            # Errors to the surface, not below it; a finger that touches has arrived.
+            # Errors to the surface, not to the targets below it; a finger that touches has arrived.
             X_BO = seen.X_BW @ self._goal.object_frame(seen.X_WO)
             error = error - self._config.overshoot * (self._goal.n_OF @ X_BO.rotation().matrix().T)
             error[seen.contact > self._config.touch_force] = 0
@@ -191,7 +193,9 @@ class GraspingPerson:
         speed = np.linalg.norm(target, axis=1, keepdims=True)
         limit = np.full((5, 1), config.max_fingertip_speed)
         if state.phase == Phase.CLOSE:
-            limit[self._own, 0] = config.closing_speed * self._closing_share(state.shape_error - done, seen)
+            limit[self._own, 0] = config.closing_speed * self._closing_fraction(
+                state.shape_error - done, seen
+            )
         target *= np.minimum(1.0, limit / np.maximum(speed, 1e-9))
         for own in self._followers:
             target[own] = target[own - 1]
@@ -202,7 +206,7 @@ class GraspingPerson:
         state.theta = self._motion.follow(state.theta, p_HF + config.period * noisy)
 
     def _squeeze(self, state: OperatorState, t: float) -> None:
-        """Moves the touching fingertips inwards, by a depth that allows for the sensed gain."""
+        """Moves the touching fingertips inwards by the squeeze's depth divided by the sensed gain."""
         config, goal = self._config, self._goal
         state.finger_velocity = np.zeros((5, 3))
         if state.phase != Phase.SQUEEZE:
@@ -215,15 +219,15 @@ class GraspingPerson:
         depth *= minimum_jerk((t - state.phase_start) / config.squeeze_time)
         state.theta = self._motion.follow(state.theta, state.p_HF_start + depth * inwards)
 
-    def _closing_share(self, error: np.ndarray, seen: Seen) -> np.ndarray:
-        """Each finger's share of the closing speed: touching fingers stop, leading ones wait."""
+    def _closing_fraction(self, error: np.ndarray, seen: Seen) -> np.ndarray:
+        """(F,) fraction of the closing speed: touching fingers stop, leading ones wait."""
         config, touches = self._config, self._goal.touches
         distance = np.linalg.norm(error, axis=1)
         touching = seen.contact > config.touch_force
         pending = touches & ~touching
         slowest = distance[pending].max() if pending.any() else 0.0
-        share = np.clip(1 - (slowest - distance - config.closing_lead) / config.closing_lead, 0, 1)
-        return np.where(touches & touching, 0.0, share)
+        fraction = np.clip(1 - (slowest - distance - config.closing_lead) / config.closing_lead, 0, 1)
+        return np.where(touches & touching, 0.0, fraction)
 
     # -- wrist
 

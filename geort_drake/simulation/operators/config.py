@@ -31,22 +31,22 @@ class OperatorConfig:
     # Delay of vision, s; visual corrections start after 117 ms (direction) to 200 ms (distance) [S05]. A
     # multiple of `period`.
     visual_delay: float = 0.18
-    # Standard deviation of where fingertips and hand are seen relative to the object, m: across the line of
-    # sight, and along it, where vision is worse [B02]. Assumption: the sizes.
+    # Standard deviations of the seen positions of fingertips and hand relative to the object, m: across the
+    # line of sight, and along it, where vision is worse [B02]. The sizes are assumptions.
     visual_noise: float = 0.002
     visual_depth_noise: float = 0.005
     # Standard deviation of the seen rotation of hand and object about each axis, rad: `visual_noise` at a
-    # lever of 0.1 m.
+    # radius of 0.1 m.
     visual_turn_noise: float = 0.02
-    # Time constant of these errors, s, which are a first-order autoregressive process; 0: each look has new
-    # ones. Assumption: a look does not average them away.
+    # Time constant of these errors, s, a first-order autoregressive process; 0: white noise. An assumption:
+    # people do not average the errors away.
     visual_noise_time: float = 1.0
-    # Whether contact forces are felt. Without, closing ends when fingers are seen to come no further.
+    # Whether contact forces are felt. If not, closing ends when the fingers are seen to stop.
     touch: bool = True
-    # Standard deviation of a felt contact force as a share of it; the just noticeable difference is 7 to
+    # Standard deviation of a felt contact force as a fraction of it; the just noticeable difference is 7 to
     # 10 % [J89].
     contact_noise: float = 0.1
-    # Fingertip speed per error that is seen and not yet corrected, 1/s. The person assumes that the robot's
+    # Fingertip speed per seen error that is not yet corrected, 1/s. The person assumes that the robot's
     # fingertips move like their own.
     correction_rate: float = 2.5
     # Largest fingertip speed while shaping the hand, m/s; median and 95th percentile of free play are 0.1 and
@@ -56,7 +56,7 @@ class OperatorConfig:
     closing_speed: float = 0.02
     # Time constant with which a finger's speed changes, s.
     muscle_time_constant: float = 0.06
-    # Standard deviation of motor noise as a share of the speed [HW98].
+    # Standard deviation of motor noise as a fraction of the speed [HW98].
     motor_noise: float = 0.05
     # Root mean square of the fingertips' tremor, m [R97: 49 µm].
     tremor: float = 5e-5
@@ -66,19 +66,19 @@ class OperatorConfig:
     # Shortest wrist movement, s.
     min_movement_time: float = 0.4
     # Pause after a wrist movement and the visual delay before the result is judged, s: with delay, people
-    # move and wait [F65]. Looks are averaged over about this time.
+    # move and wait [F65]. Vision is averaged over about this time.
     judging_time: float = 0.09
-    # After this many movements the person takes the hand to be as near its goal as the arm can bring it.
+    # After this many movements the person takes the hand to be as near its target as the arm can bring it.
     max_corrections: int = 4
     # Tolerances of the hand's position, m, its rotation, rad, and the fingertips, m.
     reach_tolerance: float = 0.008
     turn_tolerance: float = 0.08
     shape_tolerance: float = 0.010
-    # If the fingertips' error has not fallen for this long, s, the fingers are at their limit. Then the
-    # hand is shifted by the middle of their errors, if that is above this, m.
+    # If the fingertips' error has not fallen for `patience`, s, the fingers are at their limit. The hand then
+    # shifts by the middle of their errors, if that is larger than this, m.
     patience: float = 0.5
     shift_tolerance: float = 0.003
-    # Distance of the fingertips from the surface before closing, and its tolerance, m.
+    # Distance of the fingertips from the object's surface before closing, and its tolerance, m.
     aperture: float = 0.008
     aperture_tolerance: float = 0.007
     # Depth below the surface that closing fingertips aim for, m.

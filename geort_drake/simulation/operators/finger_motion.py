@@ -23,7 +23,7 @@ class FingerMotion:
     def __init__(self, hand: HumanHand):
         self._hand = hand
         lower, upper = hand.lower.reshape(5, 4), hand.upper.reshape(5, 4)
-        # The shared bend may go as far as both joints can follow.
+        # The shared bend ends where one of the two joints reaches its limit.
         bend_lower = np.maximum(np.maximum(lower[:, 2], lower[:, 3] / _COUPLING), _LEAST_BEND)
         bend_upper = np.minimum(upper[:, 2], upper[:, 3] / _COUPLING)
         self._lower = np.column_stack([lower[:, :2], np.minimum(bend_lower, bend_upper)])

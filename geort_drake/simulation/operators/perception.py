@@ -1,4 +1,4 @@
-"""Perception of the simulated person: errors of sight and touch, and the sensed gain of the robot."""
+"""Perception of the simulated person: errors of vision and touch, and the perceived gain of the robot."""
 
 import dataclasses as dc
 import functools
@@ -35,47 +35,47 @@ class Seen:
 
 
 @dc.dataclass(frozen=True)
-class SightError:
-    """Present errors of sight."""
+class VisualError:
+    """Present errors of vision."""
 
     p: np.ndarray  # (F + 1, 3) of fingertips and hand relative to the object, in W, m
     turn: np.ndarray  # (2, 3) rotation vectors of object and hand, rad
 
     @classmethod
-    def draw(cls, num_fingers: int, config: OperatorConfig, rng: np.random.Generator) -> "SightError":
+    def draw(cls, num_fingers: int, config: OperatorConfig, rng: np.random.Generator) -> "VisualError":
         """Independent errors of the configured sizes."""
         n = rng.normal(size=(num_fingers + 1, 3))
         across, along = config.visual_noise, config.visual_depth_noise
         p = across * n + (along - across) * np.outer(n @ GAZE_W, GAZE_W)
         return cls(p, rng.normal(0, config.visual_turn_noise, (2, 3)))
 
-    def later(self, config: OperatorConfig, rng: np.random.Generator) -> "SightError":
+    def later(self, config: OperatorConfig, rng: np.random.Generator) -> "VisualError":
         """The errors one period later."""
         kept = math.exp(-config.period / config.visual_noise_time) if config.visual_noise_time else 0.0
-        new, share = SightError.draw(len(self.p) - 1, config, rng), math.sqrt(1 - kept**2)
-        return SightError(kept * self.p + share * new.p, kept * self.turn + share * new.turn)
+        new, weight = VisualError.draw(len(self.p) - 1, config, rng), math.sqrt(1 - kept**2)
+        return VisualError(kept * self.p + weight * new.p, kept * self.turn + weight * new.turn)
 
 
-def perceive(scene: Seen, error: SightError, config: OperatorConfig, rng: np.random.Generator) -> Seen:
-    """The scene with errors of sight, and with noise on forces, which is drawn anew for each look.
+def perceive(scene: Seen, error: VisualError, config: OperatorConfig, rng: np.random.Generator) -> Seen:
+    """The scene with errors of vision, and with noise on forces that is new at each call.
 
-    Only places relative to the object matter, so the object is seen where it is.
+    Only positions relative to the object matter, so that of the object has no error.
     """
     turns = Rotation.from_rotvec(error.turn).as_matrix()
-    share = 1 + rng.normal(0, config.contact_noise, len(scene.p_WF))
+    factor = 1 + rng.normal(0, config.contact_noise, len(scene.p_WF))
     X_WO, X_WB = (
         RigidTransform(RotationMatrix(turn) @ X.rotation(), X.translation() + shift)
         for X, turn, shift in zip((scene.X_WO, scene.X_WB), turns, (np.zeros(3), error.p[-1]), strict=True)
     )
     # A felt force is never negative.
-    contact = scene.contact * np.maximum(share, 0) * config.touch
+    contact = scene.contact * np.maximum(factor, 0) * config.touch
     return Seen(scene.p_WF + error.p[:-1], X_WB, X_WO, contact)
 
 
 def averaged(before: np.ndarray | None, now: np.ndarray, config: OperatorConfig) -> np.ndarray:
-    """Running average over about `judging_time`; single looks are noisier than the tolerances.
+    """Low-pass over about `judging_time`, because single samples are noisier than the tolerances.
 
-    `before` is the average one period ago, None at the first look.
+    `before` is the average one period ago, None at the first sample.
     """
     if before is None:
         return now
@@ -87,11 +87,11 @@ class SensedGain:
     """The person's estimate of robot fingertip motion per own fingertip motion.
 
     People adapt to a new visuomotor gain within a few movements (Krakauer et al. 2000). The estimate is one
-    number for the whole hand, Σ |Δrobot| |Δown| / Σ |Δown|², over free motions between looks at least
+    number for the whole hand, Σ |Δrobot| |Δown| / Σ |Δown|², over free motions between samples at least
     `interval` apart. It starts at one.
     """
 
-    # At the last look: time, own (F, 3) and robot's (F, 3) fingertips in their hands' frames.
+    # At the last sample: time, s; own (F, 3) and robot's (F, 3) fingertips in their hands' frames, m.
     t: float = -np.inf
     own: np.ndarray | None = None
     robot: np.ndarray | None = None
@@ -106,8 +106,8 @@ class SensedGain:
         """Robot motion over own motion."""
         return self.product / self.square
 
-    def look(self, t: float, own: np.ndarray, robot: np.ndarray, free: np.ndarray) -> "SensedGain":
-        """The estimate after a look at time t, s; fingers in contact are not `free` (F,)."""
+    def update(self, t: float, own: np.ndarray, robot: np.ndarray, free: np.ndarray) -> "SensedGain":
+        """The estimate after a sample at time t, s; fingers in contact are not `free` (F,)."""
         if t - self.t < self.interval:
             return self
         if self.own is None or self.robot is None:

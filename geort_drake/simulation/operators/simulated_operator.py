@@ -15,7 +15,7 @@ from geort_drake.systems.port_values import vector_to_pose
 
 
 class SimulatedOperator(LeafSystem):
-    """Simulates a person who grasps with the robot by moving their own hand and wrist.
+    """Simulates a person who grasps with the robot by moving hand and wrist.
 
     `GraspingPerson` decides once every `OperatorConfig.period`. The inputs should be delayed by
     `OperatorConfig.visual_delay`.
@@ -57,7 +57,7 @@ class SimulatedOperator(LeafSystem):
         self._object_pose = self.DeclareVectorInputPort("object_pose", 7)
         self._contact = self.DeclareVectorInputPort("contact", num_fingers)
         # The delays' outputs are zero until their first sample has passed.
-        self._first_sight = config.visual_delay - 0.5 * config.period
+        self._vision_start = config.visual_delay - 0.5 * config.period
         start = self._person.start(X_WH_start)
         state = self.DeclareAbstractState(AbstractValue.Make(start))
         # A state, because the tremor is drawn once per decision.
@@ -90,7 +90,7 @@ class SimulatedOperator(LeafSystem):
 
     def _decide(self, context: Context, state: State) -> EventStatus:
         before = self.memory(context)
-        if context.get_time() < self._first_sight:
+        if context.get_time() < self._vision_start:
             return EventStatus.DidNothing()
         scene = Seen(
             p_WF=self._fingertips.Eval(context).reshape(-1, 3),

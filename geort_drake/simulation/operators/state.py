@@ -6,7 +6,7 @@ import enum
 import numpy as np
 from pydrake.math import RigidTransform
 
-from geort_drake.simulation.operators.perception import SensedGain, SightError
+from geort_drake.simulation.operators.perception import SensedGain, VisualError
 from geort_drake.simulation.wrist_motion import WristMovement
 from geort_drake.systems.port_values import Immutable
 
@@ -26,7 +26,7 @@ class Phase(enum.IntEnum):
 
 @dc.dataclass
 class OperatorState(Immutable):
-    """The person's memory between decisions. Frames: H own wrist, B robot hand base.
+    """The person's memory between decisions. Frames: H person's wrist, B robot hand base.
 
     `GraspingPerson.step` changes only a copy of it.
     """
@@ -37,7 +37,7 @@ class OperatorState(Immutable):
     # is at the joint angles before this decision.
     p_HF_past: tuple[np.ndarray, ...]
     sensed: SensedGain
-    sight: SightError
+    visual_error: VisualError
     phase: Phase = Phase.REACH
     phase_start: float = 0.0
     attempt: int = 1
@@ -45,8 +45,8 @@ class OperatorState(Immutable):
     # The wrist's present or last movement in this phase, and the number of movements.
     movement: WristMovement | None = None
     movements: int = 0
-    # Averages of several looks, m: own fingertips in H at the time of the seen scene and robot's in B,
-    # (2, F, 3); errors of the robot's fingertips in B, (F, 3); the object's origin in B, (3,).
+    # Averages over time, m: own fingertips in H at the time of the seen scene and robot's in B, (2, F, 3);
+    # errors of the robot's fingertips in B, (F, 3); the object's origin in B, (3,).
     fingertips: np.ndarray | None = None
     shape_error: np.ndarray | None = None
     p_BO: np.ndarray | None = None
