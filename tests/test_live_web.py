@@ -20,7 +20,7 @@ from geort_drake.live.teleoperation import RobotModel, make_teleoperation
 from geort_drake.live.web.desk import About, Desk, is_fist
 from geort_drake.live.web.guide import DURATION_S, GuidedPlay
 from geort_drake.live.web.hands import HandReader
-from geort_drake.live.web.messages import Disengage, Engage, Hello, Reset, decode
+from geort_drake.live.web.messages import Disengage, Engage, Fist, Hello, Reset, decode
 from geort_drake.live.web.one_euro import OneEuroFilter
 from geort_drake.people.keypoints import bone_lengths
 from geort_drake.simulation.scenario import load_scenario
@@ -93,6 +93,19 @@ def test_the_filter_stills_a_hand_and_follows_a_fast_one():
 # -- who may speak
 
 
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_first_answer_tells_of_which_side_the_robot_is(side):
+    """So that a page asks for the controls with that hand, which is then followed."""
+    operated = desk(side=side)
+    answer = operated.join(1)
+    assert (answer["role"], answer["side"], answer["hand"]) == ("spectator", side, f"allegro_{side}")
+    assert operated.take(1, hello(side=answer["side"]))["role"] == "operator"
+    for number in range(HANDSHAKE_FRAMES + 1):
+        operated.take(1, headset(number, p_WK=in_world(number, side)))
+    (hand,) = operated.drain()
+    np.testing.assert_allclose(decode_glove(hand, side).p_HK, PLAY.p_HK[HANDSHAKE_FRAMES], atol=1e-6)
+
+
 def test_one_person_operates_and_others_look_on():
     operated = known(desk())
     operated.join(2)
@@ -132,8 +145,8 @@ def test_a_real_robot_asks_twice():
         operated.take(1, '{"type": "reset"}')
 
 
-def test_a_held_fist_engages():
-    """Once, after a second; an open hand does not."""
+def test_a_held_fist_is_a_command():
+    """Once, after a second; an open hand is none."""
     open_hand = next(p for p in PLAY.p_HK if not is_fist(p))
     fist = open_hand.copy()
     for base in (5, 9, 13, 17):
@@ -147,7 +160,7 @@ def test_a_held_fist_engages():
         operated._clock.now += 0.1
         operated.take(1, headset(0, 10.0 + now, fist @ to_world))
     assert operated.fist == 1.0
-    assert [type(command) for command in operated.commands] == [Engage]
+    assert [type(command) for command in operated.commands] == [Fist]
     operated.take(1, headset(0, 20.0, open_hand @ to_world))
     assert operated.fist == 0.0
 

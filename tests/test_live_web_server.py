@@ -362,7 +362,7 @@ async def _drive(address: str) -> set[int]:
 
         await send_until(lambda: state.get("recording"), {"type": "engage"}, {"type": "record", "keep": True})
         await send_until(lambda: state["following"] and state["time"] > 2.0)
-        await send_until(lambda: state["scene"] == 2, {"type": "reset", "object": "sphere"})
+        await send_until(lambda: state["scene"] == 2, {"type": "stop"}, {"type": "reset", "object": "sphere"})
         assert state["object"] == "sphere"
         assert not state["engaged"] and state["recording"] is None
         reader.cancel()

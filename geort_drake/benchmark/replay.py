@@ -20,14 +20,14 @@ from geort_drake.benchmark.folder import simulation_settings
 from geort_drake.benchmark.records import Record, TrialKey
 from geort_drake.benchmark.statistics import proportion
 from geort_drake.benchmark.trials import Trial
-from geort_drake.errors import ScenarioError, UnknownNameError
+from geort_drake.errors import RecordingError, ScenarioError, UnknownNameError
 from geort_drake.files import sha256_of, write_text
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import WEIGHTS
-from geort_drake.retargeting.retargeter import load_retargeter, path_of
+from geort_drake.retargeting.retargeter import UniversalRetargeter, load_retargeter, path_of, shipped_map
 from geort_drake.simulation.diagram import Retarget
 from geort_drake.simulation.scenario import Scenario, dump_scenario, object_names
 from geort_drake.simulation.world import draw_placement
@@ -46,7 +46,8 @@ class Replay:
         sessions: recordings with wrist poses.
         side: of the recorded hands; None: the robot hand's.
         object_name: the grasped object; None: as noted in each session.
-        retargeter: directory of a checkpoint, or a map by its hand's name or file.
+        retargeter: directory of a checkpoint, or a map for everyone by its hand's name or file, which is
+            that of the person in each session; None: the map that is shipped for the hand.
         perturbations: name in `PERTURBATIONS` → sizes.
         trials: draws per session and perturbation.
 
@@ -60,7 +61,7 @@ class Replay:
         sessions: Sequence[Path],
         side: str | None,
         object_name: str | None,
-        retargeter: Path,
+        retargeter: Path | None,
         perturbations: Mapping[str, Sequence[float]],
         trials: int,
     ):
@@ -68,8 +69,14 @@ class Replay:
         self.recordings = _read_sessions(sessions, side or description.side)
         self.trials = trials
         self.hand = HandModel(description)
-        self.retarget: Retarget = load_retargeter(retargeter, self.hand)
-        path = path_of(retargeter)
+        path = shipped_map(self.hand) if retargeter is None else path_of(retargeter)
+        retarget = load_retargeter(path, self.hand)
+        self._retargets: dict[str, Retarget] = {
+            name: retarget.for_person(recording.p_HK[recording.valid])
+            if isinstance(retarget, UniversalRetargeter)
+            else retarget
+            for name, recording in self.recordings.items()
+        }
         self.weights_sha256 = sha256_of(path if path.is_file() else path / WEIGHTS)
         self._scenarios = {
             name: as_recorded(scenario, recording, object_name) for name, recording in self.recordings.items()
@@ -95,7 +102,8 @@ class Replay:
         """A trial for a worker."""
         scenario = self._conditions[key.condition][key.method]
         recording = self.recordings[key.method]
-        return Trial(key, dump_scenario(scenario), self.retarget, scenario.retargeting.latency, recording)
+        retarget = self._retargets[key.method]
+        return Trial(key, dump_scenario(scenario), retarget, scenario.retargeting.latency, recording)
 
     def open(self, folder: Path) -> None:
         """Begins in a folder, or continues there.
@@ -192,4 +200,6 @@ def _read_sessions(paths: Sequence[Path], side: str) -> dict[str, Recording]:
         recordings[name] = read_recording(path, side)
         if recordings[name].X_WH is None:
             raise ScenarioError(f"{path}: a replay needs wrist poses (X_WH), and it has none")
+        if not recordings[name].valid.any():
+            raise RecordingError(f"{path}: valid: no frame shows a hand that is followed")
     return recordings

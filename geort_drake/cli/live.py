@@ -20,7 +20,6 @@ from geort_drake.cli.options import (
     at_least,
     command,
     finish,
-    output_file,
     positive,
     scenario_of,
     write_json,
@@ -61,8 +60,8 @@ def add_arguments(parser: CommandParser) -> None:
         default=0.5,
         help="stop if the robot is silent for so many seconds",
     )
-    record = "record the glove's data (.npz), to train on or replay"
-    add("--record", type=output_file(".npz"), metavar="FILE", help=record)
+    record = "record the followed hand to a file (.npz); from the page, to a folder (default: runs/live)"
+    add("--record", type=Path, metavar="PATH", help=record)
     local = "address of the page; any but this machine's own gets TLS with a certificate of its own"
     add("--host", default="127.0.0.1", help=local)
     add("--port", type=at_least(0), default=8742, help="port of the page; 0 for any")

@@ -18,7 +18,7 @@ from geort_drake.live.web.serve import open_server
 from geort_drake.live.web.session import WebTeleoperation
 from geort_drake.simulation.scenario import Scenario, object_names
 
-# Where the page's recordings go.
+# Where the page's recordings go, unless --record names a folder.
 _RECORDINGS = Path("runs/live")
 
 
@@ -26,8 +26,6 @@ def run_web(
     arguments: argparse.Namespace, scenario: Scenario, description: HandDescription, lcm_url: str | None
 ) -> int:
     """Serves the page and runs its sessions; arguments as in `geort_drake.cli.live.run`."""
-    if arguments.record:
-        raise UsageError(f"--record: the page starts and stops recordings, in {_RECORDINGS}")
     if arguments.meshcat:
         raise UsageError("--meshcat: the page shows the simulation")
     if lcm_url:
@@ -41,12 +39,18 @@ def run_web(
     robot, objects = ("lcm", []) if lcm_url else ("simulation", object_names())
     desk = Desk(About(description.side, scenario.hand, robot, objects, words))
     with open_server(desk, arguments.host, arguments.port, not arguments.no_open) as server:
-        control = PageControl(desk, server.publish, _RECORDINGS, checkpoint if checkpoint.is_file() else None)
+        control = PageControl(
+            desk,
+            server.publish,
+            arguments.record or _RECORDINGS,
+            checkpoint if checkpoint.is_file() else None,
+            lambda fitted: load(fitted, description, arguments.backend),
+        )
         teleoperation = WebTeleoperation(
             scenario,
             description,
             model,
-            lambda fitted: load(fitted or checkpoint, description, arguments.backend),
+            load(checkpoint, description, arguments.backend),
             desk,
             server,
             control,
@@ -71,9 +75,7 @@ def run_web(
     print_summary(summary)
     if control.recordings:
         last = control.recordings[-1]
-        trained = checkpoint if checkpoint.is_dir() else None  # a map for everyone drives no trial
-        following = ("--replay", last, "--objects", control.object, "--retargeter", trained)
-        finish({"Recording": last}, command("grasp", *following))
+        finish({"Recording": last}, command("replay", last, "--retargeter", arguments.retargeter))
     write_json(arguments.json, summary)
     return 0
 

@@ -85,9 +85,9 @@ class Teleoperation:
         """Returns whether the fingers follow the person."""
         return bool(_eval(self.watchdog, "following", root)[0] >= 0.5)
 
-    def take_map(self, root: Context, retargeter: Retargeter) -> bool:
+    def take_map(self, root: Context, retargeter: Retargeter) -> None:
         """Lets a map that was fitted to the person take over; see `RetargetingSystem.take_map`."""
-        return self.retargeting.take_map(self.retargeting.GetMyMutableContextFromRoot(root), retargeter)
+        self.retargeting.take_map(self.retargeting.GetMyMutableContextFromRoot(root), retargeter)
 
     def outcome(self, root: Context) -> GraspOutcome | None:
         """Returns the grasp so far; None without a simulation."""
@@ -133,7 +133,7 @@ def make_teleoperation(
         robot: `RobotLink`, `SimulatedRobot`, or a system with their ports.
         start: present positions of hand (n,) and arm (m,), rad, in the model's order.
         relax_after: time for which a lost hand is held before it relaxes, s.
-        recorder: records the glove's outputs, if given.
+        recorder: records the glove's outputs, if given; the hand is lost while the person is disengaged.
         add_view: adds systems that show the robot.
 
     Raises:
@@ -215,8 +215,10 @@ def make_teleoperation(
             builder.Connect(robot.GetOutputPort("hand_commanded"), meter.GetInputPort("echo"))
     if recorder is not None:
         builder.AddNamedSystem("glove_recorder", recorder)
-        for name in ("keypoints", "wrist_pose", "valid"):
+        for name in ("keypoints", "wrist_pose"):
             builder.Connect(glove.GetOutputPort(name), recorder.GetInputPort(name))
+        # A replay follows what the robot followed.
+        builder.Connect(switch.GetOutputPort("valid"), recorder.GetInputPort("valid"))
 
     add_view(builder, robot)
 

@@ -90,9 +90,9 @@ class PersonFollowing(Immutable):
 
     def taking(self, retargeter: Retargeter, time: float) -> "PersonFollowing":
         """The same with a map that was fitted to the person, which takes over from `time` on, s."""
-        return dc.replace(
-            self, now=retargeter, before=partial(self.retarget, time=time), since=time, own=True
-        )
+        faded = time - self.since >= FADE
+        before = self.now if faded else partial(self.retarget, time=time)
+        return dc.replace(self, now=retargeter, before=before, since=time, own=True)
 
     def holds(self, time: float) -> bool:
         """Whether another person's hand is not followed yet at `time`, s."""

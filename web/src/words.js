@@ -31,6 +31,8 @@ export function situation({ connected, welcome, state, device, hand, refusal }) 
     return state.outcome.success
       ? say(state.engaged ? "engaged" : "tracking", "Lifted and held", "Press R for another try.")
       : say(state.engaged ? "engaged" : "tracking", "Not this time", "Press R to try again.");
+  if (state?.engaged && state.fist > 0)
+    return say("engaged", "Keep the fist to stop", "The robot holds when the ring is full.");
   if (state?.engaged)
     return state.following
       ? say("engaged", "The robot follows your hand", refusal || sentence(state.status))

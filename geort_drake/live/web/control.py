@@ -16,13 +16,17 @@ from geort_drake.errors import GeortError
 from geort_drake.live.teleoperation import Teleoperation
 from geort_drake.live.web.desk import Desk
 from geort_drake.live.web.guide import GuidedPlay
-from geort_drake.live.web.messages import Disengage, Engage, Guide, Record, Refit, Reset, Stop
+from geort_drake.live.web.messages import Disengage, Engage, Fist, Guide, Record, Refit, Reset, Stop
 from geort_drake.people.recording_parts import RecordingParts
-from geort_drake.retargeting.retargeter import Retargeter, load_retargeter
+from geort_drake.retargeting.retargeter import Retargeter
+from geort_drake.simulation.diagram import Retarget
+from geort_drake.simulation.tasks.grasp.monitor import OVER, GraspPhase
 from geort_drake.systems.glove_recorder import GloveRecorder
+from geort_drake.systems.retargeting_status import HELD_OTHER_PERSON
 
 _STATE_S, _GUIDE_S = 0.1, 1.0  # between two states, and two judgements of guided play
 DONE = {"state": "done", "text": "the map is yours"}
+WAITING = "begins when you engage"
 _NEWEST = 300  # samples of the delay that is shown
 
 
@@ -33,15 +37,14 @@ class Refitting:
         recording: file of the person's hand.
         output: directory of the result.
         hand: name or file of the robot hand's description.
-        map_file: the map; None for the one that is shipped.
+        map_file: the map.
     """
 
-    def __init__(self, recording: Path, output: Path, hand: str, map_file: Path | None):
+    def __init__(self, recording: Path, output: Path, hand: str, map_file: Path):
         self.output = output
         command = [sys.executable, "-m", "geort_drake", "refit", recording, output, "--hand", hand, "--quiet"]
-        command += ["--map", map_file] if map_file else []
         self._process = subprocess.Popen(
-            ["nice", "-n", "10", *map(str, command)],
+            ["nice", "-n", "10", *map(str, [*command, "--map", map_file])],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
@@ -71,33 +74,44 @@ class PageControl:
         loop, recorder: of the present session.
         object: that the next session has; None for the present one.
         again: whether the page asked for a new session.
-        fitted: directory of the checkpoint that was fitted to the person; None without one.
         recordings: files that were written.
 
     Args:
         desk: where commands come from.
         publish: sends a state to all pages.
         folder: of recordings.
-        map_file: the map for everyone that is fitted to a person; None for the one that is shipped.
+        map_file: the map for everyone, which can be fitted to the person; None if sessions use another map.
+        load: returns the retargeter of the fitted map's directory.
     """
 
-    def __init__(self, desk: Desk, publish: Callable[[str], None], folder: Path, map_file: Path | None):
-        self._desk, self._publish, self._folder, self._map_file = desk, publish, folder, map_file
+    def __init__(
+        self,
+        desk: Desk,
+        publish: Callable[[str], None],
+        folder: Path,
+        map_file: Path | None,
+        load: Callable[[Path], Retarget],
+    ):
+        self._desk, self._publish, self._folder = desk, publish, folder
+        self._map_file, self._load = map_file, load
         self.loop: Teleoperation
         self.recorder: GloveRecorder
         self.object: str | None = None
         self.again = False
-        self.fitted: Path | None = None
         self.recordings: list[Path] = []
         self._scene = 0
         self._facts: dict[str, Any] = {}
         self._root: Context
         self._published = self._judged = -math.inf
+        self._consent = False
         self._parts: RecordingParts | None = None
         self._finishing: list[threading.Thread] = []
         self._guide: GuidedPlay | None = None
         self._missing: list[str] = []
         self._refit: Refitting | None = None
+        # The person's own map, and whether it shall take over.
+        self._fitted: Retargeter | None = None
+        self._takes_over = False
         self._refit_state: dict[str, str] | None = None
         self._note = ""
 
@@ -105,12 +119,12 @@ class PageControl:
         """Begins a session with a numbered scene, and facts for its recordings, such as its object."""
         self.loop, self.recorder, self._scene, self._facts = loop, recorder, scene, facts
         self.object = facts.get("object")
-        self.again = False
+        self.again, self._takes_over = False, self._fitted is not None
         recorder.switch(None)
 
     def end(self) -> None:
         """Ends the session's recording."""
-        self._stop_recording()
+        self._finish_recording()
 
     def close(self) -> None:
         """Waits for the recordings' files, and ends a fit."""
@@ -127,17 +141,24 @@ class PageControl:
             self._note = ""
             if isinstance(command, Engage | Disengage):
                 engaged = isinstance(command, Engage)
+            elif isinstance(command, Fist):
+                engaged ^= self._fist_counts(engaged)
             elif isinstance(command, Reset):
                 self.object, self.again = command.object or self.object, True
             elif isinstance(command, Record):
-                self._record()
+                self._consent = True
             elif isinstance(command, Stop):
-                self._stop_recording()
+                self._consent = False
+                self._finish_recording()
             elif isinstance(command, Guide):
                 self._guide, self._missing = GuidedPlay(time.monotonic(), self._desk.about.side), []
             elif isinstance(command, Refit):
                 self._begin_refit()
-        self._watch_refit(root)
+        # A replay follows from its start, as the robot does from its engagement.
+        if engaged and self._consent and self._parts is None:
+            self._record()
+        self._watch_refit()
+        self._hand_over_map()
         now = time.monotonic()
         if self._guide is not None:
             self._guide.see(now, self._desk.p_HK)
@@ -148,25 +169,33 @@ class PageControl:
             self._publish(msgspec.json.encode(self._state(root, engaged)).decode())
         return engaged
 
-    def _record(self) -> None:
-        if self._parts is None:
-            name, operator = time.strftime("%Y-%m-%dT%H-%M-%S.npz"), self._desk.operator
-            facts = {
-                "side": self._desk.about.side,
-                "source": "live web page",
-                "consent": True,
-                "device": operator and operator.device,
-                "map": self._desk.about.map,
-                **self._facts,
-            }
-            try:
-                self._parts = RecordingParts(self._folder / name, facts)
-            except GeortError as error:
-                self._note = str(error)
-                return
-            self.recorder.switch(self._parts)
+    def _fist_counts(self, engaged: bool) -> bool:
+        """Whether a held fist is a command: not in guided play, which asks for fists, nor in a grasp."""
+        if self._guide is not None and self._guide.seconds_left > 0.0:
+            return False
+        outcome = self.loop.outcome(self._root)
+        return not engaged or outcome is None or outcome.phase in (GraspPhase.REACH, *OVER)
 
-    def _stop_recording(self) -> None:
+    def _record(self) -> None:
+        # Two sessions of one second have two names.
+        name, operator = time.strftime(f"%Y-%m-%dT%H-%M-%S-{self._scene}.npz"), self._desk.operator
+        facts = {
+            "side": self._desk.about.side,
+            "source": "live web page",
+            "consent": True,
+            "device": operator and operator.device,
+            "map": "fitted to the person" if self._fitted else self._desk.about.map,
+            "began": self._root.get_time(),
+            **self._facts,
+        }
+        try:
+            self._parts = RecordingParts(self._folder / name, facts)
+        except GeortError as error:
+            self._note, self._consent = str(error), False
+            return
+        self.recorder.switch(self._parts)
+
+    def _finish_recording(self) -> None:
         if self._parts is None:
             return
         parts, self._parts = self._parts, None
@@ -187,6 +216,10 @@ class PageControl:
     def _begin_refit(self) -> None:
         if self._refit is not None:
             return
+        if self._map_file is None:
+            text = "this map is not for everyone; start without --retargeter"
+            self._refit_state = {"state": "failed", "text": text}
+            return
         if self._guide is None or self._guide.seconds_left > 0.0:
             self._refit_state = {"state": "failed", "text": "guided play comes first"}
             return
@@ -198,17 +231,26 @@ class PageControl:
             return
         self._refit = Refitting(path, path.with_suffix(""), self._desk.about.hand, self._map_file)
 
-    def _watch_refit(self, root: Context) -> None:
+    def _watch_refit(self) -> None:
         if self._refit is None:
             return
         self._refit_state = self._refit.state()
         if self._refit_state["state"] != "running":
             if self._refit_state == DONE:
-                self.fitted = self._refit.output
-                retargeter = load_retargeter(self.fitted)
-                assert isinstance(retargeter, Retargeter)
-                self.again = not self.loop.take_map(root, retargeter)
+                fitted = self._load(self._refit.output)
+                assert isinstance(fitted, Retargeter)
+                self._fitted, self._takes_over = fitted, True
             self._refit = None
+
+    def _hand_over_map(self) -> None:
+        """Gives the person's own map to the loop, once a session, unless another person has come."""
+        if self._fitted is None:
+            return
+        if self._takes_over:
+            self.loop.take_map(self._root, self._fitted)
+            self._takes_over = False
+        elif self.loop.state(self._root) == HELD_OTHER_PERSON:
+            self._fitted = None
 
     def _state(self, root: Context, engaged: bool) -> dict[str, Any]:
         desk, guide = self._desk, self._guide
@@ -220,7 +262,7 @@ class PageControl:
             "engaged": engaged,
             "following": self.loop.following(root),
             "status": self._note or self.loop.state(root),
-            "fist": desk.fist,
+            "fist": desk.fist if self._fist_counts(engaged) else 0.0,
             "outcome": self._outcome(root),
             "delay": self._delay(),
             "filter_delay": desk.filter_delay,
@@ -229,7 +271,7 @@ class PageControl:
             "late": self.loop.glove.late,  # type: ignore[attr-defined]
             "operator": desk.operator is not None,
             "spectators": desk.spectators,
-            "recording": self._parts.path.name if self._parts else None,
+            "recording": self._parts.path.name if self._parts else WAITING if self._consent else None,
             "guide": guide
             and {
                 "instruction": guide.instruction,

@@ -19,6 +19,7 @@ from geort_drake.live.web.messages import (
     Command,
     Disengage,
     Engage,
+    Fist,
     Guide,
     Hand,
     Headset,
@@ -30,7 +31,7 @@ from geort_drake.live.web.messages import (
 )
 from geort_drake.people.keypoints import FINGER_KEYPOINTS
 
-# A fist that is held this long engages, s.
+# A fist that is held this long is a command, s.
 FIST_S = 1.0
 # The second `engage` of a real robot must come within this time, s.
 _CONFIRM_S = 5.0
@@ -217,7 +218,7 @@ class Desk:
         before, self.fist = self.fist, min((now - operator.fist_since) / FIST_S, 1.0)
         # A fist is no confirmation that a real robot may move.
         if before < 1.0 <= self.fist and self.about.robot == "simulation":
-            self.commands.append(Engage())
+            self.commands.append(Fist())
 
     def _ask(self, operator: Operator, command: Command) -> None:
         if isinstance(command, Reset) and command.object not in (None, *self.about.objects):

@@ -75,13 +75,13 @@ class Reset(Message):
 
 
 class Record(Message):
-    """The session shall be recorded; the person agrees that the recording is kept."""
+    """Sessions shall be recorded from the next engagement on; the person agrees that recordings are kept."""
 
     keep: Literal[True]
 
 
 class Stop(Message):
-    """The recording shall end."""
+    """The recording shall end, and no other shall begin."""
 
 
 class Guide(Message):
@@ -92,12 +92,17 @@ class Refit(Message):
     """The map shall be fitted to the guided play."""
 
 
-Command = Engage | Disengage | Reset | Record | Stop | Guide | Refit
+class Fist:
+    """A fist was held: the robot shall follow, or stop. No page sends it; the hands show it."""
+
+
+Request = Engage | Disengage | Reset | Record | Stop | Guide | Refit
+Command = Request | Fist
 Hand = Camera | Headset | Lost
-_DECODER = msgspec.json.Decoder(Hello | Hand | Command)
+_DECODER = msgspec.json.Decoder(Hello | Hand | Request)
 
 
-def decode(text: str | bytes) -> Hello | Hand | Command:
+def decode(text: str | bytes) -> Hello | Hand | Request:
     """Returns the message in a text.
 
     Raises:

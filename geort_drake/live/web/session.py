@@ -3,7 +3,6 @@
 import copy
 import dataclasses as dc
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -38,7 +37,7 @@ class WebTeleoperation:
     Attributes:
         scenario: settings; every session has its own object.
         description, model: of the robot.
-        load: returns the retargeter of a fitted checkpoint, or for None the one to begin with.
+        retarget: the map with which every session begins.
         desk, server, control: of the page.
         link: to a real robot; None for the simulation.
         relax_after: see `Watchdog`, s.
@@ -47,7 +46,7 @@ class WebTeleoperation:
     scenario: Scenario
     description: HandDescription
     model: RobotModel
-    load: Callable[[Path | None], Retarget]
+    retarget: Retarget
     desk: Desk
     server: "WebServer"
     control: PageControl
@@ -139,7 +138,7 @@ class WebTeleoperation:
             scenario,
             description,
             self.model,
-            self.load(self.control.fitted),
+            self.retarget,
             GloveStream(self.desk, description.side),
             robot,
             start,
@@ -148,6 +147,6 @@ class WebTeleoperation:
             add_view,
         )
         self.server.show(msgspec.json.encode({"scene": number, **scene.description}), scene.meshes)
-        facts = {} if self.link else {"object": scenario.object.name, "random_seed": scenario.random_seed}
+        facts = {} if self.link else {"object": scenario.object.name, "seed": scenario.random_seed}
         self.control.begin(loop, recorder, number, facts)
         return loop

@@ -27,7 +27,7 @@ class GraspPhase(enum.IntEnum):
 
 
 _LIFTED = (GraspPhase.LIFT, GraspPhase.HOLD, GraspPhase.DONE)
-_OVER = (GraspPhase.DONE, GraspPhase.THROWN)
+OVER = (GraspPhase.DONE, GraspPhase.THROWN)
 _TIME_TOLERANCE = 1e-9  # s; sums of periods are rounded
 
 
@@ -87,7 +87,7 @@ class GraspOutcome(Immutable):
     @property
     def over(self) -> bool:
         """Whether the grasp is decided."""
-        return self.phase in _OVER
+        return self.phase in OVER
 
     @property
     def completion_time(self) -> float:
@@ -208,7 +208,7 @@ class GraspMonitor(LeafSystem):
             durations=durations,
             held_since=held_since,
             holding=holding,
-            last_touched=phase if touching and phase not in _OVER else before.last_touched,
+            last_touched=phase if touching and phase not in OVER else before.last_touched,
             drops=drops,
             slip=slip,
             peak_force=max(before.peak_force, *force),

@@ -1,0 +1,190 @@
+"""What the live page asks of a session: engagement, recordings, and the person's own map."""
+
+import json
+
+import numpy as np
+import pytest
+from live_messages import Clock
+from pydrake.systems.analysis import Simulator
+from web_page import PLAY, headset, hello
+
+from geort_drake.benchmark.replay import Replay
+from geort_drake.hands.description import load_hand
+from geort_drake.live.glove_stream import HANDSHAKE_FRAMES, GloveStream
+from geort_drake.live.robots import SimulatedRobot
+from geort_drake.live.teleoperation import RobotModel, make_teleoperation
+from geort_drake.live.web import control as page_control
+from geort_drake.live.web.control import DONE, PageControl
+from geort_drake.live.web.desk import About, Desk
+from geort_drake.live.web.guide import DURATION_S
+from geort_drake.live.web.messages import Disengage, Engage, Fist, Guide, Record, Refit, Reset, Stop
+from geort_drake.people.recording import Recording
+from geort_drake.retargeting.retargeter import load_retargeter
+from geort_drake.simulation.scenario import load_scenario, parse_scenario
+from geort_drake.simulation.tasks.grasp.monitor import GraspOutcome, GraspPhase
+from geort_drake.simulation.world import draw_placement
+from geort_drake.systems.glove_recorder import GloveRecorder
+
+UNIVERSAL = load_retargeter("allegro_right")
+OWN, OTHERS = (UNIVERSAL.for_person(scale * PLAY.p_HK) for scale in (1.1, 0.9))
+SEED = 5
+
+
+class Fit:
+    """A fit of the map that is done at once."""
+
+    def __init__(self, recording, output, hand, map_file):
+        self.output = output
+
+    def state(self):
+        return DONE
+
+    def close(self):
+        pass
+
+
+class Page:
+    """Sessions under a page's control, in steps of the retargeting."""
+
+    def __init__(self, folder, retarget=UNIVERSAL, maps=()):
+        self.scenario = load_scenario()
+        self.scenario.random_seed = SEED
+        self.description = load_hand(self.scenario.hand)
+        self.model, self.retarget, maps = RobotModel(self.scenario, self.description), retarget, iter(maps)
+        objects = ["cylinder", "cube"]
+        self.desk = Desk(About("right", "allegro_right", "simulation", objects, "for everyone"), Clock())
+        self.desk.join(1)
+        self.desk.take(1, hello())
+        for number in range(HANDSHAKE_FRAMES):
+            self.desk.take(1, headset(number))
+        self.states = []
+        self.control = PageControl(
+            self.desk, self.states.append, folder, folder / "a_map", lambda path: next(maps)
+        )
+        self.sessions = self.hands = 0
+        self.begin()
+
+    def begin(self):
+        """Begins a session, as after a reset."""
+        self.sessions += 1
+        robot = SimulatedRobot(self.scenario, self.description)
+        recorder = GloveRecorder(0.01)
+        self.loop = make_teleoperation(
+            self.scenario, self.description, self.model, self.retarget,
+            GloveStream(self.desk, "right", clock=Clock()), robot, (robot.hand.start, robot.arm.start),
+            recorder=recorder,
+        )  # fmt: skip
+        self.simulator = Simulator(self.loop.diagram)
+        self.context, self.engaged = self.simulator.get_mutable_context(), False
+        self.loop.engage(self.context, False)
+        facts = {"object": self.scenario.object.name, "seed": SEED}
+        self.control.begin(self.loop, recorder, self.sessions, facts)
+
+    def run(self, *commands, steps=1, hand=None):
+        """Runs steps of 20 ms with a hand each, the same one if given.
+
+        Returns:
+            The joint targets after each, rad, in the order of the maps.
+        """
+        self.desk.commands.extend(commands)
+        targets = []
+        for _ in range(steps):
+            self.hands += 1
+            number = (HANDSHAKE_FRAMES + self.hands) % len(PLAY.t) if hand is None else hand
+            self.desk.take(1, headset(number, 100.0 + 0.02 * self.hands))
+            engaged = self.control.step(self.context, self.engaged)
+            if engaged != self.engaged:
+                self.engaged = engaged
+                self.loop.engage(self.context, engaged)
+            self.simulator.AdvanceTo(self.context.get_time() + 0.02)
+            retargeting = self.loop.retargeting
+            context = retargeting.GetMyContextFromRoot(self.context)
+            targets.append(retargeting.GetOutputPort("desired_state").Eval(context)[:16].copy())
+        return np.array(targets)[:, [self.model.hand.joints.index(name) for name in OWN.joint_names]]
+
+    def reset(self):
+        self.run(Reset())
+        assert self.control.again
+        self.control.end()
+        self.begin()
+
+
+def test_a_held_fist_engages_and_disengages_unless_it_is_asked_for_or_grasps(tmp_path, monkeypatch):
+    page = Page(tmp_path)
+    page.run(Guide(), Fist())
+    assert not page.engaged
+    monkeypatch.setattr(page.control, "_guide", None)
+    page.run(Fist())
+    assert page.engaged
+    for phase, engaged in ((GraspPhase.GRASP, True), (GraspPhase.HOLD, True), (GraspPhase.REACH, False)):
+        outcome = GraspOutcome(phase=phase)
+        monkeypatch.setattr(page_control.Teleoperation, "outcome", lambda *_, outcome=outcome: outcome)
+        page.run(Fist())
+        assert page.engaged == engaged, phase
+
+
+def test_with_consent_every_session_is_recorded_from_its_engagement_and_can_be_replayed(tmp_path):
+    """Without a checkpoint: by the shipped map for the person in the session, with the object as it was."""
+    page = Page(tmp_path)
+    page.run(Record(keep=True), steps=20)
+    page.run(Engage(), steps=30)
+    page.run(Disengage(), steps=10)
+    page.reset()
+    page.run(Engage(), steps=30)
+    page.run(Stop())
+    page.reset()
+    page.run(Engage(), steps=10)
+    page.control.end()
+    page.control.close()
+    first, second = (Recording.load(path) for path in sorted(tmp_path.glob("*.npz")))
+    assert first.t[-1] == pytest.approx(0.8, abs=0.03)
+    assert first.valid[5:55].all() and not first.valid[65:].any()
+    assert second.valid.sum() > 50
+    assert first.metadata["began"] == pytest.approx(0.4, abs=0.03)
+    assert first.metadata["consent"] and first.metadata["outcome"]["phase"] == "reach"
+
+    scenario = load_scenario()
+    replay = Replay(scenario, sorted(tmp_path.glob("*.npz")), None, None, None, {}, 1)
+    key, _ = replay.keys()
+    trial = replay.trial(key)
+    placement = draw_placement(page.scenario, 0.0, np.random.default_rng(SEED))
+    p_WO = placement.X_WO.translation()[:2]
+    np.testing.assert_allclose(parse_scenario(trial.scenario_text).object.position, p_WO, atol=1e-9)
+    np.testing.assert_allclose(
+        trial.retarget(PLAY.p_HK[50]), UNIVERSAL.for_person(first.p_HK[first.valid])(PLAY.p_HK[50])
+    )
+
+
+def test_a_map_made_mine_again_takes_over_without_a_new_session_or_a_jump(tmp_path, monkeypatch):
+    """Also after a reset, which keeps the person's map."""
+    monkeypatch.setattr(page_control, "Refitting", Fit)
+    page = Page(tmp_path, maps=(OWN, OTHERS))
+    page.run(Engage(), steps=100)
+    guide = page_control.GuidedPlay(0.0, "right")
+    for i in range(round(50 * DURATION_S) + 50):
+        guide.see(i / 50, PLAY.p_HK[i % len(PLAY.p_HK)])
+    monkeypatch.setattr(page.control, "_guide", guide)
+
+    still = 60
+    page.run(steps=120, hand=still)
+    q = page.run(Refit(), steps=60, hand=still)
+    np.testing.assert_allclose(q[-1], OWN(PLAY.p_HK[still]), atol=1e-3)
+    assert not page.control.again
+    page.reset()
+    page.run(Engage(), steps=150, hand=still)
+    q = page.run(steps=2, hand=still)
+    np.testing.assert_allclose(q[-1], OWN(PLAY.p_HK[still]), atol=1e-3)
+    q = np.concatenate([q, page.run(Refit(), steps=60, hand=still)])
+    assert not page.control.again
+    np.testing.assert_allclose(q[-1], OTHERS(PLAY.p_HK[still]), atol=1e-3)
+    # Evenly within half a second, in steps of 20 ms.
+    assert np.abs(np.diff(q, axis=0)).max() < 0.08 * np.abs(q[-1] - q[0]).max()
+    page.control.close()
+
+
+def test_a_map_of_one_person_is_not_made_mine(tmp_path):
+    """The page is told why."""
+    page = Page(tmp_path, OWN)
+    page.control._map_file = None
+    page.run(Refit(), steps=10)
+    assert "for everyone" in json.loads(page.states[-1])["refit"]["text"]
