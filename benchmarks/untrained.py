@@ -5,6 +5,8 @@ import argparse
 import numpy as np
 
 from geort_drake.retargeting.methods import trained_method
+from geort_drake.retargeting.methods.coupled.network import HIDDEN, RESIDUAL_HIDDEN
+from geort_drake.retargeting.methods.geort import GeortConfig
 from geort_drake.retargeting.retargeter import BACKENDS, Retargeter
 
 FINGERS = {"thumb": 4, "index": 8, "middle": 12, "ring": 16, "little": 20}  # name → keypoint
@@ -14,8 +16,8 @@ FORMS = ("geort_coupled", "geort")
 def untrained_arrays(method: str, fingers: int, joints: int, seed: int = 0) -> dict[str, np.ndarray]:
     """What a checkpoint of the method holds for a hand of `fingers` fingers with `joints` joints each."""
     rng = np.random.default_rng(seed)
-    config = trained_method(method).config()
-    widths = (3, config.hidden, config.hidden, joints)
+    hidden = HIDDEN if method == "geort_coupled" else GeortConfig().hidden
+    widths = (3, hidden, hidden, joints)
     shapes: dict[str, tuple[int, ...]] = {}
     for k in range(3):
         shapes |= {
@@ -23,7 +25,7 @@ def untrained_arrays(method: str, fingers: int, joints: int, seed: int = 0) -> d
             f"bias{k}": (fingers, 1, widths[k + 1]),
         }
     if method == "geort_coupled":
-        r = config.residual_hidden  # type: ignore[attr-defined]
+        r = RESIDUAL_HIDDEN
         widths = (3 * fingers, r, r, fingers * joints)
         for k in range(3):
             shapes |= {

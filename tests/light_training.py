@@ -9,7 +9,18 @@ from geort_drake.comparison import metrics
 from geort_drake.comparison.train import train_checkpoint
 from geort_drake.people.recording import Recording
 
-GEORT = {"points": 16, "targets": 32, "pinches": 8, "frames": 8, "classifier_steps": 5, "refreshes": 0}
+LIGHT = {
+    "geort": {
+        "hidden": 8,
+        "points": 16,
+        "targets": 32,
+        "pinches": 8,
+        "frames": 8,
+        "classifier_steps": 5,
+        "refreshes": 0,
+    },
+    "linear_offline": {"hidden": 8},
+}
 
 
 def lighten(patch: pytest.MonkeyPatch) -> None:
@@ -30,6 +41,6 @@ def train_lightly(
     **settings,
 ) -> Path:
     """A checkpoint of a training of a few steps."""
-    settings = {"steps": 5, "hidden": 8} | (GEORT if method == "geort" else {}) | settings
+    settings = {"steps": 5} | LIGHT.get(method, {}) | settings
     options = {"show_progress": False, "settings": settings, "robot_samples": 1000}
     return train_checkpoint(hand, recording, output, method, seed, **options)

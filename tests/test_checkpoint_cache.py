@@ -34,7 +34,7 @@ def test_equal_requests_share_a_checkpoint(trained, play, monkeypatch):
     assert not reused
     assert cached(points=16) == (first, True)
     assert not cached(points=24)[1]
-    assert not cached("geort_coupled", pinch_weight=0.0)[1]
+    assert not cached("geort_coupled", collision=0.1)[1]
     monkeypatch.setattr(comparison_train, "digest_of", lambda root, paths: "other")
     assert not cached(points=16)[1]
     assert len(trained) == 4

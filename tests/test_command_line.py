@@ -101,7 +101,7 @@ def test_facts_repeated_for_help_agree_with_their_modules():
     from geort_drake.people import formats, recording
     from geort_drake.people.checks.anatomy import UNITS_M
     from geort_drake.retargeting import methods
-    from geort_drake.retargeting.methods.coupled import FINE_TUNING_STEPS
+    from geort_drake.retargeting.methods.coupled import REFIT_STEPS
     from geort_drake.retargeting.methods.geort.config import FORWARD_KINEMATICS, PRESETS
 
     assert METHODS == {name: method.summary for name, method in methods.all_methods().items()}
@@ -109,7 +109,7 @@ def test_facts_repeated_for_help_agree_with_their_modules():
     assert [SHIPPED_METHOD] == list(methods.shipped_methods())
     assert {name: entry.title for name, entry in formats.FORMATS.items()} == FORMATS
     assert set(SIDES) == set(recording.SIDES)
-    assert parser_of("refit").get_default("steps") == FINE_TUNING_STEPS
+    assert parser_of("refit").get_default("steps") == REFIT_STEPS
     choices = {action.dest: action.choices for action in parser_of("train")._actions}
     assert (choices["preset"], choices["fk"]) == (list(PRESETS), list(FORWARD_KINEMATICS))
     (unit,) = (action for action in parser_of("convert")._actions if action.dest == "unit")

@@ -26,7 +26,6 @@ from geort_drake.people.play import synthesize_play
 from geort_drake.resources import models_dir
 from geort_drake.retargeting.method import TrainingConfig
 from geort_drake.retargeting.methods.coupled import CoupledConfig
-from geort_drake.retargeting.methods.universal import UniversalConfig
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.systems.glove_replay import GloveReplay
 
@@ -228,7 +227,7 @@ def hooks():
     return module
 
 
-CONFIGS = [Scenario, HandDescription, TrainingConfig, CoupledConfig, UniversalConfig]
+CONFIGS = [Scenario, HandDescription, TrainingConfig, CoupledConfig]
 
 
 @pytest.mark.parametrize("config", CONFIGS)

@@ -59,7 +59,7 @@ def test_a_documented_command_parses(line, tmp_path, monkeypatch):
 
 # -- running them
 
-TINY = {"steps": 3, "hidden": 8}
+TINY = {"steps": 3}
 SETTINGS = " ".join(f"--set {name}={value}" for name, value in TINY.items())
 SHORT = "--scenario-text '{timeout: 0.3, monitor: {hold_time: 0.01}}'"
 # Name → commands that follow each other, each with a key of the JSON that it prints, or None without --json.
@@ -75,7 +75,7 @@ CHAINS = {
     },
     "retargeters": {
         f"train --recording hand.npz --output map --robot-samples 1000 {SETTINGS}": "coverage",
-        "pretrain --output everyone.safetensors --set people=4 --set steps=2": None,
+        "pretrain --output everyone.safetensors --people 4 --set steps=2": None,
         "refit hand.npz refitted --map everyone.safetensors --steps 2": "coverage",
         "evaluate --recording hand.npz --methods nearest_neighbour --frames 10 --held-out 2": "methods",
         "explore --recording hand.npz --methods refitted hold --duration 0.5 --output e.rrd": None,

@@ -9,12 +9,15 @@ from geort_drake.errors import TrainingError
 from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
+from geort_drake.people.keypoints import TIP_KEYPOINT
 from geort_drake.people.population import sample_population
-from geort_drake.retargeting.methods.universal.config import UniversalConfig
-from geort_drake.retargeting.methods.universal.constraints import Multipliers
-from geort_drake.retargeting.methods.universal.losses import RobotTips, constraint_terms
-from geort_drake.retargeting.methods.universal.people import TrainingPeople
-from geort_drake.retargeting.methods.universal.training import train_universal
+from geort_drake.retargeting.methods.coupled import CoupledConfig
+from geort_drake.retargeting.methods.coupled.constraints import Multipliers
+from geort_drake.retargeting.methods.coupled.losses import RobotTips, constraint_terms
+from geort_drake.retargeting.methods.coupled.people import TrainingPeople
+from geort_drake.retargeting.methods.coupled.population import code_people
+from geort_drake.retargeting.methods.coupled.training import train_universal
+from geort_drake.retargeting.training.human_data import pinch_pairs
 
 FINGERS = ("thumb", "index", "middle", "ring")
 
@@ -22,16 +25,22 @@ FINGERS = ("thumb", "index", "middle", "ring")
 @pytest.fixture(scope="module")
 def people():
     p_HK = sample_population(4, seed=0, duration_s=20.0)
-    return TrainingPeople(p_HK, FINGERS, torch.Generator().manual_seed(0), seed=0)
+    rng, generator = np.random.default_rng(0), torch.Generator().manual_seed(0)
+    coded = code_people(p_HK, FINGERS, rng)
+    p_HF = p_HK[:, :, [TIP_KEYPOINT[name] for name in FINGERS]]
+    pairs = pinch_pairs(FINGERS)
+    return TrainingPeople(
+        p_HF, pairs, generator, rng, coded.codes, coded.reach, pinch_spread=0.005, device=torch.device("cpu")
+    )
 
 
 def test_the_seed_determines_the_map_to_the_last_bit():
     """A small map of the Allegro hand, twice; another seed gives another."""
     hand = HandModel(load_hand("allegro_right"))
-    config = UniversalConfig(people=6, steps=12)
+    config = CoupledConfig(steps=12)
 
     def arrays(seed):
-        return train_universal(hand.kinematics(), collision_shapes(hand), config, seed).arrays
+        return train_universal(hand.kinematics(), collision_shapes(hand), config, 6, seed).arrays
 
     first, again, other = arrays(0), arrays(0), arrays(1)
     for name, array in first.items():
@@ -65,6 +74,23 @@ def test_a_perfect_map_violates_nothing(people):
     assert float(terms["deep_pinch"][1]) == 1.0 and float(terms["false_pinch"][1]) == 1.0
 
 
+def test_figures_are_ratios(people):
+    """Others that move a quarter as far, a bent answer, and a gain that differs in one of four hands."""
+    hands = people.draw(4)
+    d = torch.nn.functional.one_hot(hands.finger, 4)[..., None] * hands.d[:, :, None]
+    others = torch.where(d == 0, 0.25 * hands.d[:, :, None], d)
+    large = torch.where(torch.arange(hands.d.shape[1])[:, None, None] % 4 == 0, 3.0, 1.0)
+
+    def figures(ahead, behind):
+        tips = [hands.moved, hands.moved + ahead, hands.moved + behind, hands.before, hands.after]
+        terms = constraint_terms(hands, RobotTips(*tips, hands.pinching), people, 0.012)
+        return {name: float(figure) for name, (_, figure) in terms.items()}
+
+    assert figures(others, -others)["cross_talk"] == pytest.approx(0.25, abs=0.02)
+    assert figures(d, -0.5 * d)["curvature"] == pytest.approx(0.25, abs=1e-3)
+    assert figures(large * d, -large * d)["uneven"] == pytest.approx(0.25)
+
+
 def test_made_up_pinches_meet(people):
     """Where they are possible, the pair's tips are nearer than a pinch."""
     hands = people.draw(8)
@@ -74,7 +100,7 @@ def test_made_up_pinches_meet(people):
 
 
 def test_unusable_settings_and_hands_are_refused():
-    with pytest.raises(TrainingError, match="steps must be a positive whole number"):
-        UniversalConfig(steps=0).validate()
-    with pytest.raises(TrainingError, match="no thumb"):
+    with pytest.raises(TrainingError, match="steps must be positive, it is 0"):
+        CoupledConfig(steps=0).validate()
+    with pytest.raises(TrainingError, match="needs a thumb and another finger, it has index, middle"):
         train_universal(toy_kinematics(("index", "middle")), None)

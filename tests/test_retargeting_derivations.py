@@ -8,7 +8,8 @@ import torch
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from geort_drake.retargeting.methods.coupled import losses as coupled_losses
+from geort_drake.retargeting.methods.coupled.coverage import RADIUS, coverage_loss
+from geort_drake.retargeting.methods.coupled.losses import PINCH_SCALE, PINCH_TARGET, pinch_loss
 from geort_drake.retargeting.training import criteria
 
 
@@ -108,31 +109,19 @@ def test_the_collision_gradient_is_the_probability_of_colliding():
 
 def test_bounded_coverage_pulls_hardest_just_within_its_radius():
     """At 0.88 c by 1.065 / c, and beyond less and less: 4c⁴ / d⁵ in the limit."""
-    c = 0.01
+    c = RADIUS
     d = torch.linspace(1e-4, 0.2, 20_000, dtype=torch.float64)
     points = torch.stack([d, 0 * d, 0 * d], dim=1)
-    slope = len(d) * gradient(lambda p: coupled_losses.bounded_coverage_loss(p, 0 * p, c), points)[:, 0]
+    slope = gradient(lambda p: coverage_loss(p, 0 * p).sum(), points)[:, 0]
     assert float(d[slope.argmax()]) == pytest.approx(0.6**0.25 * c, abs=1e-5)
     assert float(slope.max()) == pytest.approx(25 / 16 * 0.6**0.75 / c, rel=1e-5)
     assert float(slope[-1]) == pytest.approx(4 * c**4 / 0.2**5, rel=0.01)
 
 
-def test_the_pinch_distance_loss_pulls_evenly_from_afar():
+def test_the_loss_of_open_pinches_pulls_evenly_from_afar():
     """Its slope e (2 + e) / (1 + e)² rises from 0 to 1 per scale, and never falls."""
-    scale, e = 0.008, torch.linspace(0.01, 20.0, 400, dtype=torch.float64)
-    weights = torch.ones(400, 1, dtype=torch.float64)
-    distances = 0.012 + scale * e[:, None]
-    slope = gradient(lambda d: coupled_losses.pinch_distance_loss(d, weights, 0.012, scale), distances)[:, 0]
-    torch.testing.assert_close(400 * scale * slope, e * (2 + e) / (1 + e) ** 2, rtol=1e-6, atol=1e-6)
+    e = torch.linspace(0.01, 20.0, 400, dtype=torch.float64)
+    distances = PINCH_TARGET + PINCH_SCALE * e
+    slope = gradient(lambda d: pinch_loss(d).sum(), distances)
+    torch.testing.assert_close(PINCH_SCALE * slope, e * (2 + e) / (1 + e) ** 2, rtol=1e-6, atol=1e-6)
     assert (slope.diff() > 0).all()
-
-
-def test_ratios_do_not_change_with_the_unit_or_the_gain():
-    """Cross-talk, curvature and uniform response of a map that is enlarged as a whole stay as they are."""
-    answers, d = normal(3, 6, 3, 3), 0.01 * normal(3, 6, 3, seed=1)
-    talk = [float(coupled_losses.cross_talk_loss(k * answers, 1e-9)) for k in (1.0, 7.0)]
-    bend = [float(coupled_losses.curvature_loss(*(k * answers).unbind(2))) for k in (1.0, 7.0)]
-    even = [float(coupled_losses.uniform_response_loss(d, k * answers[:, :, 0], 0.3)) for k in (1.0, 7.0)]
-    for one, seven in (talk, bend, even):
-        assert one > 0.01
-        assert seven == pytest.approx(one, rel=1e-6)

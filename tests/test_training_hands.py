@@ -82,7 +82,7 @@ def test_the_command_passes_on_presets_and_settings(play, tmp_path, capsys):
     expected = {"resampling": "independent", "fk": "neural", "length_unit": 1.0, "pinch_weight": 0.5}
     assert public.items() >= (expected | {"steps": 3}).items()
     assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "public/metrics.json").read_text())
-    assert trained("coupled", "--set", "jitter=0.002")["jitter"] == 0.002
+    assert trained("coupled", "--set", "collision=0.002")["collision"] == 0.002
 
 
 @pytest.mark.usefixtures("light_evaluation")

@@ -8,7 +8,7 @@ from retargeting_toy import toy_kinematics
 from geort_drake.people.keypoints import TIP_KEYPOINT
 from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.map_file import MapFile
-from geort_drake.retargeting.methods.universal.network import UniversalNetwork
+from geort_drake.retargeting.methods.coupled.universal_network import UniversalNetwork
 from geort_drake.retargeting.person_code import AveragePerson, observe
 from geort_drake.retargeting.training.kinematics import HandKinematics
 from geort_drake.retargeting.universal import UniversalRetargeter

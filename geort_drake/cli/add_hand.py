@@ -56,11 +56,6 @@ def run(arguments: argparse.Namespace) -> int:
     notes: list[str] = []
     if given.suffix in (".yaml", ".yml"):
         path, description = given, load_hand(given)
-        if description.training:
-            # Imported only here because it loads PyTorch.
-            from geort_drake.comparison.train import DEFAULT_METHOD, training_config
-
-            training_config(DEFAULT_METHOD, hand=description)
     else:
         path, description, notes = _describe(arguments)
     hand = HandModel(description)

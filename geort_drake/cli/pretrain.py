@@ -4,8 +4,9 @@ geort-drake pretrain --hand my_hand.yaml --output my_hand.safetensors
 """
 
 import argparse
+from dataclasses import replace
 
-from geort_drake.cli.options import CommandParser, command, finish, output_file
+from geort_drake.cli.options import CommandParser, at_least, command, finish, output_file
 
 EPILOG = """\
 Training takes about half an hour on two cores. geort_drake.load_retargeter(FILE) loads the map, which serves
@@ -17,7 +18,9 @@ def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     parser.add_hand()
     add("--output", type=output_file(".safetensors"), required=True, metavar="FILE", help="map to write")
+    add("--people", type=at_least(1), default=800, metavar="N", help="number of people in the population")
     parser.add_seed("population and training")
+    add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train")
     setting = "change a setting; repeatable; an unknown NAME lists all settings"
     add("--set", action="append", default=[], metavar="NAME=VALUE", help=setting)
 
@@ -26,12 +29,20 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake import load_hand
     from geort_drake.comparison.pretrain import pretrain
     from geort_drake.console import print_table
-    from geort_drake.retargeting.methods.universal import UniversalConfig
+    from geort_drake.retargeting.methods.coupled import FOR_EVERYONE
     from geort_drake.settings import parse_settings
 
     description = load_hand(arguments.hand)
-    config = UniversalConfig(**parse_settings(arguments.set, UniversalConfig(), "pretrain"))
-    figures = pretrain(description, arguments.output, config, arguments.seed, not arguments.quiet)
+    config = replace(FOR_EVERYONE, **parse_settings(arguments.set, FOR_EVERYONE, "pretrain"))
+    figures = pretrain(
+        description,
+        arguments.output,
+        config,
+        arguments.people,
+        arguments.seed,
+        arguments.device,
+        not arguments.quiet,
+    )
     rows = [(name.replace("_", " "), f"{value:.4f}") for name, value in figures.items()]
     print_table(("figure", "value"), rows, f"{description.name}, seed {arguments.seed}")
     finish({"Map": arguments.output}, command("grasp", "--retargeter", arguments.output))

@@ -104,13 +104,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
     """Settings of the method out of --preset, --set, --steps and --fk; later ones take precedence."""
-    from geort_drake import load_hand
     from geort_drake.comparison.train import training_config
     from geort_drake.retargeting.methods.geort import PRESETS
     from geort_drake.settings import parse_settings
 
-    method, hand = arguments.method, load_hand(arguments.hand)
-    config = training_config(method, hand=hand)
+    method = arguments.method
+    config = training_config(method)
     if arguments.preset is not None and method != "geort":
         raise TrainingError(f"--preset {arguments.preset} is a preset of geort, not of {method}")
     settings = dict(PRESETS[arguments.preset]) if arguments.preset else {}

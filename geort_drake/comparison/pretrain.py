@@ -13,8 +13,8 @@ from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.hands.mirror import canonical_kinematics, canonical_shapes
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.map_file import MapFile
-from geort_drake.retargeting.methods.universal import UniversalConfig
-from geort_drake.retargeting.methods.universal.training import train_universal
+from geort_drake.retargeting.methods.coupled import FOR_EVERYONE, CoupledConfig
+from geort_drake.retargeting.methods.coupled.training import train_universal
 
 _MIRRORED = {"right": "left", "left": "right"}
 
@@ -22,8 +22,10 @@ _MIRRORED = {"right": "left", "left": "right"}
 def pretrain(
     description: HandDescription,
     output: str | os.PathLike,
-    config: UniversalConfig | None = None,
+    config: CoupledConfig = FOR_EVERYONE,
+    people: int = 800,
     seed: int = 0,
+    device: str = "cpu",
     show_progress: bool = True,
 ) -> dict[str, float]:
     """Trains the map for everyone of a hand and writes it to a file; see `MapFile`.
@@ -33,8 +35,10 @@ def pretrain(
     Args:
         description: of the robot hand.
         output: the file.
-        config: settings; None takes the defaults.
+        config: settings.
+        people: number of people in the population.
         seed: of the population and the training.
+        device: "cpu" or "cuda".
         show_progress: draw progress bars on stderr.
 
     Returns:
@@ -44,11 +48,16 @@ def pretrain(
         HandError, TrainingError: the hand or a setting is unusable.
         OutputError: the file cannot be written.
     """
-    config = config or UniversalConfig()
     hand = HandModel(description)
     with progress_bar(show_progress) as bars:
         result = train_universal(
-            canonical_kinematics(hand), canonical_shapes(hand), config, seed, bars.losses("training", None)
+            canonical_kinematics(hand),
+            canonical_shapes(hand),
+            config,
+            people,
+            seed,
+            device,
+            bars.losses("training", None),
         )
     MapFile(
         result.arrays,
@@ -58,7 +67,7 @@ def pretrain(
         human_keypoints=description.human_keypoints,
         lower=hand.lower.tolist(),
         upper=hand.upper.tolist(),
-        training={**dataclasses.asdict(config), "seed": seed},
+        training={**dataclasses.asdict(config), "people": people, "seed": seed},
         provenance={
             "versions": versions(),
             "git": git_state(),

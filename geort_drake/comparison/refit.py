@@ -10,7 +10,7 @@ from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.map_file import shipped_maps
-from geort_drake.retargeting.methods.coupled import FINE_TUNING, FINE_TUNING_STEPS
+from geort_drake.retargeting.methods.coupled import REFIT_STEPS
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.retargeting.training.descent import Report
 from geort_drake.retargeting.universal import UniversalRetargeter
@@ -21,7 +21,7 @@ def refit_checkpoint(
     output: str | os.PathLike,
     hand_name: str | os.PathLike = "allegro_right",
     map_file: str | os.PathLike | None = None,
-    steps: int = FINE_TUNING_STEPS,
+    steps: int = REFIT_STEPS,
     seed: int = 0,
     show_progress: bool = True,
     report: Report | None = None,
@@ -59,14 +59,13 @@ def refit_checkpoint(
         raise CheckpointError(f"{path}: a map for everyone is needed, this is a checkpoint of one person")
     recording = training_recording(recording, description.side)
     arrays = universal.folded_arrays(universal.code(recording.p_HK[recording.valid]))
-    widths = {"hidden": arrays["weight0"].shape[2], "residual_hidden": arrays["residual_weight0"].shape[1]}
     return train_checkpoint(
         hand_name,
         recording,
         output,
         seed=seed,
         show_progress=show_progress,
-        settings={**FINE_TUNING, **widths, "steps": steps},
+        settings={"steps": steps},
         report=report,
         start=arrays,
         provenance={"map": {"name": path.name, "sha256": sha256_of(path)}},

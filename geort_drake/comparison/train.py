@@ -10,16 +10,15 @@ import warnings
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from geort_drake.comparison.metrics import evaluate
 from geort_drake.comparison.versions import git_state, versions
 from geort_drake.console import progress_bar, say
-from geort_drake.errors import CheckpointError, GeortError, HandError, RecordingError
+from geort_drake.errors import CheckpointError, RecordingError
 from geort_drake.files import digest_of
-from geort_drake.hands.description import HandDescription, load_hand
+from geort_drake.hands.description import load_hand
 from geort_drake.hands.mirror import canonical_kinematics, canonical_shapes
 from geort_drake.hands.model import HandModel
 from geort_drake.people.coverage import finger_motions
@@ -38,7 +37,7 @@ from geort_drake.retargeting.methods import DEFAULT_METHOD, trained_method
 from geort_drake.retargeting.retargeter import Retargeter, load_retargeter
 from geort_drake.retargeting.trained_space import trained_points
 from geort_drake.retargeting.training.descent import Report
-from geort_drake.settings import check_names, parse_settings
+from geort_drake.settings import check_names
 from geort_drake.sources import PACKAGE, imported_sources, source_of
 
 
@@ -58,39 +57,18 @@ def training_sources(method: str) -> list[Path]:
     )
 
 
-def training_config(
-    method: str, settings: Mapping | None = None, hand: HandDescription | None = None
-) -> TrainingConfig:
-    """The configuration of a method: its defaults, then the hand's settings, then `settings`.
+def training_config(method: str, settings: Mapping | None = None) -> TrainingConfig:
+    """The configuration of a method: its defaults, except for `settings`.
 
     Raises:
         UnknownNameError: no such method or setting; the message lists the known ones.
-        HandError: the description's settings are invalid.
         TrainingError: a value is invalid.
     """
     kind = trained_method(method).config
     check_names(settings or {}, kind, method)
-    config = kind(**{**(hand_settings(hand, method) if hand else {}), **(settings or {})})
+    config = kind(**(settings or {}))
     config.validate()
     return config
-
-
-def hand_settings(hand: HandDescription, method: str) -> dict[str, Any]:
-    """The settings of a method in a hand's description.
-
-    Raises:
-        HandError: the description has an unknown method, or an unknown or invalid setting of any method.
-    """
-    settings = {}
-    try:
-        for name, numbers in hand.training.items():
-            kind = trained_method(name).config
-            texts = [f"{setting}={number:.15g}" for setting, number in numbers.items()]
-            settings[name] = parse_settings(texts, kind, name)
-            kind(**settings[name]).validate()
-    except GeortError as error:
-        raise HandError(f"hand '{hand.name}': training: {error}") from error
-    return settings.get(method, {})
 
 
 def train_checkpoint(
@@ -117,7 +95,7 @@ def train_checkpoint(
         seed: of robot samples, synthetic play, training and metrics.
         device: "cpu" or "cuda".
         show_progress: draw progress bars on stderr.
-        settings: fields of the method's config that differ from its defaults and the hand's.
+        settings: fields of the method's config that differ from its defaults.
         robot_samples: number of sampled joint positions of the robot.
         report: see `Report`.
         start: arrays to start from, of the method `geort_coupled`; None starts from random weights.
@@ -132,7 +110,7 @@ def train_checkpoint(
         CheckpointError: `output` exists and is not a checkpoint.
     """
     description = load_hand(hand_name)
-    config = training_config(method, settings, description)
+    config = training_config(method, settings)
     check_replaceable(output)
     hand = HandModel(description)
     kinematics = canonical_kinematics(hand)
@@ -245,7 +223,7 @@ def cached_checkpoint(
         HandError, RecordingError, TrainingError, UnknownNameError: see `train_checkpoint`.
     """
     hand = HandModel(load_hand(hand_name))
-    config = training_config(method, settings, hand.description)
+    config = training_config(method, settings)
     facts = {
         "hand": hand.digest,
         "recording": recording.digest,

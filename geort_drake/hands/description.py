@@ -107,8 +107,6 @@ class HandDescription:
     ignored_collisions: list[list[str]] = dc.field(default_factory=list)
     actuation: ActuationDescription = dc.field(default_factory=ActuationDescription)
     mount: MountDescription = dc.field(default_factory=MountDescription)
-    # Training settings for this hand in place of a method's defaults: method → name → number.
-    training: dict[str, dict[str, float]] = dc.field(default_factory=dict)
 
     @property
     def joint_names(self) -> list[str]:

@@ -50,7 +50,7 @@ class HandModel:
         instance: the hand's model instance in `plant`.
         couplings: the joints that follow others.
         digest: SHA-256 over the description, the model, its includes and its collision meshes; independent of
-            where the files are and of the arm, mount, gains and training settings.
+            where the files are and of the arm, mount and gains.
         lower, upper: (n,) joint limits, rad, within which followers keep theirs.
 
     Raises:
@@ -264,7 +264,7 @@ def tip_geometries(
 def _digest(description: HandDescription, model_sha256: str) -> str:
     """SHA-256 over everything that decides the hand's behaviour."""
     facts = dc.asdict(description) | {"model": model_sha256}
-    del facts["mount"], facts["actuation"], facts["training"]
+    del facts["mount"], facts["actuation"]
     # Fields that older descriptions lacked do not count while unused, so that older checkpoints still fit.
     for name in ("base_pose", "couplings", "ignored_collisions"):
         if getattr(description, name) == getattr(HandDescription(), name):

@@ -29,7 +29,6 @@ class TrainingConfig:
 
     steps: int = 5000  # gradient steps
     learning_rate: float = 5e-3  # of the first step; falls to zero along half a cosine
-    hidden: int = 128  # width of both hidden layers of each finger's network
 
     def validate(self) -> None:
         """Raises TrainingError for a number out of range."""

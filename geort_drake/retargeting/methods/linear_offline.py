@@ -24,6 +24,7 @@ LENGTH_UNIT = 0.1  # m; unit of the vectors in the loss
 class LinearConfig(TrainingConfig):
     """Settings of `train_linear_offline`."""
 
+    hidden: int = 128  # width of both hidden layers of each finger's network
     points: int = 256  # human fingertips per finger and step
 
 

@@ -1,5 +1,6 @@
 """Human fingertips as training data: recorded frames, and the cloud of each fingertip."""
 
+import itertools
 import warnings
 from collections.abc import Sequence
 
@@ -22,8 +23,7 @@ class HumanData:
         clouds: F arrays (M, 3), each fingertip's places, one per voxel.
         mean, scale: (F, 3) mean and standard deviation of the clouds, m.
         points: number of places per finger name.
-        pairs: pairs of finger numbers that pinch: the thumb with each other finger, or all pairs of a hand
-            without a thumb.
+        pairs: see `pinch_pairs`.
     """
 
     def __init__(self, p_HF: np.ndarray, finger_names: Sequence[str]):
@@ -51,11 +51,7 @@ class HumanData:
                 )
         self.mean = np.stack([cloud.mean(axis=0) for cloud in self.clouds])
         self.scale = np.maximum(np.stack([cloud.std(axis=0) for cloud in self.clouds]), 1e-3)
-        if "thumb" in finger_names:
-            thumb = list(finger_names).index("thumb")
-            self.pairs = [(thumb, i) for i in range(fingers) if i != thumb]
-        else:
-            self.pairs = [(i, j) for i in range(fingers) for j in range(i + 1, fingers)]
+        self.pairs = pinch_pairs(finger_names)
 
     def check_pinches(self) -> None:
         """Warns of fingers that never pinch: nearest to the thumb, with tips less than `PINCH_M` apart.
@@ -71,7 +67,7 @@ class HumanData:
             raise TrainingError(
                 "the recording holds no pinch: the thumb's tip should come nearer than "
                 f"{1000 * PINCH_M:.0f} mm to another fingertip, the nearest is "
-                f"{1000 * distance.min():.0f} mm; record pinches, or set pinch_weight to 0"
+                f"{1000 * distance.min():.0f} mm; record pinches"
             )
         nearest = distance.argmin(axis=1)[distance.min(axis=1) < PINCH_M]
         missing = [
@@ -86,3 +82,11 @@ class HumanData:
                 RuntimeWarning,
                 stacklevel=2,
             )
+
+
+def pinch_pairs(finger_names: Sequence[str]) -> list[tuple[int, int]]:
+    """Pairs of finger numbers that pinch: the thumb with each other finger; all pairs without a thumb."""
+    if "thumb" in finger_names:
+        thumb = list(finger_names).index("thumb")
+        return [(thumb, i) for i in range(len(finger_names)) if i != thumb]
+    return list(itertools.combinations(range(len(finger_names)), 2))

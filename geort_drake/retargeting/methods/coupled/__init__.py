@@ -1,4 +1,4 @@
-"""`geort_coupled`, the default method: one network per finger and a residual that sees all fingertips.
+"""`geort_coupled`, a network per finger and a residual that sees all fingertips, and the map for everyone.
 
 Import from this module only; its submodules may change. docs/concepts/derivations.md derives the
 losses.
@@ -9,21 +9,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geort_drake.retargeting.method import TrainedMethod, TrainingData, TrainingResult
-from geort_drake.retargeting.methods.coupled.config import (
-    FINE_TUNING,
-    FINE_TUNING_STEPS,
-    CoupledConfig,
-)
+from geort_drake.retargeting.method import ShippedMethod, TrainedMethod, TrainingData, TrainingResult
+from geort_drake.retargeting.methods.coupled.config import FOR_EVERYONE, REFIT_STEPS, CoupledConfig
 from geort_drake.retargeting.methods.coupled.retargeter import CoupledRetargeter
 
 if TYPE_CHECKING:
     from geort_drake.retargeting.training.descent import Report
 
 __all__ = [
-    "FINE_TUNING",
-    "FINE_TUNING_STEPS",
+    "FOR_EVERYONE",
     "METHODS",
+    "REFIT_STEPS",
     "CoupledConfig",
     "CoupledRetargeter",
     "train_coupled",
@@ -45,8 +41,7 @@ def train_coupled(
 
     Args:
         data, config, seed, device, report: see `TrainedMethod.train`.
-        start: arrays of a `CoupledRetargeter` to start from, whose layers are as wide as the config says;
-            None starts from random weights.
+        start: arrays of a `CoupledRetargeter` to start from; None starts from random weights.
     """
     from geort_drake.retargeting.methods.coupled.training import train
 
@@ -61,4 +56,5 @@ METHODS = (
         train_coupled,
         CoupledRetargeter,
     ),
+    ShippedMethod("universal", "one map for every person, shipped for the hand"),
 )

@@ -1,103 +1,81 @@
-"""Coverage targets of `geort_coupled`: robot voxels, each with the recorded hand that should reach it."""
+"""Coverage targets: places of the robot's fingertips, each with the hand of a person that comes nearest."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
-import numpy as np
 import torch
-from scipy.spatial import cKDTree
 
-from geort_drake.retargeting.clouds import first_in_voxels
-from geort_drake.retargeting.methods.coupled.network import CoupledNetwork
-from geort_drake.retargeting.training.human_data import HUMAN_VOXEL
+from geort_drake.retargeting.methods.coupled.people import Network, TrainingPeople
 from geort_drake.retargeting.training.kinematics import HandKinematics
 
-CONTEXTS = 12  # recorded hands with nearly the same fingertip; their other fingers differ
-AVERAGED = 3  # of them at a time
-MEMORY = 0.4  # weight of the latest trial in the mean over contexts
-ANCHORS = 2000  # places of a fingertip that are searched at most
-FRAMES = 4000  # a longer recording is thinned
+RADIUS = 0.010  # m; a target at this distance counts half
+POOL = 8  # people whose targets are kept; one is renewed at each step
+SEARCHED = 700  # hands of a person among which the nearest to a target is looked for
+TARGETS = 128  # per finger and person in the pool
+PEOPLE, DRAWN = 6, 32  # people of a batch, and targets per finger of each
 
 
 class CoverageTargets:
-    """Robot voxels, each with the recorded hand that comes nearest to it.
+    """A pool of people with a code, targets per finger, and the hands whose fingertips come nearest to them.
 
-    A k-d tree searches the whole recording for many steps at once. A long recording is thinned, because its
-    frames lie closer together than the map can tell apart.
+    A search among many of a person's hands is worth several steps. It must be dense: where few hands are
+    searched, the nearest one is far from a target that the map reaches.
+
+    Attributes:
+        reached: fraction of the targets within RADIUS in the latest search.
     """
 
     def __init__(
         self,
-        frames: torch.Tensor,
+        people: TrainingPeople,
         kinematics: HandKinematics,
-        voxels: Sequence[np.ndarray],
-        seed: int,
+        voxels: Sequence[torch.Tensor],
+        generator: torch.Generator,
     ):
-        """Takes real frames (T, F, 3), m, and each finger's voxel centres (M, 3) in B, m."""
-        self._frames, self._voxels = frames, voxels
-        self._generator, self._rng = torch.Generator().manual_seed(seed), np.random.default_rng(seed)
-        self._kinematics = kinematics
-        self._fingers = [replace(kinematics, fingers=(finger,)) for finger in kinematics.fingers]
-        tips = frames.numpy()
-        rows = [at_most(ANCHORS, tips[:, i], HUMAN_VOXEL) for i in range(len(voxels))]
-        kept = np.unique(np.concatenate(rows)) if len(tips) > FRAMES else np.arange(len(tips))
-        self._rows = torch.tensor(kept)
-        self._anchors = [torch.tensor(first) for first in rows]
-        self._contexts = []
-        for i, first in enumerate(rows):
-            _, similar = cKDTree(tips[:, i]).query(tips[first, i], k=min(CONTEXTS, len(tips)))
-            self._contexts.append(torch.tensor(similar.reshape(len(first), -1)))
-        self._means: list[torch.Tensor] = []
+        """Takes each finger's voxel centres (M, 3) in B, m."""
+        self._people, self._kinematics, self._voxels = people, kinematics, voxels
+        self._generator = generator
+        self._pool: list[tuple[int, int, torch.Tensor, torch.Tensor]] = []
+        self.reached = 0.0
 
-    def nearest(self, network: CoupledNetwork, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Voxels (F, count, 3) in B, m, and the real frames (F, count, F, 3) that come nearest to them."""
-        with torch.no_grad():
-            p_BF = self._kinematics.fingertips(network(self._frames[self._rows]))
-        targets, rows = self._search(p_BF.unbind(1), count)
-        return targets, self._frames[self._rows[rows]]
+    def loss(self, network: Network) -> torch.Tensor:
+        """Mean of `coverage_loss` between targets and the fingertips of the nearest hands.
 
-    def nearest_in_context(self, network: CoupledNetwork, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """The same, nearest on average over poses of the other fingers.
-
-        Returns:
-            Voxels (F, count, 3) and hands (F, count, AVERAGED, F, 3): the finger's own tip is the same
-            in each, the others are from recorded hands whose own tip is nearby.
+        A person's finger counts less where it visits fewer places than the average person's.
         """
-        for i, anchors in enumerate(self._anchors):
-            hands = self._in_contexts(i, torch.arange(len(anchors)))
-            with torch.no_grad():
-                own = hands.flatten(0, 1)[None]
-                angles = network.angles_by_finger(own[0, :0], own, slice(i, i + 1))
-                tips = self._fingers[i].fingertips_by_finger(angles)
-            mean = tips.reshape(len(anchors), AVERAGED, 3).mean(1)
-            # Few contexts make a noisy mean, so it is averaged with that of earlier searches.
-            if len(self._means) == i:
-                self._means.append(mean)
-            self._means[i] = torch.lerp(self._means[i], mean, MEMORY)
-        targets, rows = self._search(self._means, count)
-        # Fresh contexts, otherwise the map would reach the target only in those of the search.
-        return targets, torch.stack([self._in_contexts(i, row) for i, row in enumerate(rows)])
+        while len(self._pool) < POOL:
+            self._pool.append(self._search(network))
+        self._pool.append(self._search(network))
+        self._pool.pop(0)
+        people, fingers = self._people, len(self._voxels)
+        chosen = torch.randperm(POOL, generator=self._generator)[:PEOPLE].tolist()
+        number = torch.tensor([self._pool[i][0] for i in chosen], device=people.device)
+        code = torch.tensor([self._pool[i][1] for i in chosen], device=people.device)
+        some = people.below(TARGETS, PEOPLE, fingers, DRAWN)
+        targets = torch.stack([self._pool[i][2] for i in chosen])
+        targets = targets.gather(2, some[..., None].expand(-1, -1, -1, 3))
+        rows = torch.stack([self._pool[i][3] for i in chosen]).gather(2, some)
+        hands = people.p_HF[number[:, None], rows.flatten(1)]
+        tips = self._kinematics.fingertips(network(hands, people.codes[number, code]))
+        tips = tips.reshape(PEOPLE, fingers, DRAWN, fingers, 3).diagonal(dim1=1, dim2=3).movedim(-1, 1)
+        weight = people.reach[number][..., None]
+        return (weight * coverage_loss(tips, targets)).mean() / weight.mean()
 
-    def _search(self, points: Sequence[torch.Tensor], count: int) -> tuple[torch.Tensor, torch.Tensor]:
-        targets, rows = [], []
-        for voxels, reached in zip(self._voxels, points, strict=True):
-            chosen = voxels[self._rng.integers(len(voxels), size=count)]
-            targets.append(chosen)
-            rows.append(cKDTree(reached.numpy()).query(chosen)[1])
-        places = torch.tensor(np.stack(targets), dtype=torch.float32)
-        return places, torch.tensor(np.stack(rows))
-
-    def _in_contexts(self, finger: int, rows: torch.Tensor) -> torch.Tensor:
-        """Hands (M, AVERAGED, F, 3): a finger's tip at its anchors `rows`, the others from similar hands."""
-        contexts = self._contexts[finger][rows]
-        some = torch.randint(contexts.shape[1], (len(rows), AVERAGED), generator=self._generator)
-        hands = self._frames[contexts.gather(1, some)]
-        hands[:, :, finger] = self._frames[self._anchors[finger][rows], finger][:, None]
-        return hands
+    @torch.no_grad()
+    def _search(self, network: Network) -> tuple[int, int, torch.Tensor, torch.Tensor]:
+        """A person, a code, targets (F, TARGETS, 3) and the rows (F, TARGETS) of the nearest hands."""
+        people = self._people
+        number, code = int(people.below(len(people.p_HF), 1)), int(people.below(people.codes.shape[1], 1))
+        rows = people.anchors[number].flatten()
+        rows = rows[torch.randperm(len(rows), generator=self._generator)[:SEARCHED]]
+        hands = people.p_HF[number, rows][None]
+        tips = self._kinematics.fingertips(network(hands, people.codes[number, code][None]))[0]
+        targets = torch.stack([voxels[people.below(len(voxels), TARGETS)] for voxels in self._voxels])
+        distance, nearest = torch.cdist(targets, tips.transpose(0, 1)).min(2)
+        self.reached = float((distance < RADIUS).float().mean())
+        return number, code, targets, rows[nearest]
 
 
-def at_most(count: int, points: np.ndarray, size: float) -> np.ndarray:
-    """Rows of the first point (N, 3) in each voxel, which grows from `size` until at most `count` remain."""
-    while len(first := first_in_voxels(points, size)) > count:
-        size *= 1.1
-    return first
+def coverage_loss(points: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+    """d⁴ / (d⁴ + RADIUS⁴) of the distances d between points and targets (..., 3), m: bounded, at most 1."""
+    fourth = ((points - targets) / RADIUS).square().sum(-1).square()
+    return fourth / (fourth + 1.0)

@@ -1,76 +1,127 @@
-"""The losses of `geort_coupled`, one pure function each. All are ratios, so weights need no unit.
+"""The constraints of a training: for each a loss, and the figure that its bound is for.
 
-Lengths are in metres. Direction is `criteria.direction_loss`, collision is in collision_geometry.py.
+Lengths on the robot's side are in units of the fingertips' radius, so that small hands close their pinches.
 """
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
+from torch.nn.functional import cosine_similarity
+
+from geort_drake.retargeting.methods.coupled.people import (
+    APART,
+    NEARLY_APART,
+    Hands,
+    TrainingPeople,
+    of_finger,
+)
+
+# In tip radii; two tips touch at a distance of 2.
+PINCH_TARGET, PINCH_SCALE = 0.875, 0.667
+DEEP, DEEP_MARGIN = 0.333, 0.5
+FALSE_MARGIN = 0.25
+SCALE = 0.4  # of depths and of false pinches
+GAIN_BAND = 0.6  # of log gain around its median
+STEP_RANGE = (0.001, 0.03)  # m; shorter steps are noise, longer ones gaps
 
 
-def bounded_coverage_loss(points: torch.Tensor, targets: torch.Tensor, radius: float) -> torch.Tensor:
-    """E d⁴ / (d⁴ + c⁴): small where a target is reached within c, and at most 1.
+@dataclass(frozen=True)
+class RobotTips:
+    """The robot's fingertips (G, ·, F, 3) in B, m, for the hands of a batch of the same names.
 
-    Args:
-        points, targets: (..., 3) a target in the robot's space and the point that is nearest to it.
-        radius: c, the distance at which a target counts half.
+    `ahead` and `behind` are for the moved hands, whose finger is displaced by d and −d.
     """
-    fourth = ((points - targets) / radius).square().sum(-1).square()
-    return (fourth / (fourth + 1.0)).mean()
+
+    moved: torch.Tensor
+    ahead: torch.Tensor
+    behind: torch.Tensor
+    before: torch.Tensor
+    after: torch.Tensor
+    pinching: torch.Tensor
 
 
-def cross_talk_loss(answers: torch.Tensor, floor: float = 1e-4) -> torch.Tensor:
-    """Mean motion of the other fingertips over that of the moved finger.
+def constraint_terms(
+    hands: Hands, robot: RobotTips, people: TrainingPeople, tip_radius: float
+) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
+    """Loss and figure of each constraint but collision, by the names of `CoupledConfig`.
 
-    Args:
-        answers: (F, N, F, 3) motion of every robot fingertip when human finger i (first axis) moves.
-        floor: length added in quadrature to each motion, which keeps the gradient of no motion finite.
+    Direction, track and cross-talk are of the half of the people for whom they are worse, or of the only one.
     """
-    fingers = answers.shape[0]
-    if fingers == 1:
-        return answers.new_zeros(())
-    motion = (torch.sqrt(answers.square().sum(-1) + floor**2) - floor).mean(1)  # (F, F)
-    own = motion.diagonal()
-    return ((motion.sum(1) - own) / ((fingers - 1) * (own + floor))).mean()
+    mean = torch.mean if len(people.p_HF) == 1 else _worse_half
+    motion = robot.ahead - robot.moved
+    own = of_finger(motion, hands.finger)
+    row = {
+        "direction": _twice(mean((1.0 - cosine_similarity(own, hands.d, dim=-1, eps=1e-7)).mean(1))),
+        "track": _twice(mean(_track(hands, robot))),
+        "cross_talk": _twice(mean(_cross_talk(motion, hands.finger))),
+        "curvature": _twice(_curvature(hands, robot, own)),
+        "uneven": _uneven(own, hands.d),
+    }
+    distance = people.pair_distances(robot.pinching) / tip_radius
+    pinched = distance.gather(-1, hands.pinch_pair[..., None])[..., 0]
+    weight = hands.pinched.float()
+    row["open_pinch"] = (_mean(pinch_loss(pinched), weight), _mean(pinched > 2.0, weight))
+    deep = torch.relu(DEEP_MARGIN - pinched) / SCALE
+    row["deep_pinch"] = (_mean(deep, weight), _mean(pinched < DEEP, weight))
+    row["false_pinch"] = _false_pinches(hands, robot, people, tip_radius)
+    return row
 
 
-def curvature_loss(ahead: torch.Tensor, here: torch.Tensor, behind: torch.Tensor) -> torch.Tensor:
-    """Mean squared second over mean squared first difference per finger, (F, N, 3) each; 0 if affine."""
-    second = (ahead + behind - 2.0 * here).square().sum(-1).mean(-1)
-    first = (ahead - here).square().sum(-1).mean(-1)
-    return (second / (first + 1e-12)).mean()
+def pinch_loss(distance: torch.Tensor) -> torch.Tensor:
+    """e² / (1 + e) with e = |distance − target| / scale, in tip radii: square near, linear far away."""
+    e = (distance - PINCH_TARGET).abs() / PINCH_SCALE
+    return e.square() / (1.0 + e)
 
 
-def uniform_response_loss(d: torch.Tensor, answer: torch.Tensor, band: float) -> torch.Tensor:
-    """Mean excess of |log gain − its median| over `band`, gain = |answer| / |d|; (F, N, 3) each."""
-    gain = 0.5 * torch.log((answer.square().sum(-1) + 1e-10) / (d.square().sum(-1) + 1e-10))
-    median = gain.detach().median(dim=-1, keepdim=True).values
-    return torch.relu((gain - median).abs() - band).mean()
+def _track(hands: Hands, robot: RobotTips) -> torch.Tensor:
+    """(G,) mean of 1 − cosine along the recorded steps of each person."""
+    step, answer = hands.after - hands.before, robot.after - robot.before
+    length = step.norm(dim=-1)
+    long = (length > STEP_RANGE[0]) & (length < STEP_RANGE[1])
+    error = 1.0 - cosine_similarity(answer, step, dim=-1, eps=1e-7)
+    weight = long.float()
+    return (error * weight).sum((1, 2)) / (weight.sum((1, 2)) + 1e-9)
 
 
-def pair_distances(points: torch.Tensor, pairs: Sequence[tuple[int, int]]) -> torch.Tensor:
-    """(N, P) distances of pairs of fingertips (N, F, 3); the gradient is finite where they coincide."""
-    numbers = torch.tensor([pair[side] for side in (0, 1) for pair in pairs], device=points.device)
-    first, second = points.index_select(1, numbers).chunk(2, dim=1)
-    return torch.sqrt((first - second).square().sum(-1) + 1e-10)
+def _cross_talk(motion: torch.Tensor, finger: torch.Tensor, floor: float = 1e-4) -> torch.Tensor:
+    """(G,) mean motion of the others over that of the moved finger; `floor`, m, keeps gradients finite."""
+    fingers = motion.shape[2]
+    length = torch.sqrt(motion.square().sum(-1) + floor**2) - floor
+    own = length.gather(2, finger[..., None])[..., 0]
+    others = (length.sum(2) - own) / (fingers - 1)
+    return others.mean(1) / (own.mean(1) + floor)
 
 
-def pinch_distance_loss(
-    distances: torch.Tensor, weights: torch.Tensor, target: float, scale: float
-) -> torch.Tensor:
-    """Weighted mean of e² / (1 + e), e = |distance − target| / scale: square near, linear far away.
-
-    Args:
-        distances, weights: (N, P) of pairs of robot fingertips.
-        target: distance at which the fingertips press on each other.
-        scale: distance at which the loss turns from square to linear.
-    """
-    e = (distances - target).abs() / scale
-    return (weights * e.square() / (1.0 + e)).sum() / (weights.sum() + 1e-9)
+def _curvature(hands: Hands, robot: RobotTips, own: torch.Tensor) -> torch.Tensor:
+    second = of_finger(robot.ahead + robot.behind - 2.0 * robot.moved, hands.finger)
+    return (second.square().sum(-1).mean(1) / (own.square().sum(-1).mean(1) + 1e-12)).mean()
 
 
-def false_pinch_loss(
-    distances: torch.Tensor, apart: torch.Tensor, least: float, scale: float
-) -> torch.Tensor:
-    """Mean of max(0, least − distance) / scale over pairs (N, P) that the person holds `apart` (bool)."""
-    return (torch.relu(least - distances) / scale * apart).sum() / (apart.sum() + 1e-9)
+def _uneven(own: torch.Tensor, d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Excess of log gain beyond the band around the person's median, and the fraction beyond it."""
+    gain = 0.5 * torch.log((own.square().sum(-1) + 1e-10) / d.square().sum(-1))
+    excess = torch.relu((gain - gain.detach().median(1, keepdim=True).values).abs() - GAIN_BAND)
+    return excess.mean(), (excess > 0).float().mean()
+
+
+def _false_pinches(
+    hands: Hands, robot: RobotTips, people: TrainingPeople, tip_radius: float
+) -> tuple[torch.Tensor, torch.Tensor]:
+    human = people.pair_distances(torch.cat([hands.after, hands.pinching, hands.moved], 1))
+    tips = torch.cat([robot.after, robot.pinching, robot.moved], 1)
+    distance = people.pair_distances(tips) / tip_radius
+    depth = torch.relu(2.0 + FALSE_MARGIN - distance) / SCALE
+    return _mean(depth, human > NEARLY_APART), _mean(distance < 2.0, human > APART)
+
+
+def _worse_half(values: torch.Tensor) -> torch.Tensor:
+    """The mean over the half of the people (G,) for whom a figure is worse."""
+    return values.topk((len(values) + 1) // 2).values.mean()
+
+
+def _mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+    return (values * weight).sum() / (weight.sum() + 1e-9)
+
+
+def _twice(loss: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    return loss, loss

@@ -10,6 +10,8 @@ from geort_drake.errors import TrainingError
 from geort_drake.retargeting.training.kinematics import HandKinematics
 from geort_drake.retargeting.training.networks import RetargetingNetwork, StackedMlp
 
+HIDDEN, RESIDUAL_HIDDEN = 64, 128  # widths of layers, as of the map for everyone
+
 
 class CoupledNetwork(RetargetingNetwork):
     """q = centre + half_range · tanh(base_i(x_i) + residual(x_1, …, x_F)), x the normalised fingertips.
@@ -17,66 +19,31 @@ class CoupledNetwork(RetargetingNetwork):
     The residual starts at zero, so the map starts as independent fingers.
     """
 
-    stacked_centre: torch.Tensor
-    stacked_half_range: torch.Tensor
-
     def __init__(
-        self,
-        kinematics: HandKinematics,
-        mean: torch.Tensor,
-        scale: torch.Tensor,
-        hidden: int,
-        residual_hidden: int,
-        generator: torch.Generator,
+        self, kinematics: HandKinematics, mean: torch.Tensor, scale: torch.Tensor, generator: torch.Generator
     ):
-        """`mean` (F, 3) and `scale` (F, 3) normalise the inputs, in m; the others are widths of layers."""
-        super().__init__(kinematics, mean, scale, hidden, generator)
+        """`mean` (F, 3) and `scale` (F, 3) normalise the inputs, in m."""
+        super().__init__(kinematics, mean, scale, HIDDEN, generator)
         fingers = len(kinematics.fingers)
         outputs = fingers * self.mlp.weights[-1].shape[2]
-        widths = (3 * fingers, residual_hidden, residual_hidden, outputs)
-        for name, values in (("centre", self.centre), ("half_range", self.half_range)):
-            stacked = torch.zeros(outputs)
-            stacked[self.columns] = values
-            self.register_buffer(f"stacked_{name}", stacked.reshape(fingers, 1, -1))
-        self.residual = StackedMlp(1, widths, generator)
+        self.residual = StackedMlp(1, (3 * fingers, RESIDUAL_HIDDEN, RESIDUAL_HIDDEN, outputs), generator)
         for parameters in (self.residual.weights, self.residual.biases):
             nn.init.zeros_(parameters[-1])
 
-    def forward(self, p_HF: torch.Tensor) -> torch.Tensor:
-        """Joint angles (N, n) in rad for human fingertips (N, F, 3) in m."""
-        x = (p_HF.transpose(0, 1) - self.mean) / self.scale
-        together = x.transpose(0, 1).reshape(1, len(p_HF), -1)
-        y = self.mlp(x).transpose(0, 1).reshape(len(p_HF), -1) + self.residual(together)[0]
-        if not self._in_order:
-            y = y[:, self.columns]
-        return self.centre + self.half_range * torch.tanh(y)
+    def groups(self, weight_decay: float) -> list[dict]:
+        """Groups of parameters for an optimiser. The residual, which sees combinations, decays faster."""
+        return [
+            {"params": [*self.mlp.parameters()], "weight_decay": weight_decay},
+            {"params": [*self.residual.parameters()], "weight_decay": 3.0 * weight_decay},
+        ]
 
-    def angles_by_finger(
-        self, whole: torch.Tensor, own: torch.Tensor, some: slice = slice(None)
-    ) -> torch.Tensor:
-        """Joint angles by finger, (G, N + M, k) rad, as `HandKinematics.fingertips_by_finger` takes them.
-
-        Args:
-            whole: (N, F, 3) human fingertips in m of hands in which every one of the G fingers answers.
-            own: (G, M, F, 3) of hands in which only finger G answers, which saves the others' networks.
-            some: the G fingers; all by default.
-        """
-        groups, count, fingers, _ = own.shape
-        row, number = torch.arange(groups), torch.arange(fingers)[some]
-        mean, scale = self.mean[:, 0], self.scale[:, 0]
-        x, x_own = (whole - mean) / scale, (own - mean) / scale
-        together = torch.cat([x.flatten(1), x_own.reshape(groups * count, -1)])
-        shared = self.residual(together[None])[0].reshape(len(together), fingers, -1)
-        shared, shared_own = shared.split([len(whole), groups * count])
-        shared_own = shared_own.reshape(groups, count, fingers, -1)[row, :, number]
-        y = self.mlp(torch.cat([x[:, some].transpose(0, 1), x_own[row, :, number]], dim=1), some)
-        y = y + torch.cat([shared[:, some].transpose(0, 1), shared_own], dim=1)
-        return self.stacked_centre[some] + self.stacked_half_range[some] * torch.tanh(y)
-
-    def in_order(self, angles: torch.Tensor) -> torch.Tensor:
-        """Joint angles (N, n) in the order of q, from those of all fingers (F, N, k)."""
-        stacked = angles.transpose(0, 1).flatten(1)
-        return stacked if self._in_order else stacked[:, self.columns]
+    def forward(self, p_HF: torch.Tensor, codes: torch.Tensor | None = None) -> torch.Tensor:
+        """Joint angles (..., n) in rad for human fingertips (..., F, 3) in m; the map needs no codes."""
+        x = (p_HF.reshape(-1, *p_HF.shape[-2:]).transpose(0, 1) - self.mean) / self.scale
+        together = x.transpose(0, 1).reshape(1, x.shape[1], -1)
+        y = self.mlp(x).transpose(0, 1).reshape(x.shape[1], -1) + self.residual(together)[0]
+        q = self.centre + self.half_range * torch.tanh(y[:, self.columns])
+        return q.reshape(*p_HF.shape[:-2], -1)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Arrays for `CoupledRetargeter`, in float64; the normalisation is folded into the first layers."""

@@ -1,54 +1,58 @@
-"""Trains `geort_coupled`; docs/concepts/derivations.md explains its differences from the paper."""
+"""Trains maps: most coverage subject to constraints, for one person or on a population of people.
+
+docs/concepts/derivations.md explains the differences from the paper.
+"""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import torch
 
 from geort_drake.errors import TrainingError
-from geort_drake.processes import usable_cores
+from geort_drake.people.keypoints import TIP_KEYPOINT
+from geort_drake.people.population import sample_population
 from geort_drake.retargeting.clouds import voxel_centres
 from geort_drake.retargeting.method import TrainingData, TrainingResult
-from geort_drake.retargeting.methods.coupled.batches import COLLIDE_EVERY, Batch, Batches, BatchMaker
-from geort_drake.retargeting.methods.coupled.config import CoupledConfig
-from geort_drake.retargeting.methods.coupled.coverage import AVERAGED, CoverageTargets
-from geort_drake.retargeting.methods.coupled.hands import PINCH_REACH, STEP_RANGE, TrainingHands
-from geort_drake.retargeting.methods.coupled.losses import (
-    bounded_coverage_loss,
-    cross_talk_loss,
-    curvature_loss,
-    false_pinch_loss,
-    pair_distances,
-    pinch_distance_loss,
-    uniform_response_loss,
-)
-from geort_drake.retargeting.methods.coupled.multipliers import LagrangeMultipliers
+from geort_drake.retargeting.methods.coupled import collisions
+from geort_drake.retargeting.methods.coupled.config import CONSTRAINTS, FOR_EVERYONE, CoupledConfig
+from geort_drake.retargeting.methods.coupled.constraints import Multipliers
+from geort_drake.retargeting.methods.coupled.coverage import CoverageTargets
+from geort_drake.retargeting.methods.coupled.losses import RobotTips, constraint_terms
 from geort_drake.retargeting.methods.coupled.network import CoupledNetwork
-from geort_drake.retargeting.methods.coupled.violations import ConstraintViolations
-from geort_drake.retargeting.training.background import BackgroundProcess
-from geort_drake.retargeting.training.collision_geometry import CollisionGaps
-from geort_drake.retargeting.training.criteria import direction_loss
-from geort_drake.retargeting.training.descent import Report, descend, device_of, one_thread
+from geort_drake.retargeting.methods.coupled.people import Hands, TrainingPeople
+from geort_drake.retargeting.methods.coupled.population import WHOLE, code_people
+from geort_drake.retargeting.methods.coupled.universal_network import UniversalNetwork, relative_to_knuckles
+from geort_drake.retargeting.training.collision_geometry import CollisionGaps, CollisionShapes
+from geort_drake.retargeting.training.descent import Descent, Report, descend, device_of, one_thread
+from geort_drake.retargeting.training.human_data import HumanData, pinch_pairs
+from geort_drake.retargeting.training.kinematics import HandKinematics
 from geort_drake.retargeting.training.soap import Soap
 
-ROBOT_VOXEL = 0.005  # m
-COVERAGE_RADIUS = 0.010  # m; a target at this distance counts half
-RESPONSE_BAND = 0.6  # of log gain around its median
-PINCH_TARGET = 0.0105  # m; between a touch (two tip radii) and fingertips in one place
-TIP_MARGIN = 0.003  # m; fingertips that the person holds apart keep this distance from touching
-FALSE_PINCH_SCALE = 0.005  # m
-COLLISION_SCALE = 0.005  # m
-CHAIN_MARGIN = 0.001  # m; upper bound of the collision margin within a finger, and between finger and palm
-WEIGHT_DECAY = 0.01  # of the fingers' own networks
-RESIDUAL_DECAY = 0.05
-MIN_STEPS_FOR_PROCESS = 300  # a process starts in the time of some hundred steps
-# Least and greatest factors of weights. Coverage hardly rises: a part of a recording has less to cover with,
-# and would lose motion preservation. Pinches never fall: unseen ones close less well than those of the
-# recording.
-FACTORS = {"coverage": (0.5, 1.1), "cross_talk": (0.5, 1.4), "pinch": (1.0, 3.0)}
+ROBOT_SAMPLES, ROBOT_VOXEL = 60_000, 0.005  # of the robot's C-space; m
+COVERAGE_WEIGHT = 4.0
+PEOPLE_PER_BATCH = 24
+WEIGHT_DECAY = 0.01
+MOMENTUM = (0.95, 0.99)  # gradients differ from person to person
+# m; of made-up pinches around recorded ones. One person's recording shows fewer of their places.
+PINCH_SPREAD, PINCH_SPREAD_OF_ONE = 0.005, 0.010
+AVERAGED_STEPS = 90  # at the end, over which weights are averaged exponentially
+
+
+@dataclass(frozen=True)
+class UniversalTraining:
+    """A trained map for everyone.
+
+    Attributes:
+        arrays: of the network and of the average person, as `UniversalRetargeter` takes them.
+        figures: running mean of each constraint's figure at the end, and "coverage".
+        seconds: wall time of the descent.
+    """
+
+    arrays: dict[str, np.ndarray]
+    figures: dict[str, float]
+    seconds: float
 
 
 def train(
@@ -64,175 +68,159 @@ def train(
         raise TrainingError(f"geort_coupled takes a CoupledConfig, not a {type(config).__name__}")
     config.validate()
     data.check_q()
+    kinematics, place = data.kinematics, device_of(device)
+    human = HumanData(data.p_HF, kinematics.finger_names)
+    human.check_pinches()
+    if not human.pairs:
+        raise TrainingError(f"geort_coupled trains hands of two fingers or more, not of {human.finger_names}")
+    generator, rng = torch.Generator().manual_seed(seed), np.random.default_rng(seed)
+    people = TrainingPeople(
+        np.asarray(data.p_HF, dtype=np.float32)[None],
+        human.pairs,
+        generator,
+        rng,
+        codes=torch.zeros(1, 1, 0),
+        reach=torch.ones(1, len(kinematics.fingers)),
+        pinch_spread=PINCH_SPREAD_OF_ONE,
+        device=place,
+    )
     with one_thread():
-        training = _Training(data, config, seed, device_of(device))
+        network = CoupledNetwork(kinematics, torch.tensor(human.mean), torch.tensor(human.scale), generator)
         if start is not None:
-            training.network.set_arrays(start)
-        return training.run(report)
+            network.set_arrays(start)
+        q = torch.tensor(np.asarray(data.q), dtype=torch.float32)
+        shapes = None if data.shapes is None else data.shapes()
+        training = _Training(network.to(place), people, kinematics, shapes, q, config, generator)
+        descent = training.run(report)
+    return TrainingResult(
+        network=network.cpu(),
+        history=descent.history,
+        timings={"training_s": descent.seconds},
+        stopped_at=descent.stopped_at,
+        human_points=human.points,
+        pinch_frames=people.pinch_frames,
+    )
+
+
+def train_universal(
+    kinematics: HandKinematics,
+    shapes: CollisionShapes,
+    config: CoupledConfig = FOR_EVERYONE,
+    people: int = 800,
+    seed: int = 0,
+    device: str = "cpu",
+    report: Report | None = None,
+) -> UniversalTraining:
+    """Trains a map for everyone on the population of `geort_drake.people.population`.
+
+    Args:
+        kinematics, shapes: of the robot hand, mirrored for a left one.
+        config: settings.
+        people: number of people in the population.
+        seed: of the population, the initial weights and all draws.
+        device: "cpu" or "cuda".
+        report: see `Report`.
+
+    Raises:
+        TrainingError: a setting is out of range, the hand has no thumb or no other finger, or the loss is not
+            finite at some step.
+    """
+    config.validate()
+    if people < 1:
+        raise TrainingError(f"training: people must be at least 1, they are {people}")
+    names, place = kinematics.finger_names, device_of(device)
+    if "thumb" not in names or len(names) < 2:
+        raise TrainingError(f"the hand needs a thumb and another finger, it has {', '.join(names)}")
+    generator, rng = torch.Generator().manual_seed(seed), np.random.default_rng(seed)
+    p_HK = sample_population(people, seed)
+    coded = code_people(p_HK, names, rng)
+    p_HF = p_HK[:, :, [TIP_KEYPOINT[name] for name in names]]
+    drawn = TrainingPeople(
+        p_HF, pinch_pairs(names), generator, rng, coded.codes, coded.reach, PINCH_SPREAD, place
+    )
+    with one_thread():
+        lower, upper = torch.tensor(kinematics.lower).float(), torch.tensor(kinematics.upper).float()
+        q = lower + (upper - lower) * torch.rand(ROBOT_SAMPLES, len(lower), generator=generator)
+        x = relative_to_knuckles(torch.tensor(p_HF), coded.codes[:, WHOLE]).flatten(0, 1)
+        network = UniversalNetwork(kinematics, coded.codes.flatten(0, 1), x, drawn.pairs, generator)
+        training = _Training(network.to(place), drawn, kinematics, shapes, q, config, generator)
+        descent = training.run(report)
+    if descent.stopped_at is not None:
+        raise TrainingError(f"the loss stopped being finite at step {descent.stopped_at}")
+    figures = training.multipliers.figures | {"coverage": training.covered}
+    return UniversalTraining(network.cpu().arrays() | coded.average.arrays(), figures, descent.seconds)
 
 
 class _Training:
     """The state of one training."""
 
-    def __init__(self, data: TrainingData, config: CoupledConfig, seed: int, device: torch.device):
-        kinematics = data.kinematics
-        self.config, self.kinematics = config, kinematics
-        generator = torch.Generator().manual_seed(seed)
-        self.hands = TrainingHands(data.p_HF, kinematics.finger_names, config, generator)
-        q = torch.tensor(np.asarray(data.q), dtype=torch.float32)
+    def __init__(
+        self,
+        network: CoupledNetwork | UniversalNetwork,
+        people: TrainingPeople,
+        kinematics: HandKinematics,
+        shapes: CollisionShapes | None,
+        q: torch.Tensor,
+        config: CoupledConfig,
+        generator: torch.Generator,
+    ):
+        """Takes random joint angles q (N, n), rad; collisions are ignored without `shapes`."""
+        self.network, self.people, self.kinematics, self.config = network, people, kinematics, config
         with torch.no_grad():
-            p_BF = kinematics.fingertips(q).numpy()
-        voxels = [voxel_centres(p_BF[:, i], ROBOT_VOXEL) for i in range(p_BF.shape[1])]
-        space = CoverageTargets(self.hands.frames, kinematics, voxels, seed)
-        gaps = None
-        if data.shapes is not None and config.collision_weight > 0:
-            allowance = max(config.collision_margin - CHAIN_MARGIN, 0.0)
-            gaps = CollisionGaps(kinematics, data.shapes(), allowance)
-            gaps.keep_pairs_that_meet(q[:4000], config.collision_margin)
-        self.device, self.gaps = device, gaps and gaps.to(device)
-        # Called in the background, on the CPU.
-        self.background: dict[str, Callable] = {
-            "batches": BatchMaker(self.hands, space, gaps, config),
-            "violations": ConstraintViolations(self.hands, kinematics, config, seed),
-        }
-        mean, scale = self.hands.mean, self.hands.scale
-        self.network = CoupledNetwork(
-            kinematics, mean, scale, config.hidden, config.residual_hidden, generator
-        ).to(device)
-
-    def run(self, report: Report | None) -> TrainingResult:
-        config = self.config
-        # A recording shows few combinations of fingers, so the residual, which combines them, decays faster.
-        groups = [
-            {"params": [*self.network.mlp.parameters()], "weight_decay": WEIGHT_DECAY},
-            {"params": [*self.network.residual.parameters()], "weight_decay": RESIDUAL_DECAY},
+            tips = kinematics.fingertips(q).numpy()
+        voxels = [
+            torch.tensor(voxel_centres(tips[:, i], ROBOT_VOXEL), dtype=torch.float32, device=people.device)
+            for i in range(tips.shape[1])
         ]
-        separate = config.steps >= MIN_STEPS_FOR_PROCESS and usable_cores() > 1
-        with BackgroundProcess(self.background, separate) as background:
-            self.batches = Batches(partial(background.start, "batches"), self.device)
-            self.multipliers = LagrangeMultipliers(FACTORS, partial(background.start, "violations"))
-            descent = descend(
-                self.network,
-                self._losses,
-                config.steps,
-                config.learning_rate,
-                report,
-                Soap(groups, lr=config.learning_rate, clip=2.0),
-                warm_up=50,
-                averaging=config.averaging,
-            )
-        return TrainingResult(
-            network=self.network.cpu(),
-            history=descent.history,
-            timings={"training_s": descent.seconds},
-            stopped_at=descent.stopped_at,
-            human_points=self.hands.points,
-            pinch_frames=self.hands.pinch_frames,
+        self.collisions = None
+        if shapes is not None:
+            gaps = CollisionGaps(kinematics, shapes)
+            gaps.keep_pairs_that_meet(q[:4000], collisions.MARGIN)
+            self.collisions = collisions.NearCollisions(people, gaps.to(people.device))
+        self.coverage = CoverageTargets(people, kinematics, voxels, generator)
+        self.multipliers = Multipliers({name: getattr(config, name) for name in CONSTRAINTS})
+        self.covered = 0.0
+
+    def run(self, report: Report | None) -> Descent:
+        config = self.config
+        groups = self.network.groups(WEIGHT_DECAY)
+        return descend(
+            self.network,
+            self._losses,
+            config.steps,
+            config.learning_rate,
+            report,
+            Soap(groups, lr=config.learning_rate, betas=MOMENTUM, clip=2.0),
+            warm_up=min(100, config.steps // 10),
+            averaging=max(1.0 - AVERAGED_STEPS / config.steps, 0.0),
         )
 
     def _losses(self, step: int) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-        """The weighted sum of the losses on one batch, and each of them."""
-        config, progress = self.config, step / self.config.steps
-        batch = self.batches.next(self.network, progress)
-        if batch is None:
+        """The Lagrangian on one batch, and each loss."""
+        hands = self.people.draw(PEOPLE_PER_BATCH)
+        robot = self._answers(hands)
+        if robot is None:
             return torch.tensor(math.nan), {}
-        row = self._terms(batch, self._answers(batch))
-        scale = {"collision": COLLIDE_EVERY * min(max((progress - 0.15) / 0.25, 0.0), 1.0)}
-        self.multipliers.update(self.network, step, config.steps)
-        scale |= self.multipliers.factors | {"context": self.multipliers.factors["coverage"]}
-        weights = [scale.get(name, 1.0) * getattr(config, f"{name}_weight") for name in row]
-        total = torch.stack([*row.values()]).dot(torch.tensor(weights, device=self.device))
-        return total, row
+        terms = constraint_terms(hands, robot, self.people, self.kinematics.tip_radius)
+        losses = {name: loss for name, (loss, _) in terms.items()}
+        figures = {name: figure for name, (_, figure) in terms.items()}
+        if self.collisions is not None:
+            if step % collisions.SEARCH_EVERY == 0:
+                figures["collision"] = self.collisions.search(self.network, hands)
+            if step % collisions.EVERY == 0:
+                losses["collision"] = self.collisions.loss(self.network)
+        self.multipliers.update(figures)
+        total = sum(self.multipliers.values[name] * loss for name, loss in losses.items())
+        losses["coverage"] = self.coverage.loss(self.network)
+        self.covered += 0.02 * (self.coverage.reached - self.covered)
+        return total + COVERAGE_WEIGHT * losses["coverage"], losses
 
-    def _answers(self, batch: Batch) -> "_Answers":
-        fingers, n = batch.d.shape[:2]
-        ahead, behind = batch.moved.clone(), batch.moved.clone()
-        _of_each(ahead, 2).add_(batch.d)
-        _of_each(behind, 2).sub_(batch.d)
-        # All fingers are needed for cross-talk, pinches and collisions; elsewhere only the moved finger.
-        whole = [batch.moved.flatten(0, 1), ahead.flatten(0, 1), batch.before, batch.after, batch.pinching]
-        whole.append(batch.near_collisions.hands if batch.near_collisions is not None else batch.before[:0])
-        own = [behind, batch.covering, batch.contexts.flatten(1, 2)]
-        angles = self.network.angles_by_finger(torch.cat(whole), torch.cat(own, dim=1))
-        sizes = [len(hands) for hands in whole] + [hands.shape[1] for hands in own]
-        p_BF = self.kinematics.fingertips_by_finger(angles).split(sizes, dim=1)
-        here, ahead, before, after, pinching, _, behind, reached, in_contexts = p_BF
-        here, ahead = (tips.reshape(fingers, fingers, n, 3) for tips in (here, ahead))
-        return _Answers(
-            _of_each(here, 1),
-            _of_each(ahead, 1),
-            behind,
-            (ahead - here).permute(1, 2, 0, 3),
-            before.transpose(0, 1),
-            after.transpose(0, 1),
-            pinching.transpose(0, 1),
-            reached,
-            in_contexts.reshape(fingers, -1, AVERAGED, 3).mean(2),
-            self.network.in_order(angles.split(sizes, dim=1)[len(whole) - 1]),
-        )
-
-    def _terms(self, batch: Batch, answers: "_Answers") -> dict[str, torch.Tensor]:
-        """Each loss, without its weight."""
-        config, pairs = self.config, self.hands.pairs
-        moved = answers.ahead - answers.here
-        step, answer = batch.after - batch.before, answers.after - answers.before
-        long = step.norm(dim=-1) > STEP_RANGE[0]
-        human_apart = pair_distances(torch.cat([batch.after, batch.pinching]), pairs)
-        robot_apart = pair_distances(torch.cat([answers.after, answers.pinching]), pairs)
-        pinched = robot_apart[len(batch.after) :]
-        zero = moved.new_zeros(())
-        row = {
-            "direction": direction_loss(batch.d, moved),
-            "track": direction_loss(step[long], answer[long]) if len(batch.after) else zero,
-            "coverage": bounded_coverage_loss(answers.reached, batch.targets, COVERAGE_RADIUS),
-            "context": bounded_coverage_loss(answers.averaged, batch.context_targets, COVERAGE_RADIUS)
-            if config.context_weight > 0
-            else zero,
-            "cross_talk": cross_talk_loss(answers.all_moved),
-            "flatness": curvature_loss(answers.ahead, answers.here, answers.behind),
-            "response": uniform_response_loss(batch.d, moved, RESPONSE_BAND),
-            "pinch": pinch_distance_loss(pinched, batch.weights, PINCH_TARGET, config.pinch_scale),
-            "false_pinch": false_pinch_loss(
-                robot_apart,
-                human_apart > 0.9 * PINCH_REACH,
-                2 * self.kinematics.tip_radius + TIP_MARGIN,
-                FALSE_PINCH_SCALE,
-            ),
-            "collision": zero,
-        }
-        if batch.near_collisions is not None and self.gaps is not None:
-            near = batch.near_collisions.row, batch.near_collisions.pair
-            row["collision"] = self.gaps.loss(
-                answers.near_collisions, *near, config.collision_margin, COLLISION_SCALE
-            )
-        return row
-
-
-@dataclass(frozen=True)
-class _Answers:
-    """Where the map puts the robot's fingertips for one batch, in B, m.
-
-    Attributes:
-        here, ahead, behind: (F, N, 3) of each moved finger, at x, x + d and x − d.
-        all_moved: (F, N, F, 3) how far every fingertip moves from x to x + d.
-        before, after, pinching: (M, F, 3) of whole hands.
-        reached: (F, N, 3) the points nearest to the targets.
-        averaged: (F, N, 3) the same for the targets in context, averaged over the other fingers' poses.
-        near_collisions: (M, n) joint angles of the hands that nearly collide, rad.
-    """
-
-    here: torch.Tensor
-    ahead: torch.Tensor
-    behind: torch.Tensor
-    all_moved: torch.Tensor
-    before: torch.Tensor
-    after: torch.Tensor
-    pinching: torch.Tensor
-    reached: torch.Tensor
-    averaged: torch.Tensor
-    near_collisions: torch.Tensor
-
-
-def _of_each(x: torch.Tensor, dim: int) -> torch.Tensor:
-    """A view (F, N, 3) of x (F, …): for each index of axis 0, the entry with the same index of axis `dim`."""
-    return x.diagonal(dim1=0, dim2=dim).movedim(-1, 0)
+    def _answers(self, hands: Hands) -> RobotTips | None:
+        """Where the map puts the robot's fingertips; None if it is not finite."""
+        d = torch.nn.functional.one_hot(hands.finger, hands.moved.shape[2])[..., None] * hands.d[:, :, None]
+        every = [hands.moved, hands.moved + d, hands.moved - d, hands.before, hands.after, hands.pinching]
+        q = self.network(torch.cat(every, 1), hands.codes)
+        if not torch.isfinite(q).all():
+            return None
+        tips = self.kinematics.fingertips(q).split([part.shape[1] for part in every], dim=1)
+        return RobotTips(*tips)

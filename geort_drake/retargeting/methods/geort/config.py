@@ -14,6 +14,7 @@ RESAMPLING = ("frames", "independent")
 class GeortConfig(TrainingConfig):
     """Settings of `train_geort`. Weights refer to lengths measured in `length_unit`."""
 
+    hidden: int = 128  # width of both hidden layers of each finger's network
     points: int = 256  # human fingertips per finger and step, criteria I to III
     targets: int = 512  # robot fingertips per finger and step, criterion II
     pinches: int = 96  # real frames with a pinch per step, criterion IV

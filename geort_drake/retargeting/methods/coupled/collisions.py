@@ -2,8 +2,7 @@
 
 import torch
 
-from geort_drake.retargeting.methods.universal.network import UniversalNetwork
-from geort_drake.retargeting.methods.universal.people import STEPS, Hands, TrainingPeople
+from geort_drake.retargeting.methods.coupled.people import STEPS, Hands, Network, TrainingPeople
 from geort_drake.retargeting.training.collision_geometry import CollisionGaps
 
 EVERY, SEARCH_EVERY = 2, 10  # steps between losses, and between searches
@@ -19,13 +18,11 @@ class NearCollisions:
     def __init__(self, people: TrainingPeople, gaps: CollisionGaps):
         self._people, self._gaps = people, gaps
         fingers = people.p_HF.shape[2]
-        self._hands, self._codes = (
-            torch.zeros(0, fingers, 3),
-            people.codes.new_zeros(0, people.codes.shape[2]),
-        )
+        self._hands = people.p_HF.new_zeros(0, fingers, 3)
+        self._codes = people.codes.new_zeros(0, people.codes.shape[2])
 
     @torch.no_grad()
-    def search(self, network: UniversalNetwork, hands: Hands) -> torch.Tensor:
+    def search(self, network: Network, hands: Hands) -> torch.Tensor:
         """Remembers the hands of a batch that nearly collide; returns the fraction of steps that collide."""
         candidates = torch.cat([hands.after, hands.pinching, hands.moved], 1)
         q = network(candidates, hands.codes)
@@ -36,7 +33,7 @@ class NearCollisions:
         self._codes = torch.cat([codes[found], self._codes])[:REMEMBERED]
         return (least.reshape(len(q), -1)[:, :STEPS] < DEEP).float().mean()
 
-    def loss(self, network: UniversalNetwork) -> torch.Tensor:
+    def loss(self, network: Network) -> torch.Tensor:
         """Mean depth beyond the margin over SCALE; zero while few hands are remembered."""
         if len(self._hands) < DRAWN:
             return self._hands.new_zeros(())

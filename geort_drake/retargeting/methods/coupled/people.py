@@ -1,17 +1,14 @@
-"""Draws hands of many people: recorded, displaced, combined from several frames, or made to pinch."""
+"""Draws hands of one person or many: recorded, displaced, combined from several frames, or made to pinch."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from geort_drake.people.keypoints import TIP_KEYPOINT
 from geort_drake.people.recording import PINCH_M
 from geort_drake.retargeting.clouds import first_in_voxels
-from geort_drake.retargeting.person_code import AveragePerson, Observation, average_person, observe
 
-CODES = 8  # per person: of a frame, of the whole play and of windows of random lengths
 ANCHORS = 400  # per person and finger: frames such that every place of the finger is equally likely
 ANCHOR_VOXEL = 0.002  # m
 PINCH_REACH = 0.035  # m; fingertips nearer than this are moved together to make up pinches
@@ -21,6 +18,9 @@ SPREAD, SPREAD_FRACTION = 0.006, 0.3  # m; displacement of the fingertips of a f
 MIXED_FRACTION = 0.35  # of moved hands: the other fingers are from other frames
 STEP_LAGS = (1, 2, 3)  # frames
 MOVED, STEPS, PINCHES = 20, 16, 14  # hands per person and batch; as many pinches again are made up
+
+# From hands (G, N, F, 3), m, of G people with codes (G, C) to joint angles (G, N, n), rad.
+Network = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 
 
 @dataclass(frozen=True)
@@ -46,50 +46,61 @@ class Hands:
 
 
 class TrainingPeople:
-    """People at play, of whom batches are drawn with one generator.
+    """People at play, of whom batches are drawn with one generator; tensors are on one device.
 
     Attributes:
-        pairs: pairs of finger numbers that pinch: the thumb and each other finger.
         p_HF: (N, T, F, 3) fingertips, m.
-        codes: (N, CODES, C) of each person; the first is of a single frame, the second of the whole play.
-        average: the average person, with whom codes are made.
+        pairs: pairs of finger numbers that pinch.
+        codes: (N, K, C) of each person; empty for one person whose map needs none.
         reach: (N, F) places that a fingertip visits, over those of the average person; at most 1.
+        anchors: (N, F, ANCHORS) frames such that every place of the finger is equally likely.
+        pinch_frames: number of frames with a pinch.
     """
 
-    def __init__(self, p_HK: np.ndarray, finger_names: Sequence[str], generator: torch.Generator, seed: int):
-        """Takes keypoints (N, T, 21, 3), m, of N people."""
-        rng = np.random.default_rng(seed)
-        tips = [TIP_KEYPOINT[name] for name in finger_names]
-        thumb = list(finger_names).index("thumb")
-        others = [i for i in range(len(finger_names)) if i != thumb]
-        self.pairs = [(thumb, other) for other in others]
-        self._thumb, self._others = thumb, torch.tensor(others)
-        self._generator = generator
-        observations = [[observe(part, finger_names) for part in _parts(each, rng)] for each in p_HK]
-        whole = [row[1] for row in observations]
-        self.average: AveragePerson = average_person(whole, observations)
-        self.codes = torch.tensor(np.array([[self.average.code(one) for one in row] for row in observations]))
-        self.p_HF = torch.tensor(p_HK[:, :, tips])
-        self.reach = _relative_reach(whole)
-        self.anchors = torch.zeros(len(p_HK), len(tips), ANCHORS, dtype=torch.long)
-        for i, person in enumerate(p_HK):
-            for finger, tip in enumerate(tips):
-                rows = first_in_voxels(person[:, tip], ANCHOR_VOXEL)
-                self.anchors[i, finger] = torch.tensor(rng.choice(rows, ANCHORS))
+    def __init__(
+        self,
+        p_HF: np.ndarray,
+        pairs: Sequence[tuple[int, int]],
+        generator: torch.Generator,
+        rng: np.random.Generator,
+        codes: torch.Tensor,
+        reach: torch.Tensor,
+        pinch_spread: float,
+        device: torch.device,
+    ):
+        """Takes the attributes above.
+
+        Args:
+            p_HF, pairs, codes, reach: see the attributes.
+            generator, rng: of the batches, on the CPU, and of the anchors.
+            pinch_spread: standard deviation of the places of made-up pinches from recorded ones, m.
+            device: of the tensors.
+        """
+        people, _, fingers, _ = p_HF.shape
+        anchors = np.zeros((people, fingers, ANCHORS), dtype=int)
+        for i, finger in np.ndindex(people, fingers):
+            rows = first_in_voxels(p_HF[i, :, finger], ANCHOR_VOXEL)
+            anchors[i, finger] = rng.choice(rows, ANCHORS)
+        self._generator, self.device, self.pairs = generator, device, tuple(pairs)
+        self._pinch_spread = pinch_spread
+        self._first, self._second = torch.tensor(self.pairs, device=device).reshape(-1, 2).long().T
+        self.p_HF, self.anchors = torch.tensor(p_HF, device=device), torch.tensor(anchors, device=device)
+        self.codes, self.reach = codes.to(device), reach.to(device)
         self._distances = self.pair_distances(self.p_HF)
         nearest = self._distances.min(-1).values
         self._pinching = [torch.nonzero(row < PINCH_M)[:, 0] for row in nearest]
         self._near = [torch.nonzero(row < PINCH_REACH)[:, 0] for row in nearest]
+        self.pinch_frames = sum(map(len, self._pinching))
 
     def pair_distances(self, points: torch.Tensor) -> torch.Tensor:
         """(..., P) distances of the `pairs` of fingertips (..., F, 3); with a finite gradient everywhere."""
-        d = points[..., self._thumb, None, :] - points[..., self._others, :]
+        d = points[..., self._first, :] - points[..., self._second, :]
         return torch.sqrt(d.square().sum(-1) + 1e-10)
 
     def draw(self, count: int) -> Hands:
         """Hands of `count` people."""
         people = self.below(len(self.p_HF), count)
-        codes = self.codes[people, self.below(CODES, count)]
+        codes = self.codes[people, self.below(self.codes.shape[1], count)]
         rows = people[:, None]
         finger = self.below(self.p_HF.shape[2], count, MOVED)
         hands = self.p_HF[rows, self.anchors[rows, finger, self.below(ANCHORS, count, MOVED)]]
@@ -98,7 +109,7 @@ class TrainingPeople:
         d = self._normal(count, MOVED, 3)
         d = d / d.norm(dim=-1, keepdim=True) * (0.001 + 0.01 * self._uniform(count, MOVED, 1))
         start = self.below(self.p_HF.shape[1] - max(STEP_LAGS), count, STEPS)
-        lag = torch.tensor(STEP_LAGS)[self.below(len(STEP_LAGS), count, STEPS)]
+        lag = torch.tensor(STEP_LAGS, device=self.device)[self.below(len(STEP_LAGS), count, STEPS)]
         offset = self._offset(count, STEPS)
         real, real_pair, really = self._recorded_pinches(people)
         made, made_pair, possible = self._made_up_pinches(people)
@@ -116,7 +127,7 @@ class TrainingPeople:
 
     def below(self, limit: int, *shape: int) -> torch.Tensor:
         """Whole numbers below `limit`."""
-        return torch.randint(limit, shape, generator=self._generator)
+        return torch.randint(limit, shape, generator=self._generator).to(self.device)
 
     def displaced(self, hands: torch.Tensor, distance: float) -> torch.Tensor:
         """The hands with every fingertip displaced by normal numbers of this deviation, m."""
@@ -133,24 +144,22 @@ class TrainingPeople:
         chosen = torch.stack([self._some(self._near[i]) for i in people.tolist()])
         hands = self.p_HF[rows, chosen]
         distance, pair = self._distances[rows, chosen].min(-1)
-        other = self._others[pair]
-        tip = hands.gather(2, other[..., None, None].expand(-1, -1, 1, 3))[:, :, 0]
-        thumb = hands[:, :, self._thumb]
-        middle = 0.5 * (tip + thumb) + 0.005 * self._normal(*shape, 3)
-        half = 0.5 * (tip - thumb) + 0.002 * self._normal(*shape, 3)
+        first, second = self._first[pair], self._second[pair]
+        a, b = (of_finger(hands, finger) for finger in (first, second))
+        middle = 0.5 * (b + a) + self._pinch_spread * self._normal(*shape, 3)
+        half = 0.5 * (b - a) + 0.002 * self._normal(*shape, 3)
         length = half.norm(dim=-1, keepdim=True) + 1e-9
         half = half * (0.5 * PINCH_M * self._uniform(*shape, 1) / length).clamp(max=1)
         elsewhere = self.p_HF[rows, self.below(self.p_HF.shape[1], *shape)]
         hands = torch.where(self._uniform(*shape, 1, 1) < 0.5, elsewhere, hands) + self._offset(*shape)
-        hands = torch.where(self._one_hot(other)[..., None], (middle + half)[:, :, None], hands)
-        is_thumb = self._one_hot(torch.full_like(other, self._thumb))
-        hands = torch.where(is_thumb[..., None], (middle - half)[:, :, None], hands)
+        hands = torch.where(self._one_hot(second)[..., None], (middle + half)[:, :, None], hands)
+        hands = torch.where(self._one_hot(first)[..., None], (middle - half)[:, :, None], hands)
         return hands, pair, distance < PINCH_REACH
 
     def _recombined(self, people: torch.Tensor, count: int) -> torch.Tensor:
         fingers = self.p_HF.shape[2]
         rows = self.below(self.p_HF.shape[1], len(people), count, fingers)
-        return self.p_HF[people[:, None, None], rows, torch.arange(fingers)]
+        return self.p_HF[people[:, None, None], rows, torch.arange(fingers, device=self.device)]
 
     def _some(self, rows: torch.Tensor) -> torch.Tensor:
         """PINCHES of the rows, or of all frames where there is none."""
@@ -164,20 +173,12 @@ class TrainingPeople:
         return torch.nn.functional.one_hot(finger, self.p_HF.shape[2]).bool()
 
     def _uniform(self, *shape: int) -> torch.Tensor:
-        return torch.rand(shape, generator=self._generator)
+        return torch.rand(shape, generator=self._generator).to(self.device)
 
     def _normal(self, *shape: int) -> torch.Tensor:
-        return torch.randn(shape, generator=self._generator)
+        return torch.randn(shape, generator=self._generator).to(self.device)
 
 
-def _parts(p_HK: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
-    """CODES parts of a play (T, 21, 3): a frame, all of it, and windows of log-uniform lengths."""
-    total = len(p_HK)
-    lengths = [1, total, *np.exp(rng.uniform(0.0, np.log(total), CODES - 2)).astype(int)]
-    starts = [rng.integers(total - length + 1) for length in lengths]
-    return [p_HK[start : start + length] for start, length in zip(starts, lengths, strict=True)]
-
-
-def _relative_reach(whole: Sequence[Observation]) -> torch.Tensor:
-    places = torch.tensor(np.array([each.places for each in whole]), dtype=torch.float32)
-    return (places / places.mean(0)).clamp(max=1.0)
+def of_finger(x: torch.Tensor, finger: torch.Tensor) -> torch.Tensor:
+    """(G, N, 3) of x (G, N, F, 3): the finger (G, N) of each hand."""
+    return x.gather(2, finger[..., None, None].expand(-1, -1, 1, 3))[:, :, 0]

@@ -8,11 +8,12 @@ import torch
 from torch import nn
 from torch.nn.functional import silu
 
+from geort_drake.retargeting.methods.coupled.network import HIDDEN, RESIDUAL_HIDDEN
 from geort_drake.retargeting.training.kinematics import HandKinematics
 
 FAR = 3.0  # standard deviations at which the code is clamped
 PAIR_SCALE = 0.05  # m; of the differences between the thumb's tip and the others
-HIDDEN, RESIDUAL_HIDDEN, CODE_HIDDEN = 64, 128, 80
+CODE_HIDDEN = 80  # width of the layers that take the code
 
 
 def relative_to_knuckles(p_HF: torch.Tensor, codes: torch.Tensor) -> torch.Tensor:

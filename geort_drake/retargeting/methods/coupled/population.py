@@ -1,0 +1,49 @@
+"""Codes of the people on whom the map for everyone is trained."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from geort_drake.retargeting.person_code import AveragePerson, Observation, average_person, observe
+
+CODES = 8  # per person: of a frame, of the whole play and of windows of random lengths
+WHOLE = 1  # the code of the whole play
+
+
+@dataclass(frozen=True)
+class CodedPeople:
+    """What plays show of N people with F fingers.
+
+    Attributes:
+        codes: (N, CODES, C).
+        reach: (N, F) places that a fingertip visits, over those of the average person; at most 1.
+        average: the average person, with whom codes are made.
+    """
+
+    codes: torch.Tensor
+    reach: torch.Tensor
+    average: AveragePerson
+
+
+def code_people(p_HK: np.ndarray, finger_names: Sequence[str], rng: np.random.Generator) -> CodedPeople:
+    """Codes the people of keypoints p_HK (N, T, 21, 3), m, in whole plays and parts of them."""
+    observations = [[observe(part, finger_names) for part in _parts(each, rng)] for each in p_HK]
+    whole = [row[WHOLE] for row in observations]
+    average = average_person(whole, observations)
+    codes = torch.tensor(np.array([[average.code(one) for one in row] for row in observations]))
+    return CodedPeople(codes, _relative_reach(whole), average)
+
+
+def _parts(p_HK: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
+    """CODES parts of a play (T, 21, 3): a frame, all of it, and windows of log-uniform lengths."""
+    total = len(p_HK)
+    lengths = [1, total, *np.exp(rng.uniform(0.0, np.log(total), CODES - 2)).astype(int)]
+    starts = [rng.integers(total - length + 1) for length in lengths]
+    return [p_HK[start : start + length] for start, length in zip(starts, lengths, strict=True)]
+
+
+def _relative_reach(whole: Sequence[Observation]) -> torch.Tensor:
+    places = torch.tensor(np.array([each.places for each in whole]), dtype=torch.float32)
+    return (places / places.mean(0)).clamp(max=1.0)
