@@ -13,7 +13,7 @@ from geort_drake.files import finite_json
 
 CONFIG, SCENARIO, TRIALS = "config.json", "scenario.yaml", "trials.jsonl"
 METHODS, ERRORS = "methods", "errors"
-_NOT_CONFIG = "{}: not a benchmark's configuration"
+_NOT_CONFIG = "{}: not the configuration of a benchmark"
 
 
 class _ScenarioFields(TypedDict):
@@ -61,7 +61,7 @@ def read_config(folder: Path) -> dict:
     """Reads the configuration of a grasp benchmark; raises BenchmarkError if it is missing or damaged."""
     path = folder / CONFIG
     if not path.is_file():
-        raise BenchmarkError(f"{path}: no such file; a benchmark writes it when it begins")
+        raise BenchmarkError(f"{path}: no such file; is {folder} the folder of a benchmark?")
     return parse_json(path.read_bytes(), GraspConfig, _NOT_CONFIG.format(path))
 
 
@@ -75,7 +75,7 @@ def continue_config(
         config: its `settings` must equal the stored ones; its parts are extended here.
         schema: of the stored configuration.
         parts: keys of dictionaries whose common entries must be equal.
-        any_code: accept that the code of trials has changed.
+        any_code: accept changed code of the trials.
 
     Returns:
         The stored configuration, or None.
@@ -109,7 +109,7 @@ def require_same(path: Path, stored: dict[str, Any], given: dict[str, Any], with
         elif before != now:
             raise BenchmarkError(
                 f"{path}: this benchmark was begun with another {within}{field}: {before}, not {now}; "
-                "continue with the same, or choose another folder"
+                "use the same value, or choose another folder"
             )
 
 

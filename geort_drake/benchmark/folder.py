@@ -76,7 +76,7 @@ class Benchmark:
     _seen: dict[tuple[str, str], np.ndarray] = dc.field(default_factory=dict)
 
     def keys(self, methods: Iterable[str], objects: Iterable[str], trials: int) -> list[TrialKey]:
-        """The trials in order: seed by seed, so that a part of them is balanced."""
+        """The trials in order: seed by seed, so that an interrupted run is balanced."""
         first = self.config["settings"]["scenario"]["random_seed"]
         return [
             TrialKey(method, name, first + k, condition)
@@ -119,7 +119,7 @@ def open_benchmark(
     operator: Recording | None = None,
     trainings: int = 1,
 ) -> Benchmark:
-    """Begins a benchmark in a folder, or continues the one that is there.
+    """Starts a benchmark in a folder, or continues the one that is there.
 
     Args:
         folder: of the results.
@@ -129,15 +129,15 @@ def open_benchmark(
         objects: names of objects.
         trials: number of seeds per method and object.
         seed: of the training.
-        zero_latency: every method answers without delay.
+        zero_latency: simulate no method's latency.
         notes: further entries of the configuration, which are not compared.
         conditions: name → changed scenario in which the trials are also run.
-        any_code: continue although the code of trials has changed.
+        any_code: continue even if the code of the trials has changed.
         operator: recording of the person who operates, such as another session; None: `recording`.
         trainings: of each trained method, with seeds from `seed` on.
 
     Raises:
-        BenchmarkError: the folder's benchmark was begun with another configuration.
+        BenchmarkError: the folder's benchmark was started with another configuration.
         UnknownNameError, HandError, CheckpointError, TrainingError: see `make_retargeter`.
     """
     names = names_of(methods, trainings)
@@ -249,14 +249,14 @@ def repeat_trial(folder: Path, key: TrialKey) -> tuple[Record, Path]:
         differing = [name for name in record if name != "wall_time" and record[name] != before.get(name)]
         if differing:
             raise BenchmarkError(
-                f"{folder / TRIALS}: the repeated trial differs in {', '.join(differing)}; was it run with "
-                f"other code, or on another kind of machine? Its recording is {path}"
+                f"{folder / TRIALS}: the repeated trial differs in {', '.join(differing)}; were the code or "
+                f"the kind of machine different? Its recording is {path}"
             )
     return record, path
 
 
 def code_has_changed(folder: Path) -> bool:
-    """Whether the code of trials has changed since a folder's benchmark began."""
+    """Whether the code of the trials has changed since the folder's benchmark was started."""
     return read_config(folder)["settings"]["code_sha256"] != code_digest()
 
 

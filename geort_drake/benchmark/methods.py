@@ -18,7 +18,7 @@ from geort_drake.retargeting.methods import shipped_methods, trained_methods
 from geort_drake.retargeting.retargeter import UniversalRetargeter
 from geort_drake.simulation.diagram import Retarget
 
-# Timed parts of a recording, successive frames in each, and frames at its start that are not timed.
+# Parts of the recording, successive frames per part, and frames at its start that are not timed.
 _PARTS, _SUCCESSIVE, _WARM_UP = 10, 40, 10
 
 
@@ -33,7 +33,7 @@ def make_retargeter(
         hand_name: name or file of the robot hand's description.
         hand: its model.
         recording: training data, or the frames that an untrained method uses.
-        seed: of the first training, and of an untrained method's draws.
+        seed: of the first training, or of an untrained method's random samples.
 
     Raises:
         UnknownNameError, CheckpointError, TrainingError: see `retargeter_of`.
@@ -66,19 +66,19 @@ def make_retargeter(
 def measure_latency(retarget: Retarget, recording: Recording) -> float:
     """Median processor time of a call over frames from all parts of a recording, s.
 
-    Wall time would include other work of the machine. It counts for one's own method, which may wait for
-    another thread, process or device.
+    Wall time would include other work of the machine. Only an `OwnMethod` is timed by it, because it may wait
+    for another thread, process or device.
     """
     frames = recording.p_HK[recording.valid].astype(float)
     if isinstance(retarget, UniversalRetargeter):
-        retarget = retarget.for_person(frames)  # as `RetargetingSystem` does, now and then
+        retarget = retarget.for_person(frames)  # as `RetargetingSystem` does
     clock = time.perf_counter if isinstance(retarget, OwnMethod) else time.thread_time
     times = []
     for first in np.linspace(0, max(len(frames) - _SUCCESSIVE, 0), _PARTS).astype(int):
         for number, frame in enumerate(frames[first : first + _SUCCESSIVE]):
             started = clock()
             retarget(frame)
-            # Online methods take longer for a hand that has jumped.
+            # Online methods take longer after the jump to another part.
             if number >= _WARM_UP:
                 times.append(clock() - started)
     return float(np.median(times))

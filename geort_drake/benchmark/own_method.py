@@ -1,4 +1,4 @@
-"""A retargeting method of one's own: a Python file with a function `make(hand)`."""
+"""A user's own retargeting method: a Python file with a function `make(hand)`."""
 
 import importlib.util
 import sys
@@ -14,21 +14,21 @@ from geort_drake.errors import MethodError
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 
-LONGEST = 0.3  # s, of an answer
-_TOLERANCE = 2e-3  # rad; optimisers end a little outside limits
+LONGEST = 0.3  # s, of a call
+_TOLERANCE = 2e-3  # rad; optimisers may end slightly outside the limits
 
 
 class OwnMethod:
-    """Calls a retargeter that a user's file makes, and lets no fault of it end a trial.
+    """Calls the retargeter from a user's file, whose faults do not end a trial.
 
     The file defines `make(hand)`: it gets the `HandModel` and returns a function from keypoints p_HK (21, 3)
-    of a right hand, m in H, to joint angles (n,), rad, in the order of `hand.joint_names`. It is called anew
-    for each trial, so the function may remember earlier frames. An answer that is unusable becomes NaN, which
-    `RetargetingSystem` does not follow; angles outside the limits are moved to them.
+    of a right hand, m in H, to joint angles (n,), rad, in the order of `hand.joint_names`. `make` is called
+    for each trial, so the function may remember earlier frames. Unusable outputs become NaN, which
+    `RetargetingSystem` does not follow; angles outside the limits are clamped to them.
 
     Attributes:
         joint_names, lower, upper: of the hand.
-        faults: kind of fault → number of answers since `reset`.
+        faults: kind of fault → number of outputs since `reset`.
     """
 
     def __init__(self, path: Path, hand_name: str):
@@ -39,7 +39,7 @@ class OwnMethod:
         self.reset()
 
     def __reduce__(self) -> tuple:
-        return OwnMethod, (self._path, self._hand_name)  # a process makes its own; solvers cannot be sent
+        return OwnMethod, (self._path, self._hand_name)  # each process makes its own: solvers are not pickled
 
     def reset(self) -> None:
         """Begins a new trial."""
@@ -47,31 +47,31 @@ class OwnMethod:
         self.faults: Counter[str] = Counter()
 
     def check(self, p_HK: np.ndarray) -> None:
-        """Answers one frame twice, the first time to warm up.
+        """Retargets one frame twice, the first time to warm up.
 
         Raises:
-            MethodError: the file has no `make`, an exception was raised, or the answer is unusable or takes
+            MethodError: the file has no `make`, it raised an exception, or the output is unusable or takes
                 longer than `LONGEST`; names the file.
         """
         self.reset()
         try:
-            self._answer(p_HK)
+            self._retarget_frame(p_HK)
             started = time.perf_counter()
-            q = self._answer(p_HK)
+            q = self._retarget_frame(p_HK)
             spent = time.perf_counter() - started
         except Exception as error:
             raise MethodError(f"{self._path}: raised {type(error).__name__}: {error}") from error
         if fault := self._fault(q):
-            wanted = f"joint angles ({len(self.lower)},), rad, within the limits"
-            raise MethodError(f"{self._path}: the answer to a frame must be {wanted}; it is {fault}")
+            expected = f"joint angles ({len(self.lower)},), rad, within the limits"
+            raise MethodError(f"{self._path}: the output for a frame must be {expected}; it is {fault}")
         if spent > LONGEST:
-            raise MethodError(f"{self._path}: an answer may take {LONGEST} s; it takes {spent:.2g} s")
+            raise MethodError(f"{self._path}: a call may take {LONGEST} s; it takes {spent:.2g} s")
 
     def __call__(self, p_HK: np.ndarray) -> np.ndarray:
         """Joint angles (n,), rad; NaN after a fault."""
         try:
-            q = self._answer(p_HK)
-        except Exception as error:  # of any kind; a trial records it
+            q = self._retarget_frame(p_HK)
+        except Exception as error:  # a method may raise anything; the trial records it
             fault, q = f"raised {type(error).__name__}", np.empty(0)
         else:
             fault = self._fault(q)
@@ -81,7 +81,7 @@ class OwnMethod:
             return np.full(len(self.lower), np.nan)
         return np.clip(q, self.lower, self.upper)  # NaN stays
 
-    def _answer(self, p_HK: np.ndarray) -> np.ndarray:
+    def _retarget_frame(self, p_HK: np.ndarray) -> np.ndarray:
         if self._retarget is None:
             make = getattr(_load(self._path), "make", None)
             if not callable(make):
@@ -101,8 +101,8 @@ class OwnMethod:
 def _load(path: Path) -> Any:
     name = f"geort_drake_method_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None  # as the file ends with .py
+    assert spec is not None and spec.loader is not None  # because the file ends with .py
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look there
+    sys.modules[name] = module  # dataclasses look their module up there
     spec.loader.exec_module(module)
     return module

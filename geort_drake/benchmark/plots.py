@@ -13,7 +13,7 @@ from geort_drake.benchmark.records import Record
 from geort_drake.benchmark.statistics import completed_share
 from geort_drake.comparison.plots import COLOURS, MARKERS, STYLE, WIDTH
 
-# Text stays text, and equal figures give equal files.
+# Text stays text instead of paths, and equal figures give equal files.
 _SVG_STYLE: Any = {**STYLE, "svg.fonttype": "none", "svg.hashsalt": "geort_drake"}
 
 
@@ -61,7 +61,7 @@ def success_panels(panels: Mapping[str, Mapping]) -> str:
         axes.remove()
     for axes, panel in zip(grid, panels.values(), strict=False):
         conditions = panel["conditions"]
-        # Equally spaced, because factors crowd at one end of a scale; methods side by side.
+        # Equally spaced, because factors would crowd at one end of a linear axis; methods side by side.
         for number, name in enumerate(names):
             known = [k for k, c in enumerate(conditions) if c["methods"].get(name, {}).get("trials")]
             shares = [conditions[k]["methods"][name] for k in known]

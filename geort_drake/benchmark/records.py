@@ -1,4 +1,4 @@
-"""A benchmark's results file: one JSON line per trial, readable after any interruption."""
+"""The results file of a benchmark: one JSON line per trial, readable after any interruption."""
 
 import fcntl
 import json

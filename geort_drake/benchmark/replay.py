@@ -1,7 +1,7 @@
 """Replays of recorded teleoperation sessions, with the object changed at random.
 
-Nobody reacts in a replay, so success against the size of a change shows how robust a motion is. A folder of
-replays is like that of a grasp benchmark; the `method` of a record is the session's name.
+A replay is open loop, so success against the size of a change shows how robust a motion is. A folder of
+replays has the layout of a grasp benchmark's; the `method` of a record is the session's name.
 """
 
 import copy
@@ -128,8 +128,8 @@ class Replay:
 def as_recorded(scenario: Scenario, recording: Recording, object_name: str | None) -> Scenario:
     """The scenario of a session, without random changes.
 
-    A simulated session notes its object and seed, which determine the object's placement; for other sessions
-    the scenario does. The trial lasts as long as the session plus the time for which an object must be held.
+    The metadata of a simulated session hold its object and seed, which determine the object's placement; for
+    other sessions the scenario does. The trial lasts for the session plus the required time of the hold.
 
     Raises:
         ScenarioError: neither the session nor `object_name` names the grasped object.
@@ -199,7 +199,7 @@ def _read_sessions(paths: Sequence[Path], side: str) -> dict[str, Recording]:
             raise ScenarioError(f"{path}: another session has the name '{name}' too; rename one")
         recordings[name] = read_recording(path, side)
         if recordings[name].X_WH is None:
-            raise ScenarioError(f"{path}: a replay needs wrist poses (X_WH), and it has none")
+            raise ScenarioError(f"{path}: a replay needs wrist poses (X_WH); this recording has none")
         if not recordings[name].valid.any():
             raise RecordingError(f"{path}: valid: no frame shows a hand that is followed")
     return recordings

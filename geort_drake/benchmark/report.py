@@ -28,7 +28,7 @@ _PHASES = [phase.name.lower() for phase in GraspPhase if phase not in (GraspPhas
 
 
 def write_grasp_report(folder: Path) -> dict:
-    """Writes the report of the trials that a grasp benchmark's folder holds so far.
+    """Writes the report of the trials that have finished so far in the folder of a grasp benchmark.
 
     Returns:
         The summary: that of `summarize`; `errors`, their number; `sensitivity`, see `summarize_sensitivity`;
@@ -49,7 +49,7 @@ def write_grasp_report(folder: Path) -> dict:
             and key.condition in conditions
         )
         if not known:
-            raise BenchmarkError(f"{folder / TRIALS}: holds a trial of {key}, which is not in {CONFIG}")
+            raise BenchmarkError(f"{folder / TRIALS}: the trial {key} is not in {CONFIG}")
     records = [record for record in everything if not record.get("condition")]
     names = list(config["methods"])
     records.sort(key=lambda r: (names.index(r["method"]), r["object"], r["seed"]))
@@ -83,7 +83,7 @@ def write_grasp_report(folder: Path) -> dict:
 
 
 def write_replay_report(folder: Path) -> dict:
-    """Writes the report of the replays that a folder holds so far; returns `summarize_replay`."""
+    """Writes the report of the replays that have finished so far; returns `summarize_replay`."""
     summary = summarize_replay(read_records(folder / TRIALS))
     panels = summary["perturbations"]
     _write(folder, "replay", (MARKDOWN,), summary, {"success": success_panels(panels)} if panels else {}, {})

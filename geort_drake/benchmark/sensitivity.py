@@ -14,9 +14,9 @@ from geort_drake.simulation.scenario import Scenario
 def summarize_sensitivity(
     records: Iterable[Record], methods: Sequence[str], scenario: Scenario
 ) -> dict[str, dict]:
-    """One-time success of every method in every condition, and whether the ranking holds.
+    """One-time success of every method in every condition, and the correlation of the rankings.
 
-    Nominal trials count if their method, object and seed were also tried in a condition of the parameter.
+    Nominal trials count if their method, object and seed also have a trial in a condition of the parameter.
 
     Args:
         records: with and without a condition.

@@ -73,7 +73,7 @@ def figures(records: Sequence[Record], timeout: float) -> dict:
         `median_of_successes`; `phase_s`: mean time in each phase; `slip_mm`: median and 95th percentile over
         trials with a lift; `unattainable`: number of trials in which free play showed
         no attainable plan; `drops_per_trial`; `peak_force_n`, median; `self_contact`, mean fraction of the
-        time; `faults`: number of answers with each kind of fault, see `OwnMethod`; `failures`: number of
+        time; `faults`: number of outputs with each kind of fault, see `OwnMethod`; `failures`: number of
         each `ending` other than success.
     """
     judged = [record for record in records if "error" not in record]
@@ -125,7 +125,7 @@ def difference(records: Sequence[Record], reference: Sequence[Record], timeout: 
         both = np.logical_and(*(~np.isnan(values).all(axis=0) for values in pair))
         for values in pair:
             values[:, ~both] = np.nan
-    # The same training of both; a method with fewer trainings has its first one for the others.
+    # Trainings are paired by number; a method with fewer repeats its first one.
     first = np.where(np.isnan(once[1]), once[1][:1], once[1])
     signs = (once[0] - first)[~np.isnan(once[0] - first)]
     won, lost = int((signs > 0).sum()), int((signs < 0).sum())
@@ -170,8 +170,8 @@ def mean_and_interval(values: np.ndarray, reference: np.ndarray | None = None) -
     """`mean` of values, or its difference to that of a reference, and its interval `low` to `high`.
 
     The interval is the 95 % percentile interval of a hierarchical bootstrap: objects are resampled, the seeds
-    of each object, and each method's trainings. Both methods share objects and seeds. A level with one
-    member does not vary; a single value gives no interval.
+    of each object, and each method's trainings. Both methods share the resampled objects and seeds. A level
+    with one member does not vary; a single value gives no interval.
 
     Args:
         values: (trainings, objects, seeds), NaN where there is no trial.

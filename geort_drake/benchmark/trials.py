@@ -31,7 +31,7 @@ class Trial(NamedTuple):
         scenario_text: the resolved scenario, as YAML.
         retarget: can be sent to another process.
         latency: from keypoints to joint targets, s.
-        human: the simulated person and the planned grasp, or a recorded session.
+        human: hand and planned grasp of the simulated person, or a recorded session.
         attainable: whether free play showed the person an attainable plan.
     """
 

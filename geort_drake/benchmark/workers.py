@@ -17,7 +17,7 @@ from geort_drake.files import digest_of
 from geort_drake.processes import end_with
 from geort_drake.sources import PACKAGE, imported_sources
 
-RENEWED_AFTER = 25  # tasks of a worker on a cluster; see `call_in_workers`
+RENEWED_AFTER = 25  # tasks; then a worker on a cluster is replaced, see `call_in_workers`
 # Modules from which all code of a trial is imported: what a worker loads, and what makes retargeters.
 _ENTRY_MODULES = (
     "benchmark/trials.py",
@@ -29,7 +29,7 @@ _ENTRY_MODULES = (
     "retargeting/methods/coupled/retargeter.py",
     "retargeting/retargeter.py",
 )
-# Other rooms do not change a trial. Learned weights have a digest of their own, so training does not count.
+# Other subpackages do not change a trial; learned weights have a digest of their own.
 _TRIAL_ROOMS = ("people", "hands", "retargeting", "simulation", "systems")
 
 
@@ -38,18 +38,19 @@ def call_in_workers(
 ) -> Iterator[Any]:
     """Calls `function` with each of the arguments in workers, and yields the results.
 
-    Drake 1.51 never frees systems written in Python (RobotLocomotion/drake#24162), and 5 MB of a recorded
-    trial stay in spite of `release`. Even a single job therefore has its own process: loky replaces processes
-    that have grown by 300 MB; on a cluster they are replaced after `RENEWED_AFTER` tasks.
+    Drake 1.51 never frees systems written in Python (RobotLocomotion/drake#24162), and even `release` leaves
+    5 MB of a recorded trial. Even a single job therefore has its own process: loky replaces processes that
+    have grown by 300 MB; on a cluster they are replaced after `RENEWED_AFTER` tasks.
 
     Args:
-        function, arguments: what is called.
-        jobs: calls at a time.
+        function: to call; must be picklable.
+        arguments: of each call.
+        jobs: number of simultaneous calls.
         backend: "loky" for local processes, "ray" for a cluster.
         ordered: yield results in the order of the arguments; otherwise as they are ready.
 
     Raises:
-        BenchmarkError: a worker ended before its task did, or has loaded other code.
+        BenchmarkError: a worker ended before its task did, or has loaded different code.
         BenchmarkError, GeortError: see `require_workers`.
     """
     require_workers(jobs, backend)
@@ -73,9 +74,9 @@ def call_in_workers(
             "a worker process ended, perhaps because memory ran out; finished trials are kept: run the same "
             "command again, with fewer --jobs if needed"
         )
-        # Or because changed code does not even load.
+        # Changed code that does not load is another cause.
         if (now := _code_now()) != code:
-            message += f"; code_sha256: the code of trials is {now} now, and was {code} when this run began"
+            message += f"; the code of the trials has changed: code_sha256 is now {now}, at the start {code}"
         raise BenchmarkError(message) from error
 
 
@@ -136,11 +137,11 @@ def _one_by_one(tasks: Iterable[tuple]) -> Iterator[Any]:
 
 def _call(code: str, function: Callable, arguments: tuple) -> Any:
     """Calls a function, unless this worker has loaded other code than its parent."""
-    # Workers are replaced now and then, and those of a cluster are on other machines.
+    # New workers load the code of that moment, and those of a cluster that of other machines.
     if code_digest() != code:
         raise BenchmarkError(
-            f"code_sha256: a worker on {platform.node()} has loaded other code of trials than this run began "
-            f"with: {code_digest()}, not {code}; finished trials are kept: restore the code and run the same "
+            f"code_sha256: a worker on {platform.node()} has loaded different code of the trials: "
+            f"{code_digest()}, not {code}; finished trials are kept: restore the code and run the same "
             "command again, or choose another folder"
         )
     return function(*arguments)
