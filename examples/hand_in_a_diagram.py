@@ -38,7 +38,7 @@ builder.Connect(replay.GetOutputPort("valid"), retargeting.GetInputPort("valid")
 builder.Connect(retargeting.GetOutputPort("desired_state"), plant.get_desired_state_input_port(model))
 
 human = HandSpec(*(replay.GetOutputPort(name) for name in ("keypoints", "wrist_pose", "valid")))
-recorder = add_rerun_recorder(builder, plant, scene_graph, "play.rrd", hands={"human": human})
+recorder = add_rerun_recorder(builder, plant, scene_graph, "play.rrd", {"human": human})
 simulator = Simulator(builder.Build())
 with recorder:
     simulator.AdvanceTo(5.0)

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from rerun.chunk import RrdReader
 from rerun_world import GRAVITY, MASS, World, entities, read
 
-from geort_drake.rerun import ContactSpec, recorder
+from geort_drake.rerun import ContactSpec
 
 
 def test_contact_arrows_appear_with_the_contact_and_vanish_with_it(tmp_path):
@@ -42,24 +41,6 @@ def test_contact_force_of_a_resting_ball_is_its_weight(tmp_path, contact_model):
         np.testing.assert_allclose(force[-1], [weight], atol=2e-2)
         _, names = read(world.recorder.path, f"/contact/force/{group}", "SeriesLines:names")
         assert names[0].tolist() == [group]
-
-
-@pytest.mark.parametrize("contact_model", ["point", "hydroelastic"])
-def test_samples_are_read_as_they_were_when_they_were_taken(tmp_path, monkeypatch, contact_model):
-    """Many at once, later, or each at once: the simulation has gone on, and the recording is the same."""
-    ids = []
-    for at_once in (64, 1):
-        monkeypatch.setattr(recorder, "_READ_AT_ONCE", at_once)
-        world = World(0.0499, contact_model=contact_model).finalize()
-        world.record(tmp_path / f"{at_once}.rrd", period=0.004)
-        with world.recorder:
-            world.simulator.AdvanceTo(0.2)
-            world.kick(1.0)
-            world.simulator.AdvanceTo(0.45)
-        # An id is made of the contents.
-        ids += [recording.recording_id for recording in RrdReader(world.recorder.path).recordings()]
-    assert len(world.recorder.times) > 64
-    assert ids[0] == ids[1]
 
 
 def test_long_contact_arrows_are_cut(tmp_path):

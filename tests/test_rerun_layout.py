@@ -37,8 +37,8 @@ def laid_out(monkeypatch):
             else:
                 collect(inner, inner.name or page)
 
-    def blueprint(self, tracks):
-        made = make(self, tracks)
+    def blueprint(self, specs, rows):
+        made = make(self, specs, rows)
         collect(made.root_container, "")
         return made
 
@@ -64,7 +64,7 @@ def test_plots_are_named_with_their_unit_and_are_on_pages(tmp_path, laid_out):
         "joints/measured": SignalSpec(q, names, "measured", unit="rad", page="angles"),
         "torques/all": SignalSpec(torque, ["x", "y"], title="all", unit="N m", page="torques", limits=(0, 1)),
     }
-    world.record(tmp_path / "p.rrd", signals=signals, until=0.0)
+    world.record(tmp_path / "p.rrd", specs=signals, until=0.0)
     plots = [title for title in laid_out.views if title != "scene"]
     assert plots == ["contact force [N]", "thumb [rad]", "index [rad]", "all [N m]"]
     assert [laid_out.pages[title] for title in plots] == ["angles"] * 3 + ["torques"]
@@ -77,7 +77,7 @@ def test_a_close_up_moves_with_its_frame(tmp_path, laid_out):
     frame = world.plant.GetFrameByName("upper")
     spec = CloseUpSpec(frame, eye=(0.3, 0, 0.1), target=(0, 0, 0.1), see_through=[world.ball])
     path = PointsSpec(constant(world.builder, [0, 0, 0]), trail=np.inf)
-    world.record(tmp_path / "close.rrd", close_ups={"arm": spec}, points={"path": path})
+    world.record(tmp_path / "close.rrd", close_ups={"arm": spec}, specs={"path": path})
     with world.recorder:
         world.simulator.AdvanceTo(0.3)
         X_WU = world.plant.EvalBodyPoseInWorld(world.context, world.upper)
@@ -101,7 +101,7 @@ def test_a_close_up_of_a_hand_moves_with_its_wrist(tmp_path, laid_out, rng):
     keypoints, wrist = constant(world.builder, p_HK.ravel()), pose_source(world.builder, X_OH)
     world.record(
         tmp_path / "hand.rrd",
-        hands={"person": HandSpec(keypoints, wrist)},
+        specs={"person": HandSpec(keypoints, wrist)},
         close_ups={"hand": CloseUpSpec("person", (0.2, 0, 0))},
         until=0.05,
     )

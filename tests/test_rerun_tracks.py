@@ -24,7 +24,6 @@ from geort_drake.rerun import (
     SignalSpec,
     StateSpec,
 )
-from geort_drake.rerun.writer import quaternions
 
 
 def test_signals_are_grouped_by_the_part_before_the_slash(tmp_path):
@@ -32,9 +31,7 @@ def test_signals_are_grouped_by_the_part_before_the_slash(tmp_path):
     world = World().finalize()
     port = steps(world.builder, [0, 0.05, 1], [[1, 2, 2], [3, 4, 4], [5, 6, 6]])
     names = ["index/a", "thumb/b", "index/c"]
-    world.record(
-        tmp_path / "s.rrd", signals={"joints/command": SignalSpec(port, names, "command")}, until=0.08
-    )
+    world.record(tmp_path / "s.rrd", specs={"joints/command": SignalSpec(port, names, "command")}, until=0.08)
     times, values = read(world.recorder.path, "/joints/command/index", "Scalars:scalars")
     before = np.array(times) < 0.05
     np.testing.assert_array_equal(np.array(values)[before], np.tile([1, 5], (3, 1)))
@@ -50,7 +47,7 @@ def test_states_are_written_where_they_change(tmp_path):
     world = World().finalize()
     port = steps(world.builder, [0, 0.1, 0.2, 0.3, 1], [[0, 0, 1, 7, 7]])
     world.record(
-        tmp_path / "p.rrd", states={"phase": StateSpec(port, ["reach", "grasp"])}, period=0.05, until=0.4
+        tmp_path / "p.rrd", specs={"phase": StateSpec(port, ["reach", "grasp"])}, period=0.05, until=0.4
     )
     times, states = read(world.recorder.path, "/phase", "StateChange:state")
     np.testing.assert_allclose(times, [0, 0.2, 0.3], atol=1e-9)
@@ -66,7 +63,7 @@ def test_the_hand_is_drawn_where_it_is_tracked(tmp_path, rng):
     X_WO = RigidTransform(RollPitchYaw(np.pi, 0, np.pi / 2), [0, 0, 1])
     valid = steps(world.builder, [0, 0.1, 0.2, 1], [[1, 0, 1, 1]])
     hand = HandSpec(constant(world.builder, p_HK.ravel()), pose_source(world.builder, X_OH), valid, X_WO=X_WO)
-    world.record(tmp_path / "h.rrd", hands={"operator/hand": hand}, period=0.05, until=0.25)
+    world.record(tmp_path / "h.rrd", specs={"operator/hand": hand}, period=0.05, until=0.25)
     times, drawn = read(world.recorder.path, "/world/operator/hand/keypoints", "Points3D:positions")
     assert [len(points) for points in drawn] == [21, 21, 0, 0, 21, 21]
     np.testing.assert_allclose(times, np.arange(6) * 0.05, atol=1e-9)
@@ -90,7 +87,7 @@ def test_points_follow_the_frame_they_are_measured_in(tmp_path):
     frame = world.plant.AddFrame(FixedOffsetFrame("F", world.ball.body_frame(), offset))
     world.finalize()
     port = constant(world.builder, [0.5, 0, 0, np.nan, 0, 0])
-    world.record(tmp_path / "pts.rrd", points={"goal": PointsSpec(port, frame=frame)})
+    world.record(tmp_path / "pts.rrd", specs={"goal": PointsSpec(port, frame=frame)})
     world.simulator.AdvanceTo(0.2)
     p_WB = world.plant.EvalBodyPoseInWorld(world.context, world.ball).translation()
     world.recorder.close()
@@ -108,7 +105,7 @@ def test_points_of_several_colours_keep_theirs(tmp_path):
         "plain": PointsSpec(port, color=colors),
         "glass": PointsSpec(port, radius=0.02, color=[(*color, 100) for color in colors]),
     }
-    world.record(tmp_path / "c.rrd", points=points, until=0.04)
+    world.record(tmp_path / "c.rrd", specs=points, until=0.04)
     for entity, kind, places, wanted in (
         ("plain", "Points3D", "positions", [0xFF0000FF, 0x0000FFFF]),
         ("glass", "Ellipsoids3D", "centers", [0xFF000064, 0x0000FF64]),
@@ -125,7 +122,7 @@ def test_points_begin_at_their_start_time(tmp_path):
     """A delay, for example, gives zeros before its time."""
     world = World().finalize()
     points = {"late": PointsSpec(constant(world.builder, [1, 2, 3]), start=0.1)}
-    world.record(tmp_path / "late.rrd", points=points, period=0.05, until=0.2)
+    world.record(tmp_path / "late.rrd", specs=points, period=0.05, until=0.2)
     _, found = read(world.recorder.path, "/world/late", "Points3D:positions")
     assert [len(row) for row in found] == [0, 0, 1, 1, 1]
 
@@ -144,14 +141,12 @@ def test_derived_values_are_computed_on_writing(tmp_path):
     world.record(
         tmp_path / "d.rrd",
         period=0.05,
-        signals={
+        specs={
             "one/raw": SignalSpec(one, ["a", "b"]),
             "one/sum": SignalSpec([one, other], ["a", "b"], derive=added),
-        },
-        points={
             "one/point": PointsSpec(
                 one, world.ball.body_frame(), derive=lambda values: np.c_[values, np.zeros(len(values))]
-            )
+            ),
         },
     )
     with world.recorder:
@@ -170,15 +165,15 @@ def test_derived_values_are_computed_on_writing(tmp_path):
     ("options", "message"),
     [
         (
-            lambda w: {"signals": {"q": SignalSpec(constant(w.builder, [1, 2]), ["a"])}},
+            lambda w: {"specs": {"q": SignalSpec(constant(w.builder, [1, 2]), ["a"])}},
             "'q'.*size 2, but 1 names",
         ),
         (
-            lambda w: {"signals": {"x": SignalSpec(pose_source(w.builder, RigidTransform()), ["a"])}},
+            lambda w: {"specs": {"x": SignalSpec(pose_source(w.builder, RigidTransform()), ["a"])}},
             "'x'.*is abstract; expected a vector",
         ),
         (
-            lambda w: {"signals": {"q": SignalSpec(constant(w.builder, [1, 2]), ["a"], derive=lambda x: x)}},
+            lambda w: {"specs": {"q": SignalSpec(constant(w.builder, [1, 2]), ["a"], derive=lambda x: x)}},
             r"'q'.*derive makes \(1, 2\) of \(1, 2\) values; expected \(1, 1\)",
         ),
         (
@@ -186,7 +181,7 @@ def test_derived_values_are_computed_on_writing(tmp_path):
             "close-up 'c' follows the hand 'left'; the recorded hands are: none",
         ),
         (
-            lambda w: {"hands": {"h": HandSpec(constant(w.builder, [0] * 63), constant(w.builder, [0]))}},
+            lambda w: {"specs": {"h": HandSpec(constant(w.builder, [0] * 63), constant(w.builder, [0]))}},
             "'h/wrist_pose'.*RigidTransform",
         ),
     ],
@@ -242,7 +237,7 @@ def test_cameras_give_images_and_poses(tmp_path):
     sensor = world.builder.AddSystem(RedCamera(X_BC))
     world.builder.Connect(pose_source(world.builder, X_WB), sensor.get_input_port())
     world.record(
-        tmp_path / "camera.rrd", cameras={"eye": CameraSpec(sensor, period=0.1)}, period=0.05, until=0.4
+        tmp_path / "camera.rrd", specs={"eye": CameraSpec(sensor, period=0.1)}, period=0.05, until=0.4
     )
     times, pictures = read(world.recorder.path, "/world/eye", "EncodedImage:blob")
     np.testing.assert_allclose(times, np.arange(5) * 0.1, atol=1e-9)
@@ -254,13 +249,3 @@ def test_cameras_give_images_and_poses(tmp_path):
     np.testing.assert_allclose(p_WC[-1][0], (X_WB @ X_BC).translation(), atol=1e-6)
     _, size = read(world.recorder.path, "/world/eye", "Pinhole:resolution")
     assert size[0].tolist() == [[64, 48]]
-
-
-def test_quaternions_are_scipys():
-    """Also of half turns, where the simple formula divides by nothing, and of stacks."""
-    half_turns = Rotation.from_rotvec(np.pi * np.eye(3))
-    rotations = Rotation.concatenate([Rotation.random(997, rng=1), half_turns])
-    R = rotations.as_matrix().reshape(10, 100, 3, 3)
-    found = quaternions(R)
-    expected = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat().reshape(10, 100, 4)
-    np.testing.assert_allclose(found, expected, atol=1e-15)

@@ -5,6 +5,8 @@ import os
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
 from pydrake.math import RigidTransform
 
 from geort_drake.colours import SKIN, Color, finger_colors
@@ -27,7 +29,7 @@ _PINCH_LANE = "asked_pinch"
 _COLORS: tuple[Color, ...] = ((240, 228, 66), (178, 132, 255), (213, 94, 0), (0, 220, 200), (190, 190, 190))
 _COPY_COLOR = (235, 235, 235)
 _IDLE: Color = (58, 62, 71)
-_STATES = {0: "–", 1: "closed", 2: "open", 3: "collides"}
+_STATES = ("–", "closed", "open", "collides")
 _STATE_COLORS: tuple[Color, ...] = (_IDLE, (44, 160, 44), (230, 120, 20), (214, 39, 40))
 
 _TEXT = """\
@@ -72,8 +74,8 @@ def write_exploration(
         blueprint=views.blueprint(_layout(list(methods))),
         properties=properties,
     ) as writer:
-        writer.up_axis()
-        writer.text("/about", _text(hands, methods, pinches))
+        about = rr.TextDocument(_text(hands, methods, pinches), media_type="text/markdown")
+        writer.static("/about", about)
         writer.at(hands.t)
         _write_human(writer, hand, p_HK, tips, pinches)
         for number, (color, (name, answers)) in enumerate(
@@ -100,7 +102,8 @@ def _write_human(
 ) -> None:
     path = entity_path(WORLD, "human")
     writer.human_hand(path, p_HK, SKIN)
-    writer.points(f"{path}/tips", list(tips), _HUMAN_TIP, finger_colors(hand.finger_names), SOLID)
+    colors = [np.array(finger_colors(hand.finger_names))] * len(tips)
+    writer.points(f"{path}/tips", list(tips), _HUMAN_TIP, colors, SOLID)
     _write_pinches(writer, path, tips, pinches, np.full((len(tips), 3), 255), 1.8 * _HUMAN_TIP)
     writer.label(f"{path}/name", "recorded hand", SKIN, (0.0, 0.0, _LABEL_HEIGHT))
     writer.series("/gap/human", ["human"], 1e3 * pinches.distance[:, None], [SKIN], 2.5)
@@ -108,7 +111,8 @@ def _write_human(
 
 def _write_marks(writer: Writer, path: str, hand: HandModel, answers: Answers, pinches: Pinches) -> None:
     radius = 1.1 * hand.tip_radius  # covers the model's own tip
-    writer.points(f"{path}/tips", list(answers.p_BF), radius, finger_colors(hand.finger_names), SOLID)
+    of_fingers = [np.array(finger_colors(hand.finger_names))] * len(answers.q)
+    writer.points(f"{path}/tips", list(answers.p_BF), radius, of_fingers, SOLID)
     writer.points(f"{path}/copy", list(answers.copy), 1.1 * radius, _COPY_COLOR, CAGE)
     colors = np.where(answers.closed[:, None], _RIGHT, _WRONG)
     _write_pinches(writer, path, answers.p_BF, pinches, colors, 2.2 * radius)
@@ -127,7 +131,7 @@ def _write_pinches(
 
 def _write_lanes(writer: Writer, hand: HandModel, methods: Mapping[str, Answers], pinches: Pinches) -> None:
     codes = np.where(pinches.closed, 1.0 + pinches.pair[:, 1], 0.0)
-    labels = dict(enumerate(("–", *hand.finger_names)))
+    labels = ("–", *hand.finger_names)
     writer.states(entity_path(_PINCH_LANE), codes, labels, [_IDLE, *finger_colors(hand.finger_names)])
     for name, of_method in methods.items():
         collides = np.array([len(points) > 0 for points in of_method.collisions])
@@ -141,19 +145,19 @@ def _layout(methods: Sequence[str]) -> views.View:
     distance = max(0.42, 0.08 + 0.62 * _SPACING * (len(methods) + 1))
     eye = middle + np.array([distance, 0.0, 0.2 * distance])
     lanes = [entity_path(name) for name in (_PINCH_LANE, *methods)]
-    left = views.column(
+    left = rrb.Vertical(
         views.scene_view(eye, middle, "recorded hand and robot hands"),
-        views.lanes_view(lanes, "pinches and collisions"),
-        shares=[1.0, views.lanes_share(len(lanes), 1.0)],
+        rrb.StateTimelineView(origin="/", contents=lanes, name="pinches and collisions"),
+        row_shares=[1.0, views.lanes_share(len(lanes), 1.0)],
     )
-    right = views.column(
-        views.text_view("/about", "what you see"),
+    right = rrb.Vertical(
+        rrb.TextDocumentView(origin="/about", name="what you see"),
         views.time_series("fingertips against a proportional copy [mm]", ["/error/**"]),
         views.time_series("direction of motion kept (cosine)", ["/motion/**"]),
         views.time_series("nearest thumb and finger [mm]", ["/gap/**"]),
-        shares=[2.3, 1.2, 1.0, 1.0],
+        row_shares=[2.3, 1.2, 1.0, 1.0],
     )
-    return views.row(left, right, shares=[5, 3])
+    return rrb.Horizontal(left, right, column_shares=[5, 3])
 
 
 def _text(hands: Recording, methods: Mapping[str, Answers], pinches: Pinches) -> str:

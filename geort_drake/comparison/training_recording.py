@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
 import torch
 from pydrake.math import RigidTransform
 from scipy.spatial import cKDTree
@@ -108,7 +110,8 @@ class TrainingRecorder:
             properties=properties,
             timeline=STEPS,
         ) as writer:
-            writer.text("/about", _TEXT.format(**properties))
+            about = rr.TextDocument(_TEXT.format(**properties), media_type="text/markdown")
+            writer.static("/about", about)
             writer.at(np.array([line["step"] for line in self._losses], dtype=np.int64))
             for i, name in enumerate(names):
                 writer.series(f"/losses/{name}", [name], losses[:, [i]], PALETTE[i % len(PALETTE) :], 1.5)
@@ -157,17 +160,17 @@ class TrainingScene:
 
     def write(self, writer: Writer, maps: Sequence[Map]) -> None:
         """Sends everything; one map for each of the writer's times."""
-        writer.up_axis()
         writer.human_hand(_HUMAN, np.array([self._shown(self._closest_pinch)] * len(maps)), SKIN)
         q = np.concatenate([answer(self._closest_tips) for answer in maps])
         X_WB = RigidTransform([0.0, _SPACING, -self._hand.p_BW[2]])
         write_robot_hand(writer, _ROBOT, self._hand, q, X_WB)
         for i, (name, color) in enumerate(self._fingers):
             cloud = self._shown(voxel_thinned(self._frames[:, i], _VOXEL))
-            writer.points(f"{_HUMAN}/cloud/{name}", cloud, _DOT, color)
+            writer.static(f"{_HUMAN}/cloud/{name}", rr.Points3D(cloud, radii=_DOT, colors=[color]))
             lattice = self._lattices[i]
             lines = self._shown(lattice.segments(lattice.nodes))
-            writer.lines(f"{_HUMAN}/lattice/{name}", lines, _LATTICE_RADIUS, color)
+            strips = rr.LineStrips3D(lines, radii=_LATTICE_RADIUS, colors=[color])
+            writer.static(f"{_HUMAN}/lattice/{name}", strips)
             nodes = [self._fingertips(answer(lattice.hands))[:, i] for answer in maps]
             rows = [self._shown(lattice.segments(of_step)) for of_step in nodes]
             writer.lines(f"{_ROBOT}/lattice/{name}", rows, _LATTICE_RADIUS, color)
@@ -242,11 +245,11 @@ def _blueprint(steps: int, losses: np.ndarray) -> Any:
     margin = 0.05 * max(high - low, 1e-6)
     # The axis is longer than the training, to leave room for the legend.
     shown = round(1.7 * steps), (low - margin, high + margin)
-    below = views.row(
-        views.text_view("/about", "what you see"),
-        views.column(views.row(*criteria[:3]), views.row(*criteria[3:]), name="criteria"),
+    below = rrb.Horizontal(
+        rrb.TextDocumentView(origin="/about", name="what you see"),
+        rrb.Vertical(rrb.Horizontal(*criteria[:3]), rrb.Horizontal(*criteria[3:]), name="criteria"),
         views.time_series("losses", ["/losses/**"], "right", *shown),
-        shares=[4, 6, 4],
+        column_shares=[4, 6, 4],
     )
-    layout = views.column(views.row(*scenes), below, shares=[5, 4])
+    layout = rrb.Vertical(rrb.Horizontal(*scenes), below, row_shares=[5, 4])
     return views.blueprint(layout, STEPS, max(steps / _PLAYING_TIME, 1.0))

@@ -4,6 +4,8 @@ import os
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
 
 from geort_drake.colours import FINGER_COLOURS, SKIN, finger_colors, rgb
 from geort_drake.hands.model import HandModel
@@ -39,11 +41,14 @@ def write_hand(
     rows = newest(t, times)
     p_HK = np.where(recording.valid[:, None, None], recording.p_HK.astype(float), np.nan)[rows]
     facts = {key: value for key, value in recording.metadata.items() if isinstance(value, str | int | float)}
-    plots = [views.time_series("distance from the thumb's tip [mm]", ["/gap/**"], legend="left")]
+    plots: list[views.View] = [
+        views.time_series("distance from the thumb's tip [mm]", ["/gap/**"], legend="left")
+    ]
     if states:
-        plots.append(views.lanes_view([entity_path(key) for key in states], "phase"))
+        lanes = [entity_path(key) for key in states]
+        plots.append(rrb.StateTimelineView(origin="/", contents=lanes, name="phase"))
     scene = views.scene_view((0.34, -0.30, 0.33), (0.02, 0.0, 0.09))
-    layout = views.blueprint(views.row(scene, views.column(*plots), shares=[3, 2]))
+    layout = views.blueprint(rrb.Horizontal(scene, rrb.Vertical(*plots), column_shares=[3, 2]))
     with file_writer(
         path,
         application_id="geort_drake_hand",
@@ -52,7 +57,6 @@ def write_hand(
         properties=facts,
     ) as writer:
         writer.at(times)
-        writer.up_axis()
         writer.human_hand("/world/human", p_HK, SKIN)
         others = FINGER_NAMES[1:]
         colors = finger_colors(others)
@@ -60,7 +64,7 @@ def write_hand(
         for key, names in (states or {}).items():
             labels = list(dict.fromkeys(names))
             codes = [labels.index(names[frame]) for frame in rows]
-            writer.states(entity_path(key), codes, dict(enumerate(labels)))
+            writer.states(entity_path(key), codes, labels)
 
 
 def write_joint_sweep(hand: HandModel, path: str | os.PathLike) -> None:
@@ -86,8 +90,8 @@ def write_joint_sweep(hand: HandModel, path: str | os.PathLike) -> None:
 
 def _write_marks(writer: Writer, hand: HandModel, tips: np.ndarray) -> None:
     for number, (axis, color) in enumerate(_AXES.items()):
-        line = np.array([[np.zeros(3), _AXIS_LENGTH * np.eye(3)[number]]])
-        writer.lines(f"/world/hand_base/{axis}", line, 0.002, color)
+        line = [[np.zeros(3), _AXIS_LENGTH * np.eye(3)[number]]]
+        writer.static(f"/world/hand_base/{axis}", rr.LineStrips3D(line, radii=0.002, colors=[color]))
     for number, finger in enumerate(hand.description.fingers):
         # Translucent, around the tip that the model draws.
         translucent = (*rgb(FINGER_COLOURS[finger.name]), 130)

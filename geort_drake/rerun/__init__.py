@@ -2,8 +2,8 @@
 
 A recorder is one more system of a diagram. It samples the bodies of a plant, and further ports on request:
 
-    recorder = add_rerun_recorder(builder, plant, scene_graph, "robot.rrd",
-                                  signals={"torque": SignalSpec(port, ["shoulder", "elbow"], unit="N m")})
+    torque = SignalSpec(port, ["shoulder", "elbow"], unit="N m")
+    recorder = add_rerun_recorder(builder, plant, scene_graph, "robot.rrd", {"torque": torque})
     simulator = Simulator(builder.Build())
     with recorder:  # leaving the block writes the file
         simulator.AdvanceTo(5.0)
@@ -23,6 +23,7 @@ from geort_drake.rerun.specs import (
     HandSpec,
     PointsSpec,
     SignalSpec,
+    Spec,
     StateSpec,
 )
 from geort_drake.rerun.streams import file_writer
@@ -36,6 +37,7 @@ __all__ = [
     "PointsSpec",
     "RerunRecorder",
     "SignalSpec",
+    "Spec",
     "StateSpec",
     "Writer",
     "add_rerun_recorder",

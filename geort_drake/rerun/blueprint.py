@@ -1,4 +1,4 @@
-"""Building blocks of layouts: views, rows, columns and tabs."""
+"""Views of layouts."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -42,21 +42,6 @@ def blueprint(layout: View, timeline: str = TIMELINE, rate: float = 1.0) -> rrb.
     )
 
 
-def column(*views: View, shares: Sequence[float] | None = None, name: str | None = None) -> View:
-    """Views below each other; `shares` are their relative heights."""
-    return rrb.Vertical(*views, row_shares=shares, name=name)
-
-
-def row(*views: View, shares: Sequence[float] | None = None, name: str | None = None) -> View:
-    """Views beside each other; `shares` are their relative widths."""
-    return rrb.Horizontal(*views, column_shares=shares, name=name)
-
-
-def tabs(*views: View) -> View:
-    """Views behind each other; the first is shown."""
-    return views[0] if len(views) == 1 else rrb.Tabs(*views, active_tab=0)
-
-
 def scene_view(
     eye: Vector,
     target: Vector,
@@ -86,16 +71,6 @@ def scene_view(
         eye_controls=controls,
         overrides=overrides,
     )
-
-
-def text_view(path: str, name: str) -> View:
-    """A text."""
-    return rrb.TextDocumentView(origin=path, name=name)
-
-
-def lanes_view(paths: Sequence[str], name: str) -> View:
-    """Lanes of states."""
-    return rrb.StateTimelineView(origin="/", contents=list(paths), name=name)
 
 
 def lanes_share(lanes: int, others: float) -> float:

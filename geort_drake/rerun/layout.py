@@ -1,7 +1,7 @@
 """The default layout of a recording."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +23,6 @@ from geort_drake.rerun.specs import (
     StateSpec,
     body_and_pose,
 )
-from geort_drake.rerun.track import Track
 from geort_drake.rerun.writer import HAND_FRAME, TIMELINE, WORLD, entity_path
 
 VIEW_FROM = (0.62, -0.62, 0.48)  # from the scene to the eye: from the front left, above
@@ -52,33 +51,35 @@ class Layout:
     close_ups: Mapping[str, CloseUpSpec]
     view_from: np.ndarray
 
-    def blueprint(self, tracks: Sequence[Track]) -> rrb.Blueprint:
-        """The layout for what has been sampled."""
+    def blueprint(self, specs: Mapping[str, Spec], rows: Mapping[str, Sequence]) -> rrb.Blueprint:
+        """The layout for the specs, and for the rows that have been sampled of each."""
 
-        def of(kind: type[Spec]) -> list[Track]:
-            return [track for track in tracks if isinstance(track.spec, kind)]
+        def of(kind: type[Spec]) -> dict[str, Any]:
+            return {key: spec for key, spec in specs.items() if isinstance(spec, kind)}
 
-        hands = {track.key: track.rows for track in of(HandSpec)}
-        (poses,) = (track.rows for track in of(Poses))
-        points: dict[str, Any] = {entity_path(WORLD, track.key): track.spec for track in of(PointsSpec)}
+        hands = {key: rows[key] for key in of(HandSpec)}
+        (poses,) = (rows[key] for key in of(Poses))
+        points = {entity_path(WORLD, key): spec for key, spec in of(PointsSpec).items()}
         trails = {path: _visible_past(spec.trail) for path, spec in points.items() if spec.trail}
         target, eye = self._target_and_eye(poses, hands)
         shown = [views.scene_view(eye, target, overrides=trails)]
         shown += [self._close_up(name, spec, poses, hands, trails) for name, spec in self.close_ups.items()]
-        images = [entity_path(WORLD, track.key) for track in of(CameraSpec)]
+        images = [entity_path(WORLD, key) for key in of(CameraSpec)]
         shown += [rrb.Spatial2DView(origin=path, name=path.rsplit("/", 1)[-1]) for path in images]
         pages = _plots(of(SignalSpec))
         if of(Contacts):
             forces = views.time_series("contact force [N]", ["/contact/**"], legend="left")
             pages.setdefault(next(iter(pages), ""), []).insert(0, forces)
-        bands, shares = [views.row(*shown)], [_VIEWS]
-        if states := [entity_path(track.key) for track in of(StateSpec)]:
-            bands.append(views.lanes_view(states, "phase"))
+        bands: list[views.View] = [rrb.Horizontal(*shown)]
+        shares = [_VIEWS]
+        if states := [entity_path(key) for key in of(StateSpec)]:
+            bands.append(rrb.StateTimelineView(origin="/", contents=states, name="phase"))
             shares.append(views.lanes_share(len(states), _VIEWS + (_PLOTS if pages else 0.0)))
         if pages:
-            bands.append(views.tabs(*(views.row(*plots, name=page) for page, plots in pages.items())))
+            tabs = [rrb.Horizontal(*plots, name=page) for page, plots in pages.items()]
+            bands.append(tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs, active_tab=0))
             shares.append(_PLOTS)
-        return views.blueprint(views.column(*bands, shares=shares))
+        return views.blueprint(rrb.Vertical(*bands, row_shares=shares))
 
     def _close_up(
         self,
@@ -125,13 +126,14 @@ class Layout:
         return target, target + distance * self.view_from / np.linalg.norm(self.view_from)
 
 
-def followed_bodies(close_ups: Mapping[str, CloseUpSpec], hands: Collection[str]) -> list[int]:
+def followed_bodies(close_ups: Mapping[str, CloseUpSpec], specs: Mapping[str, Spec]) -> list[int]:
     """Indices of the bodies that close-ups follow.
 
     Raises:
         ScenarioError: a close-up follows a hand that is not recorded.
     """
     bodies = []
+    hands = [key for key, spec in specs.items() if isinstance(spec, HandSpec)]
     for name, spec in close_ups.items():
         if not isinstance(spec.follows, str):
             bodies.append(body_and_pose(spec.follows)[0])
@@ -143,18 +145,17 @@ def followed_bodies(close_ups: Mapping[str, CloseUpSpec], hands: Collection[str]
     return bodies
 
 
-def _plots(signals: Sequence[Track]) -> dict[str, list[views.View]]:
+def _plots(signals: Mapping[str, SignalSpec]) -> dict[str, list[views.View]]:
     """The plots of each page; fingers in their usual order, whatever the order of the joints."""
     # Signals with the same title, such as commanded and measured, share a plot.
     paths: dict[tuple[str, str], list[str]] = {}
     limits: dict[str, tuple[float, float] | None] = {}
-    for track in signals:
-        spec: Any = track.spec
-        for path, (title, _) in spec.plots(track.key).items():
+    for key, spec in signals.items():
+        for path, (title, _) in spec.plots(key).items():
             paths.setdefault((spec.page, title), []).append(path)
             limits.setdefault(title, spec.limits)
     order = {name: number for number, name in enumerate(FINGER_NAMES)}
     pages: dict[str, list[views.View]] = {page: [] for page, _ in paths}
-    for page, title in sorted(paths, key=lambda key: order.get(key[1].partition(" ")[0], len(order))):
+    for page, title in sorted(paths, key=lambda of: order.get(of[1].partition(" ")[0], len(order))):
         pages[page].append(views.time_series(title, paths[page, title], limits=limits[title]))
     return pages

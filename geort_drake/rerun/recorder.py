@@ -5,32 +5,22 @@ each body as it moves.
 """
 
 import atexit
-import functools
 import hashlib
+import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rerun.blueprint as rrb
-from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import (
-    Context,
-    EventStatus,
-    InputPortIndex,
-    LeafSystem,
-    OutputPort,
-    PortDataType,
-)
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, OutputPort, PortDataType
 
 from geort_drake.rerun.layout import Layout
-from geort_drake.rerun.streams import LiveSink, Property, file_writer, live_writer
-from geort_drake.rerun.track import Track
+from geort_drake.rerun.specs import Spec
+from geort_drake.rerun.streams import Property, Viewer, file_writer, live_writer
 from geort_drake.rerun.writer import Writer
 
 _BATCH_S = 0.1  # wall time between two batches for viewers
-_READ_AT_ONCE = 64  # samples
 
 
 class RerunRecorder(LeafSystem):
@@ -60,70 +50,57 @@ class RerunRecorder(LeafSystem):
     def __init__(
         self,
         path: Path | None,
-        tracks: Sequence[Track],
+        specs: Mapping[str, Spec],
+        inputs: Mapping[str, Sequence[str]],
         sources: Mapping[str, OutputPort],
         period: float,
         *,
         layout: Layout,
-        sinks: Sequence[LiveSink],
-        application_id: str,
+        viewers: Sequence[Viewer],
         properties: Mapping[str, Property],
-        blueprint: rrb.Blueprint | None,
     ):
         super().__init__()
         self.path = path
-        self._tracks = list(tracks)
-        self._layout, self._blueprint = layout, blueprint
-        self._sinks = list(sinks)
-        self._application_id, self._properties = application_id, dict(properties)
-        self._times: list[float] = []  # of the samples, s, increasing
-        self._unread: list[Sequence[tuple | None]] = []  # the newest samples, which have no rows yet
+        self._specs, self._inputs = dict(specs), dict(inputs)
+        self._layout, self._viewers = layout, list(viewers)
+        self._properties = dict(properties)
+        # Times, s, increasing, and rows of every spec; None where no row was due.
+        self._samples: list[tuple[float, list]] = []
+        self._read_at = dict.fromkeys(specs, -math.inf)  # s
         self._live: Writer | None = None
         self._sent = 0  # number of samples sent to the viewers
         self._sent_at = 0.0  # wall time, s
-        self._changed = True  # since the file was written
         self._closed = False
-        # For each port, a function that copies its value.
-        self._copies: dict[str, Callable[[Context], Any]] = {}
         for name, source in sources.items():
             if source.get_data_type() == PortDataType.kVectorValued:
-                self._copies[name] = self.DeclareVectorInputPort(name, source.size()).Eval
+                self.DeclareVectorInputPort(name, source.size())
             else:
-                index = self.DeclareAbstractInputPort(name, source.Allocate()).get_index()
-                self._copies[name] = functools.partial(self._clone, index)
+                self.DeclareAbstractInputPort(name, source.Allocate())
+        self._ports = {name: self.GetInputPort(name) for name in sources}
         self.DeclarePeriodicPublishEvent(period, 0.0, self._sample)
         self.DeclareForcedPublishEvent(self._sample)
         # Registered after Rerun's own handler, and therefore run before Rerun shuts down.
         atexit.register(self.close)
 
-    @property
-    def times(self) -> np.ndarray:
-        """Times (T,) of the samples that are kept, s; without a file, of those not yet sent to viewers."""
-        return np.array(self._times)
-
     def set_properties(self, properties: Mapping[str, Property]) -> None:
         """Adds properties to the file, such as an outcome that is known only at the end."""
         self._properties.update(properties)
-        self._changed = True
 
     def flush(self) -> None:
         """Writes the file with all samples so far, and sends viewers the remaining ones."""
         if self._closed:
             return
-        if self._sinks and self._sent < len(self._times):
+        if self._viewers and self._sent < len(self._samples):
             self._send()
-        if self.path is None or not self._changed:
+        if self.path is None:
             return
-        self._read()
         with file_writer(
             self.path,
-            application_id=self._application_id,
             recording_id=self._digest(),
-            blueprint=self._blueprint or self._layout.blueprint(self._tracks),
+            blueprint=self._layout.blueprint(self._specs, self._columns(0)),
             properties=self._properties,
         ) as writer:
             self._write(writer, 0)
-        self._changed = False
 
     def close(self) -> None:
         """Flushes; later samples are not kept, and closing again does nothing."""
@@ -135,7 +112,7 @@ class RerunRecorder(LeafSystem):
         if self._live is not None:
             self._live.close()
         # Drake keeps this system until the process ends.
-        self._tracks.clear()
+        self._samples.clear()
 
     def __enter__(self) -> "RerunRecorder":
         return self
@@ -147,90 +124,58 @@ class RerunRecorder(LeafSystem):
         if self._closed:
             return EventStatus.DidNothing()
         now = context.get_time()
-        self._go_back(now)
-        copies: dict[str, Any] = {}
-        sample: list[tuple | None] = []
-        large = False
-        for track in self._tracks:
-            if not track.due(now):
-                sample.append(None)
+        while self._samples and self._samples[-1][0] >= now:  # time has gone back
+            self._samples.pop()
+        self._sent = min(self._sent, len(self._samples))
+        values: dict[str, Any] = {}  # of the ports, of which several specs may share one
+        rows: list = []
+        for key, spec in self._specs.items():
+            if self._read_at[key] <= now < self._read_at[key] + spec.period - 1e-9:
+                rows.append(None)
                 continue
-            for name in track.inputs:
-                if name not in copies:
-                    copies[name] = self._copies[name](context)
-            sample.append(tuple(copies[name] for name in track.inputs))
-            large = large or track.spec.large
-        self._times.append(now)
-        self._unread.append(sample)
-        self._changed = True
-        if large or len(self._unread) == _READ_AT_ONCE:
-            self._read()
-        if self._sinks and time.monotonic() >= self._sent_at + _BATCH_S:
+            self._read_at[key] = now
+            for name in self._inputs[key]:
+                if name not in values:
+                    values[name] = self._ports[name].Eval(context)
+            rows.append(spec.read(*map(values.__getitem__, self._inputs[key])))
+        self._samples.append((now, rows))
+        if self._viewers and time.monotonic() >= self._sent_at + _BATCH_S:
             self._send()
         return EventStatus.Succeeded()
 
-    def _clone(self, index: InputPortIndex, context: Context) -> AbstractValue:
-        return self.EvalAbstractInput(context, index).Clone()
-
-    def _go_back(self, now: float) -> None:
-        """Drops the samples at and after a time, s."""
-        keep = len(self._times)
-        while keep and self._times[keep - 1] >= now:
-            keep -= 1
-        if keep < len(self._times):
-            self._read()
-            del self._times[keep:]
-            for track in self._tracks:
-                del track.rows[keep:]
-            self._sent = min(self._sent, keep)
-
-    def _read(self) -> None:
-        """Makes rows of the unread samples; a batch takes a third less time than one sample after another."""
-        columns = [
-            [None if values is None else track.spec.read(*map(_content, values)) for values in column]
-            for track, *column in zip(self._tracks, *self._unread, strict=True)
-        ]
-        # Only now, so that the tracks stay equally long when the process is interrupted.
-        self._unread.clear()
-        for track, rows in zip(self._tracks, columns, strict=True):
-            track.rows += rows
+    def _columns(self, first: int) -> dict[str, Sequence]:
+        """The rows of every spec, from a sample on."""
+        rows = [rows for _, rows in self._samples[first:]]
+        columns = zip(*rows, strict=True) if rows else [()] * len(self._specs)
+        return dict(zip(self._specs, columns, strict=True))
 
     def _send(self) -> None:
         """Sends new samples to the viewers; without a file, drops them afterwards."""
-        self._read()
         if self._live is None:
             self._live = live_writer(
-                self._sinks,
-                application_id=self._application_id,
-                blueprint=self._blueprint or self._layout.blueprint(self._tracks),
+                self._viewers,
+                blueprint=self._layout.blueprint(self._specs, self._columns(0)),
                 name=self.path.stem if self.path else "live",
                 properties=self._properties,
             )
         self._write(self._live, self._sent)
-        self._sent, self._sent_at = len(self._times), time.monotonic()
         if self.path is None:
-            self._times.clear()
-            for track in self._tracks:
-                track.rows.clear()
-            self._sent = 0
+            self._samples.clear()
+        self._sent, self._sent_at = len(self._samples), time.monotonic()
 
     def _write(self, writer: Writer, first: int) -> None:
         self._layout.scene.write(writer)
-        writer.at(np.array(self._times[first:]))
-        for track in self._tracks:
-            track.spec.write(writer, track.key, track.rows[first:])
+        writer.at(np.array([now for now, _ in self._samples[first:]]))
+        for key, rows in self._columns(first).items():
+            self._specs[key].write(writer, key, rows)
 
     def _digest(self) -> str:
         """A hash of the contents: equal simulations give equal recordings."""
         digest = hashlib.sha256(repr(sorted(self._properties.items())).encode())
-        digest.update(np.array(self._times).tobytes())
-        for track in self._tracks:
-            digest.update(repr(track.inputs).encode())
-            for row in track.rows:
+        digest.update(np.array([now for now, _ in self._samples]).tobytes())
+        for key, rows in self._columns(0).items():
+            digest.update(repr(self._inputs[key]).encode())
+            for row in rows:
                 for part in row if isinstance(row, tuple) else (row,):
                     digest.update(part if isinstance(part, bytes) else np.asarray(part, float).tobytes())
         return digest.hexdigest()[:32]
-
-
-def _content(copy: np.ndarray | AbstractValue) -> Any:
-    return copy.get_value() if isinstance(copy, AbstractValue) else copy

@@ -64,7 +64,6 @@ class Scene:
 
     def write(self, writer: Writer) -> None:
         """Sends the shapes and the fixed poses."""
-        writer.up_axis()
         for index, X_WB in self.anchored.items():
             writer.static(self.paths[index], transform(X_WB))
         for path, archetype in self.shapes:

@@ -1,7 +1,7 @@
 """Kinds of data that a recorder adds to the bodies of a plant. Each reads ports and writes Rerun columns."""
 
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -29,11 +29,9 @@ class Spec:
 
     Attributes:
         period: least time between two rows, s.
-        large: whether the ports' values are too large to keep many of them.
     """
 
     period: float = 0.0
-    large = False
 
     def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
         """Name of an input port of the recorder → output port to read; `plant_port` gives the plant's.
@@ -44,7 +42,7 @@ class Spec:
         raise NotImplementedError
 
     def read(self, *values: Any) -> Any:
-        """One row from the values of the ports."""
+        """One row from the values of the ports, which the row must copy."""
         raise NotImplementedError
 
     def write(self, writer: Writer, key: str, rows: Sequence) -> None:
@@ -128,11 +126,11 @@ class StateSpec(Spec):
     """Records a port of size 1 with an integer code as a lane of named states.
 
     Attributes:
-        labels: names of the codes 0, 1, ..., or a mapping from code to name.
+        labels: names of the codes 0, 1, ...
     """
 
     port: OutputPort
-    labels: Sequence[str] | Mapping[int, str]
+    labels: Sequence[str]
 
     def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
         _vector_size(key, self.port, 1)
@@ -142,8 +140,7 @@ class StateSpec(Spec):
         return float(value[0])
 
     def write(self, writer: Writer, key: str, rows: Sequence[float]) -> None:
-        labels = self.labels if isinstance(self.labels, Mapping) else dict(enumerate(self.labels))
-        writer.states(entity_path(key), rows, labels)
+        writer.states(entity_path(key), rows, self.labels)
 
 
 @dataclass(frozen=True)
@@ -255,7 +252,6 @@ class CameraSpec(Spec):
 
     sensor: RgbdSensor
     period: float = 0.1
-    large = True
 
     def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
         return {

@@ -14,8 +14,10 @@ from geort_drake.errors import OutputError
 from geort_drake.files import atomic_path
 from geort_drake.rerun.writer import TIMELINE, Writer
 
+_APPLICATION = "geort_drake"  # recordings of one application share a layout in the viewer
 Property = str | int | float | bool
-LiveSink = rr.GrpcSink | rr.GrpcServerSink
+# A viewer that listens, and a server to which viewers connect.
+Viewer = rr.GrpcSink | rr.GrpcServerSink
 # The end of every complete file.
 _FOOTER, _FOOTER_BYTES = b"RRF2FOOT", 12
 
@@ -24,7 +26,7 @@ _FOOTER, _FOOTER_BYTES = b"RRF2FOOT", 12
 def file_writer(
     path: str | os.PathLike,
     *,
-    application_id: str = "geort_drake",
+    application_id: str = _APPLICATION,
     recording_id: str | None = None,
     blueprint: rrb.Blueprint | None = None,
     properties: Mapping[str, Property] | None = None,
@@ -60,25 +62,17 @@ def file_writer(
 
 
 def live_writer(
-    sinks: Sequence[LiveSink],
+    viewers: Sequence[Viewer],
     *,
-    application_id: str,
     blueprint: rrb.Blueprint,
     name: str,
     properties: Mapping[str, Property],
 ) -> Writer:
     """A writer that sends data to open viewers."""
-    stream = _stream(application_id, None)
-    stream.set_sinks(*sinks, default_blueprint=blueprint)
+    stream = _stream(_APPLICATION, None)
+    stream.set_sinks(*viewers, default_blueprint=blueprint)
     _send_properties(stream, name, properties)
     return Writer(stream)
-
-
-def is_live(target: object) -> bool:
-    """Whether this is a viewer or its address rather than a file."""
-    return isinstance(target, LiveSink) or (
-        isinstance(target, str) and target.startswith(("rerun://", "rerun+http://", "rerun+https://"))
-    )
 
 
 def _stream(application_id: str, recording_id: str | None) -> rr.RecordingStream:

@@ -1,12 +1,13 @@
 """`Writer`: arrays over time as Rerun entities, such as poses, time series, points and human hands."""
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import rerun as rr
 from pydrake.math import RigidTransform
+from scipy.spatial.transform import Rotation
 
 from geort_drake.colours import FINGER_COLOURS, Color, rgb
 from geort_drake.people.keypoints import BONES, TIP_KEYPOINT, wrist_pose
@@ -22,8 +23,8 @@ PALETTE: tuple[Color, ...] = tuple(
     rgb(f"#{color}")
     for color in "1f77b4 ff7f0e 2ca02c d62728 9467bd 8c564b e377c2 7f7f7f bcbd22 17becf".split()
 )
-# One colour for all items; one for each item of a row; or (k, 3 or 4) for the k items of each row.
-Colors = Color | Sequence[Color] | Sequence[np.ndarray]
+# One colour for all items, or (k, 3 or 4) for the k items of each row.
+Colors = Color | Sequence[np.ndarray]
 
 _BONE_RADII = np.tile([0.007, 0.0085, 0.0075, 0.0065], 5)  # of an average hand, base to tip, m
 
@@ -48,6 +49,7 @@ class Writer:
         self._stream, self._timeline = stream, timeline
         self._sent: set[tuple[str, type]] = set()
         self.at(np.empty(0))
+        self.static(f"/{WORLD}", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
 
     def at(self, times: np.ndarray) -> "Writer":
         """Sets the times (T,) of the rows that follow: s as floats, or steps as integers."""
@@ -67,20 +69,13 @@ class Writer:
         if len(index.as_arrow_array()):
             self._stream.send_columns(path, [index], columns, strict=True)
 
-    def text(self, path: str, markdown: str) -> None:
-        """Sends a text that holds at all times."""
-        self.static(path, rr.TextDocument(markdown, media_type="text/markdown"))
-
-    def up_axis(self) -> None:
-        """Tells the viewer that z is up in the world."""
-        self.static(f"/{WORLD}", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-
     def poses(self, paths: Sequence[str], X: np.ndarray) -> None:
         """Sends poses X (T, B, 3, 4) of B entities in their parents' frames; any with a NaN is left out."""
         finite = np.isfinite(X).all(axis=(2, 3))
         X = np.where(finite[..., None, None], X, np.eye(3, 4))
         translations = X[..., 3].astype(np.float32)
-        rotations = quaternions(X[..., :3]).astype(np.float32)
+        R = Rotation.from_matrix(X[..., :3].reshape(-1, 3, 3))
+        rotations = R.as_quat().reshape(*X.shape[:2], 4).astype(np.float32)
         for k, path in enumerate(paths):
             rows = None if finite[:, k].all() else finite[:, k]
             chosen = slice(None) if rows is None else rows
@@ -107,14 +102,14 @@ class Writer:
         self,
         path: str,
         codes: Sequence[float] | np.ndarray,
-        labels: Mapping[int, str],
+        labels: Sequence[str],
         colors: Sequence[Color] = PALETTE,
     ) -> None:
-        """Sends codes (T,) as a lane of named states, where they change."""
-        names = list(labels.values())
+        """Sends codes (T,) as a lane of states, named by `labels`, where they change."""
+        names = list(labels)
         shades = [colors[i % len(colors)] for i in range(len(names))]
         self.static(path, rr.StateConfiguration(values=names, labels=names, colors=shades))
-        states = [labels.get(int(c), f"code {c:g}") if np.isfinite(c) else "nan" for c in codes]
+        states = [names[int(c)] if 0 <= c < len(names) else f"code {c:g}" for c in codes]
         before = [self.memory.get(path), *states]
         changes = np.array([i for i, state in enumerate(states) if state != before[i]], dtype=int)
         self.columns(path, rr.StateChange.columns(state=[states[i] for i in changes]), changes)
@@ -123,53 +118,43 @@ class Writer:
     def points(
         self,
         path: str,
-        rows: list[np.ndarray] | np.ndarray,
+        rows: Sequence[np.ndarray],
         radius: float,
         colors: Colors,
         fill: rr.components.FillMode | None = None,
     ) -> None:
-        """Sends points, m.
+        """Sends points (k, 3), m, where k may change from time to time.
 
         Args:
-            rows: a list of (k, 3), where k may change from time to time; or an array (k, 3) of fixed points.
             fill: SOLID or CAGE for balls, which can be translucent; by default dots, which are opaque.
         """
         if fill is None:
-            self._items(path, rr.Points3D, "positions", rows, colors, {"radii": [radius]})
+            self._items(path, rr.Points3D, {"positions": _stack(rows)}, {"radii": [radius]}, rows, colors)
         else:
+            centers = _stack(rows)
+            balls = {"centers": centers, "half_sizes": np.full_like(centers, radius)}
             style = {"fill_mode": fill, "line_radii": [0.0007]}
-            self._items(path, rr.Ellipsoids3D, "centers", rows, colors, style, half_size=radius)
+            self._items(path, rr.Ellipsoids3D, balls, style, rows, colors)
 
-    def lines(self, path: str, rows: list[np.ndarray] | np.ndarray, radius: float, colors: Colors) -> None:
-        """Sends line segments, m: a list of (k, 2, 3), or an array (k, 2, 3) of fixed segments."""
-        self._items(path, rr.LineStrips3D, "strips", rows, colors, {"radii": [radius]})
+    def lines(self, path: str, rows: Sequence[np.ndarray], radius: float, colors: Colors) -> None:
+        """Sends line segments (k, 2, 3), m, where k may change from time to time."""
+        self._items(path, rr.LineStrips3D, {"strips": _stack(rows)}, {"radii": [radius]}, rows, colors)
 
     def _items(
         self,
         path: str,
         archetype: Any,
-        name: str,
-        rows: list[np.ndarray] | np.ndarray,
-        colors: Any,
-        style: Mapping[str, Any],
-        half_size: float | None = None,
+        varying: dict[str, Any],
+        fixed: dict[str, Any],
+        rows: Sequence[np.ndarray],
+        colors: Colors,
     ) -> None:
-        """Sends items whose places, component `name`, and colours are fixed or change from time to time."""
-        fixed: dict[str, Any] = dict(style)
-        varying: dict[str, Any] = {}
-        places, items = (fixed, rows) if isinstance(rows, np.ndarray) else (varying, _stack(rows))
-        places[name] = items
-        if half_size is not None:
-            places["half_sizes"] = np.full_like(items, half_size)
-        counts = [len(rows)] * len(self.times) if isinstance(rows, np.ndarray) else [len(row) for row in rows]
         if len(colors) and np.ndim(colors[0]) == 0:
             fixed["colors"] = [colors]
         else:
-            shades = list(colors) if not len(colors) or np.ndim(colors[0]) == 2 else [colors] * len(counts)
-            varying["colors"] = _stack(shades).astype(np.uint8)
+            varying["colors"] = _stack(list(colors)).astype(np.uint8)
         self.static(path, archetype.from_fields(**fixed))
-        if varying:
-            self.columns(path, archetype.columns(**varying).partition(counts))
+        self.columns(path, archetype.columns(**varying).partition([len(row) for row in rows]))
 
     def label(self, path: str, text: str, color: Color, position: Sequence[float]) -> None:
         """Sends a text at a position, m, that holds at all times."""
@@ -231,27 +216,7 @@ def xyzw(X: RigidTransform) -> np.ndarray:
     return np.roll(X.rotation().ToQuaternion().wxyz(), -1)
 
 
-def quaternions(R: np.ndarray) -> np.ndarray:
-    """Unit quaternions (..., 4), xyzw, of valid rotation matrices (..., 3, 3).
-
-    `scipy.spatial.transform.Rotation` takes several times as long, mostly to check the matrices.
-    """
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(R, (-2, -1), (0, 1))
-    # Every row is the quaternion times four times one of its elements; the largest one is exact.
-    rows = np.array(
-        [
-            [1 + xx - yy - zz, xy + yx, zx + xz, zy - yz],
-            [xy + yx, 1 - xx + yy - zz, yz + zy, xz - zx],
-            [zx + xz, yz + zy, 1 - xx - yy + zz, yx - xy],
-            [zy - yz, xz - zx, yx - xy, 1 + xx + yy + zz],
-        ]
-    )
-    largest = np.argmax(np.einsum("ii...->i...", rows), axis=0)
-    q = np.take_along_axis(rows, largest[None, None], axis=0)[0]
-    return np.moveaxis(q / np.linalg.norm(q, axis=0), 0, -1)
-
-
-def _stack(rows: Sequence[np.ndarray]) -> np.ndarray:
+def _stack(rows: Sequence) -> np.ndarray:
     return np.concatenate(rows) if len(rows) else np.empty((0, 3))
 
 

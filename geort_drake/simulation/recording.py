@@ -23,6 +23,7 @@ from geort_drake.rerun import (
     PointsSpec,
     RerunRecorder,
     SignalSpec,
+    Spec,
     StateSpec,
     add_rerun_recorder,
 )
@@ -90,20 +91,20 @@ def add_grasp_recorder(
         """(T, F) mm, from (T, 4n): commanded q and v, then measured q and v."""
         return 1e3 * np.linalg.norm(fingertips(states[:, 2 * n : 3 * n]) - fingertips(states[:, :n]), axis=2)
 
-    signals = {
+    specs: dict[str, Spec] = {
         "fingertips/distance": SignalSpec(
             [commanded["joints"], measured["joints"]], fingers, title="fingertip from its command", unit="mm",
             page=_FINGERS, colors=colors, derive=distance,
         ),
     }  # fmt: skip
     for key, model in models.items():
-        signals |= _joint_signals(plant, model, key, names[key], commanded[key], measured[key])
-    states = {"grasp": StateSpec(monitor.GetOutputPort("phase"), [p.name.lower() for p in GraspPhase])}
+        specs |= _joint_signals(plant, model, key, names[key], commanded[key], measured[key])
+    specs["grasp"] = StateSpec(monitor.GetOutputPort("phase"), [p.name.lower() for p in GraspPhase])
     is_operator = isinstance(source, SimulatedOperator)
     if is_operator:
-        states["operator"] = StateSpec(source.GetOutputPort("phase"), [p.name.lower() for p in Phase])
+        specs["operator"] = StateSpec(source.GetOutputPort("phase"), [p.name.lower() for p in Phase])
     links = dict(zip(fingers, finger_links(plant, description, hand), strict=True))
-    human = HandSpec(
+    specs["human"] = HandSpec(
         hand_source.GetOutputPort("keypoints"),
         hand_source.GetOutputPort("wrist_pose"),
         # The operator's hand is never lost.
@@ -111,21 +112,19 @@ def add_grasp_recorder(
         X_WO=X_WHand,
     )
     base = plant.GetFrameByName(description.base_frame, hand)
-    points = {
-        # Translucent and slightly larger than the fingertips, which are inside while they follow.
-        "fingertips/commanded": PointsSpec(
-            commanded["joints"],
-            base,
-            radius=1.25 * max(finger.tip_radius for finger in description.fingers),
-            color=[(*color, 130) for color in colors],
-            derive=lambda states: fingertips(states[:, :n]).reshape(len(states), -1),
-        ),
-        "object/path": _path(plant, object_body),
-    }
+    # Translucent and slightly larger than the fingertips, which are inside while they follow.
+    specs["fingertips/commanded"] = PointsSpec(
+        commanded["joints"],
+        base,
+        radius=1.25 * max(finger.tip_radius for finger in description.fingers),
+        color=[(*color, 130) for color in colors],
+        derive=lambda states: fingertips(states[:, :n]).reshape(len(states), -1),
+    )
+    specs["object/path"] = _path(plant, object_body)
     if seen:
         start = scenario.operator.visual_delay
-        points["seen/fingertips"] = PointsSpec(seen["fingertips"], None, 0.008, _SEEN_COLOR, start=start)
-        points["seen/object"] = PointsSpec(
+        specs["seen/fingertips"] = PointsSpec(seen["fingertips"], None, 0.008, _SEEN_COLOR, start=start)
+        specs["seen/object"] = PointsSpec(
             seen["object_pose"], None, 0.015, _SEEN_COLOR, start=start, derive=lambda X: X[:, 4:]
         )
     return add_rerun_recorder(
@@ -133,13 +132,10 @@ def add_grasp_recorder(
         plant,
         scene_graph,
         path,
+        specs,
         period=scenario.recording.period,
         # Long arrows, so that the few newtons of a grasp are visible.
         contact=ContactSpec(groups=links, metres_per_newton=0.04, max_length=0.2),
-        signals=signals,
-        hands={"human": human},
-        points=points,
-        states=states,
         close_ups=_close_ups(plant, description, object_body, fingertips),
         # From the thumb's side, where nothing hides what the hand holds.
         view_from=(0.62, 0.62 if description.side == "left" else -0.62, 0.48),
