@@ -5,8 +5,6 @@ import os
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import rerun as rr
-import rerun.blueprint as rrb
 from pydrake.math import RigidTransform
 
 from geort_drake.colours import SKIN, Color, finger_colors
@@ -74,8 +72,7 @@ def write_exploration(
         blueprint=views.blueprint(_layout(list(methods))),
         properties=properties,
     ) as writer:
-        about = rr.TextDocument(_text(hands, methods, pinches), media_type="text/markdown")
-        writer.static("/about", about)
+        writer.text("/about", _text(hands, methods, pinches))
         writer.at(hands.t)
         _write_human(writer, hand, p_HK, tips, pinches)
         for number, (color, (name, answers)) in enumerate(
@@ -145,19 +142,19 @@ def _layout(methods: Sequence[str]) -> views.View:
     distance = max(0.42, 0.08 + 0.62 * _SPACING * (len(methods) + 1))
     eye = middle + np.array([distance, 0.0, 0.2 * distance])
     lanes = [entity_path(name) for name in (_PINCH_LANE, *methods)]
-    left = rrb.Vertical(
+    left = views.Vertical(
         views.scene_view(eye, middle, "recorded hand and robot hands"),
-        rrb.StateTimelineView(origin="/", contents=lanes, name="pinches and collisions"),
+        views.StateTimelineView(origin="/", contents=lanes, name="pinches and collisions"),
         row_shares=[1.0, views.lanes_share(len(lanes), 1.0)],
     )
-    right = rrb.Vertical(
-        rrb.TextDocumentView(origin="/about", name="what you see"),
+    right = views.Vertical(
+        views.TextDocumentView(origin="/about", name="what you see"),
         views.time_series("fingertips against a proportional copy [mm]", ["/error/**"]),
         views.time_series("direction of motion kept (cosine)", ["/motion/**"]),
         views.time_series("nearest thumb and finger [mm]", ["/gap/**"]),
         row_shares=[2.3, 1.2, 1.0, 1.0],
     )
-    return rrb.Horizontal(left, right, column_shares=[5, 3])
+    return views.Horizontal(left, right, column_shares=[5, 3])
 
 
 def _text(hands: Recording, methods: Mapping[str, Answers], pinches: Pinches) -> str:

@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import rerun as rr
-import rerun.blueprint as rrb
 import torch
 from pydrake.math import RigidTransform
 from scipy.spatial import cKDTree
@@ -22,7 +20,7 @@ from geort_drake.people.recording import Recording
 from geort_drake.rerun import blueprint as views
 from geort_drake.rerun.robot_hand import write_robot_hand
 from geort_drake.rerun.streams import Property, file_writer
-from geort_drake.rerun.writer import PALETTE, STEPS, Writer
+from geort_drake.rerun.writer import PALETTE, STEPS, LineStrips3D, Points3D, Writer
 from geort_drake.retargeting.clouds import voxel_centres, voxel_thinned
 from geort_drake.retargeting.training.map_figures import coverage, motion_preservation
 
@@ -110,8 +108,7 @@ class TrainingRecorder:
             properties=properties,
             timeline=STEPS,
         ) as writer:
-            about = rr.TextDocument(_TEXT.format(**properties), media_type="text/markdown")
-            writer.static("/about", about)
+            writer.text("/about", _TEXT.format(**properties))
             writer.at(np.array([line["step"] for line in self._losses], dtype=np.int64))
             for i, name in enumerate(names):
                 writer.series(f"/losses/{name}", [name], losses[:, [i]], PALETTE[i % len(PALETTE) :], 1.5)
@@ -166,10 +163,10 @@ class TrainingScene:
         write_robot_hand(writer, _ROBOT, self._hand, q, X_WB)
         for i, (name, color) in enumerate(self._fingers):
             cloud = self._shown(voxel_thinned(self._frames[:, i], _VOXEL))
-            writer.static(f"{_HUMAN}/cloud/{name}", rr.Points3D(cloud, radii=_DOT, colors=[color]))
+            writer.static(f"{_HUMAN}/cloud/{name}", Points3D(cloud, radii=_DOT, colors=[color]))
             lattice = self._lattices[i]
             lines = self._shown(lattice.segments(lattice.nodes))
-            strips = rr.LineStrips3D(lines, radii=_LATTICE_RADIUS, colors=[color])
+            strips = LineStrips3D(lines, radii=_LATTICE_RADIUS, colors=[color])
             writer.static(f"{_HUMAN}/lattice/{name}", strips)
             nodes = [self._fingertips(answer(lattice.hands))[:, i] for answer in maps]
             rows = [self._shown(lattice.segments(of_step)) for of_step in nodes]
@@ -245,11 +242,11 @@ def _blueprint(steps: int, losses: np.ndarray) -> Any:
     margin = 0.05 * max(high - low, 1e-6)
     # The axis is longer than the training, to leave room for the legend.
     shown = round(1.7 * steps), (low - margin, high + margin)
-    below = rrb.Horizontal(
-        rrb.TextDocumentView(origin="/about", name="what you see"),
-        rrb.Vertical(rrb.Horizontal(*criteria[:3]), rrb.Horizontal(*criteria[3:]), name="criteria"),
+    below = views.Horizontal(
+        views.TextDocumentView(origin="/about", name="what you see"),
+        views.Vertical(views.Horizontal(*criteria[:3]), views.Horizontal(*criteria[3:]), name="criteria"),
         views.time_series("losses", ["/losses/**"], "right", *shown),
         column_shares=[4, 6, 4],
     )
-    layout = rrb.Vertical(rrb.Horizontal(*scenes), below, row_shares=[5, 4])
+    layout = views.Vertical(views.Horizontal(*scenes), below, row_shares=[5, 4])
     return views.blueprint(layout, STEPS, max(steps / _PLAYING_TIME, 1.0))

@@ -4,8 +4,6 @@ import os
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import rerun as rr
-import rerun.blueprint as rrb
 
 from geort_drake.colours import FINGER_COLOURS, SKIN, finger_colors, rgb
 from geort_drake.hands.model import HandModel
@@ -15,7 +13,7 @@ from geort_drake.people.recording import Recording, newest
 from geort_drake.rerun import blueprint as views
 from geort_drake.rerun.robot_hand import write_robot_hand
 from geort_drake.rerun.streams import file_writer
-from geort_drake.rerun.writer import SOLID, Writer, entity_path
+from geort_drake.rerun.writer import SOLID, LineStrips3D, Writer, entity_path
 
 _RATE, _FRAMES_PER_JOINT = 30.0, 24  # of a robot hand: frames per second, and for each joint
 _AXES = {"x": (230, 60, 60), "y": (60, 180, 60), "z": (60, 90, 230)}
@@ -46,9 +44,9 @@ def write_hand(
     ]
     if states:
         lanes = [entity_path(key) for key in states]
-        plots.append(rrb.StateTimelineView(origin="/", contents=lanes, name="phase"))
+        plots.append(views.StateTimelineView(origin="/", contents=lanes, name="phase"))
     scene = views.scene_view((0.34, -0.30, 0.33), (0.02, 0.0, 0.09))
-    layout = views.blueprint(rrb.Horizontal(scene, rrb.Vertical(*plots), column_shares=[3, 2]))
+    layout = views.blueprint(views.Horizontal(scene, views.Vertical(*plots), column_shares=[3, 2]))
     with file_writer(
         path,
         application_id="geort_drake_hand",
@@ -91,7 +89,7 @@ def write_joint_sweep(hand: HandModel, path: str | os.PathLike) -> None:
 def _write_marks(writer: Writer, hand: HandModel, tips: np.ndarray) -> None:
     for number, (axis, color) in enumerate(_AXES.items()):
         line = [[np.zeros(3), _AXIS_LENGTH * np.eye(3)[number]]]
-        writer.static(f"/world/hand_base/{axis}", rr.LineStrips3D(line, radii=0.002, colors=[color]))
+        writer.static(f"/world/hand_base/{axis}", LineStrips3D(line, radii=0.002, colors=[color]))
     for number, finger in enumerate(hand.description.fingers):
         # Translucent, around the tip that the model draws.
         translucent = (*rgb(FINGER_COLOURS[finger.name]), 130)

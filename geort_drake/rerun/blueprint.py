@@ -13,6 +13,9 @@ from geort_drake.rerun.writer import TIMELINE, WORLD
 _BACKGROUND, _GRID = (70, 76, 88), (92, 99, 112, 255)
 # px in the viewer: title and ruler of a view of lanes, one lane, and the views in a window of 720 px.
 _RULER, _LANE, _WINDOW = 48, 40, 650
+# For layouts in other packages, which do not import Rerun.
+Horizontal, Vertical, Tabs = rrb.Horizontal, rrb.Vertical, rrb.Tabs
+TextDocumentView, StateTimelineView = rrb.TextDocumentView, rrb.StateTimelineView
 View = rrb.Container | rrb.View
 Vector = Sequence[float] | np.ndarray
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 from pydrake.math import RigidTransform
+from rerun import LineStrips3D, Points3D
 from scipy.spatial.transform import Rotation
 
 from geort_drake.colours import FINGER_COLOURS, Color, rgb
@@ -69,6 +70,10 @@ class Writer:
         if len(index.as_arrow_array()):
             self._stream.send_columns(path, [index], columns, strict=True)
 
+    def text(self, path: str, markdown: str) -> None:
+        """Sends a text that holds at all times."""
+        self.static(path, rr.TextDocument(markdown, media_type="text/markdown"))
+
     def poses(self, paths: Sequence[str], X: np.ndarray) -> None:
         """Sends poses X (T, B, 3, 4) of B entities in their parents' frames; any with a NaN is left out."""
         finite = np.isfinite(X).all(axis=(2, 3))
@@ -129,7 +134,7 @@ class Writer:
             fill: SOLID or CAGE for balls, which can be translucent; by default dots, which are opaque.
         """
         if fill is None:
-            self._items(path, rr.Points3D, {"positions": _stack(rows)}, {"radii": [radius]}, rows, colors)
+            self._items(path, Points3D, {"positions": _stack(rows)}, {"radii": [radius]}, rows, colors)
         else:
             centers = _stack(rows)
             balls = {"centers": centers, "half_sizes": np.full_like(centers, radius)}
@@ -138,7 +143,7 @@ class Writer:
 
     def lines(self, path: str, rows: Sequence[np.ndarray], radius: float, colors: Colors) -> None:
         """Sends line segments (k, 2, 3), m, where k may change from time to time."""
-        self._items(path, rr.LineStrips3D, {"strips": _stack(rows)}, {"radii": [radius]}, rows, colors)
+        self._items(path, LineStrips3D, {"strips": _stack(rows)}, {"radii": [radius]}, rows, colors)
 
     def _items(
         self,
@@ -158,9 +163,7 @@ class Writer:
 
     def label(self, path: str, text: str, color: Color, position: Sequence[float]) -> None:
         """Sends a text at a position, m, that holds at all times."""
-        self.static(
-            path, rr.Points3D([position], labels=[text], show_labels=True, radii=[0.0], colors=[color])
-        )
+        self.static(path, Points3D([position], labels=[text], show_labels=True, radii=[0.0], colors=[color]))
 
     def human_hand(self, path: str, p_WK: np.ndarray, color: Color) -> None:
         """Sends a human hand of keypoints p_WK (T, 21, 3), m; hands with a NaN are not drawn.
@@ -175,7 +178,7 @@ class Writer:
         colors = np.tile((0.72 * skin).astype(np.uint8), (21, 1))
         for finger, tip in TIP_KEYPOINT.items():
             colors[tip], radii[tip] = rgb(FINGER_COLOURS[finger]), 1.3 * radii[tip]
-        self.static(points, rr.Points3D.from_fields(radii=radii, colors=colors))
+        self.static(points, Points3D.from_fields(radii=radii, colors=colors))
         p_WK = np.reshape(p_WK, (-1, 21, 3))
         R_WH, p_WH = wrist_pose(p_WK)
         self.poses([f"{path}/{HAND_FRAME}"], np.concatenate([R_WH, p_WH[..., None]], axis=2)[:, None])
@@ -191,7 +194,7 @@ class Writer:
             quaternions=_turn_z_to(along.reshape(-1, 3)),
         )
         self.columns(bones, capsules.partition(20 * count))
-        self.columns(points, rr.Points3D.columns(positions=p_WK.reshape(-1, 3)).partition(21 * count))
+        self.columns(points, Points3D.columns(positions=p_WK.reshape(-1, 3)).partition(21 * count))
 
     def close(self) -> None:
         """Ends the recording; a viewer that does not receive the last data in time causes a warning."""
