@@ -1,4 +1,4 @@
-"""Links without collision geometry get hulls of their visual geometry, in every format."""
+"""Links without collision geometry collide with their visual geometry, in every format."""
 
 import re
 
@@ -10,7 +10,7 @@ from pydrake.geometry import Role
 from geort_drake.cli import run_command
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.importers.checks import examine
-from geort_drake.hands.importers.conversion import add_hulls
+from geort_drake.hands.importers.conversion import add_collisions
 from geort_drake.hands.importers.fingertips import surface_points
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.hands.model import HandModel
@@ -52,34 +52,21 @@ def reach(hand: HandModel, link: str, role: Role) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["urdf", "sdf", "xml"])
-def test_links_get_one_hull_each(kind, tmp_path):
-    """As large as the visual geometry of the welded links together; the checks then find no fault."""
+def test_bare_links_collide_with_what_is_drawn(kind, tmp_path):
+    """Collision geometry is as large as the visual geometry; the checks then find no fault."""
     model = drawn_alone(tmp_path, kind)
     before = HandModel(propose(model).description)
     assert "--hulls" in examine(before)[0]
-    given = add_hulls(model)
-    wanted = ["palm"] + [f"{f}_l{n}" for f in ("thumb", "index", "middle") for n in range(4)]
-    assert sorted(given) == sorted(set(wanted) - {"thumb_l0", "thumb_l3", "index_l0", "middle_l0"})
+    given = add_collisions(model)
+    drawn = ["palm", *(f"{f}_l{n}" for f in ("thumb", "index", "middle") for n in range(4))]
+    bare = {"thumb_l0", "thumb_l3", "index_l0", "middle_l0"}
+    assert set(given) == set(drawn) - bare | ({"nail"} if kind in PARTS else set())
     hand = HandModel(propose(model).description)
     for link in given:
-        found, drawn = (reach(hand, link, role) for role in (Role.kProximity, Role.kIllustration))
-        np.testing.assert_allclose(found, drawn, atol=1e-6)
+        found, wanted = (reach(hand, link, role) for role in (Role.kProximity, Role.kIllustration))
+        np.testing.assert_allclose(found, wanted, atol=1e-6)
     assert not any("without collision" in text or "no collision" in text for text in examine(hand))
-    assert add_hulls(model) == []
-
-
-def test_flat_links_get_no_hull(tmp_path):
-    """A mesh in one plane has no volume; the other links get theirs."""
-    model = drawn_alone(tmp_path, "urdf")
-    (tmp_path / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    text = model.read_text()
-    begin = text.index('<visual><origin xyz="', text.index('<link name="index_l2">'))
-    end = text.index("</visual>", begin)
-    flat = '<visual><geometry><mesh filename="flat.obj"/></geometry>'
-    model.write_text(text[:begin] + flat + text[end:], encoding="utf-8")
-    given = add_hulls(model)
-    assert "index_l1" in given
-    assert "index_l2" not in given
+    assert add_collisions(model) == []
 
 
 def test_the_command_describes_a_copy(tmp_path):
@@ -91,4 +78,4 @@ def test_the_command_describes_a_copy(tmp_path):
     run_command("add-hand", [str(model), "--hulls", "--output", str(output), "--quiet"])
     assert model.read_bytes() == before
     hand = HandModel(load_hand(output))
-    assert hand.scene_graph.model_inspector().NumGeometriesWithRole(Role.kProximity) == 9
+    assert hand.scene_graph.model_inspector().NumGeometriesWithRole(Role.kProximity) == 13

@@ -8,16 +8,12 @@ import numpy as np
 import pytest
 from hand_family import HandSpec, write_hand
 from pydrake.geometry import Role
-from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake.errors import HandError
-from geort_drake.hands.importers.conversion import convert_model, drake_misreadings
+from geort_drake.hands.assembly import parse_model
 from geort_drake.hands.importers.couplings import read_couplings, tendon_couplings
 from geort_drake.hands.importers.proposal import propose
-from geort_drake.hands.mjcf import inherit_defaults
-from geort_drake.hands.model import HandModel
 
 
 def tree(body: str, head: str = "") -> ET.Element:
@@ -25,20 +21,23 @@ def tree(body: str, head: str = "") -> ET.Element:
 
 
 def test_settings_reach_inner_classes(tmp_path):
-    """Axis, limits, gain and size, through a class without a joint, geom or motor."""
-    model = tree(
-        '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><joint name="j" class="c"/><geom class="c"/>',
-        '<compiler angle="radian"/><default><default class="a"><joint axis="1 0 0" range="0 1"/>'
+    """Axis, limits, gain and size, through a class without a joint, geom or motor, in an included file."""
+    (tmp_path / "classes.xml").write_text(
+        '<mujoco><default><default class="a"><joint axis="1 0 0" range="0 1"/>'
         '<geom type="sphere" size="0.03"/><position kp="7"/>'
         '<default class="b"><site/><default class="c"><geom rgba="1 0 0 1"/></default></default>'
-        '</default></default><actuator><position joint="j" class="c"/></actuator>',
+        "</default></default></mujoco>",
+        encoding="utf-8",
     )
-    assert inherit_defaults(model) == ["c"]
-    model.set("model", "inherited")
+    model = tree(
+        '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><joint name="j" class="c"/><geom class="c"/>',
+        '<compiler angle="radian"/><include file="classes.xml"/><actuator><position joint="j" class="c"/>'
+        "</actuator>",
+    )
     path = tmp_path / "model.xml"
     path.write_text(ET.tostring(model, encoding="unicode"), encoding="utf-8")
     plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), time_step=0.001)
-    Parser(plant).AddModels(path)
+    parse_model(plant, path, "model")
     joint, inspector = plant.GetJointByName("j"), scene_graph.model_inspector()
     np.testing.assert_allclose(joint.revolute_axis(), [1, 0, 0])
     assert (joint.position_lower_limit(), joint.position_upper_limit()) == (0, 1)
@@ -46,26 +45,6 @@ def test_settings_reach_inner_classes(tmp_path):
     assert motor.get_controller_gains().p == 7
     (geometry,) = inspector.GetAllGeometryIds(Role.kProximity)
     assert inspector.GetShape(geometry).radius() == 0.03
-
-
-def test_a_converted_model_has_the_limits_of_its_classes(tmp_path):
-    """The original is refused, because Drake gives it no limits."""
-    plain = write_hand(tmp_path, HandSpec(3, "xml", mimic=False), "plain")
-    model = tmp_path / "hand.xml"
-    classes = (
-        '<default><default class="outer"><joint range="0 1.5"/><default class="between"><geom group="3"/>'
-        '<default class="inner"/></default></default></default><worldbody>'
-    )
-    text = plain.read_text().replace('range="0.0 1.5"', 'class="inner"').replace("<worldbody>", classes)
-    model.write_text(text, encoding="utf-8")
-    (note,) = drake_misreadings(model)
-    assert note.endswith("the default classes inner")
-    hand = HandModel(propose(convert_model(model, tmp_path / "copy")).description)
-    expected = HandModel(propose(plain).description)
-    assert hand.joint_names == expected.joint_names
-    np.testing.assert_allclose([hand.lower, hand.upper], [expected.lower, expected.upper])
-    with pytest.raises(HandError, match=r"loses defaults of the classes inner; use .*geort-drake add-hand"):
-        propose(model)
 
 
 def tendon(coefficients: dict[str, float], settings: str = "", more: str = "") -> ET.Element:

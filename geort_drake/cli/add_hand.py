@@ -40,7 +40,7 @@ def add_arguments(parser: CommandParser) -> None:
     add("--output", type=Path, metavar="FILE", help=f"description to write (default: {folder}NAME.yaml)")
     add("--overwrite", action="store_true", help="replace the description if it exists")
     hulls = (
-        "write a copy in which links without collision geometry get the convex hull of their visual geometry"
+        "write a copy in which links without collision geometry collide with their visual geometry's hulls"
     )
     add("--hulls", action="store_true", help=hulls)
     add("--rrd", type=output_file(".rrd"), metavar="FILE", help="also write a Rerun recording of the hand")
@@ -85,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _describe(arguments: argparse.Namespace) -> "tuple[Path, HandDescription, list[str]]":
     """Writes a model's description; returns its path, the description and notes for the user."""
     from geort_drake.hands.description import write_description
-    from geort_drake.hands.importers.conversion import add_hulls, convert_model, drake_misreadings
+    from geort_drake.hands.importers.conversion import add_collisions, convert_model, unreadable_meshes
     from geort_drake.hands.importers.proposal import propose
 
     given = arguments.model
@@ -98,13 +98,14 @@ def _describe(arguments: argparse.Namespace) -> "tuple[Path, HandDescription, li
         raise OutputError(f"{path} exists; choose another --output, or give --overwrite")
     require_writable(path)
     model, notes = given, []
-    misread = drake_misreadings(given)
-    if misread or arguments.hulls:
+    meshes = ", ".join(mesh.name for mesh in unreadable_meshes(given))
+    if meshes or arguments.hulls:
         model = convert_model(given, path.with_name(f"{path.stem}_model"))
-        notes += [f"{what}; a corrected model is in {model.parent.name}" for what in misread]
+    if meshes:
+        notes.append(f"in the copy in {model.parent.name}, convex hulls replace {meshes}")
     if arguments.hulls:
-        links = ", ".join(add_hulls(model))
-        notes.append(f"links that got the convex hull of their visual geometry: {links or 'none'}")
+        links = ", ".join(add_collisions(model))
+        notes.append(f"links that got collisions from their visual geometry: {links or 'none'}")
     proposal = propose(model, name, arguments.palm)
     notes += proposal.notes
     write_description(

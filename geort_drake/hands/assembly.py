@@ -2,6 +2,7 @@
 
 import os
 import re
+import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -24,9 +25,15 @@ from pydrake.multibody.tree import (
 from pydrake.systems.framework import Context
 
 from geort_drake.errors import HandError
+from geort_drake.files import require_fetched
 from geort_drake.hands.couplings import JointCouplings, first_leader, leader_range
 from geort_drake.hands.description import HandDescription
-from geort_drake.hands.model_files import check_model_values, model_files, require_fetched_meshes
+from geort_drake.hands.model_files import (
+    check_model_values,
+    mesh_elements,
+    model_files,
+    read_model,
+)
 from geort_drake.resources import PACKAGE_NAME, resolve_uri, resource_root
 
 
@@ -119,13 +126,19 @@ def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstance
         HandError: the file is not one model that Drake reads, or holds bad values; or it or a mesh is a Git
             LFS pointer.
     """
-    require_fetched_meshes(path)
+    tree = read_model(path)
+    for _, mesh in mesh_elements(path, tree):
+        if mesh.is_file():
+            require_fetched(mesh, HandError)
     parser = Parser(plant)
     packages = parser.package_map()
     packages.Add(PACKAGE_NAME, str(resource_root()))
     _add_packages(packages, path)
     try:
-        (hand,) = parser.AddModels(path)
+        if tree.tag == "mujoco":
+            (hand,) = parser.AddModelsFromString(ET.tostring(tree, encoding="unicode"), "xml")
+        else:
+            (hand,) = parser.AddModels(path)
     except (RuntimeError, ValueError, SystemExit) as error:  # a failed assertion of Drake exits
         raise HandError(f"{source}: not one readable model: {error}") from error
     scene_graph = parser.scene_graph()

@@ -1,13 +1,14 @@
 """Links, serial chains and fingertips of a hand in a Drake plant."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, Frame, Joint, ModelInstanceIndex, RigidBody, WeldJoint
+from pydrake.multibody.tree import BodyIndex, Frame, Joint, ModelInstanceIndex, RigidBody
+from pydrake.systems.framework import Context
 
 from geort_drake.errors import HandError
 from geort_drake.hands.couplings import JointCouplings, followers
@@ -17,18 +18,19 @@ if TYPE_CHECKING:
     from geort_drake.retargeting.training.kinematics import FingerChain
 
 
-def inboard_joints(plant: MultibodyPlant, model: ModelInstanceIndex | None = None) -> dict[BodyIndex, Joint]:
-    """The joint towards the base of each link, of one model or of all."""
-    indices = plant.GetJointIndices() if model is None else plant.GetJointIndices(model)
-    return {joint.child_body().index(): joint for joint in map(plant.get_joint, indices)}
+def joint_paths(plant: MultibodyPlant, model: ModelInstanceIndex) -> dict[BodyIndex, tuple[Joint, ...]]:
+    """The joints of a model, welds included, from its base to each of its links."""
+    joints = map(plant.get_joint, plant.GetJointIndices(model))
+    inboard = {joint.child_body().index(): joint for joint in joints}
+    paths: dict[BodyIndex, tuple[Joint, ...]] = {}
 
+    def path(body: BodyIndex) -> tuple[Joint, ...]:
+        if body not in paths:
+            joint = inboard.get(body)
+            paths[body] = () if joint is None else (*path(joint.parent_body().index()), joint)
+        return paths[body]
 
-def moving_joint(link: RigidBody, inboard: Mapping[BodyIndex, Joint], names: Collection[str]) -> Joint | None:
-    """The nearest of the named joints between a link and the base; None if none of them moves the link."""
-    joint = inboard.get(link.index())
-    while joint is not None and joint.name() not in names:
-        joint = inboard.get(joint.parent_body().index())
-    return joint
+    return {body: path(body) for body in plant.GetBodyIndices(model)}
 
 
 def finger_links(
@@ -45,12 +47,11 @@ def finger_links(
         joint: number for number, finger in enumerate(description.fingers) for joint in finger.joints
     }
     finger_of |= {follower: finger_of[leader] for follower, leader, *_ in followers(description)}
-    inboard = inboard_joints(plant, hand)
     links: list[list[RigidBody]] = [[] for _ in description.fingers]
-    for link in map(plant.get_body, plant.GetBodyIndices(hand)):
-        joint = moving_joint(link, inboard, finger_of)
-        if joint is not None:
-            links[finger_of[joint.name()]].append(link)
+    for index, path in joint_paths(plant, hand).items():
+        fingers = [finger_of[joint.name()] for joint in path if joint.name() in finger_of]
+        if fingers:
+            links[fingers[-1]].append(plant.get_body(index))
     return links
 
 
@@ -125,40 +126,25 @@ def finger_chain(
 
     where = f"{source}: finger '{finger.name}'"
     couplings = JointCouplings.of(description)
-    moving: list[Joint] = []
-    poses: list[RigidTransform] = []
     tip = plant.GetBodyByName(finger.tip_link, base.model_instance())
-    X = RigidTransform()  # pose, in the current body, of the part towards the tip
-    p_tip = np.array(finger.tip_point)
-    body = tip
-    for joint in _joints_to_base(plant, tip, base, where):
-        X_PF = joint.frame_on_parent().GetFixedPoseInBodyFrame()
-        X_MC = joint.frame_on_child().GetFixedPoseInBodyFrame().inverse()
-        if isinstance(joint, WeldJoint):
-            X = X_PF @ joint.X_FM() @ X_MC @ X
-        else:
-            # The next part towards the tip is a joint's frame or the fingertip point.
-            if moving:
-                poses.append(X_MC @ X)
-            else:
-                p_tip = X_MC @ X @ p_tip
-            moving.append(joint)
-            X = X_PF
-        body = joint.parent_body()
-    if body.index() != base.body().index():
-        # The palm may consist of several welded links.
-        context = plant.CreateDefaultContext()
-        X = plant.CalcRelativeTransform(context, base.body().body_frame(), body.body_frame()) @ X
-    poses.append(base.GetFixedPoseInBodyFrame().inverse() @ X)
-    names = [joint.name() for joint in moving[::-1]]
+    moving = [
+        joint for joint in joint_paths(plant, base.model_instance())[tip.index()] if joint.num_positions()
+    ]
+    names = [joint.name() for joint in moving]
     own = [name for name in names if name not in couplings.names]
     if own != finger.joints:
         raise HandError(
             f"{where}: its joints must be listed base to tip; given: {', '.join(finger.joints)}; "
             f"between '{base.name()}' and '{finger.tip_link}' are: {', '.join(own) or 'none'}"
         )
-    X_PJ = np.stack([pose.GetAsMatrix4() for pose in poses[::-1]])
-    axes = np.stack([joint.revolute_axis() for joint in moving[::-1]])
+    context = plant.CreateDefaultContext()
+    X_PJ = np.empty((len(moving), 4, 4))
+    part = base  # the base, then the joint before
+    for number, joint in enumerate(moving):
+        X_PJ[number] = _fixed_pose(plant, context, part, joint.frame_on_parent()).GetAsMatrix4()
+        part = joint.frame_on_child()
+    p_tip = _fixed_pose(plant, context, part, tip.body_frame()) @ np.array(finger.tip_point)
+    axes = np.stack([joint.revolute_axis() for joint in moving])
     coupling = np.zeros((len(names), len(own)))
     for row, name in enumerate(names):
         if name in own:
@@ -186,16 +172,8 @@ def finger_chain(
     )
 
 
-def _joints_to_base(plant: MultibodyPlant, tip: RigidBody, base: Frame, where: str) -> list[Joint]:
-    """The joints from a link up to the links that are welded to the base."""
-    inboard = inboard_joints(plant)
-    still = {body.index() for body in plant.GetBodiesWeldedTo(base.body())}
-    path: list[Joint] = []
-    body = tip
-    while body.index() not in still:
-        joint = inboard.get(body.index())
-        if joint is None:
-            raise HandError(f"{where}: link '{tip.name()}' is not connected to '{base.name()}'")
-        path.append(joint)
-        body = joint.parent_body()
-    return path
+def _fixed_pose(plant: MultibodyPlant, context: Context, part: Frame, other: Frame) -> RigidTransform:
+    """The pose of another frame in a part's, which links or welds hold together."""
+    if part.body().index() == other.body().index():
+        return part.GetFixedPoseInBodyFrame().inverse() @ other.GetFixedPoseInBodyFrame()
+    return plant.CalcRelativeTransform(context, part, other)

@@ -28,7 +28,7 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.tree import BodyIndex, Frame, JacobianWrtVariable, RigidBody
 from pydrake.systems.framework import Context
 
-from geort_drake.hands.chains import inboard_joints, moving_joint
+from geort_drake.hands.chains import joint_paths
 from geort_drake.hands.collision_shapes import unsupported_shape
 from geort_drake.hands.model import HandModel
 
@@ -119,16 +119,12 @@ class HandClearance:
 
     def _read_chains(self) -> None:
         """Finds which joints move which geometry, and the few links whose Jacobians cover all joints."""
-        inboard = inboard_joints(self._plant)
         names, plant = self._names, self._plant
+        paths = joint_paths(plant, self._hand.instance)
         movers: dict[BodyIndex, np.ndarray] = {}
         for index in plant.GetBodyIndices(self._hand.instance):
-            moves = np.zeros(len(names), dtype=int)
-            joint = moving_joint(plant.get_body(index), inboard, names)
-            while joint is not None:
-                moves[names.index(joint.name())] = 1
-                joint = moving_joint(joint.parent_body(), inboard, names)
-            movers[index] = moves
+            path = {joint.name() for joint in paths[index]}
+            movers[index] = np.array([name in path for name in names], dtype=int)
         geometries = [
             (geometry, movers[index])
             for index in movers

@@ -3,10 +3,10 @@
 from typing import TYPE_CHECKING
 
 import numpy as np
-from pydrake.geometry import Box, CalcObb, Capsule, Convex, Cylinder, Mesh, Role, Shape, Sphere
+from pydrake.geometry import Box, CalcObb, CalcVolume, Capsule, Convex, Cylinder, Mesh, Role, Shape, Sphere
 
 from geort_drake.errors import HandError
-from geort_drake.hands.chains import inboard_joints, moving_joint
+from geort_drake.hands.chains import joint_paths
 from geort_drake.hands.model import HandModel
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def collision_shapes(hand: HandModel) -> "CollisionShapes":
     plant, inspector = hand.plant, hand.scene_graph.model_inspector()
     context = plant.CreateDefaultContext()
     moving = list(hand.kinematics().uncoupled()[0].joint_names)
-    inboard = inboard_joints(plant)
+    paths = joint_paths(plant, hand.instance)
     joint, X_JS, half, radius, source = [], [], [], [], []
     for geometry in sorted(inspector.GetAllGeometryIds(Role.kProximity), key=lambda id: id.get_value()):
         body = plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
@@ -37,13 +37,13 @@ def collision_shapes(hand: HandModel) -> "CollisionShapes":
         X_WS = plant.EvalBodyPoseInWorld(context, body).GetAsMatrix4() @ (
             inspector.GetPoseInFrame(geometry).GetAsMatrix4()
         )
-        mover = moving_joint(body, inboard, moving)
-        if mover is None:
+        movers = [each for each in paths[body.index()] if each.name() in moving]
+        if not movers:
             X_WJ = np.eye(4)  # the hand base is welded to the world
         else:
-            X_WJ = mover.frame_on_child().CalcPoseInWorld(context).GetAsMatrix4()
+            X_WJ = movers[-1].frame_on_child().CalcPoseInWorld(context).GetAsMatrix4()
         for X_GS, half_edges, r in _parts(inspector.GetShape(geometry), inspector.GetName(geometry)):
-            joint.append(-1 if mover is None else moving.index(mover.name()))
+            joint.append(moving.index(movers[-1].name()) if movers else -1)
             X_JS.append(np.linalg.inv(X_WJ) @ X_WS @ X_GS)
             half.append(half_edges)
             radius.append(r)
@@ -80,10 +80,7 @@ def _parts(shape: Shape, name: str) -> list[tuple[np.ndarray, tuple[float, float
                 parts.append((X, (0.0, 0.0, 0.0), shape.radius()))
         return parts
     if isinstance(shape, Convex | Mesh):
-        from scipy.spatial import ConvexHull  # only meshes need it
-
-        box, hull = CalcObb(shape), shape.GetConvexHull()
-        volume = ConvexHull([hull.vertex(i) for i in range(hull.num_vertices())]).volume
+        box, volume = CalcObb(shape), CalcVolume(Convex(shape.source(), shape.scale3()))
         half = box.half_width()
         return [(box.pose().GetAsMatrix4(), tuple(half * np.cbrt(volume / (8.0 * half.prod()))), 0.0)]
     raise unsupported_shape(shape, name)

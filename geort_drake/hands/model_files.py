@@ -1,5 +1,6 @@
 """The files of a hand's model: reading them, finding meshes and includes, and checking their values."""
 
+import copy
 import hashlib
 import math
 import re
@@ -13,7 +14,6 @@ from pydrake.multibody.tree import ModelInstanceIndex
 
 from geort_drake.errors import HandError
 from geort_drake.files import require_fetched, sha256_of
-from geort_drake.hands.mjcf import inherit_defaults
 
 _MODEL_SUFFIXES = (".sdf", ".urdf", ".xml", ".mjcf")
 _PRODUCTS_OF_INERTIA = ("ixy", "ixz", "iyz")
@@ -29,11 +29,28 @@ _BAD_VERTEX = re.compile(
 
 
 def read_model(path: Path) -> ET.Element:
-    """The XML of a URDF, SDF or MJCF file; MJCF with the files that it includes.
+    """The XML of a URDF, SDF or MJCF file.
+
+    MJCF comes with its includes, with absolute names of meshes, and with default classes that are whole:
+    Drake 1.51 inherits an element's settings only if the inner class has such an element itself. Through a
+    class without one, joints, geoms and actuators lose axes, limits, sizes and gains.
 
     Raises:
         HandError: the file is missing, a Git LFS pointer or not XML.
     """
+    tree = _parsed(path)
+    if tree.tag == "mujoco":
+        tree.set("model", tree.get("model") or path.stem)  # Drake requires a name
+        for element, mesh in mesh_elements(path, tree):
+            set_mesh(element, mesh)
+        for outer in tree.iter("default"):  # outer classes come first
+            for inner in outer.findall("default"):
+                _inherit(inner, outer)
+    return tree
+
+
+def _parsed(path: Path) -> ET.Element:
+    """The XML of a file and of those that MJCF includes."""
     if not path.is_file():
         raise HandError(f"the model file {path} is missing")
     require_fetched(path, HandError)
@@ -51,8 +68,18 @@ def read_model(path: Path) -> ET.Element:
                 file = path.parent / include.get("file", "")
                 if file.is_file():
                     parent.remove(include)
-                    parent.extend(read_model(file))
+                    parent.extend(_parsed(file))
     return tree
+
+
+def _inherit(inner: ET.Element, outer: ET.Element) -> None:
+    """Adds what a default class lacks of the class around it."""
+    for settings in outer:
+        own = inner.find(settings.tag)
+        if settings.tag != "default" and own is None:
+            inner.append(copy.deepcopy(settings))
+        elif settings.tag != "default" and own is not None:
+            own.attrib = {**settings.attrib, **own.attrib}
 
 
 def mesh_elements(model: Path, tree: ET.Element) -> list[tuple[ET.Element, Path]]:
@@ -68,6 +95,18 @@ def mesh_elements(model: Path, tree: ET.Element) -> list[tuple[ET.Element, Path]
     return [(element, resolve_reference(model, name)) for element, name in named if name]
 
 
+def set_mesh(element: ET.Element, mesh: Path) -> None:
+    """Lets an element of a model name another mesh file, absolute."""
+    if element.tag == "uri":
+        element.text = f"file://{mesh}"
+    elif "filename" in element.attrib:
+        element.set("filename", f"file://{mesh}")
+    else:
+        # The default name of a mesh in MJCF is that of its file.
+        element.set("name", element.get("name") or Path(element.get("file", "")).stem)
+        element.set("file", str(mesh))
+
+
 def resolve_reference(model: Path, name: str) -> Path:
     """The file that a model names: relative to it, or of a package in one of the folders above it."""
     folder = model.resolve().parent
@@ -78,13 +117,6 @@ def resolve_reference(model: Path, name: str) -> Path:
             if place.is_dir():
                 return (place / (package[2] or "")).resolve()
     return (folder / name.removeprefix("file://")).resolve()
-
-
-def require_fetched_meshes(model: Path) -> None:
-    """Raises HandError if a model is not XML, or if it or a mesh that it names is a Git LFS pointer."""
-    for _, mesh in mesh_elements(model, read_model(model)):
-        if mesh.is_file():
-            require_fetched(mesh, HandError)
 
 
 def model_files(
@@ -134,19 +166,13 @@ def check_model_values(files: Iterable[Path], source: str) -> None:
         source: of the hand, for the message.
 
     Raises:
-        HandError: a mass, moment of inertia or size is negative or not finite; a product of inertia or a
-            vertex is not finite; or Drake loses defaults of an MJCF file.
+        HandError: a mass, moment of inertia or size is negative or not finite; or a product of inertia or a
+            vertex is not finite.
     """
     for file in files:
         if file.suffix.lower() in _MODEL_SUFFIXES:
-            tree = read_model(file)
-            for name, expected, given in _bad_values(tree):
+            for name, expected, given in _bad_values(read_model(file)):
                 raise HandError(f"{source}: {name} in {file.name} must be {expected}; given: {given[:60]}")
-            if tree.tag == "mujoco" and (classes := inherit_defaults(tree)):
-                raise HandError(
-                    f"{source}: in {file.name} Drake loses defaults of the classes {', '.join(classes)}; use "
-                    "the copy of the model that `geort-drake add-hand` writes"
-                )
         elif file.suffix.lower() == ".obj" and (found := _BAD_VERTEX.search(file.read_bytes())):
             line = found[0].decode(errors="replace").strip()
             raise HandError(

@@ -1,6 +1,5 @@
 """Couplings of joints in URDF, SDF and MJCF files, including the fixed tendons of MJCF."""
 
-import copy
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -9,7 +8,6 @@ from pathlib import Path
 
 from geort_drake.errors import HandError
 from geort_drake.hands.description import CouplingDescription
-from geort_drake.hands.mjcf import inherit_defaults
 from geort_drake.hands.model_files import read_model
 
 # The largest play to either side, rad, that a tendon's range leaves to joints that it couples.
@@ -87,8 +85,6 @@ def tendon_couplings(tree: ET.Element) -> list[TendonCoupling]:
     Raises:
         ValueError: a number is malformed.
     """
-    tree = copy.deepcopy(tree)
-    inherit_defaults(tree)
     driven = {motor.get("joint") for motor in _motors(tree)}
     pulled = {motor.get("tendon") for motor in _motors(tree)}
     fixed_lengths = {

@@ -1,12 +1,13 @@
 """Proposes a hand description for a model: fingers, fingertips, hand base, side, couplings and gains."""
 
+import dataclasses as dc
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
+from geort_drake.hands.assembly import position_limits
 from geort_drake.hands.description import (
     ActuationDescription,
     BasePoseDescription,
@@ -47,7 +48,7 @@ _LEFT_MOUNT = (0.0, 0.0, 90.0)
 _GAINS = ActuationDescription(stiffness=1.0, damping=0.1, effort_limit=1.0)
 
 
-@dataclass(frozen=True)
+@dc.dataclass(frozen=True)
 class Proposal:
     """A hand description, and notes for its user.
 
@@ -60,27 +61,28 @@ class Proposal:
     notes: list[str]
 
 
-@dataclass(frozen=True)
+@dc.dataclass(frozen=True)
 class _Finger:
-    """A chain with its tip, and how it lies and closes in the root link R.
+    """A chain, and how it lies and closes in the root link R.
 
-    `p_RF` (N, 3) are places of its tip at random postures, `p_stretched` is the farthest one, m.
+    `p_base` is its first joint, `p_RF` (N, 3) are places of its tip at random postures, `p_stretched` is the
+    farthest one, m.
     """
 
     chain: Chain
-    tip: Fingertip
+    p_base: np.ndarray
     p_stretched: np.ndarray
     p_RF: np.ndarray
 
     @property
     def direction(self) -> np.ndarray:
         """(3,) unit vector along the stretched finger."""
-        return _unit(self.p_stretched - self.chain.p_base)
+        return _unit(self.p_stretched - self.p_base)
 
     @property
     def length(self) -> float:
         """Of the stretched finger, m."""
-        return float(np.linalg.norm(self.p_stretched - self.chain.p_base))
+        return float(np.linalg.norm(self.p_stretched - self.p_base))
 
     @property
     def sideways(self) -> np.ndarray:
@@ -104,12 +106,26 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
     structure = read_structure(model.resolve(), palm)
     plant = structure.plant
     notes: list[str] = []
-    fingers = [_finger(structure, chain) for chain in structure.chains]
+    tips = [find_fingertip(structure, chain) for chain in structure.chains]
+    # In the frame R of the root link, under names that are yet to be found.
+    rough = HandDescription(
+        name=name or re.sub(r"\W+", "_", model.stem),
+        model=str(model.resolve()),
+        base_frame=structure.root,
+        fingers=[_describe(*each) for each in zip(FINGER_NAMES, structure.chains, tips, strict=False)],
+        couplings=[
+            CouplingDescription(c.joint, c.follows, round(c.ratio, 6), round(c.offset, 6))
+            for c in structure.couplings
+        ],
+    )
+    rough.default_positions = _default_positions(structure, rough)
+    hand = HandModel(rough)
+    fingers = _fingers(structure, hand)
     names, X_RB, side = _arrange(structure, fingers, notes)
     guessed: dict[str, list[str]] = {}
-    for finger, label in zip(fingers, names, strict=True):
-        if not finger.tip.source.startswith("a sphere"):
-            guessed.setdefault(finger.tip.source, []).append(f"{label} {1e3 * finger.tip.radius:.1f} mm")
+    for tip, label in zip(tips, names, strict=True):
+        if not tip.source.startswith("a sphere"):
+            guessed.setdefault(tip.source, []).append(f"{label} {1e3 * tip.radius:.1f} mm")
     notes += [f"tips and their radii come from {source}: {', '.join(of)}" for source, of in guessed.items()]
     for reason in dict.fromkeys(structure.held.values()):
         joints = ", ".join(f"'{joint}'" for joint, why in structure.held.items() if why == reason)
@@ -118,31 +134,24 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
     palm_link = structure.palm[0]
     X_PB = plant.EvalBodyPoseInWorld(plant.CreateDefaultContext(), palm_link).inverse() @ X_RB
     rpy_deg = np.rad2deg(RollPitchYaw(X_PB.rotation()).vector())
-    order = sorted(range(len(fingers)), key=lambda number: FINGER_NAMES.index(names[number]))
     taken = {plant.get_frame(index).name() for index in plant.GetFrameIndices(structure.hand)}
     base = next(
         f"{_BASE_NAME}{extra}" for extra in ("", *range(2, 100)) if f"{_BASE_NAME}{extra}" not in taken
     )
-    description = HandDescription(
-        name=name or re.sub(r"\W+", "_", model.stem),
-        model=str(model.resolve()),
+    described = [_describe(*each) for each in zip(names, structure.chains, tips, strict=True)]
+    description = dc.replace(
+        rough,
         side=side,
         base_frame=base,
         base_pose=BasePoseDescription(palm_link.name(), _rounded(X_PB.translation()), _rounded(rpy_deg, 2)),
-        fingers=[_describe(names[number], fingers[number]) for number in order],
-        couplings=[
-            CouplingDescription(c.joint, c.follows, round(c.ratio, 6), round(c.offset, 6))
-            for c in structure.couplings
-        ],
+        fingers=sorted(described, key=lambda finger: FINGER_NAMES.index(finger.name)),
+        ignored_collisions=sorted(
+            [a, b] for (a, b), share in contact_shares(hand).items() if share >= _PERMANENT_SHARE and a != b
+        ),
         actuation=_actuation(structure, notes),
     )
     if side == "left":
         description.mount.rpy_deg = list(_LEFT_MOUNT)
-    description.default_positions = _default_positions(structure)
-    shares = contact_shares(HandModel(description))
-    description.ignored_collisions = sorted(
-        [a, b] for (a, b), share in shares.items() if share >= _PERMANENT_SHARE and a != b
-    )
     hand = HandModel(description)
     start = _free_posture(hand)
     if start is None:
@@ -152,32 +161,36 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
     return Proposal(description, notes)
 
 
-def _finger(structure: HandStructure, chain: Chain) -> _Finger:
-    """Moves a chain through random postures, and stretches it."""
-    tip = find_fingertip(structure, chain)
-    tip_at = structure.kinematics(chain, tip.body, tip.point)
-    low, high = structure.limits(chain)
-    angles = np.random.default_rng(0).uniform(low, high, (_POSTURES, len(chain.joints)))
-    p_RF = tip_at(angles)
-    best = angles[np.linalg.norm(p_RF - chain.p_base, axis=1).argmax()]
-    # From the most stretched sample, stretch one joint after the other, from the tip to the base.
-    for joint in reversed(range(len(best))):
-        trials = np.tile(best, (_STRETCH_GRID, 1))
-        trials[:, joint] = np.linspace(low[joint], high[joint], _STRETCH_GRID)
-        if low[joint] < 0 < high[joint]:
-            trials[_STRETCH_GRID // 2, joint] = 0.0
-        reached = np.linalg.norm(tip_at(trials) - chain.p_base, axis=1)
-        # A joint that does not change the length, such as abduction, goes to zero.
-        flat = np.ptp(reached) < 0.02 * reached.max()
-        best[joint] = np.clip(0.0, low[joint], high[joint]) if flat else trials[reached.argmax(), joint]
-    return _Finger(chain, tip, tip_at(best[None])[0], p_RF)
+def _fingers(structure: HandStructure, hand: HandModel) -> list[_Finger]:
+    """Moves the hand through random postures, and stretches each finger."""
+    q = hand.sample(_POSTURES)
+    p_RF = hand.fingertips(q)
+    context = structure.plant.CreateDefaultContext()
+    fingers = []
+    for number, chain in enumerate(structure.chains):
+        first = structure.plant.GetJointByName(chain.joints[0], structure.hand)
+        p_base = first.frame_on_parent().CalcPoseInWorld(context).translation()
+        best = q[np.linalg.norm(p_RF[:, number] - p_base, axis=1).argmax()].copy()
+        # From the most stretched sample, stretch one joint after the other, from the tip to the base.
+        for joint in reversed([hand.joint_names.index(name) for name in chain.joints]):
+            low, high = hand.lower[joint], hand.upper[joint]
+            trials = np.tile(best, (_STRETCH_GRID, 1))
+            trials[:, joint] = np.linspace(low, high, _STRETCH_GRID)
+            if low < 0 < high:
+                trials[_STRETCH_GRID // 2, joint] = 0.0
+            reached = np.linalg.norm(hand.fingertips(trials)[:, number] - p_base, axis=1)
+            # A joint that does not change the length, such as abduction, goes to zero.
+            flat = np.ptp(reached) < 0.02 * reached.max()
+            best[joint] = np.clip(0.0, low, high) if flat else trials[reached.argmax(), joint]
+        fingers.append(_Finger(chain, p_base, hand.fingertips(best)[number], p_RF[:, number]))
+    return fingers
 
 
 def _arrange(
     structure: HandStructure, fingers: list[_Finger], notes: list[str]
 ) -> tuple[list[str], RigidTransform, str]:
     """The fingers' names, the pose X_RB of the hand base in the root link, and the side."""
-    p_base = np.array([finger.chain.p_base for finger in fingers])
+    p_base = np.array([finger.p_base for finger in fingers])
     directions = np.array([finger.direction for finger in fingers])
     named = fingers_by_name([finger.chain.names for finger in fingers])
     if named is not None and "thumb" in named:
@@ -247,26 +260,26 @@ def _snapped(R: np.ndarray, notes: list[str]) -> np.ndarray:
     return R
 
 
-def _describe(name: str, finger: _Finger) -> FingerDescription:
+def _describe(name: str, chain: Chain, tip: Fingertip) -> FingerDescription:
     return FingerDescription(
         name=name,
         human_keypoint=TIP_KEYPOINT[name],
-        joints=list(finger.chain.joints),
-        tip_link=finger.tip.body.name(),
-        tip_point=_rounded(finger.tip.point),
-        tip_radius=round(finger.tip.radius, 5),
+        joints=chain.joints,
+        tip_link=tip.body.name(),
+        tip_point=_rounded(tip.point),
+        tip_radius=round(tip.radius, 5),
     )
 
 
-def _default_positions(structure: HandStructure) -> dict[str, float]:
+def _default_positions(structure: HandStructure, description: HandDescription) -> dict[str, float]:
     """For joints whose default is outside their limits: a tenth of the range from the nearer limit."""
     positions = {}
-    for chain in structure.chains:
-        for name, low, high in zip(chain.joints, *structure.limits(chain), strict=True):
-            start = structure.plant.GetJointByName(name, structure.hand).get_default_angle()
-            if not low <= start <= high:
-                margin = 0.1 * (high - low)
-                positions[name] = round(float(low + margin if start < low else high - margin), 4)
+    limits = position_limits(structure.plant, description, structure.hand, f"model {structure.path}")
+    for name, low, high in zip(description.joint_names, *limits, strict=True):
+        start = structure.plant.GetJointByName(name, structure.hand).get_default_angle()
+        if not low <= start <= high:
+            margin = 0.1 * (high - low)
+            positions[name] = round(float(low + margin if start < low else high - margin), 4)
     return positions
 
 

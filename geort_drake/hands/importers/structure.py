@@ -1,22 +1,35 @@
-"""Finds the palm and the fingers of a hand's model."""
+"""Finds the palm and the fingers of a hand's model.
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+Links with the same movable joints between them and the root are welded together. So a tuple of joint names
+is a group of links, and a group carries those whose tuples begin with its own.
+"""
+
+import itertools
+from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
-from pydrake.multibody.tree import Joint, ModelInstanceIndex, RevoluteJoint, RigidBody
-from pydrake.systems.framework import Context, DiagramBuilder
+from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex, RevoluteJoint, RigidBody
+from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake.errors import HandError
-from geort_drake.hands.assembly import detach_from_world, parse_model, position_limits
-from geort_drake.hands.chains import PlantFingertips
+from geort_drake.errors import HandError, UnknownNameError
+from geort_drake.hands.assembly import detach_from_world, parse_model
+from geort_drake.hands.chains import joint_paths
 from geort_drake.hands.couplings import first_leader
-from geort_drake.hands.description import CouplingDescription, FingerDescription, HandDescription
+from geort_drake.hands.description import CouplingDescription
 from geort_drake.hands.importers.couplings import read_couplings
-from geort_drake.hands.importers.link_tree import MAX_FINGERS, LinkTree
+
+MAX_FINGERS = 5
+# A second branch of a finger is a finger itself if it has this many joints of its own.
+_OWN_JOINTS = 2
+# This many joints in a row that move several chains are an arm; folding palms have one.
+_ARM_JOINTS = 4
+_HAND_FINGERS = 3  # chains that make a link the palm of another hand
+
+Group = tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -28,17 +41,15 @@ class Chain:
         moving: these and their followers.
         bodies: the links that move with the last joint, first that joint's own link.
         names: of all its joints and links.
-        p_base: (3,) origin of the first joint in the root link R, m.
     """
 
-    joints: tuple[str, ...]
-    moving: tuple[str, ...]
-    bodies: tuple[RigidBody, ...]
-    names: tuple[str, ...]
-    p_base: np.ndarray
+    joints: list[str]
+    moving: list[str]
+    bodies: list[RigidBody]
+    names: list[str]
 
 
-@dataclass
+@dataclass(frozen=True)
 class HandStructure:
     """A model in a plant of its own, its root link R welded to the world.
 
@@ -46,9 +57,9 @@ class HandStructure:
         path: the model's file.
         plant, scene_graph, hand: where it is loaded.
         root: name of R.
-        couplings: the joints that follow others.
         palm: links of the palm, first the one that carries most fingers.
         chains: the fingers, 2 to 5.
+        couplings: the joints that follow others.
         held: joints that cannot be a finger's, and why.
     """
 
@@ -57,26 +68,10 @@ class HandStructure:
     scene_graph: SceneGraph
     hand: ModelInstanceIndex
     root: str
+    palm: list[RigidBody]
+    chains: list[Chain]
     couplings: list[CouplingDescription]
-    palm: list[RigidBody] = field(default_factory=list)
-    chains: list[Chain] = field(default_factory=list)
-    held: dict[str, str] = field(default_factory=dict)
-
-    def limits(self, chain: Chain) -> tuple[np.ndarray, np.ndarray]:
-        """(k,) lower and upper limits of a chain's k independent joints, rad; followers keep theirs."""
-        finger = FingerDescription(joints=list(chain.joints))
-        return position_limits(self.plant, self._description(finger), self.hand, f"model {self.path}")
-
-    def kinematics(
-        self, chain: Chain, link: RigidBody, point: np.ndarray
-    ) -> Callable[[np.ndarray], np.ndarray]:
-        """A function from angles (N, k) of a chain, rad, to a link's point in R, (N, 3), m."""
-        finger = FingerDescription(joints=list(chain.joints), tip_link=link.name(), tip_point=list(point))
-        fingertips = PlantFingertips(self.plant, self._description(finger), self.hand, chain.joints)
-        return lambda angles: fingertips(angles)[:, 0]
-
-    def _description(self, finger: FingerDescription) -> HandDescription:
-        return HandDescription(base_frame=self.root, fingers=[finger], couplings=self.couplings)
+    held: dict[str, str]
 
 
 def read_structure(path: Path, palm: str | None = None) -> HandStructure:
@@ -90,60 +85,153 @@ def read_structure(path: Path, palm: str | None = None) -> HandStructure:
         HandError: the model cannot be loaded, has fewer than two fingers, or is more than one hand.
         UnknownNameError: it has no such link.
     """
+    source = f"model {path}"
     if not path.is_file():
         raise HandError(f"the model file {path} is missing")
     plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), time_step=0.001)
-    hand = parse_model(plant, path, f"model {path}")
+    hand = parse_model(plant, path, source)
     for constraint in plant.GetConstraintIds():
         plant.RemoveConstraint(constraint)
     detach_from_world(plant, hand)
-    tree = LinkTree(plant, hand, palm)
-    if palm is None:
-        tree.require_one_hand(f"model {path}")
-    plant.WeldFrames(plant.world_frame(), tree.root.body_frame())
+    root, groups = _groups(plant, hand)
+    plant.WeldFrames(plant.world_frame(), root.body_frame())
     plant.Finalize()
-    structure = HandStructure(path, plant, scene_graph, hand, tree.root.name(), read_couplings(path))
-    known = {joint.name() for joint in tree.joints}
-    for coupling in structure.couplings:
+    carrier = _palm(groups, palm)
+    if palm is None:
+        _require_one_hand(groups, carrier, plant, hand, source)
+    couplings = read_couplings(path)
+    known = {name for group in groups for name in group}
+    for coupling in couplings:
         for name in (coupling.joint, coupling.follows):
             if name not in known:
                 raise HandError(
-                    f"model {path}: joint '{coupling.joint}' follows '{coupling.follows}', but the model has "
+                    f"{source}: joint '{coupling.joint}' follows '{coupling.follows}', but the model has "
                     f"no movable joint '{name}'"
                 )
-    paths = tree.fingers(f"model {path}")
-    structure.palm = tree.palm_links(paths)
-    leaders = {c.joint: first_leader(structure.couplings, c)[0] for c in structure.couplings}
-    structure.held = _held_joints(tree, paths, leaders)
-    context = plant.CreateDefaultContext()
-    chains = [_chain(structure, tree, joints, leaders, context) for joints in paths]
-    structure.chains = [chain for chain in chains if chain is not None]
-    if len(structure.chains) < 2:
-        in_chains = {joint.name() for path in paths for joint in path}
-        reasons = "".join(f"; '{name}' {why}" for name, why in structure.held.items() if name in in_chains)
+    where = f"its palm, the link '{groups[carrier][0].name()}'"
+    fingers = _fingers(groups, carrier, plant, hand, f"{source}: {{}} chains of joints leave {where}")
+    leaders = {c.joint: first_leader(couplings, c)[0] for c in couplings}
+    held = _held_joints(plant, hand, known, fingers, leaders)
+    found = [_chain(groups, carrier, finger, leaders, held) for finger in fingers]
+    chains = [chain for chain in found if chain is not None]
+    if len(chains) < 2:
+        in_chains = set(itertools.chain(*fingers))
+        reasons = "".join(f"; '{name}' {why}" for name, why in held.items() if name in in_chains)
         raise HandError(
-            f"model {path}: {len(structure.chains)} chains of movable revolute joints leave its palm, the "
-            f"link '{tree.palm.name()}'; expected a hand of 2 to {MAX_FINGERS} fingers{reasons}"
+            f"{source}: {len(chains)} chains of movable revolute joints leave {where}; expected a hand of 2 "
+            f"to {MAX_FINGERS} fingers{reasons}"
         )
-    return structure
+    carried = Counter(plant.GetJointByName(finger[0], hand).parent_body().index() for finger in fingers)
+    links = sorted(groups[carrier], key=lambda body: -carried[body.index()])
+    return HandStructure(path, plant, scene_graph, hand, root.name(), links, chains, couplings, held)
 
 
-def _held_joints(tree: LinkTree, paths: list[list[Joint]], leaders: dict[str, str]) -> dict[str, str]:
+def _groups(
+    plant: MultibodyPlant, hand: ModelInstanceIndex
+) -> tuple[RigidBody, dict[Group, list[RigidBody]]]:
+    """The root link, and all groups of links that it carries, nearest first."""
+    by_root: dict[BodyIndex, dict[Group, list[RigidBody]]] = {}
+    for index, path in joint_paths(plant, hand).items():
+        root = path[0].parent_body().index() if path else index
+        group = tuple(joint.name() for joint in path if joint.num_positions())
+        links = by_root.setdefault(root, {}).setdefault(group, [])
+        # First the link that is not welded to another one towards the root.
+        links.insert(len(links) if path and not path[-1].num_positions() else 0, plant.get_body(index))
+    # Anything else in the file, such as a floor, has fewer joints than the hand.
+    root, groups = max(by_root.items(), key=lambda item: len(item[1]))
+    return plant.get_body(root), dict(sorted(groups.items(), key=lambda item: len(item[0])))
+
+
+def _leaving(groups: dict[Group, list[RigidBody]]) -> Counter[Group]:
+    """How many joints leave each group."""
+    return Counter(group[:-1] for group in groups if group)
+
+
+def _palm(groups: dict[Group, list[RigidBody]], palm: str | None) -> Group:
+    """The group that has the named link, or else the one nearest to the root that most joints leave."""
+    if palm is None:
+        leaving = _leaving(groups)
+        return max(groups, key=lambda group: leaving[group])
+    named = {body.name(): group for group, bodies in groups.items() for body in bodies}
+    if palm not in named:
+        raise UnknownNameError("link of the model", palm, named)
+    return named[palm]
+
+
+def _require_one_hand(
+    groups: dict[Group, list[RigidBody]],
+    palm: Group,
+    plant: MultibodyPlant,
+    hand: ModelInstanceIndex,
+    source: str,
+) -> None:
+    """Raises HandError for a model of several hands, or with an arm beside other chains."""
+    leaving = _leaving(groups)
+    branching = [group for group in groups if leaving[group] > 1]
+    palms = [group for group in branching if leaving[group] >= min(_HAND_FINGERS, leaving[palm])]
+    # Nearer groups come first.
+    apart = any(b[: len(a)] != a for a, b in itertools.combinations(palms, 2))
+    arm = any(_is_on(palm, group) and len(group) - len(palm) >= _ARM_JOINTS for group in branching)
+    if not apart and not arm:
+        return
+    choices = []
+    for group in branching:
+        joints = [plant.GetJointByName(other[-1], hand) for other in groups if other and other[:-1] == group]
+        parents = [joint.parent_body().name() for joint in joints]
+        choices.append(f"'{max(parents, key=parents.count)}'")
+    raise HandError(
+        f"{source}: more than one hand: several chains of joints leave each of {', '.join(choices)}; give "
+        "the palm as --palm, or put the hand into a file of its own"
+    )
+
+
+def _is_on(carrier: Group, group: Group) -> bool:
+    """Whether a group is the carrier, or carried by it."""
+    return group[: len(carrier)] == carrier
+
+
+def _fingers(
+    groups: dict[Group, list[RigidBody]],
+    palm: Group,
+    plant: MultibodyPlant,
+    hand: ModelInstanceIndex,
+    complaint: str,
+) -> list[Group]:
+    """The joints of each finger, from the palm on; the longest fingers if there are too many."""
+    leaving = _leaving(groups)
+    ends = [group[len(palm) :] for group in groups if _is_on(palm, group) and not leaving[group]]
+    fingers: list[Group] = []
+    for path in sorted(ends, key=len, reverse=True):
+        branches = [finger for finger in fingers if finger[:1] == path[:1]]
+        own = set(path).difference(*branches)
+        revolute = any(isinstance(plant.GetJointByName(name, hand), RevoluteJoint) for name in path)
+        if revolute and (not branches or len(own) >= _OWN_JOINTS):
+            fingers.append(path)
+    if len(fingers) > MAX_FINGERS and len(fingers[MAX_FINGERS]) == len(fingers[MAX_FINGERS - 1]):
+        raise HandError(f"{complaint.format(len(fingers))}; expected one hand of 2 to {MAX_FINGERS} fingers")
+    return [path for path in ends if path in fingers[:MAX_FINGERS]]
+
+
+def _held_joints(
+    plant: MultibodyPlant,
+    hand: ModelInstanceIndex,
+    known: set[str],
+    fingers: list[Group],
+    leaders: dict[str, str],
+) -> dict[str, str]:
     """The joints that cannot be a finger's, and why."""
-    fingers_of: dict[str, set[int]] = {}
-    for number, path in enumerate(paths):
-        for joint in path:
-            fingers_of.setdefault(joint.name(), set()).add(number)
-    moved = {name: set(numbers) for name, numbers in fingers_of.items()}
-    for follower, leader in leaders.items():
-        if follower in fingers_of:
-            moved[leader] = moved.get(leader, set()) | fingers_of[follower]
+    moved: dict[str, set[int]] = {}
+    for number, finger in enumerate(fingers):
+        for name in finger:
+            for mover in {name, leaders.get(name, name)}:
+                moved.setdefault(mover, set()).add(number)
+    on_fingers = set(itertools.chain(*fingers))
     held = {}
-    for joint in tree.joints:
+    for joint in map(plant.get_joint, plant.GetJointIndices(hand)):
         name = joint.name()
-        if name in leaders:
+        if name not in known or name in leaders:
             continue
-        if name not in fingers_of:
+        if name not in on_fingers:
             held[name] = "belongs to no finger"
         elif len(moved[name]) > 1:
             held[name] = f"moves {len(moved[name])} fingers at once"
@@ -157,21 +245,19 @@ def _held_joints(tree: LinkTree, paths: list[list[Joint]], leaders: dict[str, st
 
 
 def _chain(
-    structure: HandStructure, tree: LinkTree, path: list[Joint], leaders: dict[str, str], context: Context
+    groups: dict[Group, list[RigidBody]],
+    palm: Group,
+    finger: Group,
+    leaders: dict[str, str],
+    held: dict[str, str],
 ) -> Chain | None:
     """A finger; None if none of its joints moves independently."""
-    names = [joint.name() for joint in path]
-    moving = [name for name in names if leaders.get(name, name) not in structure.held]
+    moving = [name for name in finger if leaders.get(name, name) not in held]
     own = [name for name in moving if name not in leaders]
     if not own:
         return None
-    last = names.index(moving[-1])
-    # Links beyond held joints move along.
-    groups = {tree.end(joint) for joint in path[last:]}
-    bodies = [body for body in tree.bodies if tree.group[body.index()] in groups]
-    bodies.sort(key=lambda body: body.index() != path[last].child_body().index())
-    all_groups = {tree.end(joint) for joint in path}
-    links = [body.name() for body in tree.bodies if tree.group[body.index()] in all_groups]
-    first = path[names.index(own[0])]
-    p_base = first.frame_on_parent().CalcPoseInWorld(context).translation()
-    return Chain(tuple(own), tuple(moving), tuple(bodies), (*names, *links), p_base)
+    # Links of each of its joints, from the palm on. Those beyond held joints move along.
+    links = [groups[palm + finger[: number + 1]] for number in range(len(finger))]
+    bodies = list(itertools.chain(*links[finger.index(moving[-1]) :]))
+    names = [*finger, *(body.name() for body in itertools.chain(*links))]
+    return Chain(own, moving, bodies, names)
