@@ -23,7 +23,7 @@ from rich.table import Table
 from side_by_side import parse, parser, worker_counts, write_json
 
 from geort_drake.benchmark.folder import open_benchmark
-from geort_drake.benchmark.trials import Trial, plan_grasps, simulate
+from geort_drake.benchmark.trials import Trial, plan_cases, simulate
 from geort_drake.benchmark.workers import call_in_workers
 from geort_drake.console import console, run_main
 from geort_drake.errors import GeortError
@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             [arguments.object],
             arguments.trials,
         )
-        goals = dict(plan_grasps(benchmark.scenario_text, [arguments.object], 1, "loky"))
+        goals = dict(plan_cases(benchmark.scenario_text, [arguments.object], 1, "loky"))
         keys = benchmark.keys(benchmark.methods, [arguments.object], arguments.trials)
         tasks = [benchmark.trial(key, goals[key.object]) for key in keys]
         end = time.perf_counter() + arguments.seconds

@@ -186,11 +186,11 @@ def test_the_object_weighs_what_was_drawn():
     """`initialize` scales the object's mass by the placement's factor and keeps its shape of inertia."""
     parts = whole_diagram()
     root = parts.diagram.CreateDefaultContext()
-    nominal = parts.object_body.get_mass(parts.plant.GetMyContextFromRoot(root))
+    nominal = parts.stage.scene.object_body.get_mass(parts.plant.GetMyContextFromRoot(root))
     parts.initialize(root)
-    drawn = parts.object_body.get_mass(parts.plant.GetMyContextFromRoot(root))
-    assert drawn == pytest.approx(nominal * parts.placement.mass_factor)
-    assert parts.placement.mass_factor != 1.0
+    drawn = parts.stage.scene.object_body.get_mass(parts.plant.GetMyContextFromRoot(root))
+    assert drawn == pytest.approx(nominal * parts.stage.scene.placement.mass_factor)
+    assert parts.stage.scene.placement.mass_factor != 1.0
 
 
 def test_a_retargeter_for_another_hand_is_refused():

@@ -364,7 +364,7 @@ def test_seeds_are_paired_across_methods(tmp_path, play):
     for key in keys[:3]:
         scenario = load_scenario(text=f"{{timeout: 0.4, random_seed: {key.seed}}}")
         retarget, _ = made.methods[key.method]
-        drawn = make_grasp_diagram(scenario, retarget, human).placement
+        drawn = make_grasp_diagram(scenario, retarget, human).stage.scene.placement
         glove = run_trial(scenario, retarget, human)[1]
         # The person first decides at the sample after the visual delay, and sees what the method does with it
         # one sample later. The arm moves without the method.

@@ -10,15 +10,15 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.description import load_hand
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.world import Scene, add_scene, draw_placement
+from geort_drake.simulation.world import ObjectScene, add_scene, draw_placement
 
 
-def scene_of(scenario: Scenario) -> Scene:
+def scene_of(scenario: Scenario) -> ObjectScene:
     return add_scene(DiagramBuilder(), scenario, load_hand(scenario.hand), np.random.default_rng(0))
 
 
 @cache
-def nominal_scene() -> Scene:
+def nominal_scene() -> ObjectScene:
     return scene_of(scenario_with("cylinder"))
 
 
@@ -66,7 +66,7 @@ def test_friction_and_stiffness_are_scaled_in_the_plant():
     # Both have the same seed, and so the same draw of friction on top.
     scaled, nominal = scene_of(scenario_with("cylinder", text)), nominal_scene()
 
-    def coefficients(scene: Scene) -> dict[str, float]:
+    def coefficients(scene: ObjectScene) -> dict[str, float]:
         inspector = scene.scene_graph.model_inspector()
         return {
             inspector.GetName(geometry): inspector.GetProximityProperties(geometry)
@@ -75,7 +75,7 @@ def test_friction_and_stiffness_are_scaled_in_the_plant():
             for geometry in inspector.GetAllGeometryIds(Role.kProximity)
         }
 
-    def gains(scene: Scene) -> dict[str, tuple[float, float]]:
+    def gains(scene: ObjectScene) -> dict[str, tuple[float, float]]:
         indices = scene.plant.GetJointActuatorIndices()
         actuators = [scene.plant.get_joint_actuator(index) for index in indices]
         return {a.name(): (a.get_controller_gains().p, a.get_controller_gains().d) for a in actuators}

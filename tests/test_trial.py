@@ -24,7 +24,8 @@ from grasp_setup import (
 
 from geort_drake.people.recording import Recording
 from geort_drake.simulation.tasks.grasp.monitor import GraspPhase
-from geort_drake.simulation.trial import TrialResult, run_trial
+from geort_drake.simulation.tasks.grasp.task import GraspResult
+from geort_drake.simulation.trial import run_trial
 
 KINDS = ("command", "measured")
 # A shorter hold than a benchmark's, to save time.
@@ -32,7 +33,7 @@ TEXT = "{monitor: {hold_time: 0.5}, timeout: 15.0}"
 
 
 @cache
-def lifted(name: str = "cylinder") -> tuple[TrialResult, Recording]:
+def lifted(name: str = "cylinder") -> tuple[GraspResult, Recording]:
     """An object grasped by the simulated operator through the centred map."""
     human = (person_and_rest()[0], planned_goal(name))
     return run_trial(scenario_with(name, TEXT), centred_map(), human)
@@ -69,7 +70,7 @@ def test_the_cylinder_is_lifted_through_a_known_map():
     assert glove.X_WH is not None and np.ptp(glove.X_WH[:, 6]) > 0.1
     assert glove.metadata["outcome"] == "success" and glove.metadata["side"] == "right"
     again = json.loads(json.dumps(result.to_json(), allow_nan=False))
-    assert set(again) == {field.name for field in dc.fields(TrialResult)}
+    assert set(again) == {field.name for field in dc.fields(GraspResult)}
 
 
 def test_the_gloves_recording_played_again_grasps_again(tmp_path):

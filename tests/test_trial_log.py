@@ -20,7 +20,7 @@ def result(seed=0, **changes) -> dict:
     return {
         "method": "hold", "object": "cylinder", "seed": seed, "success": True, "outcome": "success",
         "completion_time": 4, "first_attempt": True, "attempts": 1, "simulated_time": 6.0,
-        "tip_success": False, "holding": {}, "phase_times": {"REACH": 0.0},
+        "task": "grasp", "score": 0.0, "tip_success": False, "holding": {}, "phase_times": {"REACH": 0.0},
         "phase_durations": {"REACH": 4.0}, "drops": 0, "slip": None,
         "peak_force": 1.5, "peak_height": 0.15, "operator_phase": None, "self_contact": 0.0,
         "wall_time": 2.0, **changes,

@@ -1,4 +1,4 @@
-"""A grasp benchmark in its folder: opening it, its trials, and repeating one of them.
+"""A benchmark of one task in its folder: opening it, its trials, and repeating one of them.
 
 FOLDER/config.json     everything that determines the trials; later runs may add methods, objects and trials
 FOLDER/scenario.yaml   the resolved scenario
@@ -30,7 +30,7 @@ from geort_drake.benchmark.config import (
 )
 from geort_drake.benchmark.methods import make_retargeter, measure_latency
 from geort_drake.benchmark.records import Record, TrialKey, key_of, read_records
-from geort_drake.benchmark.trials import Trial, plan_grasps, simulate
+from geort_drake.benchmark.trials import Trial, plan_cases, simulate
 from geort_drake.benchmark.workers import code_digest
 from geort_drake.comparison.retargeters import names_of
 from geort_drake.comparison.versions import versions
@@ -44,10 +44,10 @@ from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
 from geort_drake.resources import diagrams_dir, models_dir
 from geort_drake.simulation.diagram import Retarget
-from geort_drake.simulation.free_play import keep_attainable, seen_fingertips
+from geort_drake.simulation.free_play import seen_fingertips
 from geort_drake.simulation.person import persons_hand
 from geort_drake.simulation.scenario import Scenario, dump_scenario, load_scenario
-from geort_drake.simulation.tasks.grasp.goal import GraspGoal
+from geort_drake.simulation.tasks import find_task
 
 _VERSIONS = ("geort_drake", "python", "numpy", "scipy", "drake")
 
@@ -86,14 +86,15 @@ class Benchmark:
             for method in dict.fromkeys(methods)
         ]
 
-    def trial(self, key: TrialKey, plans: Sequence[GraspGoal]) -> Trial:
-        """A trial for a worker, with the plan for its object that the person keeps after free play."""
+    def trial(self, key: TrialKey, plans: Sequence[Any]) -> Trial:
+        """A trial for a worker, with the plan for its case that the person keeps after free play."""
         (retarget, latency), person = self.methods[key.method], self.people[key.condition]
         text = self.conditions[key.condition] if key.condition else self.scenario_text
         if (key.method, key.condition) not in self._seen:
             seen = seen_fingertips(retarget, self.hand, person, latency)
             self._seen[key.method, key.condition] = seen
-        goal, attainable = keep_attainable(plans, self._seen[key.method, key.condition])
+        task = find_task(self.config["settings"]["scenario"].get("task", "grasp"))
+        goal, attainable = task.keep(plans, self._seen[key.method, key.condition])
         return Trial(key, text, retarget, latency, (person, goal), attainable)
 
 
@@ -118,6 +119,7 @@ def open_benchmark(
     any_code: bool = False,
     operator: Recording | None = None,
     trainings: int = 1,
+    latencies: Mapping[str, float] | None = None,
 ) -> Benchmark:
     """Starts a benchmark in a folder, or continues the one that is there.
 
@@ -126,7 +128,7 @@ def open_benchmark(
         scenario: of every trial except for object and seed; its seed is the first one.
         recording: of the teleoperator; methods are trained on it.
         methods: names of methods and directories of checkpoints.
-        objects: names of objects.
+        objects: names of the task's cases.
         trials: number of seeds per method and object.
         seed: of the training.
         zero_latency: simulate no method's latency.
@@ -135,6 +137,7 @@ def open_benchmark(
         any_code: continue even if the code of the trials has changed.
         operator: recording of the person who operates, such as another session; None: `recording`.
         trainings: of each trained method, with seeds from `seed` on.
+        latencies: of methods that another task has measured, s.
 
     Raises:
         BenchmarkError: the folder's benchmark was started with another configuration.
@@ -176,7 +179,8 @@ def open_benchmark(
             name, method, folder / METHODS, scenario.hand, hand, recording, seed
         )
         if name not in config["methods"]:
-            latency = 0.0 if zero_latency else measure_latency(retarget, recording)
+            latency = 0.0 if zero_latency else (latencies or {}).get(name)
+            latency = measure_latency(retarget, recording) if latency is None else latency
             config["methods"][name] = {"weights_sha256": digest, "latency_s": latency}
         known = config["methods"][name]
         require_same(
@@ -238,7 +242,7 @@ def repeat_trial(folder: Path, key: TrialKey) -> tuple[Record, Path]:
         any_code=True,
         operator=operator if notes.get("operator") else None,
     )
-    ((_, plans),) = plan_grasps(benchmark.scenario_text, [key.object], 1, "loky")
+    ((_, plans),) = plan_cases(benchmark.scenario_text, [key.object], 1, "loky")
     if isinstance(plans, str):
         raise BenchmarkError(plans)
     path = rerun_path(folder, key)

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, NamedTuple, NotRequired, TypedDict
 
 from geort_drake.benchmark.config import ERRORS, check, parse_json
-from geort_drake.errors import BenchmarkError
+from geort_drake.errors import BenchmarkError, UnknownNameError
 from geort_drake.files import write_text, writing
-from geort_drake.simulation.trial import TrialResult
+from geort_drake.simulation.tasks import find_task
 
 Record = dict[str, Any]
 
@@ -33,7 +33,7 @@ class TrialKey(NamedTuple):
 
     Attributes:
         method: name of a method, or of a replayed session.
-        object: the object to grasp.
+        object: a case of the task, such as the object to grasp.
         seed: of the scenario.
         condition: name of a changed scenario such as `delay=100`; empty for the scenario itself.
     """
@@ -98,7 +98,11 @@ def check_record(record: Any, where: str) -> None:
     if "error" in record:
         check(record, _Raised, where)
         return
-    check(record, TrialResult, where)
+    try:
+        task = find_task(record.get("task", "grasp"))
+    except UnknownNameError as error:
+        raise BenchmarkError(f"{where}: {error}") from error
+    check(record, task.result, where)
     success, time, longest = record["success"], record["completion_time"], record["simulated_time"]
     given = {name: record[name] for name in ("outcome", "completion_time", "first_attempt")}
     if success:

@@ -77,7 +77,7 @@ def figures(records: Sequence[Record], timeout: float) -> dict:
         each `ending` other than success.
     """
     judged = [record for record in records if "error" not in record]
-    spent = _table(judged, _axes(judged), lambda record: restricted_time(record, timeout))
+    spent = table_of(judged, axes_of(judged), lambda record: restricted_time(record, timeout))
     times = [record["completion_time"] for record in judged if record["success"]]
     slips = [1e3 * record["slip"] for record in judged if record["slip"] is not None]
     phases = sorted({phase for record in judged for phase in record["phase_durations"]})
@@ -118,9 +118,9 @@ def difference(records: Sequence[Record], reference: Sequence[Record], timeout: 
         mean difference of the restricted times with its interval.
     """
     judged = [r for r in records if "error" not in r], [r for r in reference if "error" not in r]
-    axes = _axes([*judged[0], *judged[1]])
-    once = [_table(group, axes, lambda r: float(bool(r["first_attempt"]))) for group in judged]
-    times = [_table(group, axes, lambda r: restricted_time(r, timeout)) for group in judged]
+    axes = axes_of([*judged[0], *judged[1]])
+    once = [table_of(group, axes, lambda r: float(bool(r["first_attempt"]))) for group in judged]
+    times = [table_of(group, axes, lambda r: restricted_time(r, timeout)) for group in judged]
     for pair in (once, times):
         both = np.logical_and(*(~np.isnan(values).all(axis=0) for values in pair))
         for values in pair:
@@ -208,7 +208,7 @@ def _counts(rng: np.random.Generator, size: int, groups: int | None = None) -> n
 _Axes = tuple[list[int], list[str], list[int]]
 
 
-def _axes(records: Sequence[Record]) -> _Axes:
+def axes_of(records: Sequence[Record]) -> _Axes:
     """Trainings, objects and seeds of records."""
     return (
         sorted({r.get("training", 0) for r in records}),
@@ -217,7 +217,7 @@ def _axes(records: Sequence[Record]) -> _Axes:
     )
 
 
-def _table(records: Sequence[Record], axes: _Axes, value: Callable[[Record], float]) -> np.ndarray:
+def table_of(records: Sequence[Record], axes: _Axes, value: Callable[[Record], float]) -> np.ndarray:
     """Values (trainings, objects, seeds) of records, NaN where there is none."""
     table = np.full([len(axis) for axis in axes], np.nan)
     for r in records:

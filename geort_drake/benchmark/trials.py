@@ -7,7 +7,7 @@ import logging
 import os
 import traceback
 from collections.abc import Iterable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from geort_drake.benchmark.own_method import OwnMethod
 from geort_drake.benchmark.records import Record, TrialKey, TrialLog, identity, keep_error
@@ -18,8 +18,7 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
 from geort_drake.simulation.diagram import Retarget
 from geort_drake.simulation.scenario import Scenario, parse_scenario
-from geort_drake.simulation.tasks.grasp.goal import GraspGoal
-from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
+from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.trial import run_trial
 
 
@@ -31,7 +30,7 @@ class Trial(NamedTuple):
         scenario_text: the resolved scenario, as YAML.
         retarget: can be sent to another process.
         latency: from keypoints to joint targets, s.
-        human: hand and planned grasp of the simulated person, or a recorded session.
+        human: the simulated person and their goal, or a recorded session.
         attainable: whether free play showed the person an attainable plan.
     """
 
@@ -39,7 +38,7 @@ class Trial(NamedTuple):
     scenario_text: str
     retarget: Retarget
     latency: float
-    human: tuple[HumanHand, GraspGoal] | Recording
+    human: tuple[HumanHand, Any] | Recording
     attainable: bool = True
 
 
@@ -60,19 +59,19 @@ def run_trials(log: TrialLog, trials: Iterable[Trial], jobs: int, backend: str) 
         yield kept
 
 
-def plan_grasps(
-    scenario_text: str, objects: Sequence[str], jobs: int, backend: str
-) -> Iterator[tuple[str, list[GraspGoal] | str]]:
-    """Plans grasps of each object in workers; yields name and result of `plan` in the objects' order."""
-    arguments = ((scenario_text, name) for name in objects)
-    yield from zip(objects, call_in_workers(plan, arguments, jobs, backend, ordered=True), strict=True)
+def plan_cases(
+    scenario_text: str, cases: Sequence[str], jobs: int, backend: str
+) -> Iterator[tuple[str, list | str]]:
+    """Plans cases of a task in workers; yields name and result of `plan` in the cases' order."""
+    arguments = ((scenario_text, name) for name in cases)
+    yield from zip(cases, call_in_workers(plan, arguments, jobs, backend, ordered=True), strict=True)
 
 
-def plan(scenario_text: str, object_name: str) -> list[GraspGoal] | str:
-    """The planned grasps of an object in a resolved scenario, or why the hand cannot grasp it."""
-    scenario = _scenario(scenario_text, object_name)
+def plan(scenario_text: str, case: str) -> list | str:
+    """The goals of a case of the scenario's task, or why the hand cannot do it."""
+    scenario = _scenario(scenario_text, case)
     try:
-        return GraspPlanner(scenario, load_hand(scenario.hand)).plans()
+        return find_task(scenario.task).plans(scenario, load_hand(scenario.hand))
     except ScenarioError as error:
         return str(error)
 
@@ -85,7 +84,7 @@ def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Recor
         rerun_path: file of the Rerun recording; None for none.
 
     Returns:
-        The fields of `TrialResult`, `method`, `condition`, `attainable` and, of an `OwnMethod`, its `faults`;
+        The fields of the task's result, `method`, `condition`, `attainable` and, of an `OwnMethod`, `faults`;
         after an exception, `error` with its traceback instead of a result.
     """
     key = trial.key
@@ -102,9 +101,9 @@ def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Recor
     return record
 
 
-def _scenario(text: str, object_name: str) -> Scenario:
+def _scenario(text: str, case: str) -> Scenario:
     # Drake repeats the same warnings at every step of every trial.
     logging.getLogger("drake").setLevel(logging.ERROR)
     scenario = parse_scenario(text)
-    scenario.object.name = object_name
+    find_task(scenario.task).choose(scenario, case)
     return scenario

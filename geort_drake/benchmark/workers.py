@@ -15,6 +15,7 @@ from joblib.externals.loky import ProcessPoolExecutor
 from geort_drake.errors import BenchmarkError, GeortError
 from geort_drake.files import digest_of
 from geort_drake.processes import end_with
+from geort_drake.simulation.tasks import task_names
 from geort_drake.sources import PACKAGE, imported_sources
 
 RENEWED_AFTER = 25  # tasks; then a worker on a cluster is replaced, see `call_in_workers`
@@ -119,8 +120,9 @@ def code_digest() -> str:
 
 
 def trial_sources() -> list[Path]:
-    """The modules that a trial can run through: all imports of `_ENTRY_MODULES`."""
-    sources = imported_sources(_ENTRY_MODULES, (*_TRIAL_ROOMS, "benchmark"))
+    """The modules that a trial can run through: all imports of `_ENTRY_MODULES` and of the tasks."""
+    entries = [*_ENTRY_MODULES, *(f"simulation/tasks/{name}/task.py" for name in task_names())]
+    sources = imported_sources(entries, (*_TRIAL_ROOMS, "benchmark"))
     return [path for path in sources if path.relative_to(PACKAGE).parts[0] in _TRIAL_ROOMS]
 
 

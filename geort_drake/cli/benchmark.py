@@ -1,12 +1,15 @@
-"""Compare retargeting methods by grasping in simulation.
+"""Compare retargeting methods by tasks in simulation, such as grasps.
 
-Every method grasps every object with the same seeds: the same simulated person, placements and noise. The
-same command resumes an interrupted benchmark, and adds methods, objects and trials to a finished one.
+Every method grasps every object, or does another task, with the same seeds: the same simulated person,
+placements and noise. The same command resumes an interrupted benchmark, and adds methods, objects and trials
+to a finished one.
 """
 
 import argparse
-from collections.abc import Iterator
+import contextlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from geort_drake.cli.options import (
     CommandParser,
@@ -19,6 +22,11 @@ from geort_drake.cli.options import (
     write_json,
 )
 from geort_drake.errors import UnknownNameError, UsageError
+from geort_drake.simulation.tasks import task_names
+
+if TYPE_CHECKING:
+    from geort_drake.simulation.scenario import Scenario
+    from geort_drake.simulation.task import Task
 
 # Methods that need no training.
 QUICK = {
@@ -40,6 +48,11 @@ def add_arguments(parser: CommandParser) -> None:
     methods = (
         "methods listed below, checkpoints, maps or Python files; the first is the reference (default: all)"
     )
+    names = ", ".join(task_names())
+    tasks = f"tasks, each in its own folder of --output: {names} (default: the scenario's, without a folder)"
+    add("--tasks", nargs="+", metavar="NAME", help=tasks)
+    kinds = "kinds of simulated people, where a task has several: servo, mimicry, adaptive (default: all)"
+    add("--kinds", nargs="+", metavar="NAME", help=kinds)
     add("--methods", nargs="+", metavar="NAME", help=methods)
     add("--objects", nargs="+", metavar="NAME", help="objects to grasp (default: all)")
     add("--trials", type=at_least(1), help="trials per method and object (default: 30)")
@@ -77,6 +90,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake.benchmark.report import write_grasp_report
+    from geort_drake.benchmark.tasks import write_summary
 
     if arguments.rrd:
         if len(arguments.rrd) not in (3, 4):
@@ -90,84 +104,129 @@ def run(arguments: argparse.Namespace) -> int:
     for name, default in chosen.items():
         if getattr(arguments, name) is None:
             setattr(arguments, name, default)
+    several = arguments.tasks or arguments.kinds
     if not arguments.report:
-        run_unfinished(arguments)
+        run_unfinished(
+            arguments, tasks_of(arguments) if several else {arguments.output: scenario_of(arguments)}
+        )
+    if several:
+        return report_tasks(arguments, write_summary(arguments.output))
     return report(arguments, write_grasp_report(arguments.output))
 
 
-def run_unfinished(arguments: argparse.Namespace) -> None:
-    """Runs the unfinished trials of the benchmark."""
+def tasks_of(arguments: argparse.Namespace) -> dict[Path, "Scenario"]:
+    """Folder of each task and kind of person → its scenario.
+
+    Raises:
+        UnknownNameError: there is no such task or kind.
+        ScenarioError: a scenario's text does not fit a task.
+    """
+    from geort_drake import load_scenario
+    from geort_drake.simulation.tasks import find_task
+
+    tasks = [find_task(name) for name in arguments.tasks or ["grasp"]]
+    known = list(dict.fromkeys(kind for task in tasks for kind in task.kinds))
+    for kind in arguments.kinds or ():
+        if kind not in known:
+            raise UnknownNameError("kind of person for these tasks", kind, known)
+    scenarios = {}
+    for task in tasks:
+        for kind in task.kinds:
+            if kind in (arguments.kinds or known):
+                scenario = load_scenario(*task.scenario, arguments.scenario_text, arguments.hand)
+                scenario.kind = kind
+                scenario.validate()
+                scenarios[arguments.output / task.name / kind] = scenario
+    return scenarios
+
+
+def run_unfinished(arguments: argparse.Namespace, scenarios: "dict[Path, Scenario]") -> None:
+    """Runs the unfinished trials of the benchmarks in these folders; all are planned before any trial."""
     from geort_drake.benchmark import folder
     from geort_drake.benchmark.conditions import ASSUMPTIONS, make_conditions, parse_values
     from geort_drake.benchmark.config import TRIALS
     from geort_drake.benchmark.records import TrialLog, outcome_line
-    from geort_drake.benchmark.trials import plan_grasps, run_trials
+    from geort_drake.benchmark.trials import plan_cases, run_trials
     from geort_drake.benchmark.workers import require_workers
     from geort_drake.comparison.retargeters import names_of
     from geort_drake.console import say, track, warn
     from geort_drake.hands.description import load_hand
-    from geort_drake.simulation.scenario import object_names
+    from geort_drake.simulation.tasks import find_task
 
     # Everything wrong with the request is found before anything is computed or written.
-    scenario = scenario_of(arguments)
-    arguments.methods = arguments.methods or methods_for(scenario.hand)
+    first = next(iter(scenarios.values()))
+    arguments.methods = arguments.methods or methods_for(first.hand)
     names = names_of(arguments.methods, arguments.trainings)
-    objects = list(dict.fromkeys(arguments.objects or object_names()))
-    for name in objects:
-        if name not in object_names():
-            raise UnknownNameError("object", name, object_names())
-    side = arguments.side or load_hand(scenario.hand).side
-    conditions = {}
+    cases = {path: cases_of(find_task(each.task), arguments.objects) for path, each in scenarios.items()}
+    everything = [name for each in scenarios.values() for name in find_task(each.task).cases()]
+    for name in arguments.objects or ():
+        if name not in everything:
+            raise UnknownNameError("object", name, dict.fromkeys(everything))
+    side = arguments.side or load_hand(first.hand).side
+    conditions: dict[Path, dict[str, Scenario]] = {path: {} for path in scenarios}
     if arguments.sensitivity is not None:
-        conditions = make_conditions(scenario, parse_values(arguments.sensitivity, ASSUMPTIONS), ASSUMPTIONS)
+        values = parse_values(arguments.sensitivity, ASSUMPTIONS)
+        conditions = {path: make_conditions(each, values, ASSUMPTIONS) for path, each in scenarios.items()}
     recording, notes = folder.read_person(arguments.recording, side, arguments.seed)
     operator = None
     if arguments.operator:
         operator, its_notes = folder.read_person(arguments.operator, side, arguments.seed)
         notes["operator"] = its_notes["recording"]
-    with TrialLog(arguments.output / TRIALS) as log:
-        if log.torn:
-            say("The last trial was not written completely and will be repeated.")
-        benchmark = folder.open_benchmark(
-            arguments.output,
-            scenario,
-            recording,
-            arguments.methods,
-            objects,
-            arguments.trials,
-            arguments.seed,
-            arguments.zero_latency,
-            notes,
-            conditions,
-            operator=operator,
-            trainings=arguments.trainings,
-        )
-        keys = benchmark.keys(names, objects, arguments.trials)
-        left = log.unfinished(keys)
-        say(f"{len(keys)} trials, {len(keys) - len(left)} already finished")
-        if not left:
-            return
-        jobs, backend = min(arguments.jobs, len(left)), arguments.backend
-        require_workers(jobs, backend)
-        planned = [name for name in objects if any(key.object == name for key in left)]
-        plans = plan_grasps(benchmark.scenario_text, planned, min(jobs, len(planned)), backend)
-        found = dict(track("planning", plans, len(planned), lambda each: each[0]))
-        refused = {name: reason for name, reason in found.items() if isinstance(reason, str)}
-        goals = {name: plans for name, plans in found.items() if not isinstance(plans, str)}
-        for message in refused.values():
-            warn(f"left out: {message}")
-        folder.note_refused(benchmark, refused)
-        left = [key for key in left if key.object not in refused]
-        trials = (benchmark.trial(key, goals[key.object]) for key in left)
-        for _ in track("grasping", run_trials(log, trials, jobs, backend), len(left), outcome_line):
-            pass
+    with contextlib.ExitStack() as stack:
+        ready: list[tuple[TrialLog, folder.Benchmark, list, dict]] = []
+        latencies: dict[str, float] = {}
+        for path, scenario in scenarios.items():
+            log = stack.enter_context(TrialLog(path / TRIALS))
+            if log.torn:
+                say("The last trial was not written completely and will be repeated.")
+            benchmark = folder.open_benchmark(
+                path,
+                scenario,
+                recording,
+                arguments.methods,
+                cases[path],
+                arguments.trials,
+                arguments.seed,
+                arguments.zero_latency,
+                notes,
+                conditions[path],
+                operator=operator,
+                trainings=arguments.trainings,
+                latencies=latencies,
+            )
+            latencies |= {name: latency for name, (_, latency) in benchmark.methods.items()}
+            keys = benchmark.keys(names, cases[path], arguments.trials)
+            left = log.unfinished(keys)
+            say(f"{len(keys)} trials, {len(keys) - len(left)} already finished")
+            if not left:
+                continue
+            jobs, backend = min(arguments.jobs, len(left)), arguments.backend
+            require_workers(jobs, backend)
+            planned = [name for name in cases[path] if any(key.object == name for key in left)]
+            plans = plan_cases(benchmark.scenario_text, planned, min(jobs, len(planned)), backend)
+            found = dict(track("planning", plans, len(planned), lambda each: each[0]))
+            refused = {name: reason for name, reason in found.items() if isinstance(reason, str)}
+            for message in refused.values():
+                warn(f"left out: {message}")
+            folder.note_refused(benchmark, refused)
+            ready.append((log, benchmark, [key for key in left if key.object not in refused], found))
+        for log, benchmark, left, goals in ready:
+            trials = (benchmark.trial(key, goals[key.object]) for key in left)
+            records = run_trials(log, trials, min(arguments.jobs, len(left)), arguments.backend)
+            for _ in track("simulating", records, len(left), outcome_line):
+                pass
+
+
+def cases_of(task: "Task", asked: Sequence[str] | None) -> list[str]:
+    """The task's cases that are asked for; all if none of them is."""
+    return [name for name in dict.fromkeys(asked or ()) if name in task.cases()] or task.cases()
 
 
 def repeat(folder: Path, method: str, thing: str, seed: int, condition: str = "") -> int:
     """Simulates a finished trial again and records it; raises BenchmarkError if the outcome differs."""
     from geort_drake.benchmark.folder import code_has_changed, repeat_trial
     from geort_drake.benchmark.records import TrialKey
-    from geort_drake.benchmark.report import write_grasp_report
+    from geort_drake.benchmark.tasks import write_task_report
     from geort_drake.console import progress_bar, say, warn
 
     if code_has_changed(folder):
@@ -177,13 +236,13 @@ def repeat(folder: Path, method: str, thing: str, seed: int, condition: str = ""
     if "error" in record:
         say(record["error"])
         return 1
-    write_grasp_report(folder)  # now with a link to the recording
+    write_task_report(folder)  # now with a link to the recording
     finish({"The same outcome": record["outcome"]}, view(path))
     return 0
 
 
 def report(arguments: argparse.Namespace, summary: dict) -> int:
-    """Prints the summary; returns the exit code."""
+    """Prints the summary of grasps; returns the exit code."""
     from geort_drake.console import print_table, warn
 
     folder, errors = arguments.output, summary["errors"]
@@ -205,6 +264,30 @@ def report(arguments: argparse.Namespace, summary: dict) -> int:
     write_json(arguments.json, summary)
     finish({"Report": f"{folder / 'report.html'} (open it in a browser)"})
     return 1 if errors else 0
+
+
+def report_tasks(arguments: argparse.Namespace, summary: dict) -> int:
+    """Prints the summary of tasks and kinds; returns the exit code."""
+    from geort_drake.console import print_table, warn
+
+    rows = []
+    for task, kinds in summary["tasks"].items():
+        for kind, figures in kinds.items():
+            for reason in figures["refused"].values():
+                warn(f"left out: {reason}")
+            for method, of in figures["methods"].items():
+                score, share = of["score"], of["success"]
+                if share["trials"]:
+                    bounds = "–" if score["low"] is None else f"{score['low']:.2f}–{score['high']:.2f}"
+                    done = f"{share['successes']} of {share['trials']}"
+                    rows.append([task, kind, method, f"{score['mean']:.2f}", bounds, done])
+    caption = "score: from 0 to 1, mean with its 95 % interval"
+    print_table(("task", "person", "method", "score", "95 %", "success"), rows, "Tasks", caption)
+    if summary["errors"]:
+        warn(f"{summary['errors']} trials raised an error: see the folders errors in {arguments.output}")
+    write_json(arguments.json, summary)
+    finish({"Summary": f"{arguments.output / 'summary.json'}"})
+    return 1 if summary["errors"] else 0
 
 
 def _rows(summary: dict) -> Iterator[list[str]]:

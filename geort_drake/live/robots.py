@@ -28,8 +28,8 @@ from geort_drake.live.devices import (
 )
 from geort_drake.live.glove_stream import POLL_PERIOD
 from geort_drake.live.transports import open_lcm
-from geort_drake.simulation.diagram import add_monitor
 from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.tasks.grasp.task import add_monitor
 from geort_drake.simulation.world import ARM, HAND, actuated_state, add_scene
 
 # Time between statuses, s.

@@ -1,16 +1,14 @@
-"""Builds the diagram of a grasp trial from a scenario."""
+"""Builds the diagram of a trial from a scenario."""
 
 import dataclasses as dc
 import math
 import os
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import RigidBody, SpatialInertia
 from pydrake.planning import RobotDiagramBuilder
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, OutputPort
 from pydrake.systems.primitives import DiscreteTimeDelay, Gain
@@ -19,20 +17,10 @@ from geort_drake.hands.assembly import remove_visuals
 from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
-from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.tasks.grasp.goal import GraspGoal
-from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor
-from geort_drake.simulation.world import (
-    ARM,
-    HAND,
-    Placement,
-    Scene,
-    actuated_joints,
-    actuated_state,
-    add_robot,
-    add_scene,
-)
+from geort_drake.simulation.task import Stage
+from geort_drake.simulation.tasks import find_task
+from geort_drake.simulation.world import ARM, HAND, actuated_joints, actuated_state, add_robot
 from geort_drake.simulation.worn_glove import WornGlove
 from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
@@ -40,9 +28,8 @@ from geort_drake.systems.glove_replay import GloveReplay
 from geort_drake.systems.hand_mirror import HandMirror
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.make_correction import make_correction
-from geort_drake.systems.port_values import POINT_MIRROR, POSE_MIRROR, mirrored_pose
+from geort_drake.systems.port_values import mirrored_pose
 from geort_drake.systems.retargeting_system import RetargetingSystem
-from geort_drake.systems.scene_view import SceneView
 from geort_drake.systems.wrist_to_arm import WristToArm
 
 if TYPE_CHECKING:
@@ -57,28 +44,27 @@ class GraspDiagram:
 
     diagram: Diagram
     plant: MultibodyPlant
-    scene_graph: SceneGraph
     description: HandDescription
-    object_body: RigidBody
-    placement: Placement
-    monitor: GraspMonitor
+    stage: Stage
     retargeting: RetargetingSystem
     glove_recorder: GloveRecorder
-    operator: SimulatedOperator | None
+    operator: LeafSystem | None
     recorder: "RerunRecorder | None"
     fixed_base: bool
 
+    @property
+    def monitor(self) -> Any:
+        """Judges the task; see `Stage`."""
+        return self.stage.monitor
+
     def initialize(self, root: Context) -> None:
-        """Sets the object's mass in a context, locks the arm of a fixed base, and removes visual geometry.
+        """Prepares the task's stage in a context, locks the arm of a fixed base, and removes visual geometry.
 
         The recorder has already read that geometry.
         """
-        remove_visuals(self.plant, self.scene_graph, root)
+        remove_visuals(self.plant, self.stage.scene.scene_graph, root)
         context = self.plant.GetMyMutableContextFromRoot(root)
-        body, factor = self.object_body, self.placement.mass_factor
-        M = body.CalcSpatialInertiaInBodyFrame(context)
-        scaled = SpatialInertia(factor * M.get_mass(), M.get_com(), M.get_unit_inertia())
-        body.SetSpatialInertiaInBodyFrame(context, scaled)
+        self.stage.initialize(root)
         if self.fixed_base:
             for index in self.plant.GetJointIndices(self.plant.GetModelInstanceByName(ARM)):
                 self.plant.get_joint(index).Lock(context)
@@ -87,7 +73,7 @@ class GraspDiagram:
 def make_grasp_diagram(
     scenario: Scenario,
     retarget: Retarget,
-    human: tuple[HumanHand, GraspGoal] | Recording,
+    human: tuple[HumanHand, Any] | Recording,
     rerun_path: str | os.PathLike | None = None,
     properties: Mapping[str, str | int | float | bool] | None = None,
 ) -> GraspDiagram:
@@ -107,11 +93,13 @@ def make_grasp_diagram(
     description = load_hand(scenario.hand)
     builder = DiagramBuilder()
 
-    # The plant: robot, surroundings and object.
-    scene = add_scene(builder, scenario, description, rng)
-    plant, arm, hand = scene.plant, scene.arm, scene.hand
+    # The plant and the monitor of the task.
+    task = find_task(scenario.task)
+    goal = None if isinstance(human, Recording) else human[1]
+    stage = task.add_stage(builder, scenario, description, goal, rng)
+    plant, arm, hand = stage.scene.plant, stage.scene.arm, stage.scene.hand
 
-    # The robot without the object, for the inverse kinematics.
+    # The robot alone, for the inverse kinematics.
     robot_builder = RobotDiagramBuilder(time_step=scenario.plant_config.time_step)
     add_robot(robot_builder.plant(), scenario, description)
     robot = robot_builder.Build()
@@ -120,7 +108,6 @@ def make_grasp_diagram(
 
     # A left hand is operated by the mirror image of a right-handed person, who sees the mirrored scene.
     in_mirror = description.side == "left"
-    view, monitor = add_monitor(builder, scene, scenario, description)
 
     # The human: an operator who sees the scene with a delay, or a recording.
     source: LeafSystem
@@ -129,24 +116,23 @@ def make_grasp_diagram(
     if isinstance(human, Recording):
         source = builder.AddNamedSystem("glove_replay", GloveReplay(human))
     else:
-        person, goal = human
         # The person starts with the hand oriented like the robot's. The tracker's frame is parallel to W and
         # has its origin at the wrist's initial position.
         X_WB_seen = mirrored_pose(X_WB_start) if in_mirror else X_WB_start
         operator = source = builder.AddNamedSystem(
             "operator",
-            SimulatedOperator(
-                person,
-                goal.mirrored() if in_mirror else goal,
-                scenario.operator,
+            task.person(
+                scenario,
+                human[0],
+                task.mirrored(goal) if in_mirror else goal,
                 RigidTransform(X_WB_seen.rotation(), np.zeros(3)),
                 seed=int(rng.integers(2**31)),
             ),
         )
-        for name in ("fingertips", "hand_pose", "object_pose", "contact"):
-            seen[name] = late = _delayed(builder, view.GetOutputPort(name), scenario)
-            if in_mirror and name != "contact":
-                late = _mirrored(builder, name, late)
+        for name, (port, mirror) in stage.shown.items():
+            seen[name] = late = _delayed(builder, port, scenario)
+            if in_mirror and mirror is not None:
+                late = _mirrored(builder, name, late, mirror)
             builder.Connect(late, operator.GetInputPort(name))
     if scenario.glove.faulty:
         # Its own generator, so that the placement and the person's noise do not depend on it.
@@ -215,13 +201,10 @@ def make_grasp_diagram(
 
         recorder = add_grasp_recorder(
             builder,
-            plant,
-            scene.scene_graph,
+            stage,
             rerun_path,
             scenario,
             description,
-            scene.object_body,
-            monitor,
             seen,
             operator or source,
             hand_source,
@@ -234,47 +217,18 @@ def make_grasp_diagram(
         )
 
     diagram = builder.Build()
-    diagram.set_name("grasp")
+    diagram.set_name(task.name)
     return GraspDiagram(
         diagram=diagram,
         plant=plant,
-        scene_graph=scene.scene_graph,
         description=description,
-        object_body=scene.object_body,
-        placement=scene.placement,
-        monitor=monitor,
+        stage=stage,
         retargeting=retargeting,
         glove_recorder=glove_recorder,
         operator=operator,
         recorder=recorder,
         fixed_base=scenario.fixed_base,
     )
-
-
-def add_monitor(
-    builder: DiagramBuilder, scene: Scene, scenario: Scenario, description: HandDescription
-) -> tuple[SceneView, GraspMonitor]:
-    """Adds the systems that observe and judge the grasp in a scene, and connects them."""
-    plant = scene.plant
-    inspector = scene.scene_graph.model_inspector()
-    view = builder.AddNamedSystem(
-        "scene_view", SceneView(plant, description, scene.hand, scene.object_body.index(), inspector)
-    )
-    builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
-    builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
-    monitor = builder.AddNamedSystem(
-        "grasp_monitor",
-        GraspMonitor(
-            len(description.fingers),
-            view.links,
-            scene.object_shape.lowest_point,
-            scenario.object.support_height,
-            scenario.monitor,
-        ),
-    )
-    for name in ("object_pose", "hand_pose", "contact", "link_contact", "self_contact"):
-        builder.Connect(view.GetOutputPort(name), monitor.GetInputPort(name))
-    return view, monitor
 
 
 def _delayed(builder: DiagramBuilder, port: OutputPort, scenario: Scenario) -> OutputPort:
@@ -291,9 +245,8 @@ def _delayed(builder: DiagramBuilder, port: OutputPort, scenario: Scenario) -> O
     return delay.get_output_port()
 
 
-def _mirrored(builder: DiagramBuilder, name: str, port: OutputPort) -> OutputPort:
+def _mirrored(builder: DiagramBuilder, name: str, port: OutputPort, signs: np.ndarray) -> OutputPort:
     """A port of mirrored poses or points."""
-    signs = POSE_MIRROR if name.endswith("_pose") else np.tile(POINT_MIRROR, port.size() // 3)
     mirror = builder.AddNamedSystem(f"{name}_mirrored", Gain(signs))
     builder.Connect(port, mirror.get_input_port())
     return mirror.get_output_port()

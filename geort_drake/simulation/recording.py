@@ -1,4 +1,4 @@
-"""The Rerun recorder of a grasp trial."""
+"""The Rerun recorder of a trial."""
 
 import importlib.metadata
 import math
@@ -6,7 +6,6 @@ import os
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
@@ -27,11 +26,9 @@ from geort_drake.rerun import (
     StateSpec,
     add_rerun_recorder,
 )
-from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
-from geort_drake.simulation.operators.state import Phase
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor, GraspPhase
-from geort_drake.simulation.world import ARM, HAND, actuated_joints, actuated_state
+from geort_drake.simulation.task import Stage
+from geort_drake.simulation.world import HAND, actuated_joints, actuated_state
 from geort_drake.systems.retargeting_system import RetargetingSystem
 
 # Tabs of the plots.
@@ -43,13 +40,10 @@ _PACKAGES = {"drake": "drake", "rerun": "rerun-sdk", "numpy": "numpy", "torch": 
 
 def add_grasp_recorder(
     builder: DiagramBuilder,
-    plant: MultibodyPlant,
-    scene_graph: SceneGraph,
+    stage: Stage,
     path: str | os.PathLike,
     scenario: Scenario,
     description: HandDescription,
-    object_body: RigidBody,
-    monitor: GraspMonitor,
     seen: Mapping[str, OutputPort],
     source: LeafSystem,
     hand_source: LeafSystem,
@@ -62,7 +56,8 @@ def add_grasp_recorder(
     """Adds a recorder of robot, object, human hand, contact forces, joints and phases.
 
     Args:
-        seen: name → delayed port of the `SceneView` that the operator reads; empty for a replay.
+        stage: of the task.
+        seen: name → delayed port that the operator reads; empty for a replay.
         source: the operator or the replay.
         hand_source: provides keypoints and wrist pose of the hand that is drawn.
         correction: the system that commands the hand.
@@ -70,7 +65,7 @@ def add_grasp_recorder(
         X_WHand: pose of the tracker's frame in W, to draw the human hand beside the robot's.
         properties: of the recording, besides scenario and software versions.
     """
-    arm, hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
+    plant, arm, hand = stage.scene.plant, stage.scene.arm, stage.scene.hand
     finger_of = {joint: finger.name for finger in description.fingers for joint in finger.joints}
     hand_joints = [joint.name() for joint in actuated_joints(plant, hand)]
     names = {
@@ -99,10 +94,14 @@ def add_grasp_recorder(
     }  # fmt: skip
     for key, model in models.items():
         specs |= _joint_signals(plant, model, key, names[key], commanded[key], measured[key])
-    specs["grasp"] = StateSpec(monitor.GetOutputPort("phase"), [p.name.lower() for p in GraspPhase])
-    is_operator = isinstance(source, SimulatedOperator)
+    for key, (port, entries, unit) in stage.signals.items():
+        specs[key] = SignalSpec(port, entries, title=key, unit=unit, page=_FINGERS)
+    for name, (port, labels) in stage.states.items():
+        specs[name] = StateSpec(port, labels)
+    is_operator = bool(seen)
     if is_operator:
-        specs["operator"] = StateSpec(source.GetOutputPort("phase"), [p.name.lower() for p in Phase])
+        labels = [phase.name.lower() for phase in source.phases]  # type: ignore[attr-defined]
+        specs["operator"] = StateSpec(source.GetOutputPort("phase"), labels)
     links = dict(zip(fingers, finger_links(plant, description, hand), strict=True))
     specs["human"] = HandSpec(
         hand_source.GetOutputPort("keypoints"),
@@ -120,23 +119,25 @@ def add_grasp_recorder(
         color=[(*color, 130) for color in colors],
         derive=lambda states: fingertips(states[:, :n]).reshape(len(states), -1),
     )
-    specs["object/path"] = _path(plant, object_body)
+    for body in stage.bodies:
+        specs["object/path"] = _path(plant, body)
     if seen:
         start = scenario.operator.visual_delay
         specs["seen/fingertips"] = PointsSpec(seen["fingertips"], None, 0.008, _SEEN_COLOR, start=start)
+    if "object_pose" in seen:
         specs["seen/object"] = PointsSpec(
             seen["object_pose"], None, 0.015, _SEEN_COLOR, start=start, derive=lambda X: X[:, 4:]
         )
     return add_rerun_recorder(
         builder,
         plant,
-        scene_graph,
+        stage.scene.scene_graph,
         path,
         specs,
         period=scenario.recording.period,
         # Long arrows, so that the few newtons of a grasp are visible.
         contact=ContactSpec(groups=links, metres_per_newton=0.04, max_length=0.2),
-        close_ups=_close_ups(plant, description, object_body, fingertips),
+        close_ups=_close_ups(plant, description, stage.bodies, fingertips),
         # From the thumb's side, where nothing hides what the hand holds.
         view_from=(0.62, 0.62 if description.side == "left" else -0.62, 0.48),
         properties={
@@ -206,7 +207,10 @@ def _path(plant: MultibodyPlant, body: RigidBody) -> PointsSpec:
 
 
 def _close_ups(
-    plant: MultibodyPlant, description: HandDescription, object_body: RigidBody, fingertips: PlantFingertips
+    plant: MultibodyPlant,
+    description: HandDescription,
+    bodies: Sequence[RigidBody],
+    fingertips: PlantFingertips,
 ) -> dict[str, CloseUpSpec]:
     """Both hands from the index finger's side, which shows thumb, fingers and the held object."""
     hand = plant.GetModelInstanceByName(HAND)
@@ -222,7 +226,7 @@ def _close_ups(
     base = plant.GetFrameByName(description.base_frame, hand)
     return {
         "person's hand": CloseUpSpec("human", *views[:2]),
-        "robot hand": CloseUpSpec(base, *views[2:], see_through=[object_body]),
+        "robot hand": CloseUpSpec(base, *views[2:], see_through=list(bodies)),
     }
 
 

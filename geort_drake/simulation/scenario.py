@@ -107,8 +107,13 @@ class RecordingConfig:
 
 @dc.dataclass
 class Scenario:
-    """One grasp trial: the world, the person, and the chain between them."""
+    """One trial: the task, the world, the person, and the chain between them."""
 
+    # What the person does, a folder in geort_drake/simulation/tasks; and numbers of its own settings.
+    task: str = "grasp"
+    task_settings: dict[str, float] = dc.field(default_factory=dict)
+    # Kind of the simulated person; the task lists those that it has.
+    kind: str = "servo"
     # Seed of the object's placement, mass and friction, and of the person's noise.
     random_seed: int = 0
     # Largest duration of the trial, s.
@@ -157,8 +162,13 @@ class Scenario:
 
         Raises:
             ScenarioError: a field is wrong; the message names it, the rule and the value.
-            UnknownNameError: there is no such object.
+            UnknownNameError: there is no such object or task, or no such kind of person for the task.
         """
+        from geort_drake.simulation.tasks import find_task  # which knows scenarios itself
+
+        task = find_task(self.task)
+        if self.kind not in task.kinds:
+            raise UnknownNameError(f"kind of person for task {task.name}", self.kind, task.kinds)
         for rule, holds, names in _RULES:
             for name in names:
                 value = attrgetter(name)(self)
@@ -172,6 +182,7 @@ class Scenario:
             self.correction.validate()
             self.wrist_to_arm.validate()
             self.monitor.validate()
+            task.check_settings(self.task_settings)
         except ValueError as error:
             raise ScenarioError(f"scenario field {error}") from error
         try:

@@ -40,17 +40,26 @@ class Placement:
 
 @dc.dataclass(frozen=True, eq=False)
 class Scene:
-    """A finalized plant and its parts.
+    """A finalized plant with a robot.
 
     Attributes:
         arm, hand: models whose joints are driven by the plant's position controllers.
-        placement: of the object. The mass factor is not applied yet, as that needs a context.
     """
 
     plant: MultibodyPlant
     scene_graph: SceneGraph
     arm: ModelInstanceIndex
     hand: ModelInstanceIndex
+
+
+@dc.dataclass(frozen=True, eq=False)
+class ObjectScene(Scene):
+    """A scene with an object.
+
+    Attributes:
+        placement: of the object. The mass factor is not applied yet, as that needs a context.
+    """
+
     object_body: RigidBody
     object_shape: ObjectShape
     placement: Placement
@@ -58,8 +67,8 @@ class Scene:
 
 def add_scene(
     builder: DiagramBuilder, scenario: Scenario, description: HandDescription, rng: np.random.Generator
-) -> Scene:
-    """Adds the plant of a scenario to a diagram; `rng` draws the placement.
+) -> ObjectScene:
+    """Adds the plant of a scenario with its object to a diagram; `rng` draws the placement.
 
     Raises:
         ScenarioError, HandError: the scenario and the models do not fit.
@@ -73,17 +82,33 @@ def add_scene(
     _scale_friction(plant, scene_graph, body, placement.friction_factor)
     if scenario.fingertip_modulus:
         _soften_fingertips(plant, scene_graph, description, body, scenario.fingertip_modulus)
+    robot = finish_scene(plant, scene_graph, scenario, description, body.model_instance())
+    return ObjectScene(plant, scene_graph, robot.arm, robot.hand, body, shape, placement)
+
+
+def finish_scene(
+    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
+    scenario: Scenario,
+    description: HandDescription,
+    falling: ModelInstanceIndex | None = None,
+) -> Scene:
+    """Finalizes a plant with the scenario's robot; gravity acts on the model `falling` only.
+
+    A real arm's controller compensates it for arm and hand, and everything else is fixed.
+
+    Raises:
+        HandError: an actuator of arm or hand has no PD gains.
+    """
     arm, hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
     _scale_stiffness(plant, hand, scenario.hand_stiffness_factor)
-    # Gravity acts on the object only: a real arm's controller compensates it for arm and hand, and
-    # everything else is fixed.
     for number in range(plant.num_model_instances()):
-        if (model := ModelInstanceIndex(number)) != body.model_instance():
+        if (model := ModelInstanceIndex(number)) != falling:
             plant.set_gravity_enabled(model, False)
     plant.Finalize()
     _require_controllers(plant, hand, f"hand '{description.name}'")
     _require_controllers(plant, arm, "the arm")
-    return Scene(plant, scene_graph, arm, hand, body, shape, placement)
+    return Scene(plant, scene_graph, arm, hand)
 
 
 def add_robot(plant: MultibodyPlant, scenario: Scenario, description: HandDescription) -> None:

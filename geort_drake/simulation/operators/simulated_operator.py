@@ -9,7 +9,7 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.perception import Seen
-from geort_drake.simulation.operators.state import OperatorState
+from geort_drake.simulation.operators.state import OperatorState, Phase
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.systems.port_values import vector_to_pose
 
@@ -35,6 +35,8 @@ class SimulatedOperator(LeafSystem):
     State: the person's memory (abstract OperatorState) and the keypoints (63). The noise generator is not
     part of the state, so a system serves one simulation.
     """
+
+    phases = Phase
 
     def __init__(
         self,

@@ -1,0 +1,28 @@
+"""The tasks by name: each folder here with a `task.py` that defines `TASK`."""
+
+import functools
+import importlib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from geort_drake.errors import UnknownNameError
+
+if TYPE_CHECKING:
+    from geort_drake.simulation.task import Task
+
+
+def task_names() -> list[str]:
+    """Names of all tasks."""
+    return sorted(path.parent.name for path in Path(__file__).parent.glob("*/task.py"))
+
+
+@functools.cache
+def find_task(name: str) -> "Task":
+    """The task of a name.
+
+    Raises:
+        UnknownNameError: there is none; the message lists the known ones.
+    """
+    if name not in task_names():
+        raise UnknownNameError("task", name, task_names())
+    return importlib.import_module(f"{__name__}.{name}.task").TASK

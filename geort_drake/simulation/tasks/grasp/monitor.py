@@ -85,6 +85,12 @@ class GraspOutcome(Immutable):
         return self.phase == GraspPhase.DONE
 
     @property
+    def score(self) -> float:
+        """Share of the phases to the end of the hold that were reached."""
+        phases = [GraspPhase[name] for name in self.times]
+        return max((phase for phase in phases if phase != GraspPhase.THROWN), default=0) / GraspPhase.DONE
+
+    @property
     def over(self) -> bool:
         """Whether the grasp is decided."""
         return self.phase in OVER

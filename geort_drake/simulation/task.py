@@ -1,0 +1,199 @@
+"""The interface of a task: what a person does with the robot, and how it is judged.
+
+`geort_drake.simulation.tasks` finds the tasks.
+"""
+
+import abc
+import dataclasses as dc
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+from pydrake.math import RigidTransform
+from pydrake.multibody.tree import RigidBody
+from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, OutputPort
+
+from geort_drake.hands.description import HandDescription
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.simulation.world import Scene
+
+if TYPE_CHECKING:
+    from geort_drake.simulation.scenario import Scenario
+
+SERVO = "servo"
+Goal = TypeVar("Goal")
+
+
+class Outcome(Protocol):
+    """What a monitor judges."""
+
+    @property
+    def success(self) -> bool:
+        """Whether the task is done."""
+
+    @property
+    def over(self) -> bool:
+        """Whether it is decided."""
+
+    @property
+    def score(self) -> float:
+        """How much of it is done, from 0 to 1."""
+
+    @property
+    def completion_time(self) -> float:
+        """Time from the start to success, s; NaN without."""
+
+    @property
+    def peak_force(self) -> float:
+        """Largest contact force between a finger and what is handled, N."""
+
+    @property
+    def self_contact_time(self) -> float:
+        """Total time in which links of the hand touched each other, s."""
+
+
+class Shown(NamedTuple):
+    """A port whose values the person sees or feels late; `mirror` has their signs in a mirror, if any."""
+
+    port: OutputPort
+    mirror: np.ndarray | None = None
+
+
+@dc.dataclass(frozen=True)
+class Stage:
+    """What a task adds to a trial's diagram.
+
+    Attributes:
+        monitor: judges the task; has `outcome(context)`, an `Outcome`, and terminates a decided simulation.
+        shown: name of the person's input port → what it shows.
+        states: name → port with the number of a state, and the states' names; for the recording.
+        bodies: free bodies whose path is recorded, and through which close-ups look.
+        signals: name → port, its entries and their unit; for the recording.
+    """
+
+    scene: Scene
+    monitor: LeafSystem
+    shown: Mapping[str, Shown]
+    states: Mapping[str, tuple[OutputPort, Sequence[str]]]
+    bodies: Sequence[RigidBody] = ()
+    signals: Mapping[str, tuple[OutputPort, Sequence[str], str]] = dc.field(default_factory=dict)
+
+    def initialize(self, root: Context) -> None:
+        """Sets what only a context can hold."""
+
+
+@dc.dataclass(frozen=True)
+class TrialResult:
+    """Result of one trial; times in simulated s. Tasks add fields."""
+
+    # Name of the task, and of its case: what is handled.
+    task: str
+    object: str
+    seed: int
+    success: bool
+    # From 0 to 1.
+    score: float
+    # "success", or why not.
+    outcome: str
+    # The simulated operator's last phase, for example approach or close; None in a replay.
+    operator_phase: str | None
+    # Time from the start to success; None without.
+    completion_time: float | None
+    # Whether the first attempt succeeded, and the number of attempts; None in a replay.
+    first_attempt: bool | None
+    attempts: int | None
+    simulated_time: float
+    # Fraction of the time in which two links of the hand touched each other, see `SceneView`.
+    self_contact: float
+    peak_force: float
+    wall_time: float
+
+    def to_json(self) -> dict:
+        """Returns plain JSON types."""
+        return dc.asdict(self)
+
+
+class Task(abc.ABC, Generic[Goal]):
+    """A task. A module `tasks/NAME/task.py` defines `TASK`, an instance.
+
+    Attributes:
+        name: of the folder.
+        summary: one line for --help.
+        kinds: of people who can be simulated at it; the first is the default.
+        result: type of a trial's result.
+        scenario: file and name of its scenario.
+    """
+
+    name: str
+    summary: str
+    kinds: tuple[str, ...]
+    result: type[TrialResult]
+    scenario: tuple[Path, str]
+
+    @abc.abstractmethod
+    def cases(self) -> list[str]:
+        """What can be handled; a trial is about one of them."""
+
+    @abc.abstractmethod
+    def choose(self, scenario: "Scenario", case: str) -> None:
+        """Sets the case in a scenario; raises UnknownNameError if there is none of that name."""
+
+    @abc.abstractmethod
+    def plans(self, scenario: "Scenario", description: HandDescription) -> list[Goal]:
+        """Ways to do it with the scenario's robot, the best first; raises ScenarioError if there is none."""
+
+    @abc.abstractmethod
+    def keep(self, plans: Sequence[Goal], p_BF: np.ndarray) -> tuple[Goal, bool]:
+        """The plan that the person keeps after free play, and whether play showed it attainable.
+
+        Args:
+            plans: at least one.
+            p_BF: see `free_play.seen_fingertips`.
+        """
+
+    @abc.abstractmethod
+    def add_stage(
+        self,
+        builder: DiagramBuilder,
+        scenario: "Scenario",
+        description: HandDescription,
+        goal: Goal | None,
+        rng: np.random.Generator,
+    ) -> Stage:
+        """Adds plant and monitor; `goal` is None in a replay, and `rng` draws what differs by the seed.
+
+        Raises:
+            ScenarioError, HandError: the scenario and the models do not fit.
+        """
+
+    @abc.abstractmethod
+    def person(
+        self, scenario: "Scenario", hand: HumanHand, goal: Goal, X_WH_start: RigidTransform, seed: int
+    ) -> LeafSystem:
+        """A person as a system with an input port for each thing shown.
+
+        Its output ports are those of `SimulatedOperator`; `memory(context)` has `attempt` and `phase`.
+
+        Args:
+            goal: in the mirror for a left robot hand.
+        """
+
+    @abc.abstractmethod
+    def mirrored(self, goal: Goal) -> Goal:
+        """The goal reflected in the xz-planes of its frames."""
+
+    @abc.abstractmethod
+    def result_fields(self, outcome: Any, description: HandDescription) -> dict[str, Any]:
+        """`outcome` as text, and the fields that `result` adds to `TrialResult`."""
+
+    def check_settings(self, settings: Mapping[str, float]) -> None:
+        """Raises ValueError for a wrong entry of the scenario's `task_settings`."""
+        if settings:
+            raise ValueError(f"task_settings must be empty for task {self.name}, not {dict(settings)}")
+
+
+def finite_or_none(value: float) -> float | None:
+    """None for NaN, which JSON lacks."""
+    return None if math.isnan(value) else value

@@ -1,0 +1,166 @@
+"""The grasp: lift an object and hold it."""
+
+import dataclasses as dc
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from pydrake.math import RigidTransform
+from pydrake.multibody.tree import SpatialInertia
+from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
+
+from geort_drake.errors import UnknownNameError
+from geort_drake.hands.description import HandDescription
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.simulation.free_play import keep_attainable
+from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
+from geort_drake.simulation.scenario import Scenario, default_scenario_file, object_names
+from geort_drake.simulation.task import SERVO, Shown, Stage, Task, TrialResult, finite_or_none
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
+from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor, GraspOutcome, GraspPhase
+from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
+from geort_drake.simulation.world import ObjectScene, add_scene
+from geort_drake.systems.port_values import POINT_MIRROR, POSE_MIRROR
+from geort_drake.systems.scene_view import SceneView
+
+
+@dc.dataclass(frozen=True)
+class GraspResult(TrialResult):
+    """Result of one grasp; times in simulated s.
+
+    `outcome` is "success"; "timeout: PHASE" with the monitor's last phase; or "thrown: PHASE" with the last
+    phase in which a finger touched the object, or reach if none did, as when the palm knocked it over.
+    """
+
+    # Whether it succeeded and only links of fingertips touched the object during the hold.
+    tip_success: bool
+    # Time in which each link of the hand touched the object during the hold.
+    holding: dict[str, float]
+    # By phase of the monitor: first entry, and total time.
+    phase_times: dict[str, float]
+    phase_durations: dict[str, float]
+    # Number of lifts that ended in a drop, see `GraspOutcome`.
+    drops: int
+    # Largest displacement of the object in the hand during the last lift, m; None without a lift.
+    slip: float | None
+    peak_height: float
+
+
+@dc.dataclass(frozen=True)
+class GraspStage(Stage):
+    """The stage of a grasp."""
+
+    scene: ObjectScene
+
+    def initialize(self, root: Context) -> None:
+        """Sets the object's mass."""
+        context = self.scene.plant.GetMyMutableContextFromRoot(root)
+        body, factor = self.scene.object_body, self.scene.placement.mass_factor
+        M = body.CalcSpatialInertiaInBodyFrame(context)
+        scaled = SpatialInertia(factor * M.get_mass(), M.get_com(), M.get_unit_inertia())
+        body.SetSpatialInertiaInBodyFrame(context, scaled)
+
+
+class GraspTask(Task[GraspGoal]):
+    """Lift an object and hold it."""
+
+    name = "grasp"
+    summary = "lift an object and hold it"
+    kinds = (SERVO,)
+    result = GraspResult
+    scenario = default_scenario_file(), "Grasp"
+
+    def cases(self) -> list[str]:
+        return object_names()
+
+    def choose(self, scenario: Scenario, case: str) -> None:
+        if case not in object_names():
+            raise UnknownNameError("object", case, object_names())
+        scenario.object.name = case
+
+    def plans(self, scenario: Scenario, description: HandDescription) -> list[GraspGoal]:
+        return GraspPlanner(scenario, description).plans()
+
+    def keep(self, plans: Sequence[GraspGoal], p_BF: np.ndarray) -> tuple[GraspGoal, bool]:
+        return keep_attainable(plans, p_BF)
+
+    def add_stage(
+        self,
+        builder: DiagramBuilder,
+        scenario: Scenario,
+        description: HandDescription,
+        goal: GraspGoal | None,
+        rng: np.random.Generator,
+    ) -> GraspStage:
+        scene = add_scene(builder, scenario, description, rng)
+        view, monitor = add_monitor(builder, scene, scenario, description)
+        mirrors = {
+            "fingertips": np.tile(POINT_MIRROR, len(description.fingers)),
+            "hand_pose": POSE_MIRROR,
+            "object_pose": POSE_MIRROR,
+            "contact": None,
+        }
+        phases = [phase.name.lower() for phase in GraspPhase]
+        return GraspStage(
+            scene,
+            monitor,
+            {name: Shown(view.GetOutputPort(name), mirror) for name, mirror in mirrors.items()},
+            {"grasp": (monitor.GetOutputPort("phase"), phases)},
+            [scene.object_body],
+        )
+
+    def person(
+        self, scenario: Scenario, hand: HumanHand, goal: GraspGoal, X_WH_start: RigidTransform, seed: int
+    ) -> LeafSystem:
+        return SimulatedOperator(hand, goal, scenario.operator, X_WH_start, seed)
+
+    def mirrored(self, goal: GraspGoal) -> GraspGoal:
+        return goal.mirrored()
+
+    def result_fields(self, outcome: GraspOutcome, description: HandDescription) -> dict[str, Any]:
+        if outcome.success:
+            text = "success"
+        elif outcome.phase == GraspPhase.THROWN:
+            text = f"thrown: {outcome.last_touched.name.lower()}"
+        else:
+            text = f"timeout: {outcome.phase.name.lower()}"
+        tip_links = {finger.tip_link for finger in description.fingers}
+        return {
+            "outcome": text,
+            "tip_success": outcome.success and outcome.holding.keys() <= tip_links,
+            "holding": {link: round(spent, 6) for link, spent in outcome.holding.items()},
+            "phase_times": outcome.times,
+            "phase_durations": {name: round(spent, 6) for name, spent in outcome.durations.items()},
+            "drops": outcome.drops,
+            "slip": finite_or_none(outcome.slip),
+            "peak_height": outcome.peak_height,
+        }
+
+
+def add_monitor(
+    builder: DiagramBuilder, scene: ObjectScene, scenario: Scenario, description: HandDescription
+) -> tuple[SceneView, GraspMonitor]:
+    """Adds the systems that observe and judge the grasp in a scene, and connects them."""
+    plant = scene.plant
+    inspector = scene.scene_graph.model_inspector()
+    view = builder.AddNamedSystem(
+        "scene_view", SceneView(plant, description, scene.hand, scene.object_body.index(), inspector)
+    )
+    builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
+    builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
+    monitor = builder.AddNamedSystem(
+        "grasp_monitor",
+        GraspMonitor(
+            len(description.fingers),
+            view.links,
+            scene.object_shape.lowest_point,
+            scenario.object.support_height,
+            scenario.monitor,
+        ),
+    )
+    for name in ("object_pose", "hand_pose", "contact", "link_contact", "self_contact"):
+        builder.Connect(view.GetOutputPort(name), monitor.GetInputPort(name))
+    return view, monitor
+
+
+TASK = GraspTask()
