@@ -19,7 +19,7 @@ from geort_drake.retargeting.methods import all_methods
 from geort_drake.retargeting.methods.online import VectorOnline
 from geort_drake.retargeting.retargeter import UniversalRetargeter
 
-# s of the scored person that a map for everyone is shown.
+# The first seconds of a recording, from which a map for everyone takes the person's code.
 SEEN_S = 1.0
 
 
@@ -29,7 +29,7 @@ class Evaluation:
 
     Attributes:
         metrics: of `evaluate_frames`; JSON-ready.
-        remembers: whether answers depend on earlier frames.
+        remembers: whether outputs depend on earlier frames.
         p_HF: (T, F, 3) human fingertips in H of the scored frames, m.
         p_BF: (T, F, 3) robot fingertips in B, m.
     """
@@ -53,9 +53,9 @@ class Outcome:
 class Comparison:
     """Evaluates methods one by one under the same protocols.
 
-    An online method answers the recorded frames in order, from rest. Metrics of hands that were not recorded
-    use its settled answers, see `VectorOnline.settled_map`. A map for everyone is shown the first second
-    of the person that it is scored on, and nothing else.
+    An online method gets the recorded frames in order, from rest. Metrics of hands that were not recorded use
+    its converged outputs, see `VectorOnline.settled_map`. A map for everyone gets the first second of the
+    person that it is scored on, and nothing else.
 
     Args:
         hand: model of the robot hand.
@@ -87,7 +87,7 @@ class Comparison:
 
         Args:
             name: of a method, or the path of a checkpoint or map for this hand.
-            starts: called before each case with its description.
+            starts: called with a description before each case.
 
         Returns:
             Name of the protocol → outcomes. A failed case has an error as its outcome; the others continue.
@@ -110,9 +110,8 @@ class Comparison:
         Returns:
             `mean`: over seeds, of the mean over parts, with pinch metrics over the frames of all parts
                 together;
-            `worst_part`: each metric's worst value of any part and seed; `worst_seed`: each metric's worst
-                mean of
-            a seed. The last two are None if there is only one.
+            `worst_part`: each metric's worst value over parts and seeds;
+            `worst_seed`: each metric's worst value over the seeds' means. None if there is only one.
         """
         done = [outcome.evaluation for outcome in outcomes if outcome.evaluation]
         pooled = [
@@ -181,7 +180,7 @@ def _check_checkpoint(name: str, protocol: Protocol, case: Case) -> None:
     known = load_checkpoint(name).provenance["recording"]["sha256"] == case.scored_on.digest
     if protocol.name == SAME_PERSON and not known:
         raise CheckpointError(
-            f"{name}: was trained on another recording than {case.part}; give that one as --recording, "
+            f"{name}: was trained on another recording than {case.part}; give that one to --recording, "
             "and this one to --score-on"
         )
     if protocol.name != SAME_PERSON and known:

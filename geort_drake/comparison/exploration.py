@@ -1,4 +1,4 @@
-"""Answers of retargeting methods to an excerpt of a recording, frame by frame."""
+"""Outputs of retargeting methods for an excerpt of a recording, frame by frame."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -13,7 +13,7 @@ from geort_drake.people.keypoints import FINGER_NAMES, mirrored
 from geort_drake.people.recording import PINCH_M, Recording
 
 WINDOW = 0.1  # s; a motion extends this far before and after a frame
-SHORTEST = 0.003  # m; the direction of shorter motions of a human fingertip is not compared
+SHORTEST = 0.003  # m; directions of shorter motions of a human fingertip are not compared
 
 
 @dataclass(frozen=True)
@@ -40,19 +40,19 @@ class Pinches:
 
 @dataclass(frozen=True)
 class Answers:
-    """Answers of one method to an excerpt with T hands, for F fingers.
+    """Outputs of one method for an excerpt with T hands, for F fingers.
 
     Attributes:
         q: (T, n) joint positions, rad.
         p_BF: (T, F, 3) robot fingertips, m.
-        copy: (T, F, 3) the human fingertips scaled and shifted per finger to come nearest to `p_BF` in least
-            squares, m. Such a copy preserves every direction, so the difference is the price of reach,
-            pinches and freedom from collisions.
+        copy: (T, F, 3) the human fingertips, scaled and shifted per finger to fit `p_BF` in least squares, m.
+            Such a copy preserves every direction; the difference shows what the method gives up for reach,
+            pinches and collision avoidance.
         error: (T, F) distance between the two, m.
         cosine: (T,) cosine of the angle between human and robot fingertip motion, averaged over the moving
             fingers; NaN if none moves.
-        gap: (T,) distance of the robot's tips of the pair that is nearest in the person's hand, m.
-        closed: (T,) whether these tips meet.
+        gap: (T,) distance of the robot's fingertips that correspond to the person's nearest pair, m.
+        closed: (T,) whether these fingertips meet.
         collisions: T times (k, 3) in B, where parts of the hand penetrate each other by over 2 mm, m.
     """
 
@@ -69,12 +69,12 @@ class Answers:
 def excerpt(
     recording: Recording, rate_hz: float = 30.0, duration_s: float = 20.0, start_s: float | None = None
 ) -> Recording:
-    """Part of a recording at a constant rate; while tracking is lost, the last hand stays.
+    """Part of a recording, resampled to a constant rate; while tracking is lost, the last hand is repeated.
 
-    Its times are from its beginning, which is `start_s` in its metadata, s.
+    Times begin at 0; `start_s` in the metadata is the excerpt's start in the recording, s.
 
     Args:
-        start_s: its beginning, s; None: where the excerpt has most pinches.
+        start_s: start of the excerpt, s; None: where it contains most pinches.
 
     Raises:
         RecordingError: it begins after the recording's end, or holds fewer than two hands.
@@ -110,7 +110,7 @@ def find_pinches(tips: np.ndarray, finger_names: Sequence[str]) -> Pinches:
 
 
 def answers(retarget: Callable, hand: HandModel, hands: Recording) -> Answers:
-    """Answers of a method to an excerpt.
+    """Outputs of a method for an excerpt.
 
     Args:
         retarget: from human fingertips (T, F, 3) of a canonical right hand, m, to joint positions (T, n).
@@ -137,7 +137,7 @@ def answers(retarget: Callable, hand: HandModel, hands: Recording) -> Answers:
 
 
 def proportional_copy(human: np.ndarray, robot: np.ndarray) -> np.ndarray:
-    """(T, F, 3) human fingertips scaled and shifted, finger by finger, to come nearest to the robot's."""
+    """(T, F, 3) human fingertips, scaled and shifted finger by finger to fit the robot's in least squares."""
     centred, target = human - human.mean(axis=0), robot - robot.mean(axis=0)
     spread = np.einsum("tfx,tfx->f", centred, centred)
     scale = np.einsum("tfx,tfx->f", centred, target) / np.maximum(spread, 1e-12)

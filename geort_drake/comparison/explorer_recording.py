@@ -1,4 +1,4 @@
-"""The retargeting explorer: a Rerun recording of a hand and of each method's answers, side by side."""
+"""The retargeting explorer: a Rerun recording of a hand and of each method's outputs, side by side."""
 
 import itertools
 import os
@@ -31,7 +31,7 @@ _STATES = ("–", "closed", "open", "collides")
 _STATE_COLORS: tuple[Color, ...] = (_IDLE, (44, 160, 44), (230, 120, 20), (214, 39, 40))
 
 _TEXT = """\
-Left: the **recorded hand**. Beside it: the answer of each method to its fingertips alone.
+Left: the **recorded hand**. Beside it: the robot hand with each method, which gets the fingertips only.
 
 | in these {seconds:.0f} s | {headings} |
 |---|{rule}
@@ -41,7 +41,7 @@ Left: the **recorded hand**. Beside it: the answer of each method to its fingert
 - **White cages**: a proportional copy of the human fingertip.
 - **A cage around two fingertips**: the person pinches. On the robot it is green if its fingertips meet, and
   red if they do not.
-- **Red balls**: parts of the hand penetrate each other by over 2 mm.
+- **Red spheres**: parts of the hand penetrate each other by over 2 mm.
 - **Lines** in the plots have the colour of the name above the hand.
 """
 
@@ -58,7 +58,7 @@ def write_exploration(
     Args:
         path: .rrd to write.
         hands: of the person, an `excerpt`.
-        methods: name of a method → its answers.
+        methods: name of a method → its outputs.
         properties: of the recording.
     """
     p_HK = hands.p_HK.astype(float)

@@ -13,7 +13,7 @@ class Metric:
         path: keys to its value in the dictionary of metrics, joined by dots.
         heading: of its column; empty if it is in no table.
         form: format of its value.
-        better: the better direction, if any; without it there is no worst value.
+        better: which values are better; None: neither, and there is no worst value.
     """
 
     path: str

@@ -34,7 +34,7 @@ from geort_drake.retargeting.training.map_figures import (
 
 MIN_FRAMES = 10
 SMALL_STEP = 0.002  # m, at which flatness and gain are measured
-UNANSWERED = 1e-6  # a smaller gain is rounding
+UNANSWERED = 1e-6  # smaller gains are rounding errors: the finger does not respond
 APART_DISTANCE = 0.030  # m; human fingertips farther apart are not meant to pinch
 TOO_DEEP = 0.004  # m; robot fingertips nearer than this press into each other
 PENETRATION = 0.002  # m; deeper penetrations count as self-collision
@@ -101,7 +101,7 @@ def evaluate_frames(
         raise RecordingError(
             f"metrics need at least {MIN_FRAMES} valid frames, the recording has {len(frames)}"
         )
-    rng = np.random.default_rng([seed, 1])  # not the numbers that robot_space drew
+    rng = np.random.default_rng([seed, 1])  # other random numbers than those of robot_space
 
     fingertips = _fingertips_of(hand)
 
@@ -143,10 +143,10 @@ def _fingertips_of(hand: HandModel) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def context_averaged(g: FingertipMap, frames: np.ndarray, contexts: int = 12) -> list[np.ndarray]:
-    """Per finger, where its tip goes, averaged over postures of the other fingers: (M, 3).
+    """Per finger, robot fingertips averaged over postures of the other fingers: (M, 3) in B, m.
 
-    Each visited 1 mm voxel of a fingertip is combined with the other fingertips of the recorded frames whose
-    own tip is nearest. This averages out what a coupled map reaches only through the other fingers.
+    Each visited 1 mm voxel of a human fingertip is combined with the other fingertips of the recorded frames
+    in which it was nearest. This averages out what a coupled map reaches only through the other fingers.
     """
     count = min(contexts, len(frames))
     result = []
@@ -267,5 +267,5 @@ def call_times(retarget: Callable, frames: np.ndarray, calls: int = 2000) -> np.
 
 
 def _in_chunks(retarget: Callable, p_HF: np.ndarray, rows: int = 4096) -> np.ndarray:
-    """retarget(p_HF) in pieces, because hidden layers of a long recording would fill the memory."""
+    """retarget(p_HF) in chunks, because hidden layers of a long recording would fill the memory."""
     return np.concatenate([retarget(p_HF[i : i + rows]) for i in range(0, len(p_HF), rows)])

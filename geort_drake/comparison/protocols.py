@@ -10,7 +10,7 @@ from geort_drake.errors import RecordingError
 from geort_drake.people.recording import Recording
 
 SAME_PERSON, HELD_OUT, OTHER_PERSON = "same_person", "held_out", "other_person"
-# Successive hands look alike, so frames this near to a held-out block are not used for training.
+# Successive frames are similar, so frames this near to a held-out block are not used for training, s.
 GUARD_S = 1.0
 
 
@@ -30,7 +30,7 @@ class Protocol:
     Attributes:
         name: SAME_PERSON, HELD_OUT or OTHER_PERSON.
         title: in tables.
-        meaning: of its metrics, and omissions.
+        meaning: of its metrics, and which are left out.
         cases: one per part.
         with_coverage: whether coverage of the robot's C-space is meaningful.
     """
@@ -99,7 +99,9 @@ def other_person(recording: Recording, others: Mapping[str, Recording]) -> Proto
     """
     for name, other in others.items():
         if other.digest == recording.digest:
-            raise RecordingError(f"{name}: is the recording that methods are trained on; give another one")
+            raise RecordingError(
+                f"{name}: is the recording that methods are trained on; give another person's"
+            )
     return Protocol(
         OTHER_PERSON,
         "another person",

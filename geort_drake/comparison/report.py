@@ -18,7 +18,7 @@ from geort_drake.people.recording import Recording
 # Name of a method → name of a protocol → outcomes.
 Results = Mapping[str, Mapping[str, Sequence[Outcome]]]
 
-FORMAT = 3  # raised when keys change; 1 had one protocol and one seed, 2 also had `related` metrics
+FORMAT = 3  # incremented when keys change
 
 
 def report(comparison: Comparison, results: Results, recording: Recording, name: str) -> dict:
@@ -76,8 +76,8 @@ def _outcome(outcome: Outcome) -> dict:
 def tables(comparison: Comparison, results: Results) -> Iterator[Group]:
     """The protocols, each with its meaning and a few tables with methods as rows.
 
-    The first row of a method is its mean; the worst part and the worst seed follow, if there are several. A
-    method that failed on some cases shows how many succeeded. Empty columns are left out.
+    The first row of a method is its mean; the worst part and the worst seed follow, if there are several. If
+    cases failed, the row states how many succeeded. Empty columns are left out.
     """
     for protocol in comparison.protocols:
         rows = [

@@ -22,11 +22,11 @@ from geort_drake.retargeting.retargeter import load_retargeter, shipped_map
 
 # (recording, method, seed) → directory of the checkpoint.
 CheckpointSource = Callable[[Recording, str, int], Path]
-PYTHON = ".py"  # a method of one's own, for the grasp benchmark
+PYTHON = ".py"  # suffix of a user's own method, for the grasp benchmark
 
 
 def names_of(methods: Sequence[str], trainings: int = 1, hand: HandModel | None = None) -> dict[str, str]:
-    """Name → method, without repeats; a checkpoint, map or Python file is named after its path.
+    """Name → method, without duplicates; a checkpoint, map or Python file is named after its path.
 
     A method that is trained several times has a name for each training: geort, geort~1, geort~2.
 
@@ -67,7 +67,7 @@ def retargeter_of(
     Args:
         method: name of a method, or the path of a checkpoint or map.
         recording: training data, or the frames that an untrained method uses.
-        seed: of the training, or of an untrained method's draws.
+        seed: of the training, or of an untrained method's random samples.
         checkpoint_of: trains a method, or finds its checkpoint.
     """
     if method in untrained_methods():

@@ -29,16 +29,16 @@ Map = Callable[[np.ndarray], np.ndarray]
 APPLICATION = "geort_drake_training"
 _PLAYING_TIME = 10.0  # s
 _TEXT = """\
-**{method}** learns to move the {hand}; no robot pose is given for any human pose. Flat lattices lie among the
-person's fingertips; the map carries them over. It should keep their directions (I), use the whole reach of
-the robot's fingertips (II), keep cells alike (III), close pinches (IV) and not let the hand hit itself (V).
+**{method}** learns to move the {hand} without paired poses. Flat lattices among the person's fingertips are
+mapped to the robot. The map should preserve directions (I), cover the whole reach of the robot's fingertips
+(II), keep cells equal (III), close pinches (IV) and avoid self-collisions (V).
 
-Plots: I cosine; II, IV and V fractions; III 0 where the map is even. Both hands show one pinch.
+Plots: I mean cosine; II, IV and V fractions; III 0 for an affine map. Both hands show one pinch.
 """
 # Title, eye and target (m, in W), and entities of each view.
 _VIEWS = (
     ("the person's fingertips", (0.19, 0.18, 0.17), (0.03, 0.01, 0.1), ["/world/human/**"]),
-    ("what the map makes of them", (0.22, 0.53, 0.19), (0.04, 0.33, 0.11), ["/world/robot/**"]),
+    ("mapped to the robot", (0.22, 0.53, 0.19), (0.04, 0.33, 0.11), ["/world/robot/**"]),
 )
 _SHARE = (-0.05, 1.08)  # limits of a plot that labels 0 and 1
 # Criterion → title of its plot, and the plot's limits.
@@ -63,7 +63,7 @@ _LATTICE_RADIUS = 0.0006  # m, of its lines
 class TrainingRecorder:
     """Records a training: pass `observe` to the trainer as its `Report`; `write` makes the recording.
 
-    Observing only copies the weights; everything else is computed by `write`.
+    `observe` only copies the weights; `write` computes everything else.
 
     Args:
         hand: model of the robot hand.
@@ -79,7 +79,7 @@ class TrainingRecorder:
         self._steps = 0
 
     def observe(self, step: int, steps: int, losses: dict[str, float], network: torch.nn.Module) -> None:
-        """Keeps the state of a training; the network maps fingertips (N, F, 3), m, to joint angles (N, n)."""
+        """Copies the weights; the network maps fingertips (N, F, 3), m, to joint angles (N, n), rad."""
         if self._network is None:
             self._network = copy.deepcopy(network).cpu()
         self._steps = steps
@@ -202,7 +202,7 @@ class TrainingScene:
 
 
 class Lattice:
-    """A flat square lattice through the places of one human fingertip, in the plane that holds most of them.
+    """A flat square lattice among the positions of one human fingertip, in their plane of best fit.
 
     Attributes:
         nodes: (k, 3), m.
@@ -237,7 +237,7 @@ def _blueprint(steps: int, losses: np.ndarray) -> Any:
         views.time_series(title, [f"/criteria/{key}"], steps=steps, limits=limits)
         for key, (title, limits) in _CRITERIA.items()
     ]
-    # The highest peaks are cut, as they would flatten everything else.
+    # The highest peaks are cut off; they would flatten everything else.
     low, high = np.percentile(losses, [0, 97])
     margin = 0.05 * max(high - low, 1e-6)
     # The axis is longer than the training, to leave room for the legend.

@@ -11,7 +11,7 @@ _PACKAGES = ("numpy", "scipy", "torch", "drake")
 
 
 def versions() -> dict[str, str]:
-    """Versions of this package, Python and what decides the figures, and the platform; JSON-ready."""
+    """Versions of this package, Python and the packages that affect results, and the platform, for JSON."""
     return {
         "geort_drake": geort_drake.__version__,
         "python": platform.python_version(),

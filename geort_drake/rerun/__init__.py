@@ -1,6 +1,6 @@
 """Recordings for the Rerun viewer, of any Drake diagram and without one.
 
-A recorder is one more system of a diagram. It samples the bodies of a plant, and further ports on request:
+A recorder is a system in a diagram. It samples the bodies of a plant, and further ports on request:
 
     torque = SignalSpec(port, ["shoulder", "elbow"], unit="N m")
     recorder = add_rerun_recorder(builder, plant, scene_graph, "robot.rrd", {"torque": torque})

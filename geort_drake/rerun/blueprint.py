@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 
 from geort_drake.rerun.writer import TIMELINE, WORLD
 
-# A grey on which black hands, white arms and skin are visible; the grid is hardly brighter.
+# Black hands, white arms and skin are visible on this grey; the grid is slightly brighter.
 _BACKGROUND, _GRID = (70, 76, 88), (92, 99, 112, 255)
 # px in the viewer: title and ruler of a view of lanes, one lane, and the views in a window of 720 px.
 _RULER, _LANE, _WINDOW = 48, 40, 650

@@ -24,7 +24,7 @@ class RecordedSamples:
 
     Attributes:
         t: (T,) all times at which anything was sampled, s.
-        signals: (T,) each, the newest value at each time.
+        signals: (T,) each, the latest value at each time.
         states: (T,) names of states.
         poses: X_WB (T, 7) of the moving bodies, qw qx qy qz x y z.
     """
@@ -43,7 +43,7 @@ def read_samples(path: str | os.PathLike) -> RecordedSamples:
     """
     columns, names = _columns(Path(path))
     if not columns:
-        raise RecordingError(f"{path}: nothing was sampled on the timeline {TIMELINE}")
+        raise RecordingError(f"{path}: has no samples on the timeline {TIMELINE}")
     t_ns = np.unique(np.concatenate([stamps for stamps, _ in columns.values()]))
     samples = RecordedSamples(1e-9 * t_ns)
     for (entity, component), (stamps, values) in columns.items():

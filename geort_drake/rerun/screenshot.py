@@ -1,4 +1,4 @@
-"""Pictures of Rerun recordings, taken by a viewer that needs no screen."""
+"""Screenshots of Rerun recordings, taken by a headless viewer."""
 
 import contextlib
 import os
@@ -23,13 +23,13 @@ _NOTICE = 6.0  # s; for this long a notice of the viewer covers a corner
 _ATTEMPTS = 4
 _PAUSE = 0.3  # s, between two pictures that are compared
 _DRIVER = (
-    "The viewer needs a graphics driver; without a graphics card a software one will do "
+    "The viewer needs a graphics driver; without a graphics card, install a software driver "
     "(Debian and Ubuntu: apt-get install mesa-vulkan-drivers)."
 )
 
 
 class Camera:
-    """Takes pictures of a recording that a viewer shows.
+    """Takes screenshots of a recording that a viewer shows.
 
     Attributes:
         end: last time on the recording's timeline: simulated s, or training steps.
@@ -47,7 +47,7 @@ class Camera:
         ends = {timeline.name: timeline.end for timeline in timelines if timeline.end is not None}
         self._timeline = next((name for name in (TIMELINE, STEPS) if name in ends), None)
         if self._timeline is None:
-            raise RecordingError(f"{recording}: holds nothing on the timeline '{TIMELINE}' or '{STEPS}'")
+            raise RecordingError(f"{recording}: has no data on the timeline '{TIMELINE}' or '{STEPS}'")
         self.end: float = ends[self._timeline] * (1e-9 if self._timeline == TIMELINE else 1)
         sleep(_NOTICE)
 
@@ -132,7 +132,7 @@ def take_screenshot(
 
 
 def _retry(ask: Callable[[], Any]) -> Any:
-    """The viewer's answer, which on a busy machine may exceed the client's time limit."""
+    """The viewer's reply; on a busy machine, it may exceed the client's time limit."""
     for _ in range(_ATTEMPTS - 1):
         with contextlib.suppress(RuntimeError):
             return ask()

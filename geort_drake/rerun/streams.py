@@ -43,7 +43,7 @@ def file_writer(
     path = Path(path)
     stream = _stream(application_id, recording_id)
     if not rr.is_enabled(stream):
-        warnings.warn(f"{path}: not written, as the environment says RERUN=off", stacklevel=4)
+        warnings.warn(f"{path}: not written, because of the environment variable RERUN=off", stacklevel=4)
         yield Writer(stream, timeline)
         return
     with atomic_path(path) as draft:
@@ -58,7 +58,7 @@ def file_writer(
             file.seek(max(0, draft.stat().st_size - _FOOTER_BYTES))
             whole = _FOOTER in file.read()
         if not whole:
-            raise OutputError(f"{path}: cannot be written to its end: is the disk full?")
+            raise OutputError(f"{path}: could not be written completely; is the disk full?")
 
 
 def live_writer(

@@ -59,7 +59,7 @@ class Writer:
         return self
 
     def static(self, path: str, archetype: rr.AsComponents) -> None:
-        """Sends data that hold at all times; further data of the same kind for that path are ignored."""
+        """Sends data without a time; further data of the same kind for that path are ignored."""
         if (path, type(archetype)) not in self._sent:
             self._sent.add((path, type(archetype)))
             self._stream.log(path, archetype, static=True, strict=True)
@@ -71,7 +71,7 @@ class Writer:
             self._stream.send_columns(path, [index], columns, strict=True)
 
     def text(self, path: str, markdown: str) -> None:
-        """Sends a text that holds at all times."""
+        """Sends a text without a time."""
         self.static(path, rr.TextDocument(markdown, media_type="text/markdown"))
 
     def poses(self, paths: Sequence[str], X: np.ndarray) -> None:
@@ -131,15 +131,15 @@ class Writer:
         """Sends points (k, 3), m, where k may change from time to time.
 
         Args:
-            fill: SOLID or CAGE for balls, which can be translucent; by default dots, which are opaque.
+            fill: SOLID or CAGE for spheres, which can be translucent; by default dots, which are opaque.
         """
         if fill is None:
             self._items(path, Points3D, {"positions": _stack(rows)}, {"radii": [radius]}, rows, colors)
         else:
             centers = _stack(rows)
-            balls = {"centers": centers, "half_sizes": np.full_like(centers, radius)}
+            spheres = {"centers": centers, "half_sizes": np.full_like(centers, radius)}
             style = {"fill_mode": fill, "line_radii": [0.0007]}
-            self._items(path, rr.Ellipsoids3D, balls, style, rows, colors)
+            self._items(path, rr.Ellipsoids3D, spheres, style, rows, colors)
 
     def lines(self, path: str, rows: Sequence[np.ndarray], radius: float, colors: Colors) -> None:
         """Sends line segments (k, 2, 3), m, where k may change from time to time."""
@@ -184,14 +184,14 @@ class Writer:
         self.poses([f"{path}/{HAND_FRAME}"], np.concatenate([R_WH, p_WH[..., None]], axis=2)[:, None])
         drawn = np.isfinite(p_WK).all(axis=(1, 2))
         p_WK = p_WK[drawn]
-        # An empty entry takes a lost hand off the screen.
+        # An empty entry removes a lost hand from the view.
         count = drawn.astype(int)
         parents, children = np.array(BONES).T
         along = p_WK[:, children] - p_WK[:, parents]
         capsules = rr.Capsules3D.columns(
             lengths=np.linalg.norm(along, axis=2).ravel(),
             translations=p_WK[:, parents].reshape(-1, 3),
-            quaternions=_turn_z_to(along.reshape(-1, 3)),
+            quaternions=_rotate_z_to(along.reshape(-1, 3)),
         )
         self.columns(bones, capsules.partition(20 * count))
         self.columns(points, Points3D.columns(positions=p_WK.reshape(-1, 3)).partition(21 * count))
@@ -201,7 +201,7 @@ class Writer:
         try:
             self._stream.flush(timeout_sec=FLUSH_TIMEOUT)
         except (RuntimeError, ValueError) as error:
-            warnings.warn(f"the viewer did not get everything: {error}", stacklevel=4)
+            warnings.warn(f"the viewer did not receive all data: {error}", stacklevel=4)
         self._stream.disconnect()
 
     def _column(self, times: np.ndarray) -> rr.TimeColumn:
@@ -210,7 +210,7 @@ class Writer:
 
 
 def transform(X: RigidTransform) -> rr.Transform3D:
-    """A pose that holds at all times."""
+    """A pose without a time."""
     return rr.Transform3D(translation=X.translation(), quaternion=rr.Quaternion(xyzw=xyzw(X)))
 
 
@@ -223,8 +223,8 @@ def _stack(rows: Sequence) -> np.ndarray:
     return np.concatenate(rows) if len(rows) else np.empty((0, 3))
 
 
-def _turn_z_to(directions: np.ndarray) -> np.ndarray:
-    """Shortest rotations (n, 4), xyzw, that turn the z axis to the directions (n, 3)."""
+def _rotate_z_to(directions: np.ndarray) -> np.ndarray:
+    """Smallest rotations (n, 4), xyzw, that rotate the z axis to the directions (n, 3)."""
     length = np.maximum(np.linalg.norm(directions, axis=1), 1e-12)
     x, y, z = (directions / length[:, None]).T
     turns = np.stack([-y, x, np.zeros_like(x), 1 + z], axis=1)

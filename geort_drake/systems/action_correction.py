@@ -19,7 +19,7 @@ class CorrectionConfig:
 
     # none: commands pass unchanged; guard: `SelfCollisionGuard`; policy: `PolicyCorrection`.
     kind: str = "none"
-    # Least distance between parts of the hand that the guard allows, m.
+    # Smallest distance between parts of the hand that the guard allows, m.
     clearance: float = 0.002
     # TorchScript (.pt) or ONNX (.onnx) file of the policy.
     policy: str = ""
@@ -31,15 +31,15 @@ class CorrectionConfig:
         if not (math.isfinite(self.clearance) and self.clearance >= 0):
             raise ValueError(f"correction.clearance must be finite and not negative, not {self.clearance}")
         if (self.kind == "policy") != bool(self.policy):
-            raise ValueError("correction.policy must be given with kind policy, and only then")
+            raise ValueError("correction.policy must be given for kind policy, and for no other kind")
 
 
 class ActionCorrection(LeafSystem):
-    """Passes the desired state through; override `correct` to correct it.
+    """Passes the desired state through; override `correct` to change it.
 
-    In DexterityGen (Yin et al. 2025, section IV), this is the place of the foundation controller, a policy
-    that sees the hand and turns coarse targets into safe, dexterous ones. The package's own corrections have
-    the same ports and override `_calc`.
+    The foundation controller of DexterityGen (Yin et al. 2025, section IV), a policy that turns coarse
+    targets into safe ones, would be such a system. The package's own corrections have the same ports and
+    override `_calc`.
 
     Input ports:
         desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.

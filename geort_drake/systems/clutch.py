@@ -18,9 +18,9 @@ class _Engagement(Immutable):
 
 
 class Clutch(LeafSystem):
-    """Moves the robot hand as the wrist has moved since the clutch engaged.
+    """Applies the wrist's motion since the clutch engaged to the robot hand.
 
-    Person and robot may start at different places: translation and rotation of the wrist since the first
+    Person and robot may start at different poses: translation and rotation of the wrist since the first
     valid sample, both measured in W, are added to the hand's pose at that time.
 
     Input ports:

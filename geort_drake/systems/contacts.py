@@ -1,4 +1,4 @@
-"""Contacts between a plant's bodies, read alike from point and hydroelastic contact."""
+"""Contacts between a plant's bodies, from point and hydroelastic contact."""
 
 from collections.abc import Mapping
 
@@ -30,7 +30,7 @@ def contact_rows(results: ContactResults, bodies: Mapping[GeometryId, int]) -> n
     if not points + surfaces:
         return _NO_CONTACTS
     rows = np.empty((points + surfaces, 8))
-    # Calls into C++ take most of the time: five for each contact, and no loop around them.
+    # Calls into C++ take most of the time; `map` avoids a Python loop around them.
     infos = list(map(results.point_pair_contact_info, range(points)))
     rows[:points, 0] = np.fromiter(map(PointPairContactInfo.bodyA_index, infos), int, points)
     rows[:points, 1] = np.fromiter(map(PointPairContactInfo.bodyB_index, infos), int, points)

@@ -17,9 +17,9 @@ HELD_JUMPED = "held: a keypoint moved faster than a hand can"
 # Frozen input is still followed; the motion after it is eased.
 FROZEN = "frozen: the keypoints have not changed for too long"
 
-# s; gloves send at least 25 times a second, so a longer gap allows no larger jump.
+# s; the allowed jump grows with the time between two frames up to this gap, the longest of usual gloves.
 _LONGEST_GAP = 0.04
-# s; sums of periods are rounded.
+# s; for rounding errors in sums of periods.
 _TIME_TOLERANCE = 1e-9
 
 
@@ -37,7 +37,7 @@ class GloveChecks:
     stale_after: float = 0.2
     # The input must be good for this long before it is followed, s.
     settle_time: float = 0.03
-    # Then the joints' speed limit grows from zero to full over the duration of the hold, at most this, s.
+    # After a hold, the joints' speed limit grows from zero over the hold's duration, at most this, s.
     ease_time: float = 0.5
     # Whether the start counts as the end of a long hold; otherwise the first keypoints are followed at once.
     ease_at_start: bool = True
@@ -114,7 +114,7 @@ def _largest(x: np.ndarray) -> float:
 class Easing:
     """Tracks whether the hand follows, is held, or follows again at limited speed.
 
-    Input is followed once it has been good for the settling time. After a hold, the usable share of the
+    Input is followed once it has been good for the settling time. After a hold, the usable fraction of the
     joints' speed limit grows from zero to one over the duration of the hold.
 
     Attributes, in s:
@@ -155,7 +155,7 @@ class Easing:
         """Ends a hold with an easing of at most `longest`; all times in s.
 
         Returns:
-            The usable share of the speed limit from `time` to `time + period`.
+            The usable fraction of the speed limit from `time` to `time + period`.
         """
         if not math.isnan(self.held_since):
             self.duration, self.eased_from = min(longest, time - self.held_since), time

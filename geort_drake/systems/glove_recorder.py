@@ -25,8 +25,8 @@ class GloveRecorder(LeafSystem):
 
     Args:
         period: time between samples, s.
-        parts: files that take the samples every `part` seconds, which bounds memory and the loss in a crash.
-            Without it, samples stay in memory for `recording`.
+        parts: files to which samples are written every `part` seconds, which limits memory and the loss in a
+            crash. Without it, samples stay in memory for `recording`.
     """
 
     def __init__(self, period: float, parts: RecordingParts | None = None, part: float = _PART_S):
@@ -57,7 +57,7 @@ class GloveRecorder(LeafSystem):
         return Recording(t - t[0], p_HK, valid, X_WH, dict(metadata or {}))
 
     def switch(self, parts: RecordingParts | None) -> RecordingParts | None:
-        """Takes samples to other parts from now on, or drops them, and returns the complete parts so far."""
+        """Writes later samples to other parts, or drops them; returns the parts so far, completed."""
         before = self._parts
         if before is not None and self._samples:
             self._write(before)

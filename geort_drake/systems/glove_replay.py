@@ -10,7 +10,7 @@ from pydrake.systems.framework import BasicVector, Context, LeafSystem
 from geort_drake.people.recording import Recording
 from geort_drake.systems.port_values import vector_to_pose
 
-_TIME_TOLERANCE = 1e-9  # s; recorded times are rounded sums of periods
+_TIME_TOLERANCE = 1e-9  # s; for rounding errors in recorded times
 
 
 class GloveReplay(LeafSystem):

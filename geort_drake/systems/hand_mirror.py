@@ -1,4 +1,4 @@
-"""Reflects a human hand, because left hands are computed as right hands in a mirror."""
+"""Reflects a human hand, because left hands are computed as mirrored right hands."""
 
 import numpy as np
 from pydrake.common.value import AbstractValue

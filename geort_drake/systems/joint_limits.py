@@ -9,9 +9,9 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from geort_drake.errors import HandError
 from geort_drake.retargeting.numpy_kinematics import MAX_ANGLE
 
-# rad/s²; from rest to 7 rad/s in one update at 100 Hz, as a position controller at that rate could ask.
+# rad/s²; from rest to 7 rad/s in one update at 100 Hz.
 DEFAULT_ACCELERATION = 700.0
-# rad/s and rad/s²; beyond these squares may overflow, and no motor reaches them.
+# rad/s and rad/s²; outside of this range squares may overflow, and no motor reaches it.
 _RATES = (1e-6, 1e12)
 
 
@@ -89,18 +89,18 @@ class JointLimits:
         """Returns positions and velocities after a period, as near to `target` as the limits allow.
 
         Speed is (q' − q) / period and acceleration (v' − v) / period. A joint without lag reaches its target
-        exactly; a lagging one catches up as fast as it can still brake in time. If q and v keep the limits,
-        so do the results, for any targets.
+        exactly; a lagging one catches up at the highest speed from which it can brake in time. If q and v
+        respect the limits, so do the results, for any targets.
 
         Args:
             q, v: (n,) present positions (rad) and velocities (rad/s); v = 0 at the start.
             target, target_before: (n,) finite targets after the period and now, rad.
             period: s.
-            share: usable share of the speed limit; a faster joint slows down.
+            share: usable fraction of the speed limit; a faster joint slows down.
         """
         speed, lag = (target - q) / period, target_before - q
-        # Fast path: a target within all limits is reached. A joint at v stops within v²/2a; if that is inside
-        # the position limits, no later step has to leave them.
+        # Fast path: a target within all limits is reached. A joint at v stops within v²/2a; if it stops
+        # inside the position limits, no later step has to leave them.
         low, high, stretch = self._free(period)
         values = np.array([speed, speed - v, lag, target + speed * np.abs(speed) * stretch])
         if share == 1.0 and np.count_nonzero((low <= values) & (values <= high)) == values.size:

@@ -21,7 +21,7 @@ def make_correction(
     """Returns the correction for a hand; the other arguments are those of `SelfCollisionGuard`.
 
     Raises:
-        HandError: the guard cannot keep this hand clear of itself.
+        HandError: the guard cannot be used with this hand, see `SelfCollisionGuard`.
         PolicyError: the policy cannot be run.
     """
     if config.kind == "guard":

@@ -20,12 +20,12 @@ from geort_drake.systems.port_values import Immutable
 
 TRACKING = "tracking"
 LIMITED = "limited: a joint is at a limit of its position, speed or acceleration"
-OUTSIDE = "outside: a fingertip is far from where training saw it"
-LEARNING = "learning: the map gets to know the person"
-UNUSUAL = "unusual: the hand is unlike those of the training"
-EASING = "easing: the joints catch up slowly after a hold"
+OUTSIDE = "outside: a fingertip is far from all its positions in training"
+LEARNING = "learning: the map is adapting to the person"
+UNUSUAL = "unusual: the hand differs from all hands in training"
+EASING = "easing: the joints catch up at limited speed after a hold"
 SETTLING = "held: the input has not been good for long enough"
-HELD_OTHER_PERSON = "held: the hand is another person's; the map gets to know it"
+HELD_OTHER_PERSON = "held: the hand is another person's; the map adapts to it"
 FOLLOWED = (TRACKING, LIMITED, OUTSIDE, LEARNING, UNUSUAL, EASING)
 STATES = (
     *FOLLOWED,
@@ -43,7 +43,7 @@ STATES = (
 
 @dc.dataclass(frozen=True)
 class RetargetingStatus(Immutable):
-    """What the system does with its input, and since when (s)."""
+    """The reaction to the present input, and since when (s)."""
 
     state: str = SETTLING
     since: float = 0.0
@@ -55,7 +55,7 @@ class RetargetingStatus(Immutable):
 
     @functools.cached_property
     def distance(self) -> float:
-        """Largest distance of a fingertip from its places in training, m.
+        """Largest distance of a fingertip from its positions in training, m.
 
         NaN if these are unknown or the input is not followed. Computed on first use, because it takes longer
         than the rest of a status.

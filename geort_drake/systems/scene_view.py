@@ -1,4 +1,4 @@
-"""Reads fingertips, hand, object and contacts off a plant."""
+"""Reads fingertips, hand, object and contacts from a plant."""
 
 from collections.abc import Callable
 
@@ -80,9 +80,9 @@ class SceneView(LeafSystem):
         )
         self._num_fingers = num_fingers
         places = {"fingertips": 3 * num_fingers, "hand_pose": 7, "object_pose": 7}
-        self._declare_outputs(places, self._calc_places, self._poses)
+        self._declare_outputs(places, self._calc_poses, self._poses)
         touches = {"link_contact": len(self.links), "contact": num_fingers, "self_contact": 1}
-        self._declare_outputs(touches, self._calc_touches, self._contacts)
+        self._declare_outputs(touches, self._calc_contacts, self._contacts)
 
     def _declare_outputs(self, sizes: dict[str, int], calculate: Callable, source: InputPort) -> None:
         """Declares ports with a common cache entry, because reading the input takes longer than the rest."""
@@ -99,7 +99,7 @@ class SceneView(LeafSystem):
                 {cached.ticket()},
             )
 
-    def _calc_places(self, context: Context, output: AbstractValue) -> None:
+    def _calc_poses(self, context: Context, output: AbstractValue) -> None:
         poses = self._poses.Eval(context)
         X_WT = np.array([poses[link].GetAsMatrix34() for link in self._tip_links])
         output.set_value(
@@ -110,7 +110,7 @@ class SceneView(LeafSystem):
             }
         )
 
-    def _calc_touches(self, context: Context, output: AbstractValue) -> None:
+    def _calc_contacts(self, context: Context, output: AbstractValue) -> None:
         results = self._contacts.Eval(context)
         force, self_contact = np.zeros(len(self.links)), 0.0
         rows = contact_rows(results, self._body_of_geometry)

@@ -12,20 +12,20 @@ from geort_drake.hands.model import HandModel
 from geort_drake.systems.action_correction import PeriodicCorrection
 from geort_drake.systems.joint_limits import JointLimits
 
-_SLACK = 2e-4  # m; a correction aims for this much more than the clearance
+_SLACK = 2e-4  # m; corrections aim at the clearance plus this
 _ITERATIONS = 4
 # Number of nearest pairs that are opened at once; most other near pairs open with these.
 _PAIRS = 4
 
 
 class SelfCollisionGuard(PeriodicCorrection):
-    """Passes commands that are clear of self-collision, and moves others to near positions that are.
+    """Passes commands that are free of self-collision, and moves others to near positions that are.
 
-    Every output is checked: the distance between all parts of the hand that `HandClearance` watches is at
-    least `clearance`. It keeps the limits of position and speed. If no correction is found, the fingers in
-    conflict, or all fingers, keep their last positions. Acceleration is not limited: fingers stop at once
-    before they meet. Nothing is guaranteed for the hand's measured positions, nor between two commanded ones,
-    which are at most speed · period apart.
+    Every output is checked: the distance between all parts of the hand that `HandClearance` compares is at
+    least `clearance`. Outputs respect the limits of position and speed. If no correction is found, the
+    fingers in conflict, or all fingers, keep their last positions. Acceleration is not limited: fingers may
+    stop within one period. Nothing is guaranteed for the hand's measured positions, nor between two commanded
+    ones, which are at most speed · period apart.
 
     Input ports:
         desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.
@@ -45,7 +45,7 @@ class SelfCollisionGuard(PeriodicCorrection):
 
     Raises:
         HandError: the joints are not the hand's, its collision geometry is of an unsupported kind, or the
-            hand is not clear at the initial positions.
+            hand's clearance is too small at the initial positions.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class SelfCollisionGuard(PeriodicCorrection):
             return q
         J, openings = conflict.gradient, self._clearance + _SLACK - conflict.gap
         for _ in range(_ITERATIONS):
-            change = _least_change(J, openings, low - target, high - target)
+            change = _smallest_change(J, openings, low - target, high - target)
             if change is None:
                 break
             q = np.minimum(np.maximum(target + change, low), high)
@@ -98,7 +98,7 @@ class SelfCollisionGuard(PeriodicCorrection):
             J = np.concatenate([J, near.gradient])
             opening = self._clearance + _SLACK - near.gap + near.gradient @ (q - target)
             openings = np.concatenate([openings, opening])
-        # Fingers in conflict stay, then also those that would run into them.
+        # Fingers in conflict stay, and then those that would collide with them.
         stay = np.zeros(len(q), dtype=bool)
         while conflict.pairs:
             meeting = self._hand_clearance.joints_between(conflict.pairs).any(axis=0)
@@ -128,22 +128,24 @@ class SelfCollisionGuard(PeriodicCorrection):
         return EventStatus.Succeeded()
 
 
-def _least_change(J: np.ndarray, opening: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray | None:
-    """Returns the shortest x (n,) with J x ≥ opening (K,), or None if there is none.
+def _smallest_change(
+    J: np.ndarray, opening: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> np.ndarray | None:
+    """Returns the x (n,) of least norm with J x ≥ opening (K,), or None if there is none.
 
-    Bounds in [low, high] are added where the shortest x violates them.
+    Bounds low ≤ x ≤ high are added where x violates them.
     """
-    x = _shortest(J, opening)
+    x = _least_norm(J, opening)
     if x is None or not ((under := x < low) | (over := x > high)).any():
         return x
     eye = np.eye(len(low))
-    return _shortest(
+    return _least_norm(
         np.concatenate([J, eye[under], -eye[over]]), np.concatenate([opening, low[under], -high[over]])
     )
 
 
-def _shortest(A: np.ndarray, b: np.ndarray) -> np.ndarray | None:
-    """Returns the shortest x (n,) with A x ≥ b (K,), K > 0, or None if there is none.
+def _least_norm(A: np.ndarray, b: np.ndarray) -> np.ndarray | None:
+    """Returns the x (n,) of least norm with A x ≥ b (K,), K > 0, or None if there is none.
 
     Least-distance programming by non-negative least squares: Lawson and Hanson 1974, "Solving Least
     Squares Problems", chapter 23.

@@ -2,9 +2,9 @@
 
 import math
 
-# Shorter periods are lost to rounding in a long session; longer ones give no control.
+# Shorter periods suffer from rounding in long sessions; longer ones are useless for control.
 _PERIODS = (1e-5, 10.0)  # s
-# A slower low-pass hardly moves.
+# Lower cutoffs would block all motion.
 _CUTOFFS = (1e-3, 1e6)  # Hz
 
 
@@ -25,5 +25,5 @@ def check_timing(period: float, latency: float = 0.0, cutoff: float = 0.0) -> No
 
 
 def low_pass_share(cutoff: float, period: float) -> float:
-    """The share of the way to its input that a first-order low-pass moves in a period (s); 1 for cutoff 0."""
+    """Fraction of the way to its input that a first-order low-pass moves in a period (s); 1 for cutoff 0."""
     return -math.expm1(-2.0 * math.pi * cutoff * period) if cutoff > 0 else 1.0

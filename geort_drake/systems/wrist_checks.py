@@ -13,10 +13,10 @@ WRIST_JUMPED = "held: the wrist moved faster than a wrist can"
 WRIST_NOT_FINITE = "held: the wrist's pose is not finite"
 _STATES = ("", WRIST_JUMPED, WRIST_NOT_FINITE)
 
-# s; trackers send at least 25 times a second, so a longer gap allows no larger jump.
+# s; the allowed jump grows with the time between two poses up to this gap, the longest of usual trackers.
 _LONGEST_GAP = 0.04
-_TIME_TOLERANCE = 1e-9  # s; sums of periods are rounded
-# Faster motions are not followed. A throw is faster, but the arm could not follow it.
+_TIME_TOLERANCE = 1e-9  # s; for rounding errors in sums of periods
+# Faster motions are not followed; the arm could not follow them, either.
 _MAX_SPEED = 3.0  # m/s
 _MAX_ROTATION_SPEED = 20.0  # rad/s; a MANUS recording at 118 Hz peaks at 8
 # The pose must be good for this long before it is followed again, s.
@@ -26,8 +26,8 @@ _SETTLE_TIME = 0.1
 class WristChecks(LeafSystem):
     """Marks the wrist as lost while its pose is not finite or moves faster than a wrist can.
 
-    After a jump, poses are compared with the new place. A tracker that stays there is followed again after
-    the settling time; `Clutch` takes only the motion from then on.
+    After a jump, poses are compared with the new one. A tracker that stays there is followed again after the
+    settling time; `Clutch` applies only the motion from then on.
 
     Input ports:
         wrist_pose (abstract RigidTransform): X_WH.
@@ -46,7 +46,7 @@ class WristChecks(LeafSystem):
         self._wrist = self.DeclareAbstractInputPort("wrist_pose", AbstractValue.Make(RigidTransform()))
         self._valid = self.DeclareVectorInputPort("valid", 1)
         self._memory = self.DeclareDiscreteState(np.array([*[math.nan] * 7, 0.0, -math.inf, 0.0]))
-        # Computed from the present pose, so that it is checked before others use it.
+        # Computed from the present pose, so that it is checked before other systems use it.
         self.DeclareVectorOutputPort("valid", 1, self._calc_valid)
         self.DeclareAbstractOutputPort("state", lambda: AbstractValue.Make(""), self._calc_state)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
@@ -65,9 +65,9 @@ class WristChecks(LeafSystem):
         if not np.array_equal(pose, last):
             gap = max(min(time - changed, _LONGEST_GAP), self._period)
             # |q · q'| is the cosine of half the angle. Before the first pose, comparisons with NaN are false.
-            turn = 2.0 * math.acos(min(abs(float(pose[:4] @ last[:4])), 1.0))
+            angle = 2.0 * math.acos(min(abs(float(pose[:4] @ last[:4])), 1.0))
             distance = float(np.linalg.norm(pose[4:] - last[4:]))
-            if distance > _MAX_SPEED * gap or turn > _MAX_ROTATION_SPEED * gap:
+            if distance > _MAX_SPEED * gap or angle > _MAX_ROTATION_SPEED * gap:
                 code, bad_since = _STATES.index(WRIST_JUMPED), time
             changed = time
         return np.array([*pose, changed, bad_since, code]), _STATES[int(code)]

@@ -1,4 +1,4 @@
-"""Moves the arm that carries the robot hand as a tracked wrist moves."""
+"""Makes the arm follow a tracked wrist."""
 
 import dataclasses as dc
 
@@ -27,12 +27,12 @@ class WristToArmConfig:
 
     # Period of the differential inverse kinematics, s.
     period: float = 0.01
-    # Share of the pose error that is corrected in one period; below 1 it smooths the tracker's noise.
+    # Fraction of the pose error that is corrected in one period; below 1 it smooths the tracker's noise.
     pose_gain: float = 0.3
     # Largest commanded speed of the hand, m/s and rad/s.
     max_translation_speed: float = 0.6
     max_rotation_speed: float = 2.5
-    # Usable share of the arm's joint speed limits.
+    # Usable fraction of the arm's joint speed limits.
     joint_speed_share: float = 0.9
     # Gain towards the starting posture in the arm's null space, 1/s.
     posture_gain: float = 0.5
@@ -62,8 +62,8 @@ class WristToArm(Diagram):
         robot: robot and surroundings; its default positions are the start and the nominal posture.
         arm: the model in `robot` whose joints move; other joints stay at their default.
         hand_frame: the frame B of `robot` that follows the wrist.
-        limit_acceleration: whether following keeps the model's acceleration limits too, as a real robot
-            needs.
+        limit_acceleration: whether following respects the model's acceleration limits too; real robots need
+            that.
     """
 
     def __init__(
@@ -156,7 +156,7 @@ class WristToArm(Diagram):
 def _recipe(
     config: WristToArmConfig, plant: MultibodyPlant, active: np.ndarray, speed: np.ndarray
 ) -> DifferentialInverseKinematicsSystem.Recipe:
-    """Follows the pose first, drifts to the nominal posture second, within the limits."""
+    """Follows the pose, and in its null space the nominal posture, within the limits."""
     ik = DifferentialInverseKinematicsSystem
     recipe = ik.Recipe()
     recipe.AddIngredient(ik.LeastSquaresCost(ik.LeastSquaresCost.Config(cartesian_qp_weight=100.0)))
