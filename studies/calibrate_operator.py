@@ -69,7 +69,7 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
     R = Rotation.from_rotvec(turn, degrees=True).as_matrix()
     retarget = AffineMap(hand, rest, gain, R, shift + np.array(offset))
     person = HumanHand.fit(play)
-    seen = seen_fingertips(retarget, hand, person)
+    seen = seen_fingertips(retarget, hand, person).p_BF
     goal, _ = keep_attainable(GraspPlanner(scenario, description).plans(), seen)
     result, _ = run_trial(scenario, retarget, (person, goal))
     return {"map": map_name, **result.to_json()}

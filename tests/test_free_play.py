@@ -20,7 +20,7 @@ def moved(goal: GraspGoal, shift: float) -> GraspGoal:
 
 @cache
 def seen() -> np.ndarray:
-    return seen_fingertips(centred_map(), allegro(), person_and_rest()[0])
+    return seen_fingertips(centred_map(), allegro(), person_and_rest()[0]).p_BF
 
 
 def test_the_first_plan_that_free_play_reaches_is_kept():
@@ -37,14 +37,14 @@ def test_free_play_shows_where_the_robots_fingertips_go():
     """They move through a map, stay with one that holds, and are not seen with one that fails."""
     person = person_and_rest()[0]
     assert seen().std(axis=0).min() > 1e-3 and len(seen()) == 900
-    still = seen_fingertips(make_untrained("hold", allegro().kinematics()), allegro(), person)
+    still = seen_fingertips(make_untrained("hold", allegro().kinematics()), allegro(), person).p_BF
     assert still.std(axis=0).max() < 1e-9
 
     def failing(_):
         raise ArithmeticError
 
     failing.joint_names = allegro().joint_names
-    assert len(seen_fingertips(failing, allegro(), person)) == 0
+    assert len(seen_fingertips(failing, allegro(), person).p_BF) == 0
 
 
 def test_nobody_approaches_farther_off_than_the_clearance():

@@ -147,7 +147,7 @@ def test_leap_grasps():
     scenario, hand = load_scenario(hand="leap_right", text=text), HandModel(load_hand("leap_right"))
     person, retarget = person_and_rest()[0], centred_map(hand)
     plans = GraspPlanner(scenario, hand.description).plans(2)
-    goal, _ = keep_attainable(plans, seen_fingertips(retarget, hand, person))
+    goal, _ = keep_attainable(plans, seen_fingertips(retarget, hand, person).p_BF)
     result, _ = run_trial(scenario, retarget, (person, goal))
     assert result.success and result.attempts == 1
     assert result.slip < 0.03

@@ -14,7 +14,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from geort_drake.benchmark.conditions import ASSUMPTIONS, make_conditions, parse_values
@@ -45,6 +44,7 @@ from geort_drake.people.recording import Recording
 from geort_drake.resources import diagrams_dir, models_dir
 from geort_drake.simulation.diagram import Retarget
 from geort_drake.simulation.free_play import seen_fingertips
+from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.person import persons_hand
 from geort_drake.simulation.scenario import Scenario, dump_scenario, load_scenario
 from geort_drake.simulation.tasks import find_task
@@ -73,7 +73,7 @@ class Benchmark:
     people: dict[str, HumanHand]
     methods: dict[str, tuple[Retarget, float]]
     conditions: dict[str, str] = dc.field(default_factory=dict)
-    _seen: dict[tuple[str, str], np.ndarray] = dc.field(default_factory=dict)
+    _seen: dict[tuple[str, str], FreePlay] = dc.field(default_factory=dict)
 
     def keys(self, methods: Iterable[str], objects: Iterable[str], trials: int) -> list[TrialKey]:
         """The trials in order: seed by seed, so that an interrupted run is balanced."""

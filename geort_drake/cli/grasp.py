@@ -137,7 +137,7 @@ def run(arguments: argparse.Namespace) -> int:
     if replay is None:
         seen = seen_fingertips(retarget, hand, person)
         found = {name: each for name, each in plans.items() if isinstance(each, list)}
-        goals = {name: keep_attainable(each, seen)[0] for name, each in found.items()}
+        goals = {name: keep_attainable(each, seen.p_BF)[0] for name, each in found.items()}
     results = []
     with progress_bar() as display:
         update = display.counter("grasping")

@@ -93,18 +93,18 @@ def make_grasp_diagram(
     description = load_hand(scenario.hand)
     builder = DiagramBuilder()
 
-    # The plant and the monitor of the task.
-    task = find_task(scenario.task)
-    goal = None if isinstance(human, Recording) else human[1]
-    stage = task.add_stage(builder, scenario, description, goal, rng)
-    plant, arm, hand = stage.scene.plant, stage.scene.arm, stage.scene.hand
-
     # The robot alone, for the inverse kinematics.
     robot_builder = RobotDiagramBuilder(time_step=scenario.plant_config.time_step)
     add_robot(robot_builder.plant(), scenario, description)
     robot = robot_builder.Build()
     base = robot.plant().GetFrameByName(description.base_frame, robot.plant().GetModelInstanceByName(HAND))
     X_WB_start = base.CalcPoseInWorld(robot.plant().CreateDefaultContext())
+
+    # The plant and the monitor of the task.
+    task = find_task(scenario.task)
+    goal = None if isinstance(human, Recording) else human[1]
+    stage = task.add_stage(builder, scenario, description, goal, X_WB_start, rng)
+    plant, arm, hand = stage.scene.plant, stage.scene.arm, stage.scene.hand
 
     # A left hand is operated by the mirror image of a right-handed person, who sees the mirrored scene.
     in_mirror = description.side == "left"

@@ -8,8 +8,10 @@ import numpy as np
 
 from geort_drake.hands.model import HandModel
 from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.universal import UniversalRetargeter
+from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
 DURATION, RATE = 30.0, 30.0  # s, frames per second
@@ -17,8 +19,8 @@ DURATION, RATE = 30.0, 30.0  # s, frames per second
 
 def seen_fingertips(
     retarget: Callable[[np.ndarray], np.ndarray], hand: HandModel, person: HumanHand, latency: float = 0.0
-) -> np.ndarray:
-    """Robot fingertips (T, F, 3), m in B, during the person's free play; T is 0 if the method raises.
+) -> FreePlay:
+    """Own and robot fingertips during the person's free play; T is 0 if the method raises.
 
     A method whose `latency` (s) exceeds the time between frames gets fewer of them.
     """
@@ -33,7 +35,10 @@ def seen_fingertips(
         q = np.array([retarget(frame) for frame in frames])[:, order]
     except Exception:  # a method may raise anything; its trials record the error
         q = np.empty((0, len(order)))
-    return hand.fingertips(np.clip(q[np.isfinite(q).all(axis=1)], hand.lower, hand.upper))
+    finite = np.isfinite(q).all(axis=1)
+    tips = [4 * FINGER_NAMES.index(name) + 4 for name in hand.finger_names]
+    p_HF = frames[: len(q)][finite][:, tips]
+    return FreePlay(p_HF, hand.fingertips(np.clip(q[finite], hand.lower, hand.upper)))
 
 
 def keep_attainable(plans: Sequence[GraspGoal], p_BF: np.ndarray) -> tuple[GraspGoal, bool]:
@@ -43,7 +48,7 @@ def keep_attainable(plans: Sequence[GraspGoal], p_BF: np.ndarray) -> tuple[Grasp
 
     Args:
         plans: at least one, in the order of preference.
-        p_BF: see `seen_fingertips`.
+        p_BF: of `seen_fingertips`.
 
     Returns:
         The plan and True. Without an attainable plan: the nearest one, with an infinite clearance, and False.

@@ -17,6 +17,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, Outpu
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.human_hand import HumanHand
+from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.world import Scene
 
 if TYPE_CHECKING:
@@ -145,13 +146,8 @@ class Task(abc.ABC, Generic[Goal]):
         """Ways to do it with the scenario's robot, the best first; raises ScenarioError if there is none."""
 
     @abc.abstractmethod
-    def keep(self, plans: Sequence[Goal], p_BF: np.ndarray) -> tuple[Goal, bool]:
-        """The plan that the person keeps after free play, and whether play showed it attainable.
-
-        Args:
-            plans: at least one.
-            p_BF: see `free_play.seen_fingertips`.
-        """
+    def keep(self, plans: Sequence[Goal], play: FreePlay) -> tuple[Goal, bool]:
+        """The plan, of at least one, that the person keeps after free play, and whether it was attainable."""
 
     @abc.abstractmethod
     def add_stage(
@@ -160,9 +156,15 @@ class Task(abc.ABC, Generic[Goal]):
         scenario: "Scenario",
         description: HandDescription,
         goal: Goal | None,
+        X_WB: RigidTransform,
         rng: np.random.Generator,
     ) -> Stage:
-        """Adds plant and monitor; `goal` is None in a replay, and `rng` draws what differs by the seed.
+        """Adds plant and monitor.
+
+        Args:
+            goal: None in a replay.
+            X_WB: of the hand at the start.
+            rng: draws what differs by the seed.
 
         Raises:
             ScenarioError, HandError: the scenario and the models do not fit.

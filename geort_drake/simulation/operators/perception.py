@@ -3,6 +3,7 @@
 import dataclasses as dc
 import functools
 import math
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
@@ -32,6 +33,13 @@ class Seen:
     def p_BF(self) -> np.ndarray:
         """(F, 3) robot fingertip points in the hand base, m."""
         return self.X_BW.multiply(self.p_WF.T).T
+
+
+class FreePlay(NamedTuple):
+    """What the person saw before the task: fingertips (T, F, 3), m, finger by finger of the robot."""
+
+    p_HF: np.ndarray  # own, in H
+    p_BF: np.ndarray  # robot's, in B
 
 
 @dc.dataclass(frozen=True)

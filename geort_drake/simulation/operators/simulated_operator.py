@@ -1,5 +1,8 @@
 """The simulated person as a system that replaces a glove and a tracker."""
 
+import enum
+from typing import Any
+
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
@@ -9,12 +12,97 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.perception import Seen
-from geort_drake.simulation.operators.state import OperatorState, Phase
+from geort_drake.simulation.operators.state import Phase
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.systems.port_values import vector_to_pose
 
 
-class SimulatedOperator(LeafSystem):
+class OperatorSystem(LeafSystem):
+    """Outputs what a glove and a tracker measure of a person, who decides once every period.
+
+    The inputs, which a subclass declares before it calls `_begin`, should be delayed by
+    `OperatorConfig.visual_delay`.
+
+    Output ports:
+        keypoints (63): p_HK of the person's hand, keypoint-major, m, wrist frame H.
+        wrist_pose (abstract RigidTransform): X_WH of the tracker on the person's wrist.
+        valid (1): always 1.
+        phase (1): one of `phases` as a number.
+        attempt (1): number of attempts so far, from 1.
+
+    State: the person's memory (abstract) and the keypoints (63). The noise generator is not part of the
+    state, so a system serves one simulation.
+
+    Attributes:
+        phases: enumeration of what the person can be doing.
+    """
+
+    phases: type[enum.IntEnum]
+
+    def __init__(self, hand: HumanHand, config: OperatorConfig, seed: int):
+        super().__init__()
+        config.validate()
+        self._rng = np.random.default_rng(seed)
+        self._hand = hand
+        self._tremor = config.tremor / np.sqrt(3)
+        self._tremor_rng = np.random.default_rng(self._rng.integers(2**63))
+        # The delays' outputs are zero until their first sample has passed.
+        self._vision_start = config.visual_delay - 0.5 * config.period
+
+    def _begin(self, person: Any, start: Any, period: float) -> None:
+        """Declares state and outputs.
+
+        Args:
+            person: has `step(state, t, scene)`, which returns the next state.
+            start: the first state, with own joint angles `theta`, `X_WH`, `phase` and `attempt`.
+        """
+        self._person = person
+        state = self.DeclareAbstractState(AbstractValue.Make(start))
+        # A state, because the tremor is drawn once per decision.
+        self._keypoints = self.DeclareDiscreteState(self._hand.keypoints(start.theta).ravel())
+        ticket = {self.abstract_state_ticket(state)}
+        self.DeclareStateOutputPort("keypoints", self._keypoints)
+        self.DeclareAbstractOutputPort(
+            "wrist_pose",
+            lambda: AbstractValue.Make(RigidTransform()),
+            lambda context, output: output.set_value(self.memory(context).X_WH),
+            ticket,
+        )
+        self.DeclareVectorOutputPort(
+            "valid", 1, lambda context, output: output.SetAtIndex(0, 1.0), {self.nothing_ticket()}
+        )
+        self.DeclareVectorOutputPort(
+            "phase",
+            1,
+            lambda context, output: output.SetAtIndex(0, float(self.memory(context).phase)),
+            ticket,
+        )
+        self.DeclareVectorOutputPort(
+            "attempt", 1, lambda context, output: output.SetAtIndex(0, self.memory(context).attempt), ticket
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._decide)
+
+    def memory(self, context: Context) -> Any:
+        """Returns the person's memory; do not change it."""
+        return context.get_abstract_state(0).get_value()
+
+    def _decide(self, context: Context, state: State) -> EventStatus:
+        before = self.memory(context)
+        if context.get_time() < self._vision_start:
+            return EventStatus.DidNothing()
+        after = self._person.step(before, context.get_time(), self._see(context))
+        state.get_mutable_abstract_state(0).set_value(after)
+        keypoints = self._hand.keypoints(after.theta)
+        keypoints[1:] += self._tremor_rng.normal(0, self._tremor, (20, 3))
+        state.get_mutable_discrete_state(self._keypoints).set_value(keypoints.ravel())
+        return EventStatus.Succeeded()
+
+    def _see(self, context: Context) -> Any:
+        """What the person sees and feels."""
+        raise NotImplementedError
+
+
+class SimulatedOperator(OperatorSystem):
     """Simulates a person who grasps with the robot by moving hand and wrist.
 
     `GraspingPerson` decides once every `OperatorConfig.period`. The inputs should be delayed by
@@ -46,63 +134,19 @@ class SimulatedOperator(LeafSystem):
         X_WH_start: RigidTransform,
         seed: int,
     ):
-        super().__init__()
-        config.validate()
-        rng = np.random.default_rng(seed)
-        self._hand = hand
-        self._tremor = config.tremor / np.sqrt(3)
-        self._tremor_rng = np.random.default_rng(rng.integers(2**63))
-        self._person = GraspingPerson(hand, goal, config, rng)
+        super().__init__(hand, config, seed)
+        person = GraspingPerson(hand, goal, config, self._rng)
         num_fingers = len(goal.finger_names)
         self._fingertips = self.DeclareVectorInputPort("fingertips", 3 * num_fingers)
         self._hand_pose = self.DeclareVectorInputPort("hand_pose", 7)
         self._object_pose = self.DeclareVectorInputPort("object_pose", 7)
         self._contact = self.DeclareVectorInputPort("contact", num_fingers)
-        # The delays' outputs are zero until their first sample has passed.
-        self._vision_start = config.visual_delay - 0.5 * config.period
-        start = self._person.start(X_WH_start)
-        state = self.DeclareAbstractState(AbstractValue.Make(start))
-        # A state, because the tremor is drawn once per decision.
-        self._keypoints = self.DeclareDiscreteState(hand.keypoints(start.theta).ravel())
-        ticket = {self.abstract_state_ticket(state)}
-        self.DeclareStateOutputPort("keypoints", self._keypoints)
-        self.DeclareAbstractOutputPort(
-            "wrist_pose",
-            lambda: AbstractValue.Make(RigidTransform()),
-            lambda context, output: output.set_value(self.memory(context).X_WH),
-            ticket,
-        )
-        self.DeclareVectorOutputPort(
-            "valid", 1, lambda context, output: output.SetAtIndex(0, 1.0), {self.nothing_ticket()}
-        )
-        self.DeclareVectorOutputPort(
-            "phase",
-            1,
-            lambda context, output: output.SetAtIndex(0, float(self.memory(context).phase)),
-            ticket,
-        )
-        self.DeclareVectorOutputPort(
-            "attempt", 1, lambda context, output: output.SetAtIndex(0, self.memory(context).attempt), ticket
-        )
-        self.DeclarePeriodicUnrestrictedUpdateEvent(config.period, 0.0, self._decide)
+        self._begin(person, person.start(X_WH_start), config.period)
 
-    def memory(self, context: Context) -> OperatorState:
-        """Returns the person's memory; do not change it."""
-        return context.get_abstract_state(0).get_value()
-
-    def _decide(self, context: Context, state: State) -> EventStatus:
-        before = self.memory(context)
-        if context.get_time() < self._vision_start:
-            return EventStatus.DidNothing()
-        scene = Seen(
+    def _see(self, context: Context) -> Seen:
+        return Seen(
             p_WF=self._fingertips.Eval(context).reshape(-1, 3),
             X_WB=vector_to_pose(self._hand_pose.Eval(context)),
             X_WO=vector_to_pose(self._object_pose.Eval(context)),
             contact=self._contact.Eval(context).copy(),
         )
-        after = self._person.step(before, context.get_time(), scene)
-        state.get_mutable_abstract_state(0).set_value(after)
-        keypoints = self._hand.keypoints(after.theta)
-        keypoints[1:] += self._tremor_rng.normal(0, self._tremor, (20, 3))
-        state.get_mutable_discrete_state(self._keypoints).set_value(keypoints.ravel())
-        return EventStatus.Succeeded()

@@ -13,6 +13,7 @@ from geort_drake.errors import UnknownNameError
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.free_play import keep_attainable
+from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
 from geort_drake.simulation.scenario import Scenario, default_scenario_file, object_names
 from geort_drake.simulation.task import SERVO, Shown, Stage, Task, TrialResult, finite_or_none
@@ -81,8 +82,8 @@ class GraspTask(Task[GraspGoal]):
     def plans(self, scenario: Scenario, description: HandDescription) -> list[GraspGoal]:
         return GraspPlanner(scenario, description).plans()
 
-    def keep(self, plans: Sequence[GraspGoal], p_BF: np.ndarray) -> tuple[GraspGoal, bool]:
-        return keep_attainable(plans, p_BF)
+    def keep(self, plans: Sequence[GraspGoal], play: FreePlay) -> tuple[GraspGoal, bool]:
+        return keep_attainable(plans, play.p_BF)
 
     def add_stage(
         self,
@@ -90,6 +91,7 @@ class GraspTask(Task[GraspGoal]):
         scenario: Scenario,
         description: HandDescription,
         goal: GraspGoal | None,
+        X_WB: RigidTransform,
         rng: np.random.Generator,
     ) -> GraspStage:
         scene = add_scene(builder, scenario, description, rng)
