@@ -1,4 +1,4 @@
-"""Messages, warnings and progress bars on stderr, in one look for commands and library."""
+"""Messages, warnings and progress bars on stderr, in the same style for commands and library."""
 
 import contextlib
 import logging
@@ -31,7 +31,7 @@ _SHOWN_LOSSES = ("direction", "matching", "coverage", "pinch", "collision")
 
 
 def say(text: str) -> None:
-    """Prints one line as it is: no markup, no wrapping, so that paths and commands can be copied."""
+    """Prints one line without markup or wrapping, so that paths and commands can be copied."""
     console.print(text, markup=False, soft_wrap=True)
 
 
@@ -150,7 +150,7 @@ def exit_code_of(function: Callable[[], int | None]) -> int:
     logging.getLogger("drake").addFilter(_first_of_its_kind())
     try:
         with warnings.catch_warnings():
-            # The place in the code where a warning was raised means nothing to a user.
+            # Without the code location of the warning, which does not help a user.
             warnings.showwarning = lambda message, *_, **__: warn(message)
             return function() or 0
     except (GeortError, OSError) as error:

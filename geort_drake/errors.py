@@ -36,7 +36,7 @@ class PolicyError(GeortError):
 
 
 class MethodError(GeortError):
-    """A retargeting method that a user wrote cannot be loaded or answers unusably."""
+    """A retargeting method that a user wrote cannot be loaded, or its output is unusable."""
 
 
 class TrainingError(GeortError):

@@ -18,7 +18,7 @@ def usable_cores() -> int:
 def end_with(starter: int) -> None:
     """Ends this process when its parent, of number `starter`, has ended, even by `kill -9`.
 
-    Otherwise workers of loky would hold their memory for five more minutes.
+    Otherwise loky's workers would keep their memory for five more minutes.
     """
 
     def watch() -> None:

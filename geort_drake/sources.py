@@ -1,4 +1,4 @@
-"""The source files of this package that some of its modules run through."""
+"""The source files of this package that given modules import."""
 
 import ast
 import inspect
@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).resolve().parent
 def imported_sources(
     entries: Iterable[str | Path], rooms: Collection[str], left_out: Iterable[str | Path] = ()
 ) -> list[Path]:
-    """The files `entries` and all that they import from these rooms, at once or inside functions.
+    """The files `entries` and all that they import from these folders, also inside functions.
 
     Args:
         entries: files, absolute or relative to the package, such as "hands/model.py".
@@ -53,5 +53,5 @@ def _imports(nodes: Iterable[ast.AST]) -> Iterator[Path]:
                 module = PACKAGE.joinpath(*inner)
                 files = (module.with_suffix(".py"), module / "__init__.py")
                 yield from (path for path in files if path.is_file())
-        # Expressions hold no imports.
+        # Expressions contain no imports.
         yield from _imports(child for child in ast.iter_child_nodes(node) if not isinstance(child, ast.expr))

@@ -105,7 +105,7 @@ def _describe(arguments: argparse.Namespace) -> "tuple[Path, HandDescription, li
         notes.append(f"in the copy in {model.parent.name}, convex hulls replace {meshes}")
     if arguments.hulls:
         links = ", ".join(add_collisions(model))
-        notes.append(f"links that got collisions from their visual geometry: {links or 'none'}")
+        notes.append(f"links with collision geometry made from their visual geometry: {links or 'none'}")
     proposal = propose(model, name, arguments.palm)
     notes += proposal.notes
     write_description(
@@ -115,7 +115,7 @@ def _describe(arguments: argparse.Namespace) -> "tuple[Path, HandDescription, li
 
 
 def _rows(hand: "HandModel") -> Iterator[tuple[str, ...]]:
-    """One row a finger."""
+    """One row per finger."""
     import numpy as np
 
     p_BF = hand.fingertips(hand.sample(200))

@@ -153,7 +153,7 @@ def run_unfinished(arguments: argparse.Namespace, scenarios: "dict[Path, Scenari
     from geort_drake.hands.description import load_hand
     from geort_drake.simulation.tasks import find_task
 
-    # Everything wrong with the request is found before anything is computed or written.
+    # The request is checked completely before anything is computed or written.
     first = next(iter(scenarios.values()))
     arguments.methods = arguments.methods or methods_for(first.hand)
     names = names_of(arguments.methods, arguments.trainings)
@@ -218,7 +218,7 @@ def run_unfinished(arguments: argparse.Namespace, scenarios: "dict[Path, Scenari
 
 
 def cases_of(task: "Task", asked: Sequence[str] | None) -> list[str]:
-    """The task's cases that are asked for; all if none of them is."""
+    """The requested cases that the task has; all of its cases if it has none of them."""
     return [name for name in dict.fromkeys(asked or ()) if name in task.cases()] or task.cases()
 
 
@@ -237,7 +237,7 @@ def repeat(folder: Path, method: str, thing: str, seed: int, condition: str = ""
         say(record["error"])
         return 1
     write_task_report(folder)  # now with a link to the recording
-    finish({"The same outcome": record["outcome"]}, view(path))
+    finish({"Same outcome": record["outcome"]}, view(path))
     return 0
 
 
@@ -246,19 +246,18 @@ def report(arguments: argparse.Namespace, summary: dict) -> int:
     from geort_drake.console import print_table, warn
 
     folder, errors = arguments.output, summary["errors"]
-    headings = ("method", "at once", "95 %", "success", "by tips", "mean time", "points")
+    headings = ("method", "one-time", "95 %", "success", "tip-only", "mean time", "difference")
     caption = (
-        "at once: lifted and held at the first closing, and in points against the first method; by tips: "
-        "nothing else touched the held object; "
-        "mean time: failures count as the timeout"
+        "one-time: lifted and held at the first closing; tip-only: only fingertips touched the held object; "
+        "mean time: failures count as the timeout; difference: of one-time success to the first method, %"
     )
     print_table(headings, _rows(summary), "Grasps", caption)
     if summary["refused"]:
-        warn(f"objects left out, as the hand cannot grasp them: {', '.join(summary['refused'])}")
+        warn(f"objects left out, because the hand cannot grasp them: {', '.join(summary['refused'])}")
     for name, entry in summary["methods"].items():
         if faults := entry["overall"]["faults"]:
             counted = ", ".join(f"{number} {kind}" for kind, number in faults.items())
-            warn(f"faulty answers of {name}, for which the joints hold or stay at their limits: {counted}")
+            warn(f"faulty outputs of {name}; the joints held, or stayed at their limits: {counted}")
     if errors:
         warn(f"{errors} trials raised an error: see {folder / 'errors'}")
     write_json(arguments.json, summary)
@@ -291,7 +290,7 @@ def report_tasks(arguments: argparse.Namespace, summary: dict) -> int:
 
 
 def _rows(summary: dict) -> Iterator[list[str]]:
-    """One row a method."""
+    """One row per method."""
     for name, entry in summary["methods"].items():
         of = entry["overall"]
         once, success = of["one_time_success"], of["success"]

@@ -46,12 +46,12 @@ def add_arguments(parser: CommandParser) -> None:
     add(
         "--watch",
         action="store_true",
-        help="first show which motions are still missing, while the file is being recorded",
+        help="first show the missing motions while the file is being recorded",
     )
 
 
 def add_reading_arguments(parser: CommandParser) -> None:
-    """Adds the options that name a file and how to read it."""
+    """Adds the file's argument and the options for reading it."""
     add = parser.add_argument
     add("input", type=Path, help="recording in one of the formats below")
     add("--format", default="auto", metavar="NAME", help="format, one of those below; auto detects it")
@@ -146,7 +146,7 @@ def _print(result: dict[str, Any], findings: "Sequence[Finding]") -> None:
 
 
 def _watch(arguments: argparse.Namespace) -> None:
-    """Shows what a file that is being recorded lacks, until it lacks nothing or Ctrl-C is pressed."""
+    """Shows the motions that a growing file lacks, until none is missing or Ctrl-C is pressed."""
     seen = None
     with contextlib.suppress(KeyboardInterrupt):
         while True:
@@ -158,7 +158,7 @@ def _watch(arguments: argparse.Namespace) -> None:
 
 
 def _print_coverage(arguments: argparse.Namespace) -> bool:
-    """Prints the motions recorded so far and what is still to do; returns whether nothing is."""
+    """Prints the motions recorded so far and the missing ones; returns whether none is missing."""
     from geort_drake.console import console, print_table, say
     from geort_drake.errors import RecordingError
     from geort_drake.people.coverage import coverage
@@ -180,7 +180,7 @@ def _print_coverage(arguments: argparse.Namespace) -> bool:
         )
         for motion in motions
     ]
-    headings = ("motion", "seen", "wanted", "what to do")
+    headings = ("motion", "recorded", "required", "what to do")
     print_table(headings, rows, f"{recording.duration_s:.0f} s", text=headings[3:])
     return all(motion.enough for motion in motions)
 

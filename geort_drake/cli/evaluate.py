@@ -104,6 +104,6 @@ def run(arguments: argparse.Namespace) -> int:
         space = comparison.space(seeds[0])
         written["Plots"] = ", ".join(map(str, write_plots(arguments.plots, scored, hand.finger_names, space)))
     if not (arguments.json or arguments.plots):
-        console.print("Nothing was written: --json FILE keeps these figures, and --plots FOLDER draws them.")
+        console.print("Nothing was written; --json FILE saves the figures, --plots FOLDER plots them.")
     finish(written)
     return 1 if any(failures(results)) else 0

@@ -85,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.simulation.scenario import dump_scenario
     from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
-    # Everything wrong with the request is found before anything is computed or written.
+    # The request is checked completely before anything is computed or written.
     if arguments.method not in (None, *METHODS):
         raise UnknownNameError("retargeting method", arguments.method, METHODS)
     base = scenario_of(arguments)
@@ -169,13 +169,13 @@ def run(arguments: argparse.Namespace) -> int:
         "trials": [result.to_json() for result in results],
     }
     write_json(arguments.output / "results.json", report)
-    # The first trial's; the others differ in object and seed, which results.json has.
+    # That of the first trial; the others differ in object and seed, which are in results.json.
     write_text(arguments.output / "scenario.yaml", dump_scenario(scenarios[0]))
     print_table(
-        ("object", "seed", "outcome", "hold at", "tries", "lifted", "force", "speed"),
+        ("object", "seed", "outcome", "hold at", "attempts", "height", "force", "speed"),
         [_row(result) for result in results],
         title="Grasps",
-        caption="hold at: start of the successful hold; force: peak; speed: of real time",
+        caption="hold at: start of the successful hold; height, force: peak; speed: relative to real time",
         text=("outcome",),
     )
     write_json(arguments.json, report)
@@ -219,8 +219,8 @@ def _replay(arguments: argparse.Namespace, base: "Scenario", side: str) -> "Reco
         return dataclasses.replace(replay, X_WH=None)  # the base cannot follow the wrist
     if replay.X_WH is None:
         raise ScenarioError(
-            f"{path}: a replay needs wrist poses (X_WH), and it has none; use --scenario-name Fixed to keep "
-            "the hand in place"
+            f"{path}: a replay needs wrist poses (X_WH); this recording has none; use --scenario-name Fixed "
+            "to keep the hand in place"
         )
     return replay
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from geort_drake.people.recording import Recording
     from geort_drake.simulation.scenario import Scenario
 
-# Facts of heavier modules, repeated here so that --help does not import those; tests compare them.
+# Names from modules that import slowly, repeated here to keep --help fast; tests compare them.
 DEFAULT_HAND = "allegro_right"
 SIDES = ("left", "right")
 METHODS = {
@@ -46,7 +46,7 @@ STDOUT = Path("-")
 
 
 class _Help(argparse.RawDescriptionHelpFormatter):
-    """Help that keeps the layout of texts and ends each option's help with its default."""
+    """Keeps the layout of texts and appends each option's default to its help."""
 
     def _get_help_string(self, action: argparse.Action) -> str:
         text, default = action.help or "", action.default
@@ -181,7 +181,7 @@ def output_folder(text: str) -> Path:
 def _json_file(text: str) -> Path:
     if text == str(STDOUT):
         return STDOUT
-    # The word after --json may be another argument, such as a recording, which must not be overwritten.
+    # The word after --json may be meant as another argument, such as a recording: do not overwrite it.
     if Path(text).suffix != ".json":
         raise argparse.ArgumentTypeError(
             f"{text}: the name must end with .json; to print on stdout, give --json last"
@@ -193,7 +193,7 @@ def _json_file(text: str) -> Path:
 
 
 def scenario_of(arguments: argparse.Namespace) -> "Scenario":
-    """The scenario that the options of `CommandParser.add_scenario` stand for; raises as `load_scenario`."""
+    """The scenario that the options of `CommandParser.add_scenario` select; raises as `load_scenario`."""
     from geort_drake import load_scenario
 
     return load_scenario(

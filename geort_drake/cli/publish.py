@@ -16,7 +16,7 @@ def add_arguments(parser: CommandParser) -> None:
     add("recording", type=Path, help="a recording in any known format")
     add("--to", default="pub+tcp://127.0.0.1:5556", metavar="ADDRESS", help="address to send to")
     parser.add_side("right")
-    add("--loop", action="store_true", help="start again at the end")
+    add("--loop", action="store_true", help="repeat the recording")
 
 
 def run(arguments: argparse.Namespace) -> int:

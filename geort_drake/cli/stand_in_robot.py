@@ -13,7 +13,7 @@ from geort_drake.cli.options import CommandParser, positive, scenario_of
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("--lcm", default="lcm", metavar="ADDRESS", help="LCM bus: lcm, or lcm+URL")
-    add("--duration", type=positive, default=math.inf, help="stop after so many seconds (default: never)")
+    add("--duration", type=positive, default=math.inf, help="duration, s (default: endless)")
     add("--meshcat", action="store_true", help="show it in a browser on this machine")
     parser.add_scenario("{object: {name: sphere}}")
 
@@ -38,5 +38,5 @@ def run(arguments: argparse.Namespace) -> int:
             simulator, 0.02, lambda: not stop.is_set() and root.get_time() < arguments.duration
         )
     if late:
-        warn(f"the simulation was late {late} times")
+        warn(f"the simulation was slower than real time {late} times")
     return 0

@@ -21,7 +21,7 @@ from geort_drake.errors import UsageError
 if TYPE_CHECKING:
     from geort_drake.people.recording import Recording
 
-_MOST_FRAMES = 5_000_000  # half a day at 120 Hz, and two gigabytes while they are made
+_MOST_FRAMES = 5_000_000  # half a day at 120 Hz; needs two gigabytes of memory
 _RATE_HZ = 120.0
 _MOST_DRAWN = 6
 
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError("--picture shows --people; for one recording use check-recording --picture")
         return _average(arguments)
     if arguments.hand_of is not None:
-        raise UsageError("--people have hands of their own; leave out --hand-of")
+        raise UsageError("--hand-of cannot be used with --people, who have their own hands")
     return _people(arguments)
 
 

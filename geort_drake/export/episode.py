@@ -28,7 +28,7 @@ class Episode:
         signals: (T,) each, such as "joints.command.thumb.joint_12"; joint angles in rad, forces in N.
         states: (T,) each, the state's name.
         poses: X_WB (T, 7) of every moving body, qw qx qy qz x y z.
-        facts: about the whole episode, JSON types: for a trial its line in results.json.
+        facts: about the whole episode, JSON types; of a trial, its entry in results.json.
         robot: name of the robot hand; None without a robot.
     """
 
@@ -63,7 +63,7 @@ class Episode:
         raise RecordingError(f"{self.name}: no body of '{model}' moves; there are {', '.join(self.poses)}")
 
     def resampled(self, t: np.ndarray) -> "Episode":
-        """The episode at other times (T,), each with the newest sample until then."""
+        """The episode at other times (T,), s, each with the latest sample before it."""
         rows = newest(self.t, t)
         return dataclasses.replace(
             self,

@@ -31,7 +31,7 @@ def write_hand(
     Args:
         recording: of the hand.
         path: .rrd to write.
-        fps: frames per second; each holds the newest sample.
+        fps: frames per second; each contains the latest sample.
         states: name of a lane → state in each frame of the recording.
     """
     t = recording.t - recording.t[0]

@@ -1,7 +1,7 @@
 """Episodes as a LeRobot dataset, codebase version 3.0.
 
 The layout is that of https://huggingface.co/docs/lerobot/lerobot-dataset-v3. LeRobot's own writer is not used
-because the package brings about a hundred others and pins old versions of torch and Rerun.
+because its package requires about a hundred others and pins old versions of torch and Rerun.
 """
 
 import json
@@ -38,7 +38,7 @@ def write_lerobot(
     Args:
         episodes: of one robot.
         output: the dataset's folder.
-        fps: frames per second; by default the rate of the first episode. Each frame holds the newest
+        fps: frames per second; by default the rate of the first episode. Each frame contains the latest
             sample.
 
     Raises:
@@ -55,7 +55,7 @@ def write_lerobot(
 
 
 def features_of(episode: Episode) -> Features:
-    """What a policy observes and does.
+    """Observations and actions of a policy.
 
     Raises:
         RecordingError: the episode has no commands or no measured joints.
@@ -68,7 +68,7 @@ def features_of(episode: Episode) -> Features:
         )
     frames = len(episode.t)
     last = np.arange(frames) == frames - 1
-    # A lost hand stays where it was seen last.
+    # While the hand is lost, its last pose is repeated.
     seen = np.maximum.accumulate(np.where(episode.glove.valid, np.arange(frames), 0))
     floats: Features = {
         "action": (_table(episode, commands), commands),
@@ -198,7 +198,7 @@ def _table(episode: Episode, names: list[str]) -> np.ndarray:
 
 
 def _column(values: np.ndarray) -> pa.Array:
-    """Plain numbers for a feature of one number, else lists."""
+    """Scalars for a feature of size 1, else lists."""
     return pa.array(values[:, 0]) if values.shape[1] == 1 else rows(values)
 
 
@@ -217,7 +217,7 @@ def _statistics(values: np.ndarray) -> dict[str, list]:
 
 
 def _task_table(tasks: list[str]) -> pa.Table:
-    """The table of tasks, which pandas is to read with the column "task" as its index."""
+    """The table of tasks; its metadata make pandas use the column "task" as the index."""
     types = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
     pandas = {
         "index_columns": ["task"],

@@ -1,4 +1,4 @@
-"""Episodes as Parquet files: frames/NAME.parquet, one row per sample, and episodes.parquet, one row each."""
+"""Episodes as Parquet files: frames/NAME.parquet, a row per sample; episodes.parquet, a row per episode."""
 
 import json
 import os
@@ -70,4 +70,4 @@ def check_replaceable(output: str | os.PathLike, mark: str) -> None:
     """Raises OutputError unless `output` is absent, an empty folder, or an export with the file `mark`."""
     path = Path(output)
     if path.exists() and not (path.is_dir() and ((path / mark).is_file() or not any(path.iterdir()))):
-        raise OutputError(f"{path} exists and is no earlier export; choose another name")
+        raise OutputError(f"{path} exists and is not an earlier export; choose another name")
