@@ -54,9 +54,9 @@ class Near(NamedTuple):
 class HandClearance:
     """Gaps between the pairs of a hand's collision geometries that must keep a clearance.
 
-    Left out are pairs that Drake filters and pairs of fingertips. Left out are also pairs along one finger,
-    or of a finger and the palm, with at most two joints between them, that never touch on a grid over the
-    ranges of these joints: joint limits keep them apart. The box around its convex hull replaces a mesh.
+    Pairs that Drake filters and pairs of fingertips are left out. So are pairs along one finger, or of a
+    finger and the palm, with at most two joints between them, that never touch on a grid over the ranges of
+    these joints: joint limits keep them apart. A mesh is replaced by the box around its convex hull.
 
     Not thread-safe: the object owns the contexts in which it computes.
 
@@ -131,7 +131,7 @@ class HandClearance:
             for geometry in plant.GetCollisionGeometriesForBody(plant.get_body(index))
         ]
         self._geometries = [geometry for geometry, _ in geometries]
-        # By number, as an identifier's hash takes longer.
+        # By number, because hashing an identifier takes longer.
         self._row = {geometry.get_value(): row for row, (geometry, _) in enumerate(geometries)}
         self._moves = np.array([moves for _, moves in geometries])
         self._world, self._num_velocities = plant.world_frame(), plant.num_velocities()

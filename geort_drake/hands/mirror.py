@@ -1,4 +1,4 @@
-"""Kinematics and shapes of a hand as those of a right one; human hands are canonical right hands too."""
+"""Kinematics and shapes of a hand as those of a right hand, like all human hands here."""
 
 from typing import TYPE_CHECKING
 

@@ -99,7 +99,7 @@ class HandModel:
         self.scene_graph.collision_filter_manager(
             self.scene_graph.GetMyMutableContextFromRoot(self._beyond_tips_context)
         ).Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(list(self._tip_geometries))))
-        # Visual geometry would take a tenth of the time of each query.
+        # Visual geometry would slow down each query by a tenth.
         for context in (self._contact_context, self._beyond_tips_context):
             remove_visuals(self.plant, self.scene_graph, context)
         self._default = self.plant.GetPositions(self.plant.GetMyContextFromRoot(self._contact_context)).copy()
@@ -262,10 +262,10 @@ def tip_geometries(
 
 
 def _digest(description: HandDescription, model_sha256: str) -> str:
-    """SHA-256 over everything that decides the hand's behaviour."""
+    """SHA-256 over everything that determines the hand's behaviour."""
     facts = dc.asdict(description) | {"model": model_sha256}
     del facts["mount"], facts["actuation"]
-    # Fields that older descriptions lacked do not count while unused, so that older checkpoints still fit.
+    # Newer fields count only if used, so that older checkpoints still fit.
     for name in ("base_pose", "couplings", "ignored_collisions"):
         if getattr(description, name) == getattr(HandDescription(), name):
             del facts[name]

@@ -8,8 +8,8 @@ import numpy as np
 from geort_drake.people.keypoints import FINGER_KEYPOINTS, FINGER_NAMES, TIP_KEYPOINT, WRIST
 from geort_drake.people.recording import PINCH_M, Recording
 
-# The least range of each motion, deg, and how a person makes it: half of the smaller one of two recordings
-# with gloves (GeoRT's of its author, MANUS subject 000).
+# The required range of each motion, deg, and how to make it. The range is half of the smaller one in two
+# glove recordings (that of GeoRT's authors, MANUS subject 000).
 _FINGER_MOTIONS = {
     "bends": (90.0, "stretch it fully and close it to a fist"),
     "moves sideways": (7.0, "spread the fingers and close them"),
@@ -19,15 +19,15 @@ _THUMB_MOTIONS = {
     "sweeps across the palm": (25.0, "move it to the little finger and back"),
     "lifts off the palm": (20.0, "move it away from the palm and back"),
 }
-# How often each finger should pinch. People who are asked for pinches make more than ten in five minutes.
+# Required pinches per finger. People who are asked to pinch do so more than ten times in five minutes.
 PINCHES = 5
-_RELEASE_M = 1.5 * PINCH_M  # a pinch ends when the tips are this far apart: jitter is no second pinch
-_RIDGE = 0.01  # relative to the mean square of a bone's coordinate, which bending makes 0.1 and more
+_RELEASE_M = 1.5 * PINCH_M  # a pinch ends at this distance; the hysteresis ignores jitter
+_RIDGE = 0.01  # of the ridge regression; bending gives a mean square of a bone's coordinate above 0.1
 
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """One motion that a recording should hold: its name, how much was seen and is wanted, how to make it."""
+    """A motion that training needs: name, recorded and required amount, and how to make it."""
 
     name: str
     seen: float
@@ -37,7 +37,7 @@ class Motion:
 
     @property
     def enough(self) -> bool:
-        """Whether training needs no more of it."""
+        """Whether the recording contains enough of it."""
         return self.seen >= self.wanted
 
     def __str__(self) -> str:
@@ -90,14 +90,14 @@ def _out_of_plane(bones: np.ndarray) -> np.ndarray:
     The fingers' planes converge by up to 9°, so bending alone changes a bone's elevation over the x-z plane.
     """
     xz, y = bones[:, [0, 2]], bones[:, 1]
-    # The ridge keeps the plane upright where a finger hardly bends; it would follow the motion sideways.
+    # Where a finger hardly bends, the ridge keeps the plane from following its sideways motion.
     slopes = np.linalg.solve(xz.T @ xz + _RIDGE * len(xz) * np.eye(2), xz.T @ y)
     return np.clip((y - xz @ slopes) / np.sqrt(1.0 + slopes @ slopes), -1.0, 1.0)
 
 
 def pinches(distance: np.ndarray) -> int:
-    """How often tips at `distance` (N,), m, come together and part again."""
-    # +1 where they touch, -1 where they are apart; between, the last of the two holds.
+    """Number of pinches in which tips at `distance` (N,), m, come together and part again."""
+    # +1 where they touch, -1 where they are apart; in between, the last state stays.
     state = np.where(distance < PINCH_M, 1, np.where(distance > _RELEASE_M, -1, 0))
     state = np.append(-1, state[state != 0])
     return int((np.diff(state) > 0).sum())
@@ -118,8 +118,8 @@ def tip_distances(p_HK: np.ndarray) -> np.ndarray:
 def fingertip_speeds(recording: Recording) -> np.ndarray:
     """Speeds (N, 5), m/s, of the tips relative to the wrist, between neighbouring valid frames.
 
-    Frames that repeat the one before are dropped first: a recorder that polls faster than the glove delivers
-    stores some frames twice, which would show a rest and then a jump.
+    Repeated frames are dropped first: a recorder that polls faster than the glove delivers stores some frames
+    twice, which would look like a rest and then a jump.
     """
     fresh = np.concatenate([[True], np.any(np.diff(recording.p_HK, axis=0) != 0.0, axis=(1, 2))])
     kept = np.flatnonzero(fresh)

@@ -1,6 +1,6 @@
-"""What gloves and cameras do to the keypoints of a hand.
+"""Measurement errors of gloves and cameras in the keypoints of a hand.
 
-The constants hold each distribution with its source, or say that it is an assumption.
+The constants are distributions; comments give the source of each, or call it an assumption.
 """
 
 import dataclasses
@@ -11,13 +11,13 @@ from scipy.signal import lfilter
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import WRIST, to_wrist_frame
 
-# The skeleton. A glove's has lengths of its own, from one measure of the hand or none; a headset's tips are
-# off by 11 mm in the mean (Abdlkarim et al. 2024, Behav. Res. Methods 56:1052), an eighth of a finger.
+# The skeleton. A glove's bone lengths come from one measurement of the hand or from none; a headset's tips
+# are off by 11 mm on average (Abdlkarim et al. 2024, Behav. Res. Methods 56:1052), an eighth of a finger.
 _SCALE_SPREAD = 0.12
-# Assumption: joints are misplaced by millimetres, the thumb's base most, as it hides in the palm.
+# Assumption: joints are off by millimetres, the thumb's base most, because it is inside the palm.
 _KNUCKLE_M, _THUMB_BASE_M, _WRIST_M = 0.004, 0.009, 0.005
-# Where on the last bone the tip is measured, for the device and each finger. Assumption: under the skin, as
-# sensors sit on nails.
+# Position of the measured tip along the last bone, for the device and each finger. Assumption: under the
+# skin, because sensors sit on nails.
 _TIP_M, _TIP_DEVIATION_M, _FINGER_TIP_M = -0.003, 0.005, 0.002
 _SHORTEST_BONE_M = 0.012
 
@@ -42,7 +42,7 @@ class Device:
         p_HD: (3,) its wrist, measured from the true one, m.
         jitter: scale of a glove's jitter, tremor and drift, as in `synthesize_play`.
         noise_m: deviation of each coordinate of a camera's keypoints, m; 0 for a glove.
-        scale_noise: deviation of the size of the hand that a camera sees, as a share; 0 for a glove.
+        scale_noise: relative deviation of the size of the hand that a camera sees; 0 for a glove.
     """
 
     rate_hz: float
@@ -85,9 +85,9 @@ class Device:
         )
 
     def measure(self, p_HK: np.ndarray, rate_hz: float, rng: np.random.Generator) -> np.ndarray:
-        """Keypoints (T, 21, 3), m, of the hand that it shows, from its wrist and with its noise.
+        """Keypoints (T, 21, 3), m, of the hand that it shows, with its noise.
 
-        They are given in the frame H that the noisy keypoints span, so a turned device makes no difference.
+        They are in the frame H of the noisy keypoints, so the device's orientation makes no difference.
         """
         p_DK = p_HK - self.p_HD
         p_DK[:, WRIST] = 0.0
@@ -100,5 +100,5 @@ class Device:
 
 
 def _autoregressive(shape: tuple[int, ...], kept: float, rng: np.random.Generator) -> np.ndarray:
-    """Noise of deviation 1 along the first axis, of which the share `kept` stays from frame to frame."""
+    """First-order autoregressive noise along the first axis, of deviation 1 and coefficient `kept`."""
     return lfilter([np.sqrt(1.0 - kept**2)], [1.0, -kept], rng.normal(size=shape), axis=0)

@@ -25,19 +25,19 @@ _JOINT_SUFFIXES = {
 JOINT_NAMES = tuple(f"{finger}_{suffix}" for finger in FINGER_NAMES for suffix in _JOINT_SUFFIXES[finger])
 
 _LARGEST_STEP = 0.4  # rad per iteration of the inverse kinematics
-_DAMPING_M = 2e-3  # its steps are damped where a radian moves the tip by less than this
+_DAMPING_M = 2e-3  # steps are damped where a radian moves the tip by less than this
 
 # The straight thumb points 25° from z towards y; it flexes across the palm (−y) about +x.
 _THUMB_AZIMUTH = np.deg2rad(25.0)
 
 # Anatomy of an adult, finger by finger from thumb to little.
 #
-# Bases: y and z from An et al. 1979 and Buchholz et al. 1992 (Ergonomics 35:261) as shares of hand breadth
+# Bases: y and z from An et al. 1979 and Buchholz et al. 1992 (Ergonomics 35:261), relative to hand breadth
 # and length; x and the thumb's CMC are means of two calibrated MANUS gloves.
 _BASE_BREADTH = np.array([[0.167, 0.240], [0.043, 0.252], [0.0, 0.0], [0.043, -0.206], [0.097, -0.402]])
 _BASE_LENGTH = np.array([0.101, 0.447, 0.446, 0.409, 0.368])
-# Bones as shares of hand length: Buchholz et al. 1992. The last ones reach the skin: with the base, the
-# shares of the middle finger add up to one.
+# Bones relative to hand length: Buchholz et al. 1992. The last ones reach the skin: base and bones of the
+# middle finger add up to one.
 _BONE_LENGTH = np.array(
     [
         [0.251, 0.196, 0.158],
@@ -160,7 +160,7 @@ class HumanHand:
             J = weight[:, None, None] * self.fingertip_jacobians(theta)
             angles = theta.reshape(*theta.shape[:-1], 5, 4)
             free = np.ones_like(angles)
-            # A joint that would leave its range is fixed, so that the others make up for it.
+            # A joint that would leave its range is fixed, so that the others compensate.
             for _ in range(2):
                 Jf = J * free[..., None, :]
                 Jt = np.swapaxes(Jf, -1, -2)
@@ -294,7 +294,7 @@ def _fit_base_frame(directions: np.ndarray, R_nominal: np.ndarray) -> tuple[np.n
             np.arcsin(np.clip(first[:, 1], -1, 1)), np.arctan2(first[:, 0], first[:, 2]), parameters[2]
         )
         normal = np.cross(first, x)
-        # A weak pull to the nominal frame decides what the recording leaves open.
+        # A weak regularisation to the nominal frame determines what the recording does not.
         return np.concatenate(
             [np.sum(middle * normal, -1), np.sum(last * normal, -1), 0.3 * np.sqrt(len(first)) * parameters]
         )

@@ -41,7 +41,7 @@ def draw_fingertips(
     """
     human = 1e3 * recording.fingertips([TIP_KEYPOINT[finger] for finger in robot])
     reach = 1e3 * np.stack(list(robot.values()), axis=1)
-    # Wrist and hand base differ in place, so the clouds are centred on each other as a whole.
+    # Wrist and hand base are at different places, so the clouds are centred on each other as a whole.
     reach += human.mean(axis=(0, 1)) - reach.mean(axis=(0, 1))
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(2.3 * len(robot) + 0.8, 6.2), layout="constrained", dpi=130)

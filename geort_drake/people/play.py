@@ -1,4 +1,4 @@
-"""Synthetic "five minutes of play": the hand motion that training needs, made from a seed.
+"""Synthetic play: five minutes of the hand motion that training needs, made from a seed.
 
 The hand sweeps every finger through its range, waves, makes fists, spreads, and pinches the thumb to each
 finger at varied places: minimum-jerk movements between postures (Flash & Hogan 1985, J. Neurosci. 5:1688),
@@ -139,7 +139,7 @@ def sweep(timeline: Timeline, finger: int, rng: np.random.Generator) -> None:
     rest = resting(rng)
     targets = [*_abduction_sweeps(finger, rng), *(_anywhere(finger, rng) for _ in range(5))]
     for target in targets:
-        theta = _around(rest, 9.0, rng)  # resting fingers are never quite still
+        theta = _around(rest, 9.0, rng)  # resting fingers move slightly
         theta[finger] = target
         if finger != _THUMB:
             # Neighbours follow by a fifth (Zatsiorsky et al. 2000, Exp. Brain Res. 131:187).
@@ -175,7 +175,7 @@ def _anywhere(finger: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def _freedom(flexion_deg: float) -> float:
-    """Share of its abduction that a knuckle keeps, as flexion tightens its ligaments."""
+    """Fraction of its abduction that a knuckle keeps; flexion tightens its ligaments."""
     return 1.0 - 0.8 * np.clip(flexion_deg / 90, 0.0, 1.0)
 
 
@@ -230,7 +230,7 @@ def pinch_postures(hand: HumanHand, finger: int, rng: np.random.Generator, count
         theta[:, i] = np.deg2rad(rng.uniform(low, high, (tries, 4)))
     gap = rng.uniform(*_TIP_GAP_M, tries)
     touch, near = _close(hand, finger, theta.reshape(tries, 20), np.zeros(3), gap)
-    # The other fingers move on meanwhile.
+    # The other fingers keep moving.
     onward = rng.normal(0.0, np.deg2rad(10.0), (tries, 5, 4)) * np.array([0.4, 1.0, 1.0, 1.0])
     onward[:, [_THUMB, finger]] = 0.0
     slide, still_near = _close(
@@ -254,7 +254,7 @@ def _close(
         apart *= (0.5 * gap / np.maximum(np.linalg.norm(apart, axis=1), 1e-6))[:, None]
         p_HF[:, _THUMB], p_HF[:, finger] = middle - apart, middle + apart
         theta = hand.solve_fingertips(p_HF, theta, weights, iterations=3)
-        # Where one of the two cannot follow, the other meets it.
+        # If one of the two cannot follow, the other one moves to it.
         p_HF = hand.fingertips(theta)
         middle = 0.5 * (p_HF[:, _THUMB] + p_HF[:, finger])
     reached = np.linalg.norm(p_HF[:, finger] - p_HF[:, _THUMB], axis=1) < _TIP_GAP_M[1] + 0.001

@@ -1,9 +1,9 @@
-"""A population of people: hands drawn from published anthropometry, whose owners play before a device.
+"""A population of synthetic people: hands from published anthropometry, habits, and measuring devices.
 
-The seed of the population and a number decide a person. The constants hold each distribution with its
-source, or say that it is an assumption; those of gloves and cameras are in `device`. No spread is fitted to
-a recording; the average hand and its play owe some figures to two gloves (see `human_hand` and `play`). Hands
-that the checks of recordings refuse are not in the population.
+The population's seed and a number determine a person. The constants are distributions; comments give the
+source of each, or call it an assumption; those of gloves and cameras are in `device`. No spread is fitted to
+a recording, but some figures of the average hand and its play come from two gloves (see `human_hand` and
+`play`). Hands that the checks of recordings would refuse are not in the population.
 """
 
 import copy
@@ -31,22 +31,22 @@ _LENGTH_M = ((0.193, 0.010), (0.180, 0.009))  # mean and deviation, as below
 _BREADTH = (0.447, 0.025)
 # Assumption: some are children from about eight years on, or have larger hands than soldiers.
 _UNUSUAL_SHARE, _UNUSUAL_LENGTH_M = 0.10, (0.14, 0.22)
-# Deviations of a finger, each bone and the palm, as shares. Hand length explains half to nearly all of the
-# variance of bones, length and breadth 30 to 96 % of the knuckles' places (Buchholz, Armstrong & Goldstein
-# 1992, Ergonomics 35:261).
+# Relative deviations of a finger, each bone and the palm. Hand length explains half to nearly all of the
+# variance of bones; length and breadth explain 30 to 96 % of that of the knuckles' positions (Buchholz,
+# Armstrong & Goldstein 1992, Ergonomics 35:261).
 _FINGER_SPREAD, _BONE_SPREAD, _PALM_SPREAD = 0.06, 0.05, 0.05
 # Deviations of the ends of the joints' ranges: knuckles bend back by 0° to 45° (norms of the Electronic
 # Textbook of Hand Surgery); all others are an assumption, as are those of the directions of the axes.
 _KNUCKLES_BACK_DEG, _RANGE_DEG, _AXIS_DEG = 11.0, 7.0, 5.0
 
-# Motion. Assumption: of their range, most people use most.
+# Motion. Assumption: most people use most of their range.
 _AMPLITUDE, _AMPLITUDE_BOUNDS = (0.95, 0.12), (0.5, 1.1)
 # Small movers: everyday tasks take 48 to 60 % of the active range (Bain et al. 2015, J. Hand Surg. Eur.
 # 40:406). The shares of these and of all other kinds of people are assumptions.
 _STYLES = {"full": 0.55, "small": 0.25, "uneven": 0.20}
 _SMALL, _UNEVEN = (0.3, 0.9), (0.35, 1.0)
 _FEW_FINGERS_SHARE = 0.12
-_FOLLOWING = 0.3  # of their movements remain to idle fingers, which others draw along
+_FOLLOWING = 0.3  # fraction of their movements that idle fingers keep, because other fingers pull them
 _NO_PINCH_SHARE, _PINCHED_SHARE = 0.05, 0.93
 _GESTURE_SHARE = 0.8
 _STOPPING_SHARE, _STOP_AFTER = 0.08, (0.2, 0.8)
@@ -57,7 +57,7 @@ _PACE = (0.5, 2.0)
 
 _AVERAGE = HumanHand.anatomical()
 _GESTURES = {gesture.__name__: gesture for gesture in (play.fists, play.spread, play.wave)}
-_MIN_SHARED = 32  # people; fewer are not worth the start of processes
+_MIN_SHARED = 32  # people; fewer do not justify starting processes
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -67,16 +67,16 @@ class Person:
     Attributes:
         seed, number: of the population, and of the person in it.
         device: that measures the person.
-        hand: as the device shows it. Fingers that touch, touch there: people close a pinch by what they see.
+        hand: as the device shows it. Pinches close in this hand, not in the true one.
         style: "full", "small" (all movements are small) or "uneven" (those of some fingers are).
         rest: (20,) rad, posture about which the person moves.
-        amplitude: (5,) how large each finger's free movements are, as share of the hand's range.
+        amplitude: (5,) of each finger's free movements, as a fraction of the hand's range.
         pace: durations of movements, times those of `synthesize_play`.
         fingers: that are moved on purpose, 0 to 4 from the thumb.
-        pinched: fingers that meet the thumb.
+        pinched: fingers that pinch with the thumb.
         gestures: of the whole hand, by name.
-        mix: (3,) shares of pinches, sweeps of a finger and gestures among all that the person does.
-        stops_after: share of a recording after which the hand rests, 1 for most.
+        mix: (3,) probabilities of pinches, sweeps of a finger, and gestures.
+        stops_after: fraction of a recording after which the hand rests; 1 for most people.
     """
 
     seed: int
@@ -94,7 +94,7 @@ class Person:
     stops_after: float
 
     def __str__(self) -> str:
-        """What is special about the person, one thing a line."""
+        """The person's peculiarities, one per line."""
         few = ", ".join(FINGER_NAMES[finger] for finger in self.fingers)
         special = {
             f"{self.style} movements": self.style != "full",
@@ -109,7 +109,7 @@ class Person:
         return "\n".join(lines)
 
     def record(self, duration_s: float, rate_hz: float | None = None, side: str = "right") -> Recording:
-        """Makes a recording of the person at play; the same arguments give the same recording.
+        """Makes a recording of the person's play; the same arguments give the same recording.
 
         Args:
             duration_s: length, s.
@@ -149,7 +149,7 @@ class Person:
 
 
 class _PersonalTimeline(play.Timeline):
-    """The movements of `play`, carried over to a person's range, amplitude and pace."""
+    """The movements of `play`, adapted to a person's range, amplitude and pace."""
 
     def __init__(self, person: Person):
         super().__init__(person.hand, person.rest)
@@ -157,7 +157,7 @@ class _PersonalTimeline(play.Timeline):
         self.exact = np.zeros((5, 1), bool)
 
     def touching(self, finger: int) -> "_PersonalTimeline":
-        """The same timeline, but thumb and finger move as they are told."""
+        """The same timeline, but with full movements of thumb and finger."""
         view = copy.copy(self)
         view.exact = np.isin(np.arange(5), (0, finger))[:, None]
         return view
@@ -170,7 +170,7 @@ class _PersonalTimeline(play.Timeline):
 
 
 def sample_person(seed: int, number: int = 0) -> Person:
-    """Draws a person: the one of this number in the population of this seed."""
+    """Returns person `number` of the population with this seed."""
     rng = np.random.default_rng([seed, number])
     device, hand, rest = _sample_equipped(rng)
     while not _readable(device, hand, rest, rng):
@@ -215,15 +215,15 @@ def sample_population(
     rate_hz: float = 30.0,
     processes: int | None = None,
 ) -> np.ndarray:
-    """Draws people and lets each play.
+    """Draws people and synthesises the play of each.
 
     Args:
         count: number of people.
         seed: of the population. The first people of a larger one are the same.
         duration_s: of play by each, s.
         rate_hz: frames per second of all.
-        processes: how many share the work, without effect on the result; by default one per core, or only
-            this one for few people.
+        processes: number of processes, without effect on the result; by default one per core, or only this
+            one for few people.
 
     Returns:
         Keypoints p_HK (count, frames, 21, 3) float32, m, in each frame's wrist frame H.
@@ -256,7 +256,7 @@ def _sample_equipped(rng: np.random.Generator) -> tuple[Device, HumanHand, np.nd
 
 
 def _readable(device: Device, hand: HumanHand, rest: np.ndarray, rng: np.random.Generator) -> bool:
-    """Whether the checks of recordings take two seconds of the resting hand for one."""
+    """Whether two seconds of the resting hand pass the checks of recordings."""
     t = np.arange(60) / 30.0
     p_HK = device.measure(np.repeat(hand.keypoints(rest)[None], len(t), axis=0), 30.0, rng)
     recording = Recording(t, p_HK, np.ones(len(t), bool))
@@ -286,6 +286,6 @@ def _sample_hand(rng: np.random.Generator) -> HumanHand:
 
 
 def _in_range_of(hand: HumanHand, theta: np.ndarray) -> np.ndarray:
-    """Joint angles (20,), rad, of the average hand, carried over to the same share of this hand's ranges."""
+    """Joint angles (20,), rad, of the average hand, mapped to the same fraction of this hand's ranges."""
     share = (theta - _AVERAGE.lower) / (_AVERAGE.upper - _AVERAGE.lower)
     return hand.lower + share * (hand.upper - hand.lower)

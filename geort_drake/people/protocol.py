@@ -1,7 +1,7 @@
-"""The capture protocol: five minutes of motion that a new user records, demonstrated by a synthetic hand.
+"""The capture protocol: five minutes of motion for a person to record, demonstrated by a synthetic hand.
 
-Training needs each fingertip everywhere it can go, and the thumb against every finger in many places. Free
-play misses some of these motions. `coverage` measures how many of them a recording shows.
+Training needs each fingertip everywhere it can go, and pinches with every finger in many places. Free play
+lacks some of these motions. `coverage` measures how many of them a recording contains.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ Gesture = Callable[[Timeline, np.random.Generator], None]
 
 
 class Step(NamedTuple):
-    """One step of the protocol: what the person should do for how long, and how the synthetic hand does it.
+    """One step of the protocol: instruction, duration, and the synthetic hand's gesture.
 
     The gesture is repeated until the time is up.
     """
@@ -41,7 +41,7 @@ def _alone(finger: int) -> Gesture:
 def _pinch_with(finger: int) -> Gesture:
     def gesture(timeline: Timeline, rng: np.random.Generator) -> None:
         pinch(timeline, finger, pinch_postures(timeline.hand, finger, rng), rng)
-        timeline.hold(0.2)  # a hand that cannot reach waits for its next try
+        timeline.hold(0.2)  # also if the pinch is out of reach
 
     return gesture
 
@@ -83,7 +83,7 @@ def demonstrate(
     for step in STEPS:
         begins.append(timeline.times[-1])
         end += step.seconds
-        # A gesture that runs over shortens the next step, so that the whole keeps its length.
+        # A gesture that takes longer shortens the next step, so that the total duration stays.
         while timeline.times[-1] < end:
             step.gesture(timeline, rng)
     recording = record(timeline, DURATION_S, rate_hz, jitter, rng, {"source": __name__, "seed": seed})

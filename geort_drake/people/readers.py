@@ -1,7 +1,7 @@
 """Reads recordings in any known format, brings them to the wrist frame and checks them.
 
-What can be repaired without guessing is repaired and reported; frames that cannot be used become invalid;
-only what leaves the meaning open, or too little, is refused.
+Faults that can be repaired without guessing are repaired and reported; unusable frames become invalid. A
+file is refused only if its meaning is ambiguous or too little of it is usable.
 """
 
 import dataclasses
@@ -27,7 +27,7 @@ from geort_drake.people.repairs import repaired_poses, repaired_times
 # agree with gloves whose rate is known.
 ASSUMED_RATE_HZ = 30.0
 
-_ONE_PLACE_M = 1e-6  # keypoints that are nearer to each other are no hand
+_ONE_PLACE_M = 1e-6  # a frame whose keypoints are all this near to each other shows no hand
 _UNIX_S = 1e8  # times beyond this, in 1973, count from 1970; others from the start of the device
 
 
@@ -139,7 +139,7 @@ def _recording(source: Source, tracks: Tracks, metadata: dict, rate_hz: float | 
         known = np.isfinite(p_HK).all(axis=(1, 2))
         X_WH = _wrist_poses(p_VK, known)
         travel = np.abs(X_WH[known & valid, 4:] - X_WH[known & valid, 4:][:1]).max(initial=0.0)
-        # A glove alone knows how the wrist is turned, not where it is.
+        # A glove without a tracker measures the wrist's orientation, but not its position.
         metadata["wrist_position_tracked"] = bool(travel > 1e-3)
     return Recording(t - t[:1], p_HK, valid, X_WH, metadata)
 
@@ -148,8 +148,8 @@ def _wrist_poses(p_WK: np.ndarray, known: np.ndarray) -> np.ndarray:
     """X_WH (T, 7) as the keypoints give it; without rotation in frames that are not known."""
     R_WH, p_WH = wrist_pose(p_WK)
     if not len(p_WH):
-        return np.empty((0, 7))  # SciPy 1.15 makes no rotations of nothing
-    # Numbers too large for their squares leave no rotation.
+        return np.empty((0, 7))  # SciPy 1.15 accepts no empty array
+    # If squares overflow, there is no rotation.
     turned = known & (np.linalg.det(np.nan_to_num(R_WH)) > 0.5)
     R_WH = np.where(turned[:, None, None], R_WH, np.eye(3))
     quaternions = Rotation.from_matrix(R_WH).as_quat(scalar_first=True)

@@ -15,11 +15,11 @@ from geort_drake.errors import RecordingError
 from geort_drake.files import atomic_path, require_fetched
 from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
 
-# Raised when the meaning of p_HK changes, so that old files are recognised.
+# Incremented when the meaning of p_HK changes, so that old files are recognised.
 CONVENTION = 1
 SIDES = ("left", "right")
 PINCH_M = 0.015  # a thumb–finger distance below this counts as a pinch
-# Of a file, packed and unpacked: the largest format takes 1.5 GB for an hour at 120 Hz.
+# Largest size of a file, packed and unpacked; the largest format takes 1.5 GB for an hour at 120 Hz.
 MOST_BYTES = 2 << 30
 _TIME_TOLERANCE = 1e-6  # s; recorded times are sums of binary fractions
 
@@ -111,7 +111,7 @@ class Recording:
         )
 
     def at(self, t: np.ndarray) -> "Recording":
-        """The recording at times t (T,), s, as a device delivers it: each has the newest frame until then."""
+        """The recording at times t (T,), s, each with the latest frame before it, as a device delivers it."""
         rows = newest(self.t, t)
         X_WH = None if self.X_WH is None else self.X_WH[rows]
         return dataclasses.replace(self, t=t, p_HK=self.p_HK[rows], valid=self.valid[rows], X_WH=X_WH)
@@ -171,12 +171,12 @@ class Recording:
 
 
 def newest(sampled: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Row of the newest sample, of those at times `sampled` (S,), for each of `t` (T,); or else the first."""
+    """(T,) row of the latest sample at each time `t` (T,), of samples at times `sampled` (S,); at least 0."""
     return np.maximum(np.searchsorted(sampled, np.asarray(t) + _TIME_TOLERANCE, side="right") - 1, 0)
 
 
 def _checked_metadata(metadata: dict) -> dict:
-    """Metadata without fields of another type than programs expect, which its warnings then name."""
+    """Metadata without fields of an unexpected type; its warnings name them."""
     bad = [field for field, kind in _METADATA.items() if not isinstance(metadata.get(field), kind | None)]
     kept = {field: value for field, value in metadata.items() if field not in bad}
     if bad or "warnings" in kept:
@@ -206,7 +206,7 @@ def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
             return {name: array for name, array in arrays.items() if isinstance(array, np.ndarray)}
     except RecordingError:
         raise
-    except Exception as error:  # a corrupt archive raises nearly anything
+    except Exception as error:  # a corrupt archive may raise anything
         reason = "it holds pickled objects, which are never read" if "pickle" in str(error) else str(error)
         raise RecordingError(f"{path}: not a readable NumPy file: {reason}") from None
 

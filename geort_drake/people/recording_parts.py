@@ -1,8 +1,8 @@
-"""A recording that is kept while it is made: numbered parts in a folder beside its file, joined at the end.
+"""Saves a recording while it is made: numbered parts in a folder beside its file, joined at the end.
 
-After a crash or on a full disk, the written parts stay. `read_recording` finds them under the file's name,
-while there is no such file, or under the folder's. The next session that records to the same file first
-joins them into another one.
+After a crash or on a full disk, the written parts stay. `read_recording` reads them, given the missing file's
+name or the folder's. The next session that records to the same file first joins them into a file of their
+own.
 """
 
 import os
@@ -22,7 +22,7 @@ from geort_drake.files import writing
 from geort_drake.people.recording import Recording
 
 _SUFFIX = ".parts"
-_MOST_WAITING = 8  # parts that may wait for the disk
+_MOST_WAITING = 8  # length of the queue of parts to write
 
 
 class RecordingParts:
@@ -57,8 +57,7 @@ class RecordingParts:
     def append(self, t: np.ndarray, p_HK: np.ndarray, valid: np.ndarray, X_WH: np.ndarray) -> None:
         """Hands over a part without waiting; shapes and units as in `Recording`, t from any time on.
 
-        After an error of the disk, or where it does not keep up, parts are dropped: a warning says so at
-        once, and `finish` raises the error.
+        If writing fails or is too slow, parts are dropped: this warns at once, and `finish` raises the error.
         """
         if self._error is None:
             try:
@@ -70,7 +69,7 @@ class RecordingParts:
         """Joins the parts into the file and removes them; False where there are none, and so no file.
 
         Args:
-            metadata: what has become known since the start.
+            metadata: entries to add, such as those known only at the end.
 
         Raises:
             OutputError: a part or the file could not be written. Written parts stay.
@@ -131,7 +130,7 @@ def _recover(path: Path) -> Path | None:
     if (recording := read_parts(folder)) is None:
         return None
     recovered = None
-    # A session killed between the two steps of `finish` has lost nothing.
+    # A session that was killed between the two steps of `finish` has already written its file.
     if not (path.is_file() and Recording.load(path).digest == recording.digest):
         names = (path.with_name(f"{path.stem}-interrupted-{number}.npz") for number in range(1, 1_000_000))
         recovered = next(name for name in names if not name.exists())
@@ -145,7 +144,7 @@ def _folder_of(path: Path) -> Path:
 
 
 def _remove(folder: Path) -> None:
-    """Removes a folder in one step, as seen from outside."""
+    """Removes a folder atomically, by renaming it first."""
     with writing(folder):
         aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-old-", dir=folder.parent))
         os.replace(folder, aside)

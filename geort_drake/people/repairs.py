@@ -6,15 +6,15 @@ import numpy as np
 
 from geort_drake.people.checks.findings import Finding, FrameFaults, warning
 
-# A single first or last frame farther from the others than this has a wrong time.
+# If the first or last frame is farther from the others than this, its time is wrong.
 _LONGEST_GAP_S, _LONGEST_GAP_PERIODS = 60.0, 1000.0
-_WINDOW = 2  # frames to either side that tell which of two neighbouring times is wrong
-# A quaternion is used as it is if its norm differs from 1 by at most the first, and scaled up to the second.
+_WINDOW = 2  # frames to either side that determine which of two neighbouring times is wrong
+# Deviations of a quaternion's norm from 1: up to the first it is accepted, up to the second normalised.
 NORM_TOLERANCE, NORM_REPAIRABLE = 1e-2, 0.2
 
 
 def repaired_times(t: np.ndarray, numbers: np.ndarray, faults: FrameFaults) -> np.ndarray:
-    """Increasing times (T,), s: frames with an unusable time get one between their neighbours', and a fault.
+    """Increasing times (T,), s: unusable ones are interpolated, and their frames get a fault.
 
     Args:
         t: (T,) times, s; NaN where there is none.
@@ -38,7 +38,8 @@ def repaired_times(t: np.ndarray, numbers: np.ndarray, faults: FrameFaults) -> n
 def _increasing(t: np.ndarray) -> np.ndarray:
     """Indices of the times (N,) to keep, so that they increase.
 
-    Of two neighbours in the wrong order, the one off the clock's rhythm is dropped; then as few as possible.
+    Of two neighbours in the wrong order, the one farther from the clock's rate is dropped; then as few as
+    possible.
     """
     period = float(np.median(np.diff(t)))
     offset = np.pad(t - period * np.arange(len(t)), _WINDOW, constant_values=np.nan)
@@ -74,13 +75,13 @@ def _longest_increasing(t: np.ndarray) -> list[int]:
 def repaired_poses(
     X_WH: np.ndarray, valid: np.ndarray, faults: FrameFaults
 ) -> tuple[np.ndarray, list[Finding]]:
-    """Poses (T, 7) with unit quaternions, and what was repaired.
+    """Poses (T, 7) with unit quaternions, and findings about repairs.
 
-    Quaternions that are nearly of length one are scaled. Frames with others get a fault, and no rotation.
+    Quaternions with a norm near one are normalised. Frames with others get a fault and the identity.
 
     Args:
         X_WH: (T, 7) as qw qx qy qz x y z.
-        valid: (T,) which frames count.
+        valid: (T,) bool; faults of invalid frames are not reported.
         faults: to which the unusable frames are added.
     """
     norm = np.linalg.norm(X_WH[:, :4], axis=1)

@@ -12,10 +12,10 @@ from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 # Ranges of joints outside of these are probably mistakes, rad.
 _NARROW_RANGE, _WIDE_RANGE = np.deg2rad(5.0), 2.0 * np.pi
-# The share of its range that a joint should keep despite the limits of its followers.
-_FREE_SHARE = 0.75
-# Links that touch in this share of random postures hinder the hand.
-_FREQUENT_SHARE = 0.4
+# The fraction of its range that a joint should keep despite the limits of its followers.
+_FREE_FRACTION = 0.75
+# Links that touch in a larger fraction of random postures hinder the hand.
+_FREQUENT_FRACTION = 0.4
 _POSTURES = 100
 _PINCH_SAMPLES, _PINCH_STARTS = 2000, 4
 # By how much fingers must lie in the wrong order for a finding, m.
@@ -29,8 +29,8 @@ def examine(hand: HandModel) -> list[str]:
     return [*_limits(hand), *_pinches(hand), *_orientation(hand), *_collisions(hand), *_masses(hand)]
 
 
-def contact_shares(hand: HandModel) -> dict[tuple[str, str], float]:
-    """The share of random postures in which two links touch, by pairs; pairs of fingertips left out."""
+def contact_fractions(hand: HandModel) -> dict[tuple[str, str], float]:
+    """Pair of links → fraction of random postures in which they touch; without pairs of fingertips."""
     counts: Counter[tuple[str, str]] = Counter()
     for q in hand.sample(_POSTURES):
         counts.update({(a, b) for _, a, b, tips in hand.penetrations(q) if not tips})
@@ -46,7 +46,7 @@ def _limits(hand: HandModel) -> list[str]:
         elif high - low > _WIDE_RANGE:
             found.append(f"joint '{name}' moves {degrees}, more than a turn: give it narrower limits")
         joint = hand.plant.GetJointByName(name)
-        if high - low < _FREE_SHARE * (joint.position_upper_limit() - joint.position_lower_limit()):
+        if high - low < _FREE_FRACTION * (joint.position_upper_limit() - joint.position_lower_limit()):
             found.append(f"joint '{name}' moves only {degrees}, because of its followers' limits")
     return found
 
@@ -133,8 +133,8 @@ def _collisions(hand: HandModel) -> list[str]:
     ]
     if without:
         found.append(f"links of fingers without collision geometry: {', '.join(without)}")
-    for (a, b), share in sorted(contact_shares(hand).items(), key=lambda item: -item[1]):
-        if share >= _FREQUENT_SHARE:
+    for (a, b), share in sorted(contact_fractions(hand).items(), key=lambda item: -item[1]):
+        if share >= _FREQUENT_FRACTION:
             found.append(
                 f"'{a}' and '{b}' touch in {share:.0%} of postures: correct their shapes, or put the pair "
                 "under ignored_collisions"

@@ -56,7 +56,7 @@ def convert_model(model: Path, folder: Path) -> Path:
 
 
 def add_collisions(model: Path) -> list[str]:
-    """Lets links without collision geometry collide with their visual geometry, with the hull of a mesh.
+    """Gives links without collision geometry their visual geometry, or the convex hull of a visual mesh.
 
     Args:
         model: a URDF, SDF or MJCF file that Drake reads; it is overwritten.

@@ -10,7 +10,7 @@ from geort_drake.errors import HandError
 from geort_drake.hands.description import CouplingDescription
 from geort_drake.hands.model_files import read_model
 
-# The largest play to either side, rad, that a tendon's range leaves to joints that it couples.
+# Joints count as coupled if a tendon's range leaves them at most this much play to either side, rad.
 _MAX_PLAY = 0.2
 
 

@@ -22,8 +22,8 @@ from pydrake.multibody.tree import RigidBody
 
 from geort_drake.hands.importers.structure import Chain, HandStructure
 
-# The part of the last link's length, from its end, whose cross-section gives the radius, and its bounds, m.
-_END_SHARE = 0.25
+# The fraction of the last link's length, from its end, whose cross-section gives the radius; bounds, m.
+_END_FRACTION = 0.25
 _RADIUS_RANGE = (0.003, 0.016)
 # Without any geometry: the tip's distance, relative to the length of the link before, and its radius, m.
 _DEFAULT_LENGTH, _DEFAULT_RADIUS = 0.8, 0.008
@@ -81,7 +81,7 @@ def _end_of(parts: list, p_RJ: np.ndarray, source: str) -> Fingertip:
         centre = max((X_RG @ end, X_RG @ -end), key=lambda p: float((p - p_RJ) @ along))
         return Fingertip(body, X_RL.inverse() @ centre, float(shape.radius()), f"a sphere of the {source}")
     depth = (points - p_RJ) @ along
-    near = points[depth > (1 - _END_SHARE) * depth.max()] - p_RJ
+    near = points[depth > (1 - _END_FRACTION) * depth.max()] - p_RJ
     across = near - np.outer(near @ along, along)
     _, _, axes = np.linalg.svd(across - across.mean(axis=0), full_matrices=False)
     low, high = (across @ axes[:2].T).min(axis=0), (across @ axes[:2].T).max(axis=0)

@@ -15,7 +15,7 @@ from geort_drake.hands.description import (
     FingerDescription,
     HandDescription,
 )
-from geort_drake.hands.importers.checks import contact_shares
+from geort_drake.hands.importers.checks import contact_fractions
 from geort_drake.hands.importers.couplings import coupling_notes
 from geort_drake.hands.importers.finger_names import (
     fingers_by_name,
@@ -34,15 +34,15 @@ _BASE_NAME = "hand_base"
 # lean against the palm; above the second angle, a note says so.
 _SNAP_ANGLE, _NOTED_ANGLE = np.deg2rad(30.0), np.deg2rad(5.0)
 _POSTURES, _STRETCH_GRID = 300, 7
-# Fingers close to one side if their mean tip offset is this share of their mean distance from straight.
-_CLOSING_SHARE = 0.6
-# A thumb is beside the fingers if it is sideways by this share of how far it is in front of them.
-_SIDEWAYS_SHARE = 0.35
-# Links that touch in this share of random postures always do.
-_PERMANENT_SHARE = 0.95
+# Fingers close to one side if their mean tip offset is this fraction of their mean distance from straight.
+_CLOSING_FRACTION = 0.6
+# A thumb is beside the fingers if its sideways offset is this fraction of its offset to the front.
+_SIDEWAYS_FRACTION = 0.35
+# Links that touch in this fraction of random postures are taken to touch in all of them.
+_PERMANENT_FRACTION = 0.95
 # How far the joints are opened towards the middle of their ranges to find a start without collision.
 _OPENINGS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
-# Mounted on the shipped adapter with this turn, a left hand is the mirror image of a right one, degrees.
+# With this rotation on the shipped adapter, a left hand is the mirror image of a right one, degrees.
 _LEFT_MOUNT = (0.0, 0.0, 90.0)
 # Gains for models without position controllers, those of the Allegro hand: N·m/rad, N·m·s/rad, N·m.
 _GAINS = ActuationDescription(stiffness=1.0, damping=0.1, effort_limit=1.0)
@@ -146,7 +146,9 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
         base_pose=BasePoseDescription(palm_link.name(), _rounded(X_PB.translation()), _rounded(rpy_deg, 2)),
         fingers=sorted(described, key=lambda finger: FINGER_NAMES.index(finger.name)),
         ignored_collisions=sorted(
-            [a, b] for (a, b), share in contact_shares(hand).items() if share >= _PERMANENT_SHARE and a != b
+            [a, b]
+            for (a, b), share in contact_fractions(hand).items()
+            if share >= _PERMANENT_FRACTION and a != b
         ),
         actuation=_actuation(structure, notes),
     )
@@ -204,7 +206,7 @@ def _arrange(
     z = _unit(directions[others].mean(axis=0))
     sideways = np.concatenate([fingers[number].sideways for number in others])
     x = sideways.mean(axis=0)
-    if np.linalg.norm(x) < _CLOSING_SHARE * np.linalg.norm(sideways, axis=1).mean():
+    if np.linalg.norm(x) < _CLOSING_FRACTION * np.linalg.norm(sideways, axis=1).mean():
         x = p_base[thumb] - p_base[others].mean(axis=0)
         notes.append("the fingers bend to both sides alike; the palm's side is taken to be the thumb's")
     x = _unit(x - (x @ z) * z)
@@ -222,7 +224,7 @@ def _arrange(
         or side_by_name([structure.palm[0].name()])
         or side_by_name([plant.GetModelInstanceName(hand), *links])
     )
-    if abs(to_left) < _SIDEWAYS_SHARE * abs(forward):
+    if abs(to_left) < _SIDEWAYS_FRACTION * abs(forward):
         side = named_side or "right"
         notes.append(f"the thumb is opposite to the fingers, not beside them; taken for a {side} hand")
     elif named_side is not None and named_side != side:

@@ -20,9 +20,9 @@ from geort_drake.people.recording import SIDES, Recording
 UNITS_M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}
 
 _PALM_M = (0.060, 0.110)  # wrist to middle knuckle, from a child of ten to a large adult
-_BENT = 0.02  # a mean sine of the fingers' bending beyond this tells the side
-_FRAME_M = 0.005  # a keypoint may be so far from where the definition of H puts it
-# A bone farther than this from its median length is of no hand: camera trackers vary by 4 to 16 %.
+_BENT = 0.02  # the mean sine of the fingers' bending above which the side can be determined
+_FRAME_M = 0.005  # largest distance of a keypoint from where the definition of H puts it
+# Larger deviations of a bone from its median length are faults; camera trackers vary by 4 to 16 %.
 _ODD_BONE, _ODD_BONE_M = 0.75, 0.01
 _NOISY_BONES, _UNUSABLE_BONES = 0.03, 0.25  # standard deviation over mean
 
@@ -53,7 +53,7 @@ def check_unit(recording: Recording) -> Iterator[Finding]:
 
 
 def check_side(recording: Recording) -> Iterator[Finding]:
-    """The hand is of the side that was asked for, and not in mirrored coordinates."""
+    """The hand is of the requested side, and not in mirrored coordinates."""
     side, bending = recording.side, _mean_bending(_valid(recording))
     if bending < -_BENT:
         other = SIDES[1 - SIDES.index(side)]

@@ -6,16 +6,16 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-MOST_LOST = 0.1  # share of frames that may be lost before a recording is refused
+MOST_LOST = 0.1  # a recording with a larger fraction of lost frames is refused
 
 
 class Severity(enum.StrEnum):
     """How bad a finding is."""
 
     ERROR = "error"  # the recording is refused
-    UNFIT = "unfit"  # it can be replayed, but not be trained on
-    WARNING = "warning"  # usable; look at it
-    ADVICE = "advice"  # nothing is wrong, but more motion would help
+    UNFIT = "unfit"  # usable for replays, but not for training
+    WARNING = "warning"  # usable, but suspicious
+    ADVICE = "advice"  # no fault, but more motion would help
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,9 +25,9 @@ class Finding:
     Attributes:
         check: short name of the check, such as "unit".
         severity: how bad it is.
-        what: what was expected and what was given.
-        where: field and frame of the fault, if it has one.
-        advice: what the user can do, or what was done.
+        what: what was expected and what was found.
+        where: field and frame of the fault, if known.
+        advice: the remedy, or the repair that was made.
         lost: frames that become invalid.
     """
 
@@ -62,8 +62,8 @@ def lost_frames(
         frames: the lost ones, at least one.
         count: of all frames.
         what: completes "3 of 400 frames ...".
-        detail: what is wrong with the first one.
-        too_many: whether it is an error in any case.
+        detail: the fault of the first one.
+        too_many: makes it an error in any case.
     """
     what = f"{len(frames)} of {count} frames {what}, the first is frame {frames[0]}"
     what += f": {detail}" if detail else ""
@@ -80,12 +80,12 @@ class FrameFaults:
         self._faults: dict[int, tuple[str, str]] = {}
 
     def add(self, kind: str, frames: Iterable[int] | Mapping[int, str], detail: str = "") -> None:
-        """Notes that frames cannot be used.
+        """Marks frames as unusable.
 
         Args:
             kind: completes "3 of 400 frames ...".
-            frames: their numbers, or what is wrong with each of them.
-            detail: what is wrong with all of them.
+            frames: their numbers, or number → fault.
+            detail: the fault of all of them.
         """
         details = frames if isinstance(frames, Mapping) else dict.fromkeys(frames, detail)
         for frame, each in details.items():

@@ -11,8 +11,8 @@ from geort_drake.people.recording import PINCH_M, Recording
 
 _TRAINING_FRAMES = 300
 _STUCK_DEG = 0.05  # standard deviation of a joint's angle
-# In a spike, a keypoint leaves by more than this and is back in the next frame. It is ten times a glove's
-# jitter; two people's free play at 30 and 118 Hz holds no such frame.
+# In a spike, a keypoint moves by more than this and returns in the next frame. Ten times a glove's jitter;
+# two people's free play at 30 and 118 Hz contains no such frame.
 _SPIKE_M = 0.02
 _JUMP_M = 0.05
 _JUMP_RATIO = 5.0  # of a jump to the steps before and after it, which separates it from fast motion
@@ -20,7 +20,7 @@ _WRIST_M_S = 10.0  # an arm throws at that speed
 
 
 def check_spikes(recording: Recording) -> Iterator[Finding]:
-    """Single frames in which a keypoint is somewhere else become invalid."""
+    """Single frames in which a keypoint jumps away become invalid."""
     p = recording.p_HK.astype(float)
     off = np.linalg.norm(p[1:-1] - 0.5 * (p[:-2] + p[2:]), axis=-1)
     across = np.linalg.norm(p[2:] - p[:-2], axis=-1)
@@ -39,7 +39,7 @@ def check_spikes(recording: Recording) -> Iterator[Finding]:
 
 
 def check_jumps(recording: Recording) -> Iterator[Finding]:
-    """Steps that no finger makes, as where two recordings were joined, and wrists that fly."""
+    """Impossible steps of fingers, such as between joined recordings, and impossible speeds of the wrist."""
     both = recording.valid[1:] & recording.valid[:-1]
     step = np.linalg.norm(np.diff(recording.p_HK.astype(float), axis=0), axis=-1)
     beside = np.maximum(step[:-2], step[2:])
@@ -79,7 +79,7 @@ def check_frozen(recording: Recording) -> Iterator[Finding]:
 
 
 def check_training(recording: Recording) -> Iterator[Finding]:
-    """As many frames, pinches and wide motions as training needs."""
+    """There are enough frames, pinches and wide motions for training."""
     valid = int(recording.valid.sum())
     if valid < _TRAINING_FRAMES:
         what = f"{valid} valid frames, training needs at least {_TRAINING_FRAMES}"

@@ -10,7 +10,7 @@ import numpy as np
 from geort_drake.people.keypoints import BONES
 from geort_drake.people.keypoints import FINGER_KEYPOINTS as _F
 
-# Which keypoint stands at each of the 21 places of a file, in the orders of published data sets.
+# The keypoint at each of the 21 positions in a file, for the orders of published data sets.
 MANO_ORDER = (0, 5, 6, 7, 9, 10, 11, 17, 18, 19, 13, 14, 15, 1, 2, 3, 4, 8, 12, 16, 20)
 EXPECTED = "wrist, then thumb to little finger, base to tip (MediaPipe)"
 _TIPS_FIRST = tuple(k for chain in _F.values() for k in chain[::-1])
@@ -26,8 +26,8 @@ _JITTER = 5e-4  # of a glove's bones, as a share of the palm
 def fitting_order(p: np.ndarray) -> tuple[str | None, str]:
     """The order of `ORDERS` in which keypoints p (T, 21, 3) of any frame and unit are a hand.
 
-    The expected order is preferred where it fits nearly as well as another. Where no order makes a hand of
-    them, it is None; the second value then says what is unlike a hand in the expected order.
+    The expected order is preferred if it fits nearly as well as another. If no order fits, the first value is
+    None and the second describes what contradicts the expected order.
     """
     p = p[np.linspace(0, len(p) - 1, min(len(p), 200)).astype(int)].astype(float)
     distances = np.linalg.norm(p[:, :, None] - p[:, None], axis=-1)
@@ -46,7 +46,7 @@ def fitting_order(p: np.ndarray) -> tuple[str | None, str]:
 
 
 def _oddities(distance: np.ndarray) -> Iterator[str]:
-    """What is unlike a hand in the median distances (21, 21) between its keypoints, if they are in order."""
+    """Contradictions between the median distances (21, 21) of keypoints and the expected order."""
     knuckles = distance[0, [5, 9, 13, 17]]
     if distance[0, 1] > 0.75 * knuckles.min():
         yield "keypoint 1, the thumb's base, is not nearer to the wrist than the knuckles are"

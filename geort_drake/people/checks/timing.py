@@ -9,10 +9,10 @@ from geort_drake.people.recording import Recording
 
 _RATE_HZ = (2.0, 2000.0)
 _GAP_S = 0.2
-_MISSING_SHARE = 0.05  # a glove at 118 Hz over radio loses 4 %
+_MISSING_FRACTION = 0.05  # a glove at 118 Hz over radio loses 4 %
 _FROZEN_S = 0.5
-_REPEATED_SHARE = 0.02
-_SAME_M = 2e-7  # what rounding leaves of a still hand when the wrist moves; a glove's jitter is 0.05 mm
+_REPEATED_FRACTION = 0.02
+_SAME_M = 2e-7  # rounding errors of a repeated hand when the wrist moves; a glove's jitter is 0.05 mm
 
 
 def check_clock(recording: Recording) -> Iterator[Finding]:
@@ -61,7 +61,7 @@ def check_dropped(recording: Recording) -> Iterator[Finding]:
     missing = int((np.round(step / np.median(step)) - 1).clip(0).sum())
     count = len(step) + missing
     gaps, frame = int((step > _GAP_S).sum()), int(np.argmax(step)) + 1
-    if gaps or missing > _MISSING_SHARE * count:
+    if gaps or missing > _MISSING_FRACTION * count:
         what = f"{missing} frames are missing in {count + 1}, with {gaps} gaps of over {_GAP_S:g} s; the "
         what += f"longest is {step.max():.2f} s before frame {frame}"
         yield warning("dropped frames", what, f"t[{frame}]", "check the radio link and the recorder's load")
@@ -80,7 +80,7 @@ def check_repeats(recording: Recording) -> Iterator[Finding]:
         what += f"{recording.duration_s:.1f} s in all"
         kind = error if frozen > 0.5 * recording.duration_s else warning
         yield kind("constant signal", what, f"p_HK[{start}]", "check that the glove was connected")
-    elif same.sum() > _REPEATED_SHARE * len(same):
+    elif same.sum() > _REPEATED_FRACTION * len(same):
         first = int(np.argmax(same)) + 1
         what = f"{int(same.sum())} of {len(recording)} frames repeat the one before, first frame {first}"
         advice = "training ignores them; record at the glove's own rate"

@@ -9,7 +9,7 @@ from geort_drake.people.formats.source import Format, description
 
 AUTO = "auto"
 
-# In the order of detection: contents that two formats fit are of the first.
+# In the order of detection: if several formats fit, the first is used.
 FORMATS: dict[str, Format] = {
     "geort_drake": keypoint_arrays.OWN,
     "manus": manus.RAW,

@@ -16,7 +16,7 @@ from geort_drake.people.formats.unpickling import ForbiddenPickle, load_plain
 from geort_drake.people.recording import check_file, load_arrays
 
 _SEPARATORS = re.compile(r"[,\s]*")
-_MOST_REPLACED = 1e-3  # share of a text's characters that are not UTF-8
+_MOST_REPLACED = 1e-3  # largest fraction of a text's characters that are not UTF-8
 
 
 def load(path: Path) -> Source:
@@ -96,7 +96,7 @@ def _load_json(path: Path, faults: FrameFaults) -> Any:
 
 
 def _damaged_json(text: str, faults: FrameFaults) -> Any:
-    """A list of frames, or an object with one, though some are damaged or cut off; None without any."""
+    """A list of frames, or an object with one, without the damaged ones; None if there are none."""
     head = re.match(r'\s*(\{[^[]*"frames"\s*:\s*)?\[', text)
     mark = _frame_mark(text) if head else None
     if head is None or mark is None:

@@ -209,7 +209,7 @@ class Source:
         return self.transforms(field, X, column_major and p.ndim < 4)[..., :3, 3]
 
     def transforms(self, field: str, X: np.ndarray, column_major: bool = False) -> np.ndarray:
-        """Homogeneous transforms (T, J, 4, 4) with the translation in the last column, turned if need be.
+        """Homogeneous transforms (T, J, 4, 4) with the translation in the last column, transposed if needed.
 
         Raises:
             RecordingError: most have 0 0 0 1 neither as last row nor as last column.
@@ -276,7 +276,7 @@ def point(value: Any) -> Any:
 
 
 def empty_frames(values: np.ndarray) -> np.ndarray:
-    """(T,) bool: frames of values (T, ...) that are all zeros, as some trackers store a hand not seen."""
+    """(T,) bool: frames of values (T, ...) that are all zeros, as some trackers store a lost hand."""
     return (values == 0.0).all(axis=tuple(range(1, values.ndim)))
 
 

@@ -1,7 +1,7 @@
-"""Unpickles plain data alone: NumPy arrays and Python's own containers, and nothing that runs code.
+"""Unpickles plain data only: NumPy arrays and Python's own containers, and nothing that runs code.
 
-NumPy trusts what a pickle says of an array or its type, and ends the process where that is wrong. So checked
-stand-ins replace its functions.
+NumPy does not check the shapes and types in a pickle, and wrong ones crash the process. Checked stand-ins
+therefore replace its functions.
 """
 
 import math
@@ -21,7 +21,7 @@ class ForbiddenPickle(Exception):
 
 
 def _latin1(text: str, encoding: str) -> bytes:
-    """How the older protocols make bytes; other codecs would let a small file grow without bound."""
+    """Makes bytes for the older protocols; other codecs would let a small file grow without bound."""
     if encoding not in ("latin1", "latin-1"):
         raise ForbiddenPickle(f"_codecs.encode to {encoding:.20}")
     return text.encode("latin1")
@@ -61,7 +61,7 @@ class _Array(np.ndarray):
         super().__setstate__((version, shape, kind.dtype, bool(by_column), content))  # type: ignore[arg-type]
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> Any:
-        return np.asarray(self).__reduce_ex__(protocol)  # a copy in another process is NumPy's own
+        return np.asarray(self).__reduce_ex__(protocol)  # other processes get a plain NumPy array
 
 
 def _size(shape: tuple) -> int:
@@ -120,5 +120,5 @@ def load_plain(path: Path) -> Any:
             f"{path}: the pickle names {forbidden}, which could run code; only NumPy arrays, lists, "
             "dicts, numbers and strings are read"
         ) from forbidden
-    except Exception as error:  # a corrupt pickle raises nearly anything
+    except Exception as error:  # a corrupt pickle may raise anything
         raise RecordingError(f"{path}: not a readable pickle: {error or type(error).__name__}") from None

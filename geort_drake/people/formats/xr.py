@@ -55,7 +55,7 @@ def _is_webxr(contents: Any) -> bool:
 
 
 def _kinds(contents: Any) -> tuple[int, int]:
-    """In how many frames joints are a list, as OpenXR has them, and an object or poses, as WebXR has them."""
+    """Numbers of frames with a list of joints (OpenXR), and with an object of joints or poses (WebXR)."""
     frames = [frame for frame in frames_of(contents) if isinstance(frame, Mapping)]
     lists = sum(isinstance(frame.get("joints"), list) for frame in frames)
     return lists, sum(isinstance(frame.get("joints"), Mapping) or "poses" in frame for frame in frames)
@@ -91,7 +91,7 @@ def _points(frame: Any, names: tuple[str, ...]) -> list | None:
 
 
 def _point(joint: Any) -> Any:
-    """The position of a joint, which stands in it or in its pose; NaN where its flags say that it is lost."""
+    """The position of a joint, from the joint or its pose; NaN if its flags mark it as lost."""
     if isinstance(joint, Mapping):
         flags = joint.get("locationFlags", _POSITION_VALID)
         if not isinstance(flags, int):
