@@ -1,8 +1,8 @@
-"""IN: the same as `geort-drake check-recording`; IN OUT: as `geort-drake convert`."""
+"""The same as `geort-drake convert`."""
 
 import sys
 
 from geort_drake.cli import main
 
 if __name__ == "__main__":
-    sys.exit(main(["check-recording", *sys.argv[1:]]))
+    sys.exit(main(["convert", *sys.argv[1:]]))

@@ -212,7 +212,7 @@ def draw_human_play(folder: Path, arguments: argparse.Namespace) -> None:
 def draw_fingertips(folder: Path, _arguments: argparse.Namespace) -> None:
     """Where the fingertips of synthetic play go, and a robot's can."""
     run("synthesize_recording", folder / "play.npz")
-    run("import_recording", folder / "play.npz", "--picture", folder / "fingertip_clouds.png")
+    run("check_recording", folder / "play.npz", "--picture", folder / "fingertip_clouds.png")
 
 
 def draw_people(folder: Path, _arguments: argparse.Namespace) -> None:

@@ -96,9 +96,8 @@ def test_an_unusable_recording_is_refused(refused, fault):
     [
         ("grasp --recording @/short.npy", ["short.npy: 100 valid frames, training needs at least 300"]),
         ("grasp --retargeter @/altered", ["weights.safetensors", "altered", "sha256"]),
-        ("grasp --retargeter nowhere", ["nowhere", "no such checkpoint"]),
         ("grasp --objects cylinder teapot", ["unknown object 'teapot'", "cylinder", "sphere"]),
-        ("grasp --method magic", ["unknown retargeting method 'magic'", "geort"]),
+        ("grasp --retargeter magic", ["unknown retargeting method or checkpoint 'magic'", "geort"]),
         ("grasp --hand claw", ["unknown hand 'claw'", "allegro_right", "leap_right"]),
         ("grasp --hand allegro_left --recording @/no_wrist.npz", ["no_wrist.npz", "right hand", "left one"]),
         ("grasp --scenario-name Lift", ["unknown scenario", "'Lift'", "Grasp"]),
@@ -120,7 +119,6 @@ def test_an_unusable_recording_is_refused(refused, fault):
         ("evaluate --recording @/good.npy --methods @/altered", ["weights.safetensors", "sha256"]),
         ("evaluate --recording @/good.npy --score-on @/good.npy", ["good.npy", "give another one"]),
         ("evaluate --recording @/good.npy --held-out 1", ["held-out blocks must be 2 to 180", "not 1"]),
-        ("evaluate --recording @/good.npy --plots file", ["file", "directory"]),
         ("synthesize out.npz --duration inf", ["--duration", "finite"]),
         ("synthesize out.npz --duration 1e6", ["--duration times --rate may be at most 5,000,000 frames"]),
         ("convert @/good.npy file/out.npz", ["file", "directory"]),

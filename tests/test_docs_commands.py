@@ -83,7 +83,7 @@ CHAINS = {
     },
     "grasps": {
         f"grasp --objects cylinder --recording hand.npz --output run {SHORT}": "trials",
-        f"grasp --objects cube --method vector_online --no-rerun --output online {SHORT}": "trials",
+        f"grasp --objects cube --retargeter vector_online --no-rerun --output online {SHORT}": "trials",
         "export run parquet": "episodes",
         "export run lerobot --format lerobot --fps 10": "episodes",
         "stand-in-robot --duration 0.2": None,

@@ -29,6 +29,9 @@ class PointHand:
     lower, upper = np.full(9, -0.06), np.full(9, 0.06)
     tip_radius = 0.012
 
+    def sample(self, count, seed):
+        return np.random.default_rng(seed).uniform(-0.06, 0.06, (count, 9))
+
     def fingertips(self, q):
         return q.reshape(*q.shape[:-1], 3, 3)
 

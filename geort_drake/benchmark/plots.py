@@ -7,12 +7,28 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.rcsetup import cycler
 from matplotlib.ticker import PercentFormatter
 
 from geort_drake.benchmark.records import Record
 from geort_drake.benchmark.statistics import completed_share
-from geort_drake.comparison.plots import COLOURS, MARKERS, STYLE, WIDTH
 
+# The Okabe-Ito colours, which colour-blind people can tell apart; marker shapes repeat the distinction.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#777777", "#8C6D31")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p", "h", "*")
+STYLE: Any = {
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.prop_cycle": cycler(color=COLOURS),
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlesize": "medium",
+    "figure.facecolor": "white",
+    "font.size": 9,
+    "grid.alpha": 0.3,
+    "legend.frameon": False,
+}
+WIDTH = 7.0  # inches, the text width of a page
 # Text stays text instead of paths, and equal figures give equal files.
 _SVG_STYLE: Any = {**STYLE, "svg.fonttype": "none", "svg.hashsalt": "geort_drake"}
 

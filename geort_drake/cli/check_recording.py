@@ -36,8 +36,7 @@ _POLL_PERIOD_S = 1.0
 
 def add_arguments(parser: CommandParser) -> None:
     add_reading_arguments(parser)
-    # The script import_recording.py converts when it is given a second file.
-    parser.add_argument("output", type=output_file(".npz"), nargs="?", help=argparse.SUPPRESS)
+    parser.set_defaults(output=None)  # which `convert` has
     parser.add_json("the report")
     add = parser.add_argument
     picture = "picture of the fingertips and the robot's reachable space to write (.png)"

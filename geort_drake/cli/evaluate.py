@@ -14,7 +14,6 @@ from geort_drake.cli.options import (
     finish,
     method_help,
     methods_for,
-    output_folder,
     write_json,
 )
 
@@ -53,19 +52,12 @@ def add_arguments(parser: CommandParser) -> None:
     frames = "score only the first N valid frames of each recording and block (default: all)"
     add("--frames", type=at_least(10), metavar="N", help=frames)
     parser.add_json("all figures")
-    add(
-        "--plots",
-        type=output_folder,
-        metavar="FOLDER",
-        help="folder for plots of the first seed, same person",
-    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import HandModel, load_hand, read_recording
     from geort_drake.comparison.comparison import Comparison, Outcome
-    from geort_drake.comparison.plots import write_plots
-    from geort_drake.comparison.protocols import SAME_PERSON, held_out, other_person, same_person
+    from geort_drake.comparison.protocols import held_out, other_person, same_person
     from geort_drake.comparison.report import failures, report, tables
     from geort_drake.comparison.retargeters import from_cache, names_of
     from geort_drake.console import console, progress_bar, warn
@@ -98,12 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
         warn(f"not scored: {line}")
     write_json(arguments.json, report(comparison, results, recording, arguments.recording.name))
     written = {} if arguments.json in (None, STDOUT) else {"Figures": arguments.json}
-    if arguments.plots:
-        firsts = {name: of_method[SAME_PERSON][0].evaluation for name, of_method in results.items()}
-        scored = {name: evaluation for name, evaluation in firsts.items() if evaluation is not None}
-        space = comparison.space(seeds[0])
-        written["Plots"] = ", ".join(map(str, write_plots(arguments.plots, scored, hand.finger_names, space)))
-    if not (arguments.json or arguments.plots):
-        console.print("Nothing was written; --json FILE saves the figures, --plots FOLDER plots them.")
+    if arguments.json is None:
+        console.print("Nothing was written; --json FILE saves the figures.")
     finish(written)
     return 1 if any(failures(results)) else 0

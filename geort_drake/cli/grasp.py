@@ -1,7 +1,7 @@
 """Grasp objects in simulation.
 
 Without arguments, a simulated person grasps three objects with a Panda and an Allegro hand, through the map
-for everyone, and a table shows the outcomes. With --train, a retargeter is trained on the person first. The
+for everyone, and a table shows the outcomes. A method that needs training is first trained on the person. The
 output folder gets results.json, the scenario, and for each trial a Rerun recording (.rrd) and the glove and
 tracker data (.npz).
 """
@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 from geort_drake.cli.options import (
     DEFAULT_METHOD,
-    METHODS,
     SHIPPED_METHOD,
     CommandParser,
     at_least,
@@ -27,7 +26,7 @@ from geort_drake.cli.options import (
     view,
     write_json,
 )
-from geort_drake.errors import ScenarioError, UnknownNameError
+from geort_drake.errors import ScenarioError
 
 if TYPE_CHECKING:
     from geort_drake import Recording
@@ -51,16 +50,11 @@ def add_arguments(parser: CommandParser) -> None:
     add("--trials", type=at_least(1), default=1, help="trials per object, each with its own seed")
     add("--recording", type=Path, help="recording of the person's hand (default: synthetic play)")
     parser.add_side()
-    add("--retargeter", type=Path, help="checkpoint or map to use; also give the checkpoint's --recording")
-    method = (
-        f"method, one of those below (default: {SHIPPED_METHOD} if the hand has a map, or {DEFAULT_METHOD})"
+    retargeter = (
+        "method listed below, checkpoint (also give its --recording) or map (default: "
+        f"{SHIPPED_METHOD} if the hand has a map, or {DEFAULT_METHOD})"
     )
-    add("--method", metavar="NAME", help=method)
-    add(
-        "--train",
-        action="store_true",
-        help=f"train on the person's hand; the same as --method {DEFAULT_METHOD}",
-    )
+    add("--retargeter", metavar="NAME", help=retargeter)
     add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train")
     parser.add_seed("training and synthetic play")
     add(
@@ -75,7 +69,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import HandModel, __version__, load_hand, run_trial
-    from geort_drake.comparison.retargeters import Retarget, from_cache, retargeter_of
+    from geort_drake.comparison.retargeters import from_cache, names_of, retargeter_of
     from geort_drake.console import print_table, progress_bar, say, track, warn
     from geort_drake.files import write_text
     from geort_drake.retargeting.checkpoint import load_checkpoint
@@ -86,22 +80,16 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
     # The request is checked completely before anything is computed or written.
-    if arguments.method not in (None, *METHODS):
-        raise UnknownNameError("retargeting method", arguments.method, METHODS)
     base = scenario_of(arguments)
     description = load_hand(base.hand)
-    has_map = SHIPPED_METHOD in methods_for(base.hand) and not arguments.train
-    method = arguments.method or (SHIPPED_METHOD if has_map else DEFAULT_METHOD)
+    hand = HandModel(description)
+    has_map = SHIPPED_METHOD in methods_for(base.hand)
+    method = arguments.retargeter or (SHIPPED_METHOD if has_map else DEFAULT_METHOD)
+    names_of([method], hand=hand)  # refuses an unusable one
     side = arguments.side or description.side
     scenarios = scenarios_of(arguments, base)
     replay = _replay(arguments, base, side)
     recording = recording_of(arguments.recording, side, arguments.seed)
-    hand, cache = HandModel(description), from_cache(base.hand, arguments.device)
-
-    def load(method: str) -> tuple[Retarget, Path | None]:
-        return retargeter_of(method, hand, recording, arguments.seed, cache)
-
-    loaded = None if arguments.retargeter is None else load(str(arguments.retargeter))
 
     # Planning comes before training because it shows whether the robot can grasp the objects at all.
     plans: dict[str, Any] = {}
@@ -119,7 +107,8 @@ def run(arguments: argparse.Namespace) -> int:
         for reason in refused:
             warn(f"left out: {reason}")
         scenarios = [s for s in scenarios if isinstance(plans[s.object.name], list)]
-    retarget, checkpoint = loaded or load(method)
+    cache = from_cache(base.hand, arguments.device)
+    retarget, checkpoint = retargeter_of(method, hand, recording, arguments.seed, cache)
     source = str(arguments.recording or f"synthetic play, seed {arguments.seed}")
     say(f"Human motion: {source}")
     properties: dict[str, str | float] = {"method": method, "hand": description.name}

@@ -57,8 +57,7 @@ class RobotSpace:
 
 def robot_space(hand: HandModel, seed: int = 0) -> RobotSpace:
     """Samples the C-space of a hand; all methods share it."""
-    rng = np.random.default_rng(seed)
-    q = rng.uniform(hand.lower, hand.upper, (ROBOT_SAMPLES, len(hand.joint_names)))
+    q = hand.sample(ROBOT_SAMPLES, seed)
     p_BF = _fingertips_of(hand)(q)
     return RobotSpace(p_BF, robot_voxels(p_BF), robot_voxels(p_BF[~hand.collides(q)]))
 

@@ -1,4 +1,4 @@
-"""Episodes as a LeRobot dataset, codebase version 3.0.
+"""Episodes as a LeRobot dataset, codebase version 3.0, each in a file of its own.
 
 The layout is that of https://huggingface.co/docs/lerobot/lerobot-dataset-v3. LeRobot's own writer is not used
 because its package requires about a hundred others and pins old versions of torch and Rerun.
@@ -22,7 +22,7 @@ VERSION = "v3.0"
 INFO, STATS, TASKS = "meta/info.json", "meta/stats.json", "meta/tasks.parquet"
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
-_FILES_PER_CHUNK, _FILE_MB = 1000, 100
+_FILES_PER_CHUNK = 1000
 _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 _POSE = ["qw", "qx", "qy", "qz", "x", "y", "z"]
 _KEYPOINTS = [f"{axis}{keypoint}" for keypoint in range(21) for axis in "xyz"]
@@ -46,12 +46,86 @@ def write_lerobot(
         OutputError: `output` exists and is no dataset.
     """
     check_replaceable(output, INFO)
+    described: dict[str, dict] = {}
+    tasks: dict[str, int] = {}
+    lines: list[dict] = []  # one per episode
+    columns: dict[str, list[np.ndarray]] = {}  # of all episodes, for the statistics
+    robot, total = None, 0
     with atomic_directory(output) as draft:
-        writer = _Writer(draft, fps)
-        for episode in episodes:
-            writer.add(episode)
+        for number, recorded in enumerate(episodes):
+            if fps is None:
+                fps = max(1, round(1.0 / float(np.median(np.diff(recorded.t)))))
+            frames = int(recorded.t[-1] * fps + 1e-6) + 1
+            episode = recorded.resampled(np.arange(frames) / fps)
+            features = features_of(episode)
+            task = f"grasp the {str(episode.facts['object']).replace('_', ' ')}"
+            counters: dict[str, np.ndarray] = {
+                "timestamp": episode.t.astype(np.float32),
+                "frame_index": np.arange(frames),
+                "episode_index": np.full(frames, number),
+                "index": total + np.arange(frames),
+                "task_index": np.full(frames, tasks.setdefault(task, len(tasks))),
+            }
+            features |= {name: (values[:, None], None) for name, values in counters.items()}
+            kinds = {
+                name: {"dtype": str(values.dtype), "shape": [values.shape[1]], "names": names}
+                for name, (values, names) in features.items()
+            }
+            if not lines:
+                described, robot = kinds, episode.robot
+            elif kinds != described:
+                names = {**described, **kinds}
+                differing = [name for name in names if described.get(name) != kinds.get(name)]
+                raise RecordingError(
+                    f"{episode.name}: its {', '.join(differing)} differs from earlier episodes; all episodes "
+                    "of a dataset must be of one robot"
+                )
+            chunk, file = divmod(number, _FILES_PER_CHUNK)
+            data = pa.table({name: _column(values) for name, (values, _) in features.items()})
+            _write(draft / DATA_PATH.format(chunk_index=chunk, file_index=file), data)
+            statistics: dict[str, list] = {}
+            for name, (values, _) in features.items():
+                columns.setdefault(name, []).append(values)
+                statistics |= {f"stats/{name}/{key}": value for key, value in _statistics(values).items()}
+            lines.append(
+                {
+                    "episode_index": number,
+                    "tasks": [task],
+                    "length": frames,
+                    "data/chunk_index": chunk,
+                    "data/file_index": file,
+                    "dataset_from_index": total,
+                    "dataset_to_index": total + frames,
+                    "meta/episodes/chunk_index": 0,
+                    "meta/episodes/file_index": 0,
+                    "name": episode.name,
+                    "outcome": episode.facts["outcome"],
+                    **statistics,
+                }
+            )
+            total += frames
             yield episode.name
-        writer.finish()
+        _write(draft / EPISODES_PATH, pa.Table.from_pylist(lines))
+        _write(draft / TASKS, _task_table(list(tasks)))
+        info = {
+            "codebase_version": VERSION,
+            "robot_type": robot,
+            "total_episodes": len(lines),
+            "total_frames": total,
+            "total_tasks": len(tasks),
+            "chunks_size": _FILES_PER_CHUNK,
+            "data_files_size_in_mb": 100,
+            "video_files_size_in_mb": 200,
+            "fps": fps,
+            "splits": {"train": f"0:{len(lines)}"},
+            "data_path": DATA_PATH,
+            "video_path": None,
+            "features": described,
+        }
+        whole = {name: _statistics(np.concatenate(arrays)) for name, arrays in columns.items()}
+        for name, content in ((INFO, info), (STATS, whole)):
+            text = json.dumps(content, indent=2, allow_nan=False)
+            (draft / name).write_text(text + "\n", encoding="utf-8")
 
 
 def features_of(episode: Episode) -> Features:
@@ -85,112 +159,9 @@ def features_of(episode: Episode) -> Features:
     return features
 
 
-class _Writer:
-    """The files of a dataset that is being written."""
-
-    def __init__(self, folder: Path, fps: int | None):
-        self._folder, self._fps = folder, fps
-        self._features: dict[str, dict] = {}
-        self._tasks: dict[str, int] = {}
-        self._episodes: list[dict] = []
-        self._waiting: list[pa.Table] = []
-        self._file = 0
-        self._frames = 0
-        self._robot: str | None = None
-        self._values: dict[str, list[np.ndarray]] = {}
-
-    def add(self, episode: Episode) -> None:
-        if self._fps is None:
-            self._fps = max(1, round(1.0 / float(np.median(np.diff(episode.t)))))
-        frames = int(episode.t[-1] * self._fps + 1e-6) + 1
-        episode = episode.resampled(np.arange(frames) / self._fps)
-        number, first = len(self._episodes), self._frames
-        features = features_of(episode)
-        task = f"grasp the {str(episode.facts['object']).replace('_', ' ')}"
-        counters: dict[str, np.ndarray] = {
-            "timestamp": (np.arange(frames) / self._fps).astype(np.float32),
-            "frame_index": np.arange(frames),
-            "episode_index": np.full(frames, number),
-            "index": first + np.arange(frames),
-            "task_index": np.full(frames, self._tasks.setdefault(task, len(self._tasks))),
-        }
-        features |= {name: (column[:, None], None) for name, column in counters.items()}
-        self._check_features(episode, features)
-        self._waiting.append(pa.table({name: _column(values) for name, (values, _) in features.items()}))
-        statistics: dict[str, list] = {}
-        for name, (values, _) in features.items():
-            self._values.setdefault(name, []).append(values)
-            statistics |= {f"stats/{name}/{key}": value for key, value in _statistics(values).items()}
-        chunk, file = divmod(self._file, _FILES_PER_CHUNK)
-        self._frames += frames
-        self._episodes.append(
-            {
-                "episode_index": number,
-                "tasks": [task],
-                "length": frames,
-                "data/chunk_index": chunk,
-                "data/file_index": file,
-                "dataset_from_index": first,
-                "dataset_to_index": self._frames,
-                "meta/episodes/chunk_index": 0,
-                "meta/episodes/file_index": 0,
-                "name": episode.name,
-                "outcome": episode.facts["outcome"],
-                **statistics,
-            }
-        )
-        if sum(table.nbytes for table in self._waiting) > _FILE_MB * 2**20:
-            self._flush()
-
-    def finish(self) -> None:
-        self._flush()
-        self._write(EPISODES_PATH, pa.Table.from_pylist(self._episodes))
-        self._write(TASKS, _task_table(list(self._tasks)))
-        statistics = {name: _statistics(np.concatenate(arrays)) for name, arrays in self._values.items()}
-        info = {
-            "codebase_version": VERSION,
-            "robot_type": self._robot,
-            "total_episodes": len(self._episodes),
-            "total_frames": self._frames,
-            "total_tasks": len(self._tasks),
-            "chunks_size": _FILES_PER_CHUNK,
-            "data_files_size_in_mb": _FILE_MB,
-            "video_files_size_in_mb": 200,
-            "fps": self._fps,
-            "splits": {"train": f"0:{len(self._episodes)}"},
-            "data_path": DATA_PATH,
-            "video_path": None,
-            "features": self._features,
-        }
-        for name, content in ((INFO, info), (STATS, statistics)):
-            text = json.dumps(content, indent=2, allow_nan=False)
-            (self._folder / name).write_text(text + "\n", encoding="utf-8")
-
-    def _check_features(self, episode: Episode, features: Features) -> None:
-        described = {
-            name: {"dtype": str(values.dtype), "shape": [values.shape[1]], "names": names}
-            for name, (values, names) in features.items()
-        }
-        if not self._features:
-            self._features, self._robot = described, episode.robot
-        elif self._features != described:
-            names = {**self._features, **described}
-            differing = [name for name in names if self._features.get(name) != described.get(name)]
-            raise RecordingError(
-                f"{episode.name}: its {', '.join(differing)} differs from earlier episodes; all episodes of "
-                "a dataset must be of one robot"
-            )
-
-    def _flush(self) -> None:
-        if self._waiting:
-            chunk, file = divmod(self._file, _FILES_PER_CHUNK)
-            self._write(DATA_PATH.format(chunk_index=chunk, file_index=file), pa.concat_tables(self._waiting))
-            self._waiting, self._file = [], self._file + 1
-
-    def _write(self, name: str, table: pa.Table) -> None:
-        path = self._folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        pq.write_table(table, path)
+def _write(path: Path, table: pa.Table) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(table, path)
 
 
 def _table(episode: Episode, names: list[str]) -> np.ndarray:

@@ -43,7 +43,7 @@ class ActionCorrection(LeafSystem):
 
     Input ports:
         desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.
-        hand_state (2n): the hand's measured positions and velocities, same order.
+        hand_state (2n): the hand's measured positions and velocities, same order; read only for `correct`.
     Output port:
         desired_state (2n): the command to the hand, same order.
     """
@@ -55,7 +55,7 @@ class ActionCorrection(LeafSystem):
         self.DeclareVectorOutputPort("desired_state", 2 * num_joints, self._calc, self._prerequisites())
 
     def correct(self, desired_state: np.ndarray, hand_state: np.ndarray) -> np.ndarray:
-        """Returns the corrected desired state (2n,); the base class changes nothing."""
+        """Returns the corrected desired state (2n,)."""
         return desired_state
 
     def _prerequisites(self) -> set:
@@ -63,24 +63,11 @@ class ActionCorrection(LeafSystem):
         return {self.all_sources_ticket()}
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self.correct(self._desired.Eval(context), self._measured.Eval(context)))
-
-
-class NoCorrection(ActionCorrection):
-    """Passes commands on; unlike the base class, it never evaluates the hand's state.
-
-    Input ports:
-        desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.
-        hand_state (2n): not read.
-    Output port:
-        desired_state (2n): the input of that name.
-    """
-
-    def _prerequisites(self) -> set:
-        return {self._desired.ticket()}
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._desired.Eval(context))
+        desired = self._desired.Eval(context)
+        # Without a correction, computing the hand's state would be wasted time.
+        if type(self).correct is not ActionCorrection.correct:
+            desired = self.correct(desired, self._measured.Eval(context))
+        output.SetFromVector(desired)
 
 
 class PeriodicCorrection(ActionCorrection):

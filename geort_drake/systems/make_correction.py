@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import HandModel
-from geort_drake.systems.action_correction import ActionCorrection, CorrectionConfig, NoCorrection
+from geort_drake.systems.action_correction import ActionCorrection, CorrectionConfig
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.policy_correction import PolicyCorrection, load_policy
 from geort_drake.systems.self_collision_guard import SelfCollisionGuard
@@ -30,4 +30,4 @@ def make_correction(
     if config.kind == "policy":
         policy = load_policy(config.policy, len(actuated_joints))
         return PolicyCorrection(policy, actuated_joints, initial_positions, limits, period)
-    return NoCorrection(len(actuated_joints))
+    return ActionCorrection(len(actuated_joints))

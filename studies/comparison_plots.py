@@ -1,4 +1,9 @@
-"""Plots of a comparison, as PNG files, and the style that all plots share."""
+"""Draws the figures of docs/results/open-loop.md.
+
+python studies/comparison_plots.py --recording human_alex.npy
+
+`comparison_frontier.png` shows methods by pairs of metrics, `comparison_fingertips.png` where fingertips go.
+"""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,32 +14,20 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.rcsetup import cycler
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
+from geort_drake import HandModel, load_hand, read_recording
+from geort_drake.benchmark.plots import MARKERS, STYLE, WIDTH
+from geort_drake.cli.options import CommandParser, methods_for, output_folder
 from geort_drake.colours import FINGER_COLOURS
-from geort_drake.comparison.comparison import Evaluation
+from geort_drake.comparison.comparison import Comparison, Evaluation
 from geort_drake.comparison.metric_table import Metric
-from geort_drake.comparison.metrics import RobotSpace
+from geort_drake.comparison.protocols import same_person
+from geort_drake.comparison.retargeters import from_cache
+from geort_drake.console import run_main, track
+from geort_drake.errors import GeortError
 from geort_drake.files import atomic_path
 from geort_drake.retargeting.training.map_figures import ROBOT_VOXEL
-
-# The Okabe-Ito colours, which colour-blind people can tell apart; marker shapes repeat the distinction.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#777777", "#8C6D31")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p", "h", "*")
-STYLE: Any = {
-    "axes.axisbelow": True,
-    "axes.grid": True,
-    "axes.prop_cycle": cycler(color=COLOURS),
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.titlesize": "medium",
-    "figure.facecolor": "white",
-    "font.size": 9,
-    "grid.alpha": 0.3,
-    "legend.frameon": False,
-}
-WIDTH = 7.0  # inches, the text width of a page
 
 _COVERAGE = Metric("coverage.10mm", "coverage at 10 mm", "{:.0%}", "higher")
 _CONTEXT_COVERAGE = Metric(
@@ -54,38 +47,35 @@ FRONTIER = (
 VIEWS = {"from the side": (0, 2), "from the front": (1, 2)}
 
 
-def write_plots(
-    folder: Path, results: Mapping[str, Evaluation], finger_names: Sequence[str], space: RobotSpace
-) -> list[Path]:
-    """Writes `frontier.png` (methods by pairs of metrics) and `fingertips.png` (where fingertips go).
-
-    Args:
-        folder: of the files; made if it does not exist.
-        results: name or checkpoint of a method → its results, all on the same frames.
-        finger_names: F names.
-        space: C-space of the hand.
-
-    Returns:
-        The files; none without results.
-    """
-    named = {Path(name).name: evaluation for name, evaluation in results.items()}
-    if not named:
-        return []
-    human = next(iter(named.values())).p_HF
-    clouds = {name: evaluation.p_BF for name, evaluation in named.items()}
+def main(argv: Sequence[str] | None = None) -> None:
+    parser = CommandParser(None, __doc__)
+    parser.add_hand()
+    parser.add_argument("--recording", type=Path, required=True, help="recording to train on and to show")
+    parser.add_argument("--methods", nargs="+", metavar="NAME", help="methods (default: all)")
+    parser.add_argument("--output", type=output_folder, default="docs/figures", help="folder of the pictures")
+    arguments = parser.parse_args(argv)
+    hand = HandModel(load_hand(arguments.hand))
+    recording = read_recording(arguments.recording, hand.description.side, training=True)
+    protocol = same_person(recording, arguments.recording.name)
+    comparison = Comparison(hand, [protocol], [0], from_cache(arguments.hand))
+    done: dict[str, Evaluation] = {}
+    for name in track("evaluating", arguments.methods or methods_for(arguments.hand), None):
+        (outcome,) = comparison.run(name)[protocol.name]
+        if outcome.evaluation is None:
+            raise GeortError(f"{name}: {outcome.error}")
+        done[Path(name).name] = outcome.evaluation
+    human = next(iter(done.values())).p_HF
+    clouds = {name: evaluation.p_BF for name, evaluation in done.items()}
     with mpl.rc_context(STYLE):
         figures = {
-            "frontier.png": frontier({name: evaluation.metrics for name, evaluation in named.items()}),
-            "fingertips.png": fingertips(human, clouds, finger_names, space.reachable),
+            "comparison_frontier": frontier({name: each.metrics for name, each in done.items()}),
+            "comparison_fingertips": fingertips(
+                human, clouds, hand.finger_names, comparison.space(0).reachable
+            ),
         }
-        return [save(figure, folder / name) for name, figure in figures.items()]
-
-
-def save(figure: Figure, path: Path) -> Path:
-    """Writes a figure to a PNG file, atomically."""
-    with atomic_path(path) as draft:
-        figure.savefig(draft, dpi=200)
-    return path
+        for name, figure in figures.items():
+            with atomic_path(arguments.output / f"{name}.png") as draft:
+                figure.savefig(draft, dpi=200)
 
 
 def frontier(metrics: Mapping[str, Mapping]) -> Figure:
@@ -172,3 +162,7 @@ def _legend_below(figure: Figure, **options: Any) -> None:
     """One legend for all axes, with the entries of the first."""
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4), **options)
+
+
+if __name__ == "__main__":
+    run_main(main)
