@@ -10,7 +10,7 @@ import numpy as np
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.geometry import CollisionFilterDeclaration, GeometryId, GeometrySet, Role, SceneGraph
 from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.multibody.parsing import PackageMap, Parser
+from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
@@ -33,6 +33,7 @@ from geort_drake.hands.model_files import (
     mesh_elements,
     model_files,
     read_model,
+    resolve_reference,
 )
 from geort_drake.resources import PACKAGE_NAME, resolve_uri, resource_root
 
@@ -133,7 +134,9 @@ def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstance
     parser = Parser(plant)
     packages = parser.package_map()
     packages.Add(PACKAGE_NAME, str(resource_root()))
-    _add_packages(packages, path)
+    for name in set(re.findall(r"package://([^/\"'<]+)/", ET.tostring(tree, encoding="unicode"))):
+        if not packages.Contains(name) and (folder := resolve_reference(path, f"package://{name}")).is_dir():
+            packages.Add(name, str(folder))
     try:
         if tree.tag == "mujoco":
             (hand,) = parser.AddModelsFromString(ET.tostring(tree, encoding="unicode"), "xml")
@@ -194,15 +197,6 @@ def _world_geometries(plant: MultibodyPlant) -> list[GeometryId]:
 
 def _joints(plant: MultibodyPlant, hand: ModelInstanceIndex) -> list[Joint]:
     return [plant.get_joint(index) for index in plant.GetJointIndices(hand)]
-
-
-def _add_packages(packages: PackageMap, path: Path) -> None:
-    text = path.read_text(encoding="utf-8", errors="replace")
-    for name in set(re.findall(r"package://([^/\"'<]+)/", text)):
-        for folder in path.resolve().parents:
-            place = folder if folder.name == name else folder / name
-            if not packages.Contains(name) and place.is_dir():
-                packages.Add(name, str(place))
 
 
 def _add_base(

@@ -5,7 +5,7 @@ import hashlib
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 from pydrake.geometry import Convex, Mesh, SceneGraphInspector
@@ -17,10 +17,7 @@ from geort_drake.files import require_fetched, sha256_of
 
 _MODEL_SUFFIXES = (".sdf", ".urdf", ".xml", ".mjcf")
 _PRODUCTS_OF_INERTIA = ("ixy", "ixz", "iyz")
-_CHECKED_NAMES = (
-    *("mass", "density", "ixx", "iyy", "izz", *_PRODUCTS_OF_INERTIA),
-    *("size", "radius", "length", "radii"),
-)
+_INERTIA = ("mass", "ixx", "iyy", "izz", *_PRODUCTS_OF_INERTIA)
 # A vertex line of an OBJ file that does not begin with three finite numbers.
 _NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE](?:-\d+|\+?0*\d{1,2}))?"
 _BAD_VERTEX = re.compile(
@@ -166,13 +163,13 @@ def check_model_values(files: Iterable[Path], source: str) -> None:
         source: of the hand, for the message.
 
     Raises:
-        HandError: a mass, moment of inertia or size is negative or not finite; or a product of inertia or a
-            vertex is not finite.
+        HandError: a mass or moment of inertia is negative or not finite; or a product of inertia or a vertex
+            is not finite.
     """
     for file in files:
         if file.suffix.lower() in _MODEL_SUFFIXES:
-            for name, expected, given in _bad_values(read_model(file)):
-                raise HandError(f"{source}: {name} in {file.name} must be {expected}; given: {given[:60]}")
+            for link in read_model(file).iter("link"):
+                _check_inertia(link, f"of link '{link.get('name', '')}' in {file.name}", source)
         elif file.suffix.lower() == ".obj" and (found := _BAD_VERTEX.search(file.read_bytes())):
             line = found[0].decode(errors="replace").strip()
             raise HandError(
@@ -180,25 +177,16 @@ def check_model_values(files: Iterable[Path], source: str) -> None:
             )
 
 
-def _bad_values(tree: ET.Element) -> Iterator[tuple[str, str, str]]:
-    """Name, expected and given value of each bad number of inertias and collision shapes."""
-    for owner in tree.iter():
-        for part in owner:
-            if part.tag not in ("inertial", "collision", "geom"):
+def _check_inertia(link: ET.Element, where: str, source: str) -> None:
+    """Checks the numbers of a link of URDF, which are attributes, or of SDF, which are texts."""
+    for element in link.iterfind("inertial//*"):
+        for name, text in {**element.attrib, element.tag: element.get("value") or element.text}.items():
+            if name not in _INERTIA:
                 continue
-            of = f"of {owner.tag} '{owner.get('name', '')}'"
-            for element in part.iter():
-                values = {**element.attrib, element.tag: element.get("value") or element.text}
-                for name in _CHECKED_NAMES:
-                    expected = "finite" if name in _PRODUCTS_OF_INERTIA else "finite and not negative"
-                    for text in (values.get(name) or "").split():
-                        if not _is_good(text, signed=name in _PRODUCTS_OF_INERTIA):
-                            yield f"{name} {of}", expected, text
-
-
-def _is_good(text: str, signed: bool) -> bool:
-    try:
-        value = float(text)
-    except ValueError:
-        return False
-    return math.isfinite(value) and (signed or value >= 0.0)
+            expected = "finite" if name in _PRODUCTS_OF_INERTIA else "finite and not negative"
+            try:
+                value = float(text or "nan")
+            except ValueError:
+                value = math.nan
+            if not math.isfinite(value) or (value < 0 and name not in _PRODUCTS_OF_INERTIA):
+                raise HandError(f"{source}: {name} {where} must be {expected}; given: {text}")

@@ -4,11 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from pydrake.geometry import (
-    Box,
+    CalcObb,
     Capsule,
     Convex,
-    Cylinder,
-    Ellipsoid,
     GeometryId,
     Mesh,
     Role,
@@ -92,29 +90,22 @@ def _end_of(parts: list, p_RJ: np.ndarray, source: str) -> Fingertip:
 
 
 def surface_points(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndarray | None:
-    """(N, 3) points on the surface of a geometry in its frame, m; None for an unknown shape."""
+    """(N, 3) points of a geometry in its frame, m: a hull's vertices, or the corners of the box around it.
+
+    None for a mesh that Drake draws without reading it, and for shapes without bounds.
+    """
     shape = inspector.GetShape(geometry)
-    if isinstance(shape, Mesh | Convex):
-        try:
+    try:
+        if isinstance(shape, Mesh | Convex):
             hull = shape.GetConvexHull()
-        except RuntimeError:
-            return None  # of a format that Drake draws without reading it
-        return np.array([hull.vertex(i) for i in range(hull.num_vertices())])
-    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    if isinstance(shape, Box):
-        return 0.5 * signs * shape.size()
-    if isinstance(shape, Cylinder):
-        side = np.sqrt(0.5) * shape.radius()
-        return signs * [side, side, 0.5 * shape.length()]
-    ball = np.concatenate([signs / np.sqrt(3), np.eye(3), -np.eye(3)])
-    if isinstance(shape, Sphere):
-        return shape.radius() * ball
-    if isinstance(shape, Capsule):
-        ends = np.array([0.0, 0.0, 0.5 * shape.length()])
-        return np.concatenate([shape.radius() * ball + ends, shape.radius() * ball - ends])
-    if isinstance(shape, Ellipsoid):
-        return ball * [shape.a(), shape.b(), shape.c()]
-    return None
+            return np.array([hull.vertex(i) for i in range(hull.num_vertices())])
+        box = CalcObb(shape)
+    except RuntimeError:
+        return None
+    if box is None:
+        return None
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1)
+    return (box.pose() @ (box.half_width()[:, None] * signs)).T
 
 
 def link_geometry(
