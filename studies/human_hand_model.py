@@ -138,7 +138,7 @@ def _capsule(radius: float, length: float) -> tuple[float, list[float], np.ndarr
 
 
 def _joint(hand: HumanHand, name: str, parent: str, child: str, axis: str) -> str:
-    j = hand.joint_index(name)
+    j = hand.joint_names.index(name)
     return (
         f'<joint name="{name}" type="revolute"><parent>{parent}</parent><child>{child}</child>'
         f"<axis><xyz>{axis}</xyz><limit><lower>{hand.lower[j]:.9g}</lower><upper>{hand.upper[j]:.9g}</upper>"

@@ -215,12 +215,6 @@ def draw_fingertips(folder: Path, _arguments: argparse.Namespace) -> None:
     run("check_recording", folder / "play.npz", "--picture", folder / "fingertip_clouds.png")
 
 
-def draw_people(folder: Path, _arguments: argparse.Namespace) -> None:
-    """People of the population, beside each other."""
-    options = ["--people", "6", "--duration", "60", "--seed", "3"]
-    run("synthesize_recording", folder / "people", *options, "--picture", folder / "people.png")
-
-
 def record_objects(folder: Path, _arguments: argparse.Namespace) -> None:
     """The example of docs/how-to/record-with-rerun.md."""
     with contextlib.chdir(folder):
@@ -237,7 +231,6 @@ PICTURES = {
     "capture": Picture(record_capture, "capture.rrd", 66.0),
     "add_hand": Picture(record_add_hand, "add_hand.rrd", 4.0),
     "human_play": Picture(draw_human_play, "human_play.png"),
-    "people": Picture(draw_people, "people.png"),
     "fingertip_clouds": Picture(draw_fingertips, "fingertip_clouds.png"),
 }
 

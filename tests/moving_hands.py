@@ -67,7 +67,7 @@ def moving(pinch: bool = True, held: tuple[tuple[str, float], ...] = ()) -> Hand
     if not pinch:
         theta[:, :4] = np.deg2rad([45, -15, 0, 10] + [14, 14, 8, 12] * np.sin(phase[:, :4]))
     for joint, degrees in held:
-        theta[:, hand.joint_index(joint)] = np.deg2rad(degrees)
+        theta[:, hand.joint_names.index(joint)] = np.deg2rad(degrees)
     s = t / t[-1]
     turn = Rotation.from_euler("xyz", np.column_stack([7 * s, 0.8 * np.sin(9 * s), 1 - 3 * s]))
     path = np.column_stack([0.4 * s, 0.1 * np.cos(s), 1.0 + 0.1 * np.sin(5 * s)])

@@ -61,7 +61,7 @@ def test_a_step_holds_the_motions_it_names(shown, finger):
 def held(joint: str, degrees: float) -> Recording:
     """The demonstration by a hand of which one joint is held."""
     hand = HumanHand.anatomical()
-    i = hand.joint_index(joint)
+    i = hand.joint_names.index(joint)
     lower, upper = hand.lower.copy(), hand.upper.copy()
     lower[i] = upper[i] = np.deg2rad(degrees)
     return demonstrate(0, 30.0, replace(hand, lower=lower, upper=upper), jitter=0.0)[0]
@@ -124,7 +124,7 @@ def swept(joint: str, degrees: float) -> np.ndarray:
     """Keypoints (101, 21, 3) of a hand of which one joint turns evenly by so much, from 10° on."""
     hand = HumanHand.anatomical()
     theta = np.full((101, 20), np.deg2rad(10.0))
-    theta[:, hand.joint_index(joint)] += np.deg2rad(np.linspace(0.0, degrees, 101))
+    theta[:, hand.joint_names.index(joint)] += np.deg2rad(np.linspace(0.0, degrees, 101))
     return hand.keypoints(theta)
 
 

@@ -24,7 +24,7 @@ def hand():
 def angles(hand, **degrees):
     theta = np.zeros(20)
     for name, value in degrees.items():
-        theta[hand.joint_index(name)] = np.deg2rad(value)
+        theta[hand.joint_names.index(name)] = np.deg2rad(value)
     return theta
 
 
@@ -155,7 +155,7 @@ def test_fitting_recovers_the_person():
     assert np.sqrt(np.mean(error[:, 4::4] ** 2)) < 1e-3
     assert np.percentile(error, 99) < 4e-3
     # PIP range: play bends it from straight to nearly 100°, and the margin is 2°.
-    pip = fitted.joint_index("middle_pip_flexion")
+    pip = fitted.joint_names.index("middle_pip_flexion")
     assert np.rad2deg(fitted.lower[pip]) == pytest.approx(-2.0, abs=0.5)
     assert 85 < np.rad2deg(fitted.upper[pip]) < 102.5
 

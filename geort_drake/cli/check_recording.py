@@ -113,7 +113,6 @@ def _read(arguments: argparse.Namespace, findings: "list[Finding]") -> "Recordin
 
 def _print(result: dict[str, Any], findings: "Sequence[Finding]") -> None:
     from geort_drake.console import print_table, say, warn
-    from geort_drake.people.checks.findings import Severity
 
     kind = FORMATS.get(result["format"], result["format"])
     known = "known" if result["rate_known"] else "assumed"
@@ -135,12 +134,12 @@ def _print(result: dict[str, Any], findings: "Sequence[Finding]") -> None:
     ]
     print_table(("finger", "bones from the wrist, mm", "vary by", "speed, m/s", "pinch frames"), rows)
     for finding in findings:
-        if finding.severity in (Severity.UNFIT, Severity.WARNING):
-            warn(str(finding))
-        else:
-            say(f"{finding.severity}: {finding}")
-    enough = [motion["enough"] for motion in result["coverage"]]
-    say(f"coverage: {sum(enough)} of {len(enough)} motions that training needs")
+        warn(str(finding))
+    missing = [motion for motion in result["coverage"] if not motion["enough"]]
+    for motion in missing:
+        say("too little of: {motion}: {seen:.0f} {unit}, wanted {wanted:.0f}".format(**motion))
+    count = len(result["coverage"])
+    say(f"coverage: {count - len(missing)} of {count} motions that training needs")
     say(f"verdict: {result['verdict']}" + ("" if result["fit_for_training"] else "; not fit for training"))
 
 

@@ -5,7 +5,6 @@ One of an average adult's hand, or with --people one each of people who differ i
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from geort_drake.cli.options import (
     CommandParser,
@@ -18,12 +17,8 @@ from geort_drake.cli.options import (
 )
 from geort_drake.errors import UsageError
 
-if TYPE_CHECKING:
-    from geort_drake.people.recording import Recording
-
 _MOST_FRAMES = 5_000_000  # half a day at 120 Hz; needs two gigabytes of memory
 _RATE_HZ = 120.0
-_MOST_DRAWN = 6
 
 
 def add_arguments(parser: CommandParser) -> None:
@@ -35,16 +30,12 @@ def add_arguments(parser: CommandParser) -> None:
     add("--people", type=at_least(1), metavar="N", help="draw N people, from 0 on in the seed's population")
     add("--hand-of", type=Path, help="recording of the hand to imitate (default: an average adult's hand)")
     parser.add_side("right")
-    picture = f"picture of the first {_MOST_DRAWN} people's hands and fingertips to write (.png)"
-    add("--picture", type=output_file(".png"), metavar="FILE", help=picture)
 
 
 def run(arguments: argparse.Namespace) -> int:
     if arguments.duration * (arguments.rate or _RATE_HZ) > _MOST_FRAMES:
         raise UsageError(f"--duration times --rate may be at most {_MOST_FRAMES:,} frames")
     if arguments.people is None:
-        if arguments.picture is not None:
-            raise UsageError("--picture shows --people; for one recording use check-recording --picture")
         return _average(arguments)
     if arguments.hand_of is not None:
         raise UsageError("--hand-of cannot be used with --people, who have their own hands")
@@ -72,20 +63,13 @@ def _average(arguments: argparse.Namespace) -> int:
 
 
 def _people(arguments: argparse.Namespace) -> int:
-    from geort_drake.people.picture import draw_people
     from geort_drake.people.population import sample_person
 
     folder = output_folder(arguments.output)
-    drawn: dict[str, Recording] = {}
     for number in range(arguments.people):
         person = sample_person(arguments.seed, number)
         recording = person.record(arguments.duration, arguments.rate, arguments.side)
         recording.save(folder / f"person_{number:03d}.npz")
-        if len(drawn) < _MOST_DRAWN:
-            drawn[f"person {number}\n{person}"] = recording
     results = {"Recordings": f"{folder} ({arguments.people} people)"}
-    if arguments.picture is not None:
-        draw_people(drawn, arguments.picture)
-        results["Picture"] = str(arguments.picture)
     finish(results, command("check-recording", folder / "person_000.npz"))
     return 0

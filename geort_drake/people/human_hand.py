@@ -91,10 +91,6 @@ class HumanHand:
 
     joint_names = JOINT_NAMES
 
-    def joint_index(self, name: str) -> int:
-        """Returns the index of a joint in the angle vector."""
-        return JOINT_NAMES.index(name)
-
     def keypoints(self, theta: np.ndarray) -> np.ndarray:
         """Computes keypoints p_HK (..., 21, 3), m, at joint angles theta (..., 20), rad."""
         theta = np.asarray(theta, dtype=float)

@@ -1,4 +1,4 @@
-"""Draws a person's fingertips over a robot's reachable space, and people beside each other."""
+"""Draws a person's fingertips over a robot's reachable space."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from geort_drake.colours import FINGER_COLOURS
 from geort_drake.files import atomic_path
-from geort_drake.people.keypoints import FINGER_KEYPOINTS, TIP_KEYPOINT, WRIST
+from geort_drake.people.keypoints import TIP_KEYPOINT
 from geort_drake.people.recording import Recording
 
 _POINTS = 4000
@@ -66,40 +66,3 @@ def draw_fingertips(
         )
         with atomic_path(path) as draft:
             figure.savefig(draft)
-
-
-def draw_people(people: Mapping[str, Recording], path: Path) -> None:
-    """Writes a PNG with one column per person: the stretched hand and where its fingertips go, to scale.
-
-    Args:
-        people: caption → recording, whose valid frames are drawn, in H.
-        path: of the picture.
-    """
-    with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(1.7 * len(people) + 0.4, 4.7), layout="constrained", dpi=110)
-        grid = figure.subplots(2, len(people), sharex=True, sharey=True, squeeze=False)
-        for row, (view, (plane, _)) in zip(grid[::-1], _PLANES.items(), strict=True):
-            row[0].set_ylabel(view)
-            for axes, recording in zip(row, people.values(), strict=True):
-                _draw_hand(axes, 1e3 * recording.p_HK[recording.valid][..., plane])
-                axes.set(aspect="equal", xticks=[], yticks=[])
-                axes.spines[:].set_visible(False)
-        for axes, caption in zip(grid[0], people, strict=True):
-            axes.set_title(caption, fontsize="small")
-        grid[0, 0].plot([-70, -20], [5, 5], color=_GREY, lw=2)
-        grid[0, 0].text(-45, 0, "50 mm", ha="center", va="top", fontsize="small")
-        bones = [grid[0, 0].lines[2 * i + 1] for i in range(len(FINGER_KEYPOINTS))]
-        figure.legend(bones, FINGER_KEYPOINTS, loc="outside lower center", ncols=5, frameon=False)
-        with atomic_path(path) as draft:
-            figure.savefig(draft)
-
-
-def _draw_hand(axes: Any, p_HK: np.ndarray) -> None:
-    """Draws clouds of the fingertips of p_HK (T, 21, 2), mm, and the frame with the tips farthest out."""
-    some = p_HK[np.linspace(0, len(p_HK) - 1, min(len(p_HK), _POINTS // 5)).astype(int)]
-    stretched = p_HK[np.argmax(p_HK[:, list(TIP_KEYPOINT.values()), 1].sum(axis=1))]
-    for finger, keypoints in FINGER_KEYPOINTS.items():
-        style: Any = {"color": FINGER_COLOURS[finger]}
-        axes.plot(*some[:, keypoints[-1]].T, ".", ms=2.0, mew=0, alpha=0.5, rasterized=True, **style)
-        axes.plot(*stretched[[WRIST, *keypoints]].T, "-o", lw=1.6, ms=3, zorder=3, **style)
-    axes.plot(0.0, 0.0, "o", color=_GREY, ms=5, zorder=4)

@@ -21,7 +21,7 @@ from geort_drake.people.checks.anatomy import check_bones, check_order, check_un
 from geort_drake.people.checks.findings import Severity
 from geort_drake.people.device import Device
 from geort_drake.people.human_hand import HumanHand
-from geort_drake.people.keypoints import FINGER_NAMES, KEYPOINT_COUNT
+from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.people.recording import SIDES, Recording
 from geort_drake.processes import end_with, usable_cores
 
@@ -92,21 +92,6 @@ class Person:
     gestures: tuple[str, ...]
     mix: np.ndarray
     stops_after: float
-
-    def __str__(self) -> str:
-        """The person's peculiarities, one per line."""
-        few = ", ".join(FINGER_NAMES[finger] for finger in self.fingers)
-        special = {
-            f"{self.style} movements": self.style != "full",
-            f"{few} only": len(self.fingers) < len(FINGER_NAMES),
-            "no pinches": not self.pinched,
-            "stops half way": self.stops_after < 1,
-        }
-        lines = [
-            "camera" if self.device.is_camera else "glove",
-            *(what for what, is_so in special.items() if is_so),
-        ]
-        return "\n".join(lines)
 
     def record(self, duration_s: float, rate_hz: float | None = None, side: str = "right") -> Recording:
         """Makes a recording of the person's play; the same arguments give the same recording.

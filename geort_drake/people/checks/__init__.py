@@ -74,10 +74,8 @@ def refuse(name: str, findings: Iterable[Finding], training: bool = False) -> No
 
 
 def noted(recording: Recording, findings: Iterable[Finding]) -> Recording:
-    """Returns the recording with all findings except advice in `metadata["warnings"]`, each once."""
-    known = recording.metadata.get("warnings", [])
-    new = [str(finding) for finding in findings if finding.severity is not Severity.ADVICE]
-    warnings = list(dict.fromkeys([*known, *new]))
+    """Returns the recording with all findings in `metadata["warnings"]`, each once."""
+    warnings = list(dict.fromkeys([*recording.metadata.get("warnings", []), *map(str, findings)]))
     return dataclasses.replace(recording, metadata={**recording.metadata, "warnings": warnings})
 
 
@@ -86,4 +84,4 @@ def verdict(findings: Iterable[Finding]) -> str:
     severities = {finding.severity for finding in findings}
     if Severity.ERROR in severities:
         return "refused"
-    return "usable with warnings" if severities & {Severity.UNFIT, Severity.WARNING} else "usable"
+    return "usable with warnings" if severities else "usable"

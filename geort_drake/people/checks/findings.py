@@ -15,7 +15,6 @@ class Severity(enum.StrEnum):
     ERROR = "error"  # the recording is refused
     UNFIT = "unfit"  # usable for replays, but not for training
     WARNING = "warning"  # usable, but suspicious
-    ADVICE = "advice"  # no fault, but more motion would help
 
 
 @dataclasses.dataclass(frozen=True)

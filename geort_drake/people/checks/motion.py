@@ -1,11 +1,11 @@
-"""Checks of how a hand moves in a recording: jumps, frozen joints, and the motions that training needs."""
+"""Checks of how a hand moves in a recording: jumps, frozen joints, and what training needs."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
 from geort_drake.people.checks.findings import Finding, Severity, error, warning
-from geort_drake.people.coverage import finger_motions, pinch_distances
+from geort_drake.people.coverage import pinch_distances
 from geort_drake.people.keypoints import FINGER_KEYPOINTS, WRIST
 from geort_drake.people.recording import PINCH_M, Recording
 
@@ -79,7 +79,7 @@ def check_frozen(recording: Recording) -> Iterator[Finding]:
 
 
 def check_training(recording: Recording) -> Iterator[Finding]:
-    """There are enough frames, pinches and wide motions for training."""
+    """There are enough frames and pinches for training."""
     valid = int(recording.valid.sum())
     if valid < _TRAINING_FRAMES:
         what = f"{valid} valid frames, training needs at least {_TRAINING_FRAMES}"
@@ -90,6 +90,3 @@ def check_training(recording: Recording) -> Iterator[Finding]:
         what = f"the thumb never comes within {1e3 * PINCH_M:.0f} mm of: {', '.join(never)}"
         severity = Severity.UNFIT if len(never) == len(least) else Severity.WARNING
         yield Finding("pinches", severity, what, "p_HK", "pinch each finger a few times while recording")
-    for motion in finger_motions(recording.p_HK[recording.valid]):
-        if not motion.enough:
-            yield Finding("narrow motion", Severity.ADVICE, str(motion), "p_HK", motion.advice)
