@@ -226,7 +226,7 @@ def test_unsuitable_exports_are_refused(run, tmp_path):
     del second.signals[second.command_names[0]]
     with pytest.raises(RecordingError, match="cube-1: its action differs from earlier episodes"):
         list(write_lerobot([first, second], tmp_path / "out"))
-    with pytest.raises(OutputError, match="is no earlier export"):
+    with pytest.raises(OutputError, match="is not an earlier export"):
         list(write_parquet(read_episodes(run), run))
     with pytest.raises(OutputError, match="Rerun recordings already"):
         run_command("export", [str(run), str(tmp_path / "x.rrd"), "--format", "rrd"])
