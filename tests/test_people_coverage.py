@@ -4,7 +4,6 @@ import re
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -108,16 +107,6 @@ def test_the_watch_ends_when_nothing_is_missing(tmp_path, shown, capsys, monkeyp
     ended.set()
     writer.join()
     assert "coverage: 15 of 15" in capsys.readouterr().err
-
-
-def test_the_protocol_is_written_down():
-    """The table of the guide has the program's steps, and when each begins."""
-    page = Path(__file__).resolve().parents[1] / "docs" / "how-to" / "record-a-hand.md"
-    rows = re.findall(r"^\| (\d):(\d\d) \| (\d+) s \| ([^|]+) \|", page.read_text("utf-8"), re.MULTILINE)
-    begins = np.cumsum([0, *(step.seconds for step in STEPS)]).astype(int)
-    assert [(60 * int(m) + int(s), int(d), name) for m, s, d, name in rows] == [
-        (begin, step.seconds, step.name) for begin, step in zip(begins, STEPS, strict=False)
-    ]
 
 
 def swept(joint: str, degrees: float) -> np.ndarray:

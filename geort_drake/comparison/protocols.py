@@ -99,9 +99,7 @@ def other_person(recording: Recording, others: Mapping[str, Recording]) -> Proto
     """
     for name, other in others.items():
         if other.digest == recording.digest:
-            raise RecordingError(
-                f"{name}: is the recording that methods are trained on; give another one"
-            )
+            raise RecordingError(f"{name}: is the recording that methods are trained on; give another one")
     return Protocol(
         OTHER_PERSON,
         "another person",
