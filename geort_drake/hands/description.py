@@ -6,8 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-import yaml
-from pydrake.common.yaml import yaml_load_typed
+from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 
 from geort_drake.errors import HandError, UnknownNameError
 from geort_drake.files import require_fetched, write_text
@@ -241,27 +240,9 @@ def write_description(description: HandDescription, path: Path, comments: Iterab
         path: of the file.
         comments: lines to put before it.
     """
-    content = _without_defaults(description)
     model = Path(description.model)
     folder = path.resolve().parent
     if model.is_absolute() and model.is_relative_to(folder):
-        content["model"] = os.path.relpath(model, folder)
+        description = dc.replace(description, model=os.path.relpath(model, folder))
     head = "".join(f"# {line}\n" for line in comments)
-    # Short lists and mappings stay on one line.
-    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True, width=110)
-    write_text(path, head + text)
-
-
-def _without_defaults(value: object) -> dict:
-    """The fields of a dataclass that differ from its defaults."""
-    kept = {}
-    for field in dc.fields(value):  # type: ignore[arg-type]
-        given = getattr(value, field.name)
-        if given == getattr(type(value)(), field.name):
-            continue
-        if dc.is_dataclass(given):
-            given = _without_defaults(given)
-        elif isinstance(given, list) and given and dc.is_dataclass(given[0]):
-            given = [_without_defaults(item) for item in given]
-        kept[field.name] = given
-    return kept
+    write_text(path, head + yaml_dump_typed(description, defaults=HandDescription()))
