@@ -209,12 +209,6 @@ def draw_human_play(folder: Path, arguments: argparse.Namespace) -> None:
     run("../studies/human_play", folder / "human_play.png", *compared)
 
 
-def draw_fingertips(folder: Path, _arguments: argparse.Namespace) -> None:
-    """Where the fingertips of synthetic play go, and a robot's can."""
-    run("synthesize_recording", folder / "play.npz")
-    run("check_recording", folder / "play.npz", "--picture", folder / "fingertip_clouds.png")
-
-
 def record_objects(folder: Path, _arguments: argparse.Namespace) -> None:
     """The example of docs/how-to/record-with-rerun.md."""
     with contextlib.chdir(folder):
@@ -231,7 +225,6 @@ PICTURES = {
     "capture": Picture(record_capture, "capture.rrd", 66.0),
     "add_hand": Picture(record_add_hand, "add_hand.rrd", 4.0),
     "human_play": Picture(draw_human_play, "human_play.png"),
-    "fingertip_clouds": Picture(draw_fingertips, "fingertip_clouds.png"),
 }
 
 

@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from matplotlib import pyplot as plt
 
 from geort_drake.cli import run_command
 from geort_drake.errors import RecordingError, UsageError
@@ -114,17 +113,3 @@ def test_the_report_is_also_given_as_json(npy, tmp_path, capsys):
         assert report["fit_for_training"] is False
         assert report["findings"][-1]["check"] == check
         assert told in report["findings"][-1]["what"]
-
-
-def test_the_picture_shows_both_hands_on_any_background(npy, tmp_path):
-    """A PNG with a transparent background, coloured and grey points."""
-    run_command("check-recording", [str(npy), "--picture", str(tmp_path / "tips.png")])
-    pixels = plt.imread(tmp_path / "tips.png")
-    assert pixels.shape[2] == 4
-    assert pixels[0, 0, 3] == 0.0
-    opaque = pixels[pixels[..., 3] > 0.9][:, :3]
-    grey = np.ptp(opaque, axis=1) < 0.05
-    assert grey.any()
-    assert (~grey).any()
-    # Nothing that is to be read is nearly black or nearly white.
-    assert 0.1 < np.median(opaque[grey]) < 0.9

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geort_drake.cli.options import SIDES, CommandParser, command, finish, finite, output_file, write_json
+from geort_drake.cli.options import SIDES, CommandParser, command, finish, finite, write_json
 
 if TYPE_CHECKING:
     from geort_drake import Recording
@@ -30,7 +30,6 @@ FORMATS = {
     "mediapipe": "MediaPipe, 21 world landmarks",
 }
 EPILOG = "formats:\n" + "".join(f"  {name:16} {title}\n" for name, title in FORMATS.items())
-_ROBOT_SAMPLES = 4000
 _POLL_PERIOD_S = 1.0
 
 
@@ -39,9 +38,6 @@ def add_arguments(parser: CommandParser) -> None:
     parser.set_defaults(output=None)  # which `convert` has
     parser.add_json("the report")
     add = parser.add_argument
-    picture = "picture of the fingertips and the robot's reachable space to write (.png)"
-    add("--picture", type=output_file(".png"), metavar="FILE", help=picture)
-    parser.add_hand()
     add(
         "--watch",
         action="store_true",
@@ -84,9 +80,6 @@ def run(arguments: argparse.Namespace) -> int:
     _print(result, findings)
     write_json(arguments.json, result)
     written, following = {}, None
-    if arguments.picture is not None:
-        _draw(recording, arguments.hand, arguments.picture)
-        written["Picture"] = arguments.picture
     if arguments.output is not None:
         noted(recording, findings).save(arguments.output)
         written["Recording"] = arguments.output
@@ -181,17 +174,3 @@ def _print_coverage(arguments: argparse.Namespace) -> bool:
     headings = ("motion", "recorded", "required", "what to do")
     print_table(headings, rows, f"{recording.duration_s:.0f} s", text=headings[3:])
     return all(motion.enough for motion in motions)
-
-
-def _draw(recording: "Recording", hand_name: str, path: Path) -> None:
-    """Draws the fingertips against those of random postures of a robot hand."""
-    from geort_drake import HandModel, load_hand
-    from geort_drake.people.keypoints import mirrored
-    from geort_drake.people.picture import draw_fingertips
-
-    hand = HandModel(load_hand(hand_name))
-    p_BF = hand.fingertips(hand.sample(_ROBOT_SAMPLES))
-    # Recordings hold canonical right hands, so a left robot hand is mirrored for the picture.
-    p_BF = mirrored(p_BF) if hand.description.side == "left" else p_BF
-    tips = {finger: p_BF[:, i] for i, finger in enumerate(hand.finger_names)}
-    draw_fingertips(recording, tips, hand.description.name, path)

@@ -17,7 +17,7 @@ def add_arguments(parser: CommandParser) -> None:
     check_recording.add_reading_arguments(parser)
     parser.add_argument("output", type=output_file(".npz"), help="file to write (.npz)")
     parser.add_json("the report")
-    parser.set_defaults(picture=None, watch=False)
+    parser.set_defaults(watch=False)
 
 
 def run(arguments: argparse.Namespace) -> int:
