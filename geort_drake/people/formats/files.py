@@ -15,7 +15,6 @@ from geort_drake.people.formats.source import UNREADABLE, Source, Table
 from geort_drake.people.formats.unpickling import ForbiddenPickle, load_plain
 from geort_drake.people.recording import check_file, load_arrays
 
-_SEPARATORS = re.compile(r"[,\s]*")
 _MOST_REPLACED = 1e-3  # largest fraction of a text's characters that are not UTF-8
 
 
@@ -96,48 +95,35 @@ def _load_json(path: Path, faults: FrameFaults) -> Any:
 
 
 def _damaged_json(text: str, faults: FrameFaults) -> Any:
-    """A list of frames, or an object with one, without the damaged ones; None if there are none."""
+    """A list of frames, or an object with one, though some are damaged or cut off; None without any."""
     head = re.match(r'\s*(\{[^[]*"frames"\s*:\s*)?\[', text)
-    mark = _frame_mark(text) if head else None
-    if head is None or mark is None:
+    if head is None:
         return None
-    frames: list = []
+    found: list[dict] = []  # the objects that can be read, and {} where none can
+    size: Counter[str] = Counter()  # of the objects that begin with a key
     end = head.end()
-    while end >= 0:
-        separators = _SEPARATORS.match(text, end)
-        start = separators.end() if separators else end
-        following = text.find(mark, start + 1)
-        if start == len(text) or (text[start] == "]" and following < 0):
-            break
+    while (start := text.find("{", end)) >= 0:
+        if text[end:start].strip(", \r\n\t"):
+            found.append({})
         try:
-            if text[start] != "{":
-                raise ValueError("a frame must begin with {")
-            frame, end = json.JSONDecoder().raw_decode(text, start)
-        except (ValueError, RecursionError) as error:
-            faults.add(UNREADABLE, [len(frames)], f"not JSON: {error}")
-            frame, end = {}, following
-        frames.append(frame)
-    if head[1] is None:
-        return frames
+            value, end = json.JSONDecoder().raw_decode(text, start)
+            size[next(iter(value), "")] += end - start
+        except (ValueError, RecursionError):
+            value, end = {}, start + 1
+        found.append(value)
+    # Frames fill the file; after a damaged one come its parts.
+    first_key = max(size, key=size.__getitem__, default="")
+    if not first_key:
+        return None
+    frames: list[dict] = []
+    for is_frame, values in itertools.groupby(found, lambda value: next(iter(value), "") == first_key):
+        if not is_frame:
+            faults.add(UNREADABLE, [len(frames)], "not JSON")
+        frames += values if is_frame else [{}]
     try:
-        return json.loads(head[0] + "]}") | {"frames": frames}
+        return json.loads(head[0] + "]}") | {"frames": frames} if head[1] else frames
     except ValueError:
         return None
-
-
-def _frame_mark(text: str) -> str | None:
-    """How each frame of a JSON file begins, with its first key; None if objects do not follow each other."""
-    marks = Counter(re.findall(r'\{\s*"[^"]*"\s*:', text))
-    # Objects within frames are more frequent.
-    for mark, _ in sorted(marks.items(), key=lambda item: item[1]):
-        for place in itertools.islice(re.finditer(re.escape(mark), text), 4):
-            try:
-                _, end = json.JSONDecoder().raw_decode(text, place.start())
-            except (ValueError, RecursionError):
-                continue
-            if re.compile(r",\s*" + re.escape(mark)).match(text, end):
-                return mark
-    return None
 
 
 def _text(path: Path) -> str:
