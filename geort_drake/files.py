@@ -170,6 +170,12 @@ def digest_of(root: Path, paths: Iterable[Path]) -> str:
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
+def source_digest(*subpackages: str) -> str:
+    """Hexadecimal SHA-256 of the code of subpackages of geort_drake."""
+    package = Path(__file__).resolve().parent
+    return digest_of(package, [package / name for name in subpackages])
+
+
 def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)

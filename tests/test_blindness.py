@@ -6,6 +6,7 @@ import inspect
 
 import pytest
 from grasp_setup import centred_map, person_and_rest, planned_goal, scenario_with
+from imported_sources import PACKAGE, imported_sources
 from pydrake.systems.primitives import DiscreteTimeDelay
 
 from geort_drake.simulation.diagram import make_grasp_diagram
@@ -14,7 +15,6 @@ from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.perception import Seen
 from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
-from geort_drake.sources import PACKAGE, imported_sources
 
 OPERATORS = PACKAGE / "simulation" / "operators"
 ROOMS = [path.name for path in PACKAGE.iterdir() if path.is_dir()]

@@ -1,14 +1,14 @@
 """The cache of trained checkpoints: equal requests share one, and only what decides the weights counts."""
 
+from pathlib import Path
+
 import pytest
 from light_training import train_lightly
 
 from geort_drake import files
 from geort_drake.comparison import train as comparison_train
-from geort_drake.comparison.train import cached_checkpoint, training_sources
+from geort_drake.comparison.train import cached_checkpoint
 from geort_drake.errors import UnknownNameError
-from geort_drake.retargeting.methods import trained_methods
-from geort_drake.sources import PACKAGE
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def test_equal_requests_share_a_checkpoint(trained, play, monkeypatch):
     assert cached(points=16) == (first, True)
     assert not cached(points=24)[1]
     assert not cached("geort_coupled", collision=0.1)[1]
-    monkeypatch.setattr(comparison_train, "digest_of", lambda root, paths: "other")
+    monkeypatch.setattr(comparison_train, "source_digest", lambda *subpackages: "other")
     assert not cached(points=16)[1]
     assert len(trained) == 4
     with pytest.raises(UnknownNameError, match="setting of linear_offline 'speed'"):
@@ -50,37 +50,15 @@ def test_warnings_of_the_training_are_repeated(trained, play):
     assert len(trained) == 1
 
 
-@pytest.mark.parametrize("method", trained_methods())
-def test_only_sources_that_decide_the_weights_count(method):
-    """Training, samples and collision shapes; not the map at run time, nor compiled files."""
-    names = {path.relative_to(PACKAGE).as_posix() for path in training_sources(method)}
-    assert all(name.endswith(".py") for name in names)
-    assert {
-        "hands/model.py",
-        "hands/collision_shapes.py",
-        "hands/chains.py",
-        "retargeting/training/descent.py",
-        "retargeting/training/networks.py",
-        "retargeting/training/kinematics.py",
-    } <= names
-    own = {
-        "geort": "geort/training.py",
-        "geort_coupled": "coupled/losses.py",
-        "linear_offline": "linear_offline.py",
-    }
-    assert {name for name in own.values() if f"retargeting/methods/{name}" in names} == {own[method]}
-    assert not names & {"retargeting/retargeter.py", "retargeting/compiled.py", "retargeting/checkpoint.py"}
-
-
 def test_the_key_survives_what_tests_and_calls_leave_behind(monkeypatch):
     """Compiling the call with numba writes into the package; the digest of the sources stays."""
-    before = files.digest_of(PACKAGE, [PACKAGE / "retargeting"])
-    cache = PACKAGE / "retargeting" / "__pycache__"
+    before = files.source_digest("retargeting")
+    cache = Path(files.__file__).parent / "retargeting" / "__pycache__"
     cache.mkdir(exist_ok=True)
     left = cache / "compiled.test-1.py311.nbi"
     left.write_bytes(b"compiled")
     try:
-        assert files.digest_of(PACKAGE, [PACKAGE / "retargeting"]) == before
+        assert files.source_digest("retargeting") == before
     finally:
         left.unlink()
 

@@ -78,12 +78,12 @@ def test_python_m_and_scripts_are_the_same_program(tmp_path):
 
 
 def test_every_script_is_a_door_to_a_command():
-    """One for each command, but for convert, which shares a script with check-recording."""
+    """One for each command."""
     doors = [path.read_text("utf-8") for path in SCRIPTS.glob("*.py")]
     called = [
         name for text in doors for name in re.findall(r'main\(\["([\w-]+)", \*sys.argv\[1:\]\]\)', text)
     ]
-    assert sorted([*called, "convert"]) == sorted(COMMANDS)
+    assert sorted(called) == sorted(COMMANDS)
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -36,11 +36,11 @@ def test_a_trained_checkpoint_knows_where_it_comes_from(checkpoint, allegro, pla
     assert content.hand["model_sha256"] == allegro.digest
     provenance = content.provenance
     assert provenance["recording"]["sha256"] == play.digest
-    sampled = {"count": 1000, "seed": 2, "model_sha256": allegro.digest, "labels": True}
+    sampled = {"count": 1000, "seed": 2, "model_sha256": allegro.digest}
     assert provenance["robot_data"] == sampled
     assert {"drake", "torch", "numpy", "geort_drake"} <= set(provenance["versions"])
     timings = provenance["timings"]
-    assert timings["robot_data_s"] > 0 and timings["fit_s"] > timings["training_s"] > 0
+    assert timings["fit_s"] > timings["training_s"] > 0
     rows = (checkpoint / "history.csv").read_text().splitlines()
     assert rows[0].startswith("step,total,direction,coverage,flatness,pinch,collision")
     assert len(rows) > 50
@@ -127,7 +127,6 @@ def test_a_left_hand_learns_what_the_right_one_learns(tmp_path, play, allegro, a
         # The default method has the collision geometry instead.
         patch.setattr(HandModel, "collides_beyond_tips", lambda *_: pytest.fail("labels nobody needs"))
         right = train_lightly("allegro_right", play, tmp_path / "right", "geort_coupled")
-    assert load_checkpoint(right).provenance["robot_data"]["labels"] is False
     left = train_lightly("allegro_left", play.mirrored(), tmp_path / "left", "geort_coupled")
     frames = play.p_HK[::50].astype(float)
     q_right, q_left = (load_retargeter(path)(frames) for path in (right, left))

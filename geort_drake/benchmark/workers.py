@@ -6,30 +6,16 @@ import platform
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor
-from pathlib import Path
 from typing import Any
 
 from joblib import Parallel, delayed, parallel_config, register_parallel_backend
 from joblib.externals.loky import ProcessPoolExecutor
 
 from geort_drake.errors import BenchmarkError, GeortError
-from geort_drake.files import digest_of
+from geort_drake.files import source_digest
 from geort_drake.processes import end_with
-from geort_drake.simulation.tasks import task_names
-from geort_drake.sources import PACKAGE, imported_sources
 
 RENEWED_AFTER = 25  # tasks; then a worker on a cluster is replaced, see `call_in_workers`
-# Modules from which all code of a trial is imported: what a worker loads, and what makes retargeters.
-_ENTRY_MODULES = (
-    "benchmark/trials.py",
-    "people/human_hand.py",
-    "hands/mirror.py",
-    "retargeting/methods/affine_ik.py",
-    "retargeting/methods/online.py",
-    "retargeting/methods/trivial.py",
-    "retargeting/methods/coupled/retargeter.py",
-    "retargeting/retargeter.py",
-)
 # Other subpackages do not change a trial; learned weights have a digest of their own.
 _TRIAL_ROOMS = ("people", "hands", "retargeting", "simulation", "systems")
 
@@ -116,14 +102,7 @@ def require_workers(jobs: int, backend: str) -> None:
 @functools.cache
 def code_digest() -> str:
     """SHA-256 of the code of trials as it was at this process's first call."""
-    return digest_of(PACKAGE, trial_sources())
-
-
-def trial_sources() -> list[Path]:
-    """The modules that a trial can run through: all imports of `_ENTRY_MODULES` and of the tasks."""
-    entries = [*_ENTRY_MODULES, *(f"simulation/tasks/{name}/task.py" for name in task_names())]
-    sources = imported_sources(entries, (*_TRIAL_ROOMS, "benchmark"))
-    return [path for path in sources if path.relative_to(PACKAGE).parts[0] in _TRIAL_ROOMS]
+    return source_digest(*_TRIAL_ROOMS)
 
 
 def _one_by_one(tasks: Iterable[tuple]) -> Iterator[Any]:

@@ -90,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
     if recorder is not None:
         properties = {"method": arguments.method, "hand": metrics["hand"], "seed": arguments.seed}
         recorder.write(arguments.rrd, load_retargeter(path), properties)
-    spent = provenance["timings"]["robot_data_s"] + provenance["timings"]["fit_s"]
+    spent = provenance["timings"]["fit_s"]
     title = f"{arguments.method} on {metrics['hand']}, seed {arguments.seed}, {spent:.0f} s"
     print_table(("metric", "value"), metric_rows(metrics), title)
     for text in provenance["warnings"]:

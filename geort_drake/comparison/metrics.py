@@ -58,7 +58,7 @@ class RobotSpace:
 def robot_space(hand: HandModel, seed: int = 0) -> RobotSpace:
     """Samples the C-space of a hand; all methods share it."""
     q = hand.sample(ROBOT_SAMPLES, seed)
-    p_BF = _fingertips_of(hand)(q)
+    p_BF = fingertips_of(hand)(q)
     return RobotSpace(p_BF, robot_voxels(p_BF), robot_voxels(p_BF[~hand.collides(q)]))
 
 
@@ -102,7 +102,7 @@ def evaluate_frames(
         )
     rng = np.random.default_rng([seed, 1])  # other random numbers than those of robot_space
 
-    fingertips = _fingertips_of(hand)
+    fingertips = fingertips_of(hand)
 
     def g(p_HF: np.ndarray) -> np.ndarray:
         return fingertips(_in_chunks(settled or retarget, p_HF))
@@ -135,8 +135,8 @@ def evaluate_frames(
     return figures, p_BF
 
 
-def _fingertips_of(hand: HandModel) -> Callable[[np.ndarray], np.ndarray]:
-    """From joint angles (N, n) to fingertips (N, F, 3)."""
+def fingertips_of(hand: HandModel) -> Callable[[np.ndarray], np.ndarray]:
+    """From joint angles (N, n), rad, to fingertips (N, F, 3), m; mirrored for a left hand."""
     kinematics = canonical_kinematics(hand)
     return lambda q: kinematics.fingertips(torch.from_numpy(q)).numpy()
 

@@ -17,7 +17,7 @@ from geort_drake.comparison.metrics import evaluate
 from geort_drake.comparison.versions import git_state, versions
 from geort_drake.console import progress_bar, say
 from geort_drake.errors import CheckpointError, RecordingError
-from geort_drake.files import digest_of
+from geort_drake.files import source_digest
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.mirror import canonical_kinematics, canonical_shapes
 from geort_drake.hands.model import HandModel
@@ -34,27 +34,10 @@ from geort_drake.retargeting.checkpoint import (
 )
 from geort_drake.retargeting.method import TrainingConfig, TrainingData
 from geort_drake.retargeting.methods import DEFAULT_METHOD, trained_method
-from geort_drake.retargeting.retargeter import Retargeter, load_retargeter
+from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.retargeting.trained_space import trained_points
 from geort_drake.retargeting.training.descent import Report
 from geort_drake.settings import check_names
-from geort_drake.sources import PACKAGE, imported_sources, source_of
-
-
-def training_sources(method: str) -> list[Path]:
-    """The source files that determine the weights of a method: its training, and the hand's samples and
-    shapes.
-
-    Raises:
-        UnknownNameError: no such method.
-    """
-    trained = trained_method(method)
-    return imported_sources(
-        map(source_of, (trained.train, HandModel, canonical_shapes)),
-        rooms=("retargeting", "hands"),
-        # They use the weights, but do not change them.
-        left_out=map(source_of, (Retargeter, trained.retargeter)),
-    )
 
 
 def training_config(method: str, settings: Mapping | None = None) -> TrainingConfig:
@@ -113,39 +96,33 @@ def train_checkpoint(
     config = training_config(method, settings)
     check_replaceable(output)
     hand = HandModel(description)
-    kinematics = canonical_kinematics(hand)
-    timings: dict[str, float] = {}
     with progress_bar(show_progress) as bars:
-        with _timed(timings, "recording_s"):
-            if recording is None:
-                recording = synthesize_play(seed, side=description.side)
-            recording = training_recording(recording, description.side)
-            keypoints = description.human_keypoints
-            p_HF = recording.fingertips(keypoints)
-            motions = finger_motions(recording.p_HK[recording.valid], keypoints)
-            messages = [f"narrow motion, {each}; {each.advice}" for each in motions if not each.enough]
-        with _timed(timings, "robot_data_s"):
-            q = hand.sample(robot_samples, seed)
-        labelled: list[np.ndarray] = []
-
-        def labels() -> np.ndarray:
-            with _timed(timings, "robot_data_s"), bars.spinner("self-collisions of the robot"):
-                labelled.append(hand.collides_beyond_tips(q))
-            return labelled[-1]
-
+        if recording is None:
+            recording = synthesize_play(seed, side=description.side)
+        recording = training_recording(recording, description.side)
+        keypoints = description.human_keypoints
+        p_HF = recording.fingertips(keypoints)
+        motions = finger_motions(recording.p_HK[recording.valid], keypoints)
+        messages = [f"narrow motion, {each}; {each.advice}" for each in motions if not each.enough]
+        q = hand.sample(robot_samples, seed)
         data = TrainingData(
-            p_HF, kinematics, q, labels, hand.collides_beyond_tips, partial(canonical_shapes, hand)
+            p_HF,
+            canonical_kinematics(hand),
+            q,
+            partial(hand.collides_beyond_tips, q),
+            hand.collides_beyond_tips,
+            partial(canonical_shapes, hand),
         )
         trained = trained_method(method)
         train = trained.train if start is None else partial(trained.train, start=start)
-        with _timed(timings, "fit_s"), _collect_warnings(messages):
+        started = time.perf_counter()
+        with _collect_warnings(messages):
             result = train(data, config, seed, device, bars.losses("training", report))
-        if labelled:  # within the time of the fit
-            timings["fit_s"] -= timings["robot_data_s"]
+        timings = {"fit_s": time.perf_counter() - started, **result.timings}
         arrays = result.network.arrays()
         names = (hand.finger_names, hand.joint_names)
         retarget = trained.retargeter(arrays, *names, keypoints, hand.lower, hand.upper)
-        with _timed(timings, "evaluation_s"), bars.spinner("evaluation"):
+        with bars.spinner("evaluation"):
             metrics = evaluate(retarget, hand, recording, seed)
     metrics = {"hand": description.name, "recording_sha256": recording.digest, "seed": seed, **metrics}
     if result.neural_kinematics:
@@ -172,17 +149,12 @@ def train_checkpoint(
                 "frames": len(p_HF),
                 "metadata": recording.metadata,
             },
-            "robot_data": {
-                "count": len(q),
-                "seed": seed,
-                "model_sha256": hand.digest,
-                "labels": bool(labelled),
-            },
+            "robot_data": {"count": len(q), "seed": seed, "model_sha256": hand.digest},
             "seed": seed,
             "warnings": messages,
             "versions": versions(),
             "git": git_state(),
-            "timings": {key: round(value, 3) for key, value in (timings | result.timings).items()},
+            "timings": {key: round(value, 3) for key, value in timings.items()},
             "training": {
                 "classifier": result.classifier,
                 "neural_kinematics": result.neural_kinematics,
@@ -209,9 +181,9 @@ def cached_checkpoint(
 ) -> tuple[Path, bool]:
     """The checkpoint for a hand and a recording from the cache, trained first if it is not there.
 
-    The key covers the hand's model and description, the recording, method, seed, device, settings, and
-    `training_sources`. A damaged checkpoint is trained again. A line on stderr
-    announces a training. Warnings of training are repeated at every use.
+    The key covers the hand's model and description, the recording, method, seed, device, settings, and the
+    code of `retargeting` and `hands`. A damaged checkpoint is trained again. A line on stderr announces a
+    training. Warnings of training are repeated at every use.
 
     Args:
         hand_name, recording, method, seed, device, settings: as in `train_checkpoint`.
@@ -231,7 +203,7 @@ def cached_checkpoint(
         "seed": seed,
         "device": device,
         "training": dataclasses.asdict(config),
-        "code": digest_of(PACKAGE, training_sources(method)),
+        "code": source_digest("retargeting", "hands"),
     }
     key = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
     path = cache_dir() / "retargeters" / f"{hand.description.name}-{method}-{key}"
@@ -276,10 +248,3 @@ def _collect_warnings(messages: list[str]) -> Iterator[None]:
             messages.append(str(warning.message))
         else:
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-
-
-@contextlib.contextmanager
-def _timed(timings: dict[str, float], name: str) -> Iterator[None]:
-    started = time.perf_counter()
-    yield
-    timings[name] = timings.get(name, 0.0) + time.perf_counter() - started

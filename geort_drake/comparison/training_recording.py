@@ -12,13 +12,12 @@ from scipy.spatial import cKDTree
 
 from geort_drake.colours import SKIN, finger_colors
 from geort_drake.comparison.exploration import find_pinches
-from geort_drake.comparison.metrics import flatness_and_gain, pinch, self_collision
-from geort_drake.hands.mirror import canonical_kinematics
+from geort_drake.comparison.metrics import fingertips_of, flatness_and_gain, pinch, self_collision
 from geort_drake.hands.model import HandModel
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.recording import Recording
 from geort_drake.rerun import blueprint as views
-from geort_drake.rerun.robot_hand import write_robot_hand
+from geort_drake.rerun.scene import write_robot_hand
 from geort_drake.rerun.streams import Property, file_writer
 from geort_drake.rerun.writer import PALETTE, STEPS, LineStrips3D, Points3D, Writer
 from geort_drake.retargeting.clouds import voxel_centres, voxel_thinned
@@ -73,6 +72,7 @@ class TrainingRecorder:
 
     def __init__(self, hand: HandModel, recording: Recording, seed: int = 0):
         self._hand, self._recording, self._seed = hand, recording, seed
+        self._fingertips = fingertips_of(hand)
         self._network: torch.nn.Module | None = None
         self._weights: dict[int, dict[str, torch.Tensor]] = {}
         self._losses: list[dict[str, float]] = []
@@ -113,7 +113,65 @@ class TrainingRecorder:
             for i, name in enumerate(names):
                 writer.series(f"/losses/{name}", [name], losses[:, [i]], PALETTE[i % len(PALETTE) :], 1.5)
             writer.at(np.array(list(maps), dtype=np.int64))
-            TrainingScene(self._hand, self._recording, self._seed).write(writer, list(maps.values()))
+            self._write_maps(writer, list(maps.values()))
+
+    def _write_maps(self, writer: Writer, maps: Sequence[Map]) -> None:
+        """Sends hands, clouds, lattices and criteria; one map for each of the writer's times."""
+        hand, keypoints = self._hand, self._hand.description.human_keypoints
+        # Maps work on canonical right hands; a left hand is drawn mirrored back.
+        shown: Callable = mirrored if hand.description.side == "left" else np.asarray
+        p_HK = self._recording.p_HK[self._recording.valid].astype(float)
+        frames = p_HK[:, keypoints]
+        pinches = find_pinches(frames, hand.finger_names)
+        closest = [np.argmin(pinches.distance)]
+        writer.human_hand(_HUMAN, np.tile(shown(p_HK[closest]), (len(maps), 1, 1)), SKIN)
+        q = np.concatenate([answer(frames[closest]) for answer in maps])
+        X_WB = RigidTransform([0.0, _SPACING, -hand.p_BW[2]])
+        write_robot_hand(writer, _ROBOT, hand, q, X_WB)
+        pinching = np.flatnonzero(pinches.closed)
+        pinching = frames[pinching[_evenly(len(pinching), _PINCHING)]]
+        some = frames[_evenly(len(frames), _FRAMES)]
+        reachable = []
+        p_BF = self._fingertips(hand.sample(_SAMPLES, self._seed))
+        colors = finger_colors(hand.finger_names)
+        for i, (name, color) in enumerate(zip(hand.finger_names, colors, strict=True)):
+            reachable.append(voxel_thinned(p_BF[:, i], _VOXEL))
+            cloud = shown(voxel_thinned(some[:, i], _VOXEL))
+            writer.static(f"{_HUMAN}/cloud/{name}", Points3D(cloud, radii=_DOT, colors=[color]))
+            lattice = Lattice(frames, i)
+            lines = shown(lattice.segments(lattice.nodes))
+            strips = LineStrips3D(lines, radii=_LATTICE_RADIUS, colors=[color])
+            writer.static(f"{_HUMAN}/lattice/{name}", strips)
+            nodes = [self._fingertips(answer(lattice.hands))[:, i] for answer in maps]
+            rows = [shown(lattice.segments(of_step)) for of_step in nodes]
+            writer.lines(f"{_ROBOT}/lattice/{name}", rows, _LATTICE_RADIUS, color)
+        curves = np.array([self._measure(answer, some, pinching, reachable) for answer in maps], dtype=float)
+        for key, values in zip(_CRITERIA, curves.T, strict=True):
+            writer.series(f"/criteria/{key}", [key], values[:, None], [_CRITERION_COLOR], 2.0)
+
+    def _measure(
+        self, answer: Map, frames: np.ndarray, pinching: np.ndarray, reachable: list[np.ndarray]
+    ) -> tuple:
+        """The criteria, with the same random numbers for every map."""
+
+        def fingertips(p_HF: np.ndarray) -> np.ndarray:
+            return self._fingertips(answer(p_HF))
+
+        def rng() -> np.random.Generator:
+            return np.random.default_rng([self._seed, 1])
+
+        hand, tips = self._hand, fingertips(frames)
+        closed = None
+        if len(pinching):
+            figures = pinch(pinching, fingertips(pinching), hand.finger_names, hand.tip_radius)
+            closed = figures and figures["closed"]
+        return (
+            motion_preservation(fingertips, frames, rng(), anchors=_ANCHORS),
+            coverage(reachable, list(np.moveaxis(tips, 1, 0)))["10mm"],
+            flatness_and_gain(fingertips, frames, rng(), anchors=_ANCHORS)[0],
+            closed,
+            self_collision(hand, answer(frames[_evenly(len(frames), _COLLIDING)]))["deep"],
+        )
 
     def _map(self, weights: Mapping[str, torch.Tensor]) -> Map:
         def answer(p_HF: np.ndarray) -> np.ndarray:
@@ -124,81 +182,6 @@ class TrainingRecorder:
                 return network(torch.tensor(p_HF, dtype=torch.float32)).numpy().astype(float)
 
         return answer
-
-
-class TrainingScene:
-    """Samples of a recording on which maps are shown and measured.
-
-    Args:
-        hand: model of the robot hand.
-        recording: of the person.
-        seed: of the samples.
-    """
-
-    def __init__(self, hand: HandModel, recording: Recording, seed: int):
-        self._hand, self._seed = hand, seed
-        self._kinematics = canonical_kinematics(hand)
-        self._fingers = list(zip(hand.finger_names, finger_colors(hand.finger_names), strict=True))
-        # Maps work on canonical right hands; a left hand is drawn mirrored back.
-        self._shown: Callable = mirrored if hand.description.side == "left" else np.asarray
-        p_HK = recording.p_HK[recording.valid].astype(float)
-        keypoints = hand.description.human_keypoints
-        frames = p_HK[:, keypoints]
-        self._frames = frames[_evenly(len(frames), _FRAMES)]
-        pinches = find_pinches(frames, hand.finger_names)
-        rows = np.flatnonzero(pinches.closed)
-        self._pinching = frames[rows[_evenly(len(rows), _PINCHING)]]
-        self._closest_pinch = p_HK[np.argmin(pinches.distance)]
-        self._closest_tips = self._closest_pinch[None, keypoints]
-        q = hand.sample(_SAMPLES, seed)
-        p_BF = self._fingertips(q)
-        self._reachable = [voxel_thinned(p_BF[:, i], _VOXEL) for i in range(len(self._fingers))]
-        self._lattices = [Lattice(frames, i) for i in range(len(self._fingers))]
-
-    def write(self, writer: Writer, maps: Sequence[Map]) -> None:
-        """Sends everything; one map for each of the writer's times."""
-        writer.human_hand(_HUMAN, np.array([self._shown(self._closest_pinch)] * len(maps)), SKIN)
-        q = np.concatenate([answer(self._closest_tips) for answer in maps])
-        X_WB = RigidTransform([0.0, _SPACING, -self._hand.p_BW[2]])
-        write_robot_hand(writer, _ROBOT, self._hand, q, X_WB)
-        for i, (name, color) in enumerate(self._fingers):
-            cloud = self._shown(voxel_thinned(self._frames[:, i], _VOXEL))
-            writer.static(f"{_HUMAN}/cloud/{name}", Points3D(cloud, radii=_DOT, colors=[color]))
-            lattice = self._lattices[i]
-            lines = self._shown(lattice.segments(lattice.nodes))
-            strips = LineStrips3D(lines, radii=_LATTICE_RADIUS, colors=[color])
-            writer.static(f"{_HUMAN}/lattice/{name}", strips)
-            nodes = [self._fingertips(answer(lattice.hands))[:, i] for answer in maps]
-            rows = [self._shown(lattice.segments(of_step)) for of_step in nodes]
-            writer.lines(f"{_ROBOT}/lattice/{name}", rows, _LATTICE_RADIUS, color)
-        curves = np.array([self._measure(answer) for answer in maps], dtype=float)
-        for key, values in zip(_CRITERIA, curves.T, strict=True):
-            writer.series(f"/criteria/{key}", [key], values[:, None], [_CRITERION_COLOR], 2.0)
-
-    def _fingertips(self, q: np.ndarray) -> np.ndarray:
-        return self._kinematics.fingertips(torch.from_numpy(q)).numpy()
-
-    def _measure(self, answer: Map) -> tuple:
-        """The criteria, with the same random numbers for every map."""
-
-        def fingertips(p_HF: np.ndarray) -> np.ndarray:
-            return self._fingertips(answer(p_HF))
-
-        def rng() -> np.random.Generator:
-            return np.random.default_rng([self._seed, 1])
-
-        hand, tips = self._hand, fingertips(self._frames)
-        closed = None
-        if len(self._pinching):
-            figures = pinch(self._pinching, fingertips(self._pinching), hand.finger_names, hand.tip_radius)
-            closed = figures and figures["closed"]
-        return (
-            motion_preservation(fingertips, self._frames, rng(), anchors=_ANCHORS),
-            coverage(self._reachable, list(np.moveaxis(tips, 1, 0)))["10mm"],
-            flatness_and_gain(fingertips, self._frames, rng(), anchors=_ANCHORS)[0],
-            closed,
-            self_collision(hand, answer(self._frames[_evenly(len(self._frames), _COLLIDING)]))["deep"],
-        )
 
 
 class Lattice:

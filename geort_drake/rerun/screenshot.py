@@ -20,6 +20,7 @@ from geort_drake.files import atomic_path
 from geort_drake.rerun.writer import STEPS, TIMELINE
 
 _NOTICE = 6.0  # s; for this long a notice of the viewer covers a corner
+_TIMEOUT = 120.0  # s; for the viewer to start, the file to load, and the layout to settle
 _ATTEMPTS = 4
 _PAUSE = 0.3  # s, between two pictures that are compared
 _DRIVER = (
@@ -35,13 +36,13 @@ class Camera:
         end: last time on the recording's timeline: simulated s, or training steps.
     """
 
-    def __init__(self, client: ViewerClient, recording: Path, timeout_s: float):
-        self._client, self._timeout_s = client, timeout_s
+    def __init__(self, client: ViewerClient, recording: Path):
+        self._client = client
         client.open(str(recording))
-        deadline = monotonic() + timeout_s
+        deadline = monotonic() + _TIMEOUT
         while (state := client.get_state()).loading or not state.recordings:
             if monotonic() > deadline:
-                raise RuntimeError(f"the recording did not load within {timeout_s:g} s")
+                raise RuntimeError(f"the recording did not load within {_TIMEOUT:g} s")
             sleep(0.2)
         timelines = state.recordings[0].timelines
         ends = {timeline.name: timeline.end for timeline in timelines if timeline.end is not None}
@@ -56,7 +57,7 @@ class Camera:
         shown = self.end if time is None else time
         kind = {"duration": shown} if self._timeline == TIMELINE else {"sequence": round(shown)}
         _retry(lambda: self._client.set_time(self._timeline, play_state="paused", **kind))
-        end, before = monotonic() + self._timeout_s, b""
+        end, before = monotonic() + _TIMEOUT, b""
         while (now := _retry(lambda: self._client.take_screenshot(None))) != before and monotonic() < end:
             before = now
             sleep(_PAUSE)
@@ -64,15 +65,12 @@ class Camera:
 
 
 @contextlib.contextmanager
-def camera(
-    recording: str | os.PathLike, size: tuple[int, int] = (1440, 900), timeout_s: float = 120.0
-) -> Iterator[Camera]:
+def camera(recording: str | os.PathLike, size: tuple[int, int] = (1440, 900)) -> Iterator[Camera]:
     """Shows a recording in a viewer without a screen, with the layout stored in the file.
 
     Args:
         recording: the .rrd file.
         size: width and height of the window, px.
-        timeout_s: longest wait for the viewer to start, for the file to load, and for the layout to settle.
 
     Raises:
         RecordingError: the recording is missing or empty, or the viewer cannot draw here.
@@ -95,9 +93,9 @@ def camera(
             command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=os.environ | {"NO_COLOR": "1"}
         )
         try:
-            _wait_for(port, viewer, timeout_s)
+            _wait_for(port, viewer)
             client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
-            yield Camera(client, recording, timeout_s)
+            yield Camera(client, recording)
         except (OSError, RuntimeError) as error:
             raise RecordingError(f"{recording}: no picture: {error}. {_reason(viewer, log)}") from error
         finally:
@@ -110,12 +108,11 @@ def take_screenshot(
     *,
     time: float | None = None,
     size: tuple[int, int] = (1440, 900),
-    timeout_s: float = 120.0,
 ) -> None:
     """Takes a screenshot (.png) of a recording in the viewer, with the layout stored in the file.
 
     Args:
-        recording, size, timeout_s: as in `camera`.
+        recording, size: as in `camera`.
         picture: the .png file.
         time: on the recording's timeline: simulated s, or training steps; by default the end.
 
@@ -125,7 +122,7 @@ def take_screenshot(
     picture = Path(picture).resolve()
     if picture.suffix != ".png":
         raise RecordingError(f"{picture}: a picture's name must end with .png")
-    with camera(recording, size, timeout_s) as opened:
+    with camera(recording, size) as opened:
         png = opened.take(time)
     with atomic_path(picture) as draft:
         draft.write_bytes(png)
@@ -160,8 +157,8 @@ def _end(viewer: subprocess.Popen) -> None:
     viewer.wait()
 
 
-def _wait_for(port: int, viewer: subprocess.Popen, timeout_s: float) -> None:
-    deadline = monotonic() + timeout_s
+def _wait_for(port: int, viewer: subprocess.Popen) -> None:
+    deadline = monotonic() + _TIMEOUT
     while monotonic() < deadline:
         if viewer.poll() is not None:
             raise RuntimeError(f"the viewer ended with code {viewer.returncode}")
@@ -169,4 +166,4 @@ def _wait_for(port: int, viewer: subprocess.Popen, timeout_s: float) -> None:
             if probe.connect_ex(("127.0.0.1", port)) == 0:
                 return
         sleep(0.2)
-    raise RuntimeError(f"the viewer did not answer within {timeout_s:g} s")
+    raise RuntimeError(f"the viewer did not answer within {_TIMEOUT:g} s")

@@ -1,40 +1,25 @@
-"""The source files of this package that given modules import."""
+"""The source files of the package that given modules import; no tests."""
 
 import ast
-import inspect
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
-from typing import Any
 
-PACKAGE = Path(__file__).resolve().parent
+import geort_drake
+
+PACKAGE = Path(geort_drake.__file__).resolve().parent
 
 
-def imported_sources(
-    entries: Iterable[str | Path], rooms: Collection[str], left_out: Iterable[str | Path] = ()
-) -> list[Path]:
-    """The files `entries` and all that they import from these folders, also inside functions.
-
-    Args:
-        entries: files, absolute or relative to the package, such as "hands/model.py".
-        rooms: folders of the package, such as "hands".
-        left_out: files that are neither listed nor followed.
-    """
-    found = {PACKAGE / path for path in left_out}
+def imported_sources(entries: Iterable[Path], rooms: Collection[str]) -> list[Path]:
+    """The files `entries` and all that they import from these folders of the package, also in functions."""
     result: set[Path] = set()
-    pending = [PACKAGE / entry for entry in entries]
+    pending = [*entries]
     while pending:
         path = pending.pop()
-        if path not in found:
-            found.add(path)
+        if path not in result:
             result.add(path)
             imported = _imports(ast.parse(path.read_bytes()).body)
             pending += [path for path in imported if path.relative_to(PACKAGE).parts[0] in rooms]
     return sorted(result)
-
-
-def source_of(thing: Any) -> Path:
-    """The file that defines a function or class."""
-    return Path(inspect.getfile(thing)).resolve()
 
 
 def _imports(nodes: Iterable[ast.AST]) -> Iterator[Path]:
