@@ -11,7 +11,7 @@ from retargeting_toy import toy_data, toy_human, toy_kinematics, uneven_kinemati
 
 from geort_drake.errors import TrainingError
 from geort_drake.retargeting.clouds import first_in_voxels, voxel_centres, voxel_index
-from geort_drake.retargeting.methods.coupled import CoupledConfig, CoupledRetargeter, train_coupled
+from geort_drake.retargeting.methods.coupled import CoupledConfig, CoupledRetargeter, Start, train_coupled
 from geort_drake.retargeting.methods.coupled.network import CoupledNetwork
 from geort_drake.retargeting.methods.geort import GeortConfig
 from geort_drake.retargeting.training.collision_geometry import CollisionShapes
@@ -94,7 +94,7 @@ def test_the_seed_alone_decides_the_weights(hand, human):
 def test_a_training_starts_from_given_weights(hand, human):
     """A first step hardly changes them; those of another hand are refused."""
     network = network_of(hand)
-    start = network.arrays()
+    start = Start(network.arrays(), human[None, :100])
     still = train_coupled(toy_data(hand, human), CoupledConfig(steps=1), start=start)
     p = torch.tensor(human[:20]).float()
     with torch.no_grad():

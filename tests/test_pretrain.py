@@ -1,9 +1,12 @@
 """The training of a map for everyone."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
 from retargeting_toy import toy_kinematics
+from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import TrainingError
 from geort_drake.hands.collision_shapes import collision_shapes
@@ -15,7 +18,7 @@ from geort_drake.retargeting.methods.coupled import CoupledConfig
 from geort_drake.retargeting.methods.coupled.constraints import Multipliers
 from geort_drake.retargeting.methods.coupled.losses import RobotTips, constraint_terms
 from geort_drake.retargeting.methods.coupled.people import TrainingPeople
-from geort_drake.retargeting.methods.coupled.population import code_people
+from geort_drake.retargeting.methods.coupled.population import code_people, likely_plays
 from geort_drake.retargeting.methods.coupled.training import train_universal
 from geort_drake.retargeting.training.human_data import pinch_pairs
 
@@ -30,7 +33,15 @@ def people():
     p_HF = p_HK[:, :, [TIP_KEYPOINT[name] for name in FINGERS]]
     pairs = pinch_pairs(FINGERS)
     return TrainingPeople(
-        p_HF, pairs, generator, rng, coded.codes, coded.reach, pinch_spread=0.005, device=torch.device("cpu")
+        p_HF,
+        pairs,
+        generator,
+        rng,
+        coded.codes,
+        coded.reach,
+        0.005,
+        weights=[1] * 4,
+        device=torch.device("cpu"),
     )
 
 
@@ -50,7 +61,7 @@ def test_the_seed_determines_the_map_to_the_last_bit():
 
 def test_multipliers_rise_where_a_constraint_is_violated():
     """And fall where it holds, but never to zero."""
-    multipliers = Multipliers({"held": 1.0, "violated": 1.0})
+    multipliers = Multipliers({"held": 1.0, "violated": 1.0}, start=3.0, rate=0.02, proportion=0.0)
     start = dict(multipliers.values)
     for _ in range(400):
         multipliers.update({"held": torch.tensor(0.1), "violated": torch.tensor(2.0)})
@@ -89,6 +100,25 @@ def test_figures_are_ratios(people):
     assert figures(others, -others)["cross_talk"] == pytest.approx(0.25, abs=0.02)
     assert figures(d, -0.5 * d)["curvature"] == pytest.approx(0.25, abs=1e-3)
     assert figures(large * d, -large * d)["uneven"] == pytest.approx(0.25)
+
+
+def test_a_proportion_answers_a_violation_at_once_and_forgets_it():
+    """After the violation, the multiplier is hardly larger than before."""
+    multipliers = Multipliers({"bound": 1.0}, start=1.0, rate=0.001, proportion=1.0)
+    multipliers.update({"bound": torch.tensor(2.0)})
+    assert multipliers.values["bound"] == pytest.approx(math.e, rel=0.01)
+    for _ in range(300):
+        multipliers.update({"bound": torch.tensor(1.0)})
+    assert multipliers.values["bound"] == pytest.approx(1.0, abs=0.1)
+
+
+def test_likely_plays_are_those_of_the_persons_hand():
+    """For a person of the population itself, seen in another frame and scale, they are that person's play."""
+    (play,) = sample_population(1, seed=5, duration_s=10.0).astype(float)
+    R = Rotation.from_euler("xyz", [10, -20, 15], degrees=True).as_matrix()
+    seen = 1.2 * play @ R.T + [0.01, 0.0, -0.02]
+    (likely,) = likely_plays(seen, FINGERS, seed=5, people=1, duration_s=10.0)
+    np.testing.assert_allclose(likely, seen[:, [TIP_KEYPOINT[name] for name in FINGERS]], atol=1e-4)
 
 
 def test_made_up_pinches_meet(people):

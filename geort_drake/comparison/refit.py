@@ -10,7 +10,8 @@ from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.map_file import shipped_maps
-from geort_drake.retargeting.methods.coupled import REFIT_STEPS
+from geort_drake.retargeting.methods.coupled import REFIT_STEPS, Start
+from geort_drake.retargeting.methods.coupled.population import likely_plays
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.retargeting.training.descent import Report
 from geort_drake.retargeting.universal import UniversalRetargeter
@@ -58,7 +59,8 @@ def refit_checkpoint(
     if not isinstance(universal, UniversalRetargeter):
         raise CheckpointError(f"{path}: a map for everyone is needed, this is a checkpoint of one person")
     recording = training_recording(recording, description.side)
-    arrays = universal.folded_arrays(universal.code(recording.p_HK[recording.valid]))
+    p_HK = recording.p_HK[recording.valid].astype(float)
+    arrays = universal.folded_arrays(universal.code(p_HK))
     return train_checkpoint(
         hand_name,
         recording,
@@ -67,6 +69,6 @@ def refit_checkpoint(
         show_progress=show_progress,
         settings={"steps": steps},
         report=report,
-        start=arrays,
+        start=Start(arrays, likely_plays(p_HK, universal.finger_names, seed)),
         provenance={"map": {"name": path.name, "sha256": sha256_of(path)}},
     )

@@ -34,6 +34,7 @@ from geort_drake.retargeting.checkpoint import (
 )
 from geort_drake.retargeting.method import TrainingConfig, TrainingData
 from geort_drake.retargeting.methods import DEFAULT_METHOD, trained_method
+from geort_drake.retargeting.methods.coupled import Start
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.retargeting.trained_space import trained_points
 from geort_drake.retargeting.training.descent import Report
@@ -65,7 +66,7 @@ def train_checkpoint(
     settings: Mapping | None = None,
     robot_samples: int = 100_000,
     report: Report | None = None,
-    start: Mapping[str, np.ndarray] | None = None,
+    start: Start | None = None,
     provenance: Mapping | None = None,
 ) -> Path:
     """Trains a retargeter, evaluates it on the same recording and writes its checkpoint.
@@ -81,7 +82,7 @@ def train_checkpoint(
         settings: fields of the method's config that differ from its defaults.
         robot_samples: number of sampled joint positions of the robot.
         report: see `Report`.
-        start: arrays to start from, of the method `geort_coupled`; None starts from random weights.
+        start: of a training by `geort_coupled`; None starts from random weights.
         provenance: more entries of the checkpoint's provenance.
 
     Returns:

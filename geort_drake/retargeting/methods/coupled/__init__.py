@@ -4,13 +4,10 @@ Import from this module only; its submodules may change. docs/concepts/derivatio
 losses.
 """
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from geort_drake.retargeting.method import ShippedMethod, TrainedMethod, TrainingData, TrainingResult
-from geort_drake.retargeting.methods.coupled.config import FOR_EVERYONE, REFIT_STEPS, CoupledConfig
+from geort_drake.retargeting.methods.coupled.config import FOR_EVERYONE, REFIT_STEPS, CoupledConfig, Start
 from geort_drake.retargeting.methods.coupled.retargeter import CoupledRetargeter
 
 if TYPE_CHECKING:
@@ -22,6 +19,7 @@ __all__ = [
     "REFIT_STEPS",
     "CoupledConfig",
     "CoupledRetargeter",
+    "Start",
     "train_coupled",
 ]
 
@@ -32,7 +30,7 @@ def train_coupled(
     seed: int = 0,
     device: str = "cpu",
     report: "Report | None" = None,
-    start: Mapping[str, np.ndarray] | None = None,
+    start: Start | None = None,
 ) -> TrainingResult:
     """Trains a map in which fingers see each other; see `TrainedMethod.train`.
 
@@ -41,7 +39,7 @@ def train_coupled(
 
     Args:
         data, config, seed, device, report: see `TrainedMethod.train`.
-        start: arrays of a `CoupledRetargeter` to start from; None starts from random weights.
+        start: where to start; None starts from random weights.
     """
     from geort_drake.retargeting.methods.coupled.training import train
 

@@ -1,6 +1,9 @@
 """Settings of the training of `geort_coupled` and of the map for everyone."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+
+import numpy as np
 
 from geort_drake.retargeting.method import TrainingConfig
 
@@ -31,6 +34,22 @@ FOR_EVERYONE = CoupledConfig(
     steps=30_000, learning_rate=0.003, direction=0.044, track=0.042, cross_talk=0.044
 )
 REFIT_STEPS = 600  # from the map for everyone to one person's
+
+
+@dataclass(frozen=True)
+class Start:
+    """What a training of one person's map starts from.
+
+    Attributes:
+        arrays: weights of a `CoupledRetargeter`.
+        p_HF: (M, T, F, 3) fingertips, m, of plays that are likely for the person. They are among the training
+            hands, because a short recording shows few of the places that the person will visit.
+    """
+
+    arrays: Mapping[str, np.ndarray]
+    p_HF: np.ndarray
+
+
 CONSTRAINTS = tuple(
     name for name in CoupledConfig.__dataclass_fields__ if name not in TrainingConfig.__dataclass_fields__
 )

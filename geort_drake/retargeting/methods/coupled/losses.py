@@ -45,9 +45,9 @@ def constraint_terms(
 ) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
     """Loss and figure of each constraint but collision, by the names of `CoupledConfig`.
 
-    Direction, track and cross-talk are of the half of the people for whom they are worse, or of the only one.
+    Direction, track and cross-talk are of the half of the people for whom they are worse, or of one person.
     """
-    mean = torch.mean if len(people.p_HF) == 1 else _worse_half
+    mean = _worse_half if people.codes.shape[2] else torch.mean
     motion = robot.ahead - robot.moved
     own = of_finger(motion, hands.finger)
     row = {

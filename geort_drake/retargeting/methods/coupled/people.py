@@ -66,6 +66,7 @@ class TrainingPeople:
         codes: torch.Tensor,
         reach: torch.Tensor,
         pinch_spread: float,
+        weights: Sequence[int],
         device: torch.device,
     ):
         """Takes the attributes above.
@@ -74,6 +75,7 @@ class TrainingPeople:
             p_HF, pairs, codes, reach: see the attributes.
             generator, rng: of the batches, on the CPU, and of the anchors.
             pinch_spread: standard deviation of the places of made-up pinches from recorded ones, m.
+            weights: of the people in batches.
             device: of the tensors.
         """
         people, _, fingers, _ = p_HF.shape
@@ -83,6 +85,7 @@ class TrainingPeople:
             anchors[i, finger] = rng.choice(rows, ANCHORS)
         self._generator, self.device, self.pairs = generator, device, tuple(pairs)
         self._pinch_spread = pinch_spread
+        self._weighted = torch.arange(people).repeat_interleave(torch.tensor(weights)).to(device)
         self._first, self._second = torch.tensor(self.pairs, device=device).reshape(-1, 2).long().T
         self.p_HF, self.anchors = torch.tensor(p_HF, device=device), torch.tensor(anchors, device=device)
         self.codes, self.reach = codes.to(device), reach.to(device)
@@ -99,7 +102,7 @@ class TrainingPeople:
 
     def draw(self, count: int) -> Hands:
         """Hands of `count` people."""
-        people = self.below(len(self.p_HF), count)
+        people = self.someone(count)
         codes = self.codes[people, self.below(self.codes.shape[1], count)]
         rows = people[:, None]
         finger = self.below(self.p_HF.shape[2], count, MOVED)
@@ -124,6 +127,10 @@ class TrainingPeople:
             pinch_pair=torch.cat([real_pair, made_pair], 1),
             pinched=torch.cat([really, possible], 1),
         )
+
+    def someone(self, count: int) -> torch.Tensor:
+        """Numbers of people, by their weights."""
+        return self._weighted[self.below(len(self._weighted), count)]
 
     def below(self, limit: int, *shape: int) -> torch.Tensor:
         """Whole numbers below `limit`."""

@@ -1,11 +1,14 @@
-"""Codes of the people on whom the map for everyone is trained."""
+"""People of the population: their codes, and their plays with the hand of somebody else."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 
+from geort_drake.people.keypoints import TIP_KEYPOINT
+from geort_drake.people.population import sample_population
 from geort_drake.retargeting.person_code import AveragePerson, Observation, average_person, observe
 
 CODES = 8  # per person: of a frame, of the whole play and of windows of random lengths
@@ -34,6 +37,27 @@ def code_people(p_HK: np.ndarray, finger_names: Sequence[str], rng: np.random.Ge
     average = average_person(whole, observations)
     codes = torch.tensor(np.array([[average.code(one) for one in row] for row in observations]))
     return CodedPeople(codes, _relative_reach(whole), average)
+
+
+def likely_plays(
+    p_HK: np.ndarray, finger_names: Sequence[str], seed: int, people: int = 8, duration_s: float = 60.0
+) -> np.ndarray:
+    """Plays of the population, as if its people had the hand of the person in keypoints p_HK (T, 21, 3), m.
+
+    Knuckles are aligned, and each fingertip's distance from its knuckle is scaled with the finger's length.
+
+    Returns:
+        (people, frames, F, 3) fingertips in H, m.
+    """
+    person, tips = observe(p_HK, finger_names), [TIP_KEYPOINT[name] for name in finger_names]
+    centred = person.knuckles - person.knuckles.mean(axis=0)
+    plays = []
+    for play in sample_population(people, seed, duration_s):
+        other = observe(play.astype(float), finger_names)
+        R, _ = Rotation.align_vectors(centred, other.knuckles - other.knuckles.mean(axis=0))
+        x = (play[:, tips] - other.knuckles) / other.lengths[:, None]
+        plays.append(person.knuckles + person.lengths[:, None] * (x @ R.as_matrix().T))
+    return np.array(plays)
 
 
 def _parts(p_HK: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:

@@ -16,7 +16,7 @@ from geort_drake.people.population import sample_population
 from geort_drake.retargeting.clouds import voxel_centres
 from geort_drake.retargeting.method import TrainingData, TrainingResult
 from geort_drake.retargeting.methods.coupled import collisions
-from geort_drake.retargeting.methods.coupled.config import CONSTRAINTS, FOR_EVERYONE, CoupledConfig
+from geort_drake.retargeting.methods.coupled.config import CONSTRAINTS, FOR_EVERYONE, CoupledConfig, Start
 from geort_drake.retargeting.methods.coupled.constraints import Multipliers
 from geort_drake.retargeting.methods.coupled.coverage import CoverageTargets
 from geort_drake.retargeting.methods.coupled.losses import RobotTips, constraint_terms
@@ -37,6 +37,10 @@ WEIGHT_DECAY = 0.01
 MOMENTUM = (0.95, 0.99)  # gradients differ from person to person
 # m; of made-up pinches around recorded ones. One person's recording shows fewer of their places.
 PINCH_SPREAD, PINCH_SPREAD_OF_ONE = 0.005, 0.010
+LIKELY_WEIGHT = 0.5  # of the likely hands of a refit, over as many recorded ones
+# Of the multipliers. A short training has no time to correct multipliers that rose too far.
+POPULATION = {"start": 3.0, "rate": 0.02, "proportion": 0.0}
+ONE_PERSON = {"start": 1.0, "rate": 0.005, "proportion": 1.0}
 AVERAGED_STEPS = 90  # at the end, over which weights are averaged exponentially
 
 
@@ -61,7 +65,7 @@ def train(
     seed: int,
     device: str,
     report: Report | None,
-    start: Mapping[str, np.ndarray] | None = None,
+    start: Start | None = None,
 ) -> TrainingResult:
     """See `train_coupled`."""
     if not isinstance(config, CoupledConfig):
@@ -74,23 +78,30 @@ def train(
     if not human.pairs:
         raise TrainingError(f"geort_coupled trains hands of two fingers or more, not of {human.finger_names}")
     generator, rng = torch.Generator().manual_seed(seed), np.random.default_rng(seed)
+    network = CoupledNetwork(kinematics, torch.tensor(human.mean), torch.tensor(human.scale), generator)
+    if start is not None:
+        network.set_arrays(start.arrays)
+    p_HF, weights = np.asarray(data.p_HF, dtype=np.float32)[None], [1]
+    if start is not None:
+        likely = start.p_HF[:, np.arange(p_HF.shape[1]) % start.p_HF.shape[1]]
+        p_HF = np.concatenate([p_HF, likely.astype(np.float32)])
+        own = p_HF.shape[1] * len(likely) / (LIKELY_WEIGHT * start.p_HF.shape[1])
+        weights = [max(round(own), 1)] + [1] * len(likely)
     people = TrainingPeople(
-        np.asarray(data.p_HF, dtype=np.float32)[None],
+        p_HF,
         human.pairs,
         generator,
         rng,
-        codes=torch.zeros(1, 1, 0),
-        reach=torch.ones(1, len(kinematics.fingers)),
+        codes=torch.zeros(len(p_HF), 1, 0),
+        reach=torch.ones(p_HF.shape[0], p_HF.shape[2]),
         pinch_spread=PINCH_SPREAD_OF_ONE,
+        weights=weights,
         device=place,
     )
     with one_thread():
-        network = CoupledNetwork(kinematics, torch.tensor(human.mean), torch.tensor(human.scale), generator)
-        if start is not None:
-            network.set_arrays(start)
         q = torch.tensor(np.asarray(data.q), dtype=torch.float32)
         shapes = None if data.shapes is None else data.shapes()
-        training = _Training(network.to(place), people, kinematics, shapes, q, config, generator)
+        training = _Training(network.to(place), people, kinematics, shapes, q, config, ONE_PERSON, generator)
         descent = training.run(report)
     return TrainingResult(
         network=network.cpu(),
@@ -136,14 +147,14 @@ def train_universal(
     coded = code_people(p_HK, names, rng)
     p_HF = p_HK[:, :, [TIP_KEYPOINT[name] for name in names]]
     drawn = TrainingPeople(
-        p_HF, pinch_pairs(names), generator, rng, coded.codes, coded.reach, PINCH_SPREAD, place
+        p_HF, pinch_pairs(names), generator, rng, coded.codes, coded.reach, PINCH_SPREAD, [1] * people, place
     )
     with one_thread():
         lower, upper = torch.tensor(kinematics.lower).float(), torch.tensor(kinematics.upper).float()
         q = lower + (upper - lower) * torch.rand(ROBOT_SAMPLES, len(lower), generator=generator)
         x = relative_to_knuckles(torch.tensor(p_HF), coded.codes[:, WHOLE]).flatten(0, 1)
         network = UniversalNetwork(kinematics, coded.codes.flatten(0, 1), x, drawn.pairs, generator)
-        training = _Training(network.to(place), drawn, kinematics, shapes, q, config, generator)
+        training = _Training(network.to(place), drawn, kinematics, shapes, q, config, POPULATION, generator)
         descent = training.run(report)
     if descent.stopped_at is not None:
         raise TrainingError(f"the loss stopped being finite at step {descent.stopped_at}")
@@ -162,6 +173,7 @@ class _Training:
         shapes: CollisionShapes | None,
         q: torch.Tensor,
         config: CoupledConfig,
+        gains: Mapping[str, float],
         generator: torch.Generator,
     ):
         """Takes random joint angles q (N, n), rad; collisions are ignored without `shapes`."""
@@ -178,7 +190,7 @@ class _Training:
             gaps.keep_pairs_that_meet(q[:4000], collisions.MARGIN)
             self.collisions = collisions.NearCollisions(people, gaps.to(people.device))
         self.coverage = CoverageTargets(people, kinematics, voxels, generator)
-        self.multipliers = Multipliers({name: getattr(config, name) for name in CONSTRAINTS})
+        self.multipliers = Multipliers({name: getattr(config, name) for name in CONSTRAINTS}, **gains)
         self.covered = 0.0
 
     def run(self, report: Report | None) -> Descent:
