@@ -98,7 +98,8 @@ def test_a_training_starts_from_given_weights(hand, human):
     still = train_coupled(toy_data(hand, human), CoupledConfig(steps=1), start=start)
     p = torch.tensor(human[:20]).float()
     with torch.no_grad():
-        torch.testing.assert_close(still.network(p), network(p), atol=0.1, rtol=0)
+        change = (still.network(p) - network(p)).abs()
+    assert 0 < change.mean() < 0.1
     with pytest.raises(TrainingError, match=r"columns must be of shape \(6,\), it is \(9,\)"):
         train_coupled(toy_data(toy_kinematics(("thumb", "index"))), CoupledConfig(steps=1), start=start)
 
