@@ -1,12 +1,19 @@
 """The live web page in Chromium, against a stub of its server and the server itself."""
 
+import dataclasses as dc
 import json
+import re
+import signal
+import subprocess
+import sys
 import time
 
 import numpy as np
 import pytest
 from live_page import PAGE, WEB, StubServer, film_hand, launch, require_package, require_page, serve
+from page_person import PagePerson, goal_of
 from web_page import headset as seen_hand
+from web_page import in_world, joints_of
 
 from geort_drake.live.web.desk import About, Desk
 from geort_drake.live.web.hands import HandReader
@@ -16,6 +23,8 @@ from geort_drake.people.formats.source import KEYPOINTS_OF_25
 from geort_drake.people.keypoints import BONES
 from geort_drake.retargeting.methods import make_untrained
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
+
+PATIENCE_S = 120.0  # a busy machine takes long
 
 # Notes which picture of the film the tracker gets at which time.
 READ_NUMBERS = """
@@ -66,22 +75,42 @@ def stub():
     return StubServer()
 
 
-def open_page(browser, stub, address, *scripts):
+def open_page(browser, stub, address, *scripts, seen=None):
     page = browser.new_page(viewport={"width": 800, "height": 480})
     for script in scripts:
         page.add_init_script(**script)
     if stub:
         stub.attach(page)
-    page.goto(f"{address}/#key")
+    if seen:
+        page.on("websocket", seen.attach)
+    page.goto(address)
     return page
 
 
-def until(page, holds) -> None:
+@dc.dataclass
+class Seen:
+    """What a page has received: frames, and the newest text of each type."""
+
+    frames: list[bytes] = dc.field(default_factory=list)
+    texts: dict[str, dict] = dc.field(default_factory=dict)
+
+    def attach(self, socket) -> None:
+        socket.on("framereceived", self._receive)
+
+    def _receive(self, payload: bytes | str) -> None:
+        if isinstance(payload, bytes):
+            self.frames.append(payload)
+        else:
+            text = json.loads(payload)
+            self.texts[text["type"]] = text
+
+
+def until(page, holds, interval_ms: int = 50) -> None:
     """Waits; the page's own `wait_for_function` evaluates strings, which the server's policy forbids."""
-    deadline = time.monotonic() + 60.0
+    deadline = time.monotonic() + PATIENCE_S
     while not holds():
         assert time.monotonic() < deadline
-        page.wait_for_timeout(50)
+        page.wait_for_timeout(interval_ms)
 
 
 def directions(points: np.ndarray) -> np.ndarray:
@@ -99,7 +128,7 @@ def filmed(playwright, browser, address, tmp_path_factory):
     joints = film_hand(browser, file)
     stub = StubServer()
     camera = launch(playwright, file)
-    page = open_page(camera, stub, address, {"script": READ_NUMBERS})
+    page = open_page(camera, stub, f"{address}/#key", {"script": READ_NUMBERS})
     page.wait_for_selector("body[data-state=tracking]")
     until(page, lambda: len(stub.of("camera")) >= 30)
     messages = stub.of("camera")
@@ -160,14 +189,21 @@ XR = """
 """
 
 
+# Without a GPU, pictures take most of the time.
+NO_PICTURES = """
+  for (const draw of ["drawElements", "drawArrays"]) WebGL2RenderingContext.prototype[draw] = () => {};
+"""
+
+
 @pytest.fixture
 def headset(browser, stub):
     """Opens the page in an emulated headset that sees `hands`: side → joints (25, 3)."""
     require_package("iwer")
 
-    def open_headset(address, hands, stub=stub):
+    def open_headset(address, hands, stub=stub, key="key", seen=None):
+        scripts = [{"script": XR}, *([{"script": NO_PICTURES}] if seen else [])]
         emulator = {"path": WEB / "node_modules/iwer/build/iwer.min.js"}
-        page = open_page(browser, stub, address, emulator, {"script": XR})
+        page = open_page(browser, stub, f"{address}/#{key}", emulator, *scripts, seen=seen)
         page.click("#headset")
         until(page, lambda: page.evaluate("Boolean(window.session)"))
         page.evaluate("hands => play(hands)", hands)
@@ -217,8 +253,46 @@ def test_the_page_and_the_server_understand_each_other(headset):
         server.close()
 
 
+@pytest.mark.slow
+def test_a_person_who_sees_only_the_page_grasps_the_cylinder(headset, tmp_path):
+    """Page, server, diagram and physics: the command, a headset in the page, and the page's own messages."""
+    goal = goal_of("allegro_right", "cylinder")
+    command = [sys.executable, "-m", "geort_drake", "live", "--no-open", "--port", "0", "--json"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as program:
+        try:
+            line = next(line for line in program.stderr if "Hold up your hand" in line)
+            address, key = re.search(r"(http://\S+)/#(\S+)", line).groups()
+            seen = Seen()
+            page = headset(address, {"right": joints_of(in_world(0))}, None, key, seen)
+            until(page, lambda: "state" in seen.texts and seen.frames)
+            until(page, lambda: page.get_attribute("body", "data-state") == "tracking")
+            scene = page.evaluate("fetch('scene').then((response) => response.json())")
+            person = PagePerson(scene, seen.texts["welcome"]["hand"], seen.texts["state"]["object"], goal)
+
+            def judged() -> bool:
+                """One look at the page, and one movement."""
+                if seen.frames:
+                    frames, seen.frames = seen.frames, []
+                    joints = person.hand(frames, seen.texts["state"]["engaged"])
+                    page.evaluate("hands => play(hands)", {"right": joints})
+                return seen.texts["state"]["outcome"]["over"]
+
+            page.keyboard.press(" ")
+            until(page, judged, 5)
+            outcome = seen.texts["state"]["outcome"]
+            until(page, lambda: "Done" in page.inner_text("#task"))
+            program.send_signal(signal.SIGINT)
+            report = json.loads(program.communicate(timeout=PATIENCE_S)[0])
+        finally:
+            program.kill()
+    assert outcome["success"] and outcome["phase"] == "done", person.phase
+    assert report["glove"]["refused"] == 0
+
+
 def test_panel_and_keys(browser, stub, address):
-    page = open_page(browser, stub, address)
+    page = open_page(browser, stub, f"{address}/#key")
     page.wait_for_selector("body[data-state=waiting]")
     assert "Hold up your right hand" in page.inner_text("#headline")
     assert page.is_disabled("#engage")

@@ -27,12 +27,18 @@ def hello(**changes) -> str:
     return json.dumps({"type": "hello", **fields, **changes})
 
 
-def headset(number: int, t: float | None = None, p_WK: np.ndarray | None = None) -> str:
-    """A headset's joints; those that are no keypoints are zero."""
+def joints_of(p_WK: np.ndarray) -> list[list[float]]:
+    """A headset's joints at keypoints (21, 3), m; those that are no keypoints are zero."""
     joints = np.zeros((25, 3))
-    joints[KEYPOINTS_OF_25,] = (in_world(number) if p_WK is None else p_WK) @ R_SW.T + [0.2, 1.2, -0.3]
+    joints[KEYPOINTS_OF_25,] = p_WK @ R_SW.T + [0.2, 1.2, -0.3]
+    return joints.tolist()
+
+
+def headset(number: int, t: float | None = None, p_WK: np.ndarray | None = None) -> str:
+    """A headset's message."""
+    joints = joints_of(in_world(number) if p_WK is None else p_WK)
     time = float(PLAY.t[number]) if t is None else t
-    return json.dumps({"type": "headset", "t": time, "joints": joints.tolist()})
+    return json.dumps({"type": "headset", "t": time, "joints": joints})
 
 
 def camera(number: int, p_CW: np.ndarray, aspect: float = 4 / 3) -> str:
