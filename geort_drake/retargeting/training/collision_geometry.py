@@ -49,11 +49,9 @@ class CollisionGaps:
 
     Args:
         kinematics, shapes: of one hand.
-        allowance: added to the gaps within a chain, m: between two links of a finger, or a link and the base.
-            Not to those of fingertips, which reach far.
     """
 
-    def __init__(self, kinematics: HandKinematics, shapes: CollisionShapes, allowance: float = 0.0):
+    def __init__(self, kinematics: HandKinematics, shapes: CollisionShapes):
         def constant(array: ArrayLike) -> torch.Tensor:
             return torch.tensor(np.asarray(array), dtype=torch.float32)
 
@@ -81,14 +79,7 @@ class CollisionGaps:
         self._R_JS, self._p_JS = constant(shapes.X_JS[:, :3, :3]), constant(shapes.X_JS[:, :3, 3])
         self._half, self._radius = constant(shapes.half), constant(shapes.radius)
         self._reach = torch.linalg.vector_norm(self._half, dim=1) + self._radius
-        pairs = np.asarray(shapes.pairs, dtype=int).reshape(-1, 2)
-        self.pairs = torch.tensor(pairs)
-        finger = {joint: row for row, chain in enumerate(chains) for joint in chain.joint_indices}
-        tips = {chain.joint_indices[-1] for chain in chains}
-        a, b = (np.array([finger.get(int(joint), -1) for joint in shapes.joint[side]]) for side in pairs.T)
-        of_tip = np.isin(shapes.joint, list(tips))[pairs].any(axis=1)
-        in_chain = ((a == b) | (a < 0) | (b < 0)) & ~of_tip
-        self._allowance = constant(allowance * in_chain)
+        self.pairs = torch.tensor(np.asarray(shapes.pairs, dtype=int).reshape(-1, 2))
 
     def to(self, device: torch.device) -> "CollisionGaps":
         """The same on another device."""
@@ -105,7 +96,7 @@ class CollisionGaps:
             for part in q.split(_CHUNK):
                 _, pair, gap = self.near(part, margin)
                 met[pair[gap < margin]] = True
-        self.pairs, self._allowance = self.pairs[met], self._allowance[met]
+        self.pairs = self.pairs[met]
 
     def poses(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """R_BS (N, S, 3, 3) and p_BS (N, S, 3) of the shapes for q (N, n)."""
@@ -160,11 +151,11 @@ class CollisionGaps:
         return torch.relu(margin - gap).sum() / (scale * len(q))
 
     def _gaps(self, R: torch.Tensor, p: torch.Tensor, row: torch.Tensor, pair: torch.Tensor) -> torch.Tensor:
-        """(M,) gaps of the pairs numbered `pair` at the poses of `row`, with their allowances, m."""
+        """(M,) gaps of the pairs numbered `pair` at the poses of `row`, m."""
         a, b = self.pairs[pair].T
         R_A, R_B, p_AB = R[row, a], R[row, b], p[row, b] - p[row, a]
         gap = box_gap(R_A, R_B, p_AB, self._half[a], self._half[b])
-        return gap - self._radius[a] - self._radius[b] + self._allowance[pair]
+        return gap - self._radius[a] - self._radius[b]
 
 
 def box_gap(

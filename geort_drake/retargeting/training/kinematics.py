@@ -89,14 +89,6 @@ class HandKinematics:
         chains = self._chains(q.dtype, q.device)
         return chains.points(q.reshape(-1, n)).transpose(0, 1).reshape(*q.shape[:-1], len(self.fingers), 3)
 
-    def fingertips_by_finger(self, angles: torch.Tensor) -> torch.Tensor:
-        """Fingertip points p_BF (F, N, 3) in m, each finger at joint angles of its own.
-
-        Args:
-            angles: (F, N, k) rad of each finger's joints, base to tip, padded to the longest finger.
-        """
-        return self._chains(angles.dtype, angles.device).tips(angles)
-
     def mirrored(self) -> "HandKinematics":
         """The mirror image in the xz-plane: the same q puts its fingertips at (x, −y, z).
 
@@ -175,11 +167,7 @@ class _Chains:
     def points(self, q: torch.Tensor) -> torch.Tensor:
         """(F, N, 3) fingertip points in B of q (N, n)."""
         fingers = self.p_tip.shape[0]
-        angles = q.index_select(1, self.indices).reshape(len(q), fingers, -1)
-        return self.tips(angles.transpose(0, 1))
-
-    def tips(self, angles: torch.Tensor) -> torch.Tensor:
-        """(F, N, 3) fingertip points in B of the fingers' own joint angles (F, N, k)."""
+        angles = q.index_select(1, self.indices).reshape(len(q), fingers, -1).transpose(0, 1)
         if self.coupling is not None:
             angles = torch.bmm(angles, self.coupling)
         return _Tips.apply(angles, self.matrices, self.offsets, self.p_tip)

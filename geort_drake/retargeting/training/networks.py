@@ -33,12 +33,9 @@ class StackedMlp(nn.Module):
                 values = torch.empty(shape).uniform_(-bound, bound, generator=generator)
                 parameters.append(nn.Parameter(values))
 
-    def forward(self, x: torch.Tensor, some: slice = slice(None)) -> torch.Tensor:
-        """`some`: which of the perceptrons x is for; all by default."""
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
         last = len(self.weights) - 1
-        for number, layer in enumerate(zip(self.weights, self.biases, strict=True)):
-            # Not sliced without need, because autograd copies slices.
-            weight, bias = layer if some == slice(None) else (parameter[some] for parameter in layer)
+        for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             x = torch.baddbmm(bias, x, weight)
             if number < last:
                 x = silu(x)
