@@ -23,6 +23,7 @@ class HandSpec:
         turn: roll, pitch, yaw in degrees of the palm's frame in the hand base B.
         side: "right" or "left".
         collision: whether the fingers have collision geometry.
+        forearm: length of a link behind the palm, thicker than it, m; 0: none. Of a URDF without a turn.
     """
 
     fingers: int = 3
@@ -32,6 +33,7 @@ class HandSpec:
     turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
     side: str = "right"
     collision: bool = True
+    forearm: float = 0.0
 
     @property
     def finger_names(self) -> list[str]:
@@ -162,6 +164,14 @@ def _urdf(spec: HandSpec, joints: list[_Joint]) -> str:
         return f'<link name="{name}">{inertial}{"".join(parts)}</link>'
 
     lines = [link("palm", None)]
+    if spec.forearm:
+        box = f'<geometry><box size="0.1 0.1 {spec.forearm}"/></geometry>'
+        place = f'<origin xyz="0 0 {-spec.forearm / 2}"/>'
+        lines += [
+            f'<link name="forearm">{inertial}<collision>{place}{box}</collision></link>',
+            '<joint name="wrist" type="revolute"><parent link="forearm"/><child link="palm"/>'
+            '<axis xyz="0 1 0"/><limit lower="-0.5" upper="0.5" effort="5" velocity="2"/></joint>',
+        ]
     for joint in joints:
         mimic = ""
         if joint.follows:

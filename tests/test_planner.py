@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from grasp_setup import allegro, scenario_with
+from hand_family import HandSpec, write_hand
 from pydrake.geometry import Ellipsoid, QueryObject, Role
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
@@ -13,6 +14,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.hands.description import load_hand
+from geort_drake.hands.importers.proposal import propose
 from geort_drake.simulation.object_shape import ObjectShape, object_shape
 from geort_drake.simulation.scenario import object_names
 from geort_drake.simulation.tasks.grasp.approach import GraspApproach
@@ -78,6 +80,17 @@ def test_contacts_lie_on_the_surface_and_point_inwards(name):
             assert thing.distance(tip) == pytest.approx(TIP_RADIUS, abs=2e-3)
             # Further along the normal the tip comes nearer to the object, or is inside.
             assert thing.distance(tip + 0.005 * contact.n_O) < thing.distance(tip) - 0.002
+
+
+@pytest.mark.parametrize("name", ["cylinder", "cube", "bottle"])
+def test_contacts_of_adjacent_fingers_can_be_as_close_as_the_fingers(name):
+    """The thumb's stays where it is."""
+    thing, grip = ObjectAlone(name), grip_of(name)
+    usual, close = (grip_contacts(thing.shape, 0.0, 0.5, grip, spacing=spacing) for spacing in (None, 0.02))
+    np.testing.assert_allclose(usual[0].p_OC, close[0].p_OC, atol=1e-12)
+    for contact, after in itertools.pairwise(close[1:]):
+        assert np.linalg.norm(contact.p_OC - after.p_OC) == pytest.approx(0.02, abs=2e-3)
+        assert thing.distance(contact.p_OC) == pytest.approx(0.0, abs=1e-4)
 
 
 def test_contacts_lie_on_an_ellipsoid():
@@ -229,3 +242,15 @@ def test_links_that_are_close_at_rest_do_not_forbid_every_posture():
     robot = GraspKinematics(scenario_with("cylinder"), description, ["thumb", "index"])
     query = query_of(robot._plant, robot._context)
     assert not query.ComputeSignedDistancePairwiseClosestPoints(1e-4)
+
+
+@pytest.mark.parametrize("name", ["cube", "bottle"])
+def test_a_hand_with_a_forearm_and_close_fingers_that_cannot_spread_grasps(name, tmp_path):
+    """Its fingers bend in one plane; the forearm is thicker than the palm and lies on the arm."""
+    model = write_hand(tmp_path, HandSpec(5, "urdf", mimic=True, forearm=0.2))
+    text = model.read_text("utf-8").replace('lower="-0.3" upper="0.3"', 'lower="-0.01" upper="0.01"')
+    model.write_text(text, "utf-8")
+    description = propose(model).description
+    assert description.mount.translation == pytest.approx([0, 0, 0.2], abs=2e-3)
+    goal = GraspPlanner(scenario_with(name), description).plan()
+    assert goal.touches[:2].all()

@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+from pydrake.geometry import Role
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
 from geort_drake.hands.assembly import position_limits
@@ -23,7 +24,7 @@ from geort_drake.hands.importers.finger_names import (
     side_by_name,
     thumb_by_place,
 )
-from geort_drake.hands.importers.fingertips import Fingertip, find_fingertip, palm_points
+from geort_drake.hands.importers.fingertips import Fingertip, find_fingertip, link_geometry, palm_points
 from geort_drake.hands.importers.structure import Chain, HandStructure, read_structure
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.model_files import read_model
@@ -155,6 +156,8 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
     if side == "left":
         description.mount.rpy_deg = list(_LEFT_MOUNT)
     hand = HandModel(description)
+    # The rearmost part lies on the arm.
+    description.mount.translation = [0.0, 0.0, round(_depth(hand), 3)]
     start = _free_posture(hand)
     if start is None:
         notes.append("no initial posture without self-collision was found")
@@ -295,6 +298,20 @@ def _free_posture(hand: HandModel) -> np.ndarray | None:
     q = hand.sample(_POSTURES)
     free = q[~hand.collides(q)]
     return free[np.linalg.norm(free - start, axis=1).argmin()] if len(free) else None
+
+
+def _depth(hand: HandModel) -> float:
+    """How far the hand's collision geometry reaches behind the hand base in the default posture, m."""
+    plant, inspector = hand.plant, hand.scene_graph.model_inspector()
+    context = plant.CreateDefaultContext()
+    links = map(plant.get_body, plant.GetBodyIndices(hand.instance))
+    X_BL = {link: plant.EvalBodyPoseInWorld(context, link) for link in links}
+    parts = [
+        p_BP
+        for link, X in X_BL.items()
+        for *_, p_BP in link_geometry(plant, inspector, link, Role.kProximity, X)
+    ]
+    return max([0.0, *(-float(p_BP[:, 2].min()) for p_BP in parts)])
 
 
 def _actuation(structure: HandStructure, notes: list[str]) -> ActuationDescription:

@@ -15,6 +15,8 @@ from geort_drake.simulation.object_shape import ObjectShape, half_extents
 # Distances of adjacent fingers from the middle of a flat side, m. Thick fingers need more: if no grasp is
 # found with one distance, the next is tried.
 _OFFSETS = (0.014, 0.017, 0.02)
+# Largest vertical distance between the contacts of adjacent fingers in a power grasp, m.
+_LARGEST_STEP = 0.04
 # Least distance of a contact from the edges of its surface, m.
 _EDGE = 0.003
 
@@ -27,25 +29,24 @@ class Grip:
     grasps between fingertips; a power grasp presses the object into the palm.
     """
 
-    # Finger → its angle about the vertical from the grip's axis, rad, and its height above the grip, m. The
-    # axis runs from the thumb to the fingers. Angles are a right hand's; a left hand's are opposite.
-    fingers: dict[str, tuple[float, float]]
+    # Finger → its angle about the vertical from the grip's axis, rad, and how many fingers it is above the
+    # grip's height. The axis runs from the thumb to the fingers. Angles are a right hand's; a left hand's are
+    # opposite.
+    fingers: dict[str, tuple[float, int]]
     # Whether the object lies in the palm; the palm's normal is then at 90° from the grip's axis.
     palm: bool = False
 
 
 GRIPS = {
-    "pinch": Grip({"thumb": (math.pi, 0.0), "index": (0.0, 0.0)}),
-    "tripod": Grip(
-        {"thumb": (math.pi, 0.0), "index": (math.radians(28), 0.0), "middle": (math.radians(-28), 0.0)}
-    ),
+    "pinch": Grip({"thumb": (math.pi, 0), "index": (0.0, 0)}),
+    "tripod": Grip({"thumb": (math.pi, 0), "index": (math.radians(28), 0), "middle": (math.radians(-28), 0)}),
     # The fingers reach around the far side, so that they and the thumb press towards the palm.
     "power": Grip(
         {
-            "thumb": (math.radians(150), 0.0),
-            "index": (math.radians(45), 0.04),
-            "middle": (math.radians(45), 0.0),
-            "ring": (math.radians(45), -0.04),
+            "thumb": (math.radians(150), 0),
+            "index": (math.radians(45), 1),
+            "middle": (math.radians(45), 0),
+            "ring": (math.radians(45), -1),
         },
         palm=True,
     ),
@@ -83,6 +84,7 @@ def grip_contacts(
     grip: str = "tripod",
     side: str = "right",
     offset: float = _OFFSETS[0],
+    spacing: float | None = None,
 ) -> list[Contact]:
     """Contacts of a grip on the object's main part.
 
@@ -92,13 +94,29 @@ def grip_contacts(
         grip: one of `GRIPS`.
         side: of the hand.
         offset: one of `finger_offsets`, m.
+        spacing: distance of the contacts of adjacent fingers, m, for fingers that cannot spread as the grip
+            asks; None: as the grip asks.
     """
     bottom, top = vertical_extent(shape)
     z = bottom + height * (top - bottom)
+    step, widest = _vertical_step(spacing), math.pi / 2
+    if spacing is not None and not GRIPS[grip].palm:
+        offset = spacing / 2
+        widest = math.asin(min(offset / half_extents(shape.main[0])[0], 1.0))
     return [
-        _contact(shape, finger, yaw, _turned(angle, side), z + raised, offset)
-        for finger, (angle, raised) in GRIPS[grip].fingers.items()
+        _contact(shape, finger, yaw, _turned(_narrowed(angle, widest), side), z + level * step, offset)
+        for finger, (angle, level) in GRIPS[grip].fingers.items()
     ]
+
+
+def _vertical_step(spacing: float | None) -> float:
+    """Height of a finger's contact above the next one's in a power grasp, m."""
+    return _LARGEST_STEP if spacing is None else min(spacing, _LARGEST_STEP)
+
+
+def _narrowed(angle: float, widest: float) -> float:
+    """A finger's angle, at most `widest`; the thumb's stays opposite, rad."""
+    return angle if abs(angle) > math.pi / 2 else float(np.clip(angle, -widest, widest))
 
 
 def palm_contact(shape: ObjectShape, yaw: float, height: float, side: str = "right") -> Contact:
@@ -130,11 +148,13 @@ def vertical_extent(shape: ObjectShape) -> tuple[float, float]:
     return shape.lowest_point(RigidTransform()), -shape.lowest_point(upside_down)
 
 
-def contact_heights(shape: ObjectShape, grip: str, lowest: float) -> list[float]:
+def contact_heights(
+    shape: ObjectShape, grip: str, lowest: float, spacing: float | None = None
+) -> list[float]:
     """Heights of the grip to try, best first, as shares of the object's height.
 
     Just above the middle is best, because the object then hangs from its contacts. `lowest` is the least
-    height of a contact above the object's bottom, m.
+    height of a contact above the object's bottom, m; `spacing` is as in `grip_contacts`.
     """
     main, X_OG = shape.main
     if isinstance(main, Sphere | Ellipsoid):
@@ -143,7 +163,7 @@ def contact_heights(shape: ObjectShape, grip: str, lowest: float) -> list[float]
         shares = (0.55, 0.4, 0.75)
     bottom, top = vertical_extent(shape)
     centre, half = X_OG.translation()[2], half_extents(main)[2]
-    raised = [over for _, over in GRIPS[grip].fingers.values()]
+    raised = [level * _vertical_step(spacing) for _, level in GRIPS[grip].fingers.values()]
     fitting = []
     for share in shares:
         z = bottom + share * (top - bottom)

@@ -1,7 +1,7 @@
 """Inverse kinematics of a grasp, for arm and hand in a plant with a fixed object."""
 
 import numpy as np
-from pydrake.geometry import CollisionFilterDeclaration, Convex, GeometrySet, Mesh, SceneGraph, Shape
+from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, Role, SceneGraph
 from pydrake.math import RigidTransform
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
@@ -12,8 +12,9 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake.hands.chains import palm_links
 from geort_drake.hands.couplings import followers
 from geort_drake.hands.description import FingerDescription, HandDescription
+from geort_drake.hands.importers.fingertips import link_geometry
 from geort_drake.hands.model import tip_geometries
-from geort_drake.simulation.object_shape import ObjectShape, half_extents, object_shape
+from geort_drake.simulation.object_shape import ObjectShape, object_shape
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks.grasp.contacts import Contact
 from geort_drake.simulation.world import ARM, HAND, add_object, add_robot, standing_pose
@@ -26,8 +27,8 @@ _CLEARANCE = 0.002
 _GROUND_CLEARANCE = 0.006
 # Tolerances of the fingertips' positions, m: touching, and open.
 _TOLERANCE, _OPEN_TOLERANCE = 0.001, 0.008
-# Range of the object's contact on the palm before the fingers close: gap, sideways and along the fingers, in
-# B, m; and the palm's largest tilt, rad.
+# Range of the object's contact on the palm before the fingers close: gap, sideways and along the fingers from
+# the knuckles, in B, m; and the palm's largest tilt, rad.
 _PALM_GAP = (0.002, 0.006)
 _PALM_Y = (-0.015, 0.015)
 _PALM_Z = (-0.06, 0.0)
@@ -66,6 +67,7 @@ class GraspKinematics:
         self._plant = plant
         self._arm, self._hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
         self._base = plant.GetFrameByName(description.base_frame, self._hand)
+        self._knuckles = self._find_knuckles()
         self._palm_front = self._find_palm_front(scene_graph)
         self._let_tips_touch(scene_graph)
         self._diagram = builder.Build()
@@ -73,6 +75,7 @@ class GraspKinematics:
         self._plant_context = plant.GetMyMutableContextFromRoot(self._context)
         # Solving leaves its last iterate in the context.
         self.q_default = plant.GetPositions(self._plant_context).copy()
+        self.q_middle = self._with_grasping_joints_in_the_middle()
         self._ignore_links_close_at_rest()
 
     def touch(
@@ -163,27 +166,34 @@ class GraspKinematics:
                 p_OF - np.array([tolerance, tolerance, 0.0]),
                 p_OF + tolerance,
             )
-        q_nominal = self.q_default.copy()
-        low, high = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
-        weight = np.full(len(q_nominal), _ARM_WEIGHT)
+        weight = np.full(len(self.q_default), _ARM_WEIGHT)
         for finger in self._description.fingers:
             for name in finger.joints:
-                index = self._position_index(name)
-                weight[index] = 1.0 if finger in self._grasping else _IDLE_WEIGHT
-                if finger in self._grasping:  # a grasping joint is best in the middle of its range
-                    q_nominal[index] = 0.5 * (low[index] + high[index])
+                weight[self._position_index(name)] = 1.0 if finger in self._grasping else _IDLE_WEIGHT
         for follower, leader, ratio, offset in followers(self._description):
             index = self._position_index(follower)
             weight[index] = 0.0  # only its leader's angle counts
             difference = ik.q()[index] - ratio * ik.q()[self._position_index(leader)]
             ik.get_mutable_prog().AddLinearEqualityConstraint(difference == offset)
-        ik.get_mutable_prog().AddQuadraticErrorCost(np.diag(weight), q_nominal, ik.q())
+        # A grasping joint is best in the middle of its range.
+        ik.get_mutable_prog().AddQuadraticErrorCost(np.diag(weight), self.q_middle, ik.q())
         return ik
+
+    def _with_grasping_joints_in_the_middle(self) -> np.ndarray:
+        """Returns the default positions with grasping joints in the middle of their ranges."""
+        q = self.q_default.copy()
+        middle = 0.5 * (self._plant.GetPositionLowerLimits() + self._plant.GetPositionUpperLimits())
+        for finger in self._grasping:
+            for name in finger.joints:
+                q[self._position_index(name)] = middle[self._position_index(name)]
+        for follower, leader, ratio, offset in followers(self._description):
+            q[self._position_index(follower)] = ratio * q[self._position_index(leader)] + offset
+        return q
 
     def _put_palm(self, ik: InverseKinematics, palm: Contact) -> None:
         """Constrains the palm to face the object at the contact, index finger up."""
         low, high = zip(_PALM_GAP, _PALM_Y, _PALM_Z, strict=True)
-        front = np.array([self._palm_front, 0.0, 0.0])
+        front = np.array([self._palm_front, 0.0, self._knuckles[:, 2].mean()])
         ik.AddPositionConstraint(
             self._object.body_frame(), palm.p_OC, self._base, front + np.array(low), front + np.array(high)
         )
@@ -193,15 +203,32 @@ class GraspKinematics:
                 self._object.body_frame(), np.asarray(v_O), self._base, np.asarray(v_B), 0.0, _PALM_TILT
             )
 
+    @property
+    def finger_spacing(self) -> float:
+        """Distance of the knuckles of adjacent grasping fingers, without the thumb, m; 0 for one finger."""
+        first, last = self._knuckles[[0, -1]]
+        return float(np.linalg.norm(last - first)) / max(len(self._knuckles) - 1, 1)
+
+    def _find_knuckles(self) -> np.ndarray:
+        """Returns where the first joints of the grasping fingers are in B, without the thumb's, (N, 3) m."""
+        context = self._plant.CreateDefaultContext()
+        first = [finger.joints[0] for finger in self._grasping if finger.name != "thumb"]
+        frames = [self._plant.GetJointByName(name, self._hand).frame_on_parent() for name in first]
+        return np.array([frame.CalcPose(context, self._base).translation() for frame in frames])
+
     def _find_palm_front(self, scene_graph: SceneGraph) -> float:
-        """Returns the largest x in B of the palm's collision geometry, m."""
+        """Returns the largest x in B of the collision geometry of the palm's contact range, m.
+
+        A forearm behind the palm does not count.
+        """
         inspector, context = scene_graph.model_inspector(), self._plant.CreateDefaultContext()
+        low, high = np.array(_PALM_Z) + self._knuckles[:, 2].mean()
         fronts = []
         for body in palm_links(self._plant, self._description, self._hand):
             X_BL = self._plant.CalcRelativeTransform(context, self._base, body.body_frame())
-            for geometry in self._plant.GetCollisionGeometriesForBody(body):
-                X_BG = X_BL @ inspector.GetPoseInFrame(geometry)
-                fronts.append(_largest_x(inspector.GetShape(geometry), X_BG))
+            for *_, p_BP in link_geometry(self._plant, inspector, body, Role.kProximity, X_BL):
+                if p_BP[:, 2].min() < high and p_BP[:, 2].max() > low:
+                    fronts.append(p_BP[:, 0].max())
         return max(fronts, default=0.0)
 
     def _let_tips_touch(self, scene_graph: SceneGraph) -> None:
@@ -242,15 +269,6 @@ class GraspKinematics:
 
     def _tip_body(self, finger: FingerDescription) -> RigidBody:
         return self._plant.GetBodyByName(finger.tip_link, self._hand)
-
-
-def _largest_x(shape: Shape, X_BG: RigidTransform) -> float:
-    """Largest x in B, m, of the box around a primitive or of a mesh's convex hull."""
-    if isinstance(shape, Convex | Mesh):
-        hull = shape.GetConvexHull()
-        vertices = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
-        return float(X_BG.multiply(vertices.T)[0].max())
-    return float(X_BG.translation()[0] + np.abs(X_BG.rotation().matrix()[0]) @ half_extents(shape))
 
 
 def _options() -> SolverOptions:

@@ -34,6 +34,8 @@ _TIP_GAP = 0.002
 _HEIGHT_STEP = 0.2
 # At most this many candidates are tried for each of `finger_offsets`.
 _TRIES = 36
+# Grip → the one to try if the hand finds no grasp of it.
+_INSTEAD = {"power": "tripod", "tripod": "pinch"}
 # Opening of the fingertips around their contacts, m.
 _OPENING = 0.025
 
@@ -41,7 +43,8 @@ _OPENING = 0.025
 class GraspPlanner:
     """Plans grasps of one object with the scenario's robot.
 
-    A hand that cannot take an object into its palm holds it by a tripod.
+    A hand that finds no grasp of the object's grip tries again with contacts as close together as its own
+    fingers, and then the next of power, tripod and pinch.
 
     Args:
         grip: one of `GRIPS`; None: the object's.
@@ -83,22 +86,38 @@ class GraspPlanner:
         Raises:
             ScenarioError: no grasp is found.
         """
+        robot = self._kinematics
+        offsets = finger_offsets(robot.shape, self._grip)
+        found = self._search(robot.q_default, [(offset, None) for offset in offsets], enough)
+        if not found:
+            found = self._search(robot.q_middle, [(offsets[0], robot.finger_spacing)], enough)
+        if found:
+            return [goal for _, goal in sorted(found, key=itemgetter(0))]
+        if self._grip in _INSTEAD:
+            return GraspPlanner(self._scenario, self._description, _INSTEAD[self._grip]).plans(enough)
+        raise ScenarioError(
+            f"the robot cannot grasp object '{self._scenario.object.name}' at "
+            f"{self._scenario.object.position}: no collision-free {self._grip} grasp was found"
+        )
+
+    def _search(
+        self, q_start: np.ndarray, distances: list[tuple[float, float | None]], enough: int
+    ) -> list[tuple[float, GraspGoal]]:
+        """At most `enough` grasps with their costs.
+
+        Args:
+            q_start: positions of the plant to start from.
+            distances: `offset` and `spacing` of `grip_contacts`, in the order of preference.
+        """
         found: list[tuple[float, GraspGoal]] = []
-        for offset in finger_offsets(self._kinematics.shape, self._grip):
-            for candidate in self._candidates(offset)[:_TRIES]:
+        for offset, spacing in distances:
+            for candidate in self._candidates(q_start, offset, spacing)[:_TRIES]:
                 if len(found) == enough:
                     break
                 grasp = self._grasp_from(candidate)
                 if grasp is not None:
                     found.append(grasp)
-        if found:
-            return [goal for _, goal in sorted(found, key=itemgetter(0))]
-        if GRIPS[self._grip].palm:
-            return GraspPlanner(self._scenario, self._description, "tripod").plans(enough)
-        raise ScenarioError(
-            f"the robot cannot grasp object '{self._scenario.object.name}' at "
-            f"{self._scenario.object.position}: no collision-free {self._grip} grasp was found"
-        )
+        return found
 
     def _grasp_from(self, candidate: "_Candidate") -> tuple[float, GraspGoal] | None:
         """Cost and goal of a collision-free grasp with open fingers and a path to it, or None."""
@@ -134,8 +153,8 @@ class GraspPlanner:
         )
         return discomfort + candidate.penalty, goal
 
-    def _candidates(self, offset: float) -> list["_Candidate"]:
-        """Contacts within reach, the most promising first; `offset` is one of `finger_offsets`.
+    def _candidates(self, q_start: np.ndarray, offset: float, spacing: float | None) -> list["_Candidate"]:
+        """Contacts within reach, the most promising first; arguments as in `_search`.
 
         Sorted by inverse kinematics without collisions, which takes a hundredth of the time and rarely gives
         another discomfort.
@@ -144,13 +163,13 @@ class GraspPlanner:
         shape = robot.shape
         lowest = max(finger.tip_radius for finger in self._description.fingers) + _TIP_GAP
         candidates = []
-        for step, height in enumerate(contact_heights(shape, self._grip, lowest)):
+        for step, height in enumerate(contact_heights(shape, self._grip, lowest, spacing)):
             for yaw in yaw_candidates(shape)[0]:
-                contacts = grip_contacts(shape, yaw, height, self._grip, side, offset)
+                contacts = grip_contacts(shape, yaw, height, self._grip, side, offset, spacing)
                 palm = palm_contact(shape, yaw, height, side) if GRIPS[self._grip].palm else None
                 if not self._tips_are_clear(contacts):
                     continue
-                relaxed = robot.touch(contacts, palm, robot.q_default, collisions=False)
+                relaxed = robot.touch(contacts, palm, q_start, collisions=False)
                 if relaxed is not None:
                     penalty = step * _HEIGHT_STEP
                     candidates.append(_Candidate(relaxed[0] + penalty, penalty, contacts, palm, relaxed[1]))

@@ -1,0 +1,163 @@
+"""Grasp plans of any described hand, and whether a scripted oracle can carry them out.
+
+python studies/plans.py allegro_right leap_right my_hand.yaml --json plans.json
+
+The oracle knows where the object is. It moves the hand along the plan, puts the fingertips by inverse
+kinematics where the plan has them, squeezes and lifts. It tries the plans of an object one after the other,
+each with the scenario's physics and monitor, and nobody corrects.
+"""
+
+import argparse
+import json
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.framework import DiagramBuilder
+
+from geort_drake.console import print_table, say
+from geort_drake.errors import ScenarioError
+from geort_drake.files import write_text
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
+from geort_drake.people.recording import Recording
+from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
+from geort_drake.simulation.object_shape import object_shape
+from geort_drake.simulation.scenario import Scenario, load_scenario, object_names
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
+from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
+from geort_drake.simulation.trial import run_trial
+from geort_drake.simulation.world import HAND, add_object, add_robot, draw_placement
+from geort_drake.simulation.wrist_motion import WristMovement, minimum_jerk
+from geort_drake.systems.port_values import pose_to_vector
+
+RATE = 50.0  # Hz, of the script
+# Ends of the script's parts, s: the hand waits before the object, is at it, touches, squeezes, has lifted it.
+WAITING, THERE, TOUCHING, SQUEEZED, LIFTED, END = 2.0, 3.5, 4.5, 5.0, 6.0, 7.5
+DEPTH, HEIGHT = 0.03, 0.15  # m, of the squeeze and the lift
+ITERATIONS, LARGEST_STEP, DAMPING = 10, 0.1, 5e-3  # of the inverse kinematics; rad, m/rad
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("hands", nargs="+", help="names or files of descriptions")
+    parser.add_argument("--objects", nargs="+", default=object_names())
+    parser.add_argument("--scenario", default="Grasp", help="name of the scenario (default: %(default)s)")
+    parser.add_argument("--plans", type=int, default=6, help="tried for each object (default: %(default)s)")
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args(argv)
+    logging.getLogger("drake").setLevel(logging.ERROR)
+    rows = []
+    for name in arguments.hands:
+        oracle = Oracle(HandModel(load_hand(name)))
+        for thing in arguments.objects:
+            scenario = load_scenario(name=arguments.scenario, hand=name)
+            scenario.object.name = thing
+            row = {
+                "hand": oracle.description.name,
+                "object": thing,
+                **_try(scenario, oracle, arguments.plans),
+            }
+            rows.append(row)
+            say(f"{row['hand']} {thing}: {_mark(row)} ({', '.join(row['outcomes'])})")
+            if arguments.json:
+                write_text(arguments.json, json.dumps(rows, indent=2) + "\n")
+    hands = list(dict.fromkeys(row["hand"] for row in rows))
+    marks = {(row["hand"], row["object"]): _mark(row) for row in rows}
+    table = [(thing, *(marks[hand, thing] for hand in hands)) for thing in arguments.objects]
+    for text, counted in (("planned", "plans"), ("held", "held")):
+        numbers = (sum(row[counted] > 0 for row in rows if row["hand"] == hand) for hand in hands)
+        table.append((text, *(f"{number} of {len(arguments.objects)}" for number in numbers)))
+    print_table(("object", *hands), table, "the first plan that the oracle held, of the plans found")
+
+
+class Oracle:
+    """Inverse kinematics in place of a retargeter: keypoints are where the robot's fingertips shall be."""
+
+    def __init__(self, hand: HandModel):
+        self.description, self.joint_names = hand.description, hand.joint_names
+        self._start, self._hand = hand.default_position, NumpyKinematics(hand.kinematics())
+        self.reset()
+
+    def reset(self) -> None:
+        self._q = self._start
+
+    def __call__(self, p_HK: np.ndarray) -> np.ndarray:
+        targets = np.asarray(p_HK, float)[self.description.human_keypoints]
+        q, n = self._q, len(self._q)
+        for _ in range(ITERATIONS):
+            tips, J = self._hand.fingertips_and_jacobians(q[None])
+            J = J.reshape(-1, n)
+            step = J.T @ np.linalg.solve(J @ J.T + DAMPING**2 * np.eye(len(J)), (targets - tips[0]).ravel())
+            q = np.clip(q + np.clip(step, -LARGEST_STEP, LARGEST_STEP), self._hand.lower, self._hand.upper)
+        self._q = q
+        return q
+
+
+def _try(scenario: Scenario, oracle: Oracle, most: int) -> dict:
+    """How many plans were found, and the number of the first one that was held, from 1; 0: none."""
+    try:
+        plans = GraspPlanner(scenario, oracle.description).plans(most)
+    except ScenarioError as error:
+        return {"plans": 0, "held": 0, "outcomes": [str(error)]}
+    outcomes: list[str] = []
+    for goal in plans:
+        result, _ = run_trial(scenario, oracle, script(scenario, oracle, goal))
+        outcomes.append(result.outcome)
+        if result.success:
+            break
+    return {"plans": len(plans), "held": len(outcomes) * (outcomes[-1] == "success"), "outcomes": outcomes}
+
+
+def script(scenario: Scenario, oracle: Oracle, goal: GraspGoal) -> Recording:
+    """The oracle's motion for the object as the scenario's seed places it."""
+    X_WO = goal.object_frame(_object_pose(scenario))
+    X_start = _start_pose(scenario, oracle)
+    X_before, X_WB = X_WO @ goal.X_OB_before, X_WO @ goal.X_OB
+    X_end = RigidTransform([0, 0, HEIGHT]) @ X_WB
+    movements = (
+        WristMovement(X_start, X_before, 0.0, WAITING - 0.5),
+        WristMovement(X_before, X_WB, WAITING, THERE - WAITING - 0.5),
+        WristMovement(X_WB, X_end, SQUEEZED, LIFTED - SQUEEZED),
+    )
+    X_BO = goal.X_OB.inverse()
+    touching, inwards = X_BO.multiply(goal.p_OF_touch.T).T, goal.n_OF @ X_BO.rotation().matrix().T
+    touching[~goal.touches] = goal.p_BF_open[~goal.touches]
+    t = np.arange(0.0, END, 1 / RATE)
+    keypoints, poses = np.zeros((len(t), 21, 3)), []
+    for number, time in enumerate(t):
+        closed = minimum_jerk((time - THERE) / (TOUCHING - THERE))
+        depth = DEPTH * minimum_jerk((time - TOUCHING) / (SQUEEZED - TOUCHING))
+        p_BF = goal.p_BF_open + closed * (touching - goal.p_BF_open) + depth * inwards
+        keypoints[number, oracle.description.human_keypoints] = p_BF
+        begun = [movement for movement in movements if time >= movement.t_start]
+        poses.append(pose_to_vector(begun[-1].pose(time)))
+    return Recording(t, keypoints, np.full(len(t), True), np.array(poses), {"side": oracle.description.side})
+
+
+def _object_pose(scenario: Scenario) -> RigidTransform:
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+    body = add_object(plant, scenario.object.name)
+    lowest = object_shape(plant, scene_graph.model_inspector(), body).lowest_point(RigidTransform())
+    return draw_placement(scenario, lowest, np.random.default_rng(scenario.random_seed)).X_WO
+
+
+def _start_pose(scenario: Scenario, oracle: Oracle) -> RigidTransform:
+    plant, _ = AddMultibodyPlantSceneGraph(DiagramBuilder(), time_step=0.0)
+    add_robot(plant, scenario, oracle.description)
+    plant.Finalize()
+    base = plant.GetFrameByName(oracle.description.base_frame, plant.GetModelInstanceByName(HAND))
+    return base.CalcPoseInWorld(plant.CreateDefaultContext())
+
+
+def _mark(row: dict) -> str:
+    held = f"held by plan {row['held']}" if row["held"] else "not held"
+    return f"{held} of {row['plans']}" if row["plans"] else "no plan"
+
+
+if __name__ == "__main__":
+    main()
