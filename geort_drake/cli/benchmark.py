@@ -15,7 +15,6 @@ from geort_drake.cli.options import (
     CommandParser,
     at_least,
     finish,
-    method_help,
     methods_for,
     scenario_of,
     view,
@@ -34,8 +33,8 @@ QUICK = {
     "objects": ("cylinder", "sphere", "cube"),
     "trials": 2,
 }
-EPILOG = f"""\
-{method_help()}
+EPILOG = """\
+{methods}
 Writes trials.jsonl (one line per finished trial), summary.json, report.html and report.md to --output.
 
 Exit codes: 0 success; 1 a trial raised an error; 2 the input is invalid.

@@ -16,20 +16,7 @@ if TYPE_CHECKING:
     from geort_drake import Recording
     from geort_drake.people.checks.findings import Finding
 
-# Name → title, as in geort_drake.people.formats; a test compares them.
-FORMATS = {
-    "geort_drake": "geort-drake's own",
-    "manus": "raw MANUS skeleton, 25 nodes",
-    "manus_csv": "MANUS Core's CSV export",
-    "openxr": "OpenXR, 26 joints",
-    "webxr": "WebXR, 25 joints",
-    "vision_pro": "Apple Vision Pro, 25 or 27 transforms",
-    "dex_retargeting": "dex-retargeting's hands",
-    "mano": "MANO or HO-3D, 21 joints",
-    "geort": "GeoRT, 21 keypoints in the wrist frame",
-    "mediapipe": "MediaPipe, 21 world landmarks",
-}
-EPILOG = "formats:\n" + "".join(f"  {name:16} {title}\n" for name, title in FORMATS.items())
+EPILOG = "{formats}"
 _POLL_PERIOD_S = 1.0
 
 
@@ -106,8 +93,10 @@ def _read(arguments: argparse.Namespace, findings: "list[Finding]") -> "Recordin
 
 def _print(result: dict[str, Any], findings: "Sequence[Finding]") -> None:
     from geort_drake.console import print_table, say, warn
+    from geort_drake.people.formats import FORMATS
 
-    kind = FORMATS.get(result["format"], result["format"])
+    known_format = FORMATS.get(result["format"])
+    kind = known_format.title if known_format else result["format"]
     known = "known" if result["rate_known"] else "assumed"
     origin = f", mirrored from a {result['recorded_side']} one" if result["recorded_side"] else ""
     say(f"{result['file']}: {result['side']} hand{origin}, read as {kind}")

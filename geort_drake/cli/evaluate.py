@@ -12,13 +12,12 @@ from geort_drake.cli.options import (
     CommandParser,
     at_least,
     finish,
-    method_help,
     methods_for,
     write_json,
 )
 
-EPILOG = f"""\
-{method_help()}
+EPILOG = """\
+{methods}
 protocols:
   same person      always: train and score on --recording, as in the paper
   held-out blocks  --held-out K: cut the recording into K blocks; score each with a method trained on the

@@ -11,15 +11,14 @@ from geort_drake.cli.options import (
     CommandParser,
     finish,
     finite,
-    method_help,
     output_file,
     recording_of,
     view,
 )
 from geort_drake.errors import UsageError
 
-EPILOG = f"""\
-{method_help()}
+EPILOG = """\
+{methods}
 The recording shows the human hand, the robot hand with each method, the losses over time, closed and missed
 pinches, and collisions. Methods that need training are trained on the whole recording and cached.
 """

@@ -19,7 +19,6 @@ from geort_drake.cli.options import (
     CommandParser,
     at_least,
     finish,
-    method_help,
     methods_for,
     recording_of,
     scenario_of,
@@ -34,8 +33,8 @@ if TYPE_CHECKING:
 
 # Grasped if neither --objects nor the scenario names an object.
 DEFAULT_OBJECTS = ("cylinder", "sphere", "cube")
-EPILOG = f"""\
-{method_help()}
+EPILOG = """\
+{methods}
 objects: see models/objects.yaml, or the page on the grasp task in the documentation
 """
 

@@ -13,7 +13,7 @@ import re
 import shlex
 import shutil
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,20 +28,8 @@ if TYPE_CHECKING:
 # Names from modules that import slowly, repeated here to keep --help fast; tests compare them.
 DEFAULT_HAND = "allegro_right"
 SIDES = ("left", "right")
-METHODS = {
-    "universal": "one map for every person, shipped for the hand",
-    "geort_coupled": "all five criteria, by a network that sees all fingertips; the default",
-    "geort": "GeoRT as published: one network per finger",
-    "linear_offline": "a network trained on Eq. 1 of the paper (Robotic Telekinesis)",
-    "vector_online": "AnyTeleop's vectors, optimised at every frame",
-    "dexpilot_online": "DexPilot's vectors, optimised at every frame",
-    "affine_ik": "an affine map of each fingertip, and inverse kinematics",
-    "nearest_neighbour": "the closest of 300 stored hands",
-    "hold": "a constant posture",
-}
 DEFAULT_METHOD = "geort_coupled"
 SHIPPED_METHOD = "universal"
-TRAINED_METHODS = ("geort_coupled", "geort", "linear_offline")  # the others need no training
 STDOUT = Path("-")
 
 
@@ -65,10 +53,12 @@ class CommandParser(argparse.ArgumentParser):
 
     Args:
         program: name in the usage line.
-        description, epilog: texts above and below the options, whose layout is kept.
+        description, epilog: texts above and below the options, whose layout is kept. In the epilog,
+            "{methods}", "{trained methods}" and "{formats}" stand for lists of these.
     """
 
     def __init__(self, program: str | None, description: str | None, epilog: str | None = None):
+        epilog = re.sub(r"\{[a-z ]+\}", lambda found: _list(found[0]), epilog or "")
         super().__init__(prog=program, description=description, epilog=epilog, formatter_class=_Help)
         self.add_argument("--quiet", action="store_true", help="print only warnings and errors")
 
@@ -128,14 +118,23 @@ def methods_for(hand: str) -> tuple[str, ...]:
     """All methods; the map for everyone only where one is shipped for the hand, given by name or file."""
     from geort_drake.hands.description import load_hand
     from geort_drake.retargeting.map_file import shipped_maps
+    from geort_drake.retargeting.methods import shipped_methods, trained_methods, untrained_methods
 
-    has_map = load_hand(hand).name in shipped_maps()
-    return tuple(name for name in METHODS if has_map or name != SHIPPED_METHOD)
+    shipped = shipped_methods() if load_hand(hand).name in shipped_maps() else {}
+    return (*shipped, *trained_methods(), *untrained_methods())
 
 
-def method_help(names: Iterable[str] = tuple(METHODS)) -> str:
-    """Makes a paragraph for a command's EPILOG: each of these methods in one line."""
-    return "methods:\n" + "".join(f"  {name:18} {METHODS[name]}\n" for name in names)
+def _list(name: str) -> str:
+    """The text for a placeholder of an epilog."""
+    from geort_drake.people.formats import FORMATS
+    from geort_drake.retargeting.methods import shipped_methods, trained_methods, untrained_methods
+
+    if name == "{formats}":
+        return "formats:\n" + "".join(f"  {name:16} {each.title}\n" for name, each in FORMATS.items())
+    methods: list = [*trained_methods().values()]
+    if name == "{methods}":
+        methods = [*shipped_methods().values(), *methods, *untrained_methods().values()]
+    return "methods:\n" + "".join(f"  {method.name:18} {method.summary}\n" for method in methods)
 
 
 # -- types of options

@@ -13,12 +13,10 @@ from typing import Any
 from geort_drake.cli.options import (
     DEFAULT_HAND,
     DEFAULT_METHOD,
-    TRAINED_METHODS,
     CommandParser,
     at_least,
     command,
     finish,
-    method_help,
     output_file,
     output_folder,
     recording_of,
@@ -27,8 +25,8 @@ from geort_drake.cli.options import (
 )
 from geort_drake.errors import TrainingError
 
-EPILOG = f"""\
-{method_help(TRAINED_METHODS)}
+EPILOG = """\
+{trained methods}
 In five minutes, the person should move every finger to its limits and pinch each with the thumb. The output
 directory is a checkpoint; geort_drake.load_retargeter(DIR) loads it.
 
