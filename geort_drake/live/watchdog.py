@@ -37,7 +37,7 @@ class EngageSwitch(LeafSystem):
 
 
 class Watchdog(LeafSystem):
-    """Passes commands on. While the glove stays lost, moves the hand to a safe pose, and eases it back.
+    """Passes commands; while the glove stays lost, moves the hand to a safe pose, and later eases it back.
 
     RetargetingSystem already holds when its input is lost. After `relax_after`, the watchdog moves the hand
     to the safe pose. When the input is followed again, it eases the hand back. It passes commands on when the
@@ -61,7 +61,7 @@ class Watchdog(LeafSystem):
         limits: of the joints, in actuator order.
         safe_pose: (n,) rad.
         period: of the retargeting, s.
-        relax_after: time for which a hand without a glove holds before it relaxes, s; infinite for ever.
+        relax_after: time for which a hand without a glove holds before it relaxes, s; infinity: never.
         relax_speed: largest joint speed on the way to the safe pose, rad/s.
         ease_time: time in which the speed limit grows from zero to full when the hand returns, s.
 
