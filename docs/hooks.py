@@ -20,7 +20,7 @@ FIELDS = re.compile(r"^\{\{ fields (\w+) \}\}$", re.MULTILINE)
 GENERATED = re.compile(r"^\{\{ (\w+) \}\}$", re.MULTILINE)
 MATH = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 # Browsers ignore MathML's mathvariant, so these letters are given as characters of their own.
-LETTERS = {r"\mathcal L": "ℒ", r"\mathbb E": "𝔼"}
+LETTERS = {r"\mathcal L": "ℒ", r"\mathcal N": "𝒩", r"\mathbb E": "𝔼"}
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
@@ -39,7 +39,8 @@ def on_page_content(html_text: str, **_: object) -> str:
         for name, letter in LETTERS.items():
             latex = latex.replace(name, letter)
         mathml = convert(latex, display="block" if found[1] == "div" else "inline")
-        return mathml.replace("&#x0005E;</mo></mover>", "&#x002C6;</mo></mover>")  # a hat that sits close
+        mathml = mathml.replace("&#x0005E;</mo></mover>", "&#x002C6;</mo></mover>")  # a hat that sits close
+        return mathml.replace("<mi>&#x0007E;</mi>", "<mo>&#x0223C;</mo>")  # a relation, with space around it
 
     return MATH.sub(render, html_text)
 

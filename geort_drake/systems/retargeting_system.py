@@ -40,12 +40,12 @@ _ROUNDING = 1e-9  # m; of distances
 
 
 class RetargetingSystem(LeafSystem):
-    """Maps keypoints to joint targets at a fixed period; the output keeps the limits for any input.
+    """Maps keypoints to joint targets at a fixed period; the output respects the limits for any input.
 
     While the input cannot be followed, the joints brake and hold. Then the hand follows again with growing
     speed. Joint targets appear `latency` after their keypoints. A retargeter that takes longer than the
-    period is called again as soon as it is done, with the latest keypoints. A map for everyone follows the
-    person: it looks at the hand every `LOOK` seconds while it is followed, and becomes the person's.
+    period is called again as soon as it is done, with the latest keypoints. A map for everyone adapts to the
+    person: it observes the followed hand periodically and updates the person's code.
 
     Input ports:
         keypoints (63): p_HK, keypoint-major, m, wrist frame H.
@@ -59,14 +59,15 @@ class RetargetingSystem(LeafSystem):
 
     Attributes:
         period: time between updates, s.
-        delay: from keypoints to their joint targets, s: the latency plus the low-pass's for slow motion.
+        delay: from keypoints to their joint targets, s: the latency plus the low-pass filter's delay of slow
+            motion.
 
     State: the last computed desired state (2n); memory of targets, input and status; with a latency, the
     desired state (2n) of the output port; and, for a map for everyone, an abstract `PersonFollowing`.
 
     Args:
-        retarget: a `UniversalRetargeter`, or maps keypoints (21, 3), m in H, to joint positions (n,), rad, in
-            the order of `joint_names`.
+        retarget: a `UniversalRetargeter`, or a function from keypoints (21, 3), m in H, to joint positions
+            (n,), rad, in the order of `joint_names`.
         joint_names: the retargeter's joints.
         actuated_joints: the same joints in actuator order.
         initial_positions: joint name → rad, the targets before the first update.
