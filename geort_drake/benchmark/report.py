@@ -3,13 +3,14 @@
 import functools
 import json
 import shlex
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 from geort_drake.benchmark.config import CONFIG, SCENARIO, TRIALS, read_config
 from geort_drake.benchmark.folder import rerun_path
+from geort_drake.benchmark.people import summarize_people
 from geort_drake.benchmark.plots import completion_plot, success_panels
 from geort_drake.benchmark.records import Record, by_training, key_of, read_records, training_of
 from geort_drake.benchmark.replay import summarize_replay
@@ -27,12 +28,17 @@ FIGURES = {"completion": "completion.svg", "sensitivity": "sensitivity.svg", "su
 _PHASES = [phase.name.lower() for phase in GraspPhase if phase not in (GraspPhase.DONE, GraspPhase.THROWN)]
 
 
-def write_grasp_report(folder: Path) -> dict:
+def write_grasp_report(folder: Path, people: Sequence[Record] = ()) -> dict:
     """Writes the report of the trials that have finished so far in the folder of a grasp benchmark.
+
+    Args:
+        folder: of the benchmark.
+        people: sessions of real people, see `read_people`, which the report sets beside the trials.
 
     Returns:
         The summary: that of `summarize`; `errors`, their number; `sensitivity`, see `summarize_sensitivity`;
-        `refused`: object that the hand cannot grasp → why; `config`, the benchmark's configuration.
+        `refused`: object that the hand cannot grasp → why; `config`, the benchmark's configuration; `people`,
+        see `summarize_people`, None without people.
 
     Raises:
         BenchmarkError: the folder holds no benchmark, or a damaged one.
@@ -62,6 +68,7 @@ def write_grasp_report(folder: Path) -> dict:
     errors = [{**record, "trial": str(key_of(record))} for record in everything if "error" in record]
     summary = {**summary, "errors": len(errors), "sensitivity": sensitivity, "config": config}
     summary["refused"] = refused = config.get("refused", {})
+    summary["people"] = summarize_people(people, by_method, summary["timeout_s"]) if people else None
     plots = {"completion": completion_plot(by_method, order, summary["timeout_s"])}
     if sensitivity:
         plots["sensitivity"] = success_panels(sensitivity)
@@ -137,6 +144,7 @@ def _environment() -> Environment:
         "seconds": _with_interval("{:.1f}"),
         "points": _with_interval("{:+.0f}", scale=100),
         "signed": _with_interval("{:+.1f}"),
+        "speed": _with_interval("{:.2f}"),
         "plain": "{:g}".format,
         "number": _number,
         "probability": lambda p: "< 0.001" if p < 0.001 else f"{p:.3f}",

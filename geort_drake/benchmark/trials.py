@@ -9,6 +9,7 @@ import traceback
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
+from geort_drake.benchmark.motion import motion_of
 from geort_drake.benchmark.own_method import OwnMethod
 from geort_drake.benchmark.records import Record, TrialKey, TrialLog, identity, keep_error
 from geort_drake.benchmark.workers import call_in_workers
@@ -92,10 +93,13 @@ def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Recor
         scenario = _scenario(trial.scenario_text, key.object)
         scenario.random_seed = key.seed
         scenario.retargeting.latency = trial.latency
-        result, _ = run_trial(scenario, trial.retarget, trial.human, rerun_path, {"method": key.method})
+        result, recording = run_trial(
+            scenario, trial.retarget, trial.human, rerun_path, {"method": key.method}
+        )
     except Exception:
         return {**identity(key), "error": traceback.format_exc()}
     record = {**identity(key), **result.to_json(), "attainable": trial.attainable}
+    record["motion"] = motion_of(recording)
     if isinstance(trial.retarget, OwnMethod):
         record["faults"] = dict(trial.retarget.faults)
     return record

@@ -73,6 +73,8 @@ def add_arguments(parser: CommandParser) -> None:
         "NAME uses all"
     )
     add("--sensitivity", nargs="*", metavar="NAME=V1,V2", help=assumptions)
+    beside = "set sessions that real people recorded with the live page beside the trials"
+    add("--people", type=Path, metavar="DIR", help=beside)
     parser.add_side()
     parser.add_seed("training and synthetic play")
     add(
@@ -88,6 +90,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    from geort_drake.benchmark.people import read_people
     from geort_drake.benchmark.report import write_grasp_report
     from geort_drake.benchmark.tasks import write_summary
 
@@ -104,13 +107,16 @@ def run(arguments: argparse.Namespace) -> int:
         if getattr(arguments, name) is None:
             setattr(arguments, name, default)
     several = arguments.tasks or arguments.kinds
+    if several and arguments.people:
+        raise UsageError("--people: people grasp; leave out --tasks and --kinds")
+    people = read_people(arguments.people) if arguments.people else []
     if not arguments.report:
         run_unfinished(
             arguments, tasks_of(arguments) if several else {arguments.output: scenario_of(arguments)}
         )
     if several:
         return report_tasks(arguments, write_summary(arguments.output))
-    return report(arguments, write_grasp_report(arguments.output))
+    return report(arguments, write_grasp_report(arguments.output, people))
 
 
 def tasks_of(arguments: argparse.Namespace) -> dict[Path, "Scenario"]:
@@ -251,6 +257,13 @@ def report(arguments: argparse.Namespace, summary: dict) -> int:
         "mean time: failures count as the timeout; difference: of one-time success to the first method, %"
     )
     print_table(headings, _rows(summary), "Grasps", caption)
+    if summary["people"]:
+        people = ("who", "success", "95 %", "mean time", "wrist", "fingertips", "movements")
+        meaning = (
+            "with the objects that people grasped; mean time: failures count as the timeout; wrist, "
+            "fingertips: mean speed in motion; movements: peaks of the wrist's speed"
+        )
+        print_table(people, _people_rows(summary["people"]), "Real and simulated people", meaning)
     if summary["refused"]:
         warn(f"objects left out, because the hand cannot grasp them: {', '.join(summary['refused'])}")
     for name, entry in summary["methods"].items():
@@ -305,4 +318,25 @@ def _rows(summary: dict) -> Iterator[list[str]]:
             f"{100 * of['tip_success']['rate']:.0f} %",
             f"{of['completion_time_s']['restricted_mean']['mean']:.1f} s",
             "–" if against.get("mean") is None else f"{100 * against['mean']:+.0f}",
+        ]
+
+
+def _people_rows(summary: dict) -> Iterator[list[str]]:
+    """One row a map of real people, and one a method of the simulated person."""
+    rows = {f"{of['persons']} people, map {name}": of for name, of in summary["people"].items()}
+    rows |= {f"simulated, {name}": of for name, of in summary["simulated"].items()}
+
+    def mean(value: dict, form: str) -> str:
+        return "–" if value["mean"] is None else form.format(value["mean"])
+
+    for name, of in rows.items():
+        success = of["success"]
+        yield [
+            name,
+            f"{success['successes']} of {success['trials']}",
+            f"{100 * success['low']:.0f}–{100 * success['high']:.0f} %",
+            mean(of["completion_time"], "{:.1f} s"),
+            mean(of["wrist_speed"], "{:.2f} m/s"),
+            mean(of["fingertip_speed"], "{:.2f} m/s"),
+            mean(of["movements"], "{:.1f}"),
         ]
