@@ -20,7 +20,8 @@ from geort_drake.errors import UsageError
 EPILOG = """\
 {methods}
 The recording shows the human hand, the robot hand with each method, the losses over time, closed and missed
-pinches, and collisions. Methods that need training are trained on the whole recording and cached.
+pinches, and collisions. Methods that need training are trained on the whole recording and cached. A map for
+everyone follows the person from the first hand shown.
 """
 
 
@@ -28,7 +29,7 @@ def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("--recording", type=Path, metavar="FILE", help="recording of a hand (default: synthetic play)")
     methods = "methods listed below, checkpoints or maps"
-    default = ["geort_coupled", "vector_online"]
+    default = ["universal", "vector_online"]
     add("--methods", nargs="+", metavar="NAME", default=default, help=methods)
     output = "Rerun recording to write"
     add("--output", type=output_file(".rrd"), required=True, metavar="FILE.rrd", help=output)
@@ -40,6 +41,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import HandModel, load_hand
+    from geort_drake.comparison.adaptation import follow
     from geort_drake.comparison.exploration import answers, excerpt
     from geort_drake.comparison.explorer_recording import write_exploration
     from geort_drake.comparison.retargeters import from_cache, names_of, retargeter_of
@@ -53,12 +55,14 @@ def run(arguments: argparse.Namespace) -> int:
     names = names_of(arguments.methods, hand=hand)
     recording = recording_of(arguments.recording, description.side, arguments.seed)
     hands = excerpt(recording, duration_s=arguments.duration, start_s=arguments.start)
-    methods = {}
+    methods, adaptations = {}, {}
     for name, method in track("retargeting", names.items(), len(names), lambda item: item[0]):
         retarget, _ = retargeter_of(method, hand, recording, arguments.seed, from_cache(arguments.hand))
         if isinstance(retarget, UniversalRetargeter):
-            retarget = retarget.for_person(recording.p_HK[recording.valid])
-        methods[name] = answers(retarget, hand, hands)
+            adaptations[name] = follow(retarget, hand, hands)
+            methods[name] = answers(lambda _, name=name: adaptations[name].q, hand, hands)
+        else:
+            methods[name] = answers(retarget, hand, hands)
     properties = {
         "hand": description.name,
         "methods": ", ".join(methods),
@@ -67,6 +71,6 @@ def run(arguments: argparse.Namespace) -> int:
         "start_s": hands.metadata["start_s"],
         "seed": arguments.seed,
     }
-    write_exploration(arguments.output, hand, hands, methods, properties)
+    write_exploration(arguments.output, hand, hands, methods, properties, adaptations)
     finish({"Recording": arguments.output}, view(arguments.output))
     return 0
