@@ -36,9 +36,8 @@ sys.path[:0] = [str(ROOT / name) for name in ("tests", "benchmarks", "studies")]
 from faults import disks, kills  # noqa: E402
 from faults.frames import fuzz_arm, fuzz_call, fuzz_system  # noqa: E402
 from faults.guard import fuzz_guard  # noqa: E402
-from faults.hostile import CASES  # noqa: E402
+from faults.hostile import CASES, faults_of  # noqa: E402
 from faults.mutations import fuzz  # noqa: E402
-from faults.refusals import faults_of  # noqa: E402
 from faults.soak import soak  # noqa: E402
 from guided_fuzzing import fuzz_guided, require_atheris  # noqa: E402
 from side_by_side import machine  # noqa: E402
@@ -156,17 +155,16 @@ def killed(counts: dict, seed: int, folder: Path, report: Report) -> dict:
     tried: Counter[str] = Counter()
     recovered: Counter[str] = Counter()
     failures = []
-    works = list(kills.WORKS.values())
+    works = list(kills.WORKS)
     for number in range(counts["kills"]):
         work = works[number % len(works)]
-        if work.name not in known:
-            known[work.name] = kills.reference(work, folder / work.name)
+        if work not in known:
+            known[work] = kills.reference(work, folder / work)
         by_clock = number // len(works) % 2 == 0
-        room = folder / f"{work.name}-{number}"
-        wrong = kills.kill(work, known[work.name], room, rng, by_clock)
-        tried[work.name] += 1
-        recovered[work.name] += not wrong
-        failures += [f"{work.name} killed, number {number}: {'; '.join(wrong)}"] if wrong else []
+        wrong = kills.kill(known[work], folder / f"{work}-{number}", rng, by_clock)
+        tried[work] += 1
+        recovered[work] += not wrong
+        failures += [f"{work} killed, number {number}: {'; '.join(wrong)}"] if wrong else []
         report(number + 1, counts["kills"])
     return {"tried": dict(tried), "recovered": dict(recovered), "failures": failures}
 
@@ -174,16 +172,15 @@ def killed(counts: dict, seed: int, folder: Path, report: Report) -> dict:
 def disk(counts: dict, seed: int, folder: Path, report: Report) -> dict:
     """Files that may not grow, full disks and read-only ones."""
     failures, tried = [], {}
-    works = [kills.WORKS["data generation"], kills.WORKS["training"]]
-    for work in works:
-        known = kills.reference(work, folder / work.name)
-        wrong = kills.full_disk(work, known, folder / f"{work.name}-limited", 6_000)
-        tried[f"{work.name}, files limited"] = 1
-        failures += [f"{work.name} with limited files: {text}" for text in wrong]
+    for work in ("data generation", "training"):
+        known = kills.reference(work, folder / work)
+        wrong = kills.full_disk(known, folder / f"{work}-limited", 6_000)
+        tried[f"{work}, files limited"] = 1
+        failures += [f"{work} with limited files: {text}" for text in wrong]
     if disks.can_mount(folder / "mounts"):
-        failures += [f"full disk: {text}" for text in disks.full(folder / "full")]
-        failures += [f"read-only disk: {text}" for text in disks.read_only(folder / "read_only")]
-        tried |= {"full disk": len(disks.WRITERS), "read-only disk": len(disks.WRITERS)}
+        for reason in disks.DISKS:
+            failures += [f"{reason}: {text}" for text in disks.spoilt(folder / reason, reason)]
+            tried[reason] = len(disks.WRITERS)
     report(1, 1)
     return {"tried": tried, "failures": failures}
 

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 from affine_map import AffineMap
+from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 
 from geort_drake.hands.description import load_hand
@@ -68,6 +69,24 @@ def goal_at_any_error(object_name: str) -> GraspGoal:
     return dataclasses.replace(planned_goal(object_name), clearance=np.inf)
 
 
+def reach_goal() -> GraspGoal:
+    """A goal near the start with the fingers a little closed; no short trial touches it."""
+    hand = allegro()
+    tips = hand.fingertips(hand.default_position)
+    X_OB = RigidTransform(RollPitchYaw(-1.92, 1.17, 2.15), [0.003, 0.005, 0.106])
+    return GraspGoal(
+        finger_names=tuple(hand.finger_names),
+        touches=np.array([True, True, True, False]),
+        X_OB=X_OB,
+        X_OB_before=RigidTransform([0.0, -0.03, 0.12]) @ X_OB,
+        clearance=0.012,
+        p_BF_open=tips,
+        p_OF_touch=X_OB.multiply(tips.T).T,
+        n_OF=np.tile([1.0, 0.0, 0.0], (4, 1)),
+        yaw_symmetry=0.0,
+    )
+
+
 def scenario_with(object_name: str = "cylinder", text: str = "{}") -> Scenario:
     """The shipped scenario with another object, and with YAML text merged in."""
     scenario = load_scenario(text=text)
@@ -106,6 +125,11 @@ def started(parts: GraspDiagram) -> Simulator:
     simulator = Simulator(parts.diagram)
     parts.initialize(simulator.get_mutable_context())
     return simulator
+
+
+def in_this_process(function, arguments, *_, **__):
+    """`call_in_workers` without workers."""
+    return (function(*each) for each in arguments)
 
 
 def judged(record: dict) -> dict:

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from grasp_setup import allegro, centred_map, person_and_rest, started
+from grasp_setup import allegro, centred_map, person_and_rest, reach_goal, started
 from model_scene import SHIPPED_HANDS
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
@@ -85,24 +85,6 @@ def test_a_left_hands_contacts_are_mirrored(grip, name):
         assert right.part == left.part
         np.testing.assert_allclose(left.p_OC, mirrored(right.p_OC), atol=1e-12)
         np.testing.assert_allclose(left.n_O, mirrored(right.n_O), atol=1e-12)
-
-
-def reach_goal() -> GraspGoal:
-    """A goal near the start with the fingers a little closed, as a right hand has it; never touched."""
-    hand = allegro()
-    tips = hand.fingertips(hand.default_position)
-    X_OB = RigidTransform(RollPitchYaw(-1.92, 1.17, 2.15), [0.003, 0.005, 0.106])
-    return GraspGoal(
-        finger_names=tuple(hand.finger_names),
-        touches=np.array([True, True, True, False]),
-        X_OB=X_OB,
-        X_OB_before=RigidTransform([0.0, -0.03, 0.12]) @ X_OB,
-        clearance=0.012,
-        p_BF_open=tips,
-        p_OF_touch=X_OB.multiply(tips.T).T,
-        n_OF=np.tile([1.0, 0.0, 0.0], (4, 1)),
-        yaw_symmetry=0.0,
-    )
 
 
 def simulate(hand: str, goal: GraspGoal, person: HumanHand, seconds: float) -> tuple[GraspDiagram, Context]:

@@ -1,6 +1,7 @@
 """Programs that are killed or cannot write: results are complete, none is lost, and the next run resumes."""
 
 import errno
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -17,19 +18,12 @@ from geort_drake.files import atomic_directory, atomic_path, write_text
 @pytest.fixture(scope="module")
 def known(tmp_path_factory):
     """What each program does without a fault, found out at its first use."""
-    made = {}
-
-    def reference(name: str) -> kills.Reference:
-        if name not in made:
-            made[name] = kills.reference(kills.WORKS[name], tmp_path_factory.mktemp("work"))
-        return made[name]
-
-    return reference
+    return functools.cache(lambda work: kills.reference(work, tmp_path_factory.mktemp("work")))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "by_clock", "new_interpreter"),
+    ("work", "by_clock", "new_interpreter"),
     [
         ("data generation", False, True),
         ("training", False, True),
@@ -38,20 +32,19 @@ def known(tmp_path_factory):
         ("teleoperation", True, False),
     ],
 )
-def test_a_killed_program_resumes(known, name, by_clock, new_interpreter, tmp_path):
+def test_a_killed_program_resumes(known, work, by_clock, new_interpreter, tmp_path):
     """Its results equal those of an undisturbed run bit for bit, also with other hashes and more threads.
 
     docs/results/reliability.md counts many more kills.
     """
-    rng = np.random.default_rng(len(name))
-    work = kills.WORKS[name]
-    assert kills.kill(work, known(name), tmp_path / "kill", rng, by_clock, new_interpreter) == []
+    rng = np.random.default_rng(len(work))
+    assert kills.kill(known(work), tmp_path / "kill", rng, by_clock, new_interpreter) == []
 
 
-@pytest.mark.parametrize("name", ["data generation", "teleoperation"])
-def test_a_program_whose_files_may_not_grow_names_the_file(known, name, tmp_path):
+@pytest.mark.parametrize("work", ["data generation", "teleoperation"])
+def test_a_program_whose_files_may_not_grow_names_the_file(known, work, tmp_path):
     """And the reason; earlier results stay, and no draft is left."""
-    assert kills.full_disk(kills.WORKS[name], known(name), tmp_path / "limited", 6_000) == []
+    assert kills.full_disk(known(work), tmp_path / "limited", 6_000) == []
 
 
 @pytest.mark.parametrize("writer", disks.WRITERS, ids=lambda writer: writer.__name__)
@@ -67,8 +60,8 @@ def test_errors_tell_full_disks_from_read_only_ones(tmp_path):
     """Where this process may mount disks."""
     if not disks.can_mount(tmp_path):
         pytest.skip("mounting a disk needs the superuser")
-    assert disks.full(tmp_path / "full") == []
-    assert disks.read_only(tmp_path / "read_only") == []
+    for number, reason in enumerate(disks.DISKS):
+        assert disks.spoilt(tmp_path / str(number), reason) == []
 
 
 def test_a_line_that_did_not_fit_is_dropped_and_the_log_goes_on(tmp_path):

@@ -1,9 +1,8 @@
 """Hostile inputs are refused with a named error and exit code 2, in time, and nothing is written."""
 
 import pytest
-from faults.hostile import CASES
+from faults.hostile import CASES, faults_of
 from faults.mutations import fuzz
-from faults.refusals import faults_of
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)

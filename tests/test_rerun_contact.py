@@ -43,15 +43,6 @@ def test_contact_force_of_a_resting_ball_is_its_weight(tmp_path, contact_model):
         assert names[0].tolist() == [group]
 
 
-def test_long_contact_arrows_are_cut(tmp_path):
-    """An impact must not fill the screen."""
-    world = World(height=0.06).finalize()
-    spec = ContactSpec(metres_per_newton=10.0, max_length=0.3)
-    world.record(tmp_path / "cut.rrd", contact=spec, until=0.3)
-    _, vectors = read(world.recorder.path, "/world/contact/forces", "Arrows3D:vectors")
-    np.testing.assert_allclose(np.linalg.norm(vectors[-1], axis=1), 0.3, rtol=1e-5)
-
-
 def test_without_groups_each_touched_body_has_a_series(tmp_path):
     """The ground does not move, and nothing touches the arm."""
     world = World(height=0.0499).finalize().record(tmp_path / "bodies.rrd", until=0.5)

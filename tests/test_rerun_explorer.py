@@ -45,17 +45,6 @@ def test_cosines_are_of_the_motion_around_an_instant():
     assert np.isnan(motion_cosines(np.zeros_like(human), robot, 3)).all()
 
 
-def test_pinches_are_of_the_nearest_finger():
-    """Under 15 mm, as in the metrics."""
-    tips = np.zeros((2, 3, 3))
-    tips[0, 1:] = [[0.02, 0, 0], [0.014, 0, 0]]
-    tips[1, 1:] = [[0.016, 0, 0], [0.03, 0, 0]]
-    pinches = find_pinches(tips, NAMES)
-    assert pinches.pair.tolist() == [[0, 2], [0, 1]]
-    np.testing.assert_allclose(pinches.distance, [0.014, 0.016])
-    assert pinches.closed.tolist() == [True, False]
-
-
 def test_an_excerpt_begins_where_most_pinches_are():
     """Frames without tracking repeat the last hand before them; times are the excerpt's own."""
     p_HK = np.zeros((400, 21, 3))

@@ -124,16 +124,6 @@ def inside(world):
     return outer, outer.AddNamedSystem("robot", world.builder.Build())
 
 
-def test_the_scene_is_seen_from_the_given_direction(tmp_path, laid_out):
-    """From that direction, at a distance that takes the motion in."""
-    world = World().finalize()
-    view_from = (-1.0, 1.0, 0.5)
-    world.record(tmp_path / "v.rrd", view_from=view_from, until=0.1)
-    eye, target, _ = eye_of(laid_out.views["scene"])
-    sight = (eye - target) / np.linalg.norm(eye - target)
-    np.testing.assert_allclose(sight, view_from / np.linalg.norm(view_from), atol=1e-5)
-
-
 def test_a_plant_inside_another_diagram_is_recorded_by_exported_ports(tmp_path):
     """Without them the error says how to export, before anything is added."""
     world = World(height=2.0).finalize()

@@ -7,7 +7,6 @@ import pytest
 import rerun as rr
 from rerun_world import World, entities, read, rerun, steps
 
-from geort_drake.errors import ScenarioError
 from geort_drake.rerun import StateSpec, recorder
 
 
@@ -98,12 +97,6 @@ def test_a_viewer_that_is_not_there_costs_the_file_nothing(tmp_path, monkeypatch
     with pytest.warns(UserWarning, match="viewer did not get everything"):
         world.recorder.close()
     assert rerun("rrd", "verify", tmp_path / "file.rrd").returncode == 0
-
-
-def test_a_recorder_has_something_to_write_to():
-    """No file and no viewer are refused."""
-    with pytest.raises(ScenarioError, match="a file, viewers, or both"):
-        World().finalize().record(None)
 
 
 def test_a_flush_writes_what_there_is_and_goes_on(tmp_path):

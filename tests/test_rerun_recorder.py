@@ -11,7 +11,7 @@ from rerun.chunk import RrdReader
 from rerun_world import GRAVITY, World, constant, pose_source, read, rerun, steps
 from scipy.spatial.transform import Rotation
 
-from geort_drake.errors import RecordingError, ScenarioError
+from geort_drake.errors import RecordingError
 from geort_drake.rerun import HandSpec, PointsSpec, RerunRecorder, SignalSpec, StateSpec, take_screenshot
 
 
@@ -70,12 +70,6 @@ def test_equal_simulations_give_equal_recordings(tmp_path):
     )
     compared = rerun("rrd", "compare", "--unordered", paths[0], other.recorder.path)
     assert compared.returncode != 0
-
-
-def test_an_unfinalized_plant_is_refused(tmp_path):
-    """Its bodies are not all there yet."""
-    with pytest.raises(ScenarioError, match="finalized"):
-        World().record(tmp_path / "no.rrd")
 
 
 def test_a_screenshot_is_a_picture_or_a_reason(tmp_path, monkeypatch):
@@ -147,17 +141,6 @@ def test_rerun_switched_off_writes_nothing_and_says_so(tmp_path, monkeypatch):
     with pytest.warns(UserWarning, match="RERUN=off"):
         world.recorder.close()
     assert list(tmp_path.iterdir()) == []
-
-
-def test_closing_twice_or_going_on_changes_nothing(tmp_path):
-    """The file is written once."""
-    world = World().finalize().record(tmp_path / "new" / "folder" / "once.rrd")
-    world.simulator.AdvanceTo(0.1)
-    world.recorder.close()
-    written = world.recorder.path.read_bytes()
-    world.simulator.AdvanceTo(0.2)
-    world.recorder.close()
-    assert world.recorder.path.read_bytes() == written
 
 
 def test_a_file_is_written_when_the_process_ends_without_close(tmp_path):

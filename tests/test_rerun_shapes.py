@@ -7,16 +7,13 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from pydrake.common import MemoryFile
 from pydrake.geometry import (
     AddContactMaterial,
-    AddRigidHydroelasticProperties,
     Box,
     Capsule,
     Convex,
     Cylinder,
     Ellipsoid,
-    InMemoryMesh,
     Mesh,
     MeshcatCone,
     ProximityProperties,
@@ -94,9 +91,9 @@ CELL_TYPES 1
 OBJ = "v 0 0 0\nv 0.3 0 0\nv 0 0.2 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
-def gltf(buffer_uri, **more):
+def gltf(buffer_uri):
     """A tetrahedron; its buffer is `CORNERS` and `FACES`."""
-    buffer = {"byteLength": CORNERS.nbytes + FACES.nbytes} | ({"uri": buffer_uri} if buffer_uri else {})
+    buffer = {"byteLength": CORNERS.nbytes + FACES.nbytes, "uri": buffer_uri}
     accessors = [
         {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3",
          "min": CORNERS.min(0).tolist(), "max": CORNERS.max(0).tolist()},
@@ -114,18 +111,17 @@ def gltf(buffer_uri, **more):
             {"buffer": 0, "byteOffset": CORNERS.nbytes, "byteLength": FACES.nbytes},
         ],
         "accessors": accessors,
-        **more,
     }
 
 
-def drawn(tmp_path, shape, role=Role.kIllustration, properties=None):
+def drawn(tmp_path, shape, role=Role.kIllustration):
     """The entity of a mesh on the ball, in a recording."""
     world = World()
     X_BG = RigidTransform(RollPitchYaw(0, 0, np.pi / 2), [1, 0, 0])
     if role == Role.kIllustration:
         world.plant.RegisterVisualGeometry(world.ball, X_BG, shape, "mesh", [0.2, 0.4, 0.6, 1])
     else:
-        properties = properties or ProximityProperties()
+        properties = ProximityProperties()
         AddContactMaterial(1.0, 1e6, CoulombFriction(0.5, 0.5), properties)
         world.plant.RegisterCollisionGeometry(world.ball, X_BG, shape, "mesh", properties)
     world.finalize().record(tmp_path / "mesh.rrd", role=role, until=0.0)
@@ -142,12 +138,7 @@ def same_points(found, wanted):
 
 @pytest.mark.parametrize(
     ("kind", "name", "text", "role"),
-    [
-        (Mesh, "t.obj", OBJ, Role.kIllustration),
-        (Convex, "t.obj", OBJ, Role.kIllustration),
-        (Mesh, "t.obj", OBJ, Role.kProximity),
-        (Mesh, "t.vtk", VTK, Role.kProximity),
-    ],
+    [(Convex, "t.obj", OBJ, Role.kIllustration), (Mesh, "t.vtk", VTK, Role.kProximity)],
 )
 def test_a_mesh_keeps_its_vertices(tmp_path, kind, role, name, text):
     """Visual and collision geometry, scaled differently along their axes, with normals outward."""
@@ -159,41 +150,12 @@ def test_a_mesh_keeps_its_vertices(tmp_path, kind, role, name, text):
     assert ((value("Mesh3D:vertex_normals")[::3] * outward).sum(axis=1) > 0).all()
 
 
-def volume(triangles):
-    """Of a closed surface of triangles (n, 3, 3)."""
-    return np.einsum("ni,ni->", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2])) / 6
-
-
-def test_a_hydroelastic_mesh_is_drawn_instead_of_its_hull(tmp_path):
-    """Two tetrahedra that lean away from each other are not convex."""
-    more = VTK.replace("POINTS 4", "POINTS 5").replace("0 0 0.1\n", "0 0 0.1  0.3 0.2 -0.1\n")
-    more = more.replace("CELLS 1 5\n", "CELLS 2 10\n4 0 2 1 4\n").replace(
-        "CELL_TYPES 1\n", "CELL_TYPES 2\n10\n"
-    )
-    (tmp_path / "t.vtk").write_text(more)
-    properties = ProximityProperties()
-    AddRigidHydroelasticProperties(0.1, properties)
-    value = drawn(tmp_path, Mesh(str(tmp_path / "t.vtk")), Role.kProximity, properties)
-    triangles = value("Mesh3D:vertex_positions").reshape(-1, 3, 3)
-    assert len(triangles) == 6
-    # Each tetrahedron is a sixth of 0.3 by 0.2 by 0.1.
-    assert volume(triangles) == pytest.approx(2 * 0.001, rel=1e-5)
-
-
-@pytest.mark.parametrize("where", ["file", "memory"])
-def test_a_gltf_file_is_whole_and_turned_as_drake_turns_it(tmp_path, where):
+def test_a_gltf_file_is_whole_and_turned_as_drake_turns_it(tmp_path):
     """The recording holds all buffers; the file's y axis is Drake's z."""
-    data = CORNERS.tobytes() + FACES.tobytes()
     scale = np.array([1.0, 2.0, 3.0])
-    if where == "memory":
-        beside = {"a b.bin": MemoryFile(data, ".bin", "a b")}
-        file = MemoryFile(json.dumps(gltf("a b.bin")).encode(), ".gltf", "t")
-        shape = Mesh(InMemoryMesh(mesh_file=file, supporting_files=beside), scale)
-    else:
-        (tmp_path / "a b.bin").write_bytes(data)
-        (tmp_path / "t.gltf").write_text(json.dumps(gltf("a%20b.bin")))
-        shape = Mesh(str(tmp_path / "t.gltf"), scale)
-    value = drawn(tmp_path, shape)
+    (tmp_path / "a b.bin").write_bytes(CORNERS.tobytes() + FACES.tobytes())
+    (tmp_path / "t.gltf").write_text(json.dumps(gltf("a%20b.bin")))
+    value = drawn(tmp_path, Mesh(str(tmp_path / "t.gltf"), scale))
     contents = np.asarray(value("Asset3D:blob")[0], dtype=np.uint8).tobytes()
     held = trimesh.load_scene(io.BytesIO(contents), file_type="glb", process=False).to_mesh()
     np.testing.assert_allclose(held.triangles, CORNERS[FACES.astype(int)], atol=1e-7)

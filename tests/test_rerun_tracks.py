@@ -118,15 +118,6 @@ def test_points_of_several_colours_keep_theirs(tmp_path):
     np.testing.assert_allclose(sizes[-1], np.full((2, 3), 0.02), rtol=1e-6)
 
 
-def test_points_begin_at_their_start_time(tmp_path):
-    """A delay, for example, gives zeros before its time."""
-    world = World().finalize()
-    points = {"late": PointsSpec(constant(world.builder, [1, 2, 3]), start=0.1)}
-    world.record(tmp_path / "late.rrd", specs=points, period=0.05, until=0.2)
-    _, found = read(world.recorder.path, "/world/late", "Points3D:positions")
-    assert [len(row) for row in found] == [0, 0, 1, 1, 1]
-
-
 def test_derived_values_are_computed_on_writing(tmp_path):
     """From several ports, for all samples at once; a shared port is read once."""
     world = World(height=2.0).finalize()

@@ -12,6 +12,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from geort_drake.console import run_main
+
 MEMORY = 2 << 30  # bytes that a process may ask for beyond what the imports took
 HANGING = 120.0  # s; a longer run counts as hanging, also on a busy machine
 
@@ -52,8 +54,9 @@ class Child:
 
     def __init__(self, function: Callable, arguments: tuple, folder: Path, beside: Path, **limits: int):
         beside.mkdir(parents=True, exist_ok=True)
-        self._output, self._error = beside / "output.txt", beside / "error.txt"
-        self._error.unlink(missing_ok=True)
+        self._files = [beside / name for name in ("error.txt", "output.txt")]
+        for path in self._files:
+            path.write_text("")
         self._started = time.perf_counter()
         self.process = _FORK.Process(target=_run, args=(function, arguments, folder, beside, limits))
         self.process.start()
@@ -64,8 +67,7 @@ class Child:
         code = self.process.exitcode
         if code is None:
             self.kill()
-        error = self._error.read_text() if self._error.exists() else ""
-        output = self._output.read_text(errors="replace") if self._output.exists() else ""
+        error, output = (path.read_text(errors="replace") for path in self._files)
         return Ending(code, error, output, time.perf_counter() - self._started)
 
     def kill(self) -> None:
@@ -82,11 +84,10 @@ def run(
 
 
 def _run(function: Callable, arguments: tuple, folder: Path, beside: Path, limits: dict[str, int]) -> None:
-    from geort_drake.console import run_main
-
     os.environ["XDG_CACHE_HOME"] = str(beside / "cache")
     os.chdir(folder)
-    output = os.open(beside / "output.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    # Opened before the limits on files.
+    note, output = (os.open(beside / name, os.O_WRONLY) for name in ("error.txt", "output.txt"))
     for stream in (1, 2):
         os.dup2(output, stream)
     # Python's default, which the parent may have changed.
@@ -100,12 +101,10 @@ def _run(function: Callable, arguments: tuple, folder: Path, beside: Path, limit
         try:
             return function(*arguments)
         except BaseException as error:
-            # Opened before the limits on files.
             os.write(note, type(error).__name__.encode())
             raise
         finally:
             sys.stdout.flush()
             sys.stderr.flush()
 
-    note = os.open(beside / "error.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     run_main(main)

@@ -38,41 +38,33 @@ def save_text() -> None:
 
 
 def append_trials() -> None:
+    trial = {"method": "hold", "object": "cube", "error": "x" * 184, "traceback": ""}
     with TrialLog("trials.jsonl") as log:
         for seed in range(1000):
-            log.append(
-                {"method": "hold", "object": "cube", "seed": seed, "error": "x" * 184, "traceback": ""}
-            )
+            log.append({**trial, "seed": seed})
 
 
 WRITERS = (save_recording, record_session, save_checkpoint, save_text, append_trials)
+# What is wrong with a disk → how to mount one.
+DISKS = {"No space left on device": "size=16k", "Read-only file system": "ro"}
 
 
-def full(folder: Path) -> list[str]:
-    """Fills a disk of 16 KiB with each writer. Returns what is wrong with its error and what it leaves."""
+def spoilt(folder: Path, reason: str) -> list[str]:
+    """Writes to such a disk with each writer. Returns what is wrong with its error and what it leaves."""
     wrong = []
     for writer in WRITERS:
-        with mounted(folder / writer.__name__, "size=16k") as disk:
-            ending = run(writer, (), disk, folder / "beside")
-            wrong += [f"{writer.__name__}: {text}" for text in unclear(ending, "No space left on device")]
-            if writer is append_trials:
+        with mounted(folder / writer.__name__, DISKS[reason]) as disk:
+            found = unclear(run(writer, (), disk, folder / "beside"), reason)
+            left = [path.name for path in disk.iterdir()]
+            if left and writer is append_trials:
                 with TrialLog(disk / "trials.jsonl") as log:
-                    wrong += [] if 0 < len(log.records) < 1000 else ["the log lost its lines"]
-            elif writer is record_session:
+                    found += [] if 0 < len(log.records) < 1000 else ["the log lost its lines"]
+            elif left and writer is record_session:
                 kept = read_parts(disk / "session.npz")
-                wrong += [] if kept is not None and 0 < len(kept) < 200 else ["the session was lost"]
-            elif left := list(disk.iterdir()):
-                wrong.append(f"{writer.__name__}: left {left[0].name}")
-    return wrong
-
-
-def read_only(folder: Path) -> list[str]:
-    """Writes to a read-only disk with each writer. Returns what is wrong with its error."""
-    wrong = []
-    for writer in WRITERS:
-        with mounted(folder / writer.__name__, "ro") as disk:
-            ending = run(writer, (), disk, folder / "beside")
-            wrong += [f"{writer.__name__}: {text}" for text in unclear(ending, "Read-only file system")]
+                found += [] if kept is not None and 0 < len(kept) < 200 else ["the session was lost"]
+            elif left:
+                found.append(f"left {left}")
+            wrong += [f"{writer.__name__}: {text}" for text in found]
     return wrong
 
 

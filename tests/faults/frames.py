@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from arm_bench import PERIOD, ArmBench
@@ -13,74 +13,53 @@ from faults.sound import LOWER, TIPS, UPPER, play, smooth_retargeter
 from geort_drake.errors import GeortError
 from geort_drake.systems.joint_limits import JointLimits
 
-Frame = tuple[np.ndarray, float, float]  # keypoints (21, 3), valid, stamp
-Fault = Callable[[np.ndarray, float, float, np.ndarray, np.random.Generator], Frame]
-
-
-def _spoil(rows, value) -> Fault:
-    def fault(p, valid, stamp, last, rng):
-        p[rng.integers(0, 21) if rows is None else rows] = value
-        return p, valid, stamp
-
-    return fault
-
-
-def _scaled(factors) -> Fault:
-    return lambda p, valid, stamp, last, rng: (p * rng.choice(factors), valid, stamp)
-
-
-def _stamped(shift: Callable[[float, np.random.Generator], float]) -> Fault:
-    return lambda p, valid, stamp, last, rng: (p, valid, shift(stamp, rng))
-
-
-# Each changes a frame; `last` is the frame before.
-FAULTS: dict[str, Fault] = {
-    "dropout": lambda p, valid, stamp, last, rng: (p, 0.0, stamp),
-    "dropout with rubbish": lambda p, valid, stamp, last, rng: (rng.normal(0, 1e6, (21, 3)), 0.0, stamp),
-    "NaN": _spoil(None, np.nan),
-    "infinite": _spoil(8, -np.inf),
-    "huge": _scaled([1e30, -1e300]),
-    "scale": _scaled([-1.0, 0.0, 0.1, 1.3, 10.0, 1000.0]),
-    "swap": lambda p, valid, stamp, last, rng: (p[[0, *rng.permutation(20) + 1]], valid, stamp),
-    "jump": lambda p, valid, stamp, last, rng: (p + rng.uniform(-0.3, 0.3, 3), valid, stamp),
-    "noise": lambda p, valid, stamp, last, rng: (p + rng.normal(0, 0.02, (21, 3)), valid, stamp),
-    "freeze": lambda p, valid, stamp, last, rng: (last.copy(), valid, stamp),
-    "zero": _spoil(slice(None), 0.0),
-    "time backwards": _stamped(lambda stamp, rng: stamp - rng.choice([0.01, 1.0, 1e9])),
-    "time stands": _stamped(lambda stamp, rng: math.floor(stamp)),
-    "time NaN": _stamped(lambda stamp, rng: math.nan),
-    "valid NaN": lambda p, valid, stamp, last, rng: (p, math.nan, stamp),
+KEYPOINT = np.arange(21)[:, None]
+# From a frame's keypoints and time, the keypoints before and a generator to what is changed of the frame.
+FAULTS: dict[str, Callable[[np.ndarray, float, np.ndarray, np.random.Generator], dict]] = {
+    "dropout": lambda p, stamp, last, rng: {"valid": 0.0},
+    "dropout with rubbish": lambda p, stamp, last, rng: {
+        "keypoints": rng.normal(0, 1e6, (21, 3)),
+        "valid": 0.0,
+    },
+    "NaN": lambda p, stamp, last, rng: {"keypoints": np.where(KEYPOINT == rng.integers(21), np.nan, p)},
+    "infinite": lambda p, stamp, last, rng: {"keypoints": np.where(KEYPOINT == 8, -np.inf, p)},
+    "huge": lambda p, stamp, last, rng: {"keypoints": p * rng.choice([1e30, -1e300])},
+    "scale": lambda p, stamp, last, rng: {"keypoints": p * rng.choice([-1.0, 0.0, 0.1, 1.3, 10.0, 1e3])},
+    "swap": lambda p, stamp, last, rng: {"keypoints": p[[0, *rng.permutation(20) + 1]]},
+    "jump": lambda p, stamp, last, rng: {"keypoints": p + rng.uniform(-0.3, 0.3, 3)},
+    "noise": lambda p, stamp, last, rng: {"keypoints": p + rng.normal(0, 0.02, (21, 3))},
+    "freeze": lambda p, stamp, last, rng: {"keypoints": last},
+    "time backwards": lambda p, stamp, last, rng: {"stamp": stamp - rng.choice([0.01, 1.0, 1e9])},
+    "time stands": lambda p, stamp, last, rng: {"stamp": math.floor(stamp)},
+    "time NaN": lambda p, stamp, last, rng: {"stamp": math.nan},
+    "valid NaN": lambda p, stamp, last, rng: {"valid": math.nan},
 }
 
 
-WristFault = Callable[[RigidTransform, float, np.random.Generator], tuple[RigidTransform, float]]
+def _moved(X_WH: RigidTransform, p=(0.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.0)) -> RigidTransform:
+    turned = RollPitchYaw(rpy).ToRotationMatrix()
+    return RigidTransform(X_WH.rotation() @ turned, X_WH.translation() + p)
 
 
-def _moved(X_WH: RigidTransform, p: np.ndarray, rpy: np.ndarray) -> RigidTransform:
-    turned = RigidTransform(RollPitchYaw(rpy), p)
-    return RigidTransform(X_WH.rotation() @ turned.rotation(), X_WH.translation() + turned.translation())
-
-
-# Each changes a wrist's pose X_WH and whether it is tracked.
-WRIST_FAULTS: dict[str, WristFault] = {
-    "dropout": lambda X, valid, rng: (X, 0.0),
-    "dropout with rubbish": lambda X, valid, rng: (RigidTransform(rng.uniform(-99, 99, 3)), 0.0),
-    "NaN": lambda X, valid, rng: (RigidTransform([math.nan, 0.0, 0.0]), valid),
-    "infinite": lambda X, valid, rng: (RigidTransform([0.0, math.inf, 0.0]), valid),
-    "jump": lambda X, valid, rng: (_moved(X, rng.uniform(-5, 5, 3), np.zeros(3)), valid),
-    "leap to one place": lambda X, valid, rng: (_moved(X, np.array([5.0, -3.0, 2.0]), np.zeros(3)), valid),
-    "turn round": lambda X, valid, rng: (_moved(X, np.zeros(3), rng.uniform(-3, 3, 3)), valid),
-    "noise": lambda X, valid, rng: (_moved(X, rng.normal(0, 5e-3, 3), rng.normal(0, 0.02, 3)), valid),
-    "origin": lambda X, valid, rng: (RigidTransform(), valid),
-    "valid NaN": lambda X, valid, rng: (X, math.nan),
+# From a wrist's pose X_WH and a generator to another pose, and whether it is tracked.
+WRIST_FAULTS: dict[str, Callable[[RigidTransform, np.random.Generator], tuple[RigidTransform, float]]] = {
+    "dropout": lambda X, rng: (X, 0.0),
+    "dropout with rubbish": lambda X, rng: (RigidTransform(rng.uniform(-99, 99, 3)), 0.0),
+    "NaN": lambda X, rng: (RigidTransform([math.nan, 0.0, 0.0]), 1.0),
+    "infinite": lambda X, rng: (RigidTransform([0.0, math.inf, 0.0]), 1.0),
+    "jump": lambda X, rng: (_moved(X, rng.uniform(-5, 5, 3)), 1.0),
+    "leap to one place": lambda X, rng: (_moved(X, [5.0, -3.0, 2.0]), 1.0),
+    "turn round": lambda X, rng: (_moved(X, rpy=rng.uniform(-3, 3, 3)), 1.0),
+    "noise": lambda X, rng: (_moved(X, rng.normal(0, 5e-3, 3), rng.normal(0, 0.02, 3)), 1.0),
+    "origin": lambda X, rng: (RigidTransform(), 1.0),
+    "valid NaN": lambda X, rng: (X, math.nan),
 }
 
 
-def _episodes(names: Iterable[str], rng: np.random.Generator) -> Iterator[str]:
+def _episodes(faults: dict, rng: np.random.Generator) -> Iterator[str]:
     """Yields the name of each frame's fault, or empty; two thirds of the frames have one, in episodes."""
-    names = list(names)
     while True:
-        fault = str(rng.choice(names)) if rng.random() < 2 / 3 else ""
+        fault = str(rng.choice(list(faults))) if rng.random() < 2 / 3 else ""
         for _ in range(int(rng.choice([1, 2, 5, 30, 120]))):
             yield fault
 
@@ -114,7 +93,7 @@ def fuzz_arm(count: int, seed: int) -> dict:
         phase = tick * PERIOD * np.array([1.0, 1.7, 2.3])
         X_WH, valid = RigidTransform(RollPitchYaw(0.3 * np.sin(phase)), 0.15 * np.sin(1.3 * phase)), 1.0
         if fault:
-            X_WH, valid = WRIST_FAULTS[fault](X_WH, valid, rng)
+            X_WH, valid = WRIST_FAULTS[fault](X_WH, rng)
         q, v, state = bench.tick(X_WH, valid)
         broken.update(bench.watch.broken(q, v))
         faults[fault] += 1
@@ -125,17 +104,18 @@ def fuzz_arm(count: int, seed: int) -> dict:
     return {**_counted(faults, held, broken), "speed_when_held": speed_when_held}
 
 
-def faulty_frames(count: int, rng: np.random.Generator) -> Iterator[tuple[Frame, str]]:
-    """Yields `count` faulty frames of play and the name of each one's fault, or empty."""
+def faulty_frames(count: int, rng: np.random.Generator) -> Iterator[tuple[dict, str]]:
+    """Yields `count` frames of play (keypoints, valid, stamp) and each one's fault, or empty."""
     recording = play()
     start = int(rng.integers(0, len(recording)))
     last, episodes = recording.p_HK[start].astype(float), _episodes(FAULTS, rng)
     for number in range(count):
         fault = next(episodes)
-        frame = recording.p_HK[(start + number) % len(recording)].astype(float), 1.0, 100.0 + 0.01 * number
+        p, stamp = recording.p_HK[(start + number) % len(recording)].astype(float), 100.0 + 0.01 * number
+        frame = {"keypoints": p, "valid": 1.0, "stamp": stamp}
         if fault:
-            frame = FAULTS[fault](*frame, last, rng)
-        last = frame[0]
+            frame |= FAULTS[fault](p, stamp, last, rng)
+        last = frame["keypoints"]
         yield frame, fault
 
 
@@ -150,17 +130,14 @@ def fuzz_system(count: int, seed: int) -> dict:
     broken: Counter[str] = Counter()
     held = 0
     for done in range(0, count, 1000):
-        period = float(rng.choice([0.002, 0.01, 0.033]))
         limits = JointLimits(LOWER, UPPER, float(rng.choice([5.0, 7.0])), float(rng.choice([200.0, 700.0])))
         options = {"cutoff": float(rng.choice([0.0, 5.0])), "latency": float(rng.choice([0.0, 0.004]))}
-        period = max(period, options["latency"])
-        bench = Bench(
-            smooth_retargeter(float(rng.choice([1.0, 100.0]))), period, bool(rng.random() < 0.5),
-            limits=limits, **options,
-        )  # fmt: skip
+        period = max(float(rng.choice([0.002, 0.01, 0.033])), options["latency"])
+        retarget = smooth_retargeter(float(rng.choice([1.0, 100.0])))
+        bench = Bench(retarget, period, bool(rng.random() < 0.5), limits=limits, **options)
         watch = Watch(limits, period)
-        for (keypoints, valid, stamp), fault in faulty_frames(min(1000, count - done), rng):
-            q, v, status = bench.tick(keypoints, valid, stamp)
+        for frame, fault in faulty_frames(min(1000, count - done), rng):
+            q, v, status = bench.tick(**frame)
             broken.update(watch.broken(q, v))
             faults[fault] += 1
             held += status.state.startswith("held")
@@ -174,8 +151,8 @@ def fuzz_call(count: int, seed: int, backend: str = "numpy") -> dict:
     if backend == "numba":
         retarget.compile()
     refused = violations = 0
-    for (keypoints, _, _), _ in faulty_frames(count, rng):
-        points = keypoints if rng.random() < 0.5 else keypoints[list(TIPS)]
+    for frame, _ in faulty_frames(count, rng):
+        points = frame["keypoints"] if rng.random() < 0.5 else frame["keypoints"][list(TIPS)]
         try:
             q = retarget(points)
         except GeortError:

@@ -1,10 +1,13 @@
 """Inputs made to harm whoever reads them: bombs, endless files, code in data, paths that lead elsewhere."""
 
+import dataclasses as dc
+import hashlib
 import io
 import json
 import os
 import pickle
 import re
+import stat
 import struct
 import zipfile
 import zlib
@@ -15,9 +18,10 @@ import numpy as np
 import yaml
 from safetensors.numpy import load_file, save_file
 
-from faults.refusals import Case
+from faults.child import run
 from faults.sound import checkpoint
 from geort_drake.benchmark.records import read_records
+from geort_drake.cli import run_command
 from geort_drake.files import sha256_of
 from geort_drake.resources import models_dir
 from geort_drake.retargeting.retargeter import load_retargeter
@@ -25,6 +29,65 @@ from geort_drake.retargeting.retargeter import load_retargeter
 GIB = 1 << 30
 DEEP = b"[" * 100_000
 Make = Callable[[Path], tuple]
+
+
+@dc.dataclass(frozen=True)
+class Case:
+    """An input that must be refused.
+
+    Attributes:
+        kind: recording, checkpoint, scenario, hand or command.
+        name: what is wrong with it.
+        make: writes the input into a folder and returns a command and its arguments, or a function and its
+            arguments.
+        error: class name of the expected error.
+        message: pattern that the message must match.
+    """
+
+    kind: str
+    name: str
+    make: Callable[[Path], tuple]
+    error: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.kind}: {self.name}"
+
+
+def faults_of(case: Case, folder: Path) -> list[str]:
+    """Runs a case in an empty folder and returns what is wrong with its refusal.
+
+    Expected are the named error, exit code 2, the message without a traceback, an end in time and within the
+    memory, and no file written.
+    """
+    room = folder / "room"
+    room.mkdir(parents=True)
+    command, *arguments = case.make(room)
+    before = contents(room)
+    if isinstance(command, str):
+        command, arguments = run_command, [command, [str(word) for word in arguments]]
+    ending = run(command, tuple(arguments), room, folder / "beside")
+    checks = {
+        f"hung for {ending.seconds:.0f} s": ending.code is None,
+        f"exit code {ending.code}": ending.code not in (2, None),
+        f"error {ending.error or 'none'}, not {case.error}": case.error != ending.error,
+        f"does not match {case.message!r}": not re.search(case.message, ending.output, re.DOTALL),
+        "a traceback": "Traceback" in ending.output,
+        "a file was written": contents(room) != before,
+    }
+    wrong = [text for text, failed in checks.items() if failed]
+    return [*wrong, ending.output[-2000:]] if wrong else []
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """Returns every path below a folder with its mode, and for regular files the digest of their contents."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        status = path.lstat()
+        found[str(path.relative_to(folder))] = stat.filemode(status.st_mode)
+        if stat.S_ISREG(status.st_mode) and status.st_size < 1 << 28:
+            found[str(path.relative_to(folder))] += hashlib.sha256(path.read_bytes()).hexdigest()
+    return found
 
 
 class Calls:
@@ -40,29 +103,16 @@ class Calls:
 SHELL = Calls(os.system, "touch harm")
 
 
-def command(*words: object) -> Make:
-    return lambda folder: words
-
-
 # -- recordings
 
 
-def recording(name: str, content: bytes) -> Make:
-    """Converts a file with that content."""
+def recording(name: str, write: bytes | Callable[[Path], object]) -> Make:
+    """Converts a file with that content, or what a function makes of its path."""
 
     def make(folder: Path) -> tuple:
-        (folder / name).write_bytes(content)
-        return "convert", folder / name, "out.npz"
-
-    return make
-
-
-def recording_made(name: str, write: Callable[[Path], object]) -> Make:
-    """Converts what `write` makes of a path."""
-
-    def make(folder: Path) -> tuple:
-        write(folder / name)
-        return "convert", folder / name, "out.npz"
+        path = folder / name
+        path.write_bytes(write) if isinstance(write, bytes) else write(path)
+        return "convert", path, "out.npz"
 
     return make
 
@@ -131,50 +181,33 @@ ATTRIBUTE = b"\x80\x04\x8c\x16numpy._core.multiarray\x8c\x15_reconstruct.__self_
 CODE, TOO_LARGE = "which could run code", r"holds \d+\.0 GiB; the limit is 2 GiB"
 
 RECORDINGS: dict[str, tuple[Make, str]] = {
-    "an archive that unpacks to 10 GiB": (recording_made("bomb.npz", zip_bomb), TOO_LARGE),
+    "an archive that unpacks to 10 GiB": (recording("bomb.npz", zip_bomb), TOO_LARGE),
     "an archive that promises 10¹² frames": (
-        recording_made("hand.npz", archive({"world_landmarks.npy": PROMISE})),
+        recording("hand.npz", archive({"world_landmarks.npy": PROMISE})),
         "not a readable NumPy file",
     ),
     "an archive that names files outside": (
-        recording_made("hand.npz", archive({"../../climbed.npy": OUTSIDE, "/climbed.npy": OUTSIDE})),
-        "matches no known format",
-    ),
-    "an archive of torch with a pickle": (
-        recording_made("hand.npz", archive({"archive/data.pkl": pickle.dumps(SHELL)})),
+        recording("hand.npz", archive({"../../climbed.npy": OUTSIDE, "/climbed.npy": OUTSIDE})),
         "matches no known format",
     ),
     "an .npy of pickled objects": (
-        recording_made("hand.npy", lambda path: np.save(path, np.array([SHELL], object), allow_pickle=True)),
+        recording("hand.npy", lambda path: np.save(path, np.array([SHELL], object), allow_pickle=True)),
         "pickled objects",
     ),
-    "a pickle in .npy": (recording("hand.npy", pickle.dumps(SHELL)), "not a readable NumPy file"),
     "a pickle that calls the shell": (recording("hand.pkl", pickle.dumps([SHELL])), f"system, {CODE}"),
-    "a pickle that loads another file": (
-        recording("hand.pkl", pickle.dumps([Calls(np.load, "hand.npy", None, True)])),
-        rf"numpy\.load, {CODE}",
-    ),
     "a pickle that reaches through an attribute": (recording("hand.pkl", ATTRIBUTE), "_reconstruct.__self__"),
     "a pickle that doubles itself": (recording("hand.pkl", doubling(40)), f"{CODE}|not a readable pickle"),
     "a pickle of lists of lists": (recording("hand.pkl", nested_lists(20)), "matches no known format"),
-    "a pickle of 10¹³ numbers": (
-        recording("hand.pkl", pickle.dumps([Calls(np.ndarray, (10**13,))])),
-        f"{CODE}|not a readable pickle",
-    ),
     "a pickle with a key 100,000 deep": (
         recording("hand.pkl", b"\x80\x04})" + b"\x85" * 100_000 + b"K\x01s."),
         "matches no known format",
     ),
     "JSON 100,000 deep": (recording("hand.json", DEEP), "not JSON: maximum recursion depth"),
-    "JSON of 40 GiB": (recording_made("hand.json", sparse), TOO_LARGE),
-    "a pipe": (recording_made("hand.npz", os.mkfifo), "no such file"),
+    "JSON of 40 GiB": (recording("hand.json", sparse), TOO_LARGE),
+    "a pipe": (recording("hand.npz", os.mkfifo), "no such file"),
     "a link to itself": (
-        recording_made("hand.npz", lambda path: path.symlink_to(path)),
+        recording("hand.npz", lambda path: path.symlink_to(path)),
         "no such file|Too many levels",
-    ),
-    "a name that is no UTF-8": (
-        recording(os.fsdecode(b"hand\xff\xfe.npz"), b"no archive"),
-        "not a readable NumPy file",
     ),
 }
 
@@ -209,25 +242,20 @@ def weights(**arrays: np.ndarray) -> Make:
     return checkpoint_after(lambda path: save_file(load_file(path / WEIGHTS) | arrays, path / WEIGHTS))
 
 
-def header(fields: bytes, length: int) -> Make:
-    """A checkpoint with a safetensors file of that header."""
-    return checkpoint_after(lambda path: (path / WEIGHTS).write_bytes(struct.pack("<Q", length) + fields))
-
-
 def replaced_by_pipe(path: Path) -> None:
     (path / "hand.json").unlink()
     os.mkfifo(path / "hand.json")
 
-
-HUGE = json.dumps({"weight0": {"dtype": "F64", "shape": [10**9, 10**9], "data_offsets": [0, 8]}}).encode()
 
 CHECKPOINTS: dict[str, tuple[Make, str]] = {
     "weights that are a pickle": (
         checkpoint_after(lambda path: (path / WEIGHTS).write_bytes(pickle.dumps(SHELL))),
         "not a safetensors file",
     ),
-    "weights of a huge shape": (header(HUGE + bytes(8), len(HUGE)), "not a safetensors file"),
-    "weights with an endless header": (header(b"{}", 1 << 60), "not a safetensors file"),
+    "weights with an endless header": (
+        checkpoint_after(lambda path: (path / WEIGHTS).write_bytes(struct.pack("<Q", 1 << 60) + b"{}")),
+        "not a safetensors file",
+    ),
     "weights of 40 GiB": (
         checkpoint_after(lambda path: sparse(path / WEIGHTS), forged=False),
         "weights.safetensors: holds 40.0 GiB",
@@ -246,10 +274,6 @@ CHECKPOINTS: dict[str, tuple[Make, str]] = {
     "digests of files elsewhere": (
         checkpoint_after(change_json("config.json", sha256={"../../../etc/passwd": "0" * 64}), forged=False),
         r"sha256 names .*/etc/passwd",
-    ),
-    "JSON 100,000 deep": (
-        checkpoint_after(lambda path: (path / "config.json").write_bytes(DEEP), forged=False),
-        "not valid JSON",
     ),
 }
 
@@ -301,7 +325,6 @@ HANDS: dict[str, tuple[Make, str]] = {
         hand_with_model("package://geort_drake/../../../../../../etc/passwd"),
         "passwd",
     ),
-    "a model that is a device": (hand_with_model("/dev/stdin"), "is missing|not one readable"),
     "SDF with entities of entities": (sdf_with_entities(ENTITIES, "&a9;"), UNREADABLE),
     "SDF that reads another file": (
         sdf_with_entities("<!ENTITY a SYSTEM 'file:///etc/passwd'>", "&a;"),
@@ -338,13 +361,12 @@ SCENARIOS: dict[str, tuple[Make, str]] = {
         scenario(f"{ALIASES}Grasp: {{arm_posture: *a9}}"),
         "arm_posture|Grasp|alias",
     ),
-    "a null byte": (scenario("Grasp: {hand: a\0b}"), "bad.scenarios.yaml"),
     "a model elsewhere": (scenario(MODEL.format("package://geort_drake/../../../etc/passwd")), "directives"),
     "a model by the network": (scenario(MODEL.format("https://example.org/arm.sdf")), "directives"),
 }
 
 
-# -- commands
+# -- commands and results
 
 
 def results(content: bytes) -> Make:
@@ -359,35 +381,24 @@ def results(content: bytes) -> Make:
 
 SETTING = "steps=__import__('os').system('touch harm')"
 
-COMMANDS: dict[str, tuple[Make, str, str]] = {
-    "a setting that runs code": (
-        command("train", "--output", "out", "--set", SETTING),
-        "GeortError",
-        "must be int",
-    ),
-    "a recording of a million years": (
-        command("synthesize", "out.npz", "--duration", "3e13"),
-        "UsageError",
-        "may be at most 5,000,000 frames",
-    ),
-    "an output under a device": (
-        command("synthesize", "/dev/null/out.npz"),
-        "OutputError",
-        "/dev/null",
-    ),
-    "a method elsewhere": (
-        command("benchmark", "--output", "runs", "--methods", "../../../etc"),
-        "UnknownNameError",
-        "method or checkpoint",
-    ),
-    "results that are a pickle": (results(pickle.dumps(SHELL)), "BenchmarkError", "line 1: not a trial"),
-    "results 100,000 deep": (results(DEEP), "BenchmarkError", "line 1: not a trial"),
-}
-
 CASES = [
     *(Case("recording", name, make, "RecordingError", text) for name, (make, text) in RECORDINGS.items()),
     *(Case("checkpoint", name, make, "CheckpointError", text) for name, (make, text) in CHECKPOINTS.items()),
     *(Case("hand", name, make, "HandError", text) for name, (make, text) in HANDS.items()),
     *(Case("scenario", name, make, "ScenarioError", text) for name, (make, text) in SCENARIOS.items()),
-    *(Case("command", name, make, error, text) for name, (make, error, text) in COMMANDS.items()),
+    Case(
+        "command",
+        "a setting that runs code",
+        lambda folder: ("train", "--output", "out", "--set", SETTING),
+        "GeortError",
+        "must be int",
+    ),
+    Case(
+        "command",
+        "a method elsewhere",
+        lambda folder: ("benchmark", "--output", "runs", "--methods", "../../../etc"),
+        "UnknownNameError",
+        "method or checkpoint",
+    ),
+    Case("results", "100,000 deep", results(DEEP), "BenchmarkError", "line 1: not a trial"),
 ]

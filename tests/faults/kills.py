@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from faults.child import Child, Ending, run
-from faults.works import WORKS, Work
+from faults.works import WORKS, results
 
 MAX_TIME = 900.0  # s that a program may take, also on a busy machine
 MAX_WORKER_TIME = 30.0  # s after which a killed program's workers must have ended, also on a busy machine
@@ -28,12 +28,14 @@ class Reference:
     """What a program does when it is not disturbed.
 
     Attributes:
+        work: the program's name.
         folder: results of an earlier run with another seed.
         earlier, later: results before and after the run.
         seconds: how long the run takes.
         events: how many operations on files it makes.
     """
 
+    work: str
     folder: Path
     earlier: dict[str, str]
     later: dict[str, str]
@@ -41,31 +43,28 @@ class Reference:
     events: int
 
 
-def reference(work: Work, folder: Path) -> Reference:
+def reference(work: str, folder: Path) -> Reference:
     """Runs a program twice, first with another seed, in a new folder."""
-    room = folder / "reference"
+    room, beside = folder / "reference", folder / "beside"
     room.mkdir(parents=True)
-    _ended_well(run(_work, (work.name, 1, None), room, folder / "beside", MAX_TIME))
-    earlier = work.results(room)
-    shutil.copytree(room, folder / "earlier")
-    ending = _ended_well(run(_work, (work.name, 0, -1), room, folder / "beside", MAX_TIME))
-    events = int((folder / "beside" / "events.txt").read_text())
-    return Reference(folder / "earlier", earlier, work.results(room), ending.seconds, events)
+    endings, found = [], []
+    for seed in (1, 0):
+        endings.append(run(_work, (work, seed, -1), room, beside, MAX_TIME))
+        if endings[-1].code != 0:
+            raise RuntimeError(f"a run without a fault ended with {endings[-1]}")
+        found.append(results(room))
+        shutil.copytree(room, folder / str(seed))
+    events = int((beside / "events.txt").read_text())
+    return Reference(work, folder / "1", *found, endings[1].seconds, events)
 
 
 def kill(
-    work: Work,
-    known: Reference,
-    folder: Path,
-    rng: np.random.Generator,
-    by_clock: bool,
-    new_interpreter: bool = False,
+    known: Reference, folder: Path, rng: np.random.Generator, by_clock: bool, new_interpreter: bool = False
 ) -> list[str]:
     """Kills a run at a random moment, checks what is left, and runs the program again.
 
     Args:
-        work: the program.
-        known: its results without a kill.
+        known: the program and its results without a kill.
         folder: for its files.
         rng: chooses the moment.
         by_clock: at a random time; otherwise between two operations on files.
@@ -77,41 +76,41 @@ def kill(
     room = folder / "room"
     shutil.copytree(known.folder, room)
     if by_clock:
-        child = Child(_work, (work.name, 0, None), room, folder / "beside")
+        child = Child(_work, (known.work, 0, None), room, folder / "beside")
         time.sleep(float(rng.uniform(0.0, known.seconds)))
         child.kill()
     else:
         event = int(rng.integers(1, known.events + 1))
-        ending = run(_work, (work.name, 0, event), room, folder / "beside", MAX_TIME)
+        ending = run(_work, (known.work, 0, event), room, folder / "beside", MAX_TIME)
         if ending.code != -signal.SIGKILL:
             return [f"was not killed at event {event}: {ending}"]
-    wrong, left = _check_left(work, known, room)
+    wrong, left = _check_left(known, room)
     wrong += [f"process {process} was left over" for process in _left_over(room)]
     if new_interpreter:
-        code, output = _run_in_new_interpreter(work, room, folder / "other cache")
+        code, output = _run_in_new_interpreter(known.work, room, folder / "other cache")
     else:
-        ending = run(_work, (work.name, 0, None), room, folder / "beside", MAX_TIME)
+        ending = run(_work, (known.work, 0, None), room, folder / "beside", MAX_TIME)
         code, output = ending.code, ending.output
     if code != 0:
         return [*wrong, f"did not resume: {code} {output}"]
-    after = work.results(room)
+    after = results(room)
     if after != known.later:
         wrong.append("the results differ from those without the kill")
-    if not work.replaces and list(after.items())[: len(left)] != list(left.items()):
+    if known.work.startswith("benchmark") and list(after)[: len(left)] != list(left):
         wrong.append("a finished trial was made again")
     return wrong
 
 
-def full_disk(work: Work, known: Reference, folder: Path, limit: int) -> list[str]:
+def full_disk(known: Reference, folder: Path, limit: int) -> list[str]:
     """Limits every file to `limit` bytes, then runs without the limit. Returns what is wrong with that."""
     room = folder / "room"
     shutil.copytree(known.folder, room)
-    ending = run(_work, (work.name, 0, None), room, folder / "beside", MAX_TIME, RLIMIT_FSIZE=limit)
-    wrong, _ = _check_left(work, known, room)
+    ending = run(_work, (known.work, 0, None), room, folder / "beside", MAX_TIME, RLIMIT_FSIZE=limit)
+    wrong, _ = _check_left(known, room)
     wrong += unclear(ending, "File too large|is the disk full")
     wrong += [f"left {path.name}" for path in room.rglob(".*")]
-    ending = run(_work, (work.name, 0, None), room, folder / "beside", MAX_TIME)
-    if ending.code != 0 or work.results(room) != known.later:
+    ending = run(_work, (known.work, 0, None), room, folder / "beside", MAX_TIME)
+    if ending.code != 0 or results(room) != known.later:
         wrong.append(f"did not resume: {ending}")
     return wrong
 
@@ -126,18 +125,18 @@ def unclear(ending: Ending, reason: str) -> list[str]:
     return wrong
 
 
-def _check_left(work: Work, known: Reference, room: Path) -> tuple[list[str], dict[str, str]]:
+def _check_left(known: Reference, room: Path) -> tuple[list[str], dict[str, str]]:
     """Returns what is wrong with the results that a broken run left, and these results."""
-    wrong = []
     try:
-        left = work.results(room)
+        left = results(room)
     except Exception as error:
         return [f"an incomplete result was left: {error}"], {}
-    for name, digest in left.items():
-        if digest not in (known.earlier.get(name), known.later.get(name)):
-            wrong.append(f"{name} is neither the earlier nor the later one")
-    wrong += [f"{name} was lost" for name in known.earlier if name not in left]
-    return wrong, left
+    wrong = [
+        f"{name} is neither the earlier nor the later one"
+        for name, digest in left.items()
+        if digest not in (known.earlier.get(name), known.later.get(name))
+    ]
+    return wrong + [f"{name} was lost" for name in known.earlier if name not in left], left
 
 
 def _left_over(room: Path) -> list[str]:
@@ -171,15 +170,15 @@ def _work(name: str, seed: int, die_at: int | None) -> object:
                     os.kill(os.getpid(), signal.SIGKILL)
 
         sys.addaudithook(hook)
-    result = WORKS[name].main(seed)
+    result = WORKS[name](seed)
     if die_at == -1:
         Path(os.environ["XDG_CACHE_HOME"]).with_name("events.txt").write_text(str(counted))
     return result
 
 
-def _run_in_new_interpreter(work: Work, room: Path, cache: Path) -> tuple[int, str]:
+def _run_in_new_interpreter(work: str, room: Path, cache: Path) -> tuple[int, str]:
     program = f"import sys; sys.path.insert(0, {str(TESTS)!r}); from faults.works import WORKS; "
-    program += f"WORKS[{work.name!r}].main(0)"
+    program += f"WORKS[{work!r}](0)"
     environment = os.environ | {"PYTHONHASHSEED": "8", "OMP_NUM_THREADS": "2", "XDG_CACHE_HOME": str(cache)}
     command = [sys.executable, "-c", program]
     done = subprocess.run(command, cwd=room, env=environment, capture_output=True, text=True, check=False)
@@ -188,20 +187,12 @@ def _run_in_new_interpreter(work: Work, room: Path, cache: Path) -> tuple[int, s
 
 def _touches(event: str, arguments: tuple, folder: str) -> bool:
     """Returns whether an audit event is about to change something in a folder."""
+    if event == "ctypes.dlsym":
+        return arguments[1] == "renameat2"
     if event == "open":
-        path, mode, _ = arguments
+        mode = arguments[1]
         changes = isinstance(mode, str) and any(letter in mode for letter in "wax+")
-        return changes and isinstance(path, str | os.PathLike) and _inside(path, folder)
-    if event in ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.chmod", "shutil.rmtree"):
-        return isinstance(arguments[0], str | os.PathLike) and _inside(arguments[0], folder)
-    return event == "ctypes.dlsym" and arguments[1] == "renameat2"
-
-
-def _inside(path: str | os.PathLike, folder: str) -> bool:
-    return os.path.abspath(os.fspath(path)).startswith(folder)
-
-
-def _ended_well(ending: Ending) -> Ending:
-    if ending.code != 0:
-        raise RuntimeError(f"a run without a fault ended with {ending}")
-    return ending
+    else:
+        changes = event in ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.chmod", "shutil.rmtree")
+    inside = changes and isinstance(arguments[0], str | os.PathLike)
+    return inside and os.path.abspath(os.fspath(arguments[0])).startswith(folder)

@@ -32,12 +32,8 @@ ARRAYS: tuple[Any, ...] = (
 
 def mutate(path: Path, rng: np.random.Generator) -> None:
     """Changes a file: its bytes, or half of the time its parsed contents, if its format is known."""
-    within = {
-        ".json": _mutate_json, ".jsonl": _mutate_lines, ".yaml": _mutate_yaml, ".npz": _mutate_arrays,
-        ".npy": _mutate_array, ".pkl": _mutate_pickle,
-    }  # fmt: skip
-    if path.suffix in within and rng.random() < 0.5:
-        within[path.suffix](path, rng)
+    if path.suffix in WITHIN and rng.random() < 0.5:
+        WITHIN[path.suffix](path, rng)
     else:
         path.write_bytes(mutated(path.read_bytes(), rng))
 
@@ -68,11 +64,8 @@ def changed(value: Any, rng: np.random.Generator) -> Any:
     value = copy.deepcopy(value)
     place = value
     while isinstance(place, list | dict) and place:
-        key = (
-            list(place)[rng.integers(0, len(place))]
-            if isinstance(place, dict)
-            else int(rng.integers(len(place)))
-        )
+        number = int(rng.integers(len(place)))
+        key = list(place)[number] if isinstance(place, dict) else number
         inner = place[key]
         if not isinstance(inner, list | dict) or not inner or rng.random() < 0.25:
             if rng.random() < 0.3:
@@ -164,14 +157,13 @@ def _mutate_arrays(path: Path, rng: np.random.Generator) -> None:
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files}
     name = list(arrays)[rng.integers(0, len(arrays))]
+    array = arrays.pop(name)
     kind = rng.integers(0, 4)
-    if kind == 0:
-        del arrays[name]
-    elif kind == 1 and arrays[name].ndim:
-        arrays[name] = arrays[name][: int(rng.integers(0, 4))]
-    elif kind == 2 and arrays[name].dtype.kind == "f":
-        arrays[name] = arrays[name] * rng.choice([0.0, np.nan, -1.0, 1e30, 1e300])
-    else:
+    if kind == 1 and array.ndim:
+        arrays[name] = array[: int(rng.integers(0, 4))]
+    elif kind == 2 and array.dtype.kind == "f":
+        arrays[name] = array * rng.choice([0.0, np.nan, -1.0, 1e30, 1e300])
+    elif kind:
         arrays[name] = ARRAYS[rng.integers(0, len(ARRAYS))]
     np.savez(path, **arrays)
 
@@ -183,3 +175,10 @@ def _mutate_array(path: Path, rng: np.random.Generator) -> None:
 def _mutate_pickle(path: Path, rng: np.random.Generator) -> None:
     contents = changed(pickle.loads(path.read_bytes()), rng)  # noqa: S301 (our own file)
     path.write_bytes(pickle.dumps(contents))
+
+
+# Changes of parsed contents, by the file's ending.
+WITHIN = {
+    ".json": _mutate_json, ".jsonl": _mutate_lines, ".yaml": _mutate_yaml, ".npz": _mutate_arrays,
+    ".npy": _mutate_array, ".pkl": _mutate_pickle,
+}  # fmt: skip

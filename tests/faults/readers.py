@@ -1,6 +1,7 @@
 """Every reader of input from users, gloves and robots, with a valid input for each."""
 
 import dataclasses as dc
+import functools
 import json
 import shutil
 from collections.abc import Callable
@@ -44,7 +45,7 @@ class Reader:
 
     name: str
     path: Path
-    read: Callable[[Path], None]
+    read: Callable[[Path], object]
 
 
 def sound_inputs(folder: Path) -> list[Reader]:
@@ -60,8 +61,7 @@ def _recordings(folder: Path) -> list[Reader]:
     hand, readers = moving(), []
     hand = dc.replace(hand, **{name: getattr(hand, name)[:FRAMES] for name in ("p_HK", "t", "R_WH", "p_WH")})
     for name, write in WRITERS.items():
-        room = _room(folder, name)
-        path = write(room, hand)
+        path = write(_room(folder, name), hand)
         if path.is_dir():  # HO-3D's pickles, of which one is changed
             readers.append(Reader(name, sorted(path.iterdir())[3], recording_folder))
         else:
@@ -71,8 +71,9 @@ def _recordings(folder: Path) -> list[Reader]:
 
 def _checkpoints(folder: Path) -> list[Reader]:
     stored = checkpoint(_room(folder, "checkpoint"))
-    readers = [Reader(f"checkpoint {name}", stored / name, forged_retargeter) for name in DIGESTED]
-    return [Reader("checkpoint config.json", stored / CHECKPOINT_CONFIG, retargeter), *readers]
+    return [
+        Reader(f"checkpoint {name}", stored / name, retargeter) for name in (CHECKPOINT_CONFIG, *DIGESTED)
+    ]
 
 
 def _descriptions(folder: Path) -> list[Reader]:
@@ -82,44 +83,42 @@ def _descriptions(folder: Path) -> list[Reader]:
     shutil.copyfile(default_scenario_file(), scenarios)
     return [
         Reader("hand description", file, hand),
-        Reader("scenarios", scenarios, scenario),
+        Reader("scenarios", scenarios, load_scenario),
     ]
 
 
 def _messages(folder: Path) -> list[Reader]:
     room, p_HK = _room(folder, "messages"), moving().p_HK[5]
-    status = [JointStatus(*np.full((3, len(device.joints)), 0.25)) for device in (ALLEGRO, PANDA)]
-    contents: dict[str, tuple[bytes, Callable[[Path], None]]] = {
-        "glove.json": (json.dumps(own_fields(p_HK)).encode(), glove_message),
-        "manus.json": (json.dumps(manus_glove(nodes_of(p_HK))).encode(), glove_message),
-        "manus.txt": (",".join(manus_words("aa", nodes_of(p_HK))).encode(), glove_message),
-        "allegro.lcm": (ALLEGRO.encode_status(1.0, status[0]), allegro_status),
-        "panda.lcm": (PANDA.encode_status(1.0, status[1]), panda_status),
+    messages = {
+        "glove.json": json.dumps(own_fields(p_HK)).encode(),
+        "manus.json": json.dumps(manus_glove(nodes_of(p_HK))).encode(),
+        "manus.txt": ",".join(manus_words("aa", nodes_of(p_HK))).encode(),
     }
-    for name, (message, _) in contents.items():
+    for device in (ALLEGRO, PANDA):
+        status = JointStatus(*np.full((3, len(device.joints)), 0.25))
+        messages[f"{len(device.joints)} joints.lcm"] = device.encode_status(1.0, status)
+    for name, message in messages.items():
         (room / name).write_bytes(message)
-    return [Reader(f"message {name}", room / name, read) for name, (_, read) in contents.items()]
+    reads = [glove_message] * 3 + [functools.partial(joint_status, device) for device in (ALLEGRO, PANDA)]
+    return [Reader(f"message {name}", room / name, read) for name, read in zip(messages, reads, strict=True)]
 
 
 def _results(folder: Path) -> list[Reader]:
     room = _room(folder, "results")
     trial = {"method": "hold", "object": "cube", "error": "no", "traceback": "errors/hold.txt"}
-    lines = [json.dumps({**trial, "seed": seed}) + "\n" for seed in range(3)]
-    (room / TRIALS).write_text("".join(lines))
+    (room / TRIALS).write_text("".join(json.dumps({**trial, "seed": seed}) + "\n" for seed in range(3)))
     digests = ("recording_sha256", "operator_sha256", "hand_sha256", "models_sha256", "code_sha256")
     settings = {
         **dict.fromkeys(digests, "0" * 64), "training_seed": 0, "latency": "zero", "hand": "allegro_right",
         "scenario": {"random_seed": 0, "timeout": 25.0}, "versions": {"python": "3.11"},
     }  # fmt: skip
-    config = {
-        "settings": settings,
-        "objects": ["cube"],
-        "methods": {"hold": {"weights_sha256": None, "latency_s": 0.0}},
-        "trials": 3,
-        "notes": {},
-    }
-    (room / CONFIG).write_text(json.dumps({**config, "trials": 3}))
-    return [Reader("trials", room / TRIALS, trials), Reader("benchmark", room / CONFIG, configuration)]
+    methods = {"hold": {"weights_sha256": None, "latency_s": 0.0}}
+    config = {"settings": settings, "objects": ["cube"], "methods": methods, "trials": 3, "notes": {}}
+    (room / CONFIG).write_text(json.dumps(config))
+    return [
+        Reader("trials", room / TRIALS, read_records),
+        Reader("benchmark", room / CONFIG, configuration),
+    ]
 
 
 def _room(folder: Path, name: str) -> Path:
@@ -140,32 +139,28 @@ def recording_folder(path: Path) -> None:
     recording(path.parent)
 
 
+def configuration(path: Path) -> None:
+    read_config(path.parent)
+
+
 def retargeter(path: Path) -> None:
-    q = load_retargeter(path.parent)(np.zeros((21, 3)))
-    assert np.isfinite(q).all(), "a retargeter that gives what is not finite"
-
-
-def forged_retargeter(path: Path) -> None:
-    """Loads a checkpoint after its digest was made to agree."""
+    """Loads a checkpoint, after its digest was made to agree with the changed file."""
     config = path.with_name(CHECKPOINT_CONFIG)
     kept = config.read_bytes()
-    stored = json.loads(kept)
-    stored["sha256"][path.name] = sha256_of(path)
-    config.write_text(json.dumps(stored))
     try:
-        retargeter(path)
+        if path != config:
+            stored = json.loads(kept)
+            stored["sha256"][path.name] = sha256_of(path)
+            config.write_text(json.dumps(stored))
+        q = load_retargeter(path.parent)(np.zeros((21, 3)))
     finally:
         config.write_bytes(kept)
+    assert np.isfinite(q).all(), "a retargeter that gives what is not finite"
 
 
 def hand(path: Path) -> None:
     model = HandModel(load_hand(path))
     assert (model.lower < model.upper).all() and np.isfinite(model.default_position).all(), "no limits"
-
-
-def scenario(path: Path) -> None:
-    read = load_scenario(path)
-    assert np.isfinite(read.plant_config.time_step), "no time step"
 
 
 def glove_message(path: Path) -> None:
@@ -174,17 +169,5 @@ def glove_message(path: Path) -> None:
         assert frame.p_HK.shape == (21, 3) and np.isfinite(frame.p_HK).all(), "keypoints that are none"
 
 
-def allegro_status(path: Path) -> None:
-    assert np.isfinite(ALLEGRO.decode_status(path.read_bytes()).position).all(), "positions that are none"
-
-
-def panda_status(path: Path) -> None:
-    assert np.isfinite(PANDA.decode_status(path.read_bytes()).position).all(), "positions that are none"
-
-
-def trials(path: Path) -> None:
-    read_records(path)
-
-
-def configuration(path: Path) -> None:
-    read_config(path.parent)
+def joint_status(device, path: Path) -> None:
+    assert np.isfinite(device.decode_status(path.read_bytes()).position).all(), "positions that are none"
