@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from grasp_setup import in_this_process
 from light_training import train_lightly
 
 from geort_drake.benchmark import trials
@@ -114,7 +115,7 @@ def desk(light_desk, play):
         patch.setattr(comparison_train, "train_checkpoint", tiny)
         patch.setattr(GraspPlanner, "plans", lambda _: plans)  # no trial lasts long enough to follow one
         # Workers are tested in test_grasp_workers.py.
-        patch.setattr(trials, "call_in_workers", lambda call, each, *_, **__: (call(*one) for one in each))
+        patch.setattr(trials, "call_in_workers", in_this_process)
         patch.chdir(light_desk)
         np.save("hand.npy", play.p_HK.astype(float))
         play.save("hand.npz")

@@ -1,13 +1,11 @@
 """The grasp benchmark in its folder: running, continuing, conditions, pairing, the report and repetitions."""
 
 import json
-import re
 import shutil
 
 import numpy as np
 import pytest
-import yaml
-from grasp_setup import TOO_SHORT, allegro, judged, person_and_rest, planned_goal
+from grasp_setup import TOO_SHORT, in_this_process, judged, person_and_rest, planned_goal
 
 from geort_drake.benchmark import folder as benchmark_folder
 from geort_drake.benchmark import methods, trials
@@ -17,24 +15,16 @@ from geort_drake.benchmark.records import TrialKey, TrialLog, key_of, read_recor
 from geort_drake.benchmark.report import write_grasp_report
 from geort_drake.cli import run_command
 from geort_drake.comparison.retargeters import names_of
-from geort_drake.errors import BenchmarkError, OutputError, TrainingError, UnknownNameError
-from geort_drake.hands.description import load_hand
+from geort_drake.errors import BenchmarkError, UnknownNameError
 from geort_drake.people.play import synthesize_play
-from geort_drake.resources import models_dir
-from geort_drake.retargeting.methods import make_untrained
 from geort_drake.simulation.diagram import make_grasp_diagram
-from geort_drake.simulation.scenario import dump_scenario, load_scenario
+from geort_drake.simulation.scenario import load_scenario
 from geort_drake.simulation.trial import run_trial
 
 
 @pytest.fixture(scope="module")
 def play():
     return synthesize_play(seed=0, duration_s=60)
-
-
-def in_this_process(function, arguments, jobs, backend="loky", ordered=False):
-    """`call_in_workers` without workers, which have tests of their own."""
-    return (function(*each) for each in arguments)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -189,56 +179,6 @@ def test_an_object_that_the_hand_cannot_grasp_is_left_out_and_named(tmp_path, mo
     assert reason in report and "2 of 2 trials" in report
 
 
-class Faulty:
-    """A method that fails from its third call on."""
-
-    def __init__(self, fault):
-        hold = make_untrained("hold", allegro().kinematics())
-        self.joint_names, self._hold, self._fault, self._calls = hold.joint_names, hold, fault, 0
-
-    def __call__(self, keypoints):
-        self._calls += 1
-        q = self._hold(keypoints)
-        return q if self._calls < 3 else self._fault(q)
-
-
-@pytest.mark.parametrize(
-    ("fault", "message"),
-    [
-        (lambda q: 1 / 0, "ZeroDivisionError"),
-        (lambda q: q[:-1], r"shape \(16,\), not \(15,\)"),
-        (lambda q: q[None], r"not \(1, 16\)"),
-        (lambda q: q * np.nan, None),
-        (lambda q: q + 100, None),
-    ],
-)
-def test_a_faulty_method_ends_in_a_record(fault, message):
-    """Raising and another shape are errors of the trial; NaN and angles outside limits are not followed."""
-    text = dump_scenario(load_scenario(text=TOO_SHORT))
-    human = (person_and_rest()[0], planned_goal("cylinder"))
-    trial = trials.Trial(TrialKey("faulty", "cylinder", 0), text, Faulty(fault), 0.05, human)
-    record = trials.simulate(trial)
-    if message is None:
-        assert record["outcome"].startswith("timeout")
-    else:
-        assert re.search(message, record["error"])
-
-
-def test_a_hand_given_as_a_file_is_the_one_that_is_trained(tmp_path, play, monkeypatch):
-    """Its name may stand for no shipped hand, so training must use the file."""
-    facts = yaml.safe_load((models_dir() / "hands" / "allegro_right.yaml").read_text(encoding="utf-8"))
-    path = tmp_path / "hand.yaml"
-    path.write_text(yaml.safe_dump(facts | {"name": "my_hand"}), encoding="utf-8")
-
-    def train(hand_name, *_):
-        raise TrainingError(f"trained for {load_hand(hand_name).name}")
-
-    monkeypatch.setattr("geort_drake.comparison.train.cached_checkpoint", train)
-    scenario = load_scenario(text=f"{{timeout: 0.3, hand: {path}}}")
-    with pytest.raises(TrainingError, match="trained for my_hand"):
-        open_benchmark(tmp_path / "benchmark", scenario, play, ["geort"], ["cylinder"], 1)
-
-
 # -- refusals
 
 
@@ -265,39 +205,6 @@ def test_results_without_their_configuration_are_refused(copy, play):
         open_benchmark(copy, load_scenario(text=TOO_SHORT), play, ["hold"], ["cylinder"], 1)
     with pytest.raises(BenchmarkError, match=r"config\.json: no such file"):
         write_grasp_report(copy)
-
-
-@pytest.mark.parametrize(
-    ("path", "value", "message"),
-    [
-        (("settings",), {}, "missing required field `recording_sha256`"),
-        (("settings", "scenario", "timeout"), "25", "Expected `float`.*scenario.timeout"),
-    ],
-)
-def test_a_damaged_configuration_is_refused_by_its_field(copy, path, value, message):
-    """Files as interrupted or edited ones may be."""
-    config = read_config(copy)
-    *outer, last = path
-    within = config
-    for name in outer:
-        within = within[name]
-    within[last] = value
-    (copy / "config.json").write_text(json.dumps(config))
-    with pytest.raises(BenchmarkError, match=rf"config\.json: .*{message}"):
-        write_grasp_report(copy)
-
-
-def test_unknown_names_are_refused_with_the_choices_before_anything_is_written(tmp_path):
-    """Methods, objects and folders."""
-    folder = tmp_path / "new"
-    with pytest.raises(UnknownNameError, match=r"method or checkpoint 'nothing'.*dexpilot_online, geort"):
-        run(folder, "--methods", "nothing")
-    with pytest.raises(UnknownNameError, match=r"object 'cone'.*bottle.*cylinder"):
-        run(folder, "--objects", "cone")
-    assert not folder.exists()
-    (tmp_path / "file").write_text("")
-    with pytest.raises((OutputError, SystemExit)):
-        run(tmp_path / "file")
 
 
 def test_a_checkpoint_is_named_after_its_directory_however_that_is_given(tmp_path, monkeypatch):

@@ -70,28 +70,21 @@ def test_failures_count_as_the_timeout_in_the_mean_and_not_in_the_median():
     assert time["median_of_successes"] == 5.0
 
 
-def test_success_at_once_is_told_from_success():
-    """A success at the second attempt counts in one of the two."""
-    found = figures([trial(), trial(seed=1, attempts=2), trial(seed=2, time=None)], TIMEOUT)
-    assert found["one_time_success"]["successes"] == 1
-    assert found["success"]["successes"] == 2
-    assert found["drops_per_trial"] == pytest.approx(1 / 3)
+def test_figures_tell_kinds_of_success_apart():
+    """At once, at the second attempt, and with the palm's help; a trial that raised is in no figure."""
+    records = [
+        trial(),
+        trial(seed=1, attempts=2),
+        trial(seed=2, tip_success=False, holding={"thumb": 2.0, "palm": 0.1}),
+        trial(seed=3, time=None),
+        error(),
+    ]
+    found = figures(records, TIMEOUT)
+    counts = [found[kind]["successes"] for kind in ("success", "one_time_success", "tip_success")]
+    assert counts == [3, 2, 2] and (found["trials"], found["errors"]) == (4, 1)
+    assert found["drops_per_trial"] == pytest.approx(1 / 4)
     assert found["failures"] == {"timeout: lift": 1}
-
-
-def test_success_is_told_from_success_by_fingertips_alone():
-    """A hold with the palm's help is a success; the links that held are counted."""
-    helped = trial(seed=1, tip_success=False, holding={"thumb": 2.0, "palm": 0.1})
-    found = figures([trial(), helped, trial(seed=2, time=None)], TIMEOUT)
-    assert (found["success"]["successes"], found["tip_success"]["successes"]) == (2, 1)
-    assert found["holding"] == {"thumb": 2, "index": 1, "palm": 1}
-
-
-def test_trials_that_raised_are_counted_and_in_no_figure():
-    """An error is neither a success nor a failure of the method."""
-    found = figures([trial(), error()], TIMEOUT)
-    assert (found["trials"], found["errors"]) == (1, 1)
-    assert found["success"]["rate"] == 1.0
+    assert found["holding"] == {"thumb": 3, "index": 2, "palm": 1}
 
 
 @pytest.mark.parametrize("shape", [(1, 20, 4), (6, 8, 3)])

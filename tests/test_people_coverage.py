@@ -1,9 +1,8 @@
 """The capture protocol, its demonstration, and what a recording lacks."""
 
 import re
-import threading
-import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -57,18 +56,15 @@ def test_a_step_holds_the_motions_it_names(shown, finger):
         assert [motion.name for motion in rest if not motion.enough] in ([], [name])
 
 
-def held(joint: str, degrees: float) -> Recording:
-    """The demonstration by a hand of which one joint is held."""
-    hand = HumanHand.anatomical()
-    i = hand.joint_names.index(joint)
-    lower, upper = hand.lower.copy(), hand.upper.copy()
-    lower[i] = upper[i] = np.deg2rad(degrees)
-    return demonstrate(0, 30.0, replace(hand, lower=lower, upper=upper), jitter=0.0)[0]
-
-
 def test_what_was_not_done_is_named(shown):
     """A finger that never spreads, and pinches that were not made; bending is not taken for abduction."""
-    (motion,) = [m for m in coverage(held("ring_mcp_abduction", 0.0)) if not m.enough]
+    hand = HumanHand.anatomical()
+    lower, upper = hand.lower.copy(), hand.upper.copy()
+    lower[hand.joint_names.index("ring_mcp_abduction")] = upper[
+        hand.joint_names.index("ring_mcp_abduction")
+    ] = 0.0
+    still, _ = demonstrate(0, 30.0, replace(hand, lower=lower, upper=upper), jitter=0.0)
+    (motion,) = [m for m in coverage(still) if not m.enough]
     assert re.fullmatch("ring moves sideways: [01] °, wanted 7", str(motion))
     assert motion.advice == "spread the fingers and close them"
     recording, _ = shown
@@ -93,20 +89,11 @@ def test_the_watch_ends_when_nothing_is_missing(tmp_path, shown, capsys, monkeyp
     path = tmp_path / "hand.npz"
     half = len(recording) // 2
     Recording(recording.t[:half], recording.p_HK[:half], recording.valid[:half]).save(path)
-    monkeypatch.setattr("geort_drake.cli.check_recording._POLL_PERIOD_S", 0.05)
-    ended = threading.Event()
-
-    def finish():
-        time.sleep(1.0)
-        assert not ended.is_set()
-        recording.save(path)
-
-    writer = threading.Thread(target=finish)
-    writer.start()
+    clock = SimpleNamespace(sleep=lambda _: recording.save(path))
+    monkeypatch.setattr("geort_drake.cli.check_recording.time", clock)
     run_command("check-recording", [str(path), "--watch"])
-    ended.set()
-    writer.join()
-    assert "coverage: 15 of 15" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "coverage: 15 of 15" in said and "coverage: 15 of 15" not in said.partition("verdict")[0]
 
 
 def swept(joint: str, degrees: float) -> np.ndarray:

@@ -115,15 +115,16 @@ HANDS = {
     "too short": (lambda h: kept(h, np.arange(60, FRAMES - 50)), UNFIT, "length", "290 valid frames"),
     "no pinch": (lambda h: moving(pinch=False), UNFIT, "pinches", r"never .* 15 mm of: index \(\d+ mm\)"),
 }  # fmt: skip
-EVERYWHERE = ("own", "geort", "manus_csv", "mediapipe", "openxr_json", "vision_pro", "dex_retargeting")
-PLACES = {name: ("manus",) for name in HANDS} | {
-    "millimetres": EVERYWHERE, "mirrored axes": EVERYWHERE, "another order": EVERYWHERE,
-    "clock in milliseconds": ("openxr", "vision_pro"), "a tracker that jumps": ("openxr_json",),
-}  # fmt: skip
+WITHOUT_WRIST = ("geort", "mediapipe", "dex_retargeting")  # formats in which the hand's axes are found out
+CASES = [(fault, "openxr") for fault in HANDS] + [
+    (fault, written)
+    for fault in ("millimetres", "mirrored axes", "another order")
+    for written in WITHOUT_WRIST
+]
 
 
-@pytest.mark.parametrize(("fault", "written"), [(name, w) for name in HANDS for w in PLACES[name]])
-def test_a_fault_of_the_hand_is_found_in_every_format(tmp_path, fault, written):
+@pytest.mark.parametrize(("fault", "written"), CASES)
+def test_a_fault_of_the_hand_is_found(tmp_path, fault, written):
     """There is one finding, of the right check and severity, and it names the fault."""
     change, severity, check, message = HANDS[fault]
     recording, findings = open_recording(WRITERS[written](tmp_path, change(moving())))
@@ -158,22 +159,12 @@ REFUSED = {
     "own of points in a plane": (
         lambda f, h: write_own(f, h, p_HK=h.p_HK * [0, 1, 1]), "changes its length by .* 3-D keypoints in m"
     ),
-    "own with quaternions of another kind": (
-        lambda f, h: write_own(f, h, X_WH=np.full((FRAMES, 7), 2.0)), "400 of 400 .* unit quaternion"
-    ),
     "own with a clock that starts anew": (
         lambda f, h: write_own(f, h, t=np.where(AFTER_100, h.t - h.t[101], h.t)),
         "have no time, or one that does not increase, .*; at most one in ten may be lost",
     ),
     "manus with 24 nodes": (
         lambda f, h: write_manus(f, h, data=np.zeros((9, 24, 7))), r"\(T, 25, 7\), not .* \(9, 24"
-    ),
-    "manus with fewer times": (
-        lambda f, h: write_manus(f, h, timestamps=h.t[:-1]), "399 timestamps for 400 frames"
-    ),
-    "csv without a column": (
-        lambda f, h: write_manus_csv(f, h, [row[:40] + row[41:] for row in manus_table(h)]),
-        "lacks 1 of 63 columns with joint positions, such as",
     ),
     "csv with decimal commas": (
         lambda f, h: write_manus_csv(f, h, commas(manus_table(h)), ";"),

@@ -17,15 +17,13 @@ def recorded(frames=400) -> Recording:
     return Recording(hand.t[:frames], hand.p_HK[:frames], np.ones(frames, bool), None, {"side": "right"})
 
 
-def changed(recording, **changes):
-    return dataclasses.replace(recording, **changes)
-
-
 def test_a_recording_survives_saving_and_loading(tmp_path):
     """All arrays, the metadata and the digest are the same after a round trip through the file."""
     recording = recorded()
     pose = np.tile([1.0, 0, 0, 0, 0.1, 0.2, 0.3], (len(recording), 1))
-    recording = changed(recording, X_WH=pose, metadata={"side": "left", "subject": "ä", "warnings": ["w"]})
+    recording = dataclasses.replace(
+        recording, X_WH=pose, metadata={"side": "left", "subject": "ä", "warnings": ["w"]}
+    )
     recording.save(tmp_path / "r.npz")
     loaded = Recording.load(tmp_path / "r.npz")
     for name in ("t", "p_HK", "valid", "X_WH"):
@@ -47,8 +45,8 @@ def test_the_digest_tells_recordings_apart():
     lost[5] = False
     later[-1] += 1e-9
     others = [{"p_HK": moved}, {"valid": lost}, {"t": later}, {"metadata": {"side": "left"}}]
-    assert len({recording.digest, *(changed(recording, **other).digest for other in others)}) == 5
-    assert changed(recording, metadata={"side": "right", "note": "x"}).digest == recording.digest
+    assert len({recording.digest, *(dataclasses.replace(recording, **other).digest for other in others)}) == 5
+    assert dataclasses.replace(recording, metadata={"side": "right", "note": "x"}).digest == recording.digest
 
 
 def test_gaps_and_lost_frames_do_not_disturb_rate_and_fingertips():
@@ -57,7 +55,7 @@ def test_gaps_and_lost_frames_do_not_disturb_rate_and_fingertips():
     t, valid = recording.t.copy(), recording.valid.copy()
     t[200:] += 1.0
     valid[10:20] = False
-    recording = changed(recording, t=t, valid=valid)
+    recording = dataclasses.replace(recording, t=t, valid=valid)
     assert recording.rate_hz == pytest.approx(60.0, rel=1e-6)
     assert recording.fingertips([8, 4]).shape == (390, 2, 3)
     np.testing.assert_array_equal(recording.fingertips([8, 4])[10], recording.p_HK[20][[8, 4]])
@@ -82,7 +80,7 @@ def test_arrays_of_the_wrong_shape_or_type_are_refused(field):
     """The field and both shapes are named."""
     for value in (np.zeros((400, 20, 2)), np.full((400, 21, 3), "a")):
         with pytest.raises(RecordingError, match=rf"{field} must hold numbers of shape .*, not .* \(400, 2"):
-            changed(recorded(), **{field: value})
+            dataclasses.replace(recorded(), **{field: value})
 
 
 @pytest.mark.parametrize(

@@ -143,7 +143,7 @@ def spoil_file(path: Path, i: int, draw) -> None:
 
 
 @pytest.mark.parametrize("written", WRITERS)
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=8, deadline=None, derandomize=True)
 @given(i=st.sampled_from([0, 1, 37, FRAMES - 2, FRAMES - 1]), data=st.data())
 def test_a_fault_in_one_frame_costs_that_frame_at_most(written, i, data):
     """Wherever it is: the file is read, a finding names frame or repair, and other frames are the same."""

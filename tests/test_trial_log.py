@@ -27,16 +27,6 @@ def result(seed=0, **changes) -> dict:
     }  # fmt: skip
 
 
-def test_the_log_gives_back_what_was_written(tmp_path):
-    """Lines are in the file at once, and there when it is opened again."""
-    with TrialLog(tmp_path / "trials.jsonl") as log:
-        log.append(line())
-        assert read_records(tmp_path / "trials.jsonl") == [line()]
-        log.append(line(seed=1))
-    with TrialLog(tmp_path / "trials.jsonl") as log:
-        assert log.records == [line(), line(seed=1)] and not log.torn
-
-
 def test_a_torn_last_line_is_dropped_from_the_file(tmp_path):
     """Also one that lacks nothing but its end: the trial is repeated, and the next line stands alone."""
     path = tmp_path / "trials.jsonl"
@@ -58,18 +48,16 @@ FAILED = {"success": False, "outcome": "timeout: touch", "completion_time": None
         ('{"method": "ho', "line 2: not a trial's result"),
         ('{"method": "hold", "object": "cylinder", "seed": 1}', "line 2: .*missing.*; repair or delete"),
         (json.dumps(result(1)) + "\n" + json.dumps(result(1)), "line 3: a second result of hold"),
-        (result(1, completion_time="4"), "Expected `float . null`, got `str` - at `..completion_time`"),
-        (result(1, slip=float("nan")), "slip must be finite, not nan"),
-        (result(1, error="ValueError: no"), "missing required field `traceback`"),
-        (result(1, outcome="thrown: lift"), "success is True, which contradicts .*thrown"),
-        (result(1, **{**FAILED, "first_attempt": True}), "False, which contradicts .*first_attempt': True"),
+        (json.dumps(result(1, slip=float("nan"))), "line 2: .*slip must be finite, not nan"),
+        (
+            json.dumps(result(1, outcome="thrown: lift")),
+            "line 2: .*success is True, .*contradicts .*thrown",
+        ),
     ],
 )
 def test_a_corrupt_line_is_refused_by_file_and_number(tmp_path, bad, message):
     """With what was expected and what was given, and the file stays as it is."""
     path = tmp_path / "trials.jsonl"
-    if isinstance(bad, dict):
-        bad, message = json.dumps(bad), f"line 2: not a trial's result: .*{message}"
     content = json.dumps(line()) + "\n" + bad + "\n" + json.dumps(line(seed=2)) + "\n"
     path.write_text(content)
     for read in (TrialLog, read_records):
