@@ -9,7 +9,6 @@ from hand_family import HandSpec, write_hand
 from pydrake.geometry import Role
 
 from geort_drake.errors import HandError
-from geort_drake.hands.clearance import HandClearance
 from geort_drake.hands.importers.conversion import convert_model, unreadable_meshes
 from geort_drake.hands.importers.fingertips import surface_points
 from geort_drake.hands.importers.proposal import propose
@@ -95,24 +94,6 @@ def test_a_hull_replaces_a_mesh(kind, name, tmp_path):
     points = inspector.GetPoseInFrame(geometry) @ surface_points(inspector, geometry).T
     np.testing.assert_allclose(points.min(axis=1), CORNERS.min(axis=0), atol=1e-6)
     np.testing.assert_allclose(points.max(axis=1), CORNERS.max(axis=0), atol=1e-6)
-
-
-def test_clearances_use_the_box_around_a_mesh(tmp_path, rng):
-    """This mesh is a box, so all gaps are those of the same hand with a box, up to rounding."""
-    plain = HandModel(propose(write_hand(tmp_path, HandSpec(4, "urdf", mimic=False))).description)
-    model = convert_model(_with_mesh(tmp_path, "urdf", "palm.stl"), tmp_path / "copy")
-    meshed = HandModel(propose(model).description)
-    clearances = [(hand, HandClearance(hand, 0.1)) for hand in (meshed, plain)]
-    for q in rng.uniform(plain.lower, plain.upper, (5, len(plain.lower))):
-        gaps, expected = (
-            {
-                tuple(sorted(map(hand.link_of, pair))): gap
-                for pair, gap in zip(*clearance.near(q)[:2], strict=True)
-            }
-            for hand, clearance in clearances
-        )
-        assert any("palm" in links for links in gaps)
-        assert gaps == pytest.approx(expected, abs=1e-4)
 
 
 LFS_POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n"

@@ -61,18 +61,3 @@ def test_the_key_survives_what_tests_and_calls_leave_behind(monkeypatch):
         assert files.source_digest("retargeting") == before
     finally:
         left.unlink()
-
-
-def test_a_digest_covers_names_and_contents(tmp_path):
-    """A renamed or changed file changes it; the order of the paths does not."""
-    a, b = tmp_path / "a.py", tmp_path / "room" / "b.py"
-    b.parent.mkdir()
-    a.write_text("1")
-    b.write_text("2")
-    digests = [files.digest_of(tmp_path, [a, b.parent])]
-    assert files.digest_of(tmp_path, [b.parent, a]) == digests[0]
-    b.write_text("3")
-    digests.append(files.digest_of(tmp_path, [a, b.parent]))
-    b.rename(b.with_name("c.py"))
-    digests.append(files.digest_of(tmp_path, [a, b.parent]))
-    assert len(set(digests)) == 3

@@ -1,6 +1,5 @@
 """The command `geort-drake`: finding commands, shared options, messages, exit codes, and what it imports."""
 
-import argparse
 import json
 import re
 import subprocess
@@ -16,10 +15,7 @@ from geort_drake.cli.options import (
     SHIPPED_METHOD,
     SIDES,
     CommandParser,
-    at_least,
     command,
-    finite,
-    positive,
     view,
     write_json,
 )
@@ -57,11 +53,6 @@ def test_the_overview_lists_every_command_in_a_line(capsys):
         path.stem.replace("_", "-") for path in (SCRIPTS.parent / "geort_drake" / "cli").glob("[a-z]*.py")
     }
     assert files - {"options", "retargeters", "live-web"} == set(COMMANDS)
-
-
-def test_an_unknown_command_is_refused_with_the_choices(capsys):
-    assert main(["grab"]) == 2
-    assert "unknown command 'grab'; choose one of: grasp, train" in capsys.readouterr().err
 
 
 def test_python_m_and_scripts_are_the_same_program(tmp_path):
@@ -112,32 +103,6 @@ def test_facts_repeated_for_help_agree_with_their_modules():
 
 
 # -- options
-
-
-@pytest.mark.parametrize(
-    ("kind", "fits", "refused"),
-    [
-        (at_least(1), ["1", "30"], ["0", "-1", "1.5", "nan", "inf", "many", ""]),
-        (positive, ["1", "0.5", "inf"], ["0", "-1", "nan", "many"]),
-        (finite, ["1", "1e-3"], ["0", "-1", "nan", "inf", "many"]),
-    ],
-)
-def test_numbers_are_whole_positive_or_finite_as_asked(kind, fits, refused):
-    assert [kind(text) for text in fits] == [float(text) for text in fits]
-    for text in refused:
-        with pytest.raises(argparse.ArgumentTypeError, match="must be"):
-            kind(text)
-
-
-def test_old_spellings_of_options_are_accepted():
-    """Underscores in names, also with =; values keep theirs."""
-    parser = CommandParser(None, None)
-    parser.add_argument("--held-out", type=int)
-    parser.add_argument("--set", action="append")
-    for words in (["--held_out", "3"], ["--held-out=3"], ["--held_out=3"]):
-        assert parser.parse_args([*words, "--set=a_b=c_d"]).__dict__ == {
-            "quiet": False, "held_out": 3, "set": ["a_b=c_d"],
-        }  # fmt: skip
 
 
 # -- outputs

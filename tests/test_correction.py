@@ -11,7 +11,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
-from geort_drake.errors import HandError, PolicyError
+from geort_drake.errors import PolicyError
 from geort_drake.hands.clearance import HandClearance
 from geort_drake.hands.model import HandModel
 from geort_drake.systems.joint_limits import JointLimits
@@ -99,21 +99,6 @@ def pinching_position() -> np.ndarray:
         p_BF = hand.fingertips(q)
         if np.linalg.norm(p_BF[0] - p_BF[1]) < 0.023 and not clearance().near(q).pairs:
             return q
-
-
-def test_the_guard_refuses_a_start_that_is_not_clear():
-    """The message says how much is missing, and where."""
-    hand = allegro()
-    q = np.clip(np.full(16, 1.4), hand.lower, hand.upper)
-    assert clearance().near(q).pairs
-    with pytest.raises(
-        HandError,
-        match=r"must start with 2 mm between its parts; .* it has -?\d+\.\d mm between '\w+' and 'link_",
-    ):
-        SelfCollisionGuard(
-            hand, hand.joint_names, dict(zip(hand.joint_names, q, strict=True)),
-            limits_of(hand, hand.joint_names),
-        )  # fmt: skip
 
 
 def test_the_guard_in_a_diagram_walks_towards_a_command_and_stays_clear():

@@ -24,7 +24,7 @@ from geort_drake.simulation.trial import run_trial
 
 @pytest.fixture(scope="module")
 def play():
-    return synthesize_play(seed=0, duration_s=60)
+    return synthesize_play(seed=0, duration_s=15)
 
 
 @pytest.fixture(scope="module", autouse=True)

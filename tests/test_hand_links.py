@@ -7,14 +7,13 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake.errors import HandError
 from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.chains import finger_links, palm_links
 from geort_drake.hands.description import CouplingDescription, HandDescription, load_hand
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.hands.model import HandModel
 from geort_drake.simulation.scenario import load_scenario
-from geort_drake.simulation.world import add_object, add_robot, add_scene
+from geort_drake.simulation.world import add_object, add_scene
 from geort_drake.systems.scene_view import SceneView
 
 
@@ -63,21 +62,6 @@ def test_a_finger_has_all_links_that_its_motors_move(description):
     assert names[1] == [f"index_l{i}" for i in range(4)]
     assert names[2] == [f"middle_l{i}" for i in range(1, 4)]
     assert [body.name() for body in palm_links(plant, description, hand)] == ["palm", "middle_l0"]
-
-
-def test_followers_limit_their_leader_on_the_arm(description):
-    """Joints in the scene have the hand model's limits, within which the last joint stays below 1.5 rad."""
-    description.couplings = [c for c in description.couplings if c.joint != "index_j2"]
-    description.couplings.append(CouplingDescription("index_j2", "index_j1", 2.0))
-    plant, _ = AddMultibodyPlant(MultibodyPlantConfig(time_step=0.002), DiagramBuilder())
-    add_robot(plant, load_scenario(), description)
-    hand = HandModel(description)
-    joints = [plant.GetJointByName(name) for name in hand.joint_names]
-    np.testing.assert_array_equal([joint.position_upper_limit() for joint in joints], hand.upper)
-    assert hand.upper[hand.joint_names.index("index_j1")] == pytest.approx(0.75)
-    description.couplings[-1].offset = 9.0
-    with pytest.raises(HandError, match="'index_j3', which follows 'index_j1', would leave its limits"):
-        HandModel(description)
 
 
 @pytest.mark.parametrize("link", ["index_l1", "index_l2", "index_l3"])

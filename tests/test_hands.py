@@ -10,11 +10,10 @@ from model_scene import SHIPPED_HANDS
 
 from geort_drake.errors import HandError
 from geort_drake.hands.collision_shapes import collision_shapes
-from geort_drake.hands.description import hand_names, load_hand, write_description
+from geort_drake.hands.description import load_hand, write_description
 from geort_drake.hands.importers.checks import nearest_pinch
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.hands.model import HandModel
-from geort_drake.resources import models_dir
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 
@@ -31,17 +30,6 @@ def test_fingers_come_thumb_first_and_joints_finger_by_finger():
     assert hand.finger_names == ["thumb", "index", "middle", "ring"]
     assert hand.joint_names == [f"joint_{i}" for i in (12, 13, 14, 15, *range(12))]
     assert [finger.human_keypoint for finger in hand.fingers] == [4, 8, 12, 16]
-
-
-def test_hands_have_the_names_of_their_files(monkeypatch, tmp_path):
-    """The shipped ones, and one that a user puts beside them."""
-    assert set(SHIPPED_HANDS) <= set(hand_names())
-    (tmp_path / "hands").mkdir()
-    text = (models_dir() / "hands" / "leap_right.yaml").read_text(encoding="utf-8")
-    (tmp_path / "hands" / "mine.yaml").write_text(text.replace("name: leap_right", "name: mine"))
-    monkeypatch.setattr("geort_drake.hands.description.models_dir", lambda: tmp_path)
-    assert hand_names() == ["mine"]
-    assert load_hand("mine").name == "mine"
 
 
 def _set(path: str, value):
@@ -140,18 +128,6 @@ def test_kinematics_survive_an_offset_base_and_welded_links(allegro_copy, rng, t
     q = _uniform(hand, rng, 50)
     tips = hand.kinematics().fingertips(torch.tensor(q))
     np.testing.assert_allclose(tips.numpy(), hand.fingertips(q), atol=1e-9)
-
-
-def test_one_configuration_and_a_batch_give_the_same(allegro, rng):
-    """Single rows and batches agree in value; their shapes follow the input's."""
-    q = _uniform(allegro, rng, 5)
-    assert allegro.fingertips(q).shape == (5, 4, 3)
-    np.testing.assert_array_equal(allegro.fingertips(q[2]), allegro.fingertips(q)[2])
-    assert allegro.collides(q).shape == (5,)
-    assert np.ndim(allegro.collides(q[2])) == 0
-    for bad in (q[:, :15], q[None], np.full(16, np.nan)):
-        with pytest.raises(ValueError, match="q "):
-            allegro.fingertips(bad)
 
 
 def test_contacts_between_tips_are_distinguished(allegro, rng):

@@ -1,7 +1,6 @@
 """MJCF features that Drake ignores: defaults from outer classes, coupling tendons, closed loops."""
 
 import dataclasses as dc
-import re
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -12,7 +11,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.assembly import parse_model
-from geort_drake.hands.importers.couplings import read_couplings, tendon_couplings
+from geort_drake.hands.importers.couplings import tendon_couplings
 from geort_drake.hands.importers.proposal import propose
 
 
@@ -91,22 +90,6 @@ def test_a_tendon_couples_two_joints(model, expected):
 def test_other_tendons_couple_nothing(model):
     """Loose or inactive ones, and those of joints with motors or of more than two joints."""
     assert tendon_couplings(model) == []
-
-
-def test_tendons_give_the_couplings_of_equalities(tmp_path):
-    """0.8 q + 0.1, once where a model has both."""
-    model = write_hand(tmp_path, HandSpec(3, "xml"))
-    expected = read_couplings(model)
-    tendons = "".join(
-        f'<fixed name="t{i}" range="0.0999 0.1001"><joint joint="{c.follows}" coef="-{c.ratio}"/>'
-        f'<joint joint="{c.joint}" coef="1"/></fixed>'
-        for i, c in enumerate(expected)
-    )
-    both = model.read_text().replace("<actuator>", f"<tendon>{tendons}</tendon><actuator>")
-    for text in (both, re.sub("<equality>.*</equality>", "", both)):
-        model.write_text(text, encoding="utf-8")
-        for found, coupling in zip(read_couplings(model), expected, strict=True):
-            assert dc.astuple(found) == pytest.approx(dc.astuple(coupling))
 
 
 def test_ignored_parts_are_named(tmp_path):

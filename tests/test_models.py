@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from model_scene import OBJECTS, SDF_FILES, Scene
-from pydrake.geometry import Role
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import Simulator
@@ -11,7 +10,7 @@ from pydrake.systems.analysis import Simulator
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.resources import models_dir
-from geort_drake.simulation.object_shape import half_extents, object_shape
+from geort_drake.simulation.object_shape import object_shape
 
 SDF = models_dir() / "sdf"
 # The manufacturer's masses in kg: palm, three fingers and a thumb with four links and a tip each.
@@ -44,28 +43,6 @@ def test_total_masses_are_those_of_the_hardware(allegro, allegro_left, leap, pan
 
 
 # -- objects
-
-
-def test_the_objects_differ_in_size_and_mass():
-    """A wide, a tall, a tiny (2 cm) and a heavy (0.5 kg) one are among them, all of plausible density."""
-    sizes, masses = {}, {}
-    for path in OBJECTS:
-        scene = Scene(path)
-        body, inspector = scene.plant.GetBodyByName(path.stem), scene.scene_graph.model_inspector()
-        masses[path.stem] = body.default_mass()
-        low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for id in inspector.GetGeometries(scene.plant.GetBodyFrameIdOrThrow(body.index()), Role.kProximity):
-            centre, half = inspector.GetPoseInFrame(id).translation(), half_extents(inspector.GetShape(id))
-            low, high = np.minimum(low, centre - half), np.maximum(high, centre + half)
-            friction = inspector.GetProximityProperties(id).GetProperty("material", "coulomb_friction")
-            assert 0.5 <= friction.static_friction() <= 1.0
-        sizes[path.stem] = high - low
-        # From a foam to a stone, by the box around it.
-        assert 50 < masses[path.stem] / np.prod(high - low) < 3000
-    assert sizes["wide_box"][0] == pytest.approx(0.09) and sizes["wide_box"].argmax() == 0
-    assert max(size[2] for size in sizes.values()) == pytest.approx(0.2)
-    assert sizes["block_tiny"] == pytest.approx([0.02] * 3)
-    assert max(masses.values()) == masses["can_heavy"] == 0.5
 
 
 @pytest.mark.parametrize("path", OBJECTS, ids=lambda path: path.stem)

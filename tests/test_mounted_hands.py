@@ -24,7 +24,6 @@ from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.trial import run_trial
 from geort_drake.simulation.world import HAND, add_object, add_robot
-from geort_drake.systems.hand_mirror import HandMirror
 
 M = np.diag([1.0, -1.0, 1.0, 1.0])
 
@@ -56,20 +55,6 @@ def test_a_hand_sits_on_the_adapter_and_touches_nothing(name):
     X_WB = base.CalcPoseInWorld(context)
     to_object = np.array([0.5, 0.0, 0.2]) - X_WB.translation()
     assert X_WB.rotation().matrix()[:, 0] @ to_object > 0.05
-
-
-def test_the_hand_mirror_shows_the_left_hand(rng):
-    """Reflected keypoints and wrist give reflected p_WK."""
-    system = HandMirror()
-    context = system.CreateDefaultContext()
-    p_HK = rng.normal(size=(21, 3))
-    X_WH = RigidTransform(RollPitchYaw(0.3, -0.5, 1.0), [0.1, 0.2, 0.3])
-    system.GetInputPort("keypoints").FixValue(context, p_HK.ravel())
-    system.GetInputPort("wrist_pose").FixValue(context, X_WH)
-    p_left = system.GetOutputPort("keypoints").Eval(context).reshape(21, 3)
-    X_left = system.GetOutputPort("wrist_pose").Eval(context)
-    in_world = X_left.multiply(p_left.T).T
-    np.testing.assert_allclose(in_world, mirrored(X_WH.multiply(p_HK.T).T), atol=1e-12)
 
 
 @pytest.mark.parametrize("grip", GRIPS)

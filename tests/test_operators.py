@@ -7,18 +7,15 @@ import numpy as np
 import pytest
 from grasp_setup import person_and_rest
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.systems.analysis import Simulator
 
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.finger_motion import FingerMotion
-from geort_drake.simulation.operators.perception import GAZE_W, Seen, VisualError, perceive
-from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
+from geort_drake.simulation.operators.perception import GAZE_W, Seen, VisualError
 from geort_drake.simulation.operators.state import Phase
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.wrist_motion import minimum_jerk
-from geort_drake.systems.port_values import pose_to_vector
 
 QUIET = dict.fromkeys(
     ("visual_noise", "visual_depth_noise", "visual_turn_noise", "contact_noise", "motor_noise"), 0.0
@@ -167,20 +164,6 @@ def test_the_person_sees_with_the_configured_errors():
     assert later == pytest.approx(np.exp(-1), abs=0.1)
 
 
-@pytest.mark.parametrize("touch", [True, False])
-def test_the_person_feels_with_noise_or_not_at_all(touch):
-    """Forces scatter by a fraction of themselves."""
-    config = OperatorConfig(contact_noise=0.2, touch=touch)
-    world = StandInWorld(1.0, config)
-    scene = world.advance(FingerMotion(world.hand).rest, RigidTransform(), lifting=False)
-    scene = dc.replace(scene, contact=np.array([2.0, 0.5, 0.0, 0.0]))
-    rng = np.random.default_rng(0)
-    error = VisualError.draw(4, config, rng)
-    felt = np.array([perceive(scene, error, config, rng).contact for _ in range(2000)])
-    np.testing.assert_allclose(felt.std(axis=0), 0.2 * touch * scene.contact, rtol=0.1)
-    np.testing.assert_allclose(felt.mean(axis=0), touch * scene.contact, rtol=0.02)
-
-
 def test_without_touch_the_person_closes_until_the_fingers_come_no_further():
     """Then the grasp goes on as with touch."""
     session = act(1.5, touch=False, until=30.0)
@@ -193,29 +176,6 @@ def test_a_noisier_scene_makes_the_person_slower_but_lose_nothing():
     session = act(1.5, until=30.0, **noisy)
     assert session.phases == STRAIGHT and session.attempts == 1
     assert session.squeeze * 1.5 == pytest.approx(OperatorConfig().squeeze, rel=0.4)
-
-
-def test_the_person_does_not_repeat_what_is_done_but_not_yet_seen():
-    """Own motion of the last delay counts as done: an error that it will mend moves no finger further."""
-    config = OperatorConfig(**QUIET)
-    world = StandInWorld(1.0, config)
-    motion = FingerMotion(world.hand)
-    rest = world.hand.fingertips(motion.rest)
-    moved = motion.follow(motion.rest, rest + [0.004, 0.0, -0.004])
-    done = world.hand.fingertips(moved) - rest
-    assert np.linalg.norm(done, axis=1).min() > 1e-3
-    seen = world.advance(motion.rest, RigidTransform(), lifting=False)
-
-    def step_towards(p_BF_wanted: np.ndarray) -> np.ndarray:
-        goal = dc.replace(world.goal, p_BF_open=p_BF_wanted)
-        person = GraspingPerson(world.hand, goal, config, np.random.default_rng(0))
-        state = dc.replace(person.start(RigidTransform()), theta=moved)
-        return (world.hand.fingertips(person.step(state, 0.0, seen).theta) - rest - done)[:4]
-
-    # The robot is seen at rest still; wanted is where the own motion will have taken it.
-    np.testing.assert_allclose(step_towards(rest[:4] + done[:4]), 0, atol=1e-9)
-    # Wanted where it was, it is led back.
-    assert ((step_towards(rest[:4]) * done[:4]).sum(axis=1) < 0).all()
 
 
 def test_the_persons_joints_and_speeds_stay_human():
@@ -246,19 +206,6 @@ def test_one_seed_gives_one_session_and_another_gives_another():
 
 
 # -- wrist
-
-
-def test_minimum_jerk_has_the_closed_form_of_flash_and_hogan():
-    """It starts and ends at rest, peaks at 15/8 of its mean speed half way, and is symmetric."""
-    s = np.linspace(0, 1, 2001)
-    progress = np.array([minimum_jerk(value) for value in s])
-    speed = np.gradient(progress, s)
-    assert progress[0] == 0 and progress[-1] == 1
-    assert speed.max() == pytest.approx(15 / 8, abs=1e-5)
-    assert s[speed.argmax()] == pytest.approx(0.5)
-    np.testing.assert_allclose(speed[[0, -1]], 0, atol=1e-5)
-    np.testing.assert_allclose(progress + progress[::-1], 1, atol=1e-12)
-    assert minimum_jerk(-3.0) == 0 and minimum_jerk(7.0) == 1
 
 
 # -- fingers
@@ -311,27 +258,3 @@ def test_the_object_frame_is_upright_and_takes_the_nearest_of_equivalent_yaws(sy
         X_WO.rotation().matrix(), RotationMatrix.MakeZRotation(expected).matrix(), atol=1e-12
     )
     np.testing.assert_array_equal(X_WO.translation(), [1, 2, 3])
-
-
-def test_the_operators_fingers_tremble():
-    """The keypoints differ from those of a person without tremor by its root mean square."""
-
-    def session(tremor: float) -> np.ndarray:
-        world = StandInWorld(1.0, OperatorConfig(tremor=tremor))
-        system = SimulatedOperator(world.hand, world.goal, world.config, RigidTransform(), seed=4)
-        simulator = Simulator(system)
-        context = simulator.get_mutable_context()
-        pose = pose_to_vector(RigidTransform([0.5, 0, 0.3]))
-        system.GetInputPort("fingertips").FixValue(context, np.full(12, 0.3))
-        system.GetInputPort("hand_pose").FixValue(context, pose)
-        system.GetInputPort("object_pose").FixValue(context, pose)
-        system.GetInputPort("contact").FixValue(context, np.zeros(4))
-        frames = []
-        for step in range(20, 120):
-            simulator.AdvanceTo(step * world.config.period + 0.005)
-            frames.append(system.GetOutputPort("keypoints").Eval(context).reshape(21, 3).copy())
-        return np.array(frames)
-
-    tremor = session(5e-4) - session(0.0)
-    np.testing.assert_array_equal(tremor[:, 0], 0)
-    assert np.sqrt((tremor[:, 1:] ** 2).sum(axis=-1).mean()) == pytest.approx(5e-4, rel=0.05)

@@ -64,14 +64,6 @@ def test_converting_writes_a_recording_and_reports_its_health(npy, tmp_path, cap
     assert captured.out == ""
 
 
-def test_checking_writes_nothing_unless_there_is_a_second_file(npy, tmp_path):
-    """As the old script; options may stand between both files."""
-    run_command("check-recording", [str(npy)])
-    assert list(tmp_path.iterdir()) == []
-    run_command("check-recording", [str(npy), "--side", "right", str(tmp_path / "hand.npz"), "--rate", "60"])
-    assert Recording.load(tmp_path / "hand.npz").rate_hz == pytest.approx(60.0)
-
-
 def test_a_recording_is_mirrored_for_a_hand_of_the_other_side(npy, tmp_path, capsys):
     """The other hand makes the same motion: stored in the mirror, the keypoints are the same."""
     run_command("convert", [str(npy), str(tmp_path / "left.npz"), "--mirror", "--json"])

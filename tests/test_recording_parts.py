@@ -11,7 +11,7 @@ from geort_drake.errors import OutputError, RecordingError
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
-from geort_drake.people.recording_parts import RecordingParts, read_parts
+from geort_drake.people.recording_parts import RecordingParts
 
 PLAY = dc.replace(synthesize_play(4, duration_s=8.0, rate_hz=50.0), metadata={"side": "right"})
 PLAY = dc.replace(PLAY, X_WH=np.tile(np.eye(7)[0], (len(PLAY), 1)))
@@ -62,17 +62,6 @@ def test_an_interrupted_session_is_read_and_then_kept(tmp_path):
     assert len(read_recording(again.recovered)) == 300
 
 
-def test_a_session_that_was_killed_at_its_very_end_is_not_kept_twice(tmp_path):
-    """The file is there, and its parts not gone yet."""
-    path = tmp_path / "session.npz"
-    parts = RecordingParts(path, PLAY.metadata)
-    append(parts, range(100))
-    interrupt(parts)
-    read_parts(path).save(path)
-    assert RecordingParts(path, PLAY.metadata).recovered is None
-    assert len(read_recording(path)) == 100
-
-
 def test_a_full_disk_keeps_the_parts_before(tmp_path, monkeypatch):
     """The session goes on, with one warning; its end names the file, and the parts can be read."""
     save, saved = Recording.save, []
@@ -105,15 +94,6 @@ def test_a_disk_that_hangs_holds_nobody_up(tmp_path, monkeypatch):
     go_on.set()
     with pytest.raises(OutputError, match="disk is too slow"):
         parts.finish()
-
-
-def test_a_place_that_cannot_be_written_to_is_told_at_once(tmp_path):
-    """Before anything moves; and so is a name of another kind."""
-    (tmp_path / "file").write_text("x")
-    with pytest.raises(OutputError, match="cannot be written"):
-        RecordingParts(tmp_path / "file" / "session.npz", {})
-    with pytest.raises(RecordingError, match=r"saved as \.npz, not '\.csv'"):
-        RecordingParts(tmp_path / "session.csv", {})
 
 
 def test_a_broken_part_is_named(tmp_path):

@@ -1,6 +1,5 @@
 """Calls of the NumPy retargeters, and of the code that numba compiles for them."""
 
-import pickle
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
@@ -165,17 +164,6 @@ def test_every_kind_of_array_is_taken_and_nothing_is_compiled_for_it(rng):
     several = rng.normal(0.0, 0.03, (7, 21, 3))
     np.testing.assert_array_equal(fast(several), plain(several))
     assert len(_angles.signatures) == known
-
-
-def test_compiled_code_goes_to_other_processes(rng):
-    """As the workers of the grasp benchmark get it."""
-    fast = compiled(4, 8, 4, 4)
-    points = rng.normal(0.0, 0.1, (4, 3))
-    copy = pickle.loads(pickle.dumps(fast))  # noqa: S301
-    np.testing.assert_array_equal(copy(points), fast(points))
-    # joblib gives large arrays to workers as read-only memory.
-    copy._one_hand._weights.flags.writeable = False
-    np.testing.assert_array_equal(copy(points), fast(points))
 
 
 def test_load_retargeter_takes_the_backend_by_name(tmp_path, rng):

@@ -165,16 +165,6 @@ def test_a_frozen_glove_is_named_and_what_follows_is_eased():
     assert np.abs(v).max() <= 7.0 * 0.01 / 0.28 + 1e-9
 
 
-def test_a_brief_dropout_costs_little():
-    """One lost frame is followed again after 40 ms at the latest, and eased for no longer than that."""
-    bench = Bench(checks=AT_ONCE)
-    states = []
-    for number, keypoints in enumerate(hands(60)):
-        states.append(bench.tick(keypoints, valid=float(number != 30))[2].state)
-    assert states[29:34] == [TRACKING, HELD_LOST, SETTLING, SETTLING, SETTLING]
-    assert states[40:] == [TRACKING] * 20
-
-
 def test_the_low_pass_delays_as_it_says():
     """A slow ramp comes out `delay` later."""
 

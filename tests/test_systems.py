@@ -10,7 +10,6 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake.errors import HandError
 from geort_drake.people.recording import Recording
 from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor, GraspMonitorConfig, GraspPhase
-from geort_drake.systems.action_correction import ActionCorrection
 from geort_drake.systems.clutch import Clutch
 from geort_drake.systems.glove_checks import HELD_NOT_FINITE, GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
@@ -156,20 +155,6 @@ def test_retargeting_needs_the_plants_joints_and_limits_and_a_start_within_them(
 
 
 # -- ActionCorrection
-
-
-def test_action_correction_passes_on_and_can_be_overridden():
-    """The base class changes nothing; a subclass sees command and hand state."""
-
-    class Halve(ActionCorrection):
-        def correct(self, desired_state, hand_state):
-            return 0.5 * (desired_state + hand_state)
-
-    for system, wanted in ((ActionCorrection(2), [1, 2, 3, 4]), (Halve(2), [0.5, 1, 1.5, 2])):
-        context = system.CreateDefaultContext()
-        system.GetInputPort("desired_state").FixValue(context, [1.0, 2, 3, 4])
-        system.GetInputPort("hand_state").FixValue(context, np.zeros(4))
-        np.testing.assert_allclose(system.get_output_port().Eval(context), wanted)
 
 
 # -- Clutch

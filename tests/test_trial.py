@@ -93,17 +93,6 @@ def test_objects_are_lifted_by_the_other_grips(name):
     assert result.success and result.attempts == 1 and result.slip < 0.03
 
 
-def test_one_seed_gives_one_trial():
-    """To the last bit, also through a map with a memory, which `run_trial` resets."""
-    scenario = scenario_with("cylinder", "{timeout: 0.8}")
-    used = centred_map()
-    first, glove = run_trial(scenario, used, (person_and_rest()[0], planned_goal("cylinder")))
-    used(glove.p_HK[0] + [0.02, 0.0, -0.03])
-    again, glove_again = run_trial(scenario, used, (person_and_rest()[0], planned_goal("cylinder")))
-    assert dc.replace(again, wall_time=first.wall_time) == first
-    assert glove_again.digest == glove.digest
-
-
 # -- failures
 
 
@@ -221,12 +210,3 @@ def test_what_was_recorded_before_a_failure_is_kept(tmp_path):
         run_trial(scenario_with("cylinder", "{timeout: 3.0}"), failing, resting_glove(2.0), path)
     rerun = Path(sysconfig.get_path("scripts")) / "rerun"
     assert subprocess.run([rerun, "rrd", "verify", path], check=False).returncode == 0
-
-
-def test_progress_is_reported_in_simulated_time():
-    """The callback sees rising times, some four a simulated second."""
-    seen: list[float] = []
-    scenario = scenario_with("cylinder", "{timeout: 1.0}")
-    run_trial(scenario, Constant(), resting_glove(2.0), report=seen.append)
-    assert seen[0] == 0.0 and seen == sorted(seen)
-    assert 4 <= len(seen) <= 6

@@ -46,19 +46,6 @@ def test_a_misaligned_tracker_turns_the_directions_of_motion():
     assert valid == 1
 
 
-def test_a_glove_worn_anew_moves_the_fingers_together():
-    """Rigidly, otherwise in each trial, and not the wrist."""
-    config = WornGloveConfig(shift=0.005, turn=0.05)
-    first, other = measured(config)[0], measured(config, seed=1)[0]
-    assert (first[0] == 0).all() and np.abs(first - other).max() > 1e-3
-
-    def distances(points):
-        return np.linalg.norm(points[1:, None] - points[None, 1:], axis=-1)
-
-    np.testing.assert_allclose(distances(first), distances(hand()), atol=1e-12)
-    assert 0 < np.abs(first - hand()).max() < 0.05
-
-
 def test_dropouts_have_their_rate_and_their_duration():
     """Two a second of 40 ms: the hand is lost for 8 % of the time."""
     system = WornGlove(WornGloveConfig(dropout_rate=2.0), 500.0, np.random.default_rng(0))
