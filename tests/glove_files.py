@@ -6,7 +6,9 @@ Joints are called by name here and put in order by each writer, so that nothing 
 import csv
 import json
 import pickle
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from moving_hands import FINGERS, KEYPOINTS, Hand
@@ -40,35 +42,53 @@ THUMB = [f"thumb_{j}" for j in ("cmc", "mcp", "ip", "tip")]
 FROM_WRIST_25 = ["wrist", *THUMB, *(joint for finger in FINGERS for joint in with_bases(finger))]
 
 
-def write_own(folder: Path, hand: Hand, **changes) -> Path:
+def writer(name: str, contents_of: Callable[[Hand], Any]):
+    """Makes a function that writes what another makes of a hand, or other contents that are given.
+
+    The ending says how. Fields of an .npz file can be replaced by name; those given as None are left out.
+    """
+
+    def write(folder: Path, hand: Hand, contents: Any = None, **fields) -> Path:
+        path = folder / name
+        contents = contents_of(hand) if contents is None else contents
+        match path.suffix:
+            case ".npz":
+                np.savez(
+                    path, **{key: value for key, value in (contents | fields).items() if value is not None}
+                )
+            case ".npy":
+                np.save(path, contents)
+            case ".json":
+                path.write_text(json.dumps(contents))
+            case ".jsonl":
+                path.write_text("".join(json.dumps(frame) + "\n" for frame in contents))
+            case ".pkl":
+                path.write_bytes(pickle.dumps(contents))
+        return path
+
+    return write
+
+
+def own_fields(hand: Hand) -> dict:
     """docs/reference/recording-formats.md: t, p_HK, valid, X_WH, metadata."""
-    metadata = {"side": hand.side, "convention": 1}
     quaternions = Rotation.from_matrix(hand.R_WH).as_quat(scalar_first=True)
-    fields = {
+    return {
         "t": hand.t,
         "p_HK": hand.p_HK.astype(np.float32),
         "valid": np.ones(len(hand.t), bool),
         "X_WH": np.column_stack([quaternions, hand.p_WH]),
-        "metadata": np.array(json.dumps(metadata)),
+        "metadata": np.array(json.dumps({"side": hand.side, "convention": 1})),
     }
-    return _npz(folder / "own.npz", fields, changes)
 
 
-def write_geort(folder: Path, hand: Hand) -> Path:
-    """(T, 21, 3) in the wrist frame."""
-    np.save(folder / "geort.npy", hand.seen)
-    return folder / "geort.npy"
-
-
-def write_manus(folder: Path, hand: Hand, **changes) -> Path:
+def manus_fields(hand: Hand) -> dict:
     """25 nodes with quaternions, Unix time."""
-    fields = {
+    return {
         "data": poses(stacked(hand.joints(), FROM_WRIST_25), [1.0, 0, 0, 0]).astype(np.float64),
         "timestamps": 1.7e9 + hand.t,
         "keypoint_ids": np.arange(25, dtype=np.int32),
         "chirality": np.array(hand.side.upper()),
     }
-    return _npz(folder / "manus.npz", fields, changes)
 
 
 def _manus_joints() -> dict[str, str]:
@@ -120,8 +140,7 @@ def write_manus_csv(
 
 def mediapipe_frames(hand: Hand) -> list[dict]:
     """Results as JavaScript gives them: about the middle of the hand, turned as the camera sees it."""
-    p = stacked(hand.joints(), KEYPOINTS)
-    p = p - p.mean(axis=1, keepdims=True)
+    p = mediapipe_points(hand)
     label = [[{"categoryName": hand.side.title(), "score": 0.98}]]
     return [
         {
@@ -133,28 +152,20 @@ def mediapipe_frames(hand: Hand) -> list[dict]:
     ]
 
 
-def write_mediapipe(folder: Path, hand: Hand, frames: list | None = None) -> Path:
-    return _json(folder / "mediapipe.json", mediapipe_frames(hand) if frames is None else frames)
-
-
-def write_mediapipe_npy(folder: Path, hand: Hand) -> Path:
+def mediapipe_points(hand: Hand) -> np.ndarray:
+    """(T, 21, 3) world landmarks, about the middle of the hand."""
     p = stacked(hand.joints(), KEYPOINTS)
-    np.save(folder / "world.npy", p - p.mean(axis=1, keepdims=True))
-    return folder / "world.npy"
+    return p - p.mean(axis=1, keepdims=True)
 
 
 def openxr_order() -> list[str]:
     return ["palm", *FROM_WRIST_25]
 
 
-def write_openxr(folder: Path, moved: Hand, **changes) -> Path:
+def openxr_fields(hand: Hand) -> dict:
     """joints (T, 26, 7), quaternions x y z w."""
-    fields = {
-        "joints": poses(stacked(moved.joints(), openxr_order()), [0, 0, 0, 1.0]),
-        "t": moved.t,
-        "hand": np.array(moved.side),
-    }
-    return _npz(folder / "openxr.npz", fields, changes)
+    joints = poses(stacked(hand.joints(), openxr_order()), [0, 0, 0, 1.0])
+    return {"joints": joints, "t": hand.t, "hand": np.array(hand.side)}
 
 
 def openxr_frames(hand: Hand) -> dict:
@@ -177,10 +188,6 @@ def openxr_frames(hand: Hand) -> dict:
             for t, points in zip(hand.t.tolist(), p, strict=True)
         ],
     }
-
-
-def write_openxr_json(folder: Path, hand: Hand, contents: dict | None = None) -> Path:
-    return _json(folder / "openxr.json", openxr_frames(hand) if contents is None else contents)
 
 
 def webxr_names() -> dict[str, str]:
@@ -211,19 +218,11 @@ def webxr_frames(hand: Hand) -> dict:
     }
 
 
-def write_webxr_json(folder: Path, hand: Hand, contents: dict | None = None) -> Path:
-    return _json(folder / "webxr.json", webxr_frames(hand) if contents is None else contents)
-
-
-def write_webxr(folder: Path, hand: Hand, **changes) -> Path:
+def webxr_fields(hand: Hand) -> dict:
     """What fillPoses fills: 16 numbers per joint, column by column."""
     X = transforms(stacked(hand.joints(), webxr_names().values()), hand.R_WH[:, None])
-    fields = {
-        "joints": np.swapaxes(X, -1, -2).reshape(len(X), 400),
-        "t": hand.t,
-        "handedness": np.array(hand.side),
-    }
-    return _npz(folder / "webxr.npz", fields, changes)
+    joints = np.swapaxes(X, -1, -2).reshape(len(X), 400)
+    return {"joints": joints, "t": hand.t, "handedness": np.array(hand.side)}
 
 
 def vision_pro_arrays(hand: Hand, joints: int = 25) -> dict[str, np.ndarray]:
@@ -240,20 +239,15 @@ def vision_pro_arrays(hand: Hand, joints: int = 25) -> dict[str, np.ndarray]:
     }
 
 
-def write_vision_pro(folder: Path, hand: Hand, joints: int = 25, **changes) -> Path:
-    return _npz(folder / "avp.npz", vision_pro_arrays(hand, joints), changes)
-
-
-def write_vision_pro_pkl(folder: Path, hand: Hand, frames: list | None = None) -> Path:
+def vision_pro_stream(hand: Hand) -> list[dict]:
     """A list of dicts, with the 27 transforms of the releases that put the forearm first."""
     arrays = vision_pro_arrays(hand, 27)
     joints = f"{hand.side}_fingers"
     arrays[joints] = np.roll(arrays[joints], 2, axis=1)[:, [1, 0, *range(2, 27)]]
     times = arrays.pop("timestamps")
-    made = [
+    return [
         {name: v[i] for name, v in arrays.items()} | {"timestamp": t} for i, t in enumerate(times.tolist())
     ]
-    return _pickle(folder / "avp.pkl", made if frames is None else frames)
 
 
 def vision_pro_app_frames(hand: Hand) -> list[dict]:
@@ -276,13 +270,6 @@ def vision_pro_app_frames(hand: Hand) -> list[dict]:
     ]
 
 
-def write_vision_pro_app(folder: Path, hand: Hand, frames: list | None = None) -> Path:
-    path = folder / "tracking.jsonl"
-    made = vision_pro_app_frames(hand) if frames is None else frames
-    path.write_text("".join(json.dumps(frame) + "\n" for frame in made))
-    return path
-
-
 def mano_order() -> list[str]:
     """MANO's joints, then the tips."""
     inner = [
@@ -292,35 +279,36 @@ def mano_order() -> list[str]:
     return ["wrist", *inner, "thumb_cmc", "thumb_mcp", "thumb_ip", *tips]
 
 
-def write_mano(folder: Path, hand: Hand, **changes) -> Path:
-    fields = {"handJoints3D": stacked(hand.joints(), mano_order()), "t": hand.t, "side": np.array(hand.side)}
-    return _npz(folder / "mano.npz", fields, changes)
+def mano_points(hand: Hand) -> np.ndarray:
+    return stacked(hand.joints(), mano_order())
 
 
-def write_mano_npy(folder: Path, hand: Hand) -> Path:
-    np.save(folder / "mano.npy", stacked(hand.joints(), mano_order()))
-    return folder / "mano.npy"
+def mano_fields(hand: Hand) -> dict:
+    return {"handJoints3D": mano_points(hand), "t": hand.t, "side": np.array(hand.side)}
 
 
-def write_ho3d(folder: Path, hand: Hand, annotations: list | None = None) -> Path:
+def write_ho3d(folder: Path, hand: Hand) -> Path:
     """HO-3D's folder meta, one pickle per frame."""
-    joints = stacked(hand.joints(), mano_order()).astype(np.float32)
-    made = [{"handJoints3D": p, "camMat": np.eye(3), "objName": "006_mustard"} for p in joints]
     (folder / "meta").mkdir()
-    for i, annotation in enumerate(made if annotations is None else annotations):
-        _pickle(folder / "meta" / f"{i:04}.pkl", annotation, protocol=2)
+    for i, p in enumerate(mano_points(hand).astype(np.float32)):
+        annotation = {"handJoints3D": p, "camMat": np.eye(3), "objName": "006_mustard"}
+        (folder / "meta" / f"{i:04}.pkl").write_bytes(pickle.dumps(annotation, protocol=2))
     return folder / "meta"
 
 
-def operator_axes(hand: Hand) -> np.ndarray:
+def operator_axes(hand: Hand) -> list[np.ndarray]:
     """dex-retargeting's joint_pos: from the wrist, in axes that the palm gives."""
-    return hand.seen @ Rotation.from_euler("z", 4, degrees=True).as_matrix()
+    return list(hand.seen @ Rotation.from_euler("z", 4, degrees=True).as_matrix())
 
 
-def write_dex_retargeting(folder: Path, hand: Hand, frames: list | None = None) -> Path:
-    return _pickle(folder / "dex.pkl", list(operator_axes(hand)) if frames is None else frames)
-
-
+write_own = writer("own.npz", own_fields)
+write_geort = writer("geort.npy", lambda hand: hand.seen)  # (T, 21, 3) in the wrist frame
+write_manus = writer("manus.npz", manus_fields)
+write_mediapipe = writer("mediapipe.json", mediapipe_frames)
+write_openxr = writer("openxr.npz", openxr_fields)
+write_openxr_json = writer("openxr.json", openxr_frames)
+write_webxr = writer("webxr.npz", webxr_fields)
+write_vision_pro = writer("avp.npz", vision_pro_arrays)
 # One writer for each kind of file.
 WRITERS = {
     "own": write_own,
@@ -328,18 +316,18 @@ WRITERS = {
     "manus": write_manus,
     "manus_csv": write_manus_csv,
     "mediapipe": write_mediapipe,
-    "mediapipe_npy": write_mediapipe_npy,
+    "mediapipe_npy": writer("world.npy", mediapipe_points),
     "openxr": write_openxr,
     "openxr_json": write_openxr_json,
     "webxr": write_webxr,
-    "webxr_json": write_webxr_json,
+    "webxr_json": writer("webxr.json", webxr_frames),
     "vision_pro": write_vision_pro,
-    "vision_pro_pkl": write_vision_pro_pkl,
-    "vision_pro_app": write_vision_pro_app,
-    "mano": write_mano,
-    "mano_npy": write_mano_npy,
+    "vision_pro_pkl": writer("avp.pkl", vision_pro_stream),
+    "vision_pro_app": writer("tracking.jsonl", vision_pro_app_frames),
+    "mano": writer("mano.npz", mano_fields),
+    "mano_npy": writer("mano.npy", mano_points),
     "ho3d": write_ho3d,
-    "dex_retargeting": write_dex_retargeting,
+    "dex_retargeting": writer("dex.pkl", operator_axes),
 }
 # The name under which `formats` knows each.
 NAMES = {name: name.removesuffix("_json").removesuffix("_npy").removesuffix("_pkl") for name in WRITERS} | {
@@ -350,19 +338,3 @@ NAMES = {name: name.removesuffix("_json").removesuffix("_npy").removesuffix("_pk
 TIMED = tuple(
     name for name in WRITERS if name not in ("geort", "mediapipe_npy", "mano_npy", "ho3d", "dex_retargeting")
 )
-
-
-def _npz(path: Path, fields: dict, changes: dict) -> Path:
-    fields = {**fields, **changes}
-    np.savez(path, **{name: value for name, value in fields.items() if value is not None})
-    return path
-
-
-def _json(path: Path, contents) -> Path:
-    path.write_text(json.dumps(contents))
-    return path
-
-
-def _pickle(path: Path, contents, protocol: int = 4) -> Path:
-    path.write_bytes(pickle.dumps(contents, protocol=protocol))
-    return path

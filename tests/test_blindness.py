@@ -1,8 +1,6 @@
 """The simulated person knows the robot by sight and touch alone: no module and no wire tells more."""
 
 import ast
-import dataclasses as dc
-import inspect
 
 import pytest
 from grasp_setup import centred_map, person_and_rest, planned_goal, scenario_with
@@ -10,11 +8,6 @@ from imported_sources import PACKAGE, imported_sources
 from pydrake.systems.primitives import DiscreteTimeDelay
 
 from geort_drake.simulation.diagram import make_grasp_diagram
-from geort_drake.simulation.operators.behavior import GraspingPerson
-from geort_drake.simulation.operators.config import OperatorConfig
-from geort_drake.simulation.operators.perception import Seen
-from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
-from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
 OPERATORS = PACKAGE / "simulation" / "operators"
 ROOMS = [path.name for path in PACKAGE.iterdir() if path.is_dir()]
@@ -36,16 +29,6 @@ def test_no_module_of_the_person_runs_through_a_robot_or_a_map():
             names = [node.module] if isinstance(node, ast.ImportFrom) else []
             names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             assert {name for name in names if name and name.startswith("pydrake")} <= DRAKE, path
-
-
-def test_the_person_is_given_what_can_be_known():
-    """The own hand, the intended grasp, what is seen, and chance; settings are plain values."""
-    assert list(inspect.signature(GraspingPerson).parameters) == ["hand", "goal", "config", "rng"]
-    given = ["hand", "goal", "config", "X_WH_start", "seed"]
-    assert list(inspect.signature(SimulatedOperator).parameters) == given
-    assert {field.name for field in dc.fields(Seen)} == {"p_WF", "X_WB", "X_WO", "contact"}
-    assert {type(value) for value in dc.asdict(OperatorConfig()).values()} <= {float, int, bool}
-    assert not {field.name for field in dc.fields(GraspGoal)} & {"q", "joint_names", "retarget"}
 
 
 @pytest.mark.parametrize("hand", ["allegro_right", "allegro_left"])

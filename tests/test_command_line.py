@@ -65,25 +65,6 @@ def test_python_m_and_scripts_are_the_same_program(tmp_path):
         assert list(tmp_path.iterdir()) == []
 
 
-def test_every_script_is_a_door_to_a_command():
-    """One for each command."""
-    doors = [path.read_text("utf-8") for path in SCRIPTS.glob("*.py")]
-    called = [
-        name for text in doors for name in re.findall(r'main\(\["([\w-]+)", \*sys.argv\[1:\]\]\)', text)
-    ]
-    assert sorted(called) == sorted(COMMANDS)
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_option_is_explained_and_spelled_with_dashes(name):
-    """None tells its default in another form than "(default: ...)"."""
-    for action in parser_of(name)._actions:
-        assert action.help, action.dest
-        assert re.search(r"\((\d[\d.]*|[a-z_' ]+)\)$", action.help) is None, action.help
-        assert action.help.count("(default: ") <= 1, action.help
-        assert not any("_" in option for option in action.option_strings)
-
-
 def test_facts_repeated_for_help_agree_with_their_modules():
     """Methods, sides and refit's steps, which help lists without importing them."""
     from geort_drake.people import recording

@@ -12,7 +12,7 @@ from geort_drake.cli import run_command
 from geort_drake.comparison.comparison import Comparison, Evaluation, Outcome
 from geort_drake.comparison.metric_table import mean
 from geort_drake.comparison.metrics import pinch
-from geort_drake.comparison.protocols import GUARD_S, held_out, other_person
+from geort_drake.comparison.protocols import GUARD_S, held_out
 from geort_drake.errors import RecordingError, TrainingError
 from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.methods.online import VectorOnline
@@ -206,12 +206,3 @@ def test_too_few_or_too_many_blocks_are_refused(gaps, blocks):
     """557 valid frames make at most 55 blocks that can be measured on."""
     with pytest.raises(RecordingError, match=f"2 to 55 for 557 valid frames .* not {blocks}"):
         held_out(gaps, blocks)
-
-
-def test_other_people_are_learned_from_nowhere(gaps):
-    """Trained on the one, scored on each of the others; the same recording again is no other person."""
-    other = synthesize_play(1, duration_s=5.0, rate_hz=30.0)
-    (case,) = other_person(gaps, {"other.npz": other}).cases
-    assert (case.part, case.trained_on, case.scored_on) == ("other.npz", gaps, other)
-    with pytest.raises(RecordingError, match=r"again.npz: is the recording that methods are trained on"):
-        other_person(gaps, {"other.npz": other, "again.npz": dataclasses.replace(gaps)})

@@ -129,34 +129,6 @@ def test_the_diagram_is_closed_and_nothing_runs_through_it_unsampled():
         assert not parts.diagram.GetSubsystemByName(system).HasAnyDirectFeedthrough(), system
 
 
-def test_the_person_sees_the_scene_late():
-    """At a tick, the person is shown in every port the scene as it was `visual_delay` before."""
-    scenario = scenario_with("cylinder")
-    parts = make_grasp_diagram(scenario, centred_map(), (person_and_rest()[0], planned_goal("cylinder")))
-    simulator = started(parts)
-    root = simulator.get_context()
-    period = scenario.operator.period
-    steps = round(scenario.operator.visual_delay / period)
-
-    def values(system_name: str, port: str) -> np.ndarray:
-        system = parts.diagram.GetSubsystemByName(system_name)
-        return system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(root)).copy()
-
-    names = ("fingertips", "hand_pose", "object_pose", "contact")
-    scene: list[dict[str, np.ndarray]] = []
-    for number in range(1, 60):
-        # What is there at a tick; its updates move the plant on.
-        simulator.AdvanceTo(number * period - 1e-6)
-        scene.append({name: values("scene_view", name) for name in names})
-    # At tick 60 the person decides by what is shown before that tick's updates.
-    simulator.AdvanceTo(60 * period - 1e-6)
-    for name in names:
-        np.testing.assert_array_equal(values(f"{name}_seen_late", "delayed_u"), scene[-steps][name])
-    # The robot moves meanwhile, so a wrong delay would show.
-    for other in (-steps + 1, -steps - 1):
-        assert np.abs(scene[other]["fingertips"] - scene[-steps]["fingertips"]).max() > 1e-5
-
-
 def test_the_scenarios_correction_has_the_last_word_on_the_hand():
     """Its output is what the plant's hand is asked for."""
     scenario = scenario_with("cylinder", "{correction: {kind: guard}}")

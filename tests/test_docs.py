@@ -1,7 +1,5 @@
 """Claims of README and docs: snippets run, commands and options exist, defaults are the code's."""
 
-import dataclasses
-import importlib.util
 import re
 import shutil
 import subprocess
@@ -19,14 +17,10 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
 from geort_drake import rerun
-from geort_drake.hands.description import HandDescription
 from geort_drake.people.checks import examine, verdict
 from geort_drake.people.formats import FORMATS
 from geort_drake.people.play import synthesize_play
 from geort_drake.resources import models_dir
-from geort_drake.retargeting.method import TrainingConfig
-from geort_drake.retargeting.methods.coupled import CoupledConfig
-from geort_drake.simulation.scenario import Scenario
 from geort_drake.systems.glove_replay import GloveReplay
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -210,29 +204,6 @@ def test_the_readmes_links_lead_somewhere():
     text = (ROOT / "README.md").read_text("utf-8")
     linked = [target for target in re.findall(r"\]\(([^)\s]+)\)", text) if not re.match(r"https?:|#", target)]
     assert [target for target in linked if not (ROOT / target).exists()] == []
-
-
-def hooks():
-    pytest.importorskip("latex2mathml", reason="the docs extra is not installed")
-    spec = importlib.util.spec_from_file_location("docs_hooks", ROOT / "docs" / "hooks.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-CONFIGS = [Scenario, HandDescription, TrainingConfig, CoupledConfig]
-
-
-@pytest.mark.parametrize("config", CONFIGS)
-def test_tables_of_fields_have_every_field_and_its_default(config):
-    """The site's tables are read from the source; they must agree with the classes themselves."""
-    rows = hooks().field_rows(config.__name__)
-    shown = dict(pair for names, defaults, _ in rows for pair in zip(names, defaults, strict=True))
-    own = {field.name: field for field in dataclasses.fields(config) if field.name in config.__annotations__}
-    assert {name.strip("`") for name in shown} == set(own)
-    for name, field in own.items():
-        if isinstance(field.default, int | float | str):
-            assert shown[f"`{name}`"] == f"`{field.default!r}`"
 
 
 def test_the_site_builds_and_asks_no_other_host(tmp_path):

@@ -7,22 +7,16 @@ import pyarrow.dataset
 import pyarrow.parquet as pq
 import pytest
 from rerun.experimental import LeRobotReader
-from rerun_world import read
 from scipy.spatial.transform import Rotation
 
 from geort_drake.cli import run_command
 from geort_drake.errors import OutputError, RecordingError
 from geort_drake.export.episode import episode_of, read_episodes
-from geort_drake.export.hand_recordings import write_hand, write_joint_sweep
 from geort_drake.export.lerobot import features_of, write_lerobot
 from geort_drake.export.parquet import write_parquet
-from geort_drake.hands.description import load_hand
-from geort_drake.hands.model import HandModel
-from geort_drake.people.coverage import tip_distances
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.recording import Recording
 from geort_drake.rerun import file_writer
-from geort_drake.rerun.reader import read_samples
 
 # Joints of each plot, and their places in `command`.
 SERIES = {"joints/thumb": {"j0": 0, "j1": 1}, "joints/index": {"j2": 2}, "arm": {"shoulder": 3, "elbow": 4}}
@@ -226,21 +220,3 @@ def test_unsuitable_exports_are_refused(run, tmp_path):
         list(write_parquet(read_episodes(run), run))
     with pytest.raises(OutputError, match="Rerun recordings already"):
         run_command("export", [str(run), str(tmp_path / "x.rrd"), "--format", "rrd"])
-
-
-def test_hands_are_recorded_for_rerun(tmp_path):
-    """A person's hand with its states and pinch distances; a robot hand whose joints reach their limits."""
-    play = synthesize_play(0, 2.0, 30.0)
-    names = ["open"] * (len(play) // 2) + ["closed"] * (len(play) - len(play) // 2)
-    write_hand(play, tmp_path / "person.rrd", fps=10.0, states={"step": names})
-    person = read_samples(tmp_path / "person.rrd")
-    assert set(person.states["step"]) == {"open", "closed"}
-    np.testing.assert_allclose(person.signals["gap.thumb.index"][0], 1e3 * tip_distances(play.p_HK)[0, 0])
-    hand = HandModel(load_hand("allegro_right"))
-    write_joint_sweep(hand, tmp_path / "robot.rrd")
-    _, tips = read(tmp_path / "robot.rrd", "/world/tips/thumb", "Ellipsoids3D:centers")
-    joint = hand.joint_names.index(hand.description.fingers[0].joints[-1])
-    bent = hand.default_position.copy()
-    bent[joint] = hand.upper[joint]
-    distance = np.linalg.norm(np.array(tips)[:, 0] - hand.fingertips(bent)[0], axis=1)
-    assert distance.min() < 0.005

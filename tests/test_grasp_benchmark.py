@@ -12,7 +12,6 @@ from geort_drake.benchmark import methods, trials
 from geort_drake.benchmark.config import read_config
 from geort_drake.benchmark.folder import open_benchmark
 from geort_drake.benchmark.records import TrialKey, TrialLog, key_of, read_records
-from geort_drake.benchmark.report import write_grasp_report
 from geort_drake.cli import run_command
 from geort_drake.comparison.retargeters import names_of
 from geort_drake.errors import BenchmarkError, UnknownNameError
@@ -196,15 +195,6 @@ def test_another_configuration_is_refused_by_the_name_of_its_field(copy, play, f
     with pytest.raises(BenchmarkError, match=f"begun with another {field}"):
         open_benchmark(copy, load_scenario(text=scenario), **arguments)
     assert {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()} == before
-
-
-def test_results_without_their_configuration_are_refused(copy, play):
-    """Nobody knows what they are of."""
-    (copy / "config.json").unlink()
-    with pytest.raises(BenchmarkError, match=r"holds trials without their config\.json"):
-        open_benchmark(copy, load_scenario(text=TOO_SHORT), play, ["hold"], ["cylinder"], 1)
-    with pytest.raises(BenchmarkError, match=r"config\.json: no such file"):
-        write_grasp_report(copy)
 
 
 def test_a_checkpoint_is_named_after_its_directory_however_that_is_given(tmp_path, monkeypatch):

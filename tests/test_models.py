@@ -184,17 +184,6 @@ def test_panda_agrees_with_its_denavit_hartenberg_table(panda, rng):
         np.testing.assert_allclose(flange.GetAsMatrix4(), X.GetAsMatrix4(), atol=1e-9)
 
 
-def test_panda_collides_with_itself_as_often_as_its_meshes_do(panda, rng):
-    """3.2 % of uniform joint positions collide; exact triangle tests of Franka's meshes give 2.9 %."""
-    joints = [panda.plant.GetJointByName(f"panda_joint{i}") for i in range(1, 8)]
-    limits = [(joint.position_lower_limit(), joint.position_upper_limit()) for joint in joints]
-    hits = 0
-    for q in rng.uniform(*np.transpose(limits), (5000, 7)):
-        panda.set_joints({joint.name(): angle for joint, angle in zip(joints, q, strict=True)})
-        hits += panda.collides()
-    assert hits / 5000 == pytest.approx(0.0321, abs=0.01)
-
-
 def test_panda_actuators_hold_their_position(panda):
     """All seven joints have the stiffness of the arm's own controller, and settle without swinging."""
     ready = [0.0, -0.7854, 0.0, -2.35619, 0.0, 1.5708, 0.7854]

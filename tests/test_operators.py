@@ -5,17 +5,15 @@ from collections import deque
 
 import numpy as np
 import pytest
-from grasp_setup import person_and_rest
 from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.finger_motion import FingerMotion
-from geort_drake.simulation.operators.perception import GAZE_W, Seen, VisualError
+from geort_drake.simulation.operators.perception import Seen
 from geort_drake.simulation.operators.state import Phase
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
-from geort_drake.simulation.wrist_motion import minimum_jerk
 
 QUIET = dict.fromkeys(
     ("visual_noise", "visual_depth_noise", "visual_turn_noise", "contact_noise", "motor_noise"), 0.0
@@ -150,20 +148,6 @@ def test_the_person_tries_again_when_the_object_stays_behind():
     assert session.raised > 0.1
 
 
-def test_the_person_sees_with_the_configured_errors():
-    """Larger in depth than across, lasting for the configured time; the object is the reference."""
-    config = OperatorConfig(visual_noise_time=0.1)
-    error = VisualError.draw(4, config, rng := np.random.default_rng(0))
-    errors = [error := error.later(config, rng) for _ in range(20000)]
-    p, turn = np.array([e.p for e in errors]), np.array([e.turn for e in errors])
-    across = p @ np.array([[0.0, 1.0, 0.0], [0.6, 0.0, 0.8]]).T
-    np.testing.assert_allclose(across.std(axis=(0, 1)), config.visual_noise, rtol=0.1)
-    np.testing.assert_allclose((p @ GAZE_W).std(), config.visual_depth_noise, rtol=0.1)
-    assert turn.std() == pytest.approx(config.visual_turn_noise, rel=0.1)
-    later = (p[10:] * p[:-10]).mean() / (p**2).mean()
-    assert later == pytest.approx(np.exp(-1), abs=0.1)
-
-
 def test_without_touch_the_person_closes_until_the_fingers_come_no_further():
     """Then the grasp goes on as with touch."""
     session = act(1.5, touch=False, until=30.0)
@@ -203,38 +187,6 @@ def test_one_seed_gives_one_session_and_another_gives_another():
     np.testing.assert_array_equal(first.wrist, again.wrist)
     count = min(len(first.theta), len(other.theta))
     assert np.abs(first.theta[:count] - other.theta[:count]).max() > 1e-3
-
-
-# -- wrist
-
-
-# -- fingers
-
-
-def natural_postures(hand: HumanHand, rng: np.random.Generator, count: int) -> np.ndarray:
-    """(count, 20) angles inside the hand's limits whose outer joints bend together."""
-    lower, upper = hand.lower.reshape(5, 4), hand.upper.reshape(5, 4)
-    share = rng.uniform(0.1, 0.9, (count, 5, 3))
-    base = lower[:, :2] + share[..., :2] * (upper - lower)[:, :2]
-    least = np.maximum(np.maximum(lower[:, 2], lower[:, 3] / COUPLING), np.deg2rad(8.0))
-    most = np.minimum(upper[:, 2], upper[:, 3] / COUPLING)
-    bend = least + share[..., 2] * (most - least)
-    return np.concatenate([base, bend[..., None], (COUPLING * bend)[..., None]], axis=-1).reshape(count, 20)
-
-
-def test_fingers_reach_the_tips_of_natural_postures(rng):
-    """Led there as a person moves, fingertips arrive within 0.1 mm, whatever the posture."""
-    hand, _ = person_and_rest()
-    motion = FingerMotion(hand)
-    missed = []
-    for posture in natural_postures(hand, rng, 20):
-        start, target = hand.fingertips(motion.rest), hand.fingertips(posture)
-        theta = motion.rest
-        for step in range(1, 61):
-            theta = motion.follow(theta, start + minimum_jerk(step / 50) * (target - start))
-        missed.append(np.linalg.norm(hand.fingertips(theta) - target, axis=1))
-    assert np.quantile(missed, 0.9) < 1e-4
-    assert np.max(missed) < 5e-3
 
 
 # -- the goal

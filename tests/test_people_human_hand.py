@@ -80,21 +80,6 @@ def test_kinematics_equal_a_chain_of_rotations(rng):
     np.testing.assert_array_equal(hand.keypoints(theta)[:, 0], 0.0)
 
 
-def test_jacobians_are_the_derivatives(hand, rng):
-    """Central differences agree to 1e-9; batches equal single hands."""
-    theta = rng.uniform(hand.lower, hand.upper, (5, 20))
-    J = hand.fingertip_jacobians(theta)
-    assert J.shape == (5, 5, 3, 4)
-    np.testing.assert_array_equal(hand.fingertip_jacobians(theta[2]), J[2])
-    step = 1e-6
-    for j in range(20):
-        d = step * np.eye(20)[j]
-        slope = (hand.fingertips(theta + d) - hand.fingertips(theta - d)) / (2 * step)
-        expected = np.zeros_like(slope)
-        expected[:, j // 4] = J[:, j // 4, :, j % 4]
-        np.testing.assert_allclose(slope, expected, atol=1e-9)
-
-
 def test_reachable_fingertips_are_reached_from_nearby(hand, rng):
     """Targets made from postures up to 0.3 rad away are met to 0.1 mm, in a batch and one by one."""
     goal = rng.uniform(hand.lower, hand.upper, (40, 20))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from geort_drake.errors import UnknownNameError
 from geort_drake.people import device, population
 from geort_drake.people.coverage import fingertip_speeds, tip_distances
 from geort_drake.people.keypoints import FINGER_NAMES, bone_lengths, wrist_pose
@@ -110,16 +109,3 @@ def test_joint_limits_hold_before_the_device_errs(number):
     R, _ = wrist_pose(person.hand.keypoints(person.rest))
     theta = person.hand.fit_angles(p_HK @ R.T, iterations=0)
     np.testing.assert_allclose(person.hand.keypoints(theta) @ R, p_HK, atol=1e-6)
-
-
-def test_rate_and_side_are_arguments():
-    """The device's rate by default; a left hand has the keypoints of its mirror image."""
-    person = sample_person(0)
-    right, left = person.record(2.0), person.record(2.0, side="left")
-    assert right.rate_hz == pytest.approx(person.device.rate_hz)
-    assert (len(person.record(2.0, 45.0)), left.side) == (90, "left")
-    np.testing.assert_array_equal(left.p_HK, right.p_HK)
-    with pytest.raises(UnknownNameError, match="side"):
-        person.record(2.0, side="both")
-    with pytest.raises(ValueError, match="must be positive"):
-        person.record(0.0)

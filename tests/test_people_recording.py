@@ -8,7 +8,6 @@ from glove_files import write_own
 from moving_hands import moving
 
 from geort_drake.errors import RecordingError
-from geort_drake.people.coverage import fingertip_speeds
 from geort_drake.people.recording import Recording
 
 
@@ -59,20 +58,6 @@ def test_gaps_and_lost_frames_do_not_disturb_rate_and_fingertips():
     assert recording.rate_hz == pytest.approx(60.0, rel=1e-6)
     assert recording.fingertips([8, 4]).shape == (390, 2, 3)
     np.testing.assert_array_equal(recording.fingertips([8, 4])[10], recording.p_HK[20][[8, 4]])
-
-
-def test_speeds_of_a_steady_motion_are_known_and_repeats_are_dropped():
-    """Tips that move at 0.2 m/s, of which every third frame is stored twice."""
-    t = np.arange(90) / 60.0
-    travelled = 0.2 * t
-    travelled[2::3] = travelled[1::3]
-    p_HK = np.tile(moving().p_HK[0], (90, 1, 1))
-    p_HK[:, :, 0] += travelled[:, None]
-    speeds = fingertip_speeds(Recording(t, p_HK, np.ones(90, bool)))
-    # Of three steps one is new after one period and one after two, both at 0.2 m/s on average.
-    assert len(speeds) == pytest.approx(60, abs=1)
-    np.testing.assert_allclose(speeds[2:].mean(), 0.2, rtol=0.02)
-    assert len(fingertip_speeds(Recording(t, p_HK, np.arange(90) != 30))) < len(speeds)
 
 
 @pytest.mark.parametrize("field", ["t", "p_HK", "valid", "X_WH"])

@@ -8,7 +8,7 @@ import pytest
 from grasp_setup import allegro, scenario_with
 from hand_family import HandSpec, write_hand
 from pydrake.geometry import QueryObject, Role
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 
@@ -17,7 +17,6 @@ from geort_drake.hands.description import load_hand
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.simulation.object_shape import object_shape
 from geort_drake.simulation.scenario import object_names
-from geort_drake.simulation.tasks.grasp.approach import GraspApproach
 from geort_drake.simulation.tasks.grasp.contacts import (
     GRIPS,
     contact_heights,
@@ -98,37 +97,6 @@ def test_every_object_has_a_grip_and_an_unlisted_one_is_refused_by_name():
     assert {grip_of(name) for name in object_names()} == set(GRIPS) == {"pinch", "tripod", "power"}
     with pytest.raises(UnknownNameError, match=r"unknown object in .*objects\.yaml 'chair'.*ball_small"):
         grip_of("chair")
-
-
-# -- the way to the grasp
-
-
-def approach(X_OB_start: RigidTransform, name: str = "can_heavy") -> GraspApproach:
-    hand = allegro()
-    angles = dict(zip(hand.joint_names, hand.default_position, strict=True))
-    return GraspApproach(hand.description, name, X_OB_start, angles)
-
-
-def test_the_hand_waits_where_it_gets_to_without_touching_the_object():
-    """From above and behind it waits straight behind the grasp; from the other side it must not."""
-    hand = allegro()
-    angles = dict(zip(hand.joint_names, hand.default_position, strict=True))
-    # The palm faces the can along x, the fingers point along y.
-    R = RotationMatrix(np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]]))
-    X_OB = RigidTransform(R, [-0.10, -0.04, 0.0])
-    behind = approach(RigidTransform(R, [-0.4, -0.04, 0.0])).waiting_pose(X_OB, angles)
-    assert behind is not None
-    behind, clearance = behind
-    assert 0 < clearance <= 0.05
-    np.testing.assert_allclose(behind.rotation().matrix(), R.matrix(), atol=1e-12)
-    np.testing.assert_allclose(behind.translation(), [-0.18, -0.04, 0.0], atol=1e-12)
-    # Through the can there is no way, and beneath it none either.
-    beyond = approach(RigidTransform(R, [0.3, -0.04, 0.0])).waiting_pose(X_OB, angles)
-    assert beyond is None
-    assert approach(RigidTransform(R, [0.0, 0.0, 0.0])).waiting_pose(X_OB, angles) is None
-    # A grasp inside the object cannot be approached from anywhere.
-    inside = RigidTransform(R, [0.0, 0.0, 0.0])
-    assert approach(RigidTransform(R, [-0.4, -0.04, 0.0])).waiting_pose(inside, angles) is None
 
 
 # -- plans

@@ -22,17 +22,6 @@ from geort_drake.retargeting.retargeter import load_retargeter
 NAMES = ("thumb", "index", "middle")
 
 
-def test_a_scaled_and_shifted_hand_is_its_own_copy(rng):
-    """Each finger has a scale and an offset of its own; what is left over is the error."""
-    human = rng.normal(size=(50, 3, 3))
-    robot = human * np.array([1.5, 0.5, 2.0])[:, None] + rng.normal(size=(3, 3))
-    np.testing.assert_allclose(proportional_copy(human, robot), robot, atol=1e-12)
-    off = robot.copy()
-    off[7, 1, 2] += 0.5
-    errors = np.linalg.norm(proportional_copy(human, off) - off, axis=-1)
-    assert np.unravel_index(errors.argmax(), errors.shape) == (7, 1)
-
-
 def test_cosines_are_of_the_motion_around_an_instant():
     """A robot finger that moves 60° aside keeps a cosine of a half; one that rests counts 0."""
     t = np.arange(20)[:, None]

@@ -5,17 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import rerun.blueprint as rrb
-from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from rerun_world import World, constant, pose_source, read
+from rerun_world import World, constant, read
 
-from geort_drake.colours import FINGER_COLOURS
 from geort_drake.errors import ScenarioError
-from geort_drake.people.keypoints import TIP_KEYPOINT, wrist_pose
 from geort_drake.rerun import (
     CloseUpSpec,
-    HandSpec,
     PointsSpec,
     SignalSpec,
     add_rerun_recorder,
@@ -91,29 +87,6 @@ def test_a_close_up_moves_with_its_frame(tmp_path, laid_out):
     (rgba,) = view.visualizer_overrides["/world/ball/body/ellipsoids"].colors.as_arrow_array().to_pylist()
     assert rgba >> 8 == 0x336699 and 0 < rgba & 255 < 255
     assert set(laid_out.views["scene"].visualizer_overrides) == {"/world/path"}
-
-
-def test_a_close_up_of_a_hand_moves_with_its_wrist(tmp_path, laid_out, rng):
-    """The wrist's frame is that of the keypoints; tips have the colours of their fingers."""
-    world = World().finalize()
-    p_HK = rng.uniform(0.02, 0.1, (21, 3))
-    X_OH = RigidTransform(RollPitchYaw(0.1, 0.2, 0.3), [0.1, 0.2, 0.3])
-    keypoints, wrist = constant(world.builder, p_HK.ravel()), pose_source(world.builder, X_OH)
-    world.record(
-        tmp_path / "hand.rrd",
-        specs={"person": HandSpec(keypoints, wrist)},
-        close_ups={"hand": CloseUpSpec("person", (0.2, 0, 0))},
-        until=0.05,
-    )
-    R_WH, p_WH = wrist_pose((X_OH @ p_HK.T).T)
-    view = laid_out.views["hand"]
-    assert (view.origin, view.contents) == ("/world/person/wrist", ["/world/person/**"])
-    np.testing.assert_allclose(eye_of(view)[2], R_WH[2], atol=1e-6)
-    _, found = read(world.recorder.path, view.origin, "Transform3D:translation")
-    np.testing.assert_allclose(found[-1][0], p_WH, atol=1e-6)
-    _, colors = read(world.recorder.path, "/world/person/keypoints", "Points3D:colors")
-    for finger, tip in TIP_KEYPOINT.items():
-        assert f"#{colors[0][tip] >> 8:06X}" == FINGER_COLOURS[finger]
 
 
 def inside(world):

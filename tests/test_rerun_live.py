@@ -99,16 +99,6 @@ def test_a_viewer_that_is_not_there_costs_the_file_nothing(tmp_path, monkeypatch
     assert rerun("rrd", "verify", tmp_path / "file.rrd").returncode == 0
 
 
-def test_a_flush_writes_what_there_is_and_goes_on(tmp_path):
-    """Each flush replaces the file."""
-    world = World().finalize().record(tmp_path / "flushed.rrd", period=0.05)
-    for end in (0.1, 0.2):
-        world.simulator.AdvanceTo(end)
-        world.recorder.flush()
-        times, _ = read(tmp_path / "flushed.rrd", "/world/ball/body", "Transform3D:translation")
-        assert times[-1] == pytest.approx(end)
-
-
 def test_a_forced_publish_takes_a_sample(tmp_path):
     """What is not simulated but moved by hand can be recorded, as Drake's other visualizers do."""
     world = World().finalize().record(tmp_path / "forced.rrd", period=100.0)

@@ -12,7 +12,6 @@ from geort_drake.resources import diagrams_dir
 from geort_drake.simulation.scenario import (
     dump_scenario,
     load_scenario,
-    names_object,
 )
 from geort_drake.simulation.world import add_object, add_robot
 
@@ -50,20 +49,6 @@ def test_text_is_merged_over_the_file():
     assert scenario.arm_posture == before.arm_posture | {"panda_joint1": 0.5} != before.arm_posture
     assert load_scenario(text=text, hand="leap_right").hand == "leap_right"
     assert dump_scenario(load_scenario()) == dump_scenario(before)
-
-
-def test_a_scenario_says_whether_it_names_its_object(tmp_path):
-    """In the file, in the text, or in what the file merges into it; another field of the object does not."""
-    file = tmp_path / "own.scenarios.yaml"
-    file.write_text(
-        "Base: &base {object: {name: cube}}\nNamed: {<<: *base, timeout: 3}\nBare: {object: {yaw: 0.1}}\n"
-    )
-    assert load_scenario(file, "Named").object.name == "cube"
-    assert names_object(file, "Named") and names_object(file, "Base")
-    assert not names_object(file, "Bare")
-    assert names_object(file, "Bare", "{object: {name: bottle}}")
-    assert not names_object(file, "Bare", "{timeout: 3}")
-    assert not names_object()
 
 
 @pytest.mark.parametrize(("file", "name"), shipped(), ids=lambda value: getattr(value, "stem", value))

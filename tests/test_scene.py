@@ -42,24 +42,6 @@ def test_the_placement_is_the_seeds_and_within_its_ranges():
     assert again.friction_factor == placements[7].friction_factor
 
 
-def test_the_centre_of_a_placement_can_be_chosen():
-    """Without ranges the placement is the centre; the range of friction changes no other draw."""
-    text = "{object: {yaw: 0.3, mass_factor: 2.0, friction_factor: 0.5, %s}}"
-    ranges = "position_range: 0, yaw_range: 0, mass_range: 0, friction_range: 0"
-    exact = draw_placement(scenario_with("cube", text % ranges), -0.05, np.random.default_rng(3))
-    p, R = exact.X_WO.translation(), exact.X_WO.rotation().matrix()
-    np.testing.assert_allclose(p[:2], scenario_with("cube").object.position)
-    assert np.arctan2(R[1, 0], R[0, 0]) == pytest.approx(0.3)
-    assert (exact.mass_factor, exact.friction_factor) == (2.0, 0.5)
-    draws = []
-    for friction_range in (0.0, 0.4):
-        scenario = scenario_with("cube", f"{{object: {{friction_range: {friction_range}}}}}")
-        rng = np.random.default_rng(5)
-        placement = draw_placement(scenario, -0.05, rng)
-        draws.append([*placement.X_WO.translation(), placement.mass_factor, rng.random()])
-    assert draws[0] == draws[1]
-
-
 def test_friction_and_stiffness_are_scaled_in_the_plant():
     """Only the object's coefficients and the hand's gains; and only the object feels gravity."""
     text = "{hand_stiffness_factor: 4.0, object: {friction_factor: 0.5}}"

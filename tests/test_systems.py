@@ -154,9 +154,6 @@ def test_retargeting_needs_the_plants_joints_and_limits_and_a_start_within_them(
         RetargetingSystem(limited, JOINTS, JOINTS, start)
 
 
-# -- ActionCorrection
-
-
 # -- Clutch
 
 
@@ -294,17 +291,7 @@ def test_monitor_takes_no_short_loss_of_contact_for_a_drop(loose, drops):
     assert longer.drops == 0
 
 
-@pytest.mark.parametrize(
-    ("heights", "contacts", "last"),
-    [
-        ([0.0, 0.0, -0.1], [[0, 0]] * 3, "REACH"),
-        # Grasped at first, but what threw it was one finger.
-        ([0.0, 0.0, 0.0, 0.0, -0.1], [[1, 1], [0, 0], [1, 0], [0, 0], [0, 0]], "TOUCH"),
-        ([0.0, 0.15, 0.0, -0.1], [[1, 1], [1, 1], [0, 0], [1, 1]], "HOLD"),
-    ],
-)
-def test_monitor_remembers_the_last_phase_with_a_touch(heights, contacts, last):
-    """Not the furthest one, and not the throw itself."""
-    outcome = run_monitor(heights, contacts)
-    assert outcome.phase == GraspPhase.THROWN
-    assert outcome.last_touched == GraspPhase[last]
+def test_monitor_remembers_the_last_phase_with_a_touch():
+    """Not the furthest one, and not the throw itself: here what threw it was one finger."""
+    outcome = run_monitor([0.0, 0.0, 0.0, 0.0, -0.1], [[1, 1], [0, 0], [1, 0], [0, 0], [0, 0]])
+    assert outcome.phase == GraspPhase.THROWN and outcome.last_touched == GraspPhase.TOUCH

@@ -6,10 +6,10 @@ from faults.bench import Bench
 from faults.sound import FINGERS, JOINTS, LOWER, TIPS, UPPER, play, smooth_arrays, smooth_retargeter
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 
-from geort_drake.errors import CheckpointError, HandError
+from geort_drake.errors import HandError
 from geort_drake.retargeting.checkpoint import TRAINED_POINTS, save_checkpoint
 from geort_drake.retargeting.retargeter import load_retargeter
-from geort_drake.retargeting.trained_space import VOXEL, TrainedSpace, trained_points
+from geort_drake.retargeting.trained_space import TrainedSpace, trained_points
 from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.retargeting_map import RetargetingMap
 from geort_drake.systems.retargeting_system import OUTSIDE, TRACKING
@@ -20,23 +20,6 @@ AT_ONCE = GloveChecks(ease_at_start=False)
 
 def hands(count: int) -> np.ndarray:
     return PLAY.p_HK[:count].astype(float)
-
-
-def test_distances_are_those_to_the_nearest_trained_point(rng):
-    """Against all points by brute force; thinning adds at most the diagonal of a voxel."""
-    p_HF = PLAY.p_HK[:, list(TIPS)].astype(float)
-    points = trained_points(p_HF)
-    space = TrainedSpace(points, TIPS)
-    for hand in PLAY.p_HK[::100] + rng.normal(0, 0.02, (len(PLAY.p_HK[::100]), 1, 1)):
-        distances = space.distances(hand)
-        for finger, keypoint in enumerate(TIPS):
-            kept = np.linalg.norm(points[finger] - hand[keypoint], axis=1).min()
-            every = np.linalg.norm(p_HF[:, finger] - hand[keypoint], axis=1).min()
-            assert distances[finger] == pytest.approx(kept, abs=1e-6)
-            assert -1e-6 <= kept - every <= np.sqrt(3) * VOXEL
-        np.testing.assert_allclose(space.distances(hand[list(TIPS)]), distances)
-    with pytest.raises(CheckpointError, match=r"shape \(4, M, 3\)"):
-        TrainedSpace(points[:2], TIPS)
 
 
 def test_a_foreign_hand_is_reported_and_the_persons_own_is_not():
