@@ -59,10 +59,8 @@ def test_a_step_holds_the_motions_it_names(shown, finger):
 def test_what_was_not_done_is_named(shown):
     """A finger that never spreads, and pinches that were not made; bending is not taken for abduction."""
     hand = HumanHand.anatomical()
-    lower, upper = hand.lower.copy(), hand.upper.copy()
-    lower[hand.joint_names.index("ring_mcp_abduction")] = upper[
-        hand.joint_names.index("ring_mcp_abduction")
-    ] = 0.0
+    free = np.array([name != "ring_mcp_abduction" for name in hand.joint_names])
+    lower, upper = free * hand.lower, free * hand.upper
     still, _ = demonstrate(0, 30.0, replace(hand, lower=lower, upper=upper), jitter=0.0)
     (motion,) = [m for m in coverage(still) if not m.enough]
     assert re.fullmatch("ring moves sideways: [01] °, wanted 7", str(motion))
