@@ -53,7 +53,7 @@ def results_of(trials, jobs: int, backend: str = "loky") -> list[dict]:
 
 def test_other_processes_give_the_same_results(short, alone):
     """Bit for bit, with contacts and with a method that continues from its last answer."""
-    grasp = trial("vector_online", 0, "{timeout: 6.0}")
+    grasp = trial("vector_online", 0, "{timeout: 4.8}")
     touched = judged(simulate(grasp))
     # Small differences would grow in contact.
     assert {"TOUCH", "GRASP"} <= touched["phase_times"].keys() and touched["peak_force"] > 0.1

@@ -4,8 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from faults.bench import Watch
-from pydrake.systems.analysis import Simulator
+from faults.bench import Bench, Watch
 from universal_map import FINGERS, PLAY, random_retargeter
 
 from geort_drake.retargeting.person_observer import RECENT
@@ -20,39 +19,29 @@ from geort_drake.systems.retargeting_status import (
     TRACKING,
     UNUSUAL,
 )
-from geort_drake.systems.retargeting_system import RetargetingSystem
 
 RETARGET = random_retargeter()
 PERIOD, F = 0.01, len(FINGERS)
-N = len(RETARGET.joint_names)
 OTHER = 1.12 * PLAY
 
 
-class Session:
+class Session(Bench):
     """A system that is shown hand after hand."""
 
-    def __init__(self, retarget=RETARGET, checks=GloveChecks(ease_at_start=False)):  # noqa: B008
-        self.limits = JointLimits(RETARGET.lower, RETARGET.upper)
-        start = dict(zip(RETARGET.joint_names, retarget(PLAY[0]), strict=True))
-        names = RETARGET.joint_names
-        self.system = RetargetingSystem(retarget, names, names, start, PERIOD, self.limits, checks=checks)
-        self.simulator = Simulator(self.system)
-        self.context = self.simulator.get_mutable_context()
-        self.updates = 0
-        self.watch = Watch(self.limits, PERIOD, np.array(list(start.values())))
+    def __init__(self, retarget=RETARGET):
+        limits, start = JointLimits(RETARGET.lower, RETARGET.upper), retarget(PLAY[0])
+        checks = GloveChecks(ease_at_start=False)
+        super().__init__(retarget, PERIOD, start=start, limits=limits, checks=checks)
+        self.watch = Watch(limits, PERIOD, start)
 
     def show(self, frames, valid=1.0):
         """Joint targets (T, n), and the last status; every command keeps the limits."""
-        q = []
+        positions = []
         for p_HK in frames:
-            self.system.GetInputPort("keypoints").FixValue(self.context, np.ravel(p_HK))
-            self.system.GetInputPort("valid").FixValue(self.context, [valid])
-            self.simulator.AdvanceTo((self.updates + 0.5) * PERIOD)
-            self.updates += 1
-            desired = self.system.GetOutputPort("desired_state").Eval(self.context).copy()
-            assert not self.watch.broken(desired[:N], desired[N:])
-            q.append(desired[:N])
-        return np.array(q), self.system.GetOutputPort("status").Eval(self.context)
+            q, v, status = self.tick(p_HK, valid)
+            assert not self.watch.broken(q, v)
+            positions.append(q)
+        return np.array(positions), status
 
 
 def test_the_first_frame_is_followed_and_the_person_gets_known():

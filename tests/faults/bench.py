@@ -11,15 +11,15 @@ START = 0.3  # rad, of every joint
 
 
 class Bench:
-    """Steps a `RetargetingSystem` of 16 joints update by update."""
+    """Steps a `RetargetingSystem` update by update; functions without joint names have `JOINTS`."""
 
-    def __init__(self, retarget=None, period=0.01, stamped=False, **options):
+    def __init__(self, retarget=None, period=0.01, stamped=False, start=START, **options):
         self.period = period
         self.limits = options.pop("limits", JointLimits(LOWER, UPPER))
-        self.system = RetargetingSystem(
-            retarget or smooth_retargeter(), JOINTS, JOINTS, dict.fromkeys(JOINTS, START), period,
-            self.limits, **options,
-        )  # fmt: skip
+        retarget = retarget or smooth_retargeter()
+        joints = tuple(getattr(retarget, "joint_names", JOINTS))
+        start = dict(zip(joints, start + np.zeros(len(joints)), strict=True))
+        self.system = RetargetingSystem(retarget, joints, joints, start, period, self.limits, **options)
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
         self.ticks = 0
@@ -34,7 +34,7 @@ class Bench:
         self.simulator.AdvanceTo((self.ticks + 0.5) * self.period)
         self.ticks += 1
         desired = self.system.GetOutputPort("desired_state").Eval(self.context).copy()
-        return desired[:16], desired[16:], self.system.GetOutputPort("status").Eval(self.context)
+        return *np.split(desired, 2), self.system.GetOutputPort("status").Eval(self.context)
 
 
 class Watch:
