@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from geort_drake.console import console, progress_bar, run_main
+from geort_drake.errors import GeortError
 from geort_drake.files import require_writable, write_text
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -34,11 +35,12 @@ _MACHINE = ("date", "processor", "cores", "load_average", "python")
 sys.path[:0] = [str(ROOT / name) for name in ("tests", "benchmarks", "studies")]
 
 from faults import disks, kills  # noqa: E402
-from faults.frames import fuzz_arm, fuzz_call, fuzz_system  # noqa: E402
+from faults.frames import faulty_frames, fuzz_arm, fuzz_system  # noqa: E402
 from faults.guard import fuzz_guard  # noqa: E402
 from faults.hostile import CASES, faults_of  # noqa: E402
 from faults.mutations import fuzz  # noqa: E402
 from faults.soak import soak  # noqa: E402
+from faults.sound import LOWER, TIPS, UPPER, smooth_retargeter  # noqa: E402
 from guided_fuzzing import fuzz_guided, require_atheris  # noqa: E402
 from side_by_side import machine  # noqa: E402
 
@@ -200,6 +202,26 @@ def frames(counts: dict, seed: int, folder: Path, report: Report) -> dict:
         if result["violations"] or result.get("speed_when_held")
     ]
     return {**results, "failures": failures}
+
+
+def fuzz_call(count: int, seed: int, backend: str = "numpy") -> dict:
+    """Calls a retargeter with `count` faulty frames: within the limits, or refused as not finite."""
+    rng = np.random.default_rng(seed)
+    retarget = smooth_retargeter()
+    if backend == "numba":
+        retarget.compile()
+    refused = violations = 0
+    for frame, _ in faulty_frames(count, rng):
+        points = frame["keypoints"] if rng.random() < 0.5 else frame["keypoints"][list(TIPS)]
+        try:
+            q = retarget(points)
+        except GeortError:
+            refused += 1
+            # Refused are points that are not finite, or whose squares are not.
+            violations += bool(np.abs(points).max() < 1e150)
+        else:
+            violations += not ((LOWER <= q) & (q <= UPPER)).all()
+    return {"frames": count, "refused": refused, "violations": violations}
 
 
 def guard(counts: dict, seed: int, folder: Path, report: Report) -> dict:

@@ -4,9 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy.stats import binom
 
-from geort_drake.people import device, population
+from geort_drake.people import device
 from geort_drake.people.coverage import fingertip_speeds, tip_distances
 from geort_drake.people.keypoints import FINGER_NAMES, bone_lengths, wrist_pose
 from geort_drake.people.population import sample_person, sample_population
@@ -79,24 +78,6 @@ def test_the_seed_and_the_number_decide_a_person():
     assert not np.allclose(sample_population(1, 6, duration_s=2.0), people[:1])
     with pytest.raises(ValueError, match="must be positive"):
         sample_population(0, 5)
-
-
-def test_shares_of_kinds_of_people_are_as_stated():
-    """Among 1000 people, within the bounds that a fair draw leaves once in a thousand times."""
-    people = [sample_person(0, number) for number in range(1000)]
-    shares = {
-        population._STYLES["small"]: [person.style == "small" for person in people],
-        population._STYLES["uneven"]: [person.style == "uneven" for person in people],
-        population._FEW_FINGERS_SHARE: [len(person.fingers) < 5 for person in people],
-        population._STOPPING_SHARE: [person.stops_after < 1 for person in people],
-        population._NO_PINCH_SHARE: [not person.pinched for person in people if len(person.fingers) == 5],
-        device._CAMERA_SHARE: [person.device.is_camera for person in people],
-    }
-    for share, found in shares.items():
-        low, high = binom.interval(0.999, len(found), share)
-        assert low <= sum(found) <= high, share
-    rates = {person.device.rate_hz for person in people}
-    assert (min(rates), max(rates)) == (30.0, 120.0)
 
 
 @pytest.mark.parametrize("number", range(2))

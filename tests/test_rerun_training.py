@@ -1,90 +1,34 @@
-"""The recording of a training: what was observed, and that observing changes nothing."""
+"""The recording of a training: what it holds, and that recording changes nothing."""
 
 import numpy as np
 import pytest
-import torch
-from rerun_world import read, rerun
+from rerun_world import entities, read, rerun
 
-from geort_drake.comparison import training_recording as scene
-from geort_drake.comparison.training_recording import TrainingRecorder
-from geort_drake.retargeting.training.descent import descend
-from geort_drake.retargeting.training.networks import RetargetingNetwork
+from geort_drake.cli import run_command
+from geort_drake.comparison import training_recording
+from geort_drake.retargeting.retargeter import load_retargeter
 
 
-def make_network(hand):
-    fingers = len(hand.finger_names)
-    mean, scale = torch.full((fingers, 3), 0.05), torch.full((fingers, 3), 0.05)
-    return RetargetingNetwork(hand.kinematics(), mean, scale, 8, torch.Generator().manual_seed(0))
-
-
-@pytest.fixture
-def network(allegro):
-    return make_network(allegro)
-
-
-def move(network):
-    with torch.no_grad():
-        for parameter in network.parameters():
-            parameter.mul_(1.5)
-
-
-def test_training_is_the_same_when_it_is_observed(allegro, play):
-    """The weights are kept as they were at each step, and observing changes none of them."""
-    hands = torch.full((4, len(allegro.finger_names), 3), 0.1)
-
-    def train(report=None):
-        network, outputs = make_network(allegro), []
-
-        def losses(_step):
-            answer = network(hands)
-            outputs.append(answer.detach())
-            loss = answer.square().sum()
-            return loss, {"size": loss}
-
-        descend(network, losses, 300, 0.01, report)
-        return torch.stack(outputs)
-
-    recorder = TrainingRecorder(allegro, play)
-    observed = train(recorder.observe)
-    assert torch.equal(observed, train())
-    assert list(recorder._weights) == [1, 2, *range(4, 300, 3)]
-    for step, weights in recorder._weights.items():
-        np.testing.assert_allclose(recorder._map(weights)(hands.numpy()), observed[step], atol=1e-6)
-
-
-def test_the_recording_holds_each_map_as_it_was(tmp_path, allegro, play, network, monkeypatch):
-    """Robot hand, reach, pinches and criteria at each step are those of that step's weights."""
-    monkeypatch.setattr(scene, "_SAMPLES", 2000)
-    monkeypatch.setattr(scene, "_COLLIDING", 10)
-    recorder = TrainingRecorder(allegro, play)
-    kept = []
-    for step in (1, 50, 100):
-        losses = {"step": step - 1, "total": 2.0, "pinch": 1.0 / step, "seconds": 0.1}
-        recorder.observe(step, 100, losses, network)
-        kept.append({name: value.clone() for name, value in network.state_dict().items()})
-        move(network)
-
-    def trained(p_HF):
-        return np.tile(allegro.default_position, (len(p_HF), 1))
-
+@pytest.mark.usefixtures("light_evaluation")
+def test_a_training_is_the_same_when_it_is_recorded(tmp_path, play, allegro, monkeypatch):
+    """Its weights are; losses, criteria and the robot hand are recorded step by step up to the final map."""
+    monkeypatch.setattr(training_recording, "_SAMPLES", 2000)
+    play.save(tmp_path / "play.npz")
+    common = ["--recording", str(tmp_path / "play.npz"), "--robot-samples", "1000", "--steps", "5", "--quiet"]
     path = tmp_path / "training.rrd"
-    properties = {"method": "geort", "hand": "allegro_right", "seed": 0}
-    recorder.write(path, trained, properties)
+    for name, more in (("plain", []), ("seen", ["--rrd", str(path)])):
+        assert run_command("train", [*common, "--output", str(tmp_path / name), *more]) == 0
+    plain, seen = ((tmp_path / name / "weights.safetensors").read_bytes() for name in ("plain", "seen"))
+    assert plain == seen
     assert rerun("rrd", "verify", path).returncode == 0
-
     steps, closed = read(path, "/criteria/pinch", "Scalars:scalars", timeline="step")
-    assert steps == [1, 50, 100]
-    steps, pinch = read(path, "/losses/pinch", "Scalars:scalars", timeline="step")
-    assert (steps, np.ravel(pinch).tolist()) == ([0, 49, 99], [1.0, 0.02, 0.01])
-    tips = allegro.fingertips(allegro.default_position)
-    # The final map closes no pinch; the hand and the lattices are those of each step's own map.
-    thumb = allegro.description.fingers[0]
-    gaps = np.linalg.norm(tips[1:] - tips[0], axis=1)
-    assert closed[-1] == (gaps.min() <= 2 * allegro.tip_radius)
-    _, lattices = read(path, f"/world/robot/lattice/{thumb.name}", "LineStrips3D:strips", timeline="step")
-    np.testing.assert_allclose(lattices[-1], np.broadcast_to(tips[0], lattices[-1].shape), atol=1e-6)
-    network.load_state_dict(kept[0])
-    lattice = scene.Lattice(play.fingertips(allegro.description.human_keypoints), 0)
-    with torch.no_grad():
-        q = network(torch.tensor(lattice.hands, dtype=torch.float32)).numpy().astype(float)
-    np.testing.assert_allclose(lattices[0], lattice.segments(allegro.fingertips(q)[:, 0]), atol=1e-5)
+    assert (steps[0], steps[-1]) == (1, 5) and ((np.array(closed) >= 0) & (np.array(closed) <= 1)).all()
+    for loss in (entity for entity in entities(path) if entity.startswith("/losses/")):
+        steps, values = read(path, loss, "Scalars:scalars", timeline="step")
+        assert len(steps) == 5 and np.isfinite(values).all()
+    # The thumb's lattice at the end is in the final map's image of the hands that it is made of.
+    thumb = allegro.finger_names[0]
+    _, lattices = read(path, f"/world/robot/lattice/{thumb}", "LineStrips3D:strips", timeline="step")
+    lattice = training_recording.Lattice(play.fingertips(allegro.description.human_keypoints), 0)
+    q = load_retargeter(tmp_path / "seen", allegro)(lattice.hands)
+    np.testing.assert_allclose(lattices[-1], lattice.segments(allegro.fingertips(q)[:, 0]), atol=1e-5)

@@ -9,8 +9,7 @@ from arm_bench import PERIOD, ArmBench
 from pydrake.math import RigidTransform, RollPitchYaw
 
 from faults.bench import Bench, Watch
-from faults.sound import LOWER, TIPS, UPPER, play, smooth_retargeter
-from geort_drake.errors import GeortError
+from faults.sound import LOWER, UPPER, play, smooth_retargeter
 from geort_drake.systems.joint_limits import JointLimits
 
 KEYPOINT = np.arange(21)[:, None]
@@ -142,23 +141,3 @@ def fuzz_system(count: int, seed: int) -> dict:
             faults[fault] += 1
             held += status.state.startswith("held")
     return _counted(faults, held, broken)
-
-
-def fuzz_call(count: int, seed: int, backend: str = "numpy") -> dict:
-    """Calls a retargeter with `count` faulty frames: within the limits, or refused as not finite."""
-    rng = np.random.default_rng(seed)
-    retarget = smooth_retargeter()
-    if backend == "numba":
-        retarget.compile()
-    refused = violations = 0
-    for frame, _ in faulty_frames(count, rng):
-        points = frame["keypoints"] if rng.random() < 0.5 else frame["keypoints"][list(TIPS)]
-        try:
-            q = retarget(points)
-        except GeortError:
-            refused += 1
-            # Refused are points that are not finite, or whose squares are not.
-            violations += bool(np.abs(points).max() < 1e150)
-        else:
-            violations += not ((LOWER <= q) & (q <= UPPER)).all()
-    return {"frames": count, "refused": refused, "violations": violations}
