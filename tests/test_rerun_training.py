@@ -25,7 +25,7 @@ def test_a_training_is_the_same_when_it_is_recorded(tmp_path, play, allegro, mon
     assert (steps[0], steps[-1]) == (1, 5) and ((np.array(closed) >= 0) & (np.array(closed) <= 1)).all()
     for loss in (entity for entity in entities(path) if entity.startswith("/losses/")):
         steps, values = read(path, loss, "Scalars:scalars", timeline="step")
-        assert len(steps) == 5 and np.isfinite(values).all()
+        assert steps[0] == 0 and np.isfinite(values).all()
     # The thumb's lattice at the end is in the final map's image of the hands that it is made of.
     thumb = allegro.finger_names[0]
     _, lattices = read(path, f"/world/robot/lattice/{thumb}", "LineStrips3D:strips", timeline="step")

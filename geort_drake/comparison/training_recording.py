@@ -97,8 +97,10 @@ class TrainingRecorder:
             properties: of the recording; must hold `method`, `hand` and `seed`.
         """
         maps = {step: self._map(weights) for step, weights in self._weights.items()} | {self._steps: trained}
-        names = [name for name in self._losses[0] if name not in ("step", "seconds", "total")]
-        losses = np.array([[line[name] for name in names] for line in self._losses])
+        names = dict.fromkeys(name for line in self._losses for name in line)
+        names = [name for name in names if name not in ("step", "seconds", "total")]
+        # Some losses are computed at some of the steps only.
+        losses = np.array([[line.get(name, np.nan) for name in names] for line in self._losses])
         id = "-".join(str(properties[key]) for key in ("method", "hand", "seed"))
         with file_writer(
             path,
@@ -109,9 +111,13 @@ class TrainingRecorder:
             timeline=STEPS,
         ) as writer:
             writer.text("/about", _TEXT.format(**properties))
-            writer.at(np.array([line["step"] for line in self._losses], dtype=np.int64))
+            steps = np.array([line["step"] for line in self._losses], dtype=np.int64)
             for i, name in enumerate(names):
-                writer.series(f"/losses/{name}", [name], losses[:, [i]], PALETTE[i % len(PALETTE) :], 1.5)
+                known = np.isfinite(losses[:, i])
+                writer.at(steps[known])
+                writer.series(
+                    f"/losses/{name}", [name], losses[known][:, [i]], PALETTE[i % len(PALETTE) :], 1.5
+                )
             writer.at(np.array(list(maps), dtype=np.int64))
             self._write_maps(writer, list(maps.values()))
 
@@ -221,7 +227,7 @@ def _blueprint(steps: int, losses: np.ndarray) -> Any:
         for key, (title, limits) in _CRITERIA.items()
     ]
     # The highest peaks are cut off; they would flatten everything else.
-    low, high = np.percentile(losses, [0, 97])
+    low, high = np.nanpercentile(losses, [0, 97])
     margin = 0.05 * max(high - low, 1e-6)
     # The axis is longer than the training, to leave room for the legend.
     shown = round(1.7 * steps), (low - margin, high + margin)
