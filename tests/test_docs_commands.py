@@ -69,7 +69,7 @@ CHAINS = {
         "synthesize play.npz --duration 60 --rate 30": None,
         "synthesize people --people 1 --duration 5": None,
         "convert hand.npy copy.npz": "verdict",
-        "check-recording copy.npz --picture tips.png": "verdict",
+        "check-recording copy.npz": "verdict",
         "export copy.npz hand.rrd --format rrd": "episodes",
         "capture": None,
         "publish short.npz --to pub+ipc://glove": None,

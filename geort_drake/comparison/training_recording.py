@@ -97,8 +97,8 @@ class TrainingRecorder:
             properties: of the recording; must hold `method`, `hand` and `seed`.
         """
         maps = {step: self._map(weights) for step, weights in self._weights.items()} | {self._steps: trained}
-        names = dict.fromkeys(name for line in self._losses for name in line)
-        names = [name for name in names if name not in ("step", "seconds", "total")]
+        keys = dict.fromkeys(name for line in self._losses for name in line)
+        names = [name for name in keys if name not in ("step", "seconds", "total")]
         # Some losses are computed at some of the steps only.
         losses = np.array([[line.get(name, np.nan) for name in names] for line in self._losses])
         id = "-".join(str(properties[key]) for key in ("method", "hand", "seed"))
