@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _average(arguments: argparse.Namespace) -> int:
     from geort_drake import read_recording, synthesize_play
     from geort_drake.console import warn
-    from geort_drake.people.checks import check_recording
+    from geort_drake.people.checks import examine, noted, refuse
     from geort_drake.people.human_hand import HumanHand
 
     output, hand = output_file(".npz")(arguments.output), None
@@ -53,10 +53,11 @@ def _average(arguments: argparse.Namespace) -> int:
         hand = HumanHand.fit(read_recording(arguments.hand_of, arguments.side))
     rate = arguments.rate or _RATE_HZ
     made = synthesize_play(arguments.seed, arguments.duration, rate, hand, side=arguments.side)
-    recording = check_recording(made, str(output))
-    recording.save(output)
-    for warning in recording.metadata["warnings"]:
-        warn(warning)
+    recording, findings = examine(made)
+    refuse(str(output), findings)
+    noted(recording, findings).save(output)
+    for finding in findings:
+        warn(str(finding))
     size = f"{len(recording)} frames at {recording.rate_hz:g} Hz"
     finish({"Recording": f"{output} ({size})"}, command("grasp", "--recording", output))
     return 0

@@ -26,8 +26,8 @@ from pydrake.systems.framework import Context
 
 from geort_drake.errors import HandError
 from geort_drake.files import require_fetched
-from geort_drake.hands.couplings import JointCouplings, first_leader, leader_range
-from geort_drake.hands.description import HandDescription
+from geort_drake.hands.couplings import followers
+from geort_drake.hands.description import HandDescription, resolved_couplings
 from geort_drake.hands.model_files import (
     check_model_values,
     mesh_elements,
@@ -48,7 +48,7 @@ def add_hand_model(
     instance, named as in the description.
 
     Args:
-        plant: to which the hand is added.
+        plant: to which the hand is added; it has a scene graph.
         description: of the hand.
         name: of the model instance; by default the model's.
 
@@ -68,16 +68,17 @@ def add_hand_model(
         plant.RemoveConstraint(constraint)
     detach_from_world(plant, hand)
     _add_base(plant, hand, description, source)
-    followers = _set_default_positions(plant, hand, description, source)
-    moving = {*description.joint_names, *followers}
+    _set_default_positions(plant, hand, description, source)
+    couplings = followers(description)
+    moving = {*description.joint_names, *(coupling.joint for coupling in couplings)}
     for joint in _joints(plant, hand):
         if joint.num_positions() and joint.name() not in moving:
             _weld_at_default(plant, joint)
-    _actuate(plant, hand, description, followers)
+    _actuate(plant, hand, description)
     if plant.time_step() > 0:
-        for follower, (leader, ratio, offset) in followers.items():
-            joints = [plant.GetJointByName(joint, hand) for joint in (follower, leader)]
-            plant.AddCouplerConstraint(*joints, ratio, offset)
+        for coupling in couplings:
+            joints = [plant.GetJointByName(name, hand) for name in (coupling.joint, coupling.follows)]
+            plant.AddCouplerConstraint(*joints, coupling.ratio, coupling.offset)
     _ignore_collisions(plant, hand, description, source)
     # The hand must not collide with a floor that its own model file has.
     if added := set(_world_geometries(plant)) - surroundings:
@@ -105,17 +106,16 @@ def position_limits(
     joints = [plant.GetJointByName(name, hand) for name in description.joint_names]
     lower = np.array([joint.position_lower_limits()[0] for joint in joints])
     upper = np.array([joint.position_upper_limits()[0] for joint in joints])
-    couplings = JointCouplings.of(description)
-    for row, name in enumerate(couplings.names):
-        leader, follower = couplings.leaders[row], plant.GetJointByName(name, hand)
+    for c in followers(description):
+        leader, follower = description.joint_names.index(c.follows), plant.GetJointByName(c.joint, hand)
         ends = np.array([follower.position_lower_limits()[0], follower.position_upper_limits()[0]])
-        low, high = leader_range(ends, couplings.ratio[row, leader], couplings.offset[row])
+        low, high = np.sort((ends - c.offset) / c.ratio)
         lower[leader], upper[leader] = max(lower[leader], low), min(upper[leader], high)
         if not lower[leader] < upper[leader]:
             raise HandError(
-                f"{source}: joint '{name}', which follows '{description.joint_names[leader]}', "
-                f"would leave its limits [{ends[0]:g}, {ends[1]:g}] rad at every angle of that joint; "
-                "correct its couplings or its limits"
+                f"{source}: joint '{c.joint}', which follows '{c.follows}', would leave its limits "
+                f"[{ends[0]:g}, {ends[1]:g}] rad at every angle of that joint; correct its couplings or its "
+                "limits"
             )
     return lower, upper
 
@@ -144,9 +144,7 @@ def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstance
             (hand,) = parser.AddModels(path)
     except (RuntimeError, ValueError, SystemExit) as error:  # a failed assertion of Drake exits
         raise HandError(f"{source}: not one readable model: {error}") from error
-    scene_graph = parser.scene_graph()
-    inspector = None if scene_graph is None else scene_graph.model_inspector()
-    check_model_values(model_files(plant, inspector, hand, path), source)
+    check_model_values(model_files(plant, parser.scene_graph().model_inspector(), hand, path), source)
     return hand
 
 
@@ -217,20 +215,15 @@ def _add_base(
 
 def _set_default_positions(
     plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription, source: str
-) -> dict[str, tuple[str, float, float]]:
-    """Sets default positions; returns leader, ratio and offset of each follower of a finger's joint."""
+) -> None:
+    """Sets the description's default positions, and those of followers."""
     for name, position in description.default_positions.items():
         _axial_joint(plant, hand, name, source, "default_positions").set_default_positions([position])
-    followers = {}
-    for coupling in description.couplings:
+    for coupling in resolved_couplings(description.couplings):
         field = f"couplings.{coupling.joint}"
-        leader, ratio, offset = first_leader(description.couplings, coupling)
-        position = _axial_joint(plant, hand, leader, source, field).default_positions()[0]
+        position = _axial_joint(plant, hand, coupling.follows, source, field).default_positions()[0]
         follower = _axial_joint(plant, hand, coupling.joint, source, field)
-        follower.set_default_positions([ratio * position + offset])
-        if leader in description.joint_names:
-            followers[coupling.joint] = (leader, ratio, offset)
-    return followers
+        follower.set_default_positions([coupling.ratio * position + coupling.offset])
 
 
 def _weld_at_default(plant: MultibodyPlant, joint: Joint) -> None:
@@ -258,12 +251,10 @@ def _remove_joint(plant: MultibodyPlant, joint: Joint) -> None:
         ) from error
 
 
-def _actuate(
-    plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription, followers: Iterable[str]
-) -> None:
+def _actuate(plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription) -> None:
     """Gives motors to the joints that fingers list, and to no others, with the description's gains."""
-    for name in followers:
-        _remove_actuators(plant, plant.GetJointByName(name, hand))
+    for coupling in followers(description):
+        _remove_actuators(plant, plant.GetJointByName(coupling.joint, hand))
     gains = description.actuation
     if gains.stiffness == 0:
         return

@@ -46,7 +46,7 @@ def finger_links(
     finger_of = {
         joint: number for number, finger in enumerate(description.fingers) for joint in finger.joints
     }
-    finger_of |= {follower: finger_of[leader] for follower, leader, *_ in followers(description)}
+    finger_of |= {c.joint: finger_of[c.follows] for c in followers(description)}
     links: list[list[RigidBody]] = [[] for _ in description.fingers]
     for index, path in joint_paths(plant, hand).items():
         fingers = [finger_of[joint.name()] for joint in path if joint.name() in finger_of]
@@ -125,13 +125,13 @@ def finger_chain(
     from geort_drake.retargeting.training.kinematics import FingerChain  # loads PyTorch
 
     where = f"{source}: finger '{finger.name}'"
-    couplings = JointCouplings.of(description)
+    couplings = {coupling.joint: coupling for coupling in followers(description)}
     tip = plant.GetBodyByName(finger.tip_link, base.model_instance())
     moving = [
         joint for joint in joint_paths(plant, base.model_instance())[tip.index()] if joint.num_positions()
     ]
     names = [joint.name() for joint in moving]
-    own = [name for name in names if name not in couplings.names]
+    own = [name for name in names if name not in couplings]
     if own != finger.joints:
         raise HandError(
             f"{where}: its joints must be listed base to tip; given: {', '.join(finger.joints)}; "
@@ -150,15 +150,14 @@ def finger_chain(
         if name in own:
             coupling[row, own.index(name)] = 1.0
             continue
-        number = couplings.names.index(name)
-        leader = description.joint_names[couplings.leaders[number]]
-        if leader not in own:
+        follower = couplings[name]
+        if follower.follows not in own:
             raise HandError(
-                f"{where}: its joint '{name}' follows '{leader}' of another finger; a joint that moves "
-                f"several fingers can only be held: remove '{leader}' from the fingers' joints"
+                f"{where}: its joint '{name}' follows '{follower.follows}' of another finger; a joint that "
+                "moves several fingers can only be held: remove it from the fingers' joints"
             )
-        coupling[row, own.index(leader)] = couplings.ratio[number, couplings.leaders[number]]
-        turned = RotationMatrix(AngleAxis(couplings.offset[number], axes[row]))
+        coupling[row, own.index(follower.follows)] = follower.ratio
+        turned = RotationMatrix(AngleAxis(follower.offset, axes[row]))
         X_PJ[row, :3, :3] = X_PJ[row, :3, :3] @ turned.matrix()
     return FingerChain(
         name=finger.name,

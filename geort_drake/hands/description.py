@@ -168,23 +168,18 @@ class HandDescription:
             self._require(good, f"{where}.{field}", expected, given)
 
     def _validate_couplings(self) -> None:
-        leaders = {coupling.joint: coupling.follows for coupling in self.couplings}
-        surplus = len(self.couplings) - len(leaders)
+        surplus = len(self.couplings) - len({coupling.joint for coupling in self.couplings})
         self._require(not surplus, "couplings", "one for each joint that follows", f"{surplus} too many")
         for number, coupling in enumerate(self.couplings):
-            seen, leader = {coupling.joint}, coupling.follows
-            while leader in leaders and leader not in seen:
-                seen.add(leader)
-                leader = leaders[leader]
             ratio, joint = coupling.ratio, coupling.joint
             for good, field, expected, given in (
                 (joint and coupling.follows, "", "of two joints", "a name is missing"),
                 (joint not in self.joint_names, ".joint", "listed with no finger", f"'{joint}'"),
                 (np.isfinite(ratio) and ratio != 0, ".ratio", "finite and not 0", ratio),
                 (np.isfinite(coupling.offset), ".offset", "finite", coupling.offset),
-                (leader not in seen, "", "free of circles", f"'{joint}' follows itself"),
             ):
                 self._require(good, f"couplings[{number}]{field}", expected, given)
+        resolved_couplings(self.couplings)
 
     def _require(self, condition: object, field: str, expected: str, given: object) -> None:
         if not condition:
@@ -193,6 +188,26 @@ class HandDescription:
 
 def _is_vector(value: list[float]) -> bool:
     return len(value) == 3 and bool(np.isfinite(value).all())
+
+
+def resolved_couplings(couplings: list[CouplingDescription]) -> list[CouplingDescription]:
+    """The same couplings, each to the joint at the start of its chain of followers.
+
+    Raises:
+        HandError: a joint follows itself.
+    """
+    by_name = {coupling.joint: coupling for coupling in couplings}
+
+    def resolve(coupling: CouplingDescription, below: set[str]) -> CouplingDescription:
+        if coupling.joint in below:
+            raise HandError(f"couplings must be free of circles; given: '{coupling.joint}' follows itself")
+        if coupling.follows not in by_name:
+            return coupling
+        above = resolve(by_name[coupling.follows], below | {coupling.joint})
+        offset = coupling.ratio * above.offset + coupling.offset
+        return CouplingDescription(coupling.joint, above.follows, coupling.ratio * above.ratio, offset)
+
+    return [resolve(coupling, set()) for coupling in couplings]
 
 
 def hand_names() -> list[str]:

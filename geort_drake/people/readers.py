@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError, UnknownNameError
-from geort_drake.people.checks import check_recording
+from geort_drake.people.checks import examine, noted, refuse
 from geort_drake.people.checks.anatomy import UNITS_M
 from geort_drake.people.checks.findings import Finding, warning
 from geort_drake.people.formats import AUTO, FORMATS, choose
@@ -45,7 +45,7 @@ def read_recording(
         path: a file, or HO-3D's folder `meta`.
         side: "right" or "left"; a left hand is mirrored (see `keypoints`). A side that the file states must
             agree.
-        training: also require what training needs (see `check_recording`).
+        training: also require 300 valid frames and at least one pinch.
         format: a name of `FORMATS`; "auto" detects it from the contents.
         unit: of lengths in the file, one of `UNITS_M`; by default the format's.
         rate_hz: frames per second of a file without timestamps; by default `ASSUMED_RATE_HZ`.
@@ -58,7 +58,10 @@ def read_recording(
         UnknownNameError: there is no such side, format or unit.
     """
     recording, findings = open_recording(path, side, format, unit, rate_hz)
-    return check_recording(recording, str(path), training, findings)
+    refuse(str(path), findings, training)
+    recording, found = examine(recording)
+    refuse(str(path), found, training)
+    return noted(recording, [*findings, *found])
 
 
 def open_recording(

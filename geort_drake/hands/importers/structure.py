@@ -18,8 +18,7 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake.errors import HandError, UnknownNameError
 from geort_drake.hands.assembly import detach_from_world, parse_model
 from geort_drake.hands.chains import joint_paths
-from geort_drake.hands.couplings import first_leader
-from geort_drake.hands.description import CouplingDescription
+from geort_drake.hands.description import CouplingDescription, resolved_couplings
 from geort_drake.hands.importers.couplings import read_couplings
 
 MAX_FINGERS = 5
@@ -109,8 +108,15 @@ def read_structure(path: Path, palm: str | None = None) -> HandStructure:
                     f"no movable joint '{name}'"
                 )
     where = f"its palm, the link '{groups[carrier][0].name()}'"
-    fingers = _fingers(groups, carrier, plant, hand, f"{source}: {{}} chains of joints leave {where}")
-    leaders = {c.joint: first_leader(couplings, c)[0] for c in couplings}
+    fingers = _fingers(groups, carrier, plant, hand)
+    longest = sorted(fingers, key=len, reverse=True)
+    if len(fingers) > MAX_FINGERS and len(longest[MAX_FINGERS]) == len(longest[MAX_FINGERS - 1]):
+        raise HandError(
+            f"{source}: {len(fingers)} chains of joints leave {where}; expected one hand of 2 to "
+            f"{MAX_FINGERS} fingers"
+        )
+    fingers = [finger for finger in fingers if finger in longest[:MAX_FINGERS]]
+    leaders = {c.joint: c.follows for c in resolved_couplings(couplings)}
     held = _held_joints(plant, hand, known, fingers, leaders)
     found = [_chain(groups, carrier, finger, leaders, held) for finger in fingers]
     chains = [chain for chain in found if chain is not None]
@@ -191,13 +197,9 @@ def _is_on(carrier: Group, group: Group) -> bool:
 
 
 def _fingers(
-    groups: dict[Group, list[RigidBody]],
-    palm: Group,
-    plant: MultibodyPlant,
-    hand: ModelInstanceIndex,
-    complaint: str,
+    groups: dict[Group, list[RigidBody]], palm: Group, plant: MultibodyPlant, hand: ModelInstanceIndex
 ) -> list[Group]:
-    """The joints of each finger, from the palm on; the longest fingers if there are too many."""
+    """The joints of each chain that may be a finger, from the palm on."""
     leaving = _leaving(groups)
     ends = [group[len(palm) :] for group in groups if _is_on(palm, group) and not leaving[group]]
     fingers: list[Group] = []
@@ -207,9 +209,7 @@ def _fingers(
         revolute = any(isinstance(plant.GetJointByName(name, hand), RevoluteJoint) for name in path)
         if revolute and (not branches or len(own) >= _OWN_JOINTS):
             fingers.append(path)
-    if len(fingers) > MAX_FINGERS and len(fingers[MAX_FINGERS]) == len(fingers[MAX_FINGERS - 1]):
-        raise HandError(f"{complaint.format(len(fingers))}; expected one hand of 2 to {MAX_FINGERS} fingers")
-    return [path for path in ends if path in fingers[:MAX_FINGERS]]
+    return [path for path in ends if path in fingers]
 
 
 def _held_joints(

@@ -45,26 +45,6 @@ def examine(recording: Recording) -> tuple[Recording, list[Finding]]:
     return recording, findings
 
 
-def check_recording(
-    recording: Recording, name: str = "recording", training: bool = False, known: Iterable[Finding] = ()
-) -> Recording:
-    """Returns the recording with unusable frames marked invalid and `metadata["warnings"]` filled.
-
-    Args:
-        recording: in frame H; a left hand already mirrored.
-        name: for messages, usually the file.
-        training: also require what training needs: 300 valid frames and at least one pinch.
-        known: what the reader found.
-
-    Raises:
-        RecordingError: with the first finding that makes the recording unusable.
-    """
-    refuse(name, known, training)
-    recording, findings = examine(recording)
-    refuse(name, findings, training)
-    return noted(recording, [*known, *findings])
-
-
 def refuse(name: str, findings: Iterable[Finding], training: bool = False) -> None:
     """Raises RecordingError with the first finding that forbids use, or with `training` training."""
     fatal = (Severity.ERROR, Severity.UNFIT) if training else (Severity.ERROR,)

@@ -208,6 +208,12 @@ class Source:
         X = p.reshape(len(p), math.prod(p.shape[1:]) // 16, 4, 4)
         return self.transforms(field, X, column_major and p.ndim < 4)[..., :3, 3]
 
+    def lose(self, bad: np.ndarray, known: np.ndarray, what: str) -> None:
+        """Notes that frames cannot be read, all of them (T,) bool; raises where most of the known are bad."""
+        if bad.sum() > 0.5 * known.sum():
+            raise self.error(what)
+        self.faults.add(UNREADABLE, np.flatnonzero(bad), what)
+
     def transforms(self, field: str, X: np.ndarray, column_major: bool = False) -> np.ndarray:
         """Homogeneous transforms (T, J, 4, 4) with the translation in the last column, transposed if needed.
 
@@ -221,10 +227,7 @@ class Source:
         # A matrix without translation may be either.
         uprights, turns = int((known & upright & ~turned).sum()), int((known & turned & ~upright).sum())
         bad = known & ~(turned if turns > uprights else upright)
-        what = f"{field} must hold rigid transforms, whose last row is 0 0 0 1"
-        if len(X) and bad.sum() >= 0.5 * known.sum():
-            raise self.error(what)
-        self.faults.add(UNREADABLE, np.flatnonzero(bad), what)
+        self.lose(bad, known, f"{field} must hold rigid transforms, whose last row is 0 0 0 1")
         X = np.where(bad[:, None, None, None], np.nan, X)
         X = np.swapaxes(X, -1, -2) if turns > uprights else X
         if uprights != turns and (turns > uprights) != column_major:

@@ -23,7 +23,6 @@ import numpy as np
 from geort_drake.people.formats.source import (
     KEYPOINTS_OF_25,
     NO_HAND,
-    UNREADABLE,
     Format,
     Source,
     Tracks,
@@ -87,7 +86,7 @@ def _wrist_place(file: Source, field: str, X_JK: np.ndarray) -> int:
     moved = np.abs(X_JK[:, places] - np.eye(4)).max(axis=(2, 3), initial=0.0) > 1e-3
     place = int(np.argmin(moved[known].sum(axis=0)))
     what = f"{field} must hold joints in the wrist's frame, where the wrist's own transform is the identity"
-    _refuse_or_lose(file, moved[:, place] & known, known, what)
+    file.lose(moved[:, place] & known, known, what)
     return places[place]
 
 
@@ -98,17 +97,10 @@ def _in_world(file: Source, field: str, X_WJ: np.ndarray, p_JK: np.ndarray) -> n
     finite = np.where(known[:, None, None], R, np.eye(3))
     skews = np.abs(finite @ np.swapaxes(finite, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0) > 1e-2
     what = f"{field} must hold rotations, which neither mirror nor scale"
-    _refuse_or_lose(file, skews | (np.linalg.det(finite) < 0), known, what)
+    file.lose(skews | (np.linalg.det(finite) < 0), known, what)
     file.faults.add(NO_HAND, np.flatnonzero(empty_frames(R)))
     with np.errstate(invalid="ignore", over="ignore"):
         return p_JK @ np.swapaxes(R, 1, 2) + X_WJ[:, None, :3, 3]
-
-
-def _refuse_or_lose(file: Source, bad: np.ndarray, known: np.ndarray, what: str) -> None:
-    """Raises where most of the known frames (T,) are bad; otherwise these are lost."""
-    if bad.sum() > 0.5 * known.sum():
-        raise file.error(what)
-    file.faults.add(UNREADABLE, np.flatnonzero(bad), what)
 
 
 _SUFFIXES = (".npz", ".pkl", ".pickle", ".jsonl")

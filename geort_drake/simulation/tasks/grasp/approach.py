@@ -55,7 +55,7 @@ class GraspApproach:
         self._plant.Finalize()
         self._joints = {
             name: self._plant.GetJointByName(name, hand)
-            for name in [*description.joint_names, *(name for name, *_ in followers(description))]
+            for name in [*description.joint_names, *(c.joint for c in followers(description))]
         }
         self._base = self._plant.GetFrameByName(description.base_frame, hand)
         (root,) = self._plant.GetFloatingBaseBodies()

@@ -170,11 +170,11 @@ class GraspKinematics:
         for finger in self._description.fingers:
             for name in finger.joints:
                 weight[self._position_index(name)] = 1.0 if finger in self._grasping else _IDLE_WEIGHT
-        for follower, leader, ratio, offset in followers(self._description):
-            index = self._position_index(follower)
+        for c in followers(self._description):
+            index = self._position_index(c.joint)
             weight[index] = 0.0  # only its leader's angle counts
-            difference = ik.q()[index] - ratio * ik.q()[self._position_index(leader)]
-            ik.get_mutable_prog().AddLinearEqualityConstraint(difference == offset)
+            difference = ik.q()[index] - c.ratio * ik.q()[self._position_index(c.follows)]
+            ik.get_mutable_prog().AddLinearEqualityConstraint(difference == c.offset)
         # A grasping joint is best in the middle of its range.
         ik.get_mutable_prog().AddQuadraticErrorCost(np.diag(weight), self.q_middle, ik.q())
         return ik
@@ -186,8 +186,8 @@ class GraspKinematics:
         for finger in self._grasping:
             for name in finger.joints:
                 q[self._position_index(name)] = middle[self._position_index(name)]
-        for follower, leader, ratio, offset in followers(self._description):
-            q[self._position_index(follower)] = ratio * q[self._position_index(leader)] + offset
+        for c in followers(self._description):
+            q[self._position_index(c.joint)] = c.ratio * q[self._position_index(c.follows)] + c.offset
         return q
 
     def _put_palm(self, ik: InverseKinematics, palm: Contact) -> None:
