@@ -2,9 +2,9 @@
 
 python benchmarks/bench_training.py --recording human_alex.npy --json training.json
 
-Rows, in wall time, each with as many cores as it uses:
+Rows, in wall time:
   geort_coupled   from the recording to the weights, robot samples included
-  one core        the same restricted to one core, if the system can do that
+  refit           from the map for everyone to one person's, with the default number of steps
   public recipe   50 epochs of 25 batches of 2,048, each finger's points drawn by themselves, the Chamfer term
                   through all distances between two clouds; written from the paper. A few batches are timed
                   before and after each training and multiplied; its pretraining is left out, in its favour
@@ -22,18 +22,18 @@ from bench_call import HAND, Published
 from rich.table import Table
 from side_by_side import parse, parser, write_json
 
+from geort_drake.comparison.refit import refit_checkpoint
 from geort_drake.comparison.train import train_checkpoint
 from geort_drake.console import console, run_main
 from geort_drake.hands.description import load_hand
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording
-from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.methods.coupled import CoupledConfig
 
 EPOCHS, BATCHES, POINTS = 50, 25, 2048
 TIMED = 5  # batches before a training, and as many after it
-OURS, ALONE, PUBLIC = "geort_coupled", "one core", "public recipe"
+OURS, REFIT, PUBLIC = "geort_coupled", "refit", "public recipe"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -51,16 +51,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     batch = public_batch(recording.fingertips(load_hand(HAND).human_keypoints))
     batch()
-    times: dict[str, list[float]] = {name: [] for name in (OURS, ALONE, PUBLIC)}
+    times: dict[str, list[float]] = {name: [] for name in (OURS, REFIT, PUBLIC)}
+
+    def train(path: Path) -> Path:
+        settings = {"steps": arguments.steps}
+        return train_checkpoint(HAND, recording, path, OURS, show_progress=False, settings=settings)
+
     end = time.perf_counter() + arguments.seconds
     while not times[OURS] or time.perf_counter() < end:
         batches = [timed(batch) for _ in range(TIMED)]
-        times[OURS].append(training_time(recording, arguments.steps))
-        if hasattr(os, "sched_setaffinity"):
-            cores = os.sched_getaffinity(0)
-            os.sched_setaffinity(0, {min(cores)})
-            times[ALONE].append(training_time(recording, arguments.steps))
-            os.sched_setaffinity(0, cores)
+        times[OURS].append(fit_time(train))
+        times[REFIT].append(
+            fit_time(lambda path: refit_checkpoint(recording, path, HAND, show_progress=False))
+        )
         batches += [timed(batch) for _ in range(TIMED)]
         times[PUBLIC].append(EPOCHS * BATCHES * float(np.median(batches)))
     table = Table(title=f"training for {HAND}, {os.cpu_count()} cores")
@@ -84,14 +87,10 @@ def timed(function: Callable[[], object]) -> float:
     return time.perf_counter() - started
 
 
-def training_time(recording: Recording, steps: int) -> float:
+def fit_time(train: Callable[[Path], Path]) -> float:
     """Seconds from the recording to the weights; the evaluation, which follows, is not part of them."""
     with tempfile.TemporaryDirectory() as folder:
-        path = train_checkpoint(
-            HAND, recording, f"{folder}/map", OURS, show_progress=False, settings={"steps": steps}
-        )
-        timings = load_checkpoint(path).provenance["timings"]
-    return timings["fit_s"]
+        return load_checkpoint(train(Path(folder) / "map")).provenance["timings"]["fit_s"]
 
 
 def public_batch(tips: np.ndarray) -> Callable[[], None]:
