@@ -57,6 +57,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         settings = {"steps": arguments.steps}
         return train_checkpoint(HAND, recording, path, OURS, show_progress=False, settings=settings)
 
+    def refit(path: Path) -> Path:
+        return refit_checkpoint(recording, path, HAND, show_progress=False)
+
     end = time.perf_counter() + arguments.seconds
     while not times[OURS] or time.perf_counter() < end:
         batches = [timed(batch) for _ in range(TIMED)]
