@@ -184,10 +184,20 @@ def parameters_table(kind: str, nominal: bool) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
+def tasks_table() -> str:
+    """A Markdown table of the benchmark's tasks."""
+    from geort_drake.simulation.tasks import find_task, task_names
+
+    tasks = [find_task(name) for name in task_names()]
+    rows = [f"| `{task.name}` | {task.summary} | {', '.join(task.kinds)} |" for task in tasks]
+    return "\n".join(["| task | what the person does | kinds of people |", "|---|---|---|", *rows])
+
+
 GENERATORS = {
     "commands": commands_table,
     "options": commands_help,
     "protocol": protocol_table,
     "assumptions": lambda: parameters_table("ASSUMPTIONS", nominal=True),
+    "tasks": tasks_table,
     "perturbations": lambda: parameters_table("PERTURBATIONS", nominal=False),
 }
