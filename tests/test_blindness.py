@@ -1,22 +1,31 @@
 """The simulated person knows the robot by sight and touch alone: no module and no wire tells more."""
 
 import ast
+import dataclasses as dc
 import pkgutil
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
 from grasp_setup import centred_map, person_and_rest, planned_goal, scenario_with
 from pydrake.systems.primitives import DiscreteTimeDelay
 
+from geort_drake.hands.description import load_hand
 from geort_drake.simulation import operators
-from geort_drake.simulation.diagram import make_grasp_diagram
+from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
+from geort_drake.simulation.operators.perception import FreePlay
+from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.tasks import find_task
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
+from geort_drake.simulation.tasks.keys.goal import KeysGoal
 
 # What the person's modules may run through besides each other, directly or not.
 HARMLESS = {
     *("errors", "files", "settings", "people.human_hand", "people.keypoints", "people.recording"),
-    *("simulation.tasks.grasp.goal", "simulation.wrist_motion", "systems.port_values"),
+    *("simulation.tasks.grasp.goal", "simulation.tasks.keys.goal"),
+    *("simulation.wrist_motion", "systems.port_values"),
 }
 DRAKE = {"pydrake.math", "pydrake.common.value", "pydrake.common.eigen_geometry", "pydrake.systems.framework"}
 LOAD = """
@@ -43,26 +52,56 @@ def test_no_module_of_the_person_runs_through_a_robot_or_a_map():
                 assert {name for name in names if name.startswith("pydrake")} <= DRAKE, module.name
 
 
+def test_goals_tell_places_and_no_postures():
+    """Nor the map; free play tells what could be seen then."""
+    told = {field.name for goal in (GraspGoal, KeysGoal) for field in dc.fields(goal)}
+    assert not told & {"q", "q_open", "q_pressed", "joint_names", "retarget"}
+    assert set(FreePlay._fields) == {"p_HF", "p_BF", "period"}
+
+
+@cache
+def diagram_of(task: str, hand: str) -> GraspDiagram:
+    person = person_and_rest()[0]
+    if task == "grasp":
+        scenario = scenario_with("cylinder", f"{{hand: {hand}}}")
+        return make_grasp_diagram(scenario, centred_map(), (person, planned_goal("cylinder")))
+    scenario = load_scenario(*find_task(task).scenario, hand=hand)
+    goal = find_task(task).plans(scenario, load_hand(hand))[0]
+    return make_grasp_diagram(scenario, centred_map(), (person, goal))
+
+
 @pytest.mark.parametrize("hand", ["allegro_right", "allegro_left"])
-def test_the_persons_ports_lead_through_delays_to_what_can_be_seen_and_felt(hand):
-    """Of a left hand in the mirror; the view itself reads only the plant."""
-    scenario = scenario_with("cylinder", f"{{hand: {hand}}}")
-    parts = make_grasp_diagram(scenario, centred_map(), (person_and_rest()[0], planned_goal("cylinder")))
+@pytest.mark.parametrize(
+    ("task", "mirrored", "unmirrored", "judge"),
+    [
+        ("grasp", {"fingertips", "hand_pose", "object_pose"}, {"contact"}, "grasp_monitor"),
+        ("keys", {"fingertips", "hand_pose"}, {"travel", "cue"}, "keys_monitor"),
+    ],
+)
+def test_the_persons_ports_lead_through_delays_to_what_can_be_seen_and_felt(
+    task, mirrored, unmirrored, judge, hand
+):
+    """Of a left hand in the mirror. The view reads only the plant; cue and keys are shown by the judge."""
+    parts = diagram_of(task, hand)
     sources = {
         (system, system.get_input_port(port).get_name()): source
         for (system, port), source in parts.diagram.connection_map().items()
     }
-    operator, view = (parts.diagram.GetSubsystemByName(name) for name in ("operator", "scene_view"))
+    operator, view, monitor = (
+        parts.diagram.GetSubsystemByName(name) for name in ("operator", "scene_view", judge)
+    )
     read = {name: source for (system, name), source in sources.items() if system is operator}
-    assert set(read) == {"fingertips", "hand_pose", "object_pose", "contact"}
+    assert set(read) == mirrored | unmirrored
 
     def before(system):
         return sources[system, system.get_input_port().get_name()]
 
     for name, (shown, _) in read.items():
-        late = before(shown)[0] if shown.get_name() == f"{name}_mirrored" else shown
+        in_mirror = shown.get_name() == f"{name}_mirrored"
+        assert in_mirror == (hand == "allegro_left" and name in mirrored)
+        late = before(shown)[0] if in_mirror else shown
         assert isinstance(late, DiscreteTimeDelay)
         origin, port = before(late)
-        assert origin is view and view.get_output_port(port).get_name() == name
+        assert origin in (view, monitor) and origin.get_output_port(port).get_name() == name
     of_view = {name: source[0] for (system, name), source in sources.items() if system is view}
     assert set(of_view.values()) == {parts.plant}

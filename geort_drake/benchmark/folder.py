@@ -14,8 +14,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from geort_drake.benchmark.conditions import ASSUMPTIONS, make_conditions, parse_values
 from geort_drake.benchmark.config import (
     CONFIG,
@@ -46,7 +44,7 @@ from geort_drake.simulation.diagram import Retarget
 from geort_drake.simulation.free_play import seen_fingertips
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.person import persons_hand
-from geort_drake.simulation.scenario import Scenario, dump_scenario, load_scenario
+from geort_drake.simulation.scenario import Scenario, dump_scenario, load_scenario, scenario_fields
 from geort_drake.simulation.tasks import find_task
 
 _VERSIONS = ("geort_drake", "python", "numpy", "scipy", "drake")
@@ -146,7 +144,7 @@ def open_benchmark(
     names = names_of(methods, trainings)
     hand = HandModel(load_hand(scenario.hand))
     text = dump_scenario(scenario)
-    resolved = yaml.safe_load(text)["Resolved"]
+    resolved = scenario_fields(text)
     texts = {name: dump_scenario(changed) for name, changed in (conditions or {}).items()}
     config: dict[str, Any] = {
         "settings": {
@@ -160,9 +158,7 @@ def open_benchmark(
         "objects": list(dict.fromkeys(objects)),
         "methods": {},
         "trials": trials,
-        "conditions": {
-            name: _changes(resolved, yaml.safe_load(changed)["Resolved"]) for name, changed in texts.items()
-        },
+        "conditions": {name: _changes(resolved, scenario_fields(changed)) for name, changed in texts.items()},
         "refused": {},
         "notes": {"platform": versions()["platform"], **(notes or {})},
     }

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TypedDict
 
 import numpy as np
-import yaml
 
 from geort_drake.benchmark.conditions import PERTURBATIONS, group_by_value, make_conditions
 from geort_drake.benchmark.config import CONFIG, continue_config
@@ -29,7 +28,7 @@ from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import WEIGHTS
 from geort_drake.retargeting.retargeter import UniversalRetargeter, load_retargeter, path_of, shipped_map
 from geort_drake.simulation.diagram import Retarget
-from geort_drake.simulation.scenario import Scenario, dump_scenario, object_names
+from geort_drake.simulation.scenario import Scenario, dump_scenario, object_names, scenario_fields
 from geort_drake.simulation.world import draw_placement
 
 
@@ -116,7 +115,7 @@ class Replay:
             "sessions": {
                 name: {
                     "recording_sha256": recording.digest,
-                    "scenario": yaml.safe_load(dump_scenario(self._scenarios[name]))["Resolved"],
+                    "scenario": scenario_fields(dump_scenario(self._scenarios[name])),
                 }
                 for name, recording in self.recordings.items()
             },

@@ -27,7 +27,8 @@ def seen_fingertips(
     if callable(reset := getattr(retarget, "reset", None)):
         reset()
     frames = synthesize_play(seed=0, duration_s=DURATION, rate_hz=RATE, hand=person).p_HK.astype(float)
-    frames = frames[:: max(1, math.ceil(latency * RATE))]
+    stride = max(1, math.ceil(latency * RATE))
+    frames = frames[::stride]
     order = [list(retarget.joint_names).index(name) for name in hand.joint_names]  # type: ignore[attr-defined]
     try:
         if isinstance(retarget, UniversalRetargeter):
@@ -38,7 +39,8 @@ def seen_fingertips(
     finite = np.isfinite(q).all(axis=1)
     tips = [4 * FINGER_NAMES.index(name) + 4 for name in hand.finger_names]
     p_HF = frames[: len(q)][finite][:, tips]
-    return FreePlay(p_HF, hand.fingertips(np.clip(q[finite], hand.lower, hand.upper)))
+    p_BF = hand.fingertips(np.clip(q[finite], hand.lower, hand.upper))
+    return FreePlay(p_HF, p_BF, stride / RATE)
 
 
 def keep_attainable(plans: Sequence[GraspGoal], p_BF: np.ndarray) -> tuple[GraspGoal, bool]:

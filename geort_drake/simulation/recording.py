@@ -28,6 +28,7 @@ from geort_drake.rerun import (
 )
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Stage
+from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import HAND, actuated_joints, actuated_state
 from geort_drake.systems.retargeting_system import RetargetingSystem
 
@@ -142,7 +143,7 @@ def add_grasp_recorder(
         view_from=(0.62, 0.62 if description.side == "left" else -0.62, 0.48),
         properties={
             "hand": description.name,
-            "object": scenario.object.name,
+            "object": find_task(scenario.task).case_of(scenario),
             "retargeting_delay_ms": 1e3 * retargeting.delay,
             "visual_delay_ms": 1e3 * scenario.operator.visual_delay,
             "geort_drake": __version__,

@@ -18,6 +18,7 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.resources import diagrams_dir, models_dir
 from geort_drake.simulation.operators.config import OperatorConfig
+from geort_drake.simulation.operators.intention import IntentionConfig
 from geort_drake.simulation.tasks.grasp.monitor import GraspMonitorConfig
 from geort_drake.simulation.worn_glove import WornGloveConfig
 from geort_drake.systems.action_correction import CorrectionConfig
@@ -151,6 +152,8 @@ class Scenario:
     person: int = 0
     glove: WornGloveConfig = dc.field(default_factory=WornGloveConfig)
     operator: OperatorConfig = dc.field(default_factory=OperatorConfig)
+    # Further parameters of a person with an intention; grasps do not use them.
+    intention: IntentionConfig = dc.field(default_factory=IntentionConfig)
     retargeting: RetargetingConfig = dc.field(default_factory=RetargetingConfig)
     correction: CorrectionConfig = dc.field(default_factory=CorrectionConfig)
     wrist_to_arm: WristToArmConfig = dc.field(default_factory=WristToArmConfig)
@@ -179,6 +182,7 @@ class Scenario:
         try:
             self.glove.validate()
             self.operator.validate()
+            self.intention.validate()
             self.correction.validate()
             self.wrist_to_arm.validate()
             self.monitor.validate()
@@ -302,6 +306,18 @@ def _refuse_duplicates(root: yaml.Node | None, source: str) -> None:
 def parse_scenario(text: str) -> Scenario:
     """Reads the output of `dump_scenario`."""
     return yaml_load_typed(schema=Scenario, data=text, child_name="Resolved", defaults=Scenario())
+
+
+def scenario_fields(text: str) -> dict:
+    """The fields in the output of `dump_scenario` as plain data; tags such as !Rpy are left out."""
+    return yaml.load(text, Loader=_Untagged)["Resolved"]
+
+
+class _Untagged(yaml.SafeLoader):
+    """Reads tagged mappings as mappings."""
+
+
+_Untagged.add_multi_constructor("!", lambda loader, _, node: loader.construct_mapping(node, deep=True))
 
 
 def dump_scenario(scenario: Scenario) -> str:

@@ -133,13 +133,16 @@ class Task(abc.ABC, Generic[Goal]):
     result: type[TrialResult]
     scenario: tuple[Path, str]
 
-    @abc.abstractmethod
     def cases(self) -> list[str]:
-        """What can be handled; a trial is about one of them."""
+        """What can be handled; a trial is about one of them. By default the task itself."""
+        return [self.name]
 
-    @abc.abstractmethod
     def choose(self, scenario: "Scenario", case: str) -> None:
         """Sets the case in a scenario; raises UnknownNameError if there is none of that name."""
+
+    def case_of(self, scenario: "Scenario") -> str:
+        """The case of a scenario."""
+        return self.name
 
     @abc.abstractmethod
     def plans(self, scenario: "Scenario", description: HandDescription) -> list[Goal]:

@@ -56,7 +56,7 @@ def run_trial(
         metadata = {
             "side": parts.description.side,
             "source": "simulated trial",
-            "object": scenario.object.name,
+            "object": result.object,
             "seed": scenario.random_seed,
             "outcome": result.outcome,
         }
@@ -80,7 +80,7 @@ def _result(
     simulated_time = root.get_time()
     return task.result(
         task=task.name,
-        object=scenario.object.name,
+        object=task.case_of(scenario),
         seed=scenario.random_seed,
         success=outcome.success,
         score=outcome.score,

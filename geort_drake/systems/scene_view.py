@@ -1,6 +1,6 @@
 """Reads fingertips, hand, object and contacts from a plant."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -41,6 +41,7 @@ class SceneView(LeafSystem):
         plant: finalized.
         hand: the model instance of the hand, as `add_hand_model` adds it.
         inspector: of the plant's scene graph.
+        parts: other bodies of the object, whose contacts count as its own.
     """
 
     def __init__(
@@ -50,12 +51,14 @@ class SceneView(LeafSystem):
         hand: ModelInstanceIndex,
         object_body: BodyIndex,
         inspector: SceneGraphInspector,
+        parts: Sequence[BodyIndex] = (),
     ):
         super().__init__()
         num_fingers = len(description.fingers)
         self._base = int(plant.GetFrameByName(description.base_frame, hand).body().index())
         self._X_BaseB = plant.GetFrameByName(description.base_frame, hand).GetFixedPoseInBodyFrame()
         self._object = int(object_body)
+        self._parts = {self._object, *map(int, parts)}
         self._tip_links = [
             int(plant.GetBodyByName(finger.tip_link, hand).index()) for finger in description.fingers
         ]
@@ -116,8 +119,8 @@ class SceneView(LeafSystem):
         rows = contact_rows(results, self._body_of_geometry)
         bodies, magnitudes = rows[:, :2].astype(int).tolist(), np.linalg.norm(rows[:, 5:], axis=1)
         for row, ((A, B), magnitude) in enumerate(zip(bodies, magnitudes, strict=True)):
-            if self._object in (A, B):
-                link = self._number_of_link.get(B if A == self._object else A)
+            if A in self._parts or B in self._parts:
+                link = self._number_of_link.get(B if A in self._parts else A)
                 if link is not None:
                     force[link] = max(force[link], magnitude)
             elif A in self._number_of_link and B in self._number_of_link and not self_contact:

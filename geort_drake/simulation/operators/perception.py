@@ -40,6 +40,7 @@ class FreePlay(NamedTuple):
 
     p_HF: np.ndarray  # own, in H
     p_BF: np.ndarray  # robot's, in B
+    period: float = 1 / 30  # s, between two frames
 
 
 @dc.dataclass(frozen=True)

@@ -79,6 +79,9 @@ class GraspTask(Task[GraspGoal]):
             raise UnknownNameError("object", case, object_names())
         scenario.object.name = case
 
+    def case_of(self, scenario: Scenario) -> str:
+        return scenario.object.name
+
     def plans(self, scenario: Scenario, description: HandDescription) -> list[GraspGoal]:
         return GraspPlanner(scenario, description).plans()
 

@@ -1,0 +1,169 @@
+"""Cues presses and judges them: the cued key down, the others still."""
+
+import dataclasses as dc
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from geort_drake.settings import require_numbers
+from geort_drake.systems.port_values import Immutable
+
+PERIOD = 0.01  # s, between two looks
+
+
+@dc.dataclass(frozen=True)
+class KeysSettings:
+    """The presses, and when one counts."""
+
+    # Number of cues, and time before the first, of each, and between two, s.
+    presses: float = 12
+    ready_time: float = 6.0
+    cue_time: float = 3.0
+    rest_time: float = 0.5
+    # The cued key must go down by more than `depth` and no other by more than `still` during the cue, m.
+    depth: float = 0.003
+    still: float = 0.001
+    # Presses without fault that make a success.
+    enough: float = 10
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for a value out of range."""
+        require_numbers(self, "task_settings")
+
+
+@dc.dataclass(frozen=True)
+class Press:
+    """One cued press; lengths in m, times in s."""
+
+    key: int
+    depth: float = 0.0  # largest travel of the cued key
+    others: float = 0.0  # largest travel of another key
+    time: float = math.nan  # from the cue until the key was down
+
+
+@dc.dataclass(frozen=True)
+class KeysOutcome(Immutable):
+    """The presses so far."""
+
+    settings: KeysSettings
+    t: float = 0.0
+    presses: tuple[Press, ...] = ()
+    over: bool = False
+    peak_force: float = 0.0
+    self_contact_time: float = 0.0
+
+    def clean(self, press: Press) -> bool:
+        """Whether a press counts."""
+        return press.depth > self.settings.depth and press.others < self.settings.still
+
+    @property
+    def score(self) -> float:
+        """Fraction of the presses that count."""
+        return sum(map(self.clean, self.presses)) / round(self.settings.presses)
+
+    @property
+    def success(self) -> bool:
+        """Whether enough presses count."""
+        return self.over and sum(map(self.clean, self.presses)) >= self.settings.enough
+
+    @property
+    def completion_time(self) -> float:
+        """Time from the start to the end of the last cue, s; NaN without success."""
+        return self.t if self.success else math.nan
+
+
+class KeysMonitor(LeafSystem):
+    """Cues keys one after the other, watches all of them, and terminates the simulation after the last.
+
+    Input ports (K keys, F fingers):
+        keys (2K): travel of each key, m, then its speed.
+        contact (F): force between each finger and the keys, N.
+        self_contact (1): above 0 while links of the hand touch each other.
+    Output ports:
+        cue (1): number of the key to press, from 1; 0 for none.
+        travel (K): of each key, m.
+        outcome (abstract KeysOutcome).
+
+    State (abstract): the outcome.
+
+    Args:
+        cued: key of each press.
+    """
+
+    def __init__(self, num_keys: int, num_fingers: int, cued: Sequence[int], settings: KeysSettings):
+        super().__init__()
+        self._cued, self._settings, self._num_keys = list(cued), settings, num_keys
+        self._keys = self.DeclareVectorInputPort("keys", 2 * num_keys)
+        self._contact = self.DeclareVectorInputPort("contact", num_fingers)
+        self._self_contact = self.DeclareVectorInputPort("self_contact", 1)
+        state = self.DeclareAbstractState(AbstractValue.Make(KeysOutcome(settings)))
+        self.DeclareVectorOutputPort(
+            "cue",
+            1,
+            lambda context, output: output.SetAtIndex(0, self._cue(context.get_time())[1]),
+            {self.time_ticket()},
+        )
+        self.DeclareVectorOutputPort(
+            "travel",
+            num_keys,
+            lambda context, output: output.SetFromVector(self._keys.Eval(context)[:num_keys]),
+            {self._keys.ticket()},
+        )
+        self.DeclareAbstractOutputPort(
+            "outcome",
+            lambda: AbstractValue.Make(KeysOutcome(settings)),
+            lambda context, output: output.set_value(self.outcome(context)),
+            {self.abstract_state_ticket(state)},
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._look)
+
+    def outcome(self, context: Context) -> KeysOutcome:
+        """The outcome so far."""
+        return context.get_abstract_state(0).get_value()
+
+    def _cue(self, t: float) -> tuple[int, int]:
+        """Number of the press at time t, and its key counted from 1; the key is 0 between two presses."""
+        settings = self._settings
+        number, since = divmod(t - settings.ready_time + 1e-9, settings.cue_time + settings.rest_time)
+        if not 0 <= number < len(self._cued) or since >= settings.cue_time:
+            return int(number), 0
+        return int(number), self._cued[int(number)] + 1
+
+    def _look(self, context: Context, state: State) -> EventStatus:
+        before, t = self.outcome(context), context.get_time()
+        if before.over:
+            return EventStatus.DidNothing()
+        number, cue = self._cue(t)
+        presses = list(before.presses)
+        if cue:
+            if number == len(presses):
+                presses.append(Press(cue - 1))
+            travel = self._keys.Eval(context)[: self._num_keys]
+            press = presses[number]
+            depth, others = travel[press.key], np.delete(travel, press.key).max(initial=0.0)
+            started = self._settings.ready_time + number * (
+                self._settings.cue_time + self._settings.rest_time
+            )
+            down = math.isnan(press.time) and depth > self._settings.depth
+            presses[number] = Press(
+                press.key,
+                max(press.depth, float(depth)),
+                max(press.others, float(others)),
+                t - started if down else press.time,
+            )
+        outcome = KeysOutcome(
+            self._settings,
+            t,
+            tuple(presses),
+            over=number >= len(self._cued) or (number == len(self._cued) - 1 and cue == 0),
+            peak_force=max(before.peak_force, float(self._contact.Eval(context).max())),
+            self_contact_time=before.self_contact_time
+            + PERIOD * bool(self._self_contact.Eval(context)[0] > 0 and t > 0),
+        )
+        state.get_mutable_abstract_state(0).set_value(outcome)
+        if outcome.over:
+            return EventStatus.ReachedTermination(self, "the presses are judged")
+        return EventStatus.Succeeded()
