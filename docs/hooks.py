@@ -184,6 +184,14 @@ def parameters_table(kind: str, nominal: bool) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
+def formats_table() -> str:
+    """A Markdown table of the formats of recordings."""
+    from geort_drake.people.formats import FORMATS
+
+    rows = [f"| `{name}` | {entry.title} | {', '.join(entry.suffixes)} |" for name, entry in FORMATS.items()]
+    return "\n".join(["| format | contents | files |", "|---|---|---|", *rows])
+
+
 def tasks_table() -> str:
     """A Markdown table of the benchmark's tasks."""
     from geort_drake.simulation.tasks import find_task, task_names
@@ -198,6 +206,7 @@ GENERATORS = {
     "options": commands_help,
     "protocol": protocol_table,
     "assumptions": lambda: parameters_table("ASSUMPTIONS", nominal=True),
+    "formats": formats_table,
     "tasks": tasks_table,
     "perturbations": lambda: parameters_table("PERTURBATIONS", nominal=False),
 }

@@ -1,7 +1,16 @@
 """Formats that hold the 21 keypoints themselves: geort-drake's own, GeoRT's, dex-retargeting's and MANO's.
 
-Layouts: docs/reference/recording-formats.md. dex-retargeting's hands are MediaPipe's world landmarks, moved
-to the wrist and turned to axes that the palm gives. HO-3D stores MANO's joints in its camera's frame.
+`geort`: (T, 21, 3) in .npy, m, in the wrist frame H.
+
+`dex_retargeting`: a list of (21, 3) arrays or None in .pkl, m: MediaPipe's world landmarks, moved to the
+wrist and rotated to axes of the palm.
+
+`mano`: (T, 21, 3) in .npy or .npz, there with optional `t`, s: wrist, three joints each of index, middle,
+little, ring finger and thumb, then their tips, m. HO-3D has them in .pkl, one file per frame or all in one,
+in the camera's frame (y up, −z forward).
+
+An array in .npy is `mano` if its distances fit that order, `geort` if the hands are in H, otherwise
+`mediapipe`.
 
 Source: https://github.com/facebookresearch/GeoRT, README (recording of human hands),
 https://github.com/dexsuite/dex-retargeting, example/profiling/generate_human_data_from_video.py and

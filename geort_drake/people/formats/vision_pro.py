@@ -3,11 +3,11 @@
 `avp_stream` gives `right_fingers` (T, 25 or 27, 4, 4) or `right_arm` (T, 27, 4, 4), m: wrist 0, thumb 1-4,
 then five each of index, middle, ring and little finger, from the metacarpal to the tip. Of 27 the last two
 are of the forearm, or in other releases the first two: the wrist's own transform is the identity.
-`right_wrist` (T, 1, 4, 4) or (T, 4, 4) is the wrist in the world. The same with `left_`, in .npz or as a
-.pkl with one dict per frame.
+`right_wrist` (T, 1, 4, 4) or (T, 4, 4) is the wrist in the world, z up. The same with `left_`, in .npz or as
+a .pkl with one dict per frame.
 
 The app's own `tracking.jsonl` has a line per frame with `timestamp`, s, and `rightHand` and `leftHand`:
-joints by name, 16 numbers each, column by column; `wrist` in the world, the others from the wrist.
+joints by name, 16 numbers each, column by column; `wrist` in the world, y up, the others from the wrist.
 
 A hand that is not seen has identity matrices everywhere; such frames are lost.
 

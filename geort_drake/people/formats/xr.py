@@ -2,6 +2,7 @@
 
 OpenXR's order: palm, wrist, four of the thumb, then five each of index, middle, ring and little finger from
 the metacarpal to the tip, each the base of the bone of that name. WebXR's is the same without the palm.
+Positions are in m, in a space with y up.
 
 OpenXR .npz: `joints` (T, 26, 3), (T, 26, 7) with `px py pz qx qy qz qw`, or (T, 26, 4, 4); optionally `t`,
 s, `valid` (T, 26) and `hand`. JSON: `{"hand": "right", "frames": [{"time": ns, "joints": [...]}]}`, each
