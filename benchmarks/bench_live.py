@@ -1,10 +1,13 @@
-"""Times the live web page's server: from a hand's message to the joint targets, with a scripted page.
+"""Times the live web page: from a hand's message to the joint targets, and from a camera's picture to them.
 
-python benchmarks/bench_live.py --seconds 60 --retargeter runs/allegro_right --json live.json
+python benchmarks/bench_live.py --seconds 600 --json live.json
+python benchmarks/bench_live.py --seconds 60 --film hand.mjpeg
 
-A page in another process sends a headset's joints and reads all poses; their time stamps are of this
-machine's monotonic clock, so that a delay begins before the message is sent. `late` counts pauses of a loop
-that could not keep real time.
+A scripted page in another process sends a headset's joints and reads all poses; their time stamps are of this
+machine's monotonic clock, so that a delay begins before the message is sent. It records, plays as guided, and
+fits the map, so growth is that of a session with everything on. With a film of a hand, which `film_hand` of
+tests/live_page.py makes, Chromium's camera plays it to the page instead. `late` counts pauses of a loop that
+could not keep real time.
 """
 
 import asyncio
@@ -32,11 +35,16 @@ from geort_drake.people.play import synthesize_play
 # Columns are the axes of a headset's space in H of a hand that points forward; the wrist is in front of it.
 R_HS = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 P_SH = np.array([0.2, 1.2, -0.3])
+# Requests of the page, and when, s; guided play takes half a minute.
+COMMANDS = {"engage": 0.2, "record": 0.5, "guide": 1.0, "refit": 40.0}
+EXTRA = {"record": {"keep": True}}
+WITHOUT_GPU = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     options = parser(__doc__)
     options.add_argument("--retargeter", type=Path, help="checkpoint (default: the command's)")
+    options.add_argument("--film", type=Path, help="Motion JPEG of a hand, which a camera plays to the page")
     options.add_argument("--rate", type=float, default=72.0, help="hands a second")
     options.add_argument("--scenario-text", default="{}", help="YAML merged into the scenario")
     arguments = parse(options, argv)
@@ -46,30 +54,34 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments.retargeter:
             command += ["--retargeter", str(arguments.retargeter.resolve())]
         began = time.monotonic()
-        with subprocess.Popen(
-            command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        ) as server:
-            address = None
-            while address is None:
-                line = server.stderr.readline()
-                if not line:
-                    return server.wait()
-                address = re.search(r"http://\S+", line)
-            play = _play(address[0], server.pid, arguments.rate, arguments.seconds, began)
-            moved, growth, frame_rate, cpu = asyncio.run(play)
+        log = Path(folder, "log")
+        with (
+            log.open("w") as errors,
+            subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=errors, text=True) as server,
+        ):
+            while not (address := re.search(r"http://\S+", log.read_text())):
+                if server.poll() is not None:
+                    print(log.read_text())
+                    return server.returncode
+                time.sleep(0.01)
+            if arguments.film:
+                measured = _film(address[0], arguments.film.resolve(), arguments.seconds)
+            else:
+                play = _play(address[0], server.pid, arguments.rate, arguments.seconds, began)
+                measured = asyncio.run(play)
             server.send_signal(signal.SIGINT)
             report = json.loads(server.communicate()[0])
+        recordings = sum(file.stat().st_size for file in Path(folder).rglob("*.npz"))
+        sizes = {"log_kb": log.stat().st_size / 1e3, "recordings_mb": recordings / 1e6}
     delay = report["latency_s"]["command"]
     results = {
-        "to_first_motion_s": moved,
-        "median_ms": 1e3 * delay["median"],
-        "p99_ms": 1e3 * delay["p99"],
+        "message_to_target_median_ms": 1e3 * delay["median"],
+        "message_to_target_p99_ms": 1e3 * delay["p99"],
         "commands": delay["count"],
         "hands": report["glove"]["received"],
         "late": report["late"],
-        "server_cpu_share": cpu,
-        "frames_per_s": frame_rate,
-        "memory_growth_mb": growth,
+        **measured,
+        **sizes,
     }
     table = Table(title="live web page")
     for heading in ("", "value"):
@@ -82,14 +94,41 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-async def _play(
-    address: str, server: int, rate: float, seconds: float, began: float
-) -> tuple[float, float, float, float]:
-    """Plays hands to the server.
+def _film(address: str, film: Path, seconds: float) -> dict[str, float]:
+    """Lets the page follow a film.
 
     Returns:
-        Time from the command to the first motion, s; growth of the server's memory after the first quarter,
-        MB; frames a second; and the server's share of one core after the first quarter.
+        Time from a picture to the joint targets, ms, and hands a second.
+    """
+    from playwright.sync_api import sync_playwright
+
+    camera = ("--use-fake-ui-for-media-stream", "--use-fake-device-for-media-stream")
+    camera += (f"--use-file-for-fake-video-capture={film}",)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path="/usr/bin/chromium", args=[*camera, *WITHOUT_GPU]
+        )
+        page = browser.new_page()
+        page.goto(address)
+        page.wait_for_selector("body[data-state=tracking]", timeout=60_000)
+        page.keyboard.press(" ")
+        delays, counts = [], []
+        for _ in range(round(seconds)):
+            page.wait_for_timeout(1000)
+            if shown := re.search(r"(\d+) ms", page.inner_text("#delay")):
+                delays.append(float(shown[1]))
+            counts.append(int(re.match(r"\d+", page.inner_text("#counts"))[0]))
+        browser.close()
+    rate = (counts[-1] - counts[0]) / (len(counts) - 1)
+    return {"picture_to_target_median_ms": float(np.median(delays)), "hands_per_s": rate}
+
+
+async def _play(address: str, server: int, rate: float, seconds: float, began: float) -> dict[str, float]:
+    """Plays hands to the server, with everything on.
+
+    Returns:
+        Time from the command to the first motion, s; frames a second; and after the first quarter, growth of
+        the server's memory, MB, and its share of one core.
     """
     base, key = address.split("/#")
     hands = synthesize_play(0, duration_s=60.0, rate_hz=rate).p_HK
@@ -113,14 +152,20 @@ async def _play(
             joints[KEYPOINTS_OF_25,] = hands[number % len(hands)] @ R_HS + P_SH
             hand = {"type": "headset", "t": time.monotonic(), "joints": joints.tolist()}
             await page.send_str(msgspec.json.encode(hand).decode())
-            if number == 10:
-                await page.send_str('{"type": "engage"}')
+            for kind, second in COMMANDS.items():
+                if number == round(rate * second):
+                    await page.send_str(msgspec.json.encode({"type": kind, **EXTRA.get(kind, {})}).decode())
             if number == count // 4:
                 before = (*_used(server), time.monotonic())
             await asyncio.sleep(start + (number + 1) / rate - time.monotonic())
         reader.cancel()
     (memory, cpu), now = _used(server), time.monotonic()
-    return moved, memory - before[0], frames / (now - start), (cpu - before[1]) / (now - before[2])
+    return {
+        "to_first_motion_s": moved,
+        "frames_per_s": frames / (now - start),
+        "server_cpu_share": (cpu - before[1]) / (now - before[2]),
+        "memory_growth_mb": memory - before[0],
+    }
 
 
 def _used(process: int) -> tuple[float, float]:
