@@ -28,6 +28,11 @@ def require_page() -> None:
     pytest.importorskip("playwright", reason="needs Playwright for Python")
     if not CHROMIUM.is_file():
         pytest.skip(f"needs {CHROMIUM}")
+    require_built_page()
+
+
+def require_built_page() -> None:
+    """Skips the test where the page has not been built."""
     if not (PAGE / "main.js").is_file():
         pytest.skip("needs the built page: `make live`")
 

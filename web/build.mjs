@@ -9,7 +9,8 @@ const packages = `${here}node_modules`;
 
 rmSync(out, { recursive: true, force: true });
 mkdirSync(`${out}hands`, { recursive: true });
-const common = { bundle: true, minify: true, outdir: out, target: ["es2022"], legalComments: "none" };
+const target = ["chrome111", "firefox132", "safari17"];
+const common = { bundle: true, minify: true, outdir: out, target, legalComments: "none" };
 await build({ ...common, entryPoints: [`${here}src/main.js`, `${here}src/style.css`], format: "esm" });
 // MediaPipe loads itself by importScripts, which only classic workers have.
 await build({ ...common, entryPoints: [`${here}src/tracker.js`], format: "iife" });

@@ -22,9 +22,20 @@ const model = {
   refusal: "",
   hand: UNSEEN,
 };
-const view = new View(element("view"));
+const view = openView(element("view"));
 element("coarse").hidden = !view.coarse;
 let scene = null;
+
+/** The view, or where the browser has no WebGL one that shows nothing. */
+function openView(canvas) {
+  try {
+    return new View(canvas);
+  } catch (error) {
+    element("blind").hidden = false;
+    const nothing = () => {};
+    return { coarse: false, load: nothing, setPoses: nothing, setWords: nothing };
+  }
+}
 
 function refresh() {
   const { headline, detail } = show(model);
