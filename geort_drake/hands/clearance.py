@@ -5,7 +5,7 @@ half of the clearance: where the enlarged ones do not overlap, the true ones kee
 boxes have sharp edges and corners, so a gap may be less than the true distance, but never more.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from itertools import product
 from operator import attrgetter
 from typing import NamedTuple
@@ -25,7 +25,7 @@ from pydrake.geometry import (
     Sphere,
 )
 from pydrake.math import RigidTransform
-from pydrake.multibody.tree import BodyIndex, Frame, JacobianWrtVariable, RigidBody
+from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context
 
 from geort_drake.hands.chains import joint_paths
@@ -99,9 +99,8 @@ class HandClearance:
             2, -1, 3
         )
         first, second = self._rows(pairs)
-        motion = self._joint_velocities({end for row in (*first, *second) for end in self._ends_of[row]})
-        # n · (ω × x + u) = ω · (x × n) + n · u
-        along = np.concatenate([_cross(x, n), n], axis=1) @ motion
+        # n · (ω × (x - o)) = ω · (x × n) + n · (o × ω)
+        along = np.concatenate([_cross(x, n), n], axis=1) @ self._joint_axes()
         return Near(pairs, gap, (self._between(first, second) * along) @ self._coupling)
 
     def joints_between(self, pairs: Sequence[tuple[GeometryId, GeometryId]]) -> np.ndarray:
@@ -118,7 +117,7 @@ class HandClearance:
         return self._moves.take(first, 0) - self._moves.take(second, 0)
 
     def _read_chains(self) -> None:
-        """Finds which joints move which geometry, and the few links whose Jacobians cover all joints."""
+        """Finds which joints move which geometry, and the joints' axes in their links."""
         names, plant = self._names, self._plant
         paths = joint_paths(plant, self._hand.instance)
         movers: dict[BodyIndex, np.ndarray] = {}
@@ -134,33 +133,20 @@ class HandClearance:
         # By number, because hashing an identifier takes longer.
         self._row = {geometry.get_value(): row for row, (geometry, _) in enumerate(geometries)}
         self._moves = np.array([moves for _, moves in geometries])
-        self._world, self._num_velocities = plant.world_frame(), plant.num_velocities()
-        self._ends: list[tuple[RigidBody, Frame]] = []
-        self._columns, end_of = np.full(len(names), -1), np.full(len(names), -1)
-        for index in sorted(movers, key=lambda index: -movers[index].sum()):
-            rows = np.flatnonzero((movers[index] > 0) & (self._columns < 0))
-            if len(rows):
-                starts = [plant.GetJointByName(names[row]).velocity_start() for row in rows]
-                self._columns[rows] = len(self._ends) * self._num_velocities + np.array(starts)
-                end_of[rows] = len(self._ends)
-                body = plant.get_body(index)
-                self._ends.append((body, body.body_frame()))
-        self._ends_of = [{int(end) for end in end_of[moves > 0]} for moves in self._moves]
+        joints = [plant.GetJointByName(name, self._hand.instance) for name in names]
+        frames = [joint.frame_on_child().GetFixedPoseInBodyFrame() for joint in joints]
+        self._links = [joint.child_body() for joint in joints]
+        self._p_LJ = np.array([X_LJ.translation() for X_LJ in frames])[..., None]
+        axes = [X_LJ.rotation() @ j.revolute_axis() for X_LJ, j in zip(frames, joints, strict=True)]
+        self._axis_L = np.array(axes)[..., None]
 
-    def _joint_velocities(self, ends: Iterable[int]) -> np.ndarray:
-        """(6, N): joint axes ω, and below them the velocities u of a body-fixed point at the base's origin.
-
-        Only joints that move the numbered links are computed; the others are zero.
-        """
-        plant, context, world, n = self._plant, self._context, self._world, self._num_velocities
-        J = np.zeros((6, len(self._ends) * n))
-        for end in ends:
-            body, frame = self._ends[end]
-            p_BW = plant.EvalBodyPoseInWorld(context, body).inverse().translation()
-            J[:, end * n : (end + 1) * n] = plant.CalcJacobianSpatialVelocity(
-                context, JacobianWrtVariable.kV, frame, p_BW, world, world
-            )
-        return J.take(self._columns, 1)
+    def _joint_axes(self) -> np.ndarray:
+        """(6, N): axes ω of the joints, and below them o × ω for their origins o, m, in the world."""
+        pose = self._plant.EvalBodyPoseInWorld
+        X_WL = np.array([pose(self._context, link).GetAsMatrix34() for link in self._links])
+        axis = (X_WL[:, :, :3] @ self._axis_L)[..., 0]
+        origin = (X_WL[:, :, :3] @ self._p_LJ)[..., 0] + X_WL[:, :, 3]
+        return np.concatenate([axis, _cross(origin, axis)], axis=1).T
 
     def _pairs(self) -> list[tuple[GeometryId, GeometryId]]:
         root = self._hand.contact_context()

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex, RevoluteJoint, RigidBody
+from pydrake.multibody.tree import BodyIndex, Joint, ModelInstanceIndex, RevoluteJoint, RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import HandError, UnknownNameError
@@ -92,23 +92,24 @@ def read_structure(path: Path, palm: str | None = None) -> HandStructure:
     for constraint in plant.GetConstraintIds():
         plant.RemoveConstraint(constraint)
     detach_from_world(plant, hand)
-    root, groups = _groups(plant, hand)
+    everything = map(plant.get_joint, plant.GetJointIndices(hand))
+    joints = {joint.name(): joint for joint in everything if joint.num_positions()}
+    root, groups = _groups(plant, hand, palm)
     plant.WeldFrames(plant.world_frame(), root.body_frame())
     plant.Finalize()
     carrier = _palm(groups, palm)
     if palm is None:
-        _require_one_hand(groups, carrier, plant, hand, source)
+        _require_one_hand(groups, carrier, joints, source)
     couplings = read_couplings(path)
-    known = {name for group in groups for name in group}
     for coupling in couplings:
         for name in (coupling.joint, coupling.follows):
-            if name not in known:
+            if name not in joints:
                 raise HandError(
                     f"{source}: joint '{coupling.joint}' follows '{coupling.follows}', but the model has "
                     f"no movable joint '{name}'"
                 )
     where = f"its palm, the link '{groups[carrier][0].name()}'"
-    fingers = _fingers(groups, carrier, plant, hand)
+    fingers = _fingers(groups, carrier, joints)
     longest = sorted(fingers, key=len, reverse=True)
     if len(fingers) > MAX_FINGERS and len(longest[MAX_FINGERS]) == len(longest[MAX_FINGERS - 1]):
         raise HandError(
@@ -117,7 +118,7 @@ def read_structure(path: Path, palm: str | None = None) -> HandStructure:
         )
     fingers = [finger for finger in fingers if finger in longest[:MAX_FINGERS]]
     leaders = {c.joint: c.follows for c in resolved_couplings(couplings)}
-    held = _held_joints(plant, hand, known, fingers, leaders)
+    held = _held_joints(joints, fingers, leaders)
     found = [_chain(groups, carrier, finger, leaders, held) for finger in fingers]
     chains = [chain for chain in found if chain is not None]
     if len(chains) < 2:
@@ -127,15 +128,15 @@ def read_structure(path: Path, palm: str | None = None) -> HandStructure:
             f"{source}: {len(chains)} chains of movable revolute joints leave {where}; expected a hand of 2 "
             f"to {MAX_FINGERS} fingers{reasons}"
         )
-    carried = Counter(plant.GetJointByName(finger[0], hand).parent_body().index() for finger in fingers)
+    carried = Counter(joints[finger[0]].parent_body().index() for finger in fingers)
     links = sorted(groups[carrier], key=lambda body: -carried[body.index()])
     return HandStructure(path, plant, scene_graph, hand, root.name(), links, chains, couplings, held)
 
 
 def _groups(
-    plant: MultibodyPlant, hand: ModelInstanceIndex
+    plant: MultibodyPlant, hand: ModelInstanceIndex, palm: str | None
 ) -> tuple[RigidBody, dict[Group, list[RigidBody]]]:
-    """The root link, and all groups of links that it carries, nearest first."""
+    """The root link of the palm, and all groups of links that it carries, nearest first."""
     by_root: dict[BodyIndex, dict[Group, list[RigidBody]]] = {}
     for index, path in joint_paths(plant, hand).items():
         root = path[0].parent_body().index() if path else index
@@ -143,8 +144,14 @@ def _groups(
         links = by_root.setdefault(root, {}).setdefault(group, [])
         # First the link that is not welded to another one towards the root.
         links.insert(len(links) if path and not path[-1].num_positions() else 0, plant.get_body(index))
+
+    def rank(root: BodyIndex) -> tuple[bool, int]:
+        names = {body.name() for links in by_root[root].values() for body in links}
+        return palm in names, len(by_root[root])
+
     # Anything else in the file, such as a floor, has fewer joints than the hand.
-    root, groups = max(by_root.items(), key=lambda item: len(item[1]))
+    root = max(by_root, key=rank)
+    groups = by_root[root]
     return plant.get_body(root), dict(sorted(groups.items(), key=lambda item: len(item[0])))
 
 
@@ -165,11 +172,7 @@ def _palm(groups: dict[Group, list[RigidBody]], palm: str | None) -> Group:
 
 
 def _require_one_hand(
-    groups: dict[Group, list[RigidBody]],
-    palm: Group,
-    plant: MultibodyPlant,
-    hand: ModelInstanceIndex,
-    source: str,
+    groups: dict[Group, list[RigidBody]], palm: Group, joints: dict[str, Joint], source: str
 ) -> None:
     """Raises HandError for a model of several hands, or with an arm beside other chains."""
     leaving = _leaving(groups)
@@ -182,8 +185,8 @@ def _require_one_hand(
         return
     choices = []
     for group in branching:
-        joints = [plant.GetJointByName(other[-1], hand) for other in groups if other and other[:-1] == group]
-        parents = [joint.parent_body().name() for joint in joints]
+        leaving_it = [joints[other[-1]] for other in groups if other and other[:-1] == group]
+        parents = [joint.parent_body().name() for joint in leaving_it]
         choices.append(f"'{max(parents, key=parents.count)}'")
     raise HandError(
         f"{source}: more than one hand: several chains of joints leave each of {', '.join(choices)}; give "
@@ -196,9 +199,7 @@ def _is_on(carrier: Group, group: Group) -> bool:
     return group[: len(carrier)] == carrier
 
 
-def _fingers(
-    groups: dict[Group, list[RigidBody]], palm: Group, plant: MultibodyPlant, hand: ModelInstanceIndex
-) -> list[Group]:
+def _fingers(groups: dict[Group, list[RigidBody]], palm: Group, joints: dict[str, Joint]) -> list[Group]:
     """The joints of each chain that may be a finger, from the palm on."""
     leaving = _leaving(groups)
     ends = [group[len(palm) :] for group in groups if _is_on(palm, group) and not leaving[group]]
@@ -206,19 +207,13 @@ def _fingers(
     for path in sorted(ends, key=len, reverse=True):
         branches = [finger for finger in fingers if finger[:1] == path[:1]]
         own = set(path).difference(*branches)
-        revolute = any(isinstance(plant.GetJointByName(name, hand), RevoluteJoint) for name in path)
+        revolute = any(isinstance(joints[name], RevoluteJoint) for name in path)
         if revolute and (not branches or len(own) >= _OWN_JOINTS):
             fingers.append(path)
     return [path for path in ends if path in fingers]
 
 
-def _held_joints(
-    plant: MultibodyPlant,
-    hand: ModelInstanceIndex,
-    known: set[str],
-    fingers: list[Group],
-    leaders: dict[str, str],
-) -> dict[str, str]:
+def _held_joints(joints: dict[str, Joint], fingers: list[Group], leaders: dict[str, str]) -> dict[str, str]:
     """The joints that cannot be a finger's, and why."""
     moved: dict[str, set[int]] = {}
     for number, finger in enumerate(fingers):
@@ -227,9 +222,8 @@ def _held_joints(
                 moved.setdefault(mover, set()).add(number)
     on_fingers = set(itertools.chain(*fingers))
     held = {}
-    for joint in map(plant.get_joint, plant.GetJointIndices(hand)):
-        name = joint.name()
-        if name not in known or name in leaders:
+    for name, joint in joints.items():
+        if name in leaders:
             continue
         if name not in on_fingers:
             held[name] = "belongs to no finger"
