@@ -77,13 +77,13 @@ def add_collisions(model: Path) -> list[str]:
             continue
         shapes = [*link.findall("visual"), *link.findall("geom")]
         for number, shape in enumerate(shapes):
-            added = copy.deepcopy(shape)
-            if added.tag == "geom":
-                added.attrib |= {"contype": "1", "conaffinity": "1", "group": "3"}
-                added.attrib.pop("name", None)
+            name = f"{body.name()}_hull_{number}"
+            if shape.tag == "geom":
+                added = copy.deepcopy(shape)
+                added.attrib |= {"name": name, "contype": "1", "conaffinity": "1", "group": "3"}
             else:
-                added.tag = "collision"
-                added.set("name", f"hull_{number}")
+                added = ET.Element("collision", name=name)
+                added.extend(part for part in shape if part.tag in ("origin", "pose", "geometry"))
             link.append(added)
         changed += [body.name()] if shapes else []
     write_text(model, ET.tostring(tree, encoding="unicode"))
