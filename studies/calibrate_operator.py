@@ -81,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--maps", nargs="+", default=list(MAPS), choices=list(MAPS), metavar="MAP")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--scenario_text", help="YAML merged into the scenario, such as an operator's field")
+    parser.add_argument("--scenario-text", help="YAML merged into the scenario, such as an operator's field")
     parser.add_json("date, table and every trial")
     arguments = parser.parse_args(argv)
     cases = list(itertools.product(arguments.maps, arguments.objects, range(arguments.seeds)))

@@ -73,4 +73,4 @@ def test_a_replay_without_wrist_poses_needs_a_fixed_base(tmp_path):
     with pytest.raises(ScenarioError, match=r"play\.npz: .* needs wrist poses .* --scenario-name Fixed"):
         run_command("grasp", [*words, "--replay", str(tmp_path / "play.npz")])
     with pytest.raises(ScenarioError, match="scenario 'Fixed': the operator cannot grasp with a fixed base"):
-        run_command("grasp", [*words, "--scenario_name", "Fixed"])
+        run_command("grasp", [*words, "--scenario-name", "Fixed"])

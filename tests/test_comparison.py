@@ -49,7 +49,7 @@ def evaluate(play, quick, monkeypatch, tmp_path):
 def test_every_method_is_scored_under_every_protocol(evaluate, play, quick, tmp_path, capsys):
     """Trained and trivial methods, two seeds: JSON and tables are whole."""
     methods = ["linear_offline", "hold"]
-    code, report = evaluate(f"--methods {' '.join(methods)} --held_out 2 --score_on other.npz --seeds 0 1")
+    code, report = evaluate(f"--methods {' '.join(methods)} --held-out 2 --score-on other.npz --seeds 0 1")
     assert code == 0
     assert report["hand"] == "allegro_right" and "drake" in report["versions"]
     assert (report["recording"], report["recording_sha256"]) == ("hand.npz", play.digest)
@@ -81,7 +81,7 @@ def test_every_method_is_scored_under_every_protocol(evaluate, play, quick, tmp_
 def test_a_checkpoint_is_scored_only_where_its_training_fits(evaluate, play, quick, capsys):
     """It cannot be held out; what it learned from decides which of the other protocols it is for."""
     path, _ = quick("allegro_right", play)
-    code, report = evaluate(f"--methods {path} --held_out 2 --score_on other.npz")
+    code, report = evaluate(f"--methods {path} --held-out 2 --score-on other.npz")
     assert code == 1
     (of_method,) = report["methods"].values()
     assert of_method["same_person"]["mean"]["motion_preservation"] is not None
@@ -105,7 +105,7 @@ def test_a_case_that_fails_leaves_the_others(evaluate, quick, monkeypatch, capsy
         return quick(hand_name, recording, method, seed)
 
     monkeypatch.setattr("geort_drake.comparison.train.cached_checkpoint", train)
-    code, report = evaluate("--methods linear_offline hold --held_out 2")
+    code, report = evaluate("--methods linear_offline hold --held-out 2")
     assert code == 1
     failed, done = report["methods"]["linear_offline"]["held_out"]["outcomes"]
     reason = "the recording's ring tip visits only 7 places"

@@ -100,8 +100,8 @@ def test_the_loop_runs_over_loopback(desk, tmp_path, lcm_url):
         ) as publisher,
         program(
             tmp_path, "live", "--glove", f"sub+{glove}", "--robot", f"lcm+{lcm_url}",
-            "--retargeter", str(desk / "checkpoint"), "--engage", "now", "--relax_after", "0.5",
-            "--timeout", str(PATIENCE_S), "--robot_silence", "20", "--json",
+            "--retargeter", str(desk / "checkpoint"), "--engage", "now", "--relax-after", "0.5",
+            "--timeout", str(PATIENCE_S), "--robot-silence", "20", "--json",
         ) as teleoperation,
     ):  # fmt: skip
         wait_for_text(tmp_path, "live", "tracking")

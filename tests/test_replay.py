@@ -78,7 +78,7 @@ def test_sessions_are_replayed_under_every_change_and_gone_on_with(untrained, tm
     folder = tmp_path / "out"
     common = [
         str(tmp_path / "cube-3.glove.npz"), "--retargeter", str(tmp_path / "map"), "--output", str(folder),
-        "--jobs", "1", "--scenario_text", "{monitor: {hold_time: 0.01}}", "--perturb", "position=0,20",
+        "--jobs", "1", "--scenario-text", "{monitor: {hold_time: 0.01}}", "--perturb", "position=0,20",
         "mass=0.5",
     ]  # fmt: skip
     assert run_command("replay", [*common, "--trials", "1"]) == 0

@@ -10,12 +10,7 @@ from pydrake.systems.framework import DiagramBuilder
 from rerun_world import World, constant, read
 
 from geort_drake.errors import ScenarioError
-from geort_drake.rerun import (
-    CloseUpSpec,
-    PointsSpec,
-    SignalSpec,
-    add_rerun_recorder,
-)
+from geort_drake.rerun import CloseUpSpec, PointsSpec, SignalSpec, add_rerun_recorder
 from geort_drake.rerun.layout import Layout
 
 

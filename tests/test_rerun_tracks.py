@@ -16,14 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import ScenarioError
 from geort_drake.people.keypoints import BONES
-from geort_drake.rerun import (
-    CameraSpec,
-    CloseUpSpec,
-    HandSpec,
-    PointsSpec,
-    SignalSpec,
-    StateSpec,
-)
+from geort_drake.rerun import CameraSpec, CloseUpSpec, HandSpec, PointsSpec, SignalSpec, StateSpec
 
 
 def test_signals_are_grouped_by_the_part_before_the_slash(tmp_path):

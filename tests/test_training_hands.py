@@ -70,7 +70,7 @@ def test_a_checkpoint_is_refused_for_an_altered_hand(checkpoint):
 def test_the_command_passes_on_presets_and_settings(play, tmp_path, capsys):
     """--set and --steps take precedence over --preset; --json prints the stored metrics."""
     play.save(tmp_path / "play.npz")
-    common = ["--recording", str(tmp_path / "play.npz"), "--robot_samples", "2000", "--quiet", "--steps", "3"]
+    common = ["--recording", str(tmp_path / "play.npz"), "--robot-samples", "2000", "--quiet", "--steps", "3"]
 
     def trained(name, *more) -> dict:
         assert run_command("train", [*common, "--output", str(tmp_path / name), *more]) == 0
@@ -96,7 +96,7 @@ def test_shortcomings_of_the_recording_are_in_the_report(play, tmp_path, capsys)
     narrow = Recording(play.t[keep], p_HK[keep], play.valid[keep], None, {**play.metadata})
     narrow.save(tmp_path / "narrow.npz")
     arguments = ["--recording", str(tmp_path / "narrow.npz"), "--output", str(tmp_path / "run")]
-    assert run_command("train", [*arguments, "--steps=2", "--robot_samples=2000"]) == 0
+    assert run_command("train", [*arguments, "--steps=2", "--robot-samples=2000"]) == 0
     found = load_checkpoint(tmp_path / "run").provenance["warnings"]
     motions = [text.split(":")[0] for text in found if text.startswith("narrow motion, ")]
     assert motions == ["narrow motion, index bends", "narrow motion, index moves sideways"]
@@ -111,7 +111,7 @@ def test_a_diverging_training_leaves_a_usable_checkpoint(play, tmp_path, capsys,
     """An absurd learning rate ends with exit code 1, a warning, and the last good weights."""
     play.save(tmp_path / "play.npz")
     arguments = ["--recording", str(tmp_path / "play.npz"), "--output", str(tmp_path / "run"), "--quiet"]
-    arguments += ["--steps", "40", "--robot_samples", "2000", "--set", "learning_rate=1e30"]
+    arguments += ["--steps", "40", "--robot-samples", "2000", "--set", "learning_rate=1e30"]
     assert run_command("train", arguments) == 1
     assert "warning: the loss stopped being finite at step" in " ".join(capsys.readouterr().err.split())
     checkpoint = load_checkpoint(tmp_path / "run")

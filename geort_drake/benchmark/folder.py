@@ -30,14 +30,13 @@ from geort_drake.benchmark.records import Record, TrialKey, key_of, read_records
 from geort_drake.benchmark.trials import Trial, plan_cases, simulate
 from geort_drake.benchmark.workers import code_digest
 from geort_drake.comparison.retargeters import names_of
+from geort_drake.comparison.train import training_recording
 from geort_drake.comparison.versions import versions
 from geort_drake.errors import BenchmarkError, UnknownNameError
 from geort_drake.files import digest_of, write_text
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.human_hand import HumanHand
-from geort_drake.people.play import synthesize_play
-from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
 from geort_drake.resources import diagrams_dir, models_dir
 from geort_drake.simulation.diagram import Retarget
@@ -98,9 +97,8 @@ class Benchmark:
 
 def read_person(path: Path | None, side: str, seed: int) -> tuple[Recording, dict[str, Any]]:
     """The teleoperator's recording, or synthetic play, and the configuration's notes of it."""
-    if path is None:
-        return synthesize_play(seed=seed, side=side), {"recording": None, "side": side}
-    return read_recording(path, side, training=True), {"recording": str(path.resolve()), "side": side}
+    notes = {"recording": None if path is None else str(path.resolve()), "side": side}
+    return training_recording(path, side, seed), notes
 
 
 def open_benchmark(

@@ -7,14 +7,7 @@ import argparse
 import itertools
 from pathlib import Path
 
-from geort_drake.cli.options import (
-    STDOUT,
-    CommandParser,
-    at_least,
-    finish,
-    methods_for,
-    write_json,
-)
+from geort_drake.cli.options import STDOUT, CommandParser, at_least, finish, methods_for, write_json
 
 EPILOG = """\
 {methods}

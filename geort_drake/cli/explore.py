@@ -7,14 +7,7 @@ rerun explore.rrd
 import argparse
 from pathlib import Path
 
-from geort_drake.cli.options import (
-    CommandParser,
-    finish,
-    finite,
-    output_file,
-    recording_of,
-    view,
-)
+from geort_drake.cli.options import CommandParser, finish, finite, output_file, view
 from geort_drake.errors import UsageError
 
 EPILOG = """\
@@ -45,6 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.comparison.exploration import answers, excerpt
     from geort_drake.comparison.explorer_recording import write_exploration
     from geort_drake.comparison.retargeters import from_cache, names_of, retargeter_of
+    from geort_drake.comparison.train import training_recording
     from geort_drake.console import track
     from geort_drake.retargeting.retargeter import UniversalRetargeter
 
@@ -53,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     description = load_hand(arguments.hand)
     hand = HandModel(description)
     names = names_of(arguments.methods, hand=hand)
-    recording = recording_of(arguments.recording, description.side, arguments.seed)
+    recording = training_recording(arguments.recording, description.side, arguments.seed)
     hands = excerpt(recording, duration_s=arguments.duration, start_s=arguments.start)
     methods, adaptations = {}, {}
     for name, method in track("retargeting", names.items(), len(names), lambda item: item[0]):

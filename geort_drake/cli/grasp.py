@@ -20,7 +20,6 @@ from geort_drake.cli.options import (
     at_least,
     finish,
     methods_for,
-    recording_of,
     scenario_of,
     view,
     write_json,
@@ -69,6 +68,7 @@ def add_arguments(parser: CommandParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import HandModel, __version__, load_hand, run_trial
     from geort_drake.comparison.retargeters import from_cache, names_of, retargeter_of
+    from geort_drake.comparison.train import training_recording
     from geort_drake.console import print_table, progress_bar, say, track, warn
     from geort_drake.files import write_text
     from geort_drake.retargeting.checkpoint import load_checkpoint
@@ -88,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
     side = arguments.side or description.side
     scenarios = scenarios_of(arguments, base)
     replay = _replay(arguments, base, side)
-    recording = recording_of(arguments.recording, side, arguments.seed)
+    recording = training_recording(arguments.recording, side, arguments.seed)
 
     # Planning comes before training because it shows whether the robot can grasp the objects at all.
     plans: dict[str, Any] = {}

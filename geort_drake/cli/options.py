@@ -22,7 +22,6 @@ from geort_drake.files import finite_json, require_writable, write_text
 from geort_drake.resources import models_dir
 
 if TYPE_CHECKING:
-    from geort_drake.people.recording import Recording
     from geort_drake.simulation.scenario import Scenario
 
 # Names from modules that import slowly, repeated here to keep --help fast; tests compare them.
@@ -49,7 +48,7 @@ class _Help(argparse.RawDescriptionHelpFormatter):
 class CommandParser(argparse.ArgumentParser):
     """A parser with --quiet and the options that commands share.
 
-    Options may be spelled with underscores, and may stand between positional arguments.
+    Options may stand between positional arguments.
 
     Args:
         program: name in the usage line.
@@ -65,11 +64,7 @@ class CommandParser(argparse.ArgumentParser):
     def parse_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> argparse.Namespace:
-        words = [
-            re.sub(r"^--[a-z_]+", lambda name: name[0].replace("_", "-"), word)
-            for word in (sys.argv[1:] if args is None else args)
-        ]
-        return self.parse_intermixed_args(words, namespace)
+        return self.parse_intermixed_args(args, namespace)
 
     def add_json(self, what: str) -> None:
         """Adds --json, for `write_json`; `what` names the contents, such as "the metrics"."""
@@ -198,17 +193,6 @@ def scenario_of(arguments: argparse.Namespace) -> "Scenario":
     return load_scenario(
         arguments.scenario_file, arguments.scenario_name, arguments.scenario_text, arguments.hand
     )
-
-
-def recording_of(path: Path | None, side: str, seed: int) -> "Recording":
-    """A recording to train on: a file's, or five minutes of synthetic play.
-
-    Raises:
-        RecordingError: the file is unfit for training, or of the other hand.
-    """
-    from geort_drake import read_recording, synthesize_play
-
-    return synthesize_play(seed, side=side) if path is None else read_recording(path, side, training=True)
 
 
 # -- outputs

@@ -19,7 +19,6 @@ from geort_drake.cli.options import (
     finish,
     output_file,
     output_folder,
-    recording_of,
     view,
     write_json,
 )
@@ -57,12 +56,13 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import HandModel, load_hand, load_retargeter, train_checkpoint
+    from geort_drake.comparison.train import training_recording
     from geort_drake.console import print_table, warn
     from geort_drake.retargeting.checkpoint import METRICS, load_checkpoint
 
     description = load_hand(arguments.hand)
     settings = _settings(arguments)
-    recording = recording_of(arguments.recording, description.side, arguments.seed)
+    recording = training_recording(arguments.recording, description.side, arguments.seed)
     recorder = None
     if arguments.rrd is not None:
         from geort_drake.comparison.training_recording import TrainingRecorder

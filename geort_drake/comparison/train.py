@@ -98,9 +98,7 @@ def train_checkpoint(
     check_replaceable(output)
     hand = HandModel(description)
     with progress_bar(show_progress) as bars:
-        if recording is None:
-            recording = synthesize_play(seed, side=description.side)
-        recording = training_recording(recording, description.side)
+        recording = training_recording(recording, description.side, seed)
         keypoints = description.human_keypoints
         p_HF = recording.fingertips(keypoints)
         motions = finger_motions(recording.p_HK[recording.valid], keypoints)
@@ -225,12 +223,14 @@ def cached_checkpoint(
     return train_checkpoint(hand_name, recording, path, method, seed, device, settings=settings), False
 
 
-def training_recording(source: Recording | str | os.PathLike, side: str) -> Recording:
-    """A recording, or that of a file, checked for training a robot hand of that side.
+def training_recording(source: Recording | str | os.PathLike | None, side: str, seed: int = 0) -> Recording:
+    """A recording to train a robot hand of that side on: the one given, a file's, or five minutes of play.
 
     Raises:
         RecordingError: it is of the other hand, or the file is unsuitable for training.
     """
+    if source is None:
+        return synthesize_play(seed, side=side)
     if not isinstance(source, Recording):
         return read_recording(source, side=side, training=True)
     if source.side != side:

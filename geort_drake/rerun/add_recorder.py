@@ -19,6 +19,8 @@ from geort_drake.rerun.scene import describe_scene
 from geort_drake.rerun.specs import CloseUpSpec, Spec, port_name
 from geort_drake.rerun.streams import Property, Viewer
 
+_CONTACT = ContactSpec()
+
 
 def add_rerun_recorder(
     builder: DiagramBuilder,
@@ -30,7 +32,7 @@ def add_rerun_recorder(
     viewers: Sequence[Viewer] = (),
     period: float = 0.02,
     role: Role = Role.kIllustration,
-    contact: bool | ContactSpec = True,
+    contact: ContactSpec = _CONTACT,
     close_ups: Mapping[str, CloseUpSpec] | None = None,
     view_from: ArrayLike = VIEW_FROM,
     properties: Mapping[str, Property] | None = None,
@@ -49,12 +51,12 @@ def add_rerun_recorder(
             which viewers connect, such as `rerun.GrpcServerSink`.
         period: of the samples, s.
         role: which geometry to draw; a body without any is drawn with its proximity geometry.
-        contact: whether, or how, contact forces are recorded (point and hydroelastic contact).
+        contact: how contact forces are recorded (point and hydroelastic contact).
         close_ups: name → another view of the scene.
         view_from: direction in W from the scene to the eye.
         properties: facts that the viewer lists, such as {"method": "geort", "seed": 3}.
         plant_ports: for a plant inside a nested diagram, the ports by which that diagram exports the plant's
-            `body_poses` and, if contact is recorded, `contact_results`.
+            `body_poses` and `contact_results`.
 
     Raises:
         ScenarioError: the plant is not finalized; a port does not fit or is in another diagram; the period
@@ -74,10 +76,7 @@ def add_rerun_recorder(
         raise ScenarioError(f"{where}: view_from must be three numbers, not all 0; given {view_from!r}")
     followed = followed_bodies(close_ups or {}, specs or {})
     scene = describe_scene(plant, scene_graph, role, followed)
-    recorded: dict[str, Spec] = {"body_poses": Poses(scene)}
-    if contact:
-        options = contact if isinstance(contact, ContactSpec) else ContactSpec()
-        recorded["contact_results"] = Contacts(scene, options)
+    recorded: dict[str, Spec] = {"body_poses": Poses(scene), "contact_results": Contacts(scene, contact)}
     recorded |= specs or {}
 
     def plant_port(name: str) -> OutputPort:

@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 from geort_drake.errors import ScenarioError
 from geort_drake.people.keypoints import FINGER_NAMES, wrist_pose
 from geort_drake.rerun import blueprint as views
-from geort_drake.rerun.plant import Contacts, Poses
+from geort_drake.rerun.plant import Poses
 from geort_drake.rerun.scene import Scene
 from geort_drake.rerun.specs import (
     CameraSpec,
@@ -67,19 +67,16 @@ class Layout:
         images = [entity_path(WORLD, key) for key in of(CameraSpec)]
         shown += [rrb.Spatial2DView(origin=path, name=path.rsplit("/", 1)[-1]) for path in images]
         pages = _plots(of(SignalSpec))
-        if of(Contacts):
-            forces = views.time_series("contact force [N]", ["/contact/**"], legend="left")
-            pages.setdefault(next(iter(pages), ""), []).insert(0, forces)
+        forces = views.time_series("contact force [N]", ["/contact/**"], legend="left")
+        pages.setdefault(next(iter(pages), ""), []).insert(0, forces)
         bands: list[views.View] = [rrb.Horizontal(*shown)]
         shares = [_VIEWS]
         if states := [entity_path(key) for key in of(StateSpec)]:
             bands.append(rrb.StateTimelineView(origin="/", contents=states, name="phase"))
-            shares.append(views.lanes_share(len(states), _VIEWS + (_PLOTS if pages else 0.0)))
-        if pages:
-            tabs = [rrb.Horizontal(*plots, name=page) for page, plots in pages.items()]
-            bands.append(tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs, active_tab=0))
-            shares.append(_PLOTS)
-        return views.blueprint(rrb.Vertical(*bands, row_shares=shares))
+            shares.append(views.lanes_share(len(states), _VIEWS + _PLOTS))
+        tabs = [rrb.Horizontal(*plots, name=page) for page, plots in pages.items()]
+        bands.append(tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs, active_tab=0))
+        return views.blueprint(rrb.Vertical(*bands, row_shares=[*shares, _PLOTS]))
 
     def _close_up(
         self,

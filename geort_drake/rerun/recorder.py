@@ -33,7 +33,7 @@ class RerunRecorder(LeafSystem):
 
     Input ports (one that is needed twice is declared once):
         body_poses (abstract list of RigidTransform): X_WB of all bodies, in plant order.
-        contact_results (abstract ContactResults): if contact is recorded.
+        contact_results (abstract ContactResults): of the plant.
         <signal key> (n): any vector; <signal key>/0, 1, ... for a signal of several ports.
         <state key> (1): integer code.
         <hand key>/keypoints (63): p_HK, keypoint-major, m.

@@ -289,7 +289,7 @@ def hand(text: str) -> Make:
     def make(folder: Path) -> tuple:
         path = folder / "hand.yaml"
         path.write_text(text)
-        return "train", "--hand", path, "--robot_samples", 10, "--output", "out", "--quiet"
+        return "train", "--hand", path, "--robot-samples", 10, "--output", "out", "--quiet"
 
     return make
 
@@ -347,7 +347,7 @@ def scenario(text: str) -> Make:
     def make(folder: Path) -> tuple:
         path = folder / "bad.scenarios.yaml"
         path.write_bytes(text.encode())
-        return "grasp", "--scenario_file", path, "--scenario_name", "Grasp", "--output", "out"
+        return "grasp", "--scenario-file", path, "--scenario-name", "Grasp", "--output", "out"
 
     return make
 

@@ -52,7 +52,7 @@ def benchmark(seed: int, jobs: int = 1) -> None:
 
     argv = [
         "--output", ".", "--methods", "hold", "--objects", "cylinder", "--jobs", str(jobs),
-        "--scenario_text", TOO_SHORT, "--trials", "1" if seed == 1 else "2", "--zero_latency",
+        "--scenario-text", TOO_SHORT, "--trials", "1" if seed == 1 else "2", "--zero-latency",
     ]  # fmt: skip
     call = in_this_process if jobs == 1 else trials.call_in_workers
     with (
