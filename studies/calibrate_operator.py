@@ -12,9 +12,7 @@ import datetime
 import itertools
 import logging
 import statistics
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -23,9 +21,6 @@ from scipy.spatial.transform import Rotation
 
 from geort_drake.cli.options import CommandParser, write_json
 from geort_drake.console import console, progress_bar, run_main
-
-# The maps are shared with the tests.
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 # Name → gain, rotation vector (degrees, in B), offset of all fingertips (m, in B).
 MAPS = {

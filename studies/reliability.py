@@ -174,13 +174,9 @@ def killed(counts: dict, seed: int, folder: Path, report: Report) -> dict:
 def disk(counts: dict, seed: int, folder: Path, report: Report) -> dict:
     """Files that may not grow, full disks and read-only ones."""
     failures, tried = [], {}
-    for work in ("data generation", "training"):
-        known = kills.reference(work, folder / work)
-        wrong = kills.full_disk(known, folder / f"{work}-limited", 6_000)
-        tried[f"{work}, files limited"] = 1
-        failures += [f"{work} with limited files: {text}" for text in wrong]
-    if disks.can_mount(folder / "mounts"):
-        for reason in disks.DISKS:
+    mounts = disks.can_mount(folder / "mounts")
+    for reason, options in disks.DISKS.items():
+        if mounts or not options:
             failures += [f"{reason}: {text}" for text in disks.spoilt(folder / reason, reason)]
             tried[reason] = len(disks.WRITERS)
     report(1, 1)
@@ -247,13 +243,13 @@ def updates(counts: dict, seed: int, folder: Path, report: Report) -> dict:
 def trials(counts: dict, seed: int, folder: Path, report: Report) -> dict:
     """Grasps under the eyes of physics."""
     from faults.physics import watched
-    from grasp_setup import centred_map, person_and_rest, planned_goal, scenario_with
+    from grasp_setup import centred_map, human_with, scenario_with
 
     from geort_drake.simulation.diagram import make_grasp_diagram
 
     seen, failures = {}, []
     for number, name in enumerate(("cylinder", "sphere", "cube")[: counts["trials"]]):
-        human = (person_and_rest()[0], planned_goal(name))
+        human = human_with(name)
         result = watched(make_grasp_diagram(scenario_with(name), centred_map(), human), 12.0)
         seen[name] = result.__dict__
         failures += [f"{name}: {result}"] if result.violations or not result.contacts else []

@@ -4,7 +4,6 @@ import dataclasses
 from functools import cache
 
 import numpy as np
-from affine_map import AffineMap
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 
@@ -13,6 +12,7 @@ from geort_drake.hands.model import HandModel
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.recording import Recording
+from geort_drake.retargeting.methods.affine_ik import AffineIK
 from geort_drake.simulation.diagram import GraspDiagram
 from geort_drake.simulation.operators.finger_motion import FingerMotion
 from geort_drake.simulation.scenario import Scenario, load_scenario
@@ -31,31 +31,23 @@ def allegro() -> HandModel:
 
 
 @cache
-def person_and_rest() -> tuple[HumanHand, np.ndarray]:
-    """A person fitted to a minute of play, and the mean of their fingertips, (4, 3) m in H."""
-    play = synthesize_play(seed=0, duration_s=60)
-    return HumanHand.fit(play), play.fingertips([4, 8, 12, 16]).mean(axis=0)
-
-
-def centred_map(hand: HandModel | None = None) -> AffineMap:
-    """A fresh affine map that takes the human cloud's centre to the middle of a robot hand's workspace.
-
-    Args:
-        hand: the Allegro hand if None. Its first fingers are those of `person_and_rest`.
-    """
-    hand = hand or allegro()
-    _, rest = person_and_rest()
-    mirror = np.diag([1.0, -1.0 if hand.description.side == "left" else 1.0, 1.0])
-    offset = workspace_centre(hand.description.name) - hand.fingertips(hand.default_position)
-    return AffineMap(hand, rest, GAIN, mirror, offset)
+def play() -> Recording:
+    """A minute of synthetic play."""
+    return synthesize_play(seed=0, duration_s=60)
 
 
 @cache
-def workspace_centre(hand_name: str) -> np.ndarray:
-    """(4, 3) mean robot fingertips in B over uniform joint positions, m."""
-    hand = HandModel(load_hand(hand_name))
-    q = np.random.default_rng(0).uniform(hand.lower, hand.upper, (2000, len(hand.joint_names)))
-    return hand.fingertips(q).mean(axis=0)
+def person_who_plays() -> HumanHand:
+    """Who plays."""
+    return HumanHand.fit(play())
+
+
+def centred_map(hand: HandModel | None = None) -> AffineIK:
+    """The affine map of each fingertip with a known gain, for a robot hand, by default the Allegro."""
+    hand = hand or allegro()
+    retarget = AffineIK(hand.kinematics(), play().fingertips(hand.description.human_keypoints))
+    retarget.gain = GAIN
+    return retarget
 
 
 @cache
@@ -64,9 +56,9 @@ def planned_goal(object_name: str) -> GraspGoal:
     return GraspPlanner(scenario_with(object_name), allegro().description).plan()
 
 
-def goal_at_any_error(object_name: str) -> GraspGoal:
-    """The same; the person approaches however far the fingers are from the open hand."""
-    return dataclasses.replace(planned_goal(object_name), clearance=np.inf)
+def human_with(object_name: str = "cylinder", **changes) -> tuple[HumanHand, GraspGoal]:
+    """A person who plans that grasp; `changes` are to the goal's fields."""
+    return person_who_plays(), dataclasses.replace(planned_goal(object_name), **changes)
 
 
 def reach_goal() -> GraspGoal:
@@ -108,7 +100,7 @@ class Constant:
 
 def resting_glove(duration: float, **metadata) -> Recording:
     """A hand at rest and a wrist that keep still, at 100 Hz."""
-    hand, _ = person_and_rest()
+    hand = person_who_plays()
     t = np.arange(0, duration, 0.01)
     p_HK = hand.keypoints(FingerMotion(hand).rest)
     return Recording(

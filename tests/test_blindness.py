@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from grasp_setup import centred_map, person_and_rest, planned_goal, scenario_with
+from grasp_setup import centred_map, human_with, person_who_plays, scenario_with
 from pydrake.systems.primitives import DiscreteTimeDelay
 
 from geort_drake.hands.description import load_hand
@@ -61,13 +61,11 @@ def test_goals_tell_places_and_no_postures():
 
 @cache
 def diagram_of(task: str, hand: str) -> GraspDiagram:
-    person = person_and_rest()[0]
     if task == "grasp":
-        scenario = scenario_with("cylinder", f"{{hand: {hand}}}")
-        return make_grasp_diagram(scenario, centred_map(), (person, planned_goal("cylinder")))
+        return make_grasp_diagram(scenario_with(text=f"{{hand: {hand}}}"), centred_map(), human_with())
     scenario = load_scenario(*find_task(task).scenario, hand=hand)
     goal = find_task(task).plans(scenario, load_hand(hand))[0]
-    return make_grasp_diagram(scenario, centred_map(), (person, goal))
+    return make_grasp_diagram(scenario, centred_map(), (person_who_plays(), goal))
 
 
 @pytest.mark.parametrize("hand", ["allegro_right", "allegro_left"])

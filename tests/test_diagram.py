@@ -6,15 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from grasp_setup import (
-    allegro,
-    centred_map,
-    person_and_rest,
-    planned_goal,
-    resting_glove,
-    scenario_with,
-    started,
-)
+from grasp_setup import allegro, centred_map, human_with, resting_glove, scenario_with, started
 from pydrake.systems.framework import LeafSystem
 
 from geort_drake.errors import HandError
@@ -39,7 +31,7 @@ def glove(p_W_moved=(0.0, 0.0, 0.0), spread: float = 0.0, duration: float = 3.0)
 @cache
 def whole_diagram() -> GraspDiagram:
     """The diagram with the simulated operator."""
-    human = (person_and_rest()[0], planned_goal("cylinder"))
+    human = human_with()
     return make_grasp_diagram(scenario_with("cylinder"), centred_map(), human)
 
 

@@ -4,7 +4,7 @@ import dataclasses as dc
 from functools import cache
 
 import numpy as np
-from grasp_setup import allegro, centred_map, person_and_rest, planned_goal, scenario_with
+from grasp_setup import allegro, centred_map, person_who_plays, planned_goal, scenario_with
 
 from geort_drake.retargeting.methods import make_untrained
 from geort_drake.simulation.free_play import keep_attainable, seen_fingertips
@@ -20,7 +20,7 @@ def moved(goal: GraspGoal, shift: float) -> GraspGoal:
 
 @cache
 def seen() -> np.ndarray:
-    return seen_fingertips(centred_map(), allegro(), person_and_rest()[0]).p_BF
+    return seen_fingertips(centred_map(), allegro(), person_who_plays()).p_BF
 
 
 def test_the_first_plan_that_free_play_reaches_is_kept():
@@ -35,7 +35,7 @@ def test_the_first_plan_that_free_play_reaches_is_kept():
 
 def test_free_play_shows_where_the_robots_fingertips_go():
     """They move through a map, stay with one that holds, and are not seen with one that fails."""
-    person = person_and_rest()[0]
+    person = person_who_plays()
     assert seen().std(axis=0).min() > 1e-3 and len(seen()) == 900
     still = seen_fingertips(make_untrained("hold", allegro().kinematics()), allegro(), person).p_BF
     assert still.std(axis=0).max() < 1e-9
@@ -52,7 +52,7 @@ def test_nobody_approaches_farther_off_than_the_clearance():
     scenario = scenario_with("cylinder", "{timeout: 5.0, operator: {visual_depth_noise: 0.002}}")
     unreachable = moved(planned_goal("cylinder"), 0.04)
     phases = [
-        run_trial(scenario, centred_map(), (person_and_rest()[0], dc.replace(unreachable, clearance=room)))[0]
+        run_trial(scenario, centred_map(), (person_who_plays(), dc.replace(unreachable, clearance=room)))[0]
         for room in (0.012, 0.1)
     ]
     assert phases[0].operator_phase == Phase.REACH.name.lower()

@@ -5,7 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
-from grasp_setup import TOO_SHORT, in_this_process, judged, person_and_rest, planned_goal
+from grasp_setup import TOO_SHORT, human_with, in_this_process, judged, planned_goal
 
 from geort_drake.benchmark import folder as benchmark_folder
 from geort_drake.benchmark import methods, trials
@@ -256,7 +256,7 @@ def test_seeds_are_paired_across_methods(tmp_path, play):
     made = open_benchmark(tmp_path, scenario, play, ["hold", "vector_online"], ["cylinder"], 2)
     keys = made.keys(["hold", "vector_online"], ["cylinder"], 2)
     assert [key.seed for key in keys] == [0, 0, 1, 1]
-    human = (person_and_rest()[0], planned_goal("cylinder"))
+    human = human_with()
     seen = []
     for key in keys[:3]:
         scenario = load_scenario(text=f"{{timeout: 0.4, random_seed: {key.seed}}}")

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from grasp_setup import allegro, centred_map, person_and_rest, reach_goal, started
+from grasp_setup import allegro, centred_map, person_who_plays, reach_goal, started
 from model_scene import SHIPPED_HANDS
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
@@ -86,7 +86,7 @@ def test_a_left_hand_is_simulated_as_the_mirror_image():
 
     Not to the last digit, as the arm's inverse kinematics is solved to a tolerance.
     """
-    person, _ = person_and_rest()
+    person = person_who_plays()
     goal = reach_goal()
     poses, angles, gloves = [], [], []
     for name, aim in (("allegro_right", goal), ("allegro_left", goal.mirrored())):
@@ -112,7 +112,7 @@ def test_leap_grasps():
     """The simulated person lifts the object with the planned contacts and the hand's own gains."""
     text = "{object: {name: cube}, monitor: {hold_time: 0.5}, timeout: 15.0}"
     scenario, hand = load_scenario(hand="leap_right", text=text), HandModel(load_hand("leap_right"))
-    person, retarget = person_and_rest()[0], centred_map(hand)
+    person, retarget = person_who_plays(), centred_map(hand)
     plans = GraspPlanner(scenario, hand.description).plans(2)
     goal, _ = keep_attainable(plans, seen_fingertips(retarget, hand, person).p_BF)
     result, _ = run_trial(scenario, retarget, (person, goal))

@@ -41,27 +41,12 @@ def test_a_killed_program_resumes(known, work, by_clock, new_interpreter, tmp_pa
     assert kills.kill(known(work), tmp_path / "kill", rng, by_clock, new_interpreter) == []
 
 
-@pytest.mark.parametrize("work", ["data generation", "teleoperation"])
-def test_a_program_whose_files_may_not_grow_names_the_file(known, work, tmp_path):
-    """And the reason; earlier results stay, and no draft is left."""
-    assert kills.full_disk(known(work), tmp_path / "limited", 6_000) == []
-
-
-@pytest.mark.parametrize("writer", disks.WRITERS, ids=lambda writer: writer.__name__)
-def test_every_writer_names_the_file_that_it_cannot_write(writer, tmp_path):
-    """No file may hold more than 2 kB here."""
-    room = tmp_path / "room"
-    room.mkdir()
-    ending = run(writer, (), room, tmp_path / "beside", RLIMIT_FSIZE=2_000)
-    assert kills.unclear(ending, "File too large") == []
-
-
-def test_errors_tell_full_disks_from_read_only_ones(tmp_path):
-    """Where this process may mount disks."""
-    if not disks.can_mount(tmp_path):
+@pytest.mark.parametrize("reason", disks.DISKS)
+def test_every_writer_names_the_file_that_it_cannot_write(reason, tmp_path):
+    """And why: files may not grow, or the disk is full or read-only. Nothing incomplete is left."""
+    if disks.DISKS[reason] and not disks.can_mount(tmp_path):
         pytest.skip("mounting a disk needs the superuser")
-    for number, reason in enumerate(disks.DISKS):
-        assert disks.spoilt(tmp_path / str(number), reason) == []
+    assert disks.spoilt(tmp_path / "disk", reason) == []
 
 
 def test_a_line_that_did_not_fit_is_dropped_and_the_log_goes_on(tmp_path):

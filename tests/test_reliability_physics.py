@@ -5,13 +5,13 @@ from types import SimpleNamespace
 
 import numpy as np
 from faults.physics import ENERGY, watched
-from grasp_setup import centred_map, person_and_rest, planned_goal, scenario_with
+from grasp_setup import centred_map, human_with, scenario_with
 
 from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
 
 
 def grasp() -> GraspDiagram:
-    human = (person_and_rest()[0], planned_goal("cylinder"))
+    human = human_with()
     return make_grasp_diagram(scenario_with("cylinder"), centred_map(), human)
 
 

@@ -8,15 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from grasp_setup import (
-    Constant,
-    allegro,
-    centred_map,
-    person_and_rest,
-    planned_goal,
-    resting_glove,
-    scenario_with,
-)
+from grasp_setup import Constant, allegro, centred_map, human_with, resting_glove, scenario_with
 
 from geort_drake.people.recording import Recording
 from geort_drake.simulation.tasks.grasp.monitor import GraspPhase
@@ -31,7 +23,7 @@ TEXT = "{monitor: {hold_time: 0.5}, timeout: 15.0}"
 @cache
 def lifted(name: str = "cylinder") -> tuple[GraspResult, Recording]:
     """An object grasped by the simulated operator through the centred map."""
-    human = (person_and_rest()[0], planned_goal(name))
+    human = human_with(name)
     return run_trial(scenario_with(name, TEXT), centred_map(), human)
 
 
@@ -95,7 +87,7 @@ def test_objects_are_lifted_by_the_other_grips(name):
 def test_a_map_that_does_nothing_times_out_in_a_named_phase():
     """Without finger motion nothing is lifted; the failure has the phase it ended in."""
     scenario = scenario_with("cylinder", "{timeout: 3.0}")
-    human = (person_and_rest()[0], planned_goal("cylinder"))
+    human = human_with()
     result, glove = run_trial(scenario, Constant(), human)
     assert not result.success and result.completion_time is None and result.first_attempt is False
     failure, phase = result.outcome.split(": ")
@@ -150,7 +142,7 @@ def test_the_recording_shows_what_fingertips_are_asked_for_and_how_hard_joints_w
 
     path = tmp_path / "trial.rrd"
     scenario = scenario_with("cylinder", "{timeout: 0.5, retargeting: {latency: 0.004}}")
-    human = (person_and_rest()[0], planned_goal("cylinder"))
+    human = human_with()
     run_trial(scenario, centred_map(), human, path, {"method": "affine"})
     signals = read_samples(path).signals
     for kind in KINDS:

@@ -1,4 +1,4 @@
-"""Programs that are killed or find the disk full: what they leave, and how they resume.
+"""Programs that are killed: what they leave, and how they resume.
 
 A result is complete or absent, whatever happens.
 """
@@ -98,20 +98,6 @@ def kill(
         wrong.append("the results differ from those without the kill")
     if known.work.startswith("benchmark") and list(after)[: len(left)] != list(left):
         wrong.append("a finished trial was made again")
-    return wrong
-
-
-def full_disk(known: Reference, folder: Path, limit: int) -> list[str]:
-    """Limits every file to `limit` bytes, then runs without the limit. Returns what is wrong with that."""
-    room = folder / "room"
-    shutil.copytree(known.folder, room)
-    ending = run(_work, (known.work, 0, None), room, folder / "beside", MAX_TIME, RLIMIT_FSIZE=limit)
-    wrong, _ = _check_left(known, room)
-    wrong += unclear(ending, "File too large|is the disk full")
-    wrong += [f"left {path.name}" for path in room.rglob(".*")]
-    ending = run(_work, (known.work, 0, None), room, folder / "beside", MAX_TIME)
-    if ending.code != 0 or results(room) != known.later:
-        wrong.append(f"did not resume: {ending}")
     return wrong
 
 
