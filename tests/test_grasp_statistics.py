@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from trial_records import error, trial
 
 from geort_drake.benchmark.records import by_training
 from geort_drake.benchmark.statistics import (
@@ -17,34 +18,6 @@ from geort_drake.benchmark.statistics import (
 
 TIMEOUT = 20.0
 GRIPS = {"cube": "tripod", "ball": "tripod", "rod": "pinch"}
-
-
-def trial(method="a", thing="cube", seed=0, time=5.0, attempts=1, **changes) -> dict:
-    """A line of the results; without a time, one that failed."""
-    success = time is not None
-    return {
-        "method": method,
-        "object": thing,
-        "seed": seed,
-        "success": success,
-        "outcome": "success" if success else "timeout: lift",
-        "completion_time": time,
-        "first_attempt": success and attempts == 1,
-        "attempts": attempts,
-        "tip_success": success,
-        "holding": {"thumb": 2.0, "index": 2.0} if success else {},
-        "phase_durations": {"REACH": 3.0, "LIFT": 1.0},
-        "drops": attempts - 1,
-        "slip": 0.002,
-        "peak_force": 4.0,
-        "operator_phase": None,
-        "self_contact": 0.0,
-        **changes,
-    }
-
-
-def error(method="a", thing="cube", seed=9) -> dict:
-    return {"method": method, "object": thing, "seed": seed, "error": "ValueError: no"}
 
 
 # -- of one method

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from faults import disks, kills
 from faults.child import run
+from trial_records import error
 
 from geort_drake import files
 from geort_drake.benchmark.records import TrialLog, read_records
@@ -59,7 +60,7 @@ def test_a_line_that_did_not_fit_is_dropped_and_the_log_goes_on(tmp_path):
     whole = read_records(path)
     with TrialLog(path) as log:
         assert log.torn and log.records == whole and len(whole) == 7
-        log.append({"method": "hold", "object": "cube", "seed": -1, "error": "x", "traceback": ""})
+        log.append(error(seed=-1))
     assert len(read_records(path)) == 8
 
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from grasp_setup import allegro, in_this_process, resting_glove, scenario_with
+from trial_records import error, trial
 
 from geort_drake.benchmark import replay, trials
 from geort_drake.benchmark.records import read_records
@@ -45,21 +46,20 @@ def test_the_summary_pools_sessions_and_begins_without_a_change():
     """A size's share is over all sessions; errors are counted apart."""
 
     def line(name, success, condition="", seed=0):
-        outcome = {"success": success, "outcome": "success" if success else "timeout: touch"}
-        return {"method": name, "object": "cube", "seed": seed, "condition": condition, **outcome}
+        return trial(name, seed=seed, time=5.0 if success else None, condition=condition)
 
     records = [
         line("a", True),
         line("b", False),
         *[line(name, k < 3, "position=10", k) for name in "ab" for k in range(4)],
-        {"method": "a", "object": "cube", "seed": 9, "condition": "position=10", "error": "no"},
+        error("a", condition="position=10"),
     ]
     summary = summarize_replay(records)
     (panel,) = summary["perturbations"].values()
     shares = [(c["value"], c["methods"]["replay"]["rate"]) for c in panel["conditions"]]
     assert shares == [(0.0, 0.5), (10.0, 0.75)]
     assert summary["trials"] == 10 and summary["errors"] == 1
-    assert summary["sessions"]["b"]["unchanged"] == "timeout: touch"
+    assert summary["sessions"]["b"]["unchanged"] == "timeout: lift"
     assert summary["sessions"]["b"]["changed"]["successes"] == 3
 
 

@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from trial_records import error, trial
 
 from geort_drake.benchmark.conditions import ASSUMPTIONS, make_conditions, parse_values
 from geort_drake.benchmark.sensitivity import summarize_sensitivity
@@ -13,15 +14,13 @@ from geort_drake.simulation.worn_glove import WornGloveConfig
 USUAL = {name: list(parameter.values) for name, parameter in ASSUMPTIONS.items()}
 
 
-def trial(method: str, seed: int, success: bool, condition: str = "") -> dict:
-    """As much of a line as the ranking needs."""
-    named = {"method": method, "object": "cube", "seed": seed, "first_attempt": success}
-    return {**named, "condition": condition} if condition else named
-
-
 def trials(rates: dict[str, int], condition: str = "") -> list[dict]:
     """Ten trials of each method, so many of them successes."""
-    return [trial(name, k, k < rate, condition) for name, rate in rates.items() for k in range(10)]
+    return [
+        trial(name, seed=k, time=5.0 if k < rate else None, condition=condition)
+        for name, rate in rates.items()
+        for k in range(10)
+    ]
 
 
 # -- conditions
@@ -96,7 +95,7 @@ def test_nominal_trials_count_where_a_condition_tried_the_same():
     records = [
         *trials({"a": 5, "b": 10, "c": 0}),
         *[record for record in trials({"a": 5, "b": 10}, "gain=1") if record["seed"] < 5],
-        {"method": "a", "object": "cube", "seed": 7, "condition": "gain=1", "error": "ValueError: no"},
+        error("a", seed=7, condition="gain=1"),
     ]
     (parameter,) = summarize_sensitivity(records, ["a", "b", "c"], Scenario()).values()
     for condition in parameter["conditions"]:

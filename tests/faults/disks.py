@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from trial_records import error
 
 from faults.child import run
 from faults.kills import unclear
@@ -38,10 +39,9 @@ def save_text() -> None:
 
 
 def append_trials() -> None:
-    trial = {"method": "hold", "object": "cube", "error": "x" * 184, "traceback": ""}
     with TrialLog("trials.jsonl") as log:
         for seed in range(1000):
-            log.append({**trial, "seed": seed})
+            log.append(error(seed=seed, error="x" * 184))
 
 
 WRITERS = (save_recording, record_session, save_checkpoint, save_text, append_trials)
