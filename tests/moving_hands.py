@@ -30,6 +30,10 @@ class Hand:
         """The keypoints of the real hand, which is the mirror image of a left one's description."""
         return self.p_HK * [1, -1, 1] if self.side == "left" else self.p_HK
 
+    def part(self, frames) -> "Hand":
+        """Only those frames, with the times they had."""
+        return Hand(self.p_HK[frames], self.t[frames], self.R_WH[frames], self.p_WH[frames], self.side)
+
     def joints(self, world: bool = True) -> dict[str, np.ndarray]:
         """Positions (T, 3) by name, in the world or from the wrist, with what lies beside the keypoints."""
         p = self.seen

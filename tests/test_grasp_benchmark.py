@@ -15,15 +15,9 @@ from geort_drake.benchmark.records import TrialKey, TrialLog, key_of, read_recor
 from geort_drake.cli import run_command
 from geort_drake.comparison.retargeters import names_of
 from geort_drake.errors import BenchmarkError, UnknownNameError
-from geort_drake.people.play import synthesize_play
 from geort_drake.simulation.diagram import make_grasp_diagram
 from geort_drake.simulation.scenario import load_scenario
 from geort_drake.simulation.trial import run_trial
-
-
-@pytest.fixture(scope="module")
-def play():
-    return synthesize_play(seed=0, duration_s=15)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -18,7 +18,6 @@ from geort_drake.benchmark.statistics import figures
 from geort_drake.comparison.retargeters import names_of
 from geort_drake.errors import BenchmarkError, MethodError
 from geort_drake.hands.urdf import hand_urdf
-from geort_drake.people.play import synthesize_play
 from geort_drake.simulation.scenario import dump_scenario, load_scenario
 
 FILE = """
@@ -35,11 +34,6 @@ def make(hand):
         return q
     return retarget
 """
-
-
-@pytest.fixture(scope="module")
-def play():
-    return synthesize_play(seed=0, duration_s=20.0)
 
 
 def own(tmp_path, line: str = "pass") -> OwnMethod:

@@ -21,7 +21,7 @@ from glove_files import (
     write_vision_pro,
     write_webxr,
 )
-from moving_hands import FRAMES, Hand, moving
+from moving_hands import FRAMES, moving
 
 from geort_drake.errors import RecordingError
 from geort_drake.people.checks import examine, verdict
@@ -33,11 +33,6 @@ from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import open_recording, read_recording
 
 ERROR, UNFIT, WARNING = Severity.ERROR, Severity.UNFIT, Severity.WARNING
-
-
-def kept(hand: Hand, frames) -> Hand:
-    """Only those frames, with the times they had."""
-    return Hand(hand.p_HK[frames], hand.t[frames], hand.R_WH[frames], hand.p_WH[frames], hand.side)
 
 
 def keypoints(change):
@@ -97,22 +92,22 @@ HANDS = {
         ERROR, "clock", r"2 to 2000 frames in a second, but give 0\.06.* if times were multiplied by 0\.001",
     ),
     "stored twice": (
-        lambda h: kept(h, np.sort(np.append(np.arange(FRAMES), [30, 200]))),
+        lambda h: h.part(np.sort(np.append(np.arange(FRAMES), [30, 200]))),
         WARNING, "duplicated frames", r"2 of 402 frames are stored twice .*t\[31\].* left out",
     ),
     "frames dropped": (
-        lambda h: kept(h, np.arange(FRAMES)[np.arange(FRAMES) % 8 != 3]),
+        lambda h: h.part(np.arange(FRAMES)[np.arange(FRAMES) % 8 != 3]),
         WARNING, "dropped frames", "50 frames are missing in 400, with 0 gaps",
     ),
     "two joined": (
-        lambda h: dc.replace(kept(h, np.delete(np.arange(FRAMES), np.arange(200, 225))), t=h.t[:-25]),
+        lambda h: dc.replace(h.part(np.delete(np.arange(FRAMES), np.arange(200, 225))), t=h.t[:-25]),
         WARNING, "jumps", r"1 jumps in .*p_HK\[200\]",
     ),
     "a tracker that jumps": (
         lambda h: dc.replace(h, p_WH=h.p_WH + 1.5 * AFTER_100[:, None]),
         WARNING, "jumps", r"the wrist jumps 1 times, the first at 1\d\d m/s .*X_WH\[101\]",
     ),
-    "too short": (lambda h: kept(h, np.arange(60, FRAMES - 50)), UNFIT, "length", "290 valid frames"),
+    "too short": (lambda h: h.part(np.arange(60, FRAMES - 50)), UNFIT, "length", "290 valid frames"),
     "no pinch": (lambda h: moving(pinch=False), UNFIT, "pinches", r"never .* 15 mm of: index \(\d+ mm\)"),
 }  # fmt: skip
 WITHOUT_WRIST = ("geort", "mediapipe", "dex_retargeting")  # formats in which the hand's axes are found out
@@ -247,7 +242,7 @@ def test_a_git_lfs_pointer_is_named_with_the_way_out(tmp_path):
 def test_short_recordings_can_be_replayed_but_not_trained_on(tmp_path):
     """From two frames on; training needs 300."""
     for frames in (2, 3, 4, 250):
-        path = write_own(tmp_path, kept(moving(), np.arange(frames)))
+        path = write_own(tmp_path, moving().part(np.arange(frames)))
         _, findings = examine(open_recording(path)[0])
         assert f"{frames} valid frames, training needs at least 300" in " ".join(map(str, findings))
         with pytest.raises(RecordingError, match=r"own\.npz: "):

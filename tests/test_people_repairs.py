@@ -1,6 +1,5 @@
 """A fault in a single frame never refuses a recording: it is reported, and the rest is read unchanged."""
 
-import functools
 import json
 import pickle
 import tempfile
@@ -12,18 +11,12 @@ from faults.mutations import VALUES, changed
 from glove_files import WRITERS, write_manus, write_own
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from moving_hands import Hand, moving
+from moving_hands import moving
 
 from geort_drake.people.checks import examine, verdict
 from geort_drake.people.readers import open_recording, read_recording
 
 FRAMES = 80
-
-
-@functools.cache
-def sound_hand() -> Hand:
-    hand = moving()
-    return Hand(hand.p_HK[:FRAMES], hand.t[:FRAMES], hand.R_WH[:FRAMES], hand.p_WH[:FRAMES])
 
 
 def set_to(value):
@@ -110,8 +103,8 @@ def spoil_text(path: Path, i: int, draw) -> None:
         lines = text.splitlines(keepends=True)
         row = i + (path.suffix == ".csv")
         frame, begin = lines[row].rstrip(), sum(map(len, lines[:row]))
-    at = draw(st.integers(0, len(frame) - 1))
     cut = path.suffix != ".json" and draw(st.booleans())
+    at = draw(st.integers(int(cut), len(frame) - 1))  # an empty line is no frame
     end = begin + (len(frame) if cut else at + 1)
     path.write_text(text[: begin + at] + ("" if cut else draw(st.sampled_from('#{]"'))) + text[end:])
 
@@ -137,7 +130,7 @@ def spoil_file(path: Path, i: int, draw) -> None:
 def test_a_fault_in_one_frame_costs_that_frame_at_most(written, i, data):
     """Wherever it is: the file is read, a finding names frame or repair, and other frames are the same."""
     with tempfile.TemporaryDirectory() as folder:
-        path = WRITERS[written](Path(folder), sound_hand())
+        path = WRITERS[written](Path(folder), moving().part(slice(FRAMES)))
         sound, known = open_recording(path)
         _, known_too = examine(sound)
         spoil_file(path, i, data.draw)

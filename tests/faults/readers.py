@@ -59,8 +59,7 @@ def sound_inputs(folder: Path) -> list[Reader]:
 
 
 def _recordings(folder: Path) -> list[Reader]:
-    hand, readers = moving(), []
-    hand = dc.replace(hand, **{name: getattr(hand, name)[:FRAMES] for name in ("p_HK", "t", "R_WH", "p_WH")})
+    hand, readers = moving().part(slice(FRAMES)), []
     for name, write in WRITERS.items():
         path = write(_room(folder, name), hand)
         if path.is_dir():  # HO-3D's pickles, of which one is changed
