@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from grasp_setup import TOO_SHORT, allegro, person_and_rest
+from grasp_setup import TOO_SHORT, allegro, person_who_plays
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
@@ -120,7 +120,7 @@ def test_a_hand_without_the_fingers_is_refused_before_it_runs():
 )
 def test_people_press_keys_through_a_map_that_follows_alone(method, kind, score, plans):
     """The map is affine, and the hand that does not follow holds still."""
-    task, person = find_task("keys"), person_and_rest()[0]
+    task, person = find_task("keys"), person_who_plays()
     frames = synthesize_play(seed=0, duration_s=60).fingertips([4, 8, 12, 16])
     retarget = make_untrained(method, allegro().kinematics(), frames=frames)
     play = seen_fingertips(retarget, allegro(), person)
