@@ -63,14 +63,14 @@ def test_what_was_not_done_is_named(shown):
     lower, upper = free * hand.lower, free * hand.upper
     still, _ = demonstrate(0, 30.0, replace(hand, lower=lower, upper=upper), jitter=0.0)
     (motion,) = [m for m in coverage(still) if not m.enough]
-    assert re.fullmatch("ring moves sideways: [01] °, wanted 7", str(motion))
+    assert re.fullmatch("ring moves sideways: [01] °, required 7", str(motion))
     assert motion.advice == "spread the fingers and close them"
     recording, _ = shown
     p_HK = recording.p_HK.copy()
     away = pinch_distances(recording)["ring"] < 0.03
     p_HK[np.ix_(away, FINGER_KEYPOINTS["ring"])] += [0.0, -0.06, 0.0]
     (motion,) = [m for m in coverage(replace(recording, p_HK=p_HK)) if m.name == "thumb pinches ring"]
-    assert str(motion) == f"thumb pinches ring: 0 times, wanted {PINCHES}" and not motion.enough
+    assert str(motion) == f"thumb pinches ring: 0 times, required {PINCHES}" and not motion.enough
 
 
 def test_a_pinch_that_trembles_counts_once():

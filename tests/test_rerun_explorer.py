@@ -7,11 +7,11 @@ from rerun_world import entities, read, rerun
 from geort_drake.comparison import metrics
 from geort_drake.comparison.adaptation import follow
 from geort_drake.comparison.exploration import (
-    answers,
     excerpt,
     find_pinches,
     motion_cosines,
     proportional_copy,
+    response,
 )
 from geort_drake.comparison.explorer_recording import write_exploration
 from geort_drake.errors import RecordingError
@@ -63,7 +63,7 @@ def test_a_left_hand_is_answered_in_its_mirror_image_and_shown_as_it_is(play, al
         given.append(p_HF)
         return left.lower + (left.upper - left.lower) * (0.5 + 4 * p_HF.reshape(len(p_HF), -1)[:, :1])
 
-    found = answers(half_way, left, hands)
+    found = response(half_way, left, hands)
     np.testing.assert_array_equal(given[0], hands.fingertips(left.description.human_keypoints))
     np.testing.assert_allclose(found.p_BF, left.fingertips(found.q))
     np.testing.assert_allclose(found.copy, proportional_copy(mirrored(given[0]), found.p_BF))
@@ -74,8 +74,8 @@ def test_the_recording_shows_what_the_methods_answer(tmp_path, allegro, play):
     hands = excerpt(play, rate_hz=10.0, duration_s=3.0)
     fist, rest = allegro.upper, np.clip(np.zeros(len(allegro.lower)), allegro.lower, allegro.upper)
     methods = {
-        "fist": answers(lambda p_HF: np.tile(fist, (len(p_HF), 1)), allegro, hands),
-        "rest": answers(lambda p_HF: np.tile(rest, (len(p_HF), 1)), allegro, hands),
+        "fist": response(lambda p_HF: np.tile(fist, (len(p_HF), 1)), allegro, hands),
+        "rest": response(lambda p_HF: np.tile(rest, (len(p_HF), 1)), allegro, hands),
     }
     path = tmp_path / "explorer.rrd"
     write_exploration(path, allegro, hands, methods, {"recording_sha256": play.digest})
@@ -107,7 +107,7 @@ def test_a_map_for_everyone_is_shown_while_it_follows_the_person(tmp_path, alleg
     np.testing.assert_allclose(adaptation.q[0], universal(hands.p_HK[0]), atol=1e-9)
     assert (np.diff([len(places) for places in adaptation.human]) > 0).all()
     assert adaptation.coverage[-1] > 2 * adaptation.coverage[0]
-    path, methods = tmp_path / "explorer.rrd", {"mine": answers(lambda _: adaptation.q, allegro, hands)}
+    path, methods = tmp_path / "explorer.rrd", {"mine": response(lambda _: adaptation.q, allegro, hands)}
     write_exploration(path, allegro, hands, methods, {"recording_sha256": play.digest}, {"mine": adaptation})
     assert rerun("rrd", "verify", path).returncode == 0
     for entity, expected in (("human", adaptation.human), ("mine", adaptation.robot)):

@@ -119,7 +119,7 @@ def _print(result: dict[str, Any], findings: "Sequence[Finding]") -> None:
         warn(str(finding))
     missing = [motion for motion in result["coverage"] if not motion["enough"]]
     for motion in missing:
-        say("too little of: {motion}: {seen:.0f} {unit}, wanted {wanted:.0f}".format(**motion))
+        say("insufficient: {motion}: {seen:.0f} {unit}, required {required:.0f}".format(**motion))
     count = len(result["coverage"])
     say(f"coverage: {count - len(missing)} of {count} motions that training needs")
     say(f"verdict: {result['verdict']}" + ("" if result["fit_for_training"] else "; not fit for training"))
@@ -155,7 +155,7 @@ def _print_coverage(arguments: argparse.Namespace) -> bool:
         (
             f"[{'green' if motion.enough else 'red'}]{motion.name}[/]",
             f"{motion.seen:.0f} {motion.unit}",
-            f"{motion.wanted:.0f}",
+            f"{motion.required:.0f}",
             "" if motion.enough else motion.advice,
         )
         for motion in motions

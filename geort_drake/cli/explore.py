@@ -35,7 +35,7 @@ def add_arguments(parser: CommandParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import HandModel, load_hand
     from geort_drake.comparison.adaptation import follow
-    from geort_drake.comparison.exploration import answers, excerpt
+    from geort_drake.comparison.exploration import excerpt, response
     from geort_drake.comparison.explorer_recording import write_exploration
     from geort_drake.comparison.retargeters import from_cache, names_of, retargeter_of
     from geort_drake.comparison.train import training_recording
@@ -54,9 +54,9 @@ def run(arguments: argparse.Namespace) -> int:
         retarget, _ = retargeter_of(method, hand, recording, arguments.seed, from_cache(arguments.hand))
         if isinstance(retarget, UniversalRetargeter):
             adaptations[name] = follow(retarget, hand, hands)
-            methods[name] = answers(lambda _, name=name: adaptations[name].q, hand, hands)
+            methods[name] = response(lambda _, name=name: adaptations[name].q, hand, hands)
         else:
-            methods[name] = answers(retarget, hand, hands)
+            methods[name] = response(retarget, hand, hands)
     properties = {
         "hand": description.name,
         "methods": ", ".join(methods),

@@ -39,7 +39,7 @@ class Pinches:
 
 
 @dataclass(frozen=True)
-class Answers:
+class Response:
     """Outputs of one method for an excerpt with T hands, for F fingers.
 
     Attributes:
@@ -109,7 +109,7 @@ def find_pinches(tips: np.ndarray, finger_names: Sequence[str]) -> Pinches:
     return Pinches(pair, distances[np.arange(len(tips)), nearest])
 
 
-def answers(retarget: Callable, hand: HandModel, hands: Recording) -> Answers:
+def response(retarget: Callable, hand: HandModel, hands: Recording) -> Response:
     """Outputs of a method for an excerpt.
 
     Args:
@@ -124,7 +124,7 @@ def answers(retarget: Callable, hand: HandModel, hands: Recording) -> Answers:
     copy = proportional_copy(human, p_BF)
     pinching = find_pinches(human, hand.finger_names).of(p_BF)
     gap = np.linalg.norm(pinching[:, 1] - pinching[:, 0], axis=-1)
-    return Answers(
+    return Response(
         q,
         p_BF,
         copy,
@@ -148,16 +148,16 @@ def motion_cosines(human: np.ndarray, robot: np.ndarray, window: int) -> np.ndar
     """(T,) cosines between motions of fingertips (T, F, 3), from `window` hands before to as many after."""
     rows, window = np.arange(len(human)), max(window, 1)
     before, after = np.maximum(rows - window, 0), np.minimum(rows + window, len(human) - 1)
-    d, answer = human[after] - human[before], robot[after] - robot[before]
-    length, robot_length = np.linalg.norm(d, axis=-1), np.linalg.norm(answer, axis=-1)
+    d, robot_step = human[after] - human[before], robot[after] - robot[before]
+    length, robot_length = np.linalg.norm(d, axis=-1), np.linalg.norm(robot_step, axis=-1)
     moves = length > SHORTEST
-    cosine = np.einsum("tfx,tfx->tf", d, answer) / np.maximum(length * robot_length, 1e-12)
+    cosine = np.einsum("tfx,tfx->tf", d, robot_step) / np.maximum(length * robot_length, 1e-12)
     count = moves.sum(axis=1)
     return np.where(count > 0, (cosine * moves).sum(axis=1) / np.maximum(count, 1), np.nan)
 
 
 def _collisions(hand: HandModel, q: np.ndarray) -> list[np.ndarray]:
-    """The `collisions` of `Answers`; two fingertips may touch, as in `metrics.self_collision`."""
+    """The `collisions` of `Response`; two fingertips may touch, as in `metrics.self_collision`."""
     context = hand.contact_context()
     found = []
     for row in q:

@@ -9,7 +9,7 @@ from pydrake.math import RigidTransform
 
 from geort_drake.colours import SKIN, Color, finger_colors
 from geort_drake.comparison.adaptation import Adaptation
-from geort_drake.comparison.exploration import Answers, Pinches, find_pinches
+from geort_drake.comparison.exploration import Pinches, Response, find_pinches
 from geort_drake.hands.model import HandModel
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.recording import Recording
@@ -56,7 +56,7 @@ def write_exploration(
     path: str | os.PathLike,
     hand: HandModel,
     hands: Recording,
-    methods: Mapping[str, Answers],
+    methods: Mapping[str, Response],
     properties: Mapping[str, Property],
     adaptations: Mapping[str, Adaptation] | None = None,
 ) -> None:
@@ -83,19 +83,19 @@ def write_exploration(
         writer.text("/about", _text(hands, methods, pinches, list(adaptations or ())))
         writer.at(hands.t)
         _write_human(writer, hand, p_HK, tips, pinches)
-        for number, (color, (name, answers)) in enumerate(
+        for number, (color, (name, response)) in enumerate(
             zip(itertools.cycle(_COLORS), methods.items(), strict=False), start=1
         ):
             hand_path = entity_path(WORLD, name)
             # Wrists are side by side.
             X_WB = RigidTransform([0.0, _SPACING * number, -hand.p_BW[2]])
-            write_robot_hand(writer, hand_path, hand, answers.q, X_WB)
+            write_robot_hand(writer, hand_path, hand, response.q, X_WB)
             writer.label(f"{hand_path}/name", name, color, (0.0, 0.0, _LABEL_HEIGHT))
-            _write_marks(writer, hand_path, hand, answers, pinches)
+            _write_marks(writer, hand_path, hand, response, pinches)
             curves = {
-                "error": 1e3 * answers.error.mean(axis=1),
-                "motion": answers.cosine,
-                "gap": 1e3 * answers.gap,
+                "error": 1e3 * response.error.mean(axis=1),
+                "motion": response.cosine,
+                "gap": 1e3 * response.gap,
             }
             for key, values in curves.items():
                 writer.series(entity_path(key, name), [name], values[:, None], [color])
@@ -125,14 +125,14 @@ def _write_human(
     writer.series("/gap/human", ["human"], 1e3 * pinches.distance[:, None], [SKIN], 2.5)
 
 
-def _write_marks(writer: Writer, path: str, hand: HandModel, answers: Answers, pinches: Pinches) -> None:
+def _write_marks(writer: Writer, path: str, hand: HandModel, response: Response, pinches: Pinches) -> None:
     radius = 1.1 * hand.tip_radius  # covers the model's own tip
-    of_fingers = [np.array(finger_colors(hand.finger_names))] * len(answers.q)
-    writer.points(f"{path}/tips", list(answers.p_BF), radius, of_fingers, SOLID)
-    writer.points(f"{path}/copy", list(answers.copy), 1.1 * radius, _COPY_COLOR, CAGE)
-    colors = np.where(answers.closed[:, None], _RIGHT, _WRONG)
-    _write_pinches(writer, path, answers.p_BF, pinches, colors, 2.2 * radius)
-    writer.points(f"{path}/collisions", answers.collisions, 0.014, _WRONG, SOLID)
+    of_fingers = [np.array(finger_colors(hand.finger_names))] * len(response.q)
+    writer.points(f"{path}/tips", list(response.p_BF), radius, of_fingers, SOLID)
+    writer.points(f"{path}/copy", list(response.copy), 1.1 * radius, _COPY_COLOR, CAGE)
+    colors = np.where(response.closed[:, None], _RIGHT, _WRONG)
+    _write_pinches(writer, path, response.p_BF, pinches, colors, 2.2 * radius)
+    writer.points(f"{path}/collisions", response.collisions, 0.014, _WRONG, SOLID)
 
 
 def _write_pinches(
@@ -145,7 +145,7 @@ def _write_pinches(
     writer.points(f"{path}/pinch", rows, radius, shades, CAGE)
 
 
-def _write_lanes(writer: Writer, hand: HandModel, methods: Mapping[str, Answers], pinches: Pinches) -> None:
+def _write_lanes(writer: Writer, hand: HandModel, methods: Mapping[str, Response], pinches: Pinches) -> None:
     codes = np.where(pinches.closed, 1.0 + pinches.pair[:, 1], 0.0)
     labels = ("–", *hand.finger_names)
     writer.states(entity_path(_PINCH_LANE), codes, labels, [_IDLE, *finger_colors(hand.finger_names)])
@@ -177,7 +177,9 @@ def _layout(methods: Sequence[str], adapting: bool) -> views.View:
     return views.Horizontal(left, right, column_shares=[5, 3])
 
 
-def _text(hands: Recording, methods: Mapping[str, Answers], pinches: Pinches, adapting: Sequence[str]) -> str:
+def _text(
+    hands: Recording, methods: Mapping[str, Response], pinches: Pinches, adapting: Sequence[str]
+) -> str:
     shown, pinched = methods.values(), pinches.closed
     table = {
         "fingertips against a copy": [f"{1e3 * a.error.mean():.0f} mm" for a in shown],

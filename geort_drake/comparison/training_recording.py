@@ -131,7 +131,7 @@ class TrainingRecorder:
         pinches = find_pinches(frames, hand.finger_names)
         closest = [np.argmin(pinches.distance)]
         writer.human_hand(_HUMAN, np.tile(shown(p_HK[closest]), (len(maps), 1, 1)), SKIN)
-        q = np.concatenate([answer(frames[closest]) for answer in maps])
+        q = np.concatenate([retarget(frames[closest]) for retarget in maps])
         X_WB = RigidTransform([0.0, _SPACING, -hand.p_BW[2]])
         write_robot_hand(writer, _ROBOT, hand, q, X_WB)
         pinching = np.flatnonzero(pinches.closed)
@@ -148,20 +148,22 @@ class TrainingRecorder:
             lines = shown(lattice.segments(lattice.nodes))
             strips = LineStrips3D(lines, radii=_LATTICE_RADIUS, colors=[color])
             writer.static(f"{_HUMAN}/lattice/{name}", strips)
-            nodes = [self._fingertips(answer(lattice.hands))[:, i] for answer in maps]
+            nodes = [self._fingertips(retarget(lattice.hands))[:, i] for retarget in maps]
             rows = [shown(lattice.segments(of_step)) for of_step in nodes]
             writer.lines(f"{_ROBOT}/lattice/{name}", rows, _LATTICE_RADIUS, color)
-        curves = np.array([self._measure(answer, some, pinching, reachable) for answer in maps], dtype=float)
+        curves = np.array(
+            [self._measure(retarget, some, pinching, reachable) for retarget in maps], dtype=float
+        )
         for key, values in zip(_CRITERIA, curves.T, strict=True):
             writer.series(f"/criteria/{key}", [key], values[:, None], [_CRITERION_COLOR], 2.0)
 
     def _measure(
-        self, answer: Map, frames: np.ndarray, pinching: np.ndarray, reachable: list[np.ndarray]
+        self, retarget: Map, frames: np.ndarray, pinching: np.ndarray, reachable: list[np.ndarray]
     ) -> tuple:
         """The criteria, with the same random numbers for every map."""
 
         def fingertips(p_HF: np.ndarray) -> np.ndarray:
-            return self._fingertips(answer(p_HF))
+            return self._fingertips(retarget(p_HF))
 
         def rng() -> np.random.Generator:
             return np.random.default_rng([self._seed, 1])
@@ -176,18 +178,18 @@ class TrainingRecorder:
             coverage(reachable, list(np.moveaxis(tips, 1, 0)))["10mm"],
             flatness_and_gain(fingertips, frames, rng(), anchors=_ANCHORS)[0],
             closed,
-            self_collision(hand, answer(frames[_evenly(len(frames), _COLLIDING)]))["deep"],
+            self_collision(hand, retarget(frames[_evenly(len(frames), _COLLIDING)]))["deep"],
         )
 
     def _map(self, weights: Mapping[str, torch.Tensor]) -> Map:
-        def answer(p_HF: np.ndarray) -> np.ndarray:
+        def retarget(p_HF: np.ndarray) -> np.ndarray:
             network = self._network
             assert network is not None
             network.load_state_dict(weights)
             with torch.no_grad():
                 return network(torch.tensor(p_HF, dtype=torch.float32)).numpy().astype(float)
 
-        return answer
+        return retarget
 
 
 class Lattice:

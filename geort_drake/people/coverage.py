@@ -31,17 +31,17 @@ class Motion:
 
     name: str
     seen: float
-    wanted: float
+    required: float
     unit: str  # "°" of range, or "times"
     advice: str
 
     @property
     def enough(self) -> bool:
         """Whether the recording contains enough of it."""
-        return self.seen >= self.wanted
+        return self.seen >= self.required
 
     def __str__(self) -> str:
-        return f"{self.name}: {self.seen:.0f} {self.unit}, wanted {self.wanted:.0f}"
+        return f"{self.name}: {self.seen:.0f} {self.unit}, required {self.required:.0f}"
 
 
 def coverage(recording: Recording) -> list[Motion]:
@@ -77,8 +77,8 @@ def finger_motions(p_HK: np.ndarray, keypoints: Sequence[int] = tuple(TIP_KEYPOI
         first = np.clip(bones[:, 0 if thumb else 1], -1.0, 1.0)
         sines = (first[:, 1], first[:, 0]) if thumb else (_out_of_plane(first),)
         angles = (np.arccos(cosines).sum(axis=1), *map(np.arcsin, sines))
-        wanted = _THUMB_MOTIONS if thumb else _FINGER_MOTIONS
-        for angle, (name, (least, advice)) in zip(angles, wanted.items(), strict=True):
+        motions_of = _THUMB_MOTIONS if thumb else _FINGER_MOTIONS
+        for angle, (name, (least, advice)) in zip(angles, motions_of.items(), strict=True):
             seen = float(np.rad2deg(np.ptp(np.percentile(angle, (1, 99)))))
             motions.append(Motion(f"{finger} {name}", seen, least, "°", advice))
     return motions

@@ -74,32 +74,32 @@ class PolicyCorrection(PeriodicCorrection):
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         state = context.get_discrete_state(self._output).value()
         q, v = state[: self._n], state[self._n :]
-        answer = self._call_policy(self._measured.Eval(context), self._desired.Eval(context)[: self._n])
-        if answer is None:
+        output = self._call_policy(self._measured.Eval(context), self._desired.Eval(context)[: self._n])
+        if output is None:
             target = before = q
         else:
-            target = np.clip(answer, self._limits.lower, self._limits.upper)
+            target = np.clip(output, self._limits.lower, self._limits.upper)
             before = context.get_discrete_state(self._positions).value()
         q, v = self._limits.step(q, v, target, before, self._period)
         discrete_state.get_mutable_vector(self._output).SetFromVector(np.concatenate([q, v]))
         discrete_state.get_mutable_vector(self._positions).SetFromVector(target)
-        discrete_state.get_mutable_vector(self._failed).SetFromVector([float(answer is None)])
+        discrete_state.get_mutable_vector(self._failed).SetFromVector([float(output is None)])
         return EventStatus.Succeeded()
 
     def _call_policy(self, hand_state: np.ndarray, target: np.ndarray) -> np.ndarray | None:
         """Returns the policy's output (n,), rad, or None if it cannot be used."""
         try:
-            answer = np.asarray(self._policy(hand_state, target), dtype=float)
-            if answer.shape != (self._n,):
-                raise ValueError(f"it returned the shape {answer.shape}, not {(self._n,)}")
-            if not np.isfinite(answer).all():
+            output = np.asarray(self._policy(hand_state, target), dtype=float)
+            if output.shape != (self._n,):
+                raise ValueError(f"it returned the shape {output.shape}, not {(self._n,)}")
+            if not np.isfinite(output).all():
                 raise ValueError("it returned values that are not finite")
         except Exception as error:  # a user's code may raise anything
             if not self._warned:
                 warnings.warn(f"{POLICY_FAILED}: {error}", RuntimeWarning, stacklevel=2)
             self._warned = True
             return None
-        return answer
+        return output
 
 
 def load_policy(path: str | os.PathLike, num_joints: int) -> Policy:

@@ -69,7 +69,7 @@ def _figures(recording: Recording) -> dict[str, Any]:
             )
         },
         "coverage": [
-            {"motion": motion.name, "seen": motion.seen, "wanted": motion.wanted, "unit": motion.unit}
+            {"motion": motion.name, "seen": motion.seen, "required": motion.required, "unit": motion.unit}
             | {"enough": motion.enough}
             for motion in coverage(recording)
         ],
