@@ -12,7 +12,7 @@ from geort_drake.benchmark.replay import Replay
 from geort_drake.hands.description import load_hand
 from geort_drake.live.glove_stream import HANDSHAKE_FRAMES, GloveStream
 from geort_drake.live.robots import SimulatedRobot
-from geort_drake.live.teleoperation import RobotModel, make_teleoperation
+from geort_drake.live.teleoperation import make_teleoperation
 from geort_drake.live.web import control as page_control
 from geort_drake.live.web.control import DONE, PageControl
 from geort_drake.live.web.desk import About, Desk
@@ -20,6 +20,7 @@ from geort_drake.live.web.guide import DURATION_S
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Guide, Record, Refit, Reset, Stop
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.retargeter import load_retargeter
+from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.scenario import load_scenario, parse_scenario
 from geort_drake.simulation.tasks.grasp.monitor import GraspOutcome, GraspPhase
 from geort_drake.simulation.world import draw_placement

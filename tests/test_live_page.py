@@ -238,7 +238,7 @@ def test_a_real_robot_is_engaged_after_a_question(headset, stub, address, rng):
 
 
 def test_the_page_and_the_server_understand_each_other(headset):
-    desk = Desk(About("right", "allegro_right", "simulation", ["cube"], "a map"))
+    desk = Desk(About("right", "allegro_right", "simulation", ["cube"], "for everyone"))
     server = WebServer(desk, "127.0.0.1", 0, "key")
     try:
         page = headset(
@@ -248,7 +248,7 @@ def test_the_page_and_the_server_understand_each_other(headset):
         until(page, lambda: desk.received >= 3)
         assert desk.operator.device == "headset"
         assert desk.refused == 0
-        assert page.inner_text("#map") == "A map"
+        assert page.inner_text("#map") == "Map for everyone"
     finally:
         server.close()
 

@@ -16,13 +16,14 @@ from geort_drake.hands.description import load_hand
 from geort_drake.live.glove_stream import HANDSHAKE_FRAMES, GloveStream
 from geort_drake.live.messages import decode as decode_glove
 from geort_drake.live.robots import SimulatedRobot
-from geort_drake.live.teleoperation import RobotModel, make_teleoperation
+from geort_drake.live.teleoperation import make_teleoperation
 from geort_drake.live.web.desk import About, Desk, is_fist
 from geort_drake.live.web.guide import DURATION_S, GuidedPlay
 from geort_drake.live.web.hands import HandReader
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Hello, Reset, decode
 from geort_drake.live.web.one_euro import OneEuroFilter
 from geort_drake.people.keypoints import bone_lengths
+from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.scenario import load_scenario
 from geort_drake.systems.glove_checks import HELD_CLOCK, HELD_LOST, HELD_STALE
 from geort_drake.systems.retargeting_system import TRACKING

@@ -30,7 +30,6 @@ from geort_drake.errors import LiveError
 from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.description import load_hand
 from geort_drake.live.robots import SimulatedRobot
-from geort_drake.live.teleoperation import RobotModel
 from geort_drake.live.web.certificate import own_addresses, self_signed_context
 from geort_drake.live.web.desk import About, Desk
 from geort_drake.live.web.messages import MAX_BYTES
@@ -38,6 +37,7 @@ from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
 from geort_drake.live.web.serve import is_loopback
 from geort_drake.live.web.server import WebServer
 from geort_drake.people.recording import Recording
+from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.scenario import load_scenario
 
 KEY = "a-secret"

@@ -39,7 +39,7 @@ from geort_drake.hands.model import HandModel
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
 from geort_drake.resources import diagrams_dir, models_dir
-from geort_drake.simulation.diagram import Retarget
+from geort_drake.retargeting.method import Retarget
 from geort_drake.simulation.free_play import seen_fingertips
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.person import persons_hand

@@ -14,9 +14,9 @@ from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import WEIGHTS
 from geort_drake.retargeting.map_file import SUFFIX
+from geort_drake.retargeting.method import Retarget
 from geort_drake.retargeting.methods import shipped_methods, trained_methods
 from geort_drake.retargeting.retargeter import UniversalRetargeter
-from geort_drake.simulation.diagram import Retarget
 
 # Parts of the recording, successive frames per part, and frames at its start that are not timed.
 _PARTS, _SUCCESSIVE, _WARM_UP = 10, 40, 10

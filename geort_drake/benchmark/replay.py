@@ -26,8 +26,8 @@ from geort_drake.hands.model import HandModel
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import WEIGHTS
+from geort_drake.retargeting.method import Retarget
 from geort_drake.retargeting.retargeter import UniversalRetargeter, load_retargeter, path_of, shipped_map
-from geort_drake.simulation.diagram import Retarget
 from geort_drake.simulation.scenario import Scenario, dump_scenario, object_names, scenario_fields
 from geort_drake.simulation.world import draw_placement
 

@@ -17,7 +17,7 @@ from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import load_hand
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
-from geort_drake.simulation.diagram import Retarget
+from geort_drake.retargeting.method import Retarget
 from geort_drake.simulation.scenario import Scenario, parse_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.trial import run_trial

@@ -79,9 +79,10 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.live.robot_link import RobotLink
     from geort_drake.live.robots import SimulatedRobot, open_meshcat
     from geort_drake.live.session import EnterKey, run_session, stopping
-    from geort_drake.live.teleoperation import RobotModel, make_teleoperation
+    from geort_drake.live.teleoperation import make_teleoperation
     from geort_drake.live.transports import is_address, open_receiver, split_address
     from geort_drake.people.recording_parts import RecordingParts
+    from geort_drake.simulation.following import RobotModel
     from geort_drake.systems.glove_recorder import GloveRecorder
 
     if arguments.meshcat and arguments.robot != "simulation":

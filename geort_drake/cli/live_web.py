@@ -11,11 +11,11 @@ from geort_drake.errors import UsageError
 from geort_drake.hands.description import HandDescription
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.session import stopping
-from geort_drake.live.teleoperation import RobotModel
 from geort_drake.live.web.control import PageControl
 from geort_drake.live.web.desk import About, Desk
 from geort_drake.live.web.serve import open_server
 from geort_drake.live.web.session import WebTeleoperation
+from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.scenario import Scenario, object_names
 
 # Where the page's recordings go, unless --record names a folder.

@@ -13,41 +13,10 @@ import numpy as np
 from drake import lcmt_allegro_command, lcmt_allegro_status, lcmt_panda_command, lcmt_panda_status
 from pydrake.lcm import DrakeLcm
 from pydrake.manipulation import PandaControlMode
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex
 
 from geort_drake.errors import HandError, LiveError
 from geort_drake.hands.description import HandDescription
-from geort_drake.simulation.world import actuated_joints
-
-
-@dc.dataclass(frozen=True, eq=False)
-class JointGroup:
-    """The n actuated joints of one model, in actuator order.
-
-    Attributes:
-        name: of the model.
-        joints: names of the joints.
-        start, lower, upper: (n,) default positions and position limits, rad.
-    """
-
-    name: str
-    joints: list[str]
-    start: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-
-    @classmethod
-    def of_plant(cls, plant: MultibodyPlant, model: ModelInstanceIndex) -> "JointGroup":
-        """Returns the joints of a model in a finalized plant."""
-        joints = actuated_joints(plant, model)
-        return cls(
-            plant.GetModelInstanceName(model),
-            [joint.name() for joint in joints],
-            np.array([joint.default_positions()[0] for joint in joints]),
-            np.array([joint.position_lower_limit() for joint in joints]),
-            np.array([joint.position_upper_limit() for joint in joints]),
-        )
+from geort_drake.simulation.following import JointGroup
 
 
 @dc.dataclass(frozen=True)

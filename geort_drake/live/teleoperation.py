@@ -5,62 +5,26 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from pydrake.planning import RobotDiagram, RobotDiagramBuilder
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, System
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.live.devices import JointGroup
 from geort_drake.live.glove_stream import LATEST_S
 from geort_drake.live.latency import LatencyMeter
 from geort_drake.live.watchdog import EngageSwitch, Watchdog
+from geort_drake.retargeting.method import Retarget
 from geort_drake.retargeting.numpy_retargeter import Retargeter
-from geort_drake.simulation.diagram import Retarget
+from geort_drake.simulation.following import RobotModel, add_arm, add_fingers
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks.grasp.monitor import GraspOutcome
-from geort_drake.simulation.world import ARM, HAND, add_robot
 from geort_drake.systems.action_correction import ActionCorrection
-from geort_drake.systems.glove_checks import HELD_LOST
+from geort_drake.systems.glove_checks import HELD_LOST, GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
-from geort_drake.systems.hand_mirror import HandMirror
-from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.make_correction import make_correction
 from geort_drake.systems.retargeting_system import RetargetingSystem
 from geort_drake.systems.wrist_checks import WristChecks
 from geort_drake.systems.wrist_to_arm import WristToArm
 
 # Shown in place of HELD_LOST when late frames are the reason.
 HELD_LATE = "held: the glove's frames come late"
-
-
-class RobotModel:
-    """Kinematics, joints and limits of a scenario's robot, without the object.
-
-    Attributes:
-        hand, arm: their joints; `start` as given by the scenario and the hand's description.
-        limits: of the hand's joints, in actuator order.
-    """
-
-    def __init__(self, scenario: Scenario, description: HandDescription):
-        self._scenario, self._description = scenario, description
-        plant = self.standing_at({}).plant()
-        self.hand = JointGroup.of_plant(plant, plant.GetModelInstanceByName(HAND))
-        self.arm = JointGroup.of_plant(plant, plant.GetModelInstanceByName(ARM))
-        self.limits = JointLimits.of_plant(
-            plant,
-            plant.GetModelInstanceByName(HAND),
-            scenario.retargeting.max_joint_speed,
-            scenario.retargeting.max_joint_acceleration,
-        )
-
-    def standing_at(self, arm_positions: dict[str, float]) -> RobotDiagram:
-        """Returns the model with default positions (rad) of the arm's joints, by name."""
-        builder = RobotDiagramBuilder(time_step=self._scenario.plant_config.time_step)
-        plant = builder.plant()
-        add_robot(plant, self._scenario, self._description)
-        for name, position in arm_positions.items():
-            joint = plant.GetJointByName(name, plant.GetModelInstanceByName(ARM))
-            joint.set_default_positions([position])
-        return builder.Build()
 
 
 @dc.dataclass(frozen=True)
@@ -144,7 +108,6 @@ def make_teleoperation(
     builder.AddNamedSystem("glove", glove)
     builder.AddNamedSystem("robot", robot)
     q_hand, q_arm = start
-    at_start = dict(zip(model.hand.joints, q_hand.tolist(), strict=True))
     settings = scenario.retargeting
 
     # The glove's frames count only while the person is engaged.
@@ -153,33 +116,14 @@ def make_teleoperation(
     builder.ExportInput(switch.GetInputPort("engaged"), "engaged")
 
     # Fingers.
-    retargeting = builder.AddNamedSystem(
-        "retargeting",
-        RetargetingSystem(
-            retarget,
-            retarget.joint_names,  # type: ignore[attr-defined]
-            model.hand.joints,
-            at_start,
-            settings.period,
-            model.limits,
-            settings.latency,
-            cutoff=settings.cutoff,
-        ),
+    valid = switch.GetOutputPort("valid")
+    retargeting, correction = add_fingers(
+        builder, scenario, description, model, retarget, q_hand, glove, valid, settings.latency, GloveChecks()
     )
     safe_pose = [description.default_positions.get(name, 0.0) for name in model.hand.joints]
     watchdog = builder.AddNamedSystem(
         "watchdog", Watchdog(model.limits, np.array(safe_pose), retargeting.period, relax_after)
     )
-    correction = builder.AddNamedSystem(
-        "action_correction",
-        make_correction(
-            scenario.correction, description, model.hand.joints, at_start, model.limits, retargeting.period
-        ),
-    )
-    builder.Connect(glove.GetOutputPort("keypoints"), retargeting.GetInputPort("keypoints"))
-    builder.Connect(switch.GetOutputPort("valid"), retargeting.GetInputPort("valid"))
-    if glove.HasOutputPort("stamp"):
-        builder.Connect(glove.GetOutputPort("stamp"), retargeting.GetInputPort("stamp"))
     builder.Connect(retargeting.GetOutputPort("desired_state"), watchdog.GetInputPort("desired_state"))
     builder.Connect(retargeting.GetOutputPort("status"), watchdog.GetInputPort("status"))
     builder.ConnectInput("engaged", watchdog.GetInputPort("engaged"))
@@ -188,19 +132,9 @@ def make_teleoperation(
     builder.Connect(correction.GetOutputPort("desired_state"), robot.GetInputPort("hand_desired_state"))
 
     # The arm follows the wrist only while the fingers are followed and the wrist moves plausibly.
-    diagram = model.standing_at(dict(zip(model.arm.joints, q_arm.tolist(), strict=True)))
-    arm, hand = (diagram.plant().GetModelInstanceByName(name) for name in (ARM, HAND))
-    base = diagram.plant().GetFrameByName(description.base_frame, hand)
-    wrist_to_arm = builder.AddNamedSystem(
-        "wrist_to_arm", WristToArm(diagram, arm, base, scenario.wrist_to_arm, limit_acceleration=True)
-    )
+    standing = model.standing_at(dict(zip(model.arm.joints, q_arm.tolist(), strict=True)))
+    wrist_to_arm, wrist = add_arm(builder, scenario, description, standing, glove, limit_acceleration=True)
     wrist_checks = builder.AddNamedSystem("wrist_checks", WristChecks(scenario.wrist_to_arm.period))
-    wrist: LeafSystem = glove
-    if description.side == "left":
-        wrist = builder.AddNamedSystem("hand_mirror", HandMirror())
-        for name in ("keypoints", "wrist_pose"):
-            builder.Connect(glove.GetOutputPort(name), wrist.GetInputPort(name))
-    builder.Connect(wrist.GetOutputPort("wrist_pose"), wrist_to_arm.GetInputPort("wrist_pose"))
     builder.Connect(wrist.GetOutputPort("wrist_pose"), wrist_checks.GetInputPort("wrist_pose"))
     builder.Connect(watchdog.GetOutputPort("following"), wrist_checks.GetInputPort("valid"))
     builder.Connect(wrist_checks.GetOutputPort("valid"), wrist_to_arm.GetInputPort("valid"))

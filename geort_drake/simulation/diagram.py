@@ -3,13 +3,12 @@
 import dataclasses as dc
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.planning import RobotDiagramBuilder
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, OutputPort
 from pydrake.systems.primitives import DiscreteTimeDelay, Gain
 
@@ -17,25 +16,21 @@ from geort_drake.hands.assembly import remove_visuals
 from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
+from geort_drake.retargeting.method import Retarget
+from geort_drake.simulation.following import RobotModel, add_arm, add_fingers
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Stage
 from geort_drake.simulation.tasks import find_task
-from geort_drake.simulation.world import ARM, HAND, actuated_joints, actuated_state, add_robot
+from geort_drake.simulation.world import ARM, HAND, actuated_state
 from geort_drake.simulation.worn_glove import WornGlove
 from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.glove_replay import GloveReplay
-from geort_drake.systems.hand_mirror import HandMirror
-from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.make_correction import make_correction
 from geort_drake.systems.port_values import mirrored_pose
 from geort_drake.systems.retargeting_system import RetargetingSystem
-from geort_drake.systems.wrist_to_arm import WristToArm
 
 if TYPE_CHECKING:
     from geort_drake.rerun import RerunRecorder
-
-Retarget = Callable[[np.ndarray], np.ndarray]
 
 
 @dc.dataclass(frozen=True)
@@ -94,11 +89,10 @@ def make_grasp_diagram(
     builder = DiagramBuilder()
 
     # The robot alone, for the inverse kinematics.
-    robot_builder = RobotDiagramBuilder(time_step=scenario.plant_config.time_step)
-    add_robot(robot_builder.plant(), scenario, description)
-    robot = robot_builder.Build()
-    base = robot.plant().GetFrameByName(description.base_frame, robot.plant().GetModelInstanceByName(HAND))
-    X_WB_start = base.CalcPoseInWorld(robot.plant().CreateDefaultContext())
+    model = RobotModel(scenario, description)
+    robot = model.diagram.plant()
+    base = robot.GetFrameByName(description.base_frame, robot.GetModelInstanceByName(HAND))
+    X_WB_start = base.CalcPoseInWorld(robot.CreateDefaultContext())
 
     # The plant and the monitor of the task.
     task = find_task(scenario.task)
@@ -141,53 +135,22 @@ def make_grasp_diagram(
         for name in ("keypoints", "wrist_pose", "valid"):
             builder.Connect(source.GetOutputPort(name), glove.GetInputPort(name))
         source = glove
-    # The human hand in the world, mirrored back.
-    hand_source: LeafSystem = source
-    if in_mirror:
-        hand_source = builder.AddNamedSystem("hand_mirror", HandMirror())
-        for name in ("keypoints", "wrist_pose"):
-            builder.Connect(source.GetOutputPort(name), hand_source.GetInputPort(name))
 
     # Fingers: keypoints → joint targets → (correction) → the hand's PD controllers.
-    joints = actuated_joints(plant, hand)
-    actuated = [joint.name() for joint in joints]
-    start = {joint.name(): joint.default_positions()[0] for joint in joints}
     step = scenario.plant_config.time_step
     latency = step * math.ceil(scenario.retargeting.latency / step - 1e-6)
-    limits = JointLimits.of_plant(
-        plant, hand, scenario.retargeting.max_joint_speed, scenario.retargeting.max_joint_acceleration
+    valid = source.GetOutputPort("valid")
+    checks = GloveChecks(ease_at_start=False)
+    retargeting, correction = add_fingers(
+        builder, scenario, description, model, retarget, model.hand.start, source, valid, latency, checks
     )
-    retargeting = builder.AddNamedSystem(
-        "retargeting",
-        RetargetingSystem(
-            retarget,
-            retarget.joint_names,  # type: ignore[attr-defined]
-            actuated,
-            start,
-            scenario.retargeting.period,
-            limits,
-            latency,
-            GloveChecks(ease_at_start=False),
-            scenario.retargeting.cutoff,
-        ),
-    )
-    correction = builder.AddNamedSystem(
-        "action_correction",
-        make_correction(scenario.correction, description, actuated, start, limits, retargeting.period),
-    )
-    builder.Connect(source.GetOutputPort("keypoints"), retargeting.GetInputPort("keypoints"))
-    builder.Connect(source.GetOutputPort("valid"), retargeting.GetInputPort("valid"))
     builder.Connect(retargeting.GetOutputPort("desired_state"), correction.GetInputPort("desired_state"))
     builder.Connect(actuated_state(builder, plant, hand), correction.GetInputPort("hand_state"))
     builder.Connect(correction.GetOutputPort("desired_state"), plant.get_desired_state_input_port(hand))
 
     # Wrist: tracker pose → differential inverse kinematics → the arm's PD controllers.
-    wrist_to_arm = builder.AddNamedSystem(
-        "wrist_to_arm",
-        WristToArm(robot, robot.plant().GetModelInstanceByName(ARM), base, scenario.wrist_to_arm),
-    )
-    builder.Connect(hand_source.GetOutputPort("wrist_pose"), wrist_to_arm.GetInputPort("wrist_pose"))
-    builder.Connect(source.GetOutputPort("valid"), wrist_to_arm.GetInputPort("valid"))
+    wrist_to_arm, hand_source = add_arm(builder, scenario, description, model.diagram, source)
+    builder.Connect(valid, wrist_to_arm.GetInputPort("valid"))
     builder.Connect(wrist_to_arm.GetOutputPort("arm_desired_state"), plant.get_desired_state_input_port(arm))
 
     # Results: the glove's data, and the recording for the viewer.

@@ -10,7 +10,8 @@ from pydrake.systems.framework import Context
 
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
-from geort_drake.simulation.diagram import GraspDiagram, Retarget, make_grasp_diagram
+from geort_drake.retargeting.method import Retarget
+from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Outcome, TrialResult
 from geort_drake.simulation.tasks import find_task

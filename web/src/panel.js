@@ -38,7 +38,7 @@ export function show(model) {
   element("reset").disabled = element("object").disabled = !operator || !welcome.objects.length;
   if (state?.object && document.activeElement !== element("object")) element("object").value = state.object;
 
-  write("map", welcome ? sentenceCase(welcome.map) : "");
+  write("map", welcome ? `Map ${welcome.map}` : "");
   element("guide").disabled = element("refit").disabled = !operator;
   write("refit-words", state?.refit?.text ?? "");
   element("record").disabled = !operator || !(state?.recording || element("keep").checked);

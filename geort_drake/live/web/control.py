@@ -18,8 +18,8 @@ from geort_drake.live.web.desk import Desk
 from geort_drake.live.web.guide import GuidedPlay
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Guide, Record, Refit, Reset, Stop
 from geort_drake.people.recording_parts import RecordingParts
+from geort_drake.retargeting.method import Retarget
 from geort_drake.retargeting.retargeter import Retargeter
-from geort_drake.simulation.diagram import Retarget
 from geort_drake.simulation.tasks.grasp.monitor import OVER, GraspPhase
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.retargeting_status import HELD_OTHER_PERSON

@@ -13,11 +13,12 @@ from geort_drake.live.glove_stream import GloveStream
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.session import SessionReport, run_session
-from geort_drake.live.teleoperation import RobotModel, Teleoperation, make_teleoperation
+from geort_drake.live.teleoperation import Teleoperation, make_teleoperation
 from geort_drake.live.web.control import PageControl
 from geort_drake.live.web.desk import Desk
 from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
-from geort_drake.simulation.diagram import Retarget
+from geort_drake.retargeting.method import Retarget
+from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import ARM, HAND
 from geort_drake.systems.glove_recorder import GloveRecorder

@@ -1,0 +1,168 @@
+"""What lies between a hand and a robot, in trials and in live use: the robot's model, and systems."""
+
+import dataclasses as dc
+
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import ModelInstanceIndex
+from pydrake.planning import RobotDiagram, RobotDiagramBuilder
+from pydrake.systems.framework import DiagramBuilder, LeafSystem, OutputPort
+
+from geort_drake.hands.description import HandDescription
+from geort_drake.retargeting.method import Retarget
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.world import ARM, HAND, actuated_joints, add_robot
+from geort_drake.systems.action_correction import ActionCorrection
+from geort_drake.systems.glove_checks import GloveChecks
+from geort_drake.systems.hand_mirror import HandMirror
+from geort_drake.systems.joint_limits import JointLimits
+from geort_drake.systems.make_correction import make_correction
+from geort_drake.systems.retargeting_system import RetargetingSystem
+from geort_drake.systems.wrist_to_arm import WristToArm
+
+
+@dc.dataclass(frozen=True, eq=False)
+class JointGroup:
+    """The n actuated joints of one model, in actuator order.
+
+    Attributes:
+        name: of the model.
+        joints: names of the joints.
+        start, lower, upper: (n,) default positions and position limits, rad.
+    """
+
+    name: str
+    joints: list[str]
+    start: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+    @classmethod
+    def of_plant(cls, plant: MultibodyPlant, model: ModelInstanceIndex) -> "JointGroup":
+        """Returns the joints of a model in a finalized plant."""
+        joints = actuated_joints(plant, model)
+        return cls(
+            plant.GetModelInstanceName(model),
+            [joint.name() for joint in joints],
+            np.array([joint.default_positions()[0] for joint in joints]),
+            np.array([joint.position_lower_limit() for joint in joints]),
+            np.array([joint.position_upper_limit() for joint in joints]),
+        )
+
+
+class RobotModel:
+    """Kinematics, joints and limits of a scenario's robot, without the object.
+
+    Attributes:
+        diagram: the robot at its start.
+        hand, arm: their joints; `start` as given by the scenario and the hand's description.
+        limits: of the hand's joints, in actuator order.
+    """
+
+    def __init__(self, scenario: Scenario, description: HandDescription):
+        self._scenario, self._description = scenario, description
+        self.diagram = self.standing_at({})
+        plant = self.diagram.plant()
+        self.hand = JointGroup.of_plant(plant, plant.GetModelInstanceByName(HAND))
+        self.arm = JointGroup.of_plant(plant, plant.GetModelInstanceByName(ARM))
+        self.limits = JointLimits.of_plant(
+            plant,
+            plant.GetModelInstanceByName(HAND),
+            scenario.retargeting.max_joint_speed,
+            scenario.retargeting.max_joint_acceleration,
+        )
+
+    def standing_at(self, arm_positions: dict[str, float]) -> RobotDiagram:
+        """Returns the model with default positions (rad) of the arm's joints, by name."""
+        builder = RobotDiagramBuilder(time_step=self._scenario.plant_config.time_step)
+        plant = builder.plant()
+        add_robot(plant, self._scenario, self._description)
+        for name, position in arm_positions.items():
+            joint = plant.GetJointByName(name, plant.GetModelInstanceByName(ARM))
+            joint.set_default_positions([position])
+        return builder.Build()
+
+
+def add_fingers(
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    description: HandDescription,
+    model: RobotModel,
+    retarget: Retarget,
+    start: np.ndarray,
+    glove: LeafSystem,
+    valid: OutputPort,
+    latency: float,
+    checks: GloveChecks,
+) -> tuple[RetargetingSystem, ActionCorrection]:
+    """Adds retargeting, which it connects to the glove, and correction, which it does not connect.
+
+    Args:
+        retarget: a `Retargeter`, or anything with its `joint_names` and its call.
+        start: positions of the hand's joints (n,), rad, in the model's order.
+        glove: outputs keypoints, and a stamp if it has one.
+        valid: whether the keypoints count.
+        latency, checks: of the retargeting.
+
+    Raises:
+        HandError: the retargeter and the robot move different joints.
+    """
+    settings, joints = scenario.retargeting, model.hand.joints
+    at_start = dict(zip(joints, start.tolist(), strict=True))
+    retargeting = builder.AddNamedSystem(
+        "retargeting",
+        RetargetingSystem(
+            retarget,
+            retarget.joint_names,  # type: ignore[attr-defined]
+            joints,
+            at_start,
+            settings.period,
+            model.limits,
+            latency,
+            checks,
+            settings.cutoff,
+        ),
+    )
+    correction = builder.AddNamedSystem(
+        "action_correction",
+        make_correction(scenario.correction, description, joints, at_start, model.limits, settings.period),
+    )
+    builder.Connect(glove.GetOutputPort("keypoints"), retargeting.GetInputPort("keypoints"))
+    builder.Connect(valid, retargeting.GetInputPort("valid"))
+    if glove.HasOutputPort("stamp"):
+        builder.Connect(glove.GetOutputPort("stamp"), retargeting.GetInputPort("stamp"))
+    return retargeting, correction
+
+
+def add_arm(
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    description: HandDescription,
+    robot: RobotDiagram,
+    glove: LeafSystem,
+    limit_acceleration: bool = False,
+) -> tuple[WristToArm, LeafSystem]:
+    """Adds the system that moves the arm, and connects the wrist's pose.
+
+    A left hand's glove outputs the mirror image of the hand, which is mirrored back.
+
+    Args:
+        robot: its default positions are the start.
+        glove: outputs keypoints and the wrist's pose.
+        limit_acceleration: see `WristToArm`.
+
+    Returns:
+        The system, and the source of the hand in the world.
+    """
+    arm, hand = (robot.plant().GetModelInstanceByName(name) for name in (ARM, HAND))
+    base = robot.plant().GetFrameByName(description.base_frame, hand)
+    wrist_to_arm = builder.AddNamedSystem(
+        "wrist_to_arm", WristToArm(robot, arm, base, scenario.wrist_to_arm, limit_acceleration)
+    )
+    source = glove
+    if description.side == "left":
+        source = builder.AddNamedSystem("hand_mirror", HandMirror())
+        for name in ("keypoints", "wrist_pose"):
+            builder.Connect(glove.GetOutputPort(name), source.GetInputPort(name))
+    builder.Connect(source.GetOutputPort("wrist_pose"), wrist_to_arm.GetInputPort("wrist_pose"))
+    return wrist_to_arm, source

@@ -1,0 +1,194 @@
+"""Takes the live page's pictures and film for the docs: a hand that sees only the page grasps the cylinder.
+
+python studies/live_page.py --output docs/images
+
+The simulation is stepped between pictures, so any machine gives the same film. The camera's picture is of a
+rendered hand; the page tracks it, but the script's exact joints move the robot. Needs Chromium and
+`make live NPM_ARGS=`. `--states DIR` also writes four states of the page, light and dark.
+"""
+
+import argparse
+import io
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "tests"))
+
+from live_page import FLAT, PINCH, WEB, launch, serve  # noqa: E402
+from page_person import PagePerson, goal_of  # noqa: E402
+from pydrake.systems.analysis import Simulator  # noqa: E402
+
+from geort_drake.hands.description import load_hand  # noqa: E402
+from geort_drake.live.glove_stream import HANDSHAKE_FRAMES  # noqa: E402
+from geort_drake.live.teleoperation import RobotModel  # noqa: E402
+from geort_drake.live.web.control import PageControl  # noqa: E402
+from geort_drake.live.web.desk import About, Desk  # noqa: E402
+from geort_drake.live.web.messages import Engage, Guide  # noqa: E402
+from geort_drake.live.web.server import WebServer  # noqa: E402
+from geort_drake.live.web.session import WebTeleoperation  # noqa: E402
+from geort_drake.retargeting.retargeter import load_retargeter  # noqa: E402
+from geort_drake.simulation.scenario import load_scenario, object_names  # noqa: E402
+
+STEP_S, FILM_HZ = 1.0 / 60.0, 10.0
+PATIENCE_MS = 300_000.0
+SIZE, WIDTH, QUALITY = (1200, 760), 720, 45
+SCRIPTS = """
+  const parameter = WebGL2RenderingContext.prototype.getParameter;
+  WebGL2RenderingContext.prototype.getParameter = function (name) {
+    return name === 37446 ? "a GPU" : parameter.call(this, name);
+  };
+  const canvas = Object.assign(document.createElement("canvas"), { width: 640, height: 480 });
+  const context = canvas.getContext("2d");
+  const picture = new Image();
+  picture.onload = () => context.drawImage(picture, 0, 0);
+  window.film = (url) => (picture.src = url);
+  setInterval(() => context.drawImage(picture, 0, 0), 100);
+  navigator.mediaDevices.getUserMedia = async () => canvas.captureStream(10);
+"""
+# Without the number that `draw` writes into its copy.
+DRAW = "(draw(0), document.querySelector('canvas').toDataURL('image/jpeg', 0.92))"
+
+
+class ScriptsDesk(Desk):
+    """A desk at which the page has the controls, and the script the hand."""
+
+    def take(self, person, text):
+        return None if '"camera"' in text[:60] or '"lost"' in text[:60] else super().take(person, text)
+
+    def lose(self, t: float) -> None:
+        super().take(self.operator.number, json.dumps({"type": "lost", "t": t}))
+
+    def move(self, joints, t: float) -> None:
+        super().take(self.operator.number, json.dumps({"type": "headset", "t": t, "joints": joints}))
+
+
+class Theatre:
+    """The simulation, its server and the page, which advance together."""
+
+    def __init__(self, browser, folder: Path):
+        self.scenario = load_scenario()
+        about = About("right", self.scenario.hand, "simulation", object_names(), "for everyone")
+        self.desk = ScriptsDesk(about, lambda: self.time)
+        self.time, self.frames = 100.0, []
+        self.server = WebServer(self.desk, "127.0.0.1", 0, "key")
+        publish = self.server.publish
+        self.server.publish = lambda state=None, frame=None: (
+            frame and self.frames.append(frame),
+            publish(state, frame),
+        )
+        retarget = load_retargeter(self.scenario.hand)
+        self.control = PageControl(self.desk, self.server.publish, folder, None, lambda path: retarget)
+        description = load_hand(self.scenario.hand)
+        session = WebTeleoperation(
+            self.scenario, description, RobotModel(self.scenario, description), retarget,
+            self.desk, self.server, self.control,
+        )  # fmt: skip
+        self.loop = session._begin(1, 0.0)
+        self.simulator = Simulator(self.loop.diagram)
+        self.context, self.engaged = self.simulator.get_mutable_context(), False
+        self.loop.engage(self.context, False)
+        with serve(WEB) as address:
+            self.hand = browser.new_page()
+            self.hand.set_default_timeout(PATIENCE_MS)
+            self.hand.goto(f"{address}/test/hand.html")
+            self.hand.wait_for_function("window.ready")
+        self.page = browser.new_page(viewport=dict(zip(("width", "height"), SIZE, strict=True)))
+        self.page.set_default_timeout(PATIENCE_MS)
+        self.page.add_init_script(SCRIPTS)
+        self.page.goto(f"http://127.0.0.1:{self.server.port}/#key")
+        self.person = None
+
+    def show_hand(self, share: float) -> None:
+        """Poses the hand before the camera between flat and pinching."""
+        posture = {name: (np.array(FLAT[name]) * (1 - share) + np.array(PINCH[name]) * share).tolist()
+                   for name in FLAT}  # fmt: skip
+        self.hand.evaluate("posture => pose(posture)", posture)
+        self.page.evaluate("url => film(url)", self.hand.evaluate(DRAW))
+
+    def step(self, *commands) -> None:
+        """Advances by a sixtieth of a second; the person sees what the page gets."""
+        self.desk.commands.extend(commands)
+        self.control._published = -np.inf
+        engaged = self.control.step(self.context, self.engaged)
+        if engaged != self.engaged:
+            self.engaged = engaged
+            self.loop.engage(self.context, engaged)
+        self.simulator.AdvanceTo(self.context.get_time() + STEP_S)
+        self.time += STEP_S
+        if self.frames and self.person:
+            frames, self.frames = self.frames, []
+            self.desk.move(self.person.hand(frames, self.engaged), self.time)
+
+    def picture(self, wait_ms: int = 700) -> Image.Image:
+        self.page.wait_for_timeout(wait_ms)
+        return Image.open(io.BytesIO(self.page.screenshot())).convert("RGB")
+
+    def save(self, folder: Path | None, name: str) -> None:
+        """Writes a state, light and dark."""
+        for scheme in ("light", "dark") if folder else ():
+            self.page.emulate_media(color_scheme=scheme)
+            self.picture(1500).save(folder / f"{name}_{scheme}.png")
+        self.page.emulate_media(color_scheme="light")
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--output", type=Path, required=True)
+    options.add_argument("--states", type=Path)
+    arguments = options.parse_args()
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
+        theatre = Theatre(launch(playwright), Path(folder))
+        page, desk = theatre.page, theatre.desk
+        page.wait_for_selector("body[data-state=waiting]")
+        for _ in range(6):
+            theatre.step()
+        theatre.save(arguments.states, "welcome")
+        theatre.show_hand(0.0)
+        page.click("#camera")
+        page.wait_for_selector("body[data-state=tracking]")
+        scene = json.loads(theatre.server._scene)
+        theatre.person = PagePerson(scene, theatre.scenario.hand, "cylinder",
+                                    goal_of(theatre.scenario.hand, "cylinder"))  # fmt: skip
+        for _ in range(2 * HANDSHAKE_FRAMES + 10):
+            theatre.step()
+        theatre.step(Guide())
+        theatre.save(arguments.states, "guided")
+        theatre.control._guide = None
+        theatre.step(Engage())
+        film, every = [], round(1.0 / (FILM_HZ * STEP_S))
+        held = 0
+        while not (outcome := theatre.loop.outcome(theatre.context)).over or held < 8:
+            held += outcome.over
+            for _ in range(every):
+                theatre.step()
+            phase = theatre.person.phase
+            theatre.show_hand({"reach": 0.0, "approach": 0.2, "surround": 0.5}.get(phase, 1.0))
+            film.append(theatre.picture(100))
+            if phase == "hold" and held == 0 and len(film) % 8 == 0:
+                theatre.save(arguments.states, "holding")
+            print(f"{theatre.context.get_time():.1f} s: {phase}, {outcome.phase.name}", flush=True)
+        middle = film[len(film) // 2]
+        middle.save(arguments.output / "live_page.png")
+        frames = [one.resize((WIDTH, round(WIDTH * SIZE[1] / SIZE[0])), Image.LANCZOS) for one in film]
+        frames[0].save(arguments.output / "live_film.webp", save_all=True, append_images=frames[1:],
+                       duration=round(1e3 / FILM_HZ), loop=0, quality=QUALITY, method=6)  # fmt: skip
+        page.evaluate("film('')")
+        desk.operator and Desk.take(
+            desk, desk.operator.number, json.dumps({"type": "lost", "t": theatre.time})
+        )
+        for _ in range(10):
+            theatre.step()
+        theatre.save(arguments.states, "held")
+        theatre.server.close()
+
+
+if __name__ == "__main__":
+    main()
