@@ -98,3 +98,20 @@ def test_one_hand_may_have_an_arm_or_a_folding_palm(tmp_path):
     proposal = propose(model)
     assert proposal.description.finger_names == ["thumb", "index", "middle", "ring"]
     assert "as each moves 2 fingers at once: 'fold'" in "\n".join(proposal.notes)
+
+
+def test_of_two_hands_in_one_file_the_named_one_is_described(tmp_path):
+    """Each with a root, followers and motors of its own; the other hand's joints are held."""
+    parts = {"worldbody": "", "equality": "", "actuator": ""}
+    for side, fingers in (("left", 4), ("right", 3)):
+        text = write_hand(tmp_path, HandSpec(fingers, "xml", side=side), side).read_text(encoding="utf-8")
+        text = re.sub(r'(name|joint\d?)="', rf'\1="{side}_', text)
+        for part in parts:
+            parts[part] += re.search(rf"<{part}>(.*)</{part}>", text, re.DOTALL)[1]
+    inside = "".join(f"<{part}>{text}</{part}>" for part, text in parts.items())
+    model = tmp_path / "both.xml"
+    model.write_text(f'<mujoco model="both"><compiler angle="radian"/>{inside}</mujoco>', encoding="utf-8")
+    for side, fingers in (("left", 4), ("right", 3)):
+        description = propose(model, palm=f"{side}_palm").description
+        assert (description.side, len(description.fingers)) == (side, fingers)
+        assert {joint.partition("_")[0] for joint in description.joint_names} == {side}

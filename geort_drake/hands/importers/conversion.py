@@ -16,7 +16,6 @@ from geort_drake.hands.model_files import mesh_elements, read_model, set_mesh
 
 _READABLE = (".obj", ".vtk", ".gltf")
 _CONVERTIBLE = (".stl", ".glb", ".ply", ".dae")
-_FLATNESS = 1e-6  # relative thickness below which points have no volume
 # glTF has y up.
 _Z_UP = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
 
@@ -105,25 +104,12 @@ def _hull_of_mesh(mesh: Path) -> str:
 
     try:
         scene = trimesh.load_scene(mesh, file_type=suffix[1:])
-        points = np.asarray(scene.to_mesh().vertices)
+        hull = trimesh.convex.convex_hull(scene.to_mesh().vertices)
         # As in ROS, the unit of a COLLADA file counts, and its up axis does not.
         unit = trimesh.units.unit_conversion(scene.units or "meters", "meters") if suffix == ".dae" else 1.0
     except Exception as error:  # each format raises its own kinds
         raise HandError(f"{mesh}: not a readable {suffix} mesh: {error}") from error
-    points = unit * points @ (_Z_UP.T if suffix == ".glb" else np.eye(3))
-    spread = points - points.mean(axis=0) if len(points) else points
-    if (
-        not np.isfinite(spread).all()
-        or np.linalg.matrix_rank(spread, tol=_FLATNESS * np.linalg.norm(spread)) < 3
-    ):
-        raise HandError(
-            f"{mesh}: not a readable {suffix} mesh with a volume: it is empty, flat or not finite"
-        )
+    hull.vertices = unit * hull.vertices @ (_Z_UP.T if suffix == ".glb" else np.eye(3))
     return trimesh.exchange.obj.export_obj(
-        trimesh.convex.convex_hull(points),
-        include_normals=False,
-        include_color=False,
-        include_texture=False,
-        digits=9,
-        header=None,
+        hull, include_normals=False, include_color=False, include_texture=False, digits=9, header=None
     )
