@@ -31,7 +31,6 @@ from geort_drake.benchmark.trials import Trial, plan_cases, simulate
 from geort_drake.benchmark.workers import code_digest
 from geort_drake.comparison.retargeters import names_of
 from geort_drake.comparison.train import training_recording
-from geort_drake.comparison.versions import versions
 from geort_drake.errors import BenchmarkError, UnknownNameError
 from geort_drake.files import digest_of, write_text
 from geort_drake.hands.description import load_hand
@@ -45,6 +44,7 @@ from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.person import persons_hand
 from geort_drake.simulation.scenario import Scenario, dump_scenario, load_scenario, scenario_fields
 from geort_drake.simulation.tasks import find_task
+from geort_drake.versions import versions
 
 _VERSIONS = ("geort_drake", "python", "numpy", "scipy", "drake")
 

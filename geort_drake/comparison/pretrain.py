@@ -6,7 +6,6 @@ import os
 import numpy as np
 import torch
 
-from geort_drake.comparison.versions import git_state, versions
 from geort_drake.console import progress_bar
 from geort_drake.errors import UnknownNameError
 from geort_drake.hands.description import HandDescription, load_hand
@@ -15,6 +14,7 @@ from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.map_file import MapFile
 from geort_drake.retargeting.methods.coupled import FOR_EVERYONE, CoupledConfig
 from geort_drake.retargeting.methods.coupled.training import train_universal
+from geort_drake.versions import git_state, versions
 
 _MIRRORED = {"right": "left", "left": "right"}
 

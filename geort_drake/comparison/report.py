@@ -12,8 +12,8 @@ from rich.text import Text
 
 from geort_drake.comparison.comparison import Comparison, Outcome
 from geort_drake.comparison.metric_table import METRICS, TABLES, Metric, mean
-from geort_drake.comparison.versions import versions
 from geort_drake.people.recording import Recording
+from geort_drake.versions import versions
 
 # Name of a method → name of a protocol → outcomes.
 Results = Mapping[str, Mapping[str, Sequence[Outcome]]]

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 from geort_drake.comparison.metrics import evaluate
-from geort_drake.comparison.versions import git_state, versions
 from geort_drake.console import progress_bar, say
 from geort_drake.errors import CheckpointError, RecordingError
 from geort_drake.files import source_digest
@@ -39,6 +38,7 @@ from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.retargeting.trained_space import trained_points
 from geort_drake.retargeting.training.descent import Report
 from geort_drake.settings import check_names
+from geort_drake.versions import git_state, versions
 
 
 def training_config(method: str, settings: Mapping | None = None) -> TrainingConfig:

@@ -1,6 +1,5 @@
 """The Rerun recorder of a trial."""
 
-import importlib.metadata
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -31,6 +30,7 @@ from geort_drake.simulation.task import Stage
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import HAND, actuated_joints, actuated_state
 from geort_drake.systems.retargeting_system import RetargetingSystem
+from geort_drake.versions import version_of
 
 # Tabs of the plots.
 _FINGERS, _ANGLES, _TORQUES = "fingers", "joint angles", "joint torques"
@@ -147,7 +147,7 @@ def add_grasp_recorder(
             "retargeting_delay_ms": 1e3 * retargeting.delay,
             "visual_delay_ms": 1e3 * scenario.operator.visual_delay,
             "geort_drake": __version__,
-            **{name: _version(package) for name, package in _PACKAGES.items()},
+            **{name: version_of(package) for name, package in _PACKAGES.items()},
             **properties,
         },
     )
@@ -229,10 +229,3 @@ def _close_ups(
         "person's hand": CloseUpSpec("human", *views[:2]),
         "robot hand": CloseUpSpec(base, *views[2:], see_through=list(bodies)),
     }
-
-
-def _version(package: str) -> str:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"  # Drake may be installed without pip

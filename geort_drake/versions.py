@@ -15,7 +15,7 @@ def versions() -> dict[str, str]:
     return {
         "geort_drake": geort_drake.__version__,
         "python": platform.python_version(),
-        **{name: _version(name) for name in _PACKAGES},
+        **{name: version_of(name) for name in _PACKAGES},
         "platform": platform.platform(),
     }
 
@@ -36,7 +36,8 @@ def git_state() -> dict | None:
         return None
 
 
-def _version(package: str) -> str:
+def version_of(package: str) -> str:
+    """Version of an installed package."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
