@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -11,7 +12,6 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import IO, Any
 
-import psutil
 from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
@@ -90,7 +90,12 @@ def camera(recording: str | os.PathLike, size: tuple[int, int] = (1440, 900)) ->
     command += ["--window-size", f"{size[0]}x{size[1]}", "--hide-welcome-screen"]
     with tempfile.TemporaryFile() as log:
         viewer = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=os.environ | {"NO_COLOR": "1"}
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            env=os.environ | {"NO_COLOR": "1"},
+            start_new_session=True,  # a group of processes, see `_end`
         )
         try:
             _wait_for(port, viewer)
@@ -147,13 +152,9 @@ def _reason(viewer: subprocess.Popen, log: IO[bytes]) -> str:
 
 
 def _end(viewer: subprocess.Popen) -> None:
-    # The command's Python part starts the viewer proper as its child.
-    processes = [viewer]
-    with contextlib.suppress(psutil.NoSuchProcess):
-        processes = [*psutil.Process(viewer.pid).children(recursive=True), viewer]
-    for process in processes:
-        with contextlib.suppress(psutil.NoSuchProcess):
-            process.kill()
+    # The command's Python part starts the viewer proper, in the same group of processes.
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(viewer.pid, signal.SIGKILL)
     viewer.wait()
 
 
