@@ -1,6 +1,8 @@
 """A family of invented hands in URDF, SDF and MJCF: 2 to 5 fingers, odd names and frames."""
 
 import dataclasses as dc
+import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -60,9 +62,12 @@ class _Joint:
     follows: tuple[str, float, float] | None
 
 
-def write_hand(folder: Path, spec: HandSpec, stem: str = "hand") -> Path:
-    """Writes the model and returns its file."""
+def write_hand(folder: Path, spec: HandSpec, stem: str = "hand", changes: Mapping[str, str] = {}) -> Path:
+    """Writes the model, with `changes` of what matches their patterns, and returns its file."""
     text = {"urdf": _urdf, "sdf": _sdf, "xml": _mjcf}[spec.kind](spec, _joints(spec))
+    for pattern, replacement in changes.items():
+        text, count = re.subn(pattern, replacement, text)
+        assert count, f"nothing in the model is {pattern}"
     path = folder / f"{stem}.{spec.kind}"
     path.write_text(text, encoding="utf-8")
     return path

@@ -1,7 +1,5 @@
 """Links without collision geometry collide with their visual geometry, in every format."""
 
-import re
-
 import numpy as np
 import pytest
 from hand_family import HandSpec, write_hand
@@ -29,14 +27,10 @@ ENDS = {"urdf": "</robot>", "sdf": "</model>"}
 
 def drawn_alone(folder, kind: str):
     """A hand of the family with visual geometry alone, and a part welded to one link."""
-    model = write_hand(folder, HandSpec(3, kind, mimic=False))
-    text = model.read_text()
-    if kind == "xml":
-        text = text.replace("<geom ", '<geom contype="0" conaffinity="0" ')
-    else:
-        text = re.sub(r"(</?)collision", r"\1visual", text).replace(ENDS[kind], PARTS[kind])
-    model.write_text(text, encoding="utf-8")
-    return model
+    changes = {"<geom ": '<geom contype="0" conaffinity="0" '}
+    if kind != "xml":
+        changes = {r"(</?)collision": r"\1visual", ENDS[kind]: PARTS[kind]}
+    return write_hand(folder, HandSpec(3, kind, mimic=False), changes=changes)
 
 
 def reach(hand: HandModel, link: str, role: Role) -> np.ndarray:

@@ -61,21 +61,16 @@ MESHES = {
 
 def _with_mesh(folder: Path, kind: str, name: str) -> Path:
     """A hand of the family whose palm is a mesh."""
-    model = write_hand(folder, HandSpec(4, kind, mimic=False))
-    text = model.read_text()
-    if kind == "urdf":
-        text = text.replace('<box size="0.02 0.066 0.08"/>', f'<mesh filename="package://parts/{name}"/>')
-        text = text.replace('<origin xyz="-0.012 0 0.04" rpy="0 0 0"/>', "")
-    else:
-        head = f'<asset><mesh file="{name}"/></asset><compiler meshdir="parts"/>'
-        text = text.replace("<worldbody>", f"{head}<worldbody>")
-        begin = text.index('<geom type="box"')
-        end = text.index("/>", begin) + 2
-        text = f'{text[:begin]}<geom type="mesh" mesh="{name[:4]}"/>{text[end:]}'
-    model.write_text(text, encoding="utf-8")
+    changes = {
+        '<origin xyz="-0.012 0 0.04" rpy="0 0 0"/>': "",
+        '<box size="0.02 0.066 0.08"/>': f'<mesh filename="package://parts/{name}"/>',
+    }
+    if kind == "xml":
+        head = f'<asset><mesh file="{name}"/></asset><compiler meshdir="parts"/><worldbody>'
+        changes = {"<worldbody>": head, '<geom type="box".*?/>': f'<geom type="mesh" mesh="{name[:4]}"/>'}
     (folder / "parts").mkdir()
     (folder / "parts" / name).write_bytes(MESHES[name])
-    return model
+    return write_hand(folder, HandSpec(4, kind, mimic=False), changes=changes)
 
 
 @pytest.mark.parametrize(
@@ -125,9 +120,7 @@ def test_an_unusable_mesh_is_named(content, message, tmp_path):
 @pytest.mark.parametrize("file", ["hand.urdf", "palm.obj"])
 def test_a_git_lfs_pointer_is_named(file, tmp_path):
     """In place of the model, or of a mesh that Drake reads."""
-    model = write_hand(tmp_path, HandSpec(3))
-    text = model.read_text().replace('<box size="0.02 0.044 0.08"/>', '<mesh filename="palm.obj"/>')
-    model.write_text(text, encoding="utf-8")
+    model = write_hand(tmp_path, HandSpec(3), changes={"<box .*?/>": '<mesh filename="palm.obj"/>'})
     (tmp_path / "palm.obj").write_text(BOX.export(file_type="obj"))
     description = propose(model).description
     (tmp_path / file).write_bytes(LFS_POINTER)

@@ -85,17 +85,13 @@ def test_one_hand_may_have_an_arm_or_a_folding_palm(tmp_path):
     """An arm that carries all fingers, or a joint of the palm that carries two of four."""
     described = propose(_robot(tmp_path, 7, hands=("right",))).description
     assert described.finger_names == ["thumb", "index", "middle"]
-    model = write_hand(tmp_path, HandSpec(4, mimic=False))
     fold = (
         f'<link name="fold">{INERTIAL}</link><joint name="fold" type="revolute"><parent link="palm"/>'
         '<child link="fold"/><axis xyz="0 0 1"/><limit lower="0" upper="0.4" effort="1" velocity="1"/>'
-        "</joint>"
+        "</joint></robot>"
     )
-    text = model.read_text(encoding="utf-8").replace("</robot>", f"{fold}</robot>")
-    for finger in ("middle", "ring"):
-        text = re.sub(rf'(<joint name="{finger}_j0".*?<parent link=")palm', r"\1fold", text)
-    model.write_text(text, encoding="utf-8")
-    proposal = propose(model)
+    changes = {r'(<joint name="(middle|ring)_j0".*?<parent link=")palm': r"\1fold", "</robot>": fold}
+    proposal = propose(write_hand(tmp_path, HandSpec(4, mimic=False), changes=changes))
     assert proposal.description.finger_names == ["thumb", "index", "middle", "ring"]
     assert "as each moves 2 fingers at once: 'fold'" in "\n".join(proposal.notes)
 

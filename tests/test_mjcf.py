@@ -94,13 +94,9 @@ def test_other_tendons_couple_nothing(model):
 
 def test_ignored_parts_are_named(tmp_path):
     """Closed loops, and tendons of other kinds that motors pull."""
-    model = write_hand(tmp_path, HandSpec(3, "xml"))
-    text = model.read_text().replace(
-        "</mujoco>",
-        '<equality><connect body1="index_l3" body2="middle_l3" anchor="0 0 0"/></equality>'
-        '<tendon><spatial name="rope"/></tendon><actuator><motor tendon="rope"/></actuator></mujoco>',
-    )
-    model.write_text(text, encoding="utf-8")
+    more = '<equality><connect body1="index_l3" body2="middle_l3" anchor="0 0 0"/></equality>'
+    more += '<tendon><spatial name="rope"/></tendon><actuator><motor tendon="rope"/></actuator>'
+    model = write_hand(tmp_path, HandSpec(3, "xml"), changes={"</mujoco>": f"{more}</mujoco>"})
     notes = " ".join(propose(model).notes)
     assert "tendon 'rope'" in notes
     assert "closed loop at 'index_l3' and 'middle_l3'" in notes

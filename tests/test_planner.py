@@ -204,9 +204,8 @@ def test_links_that_are_close_at_rest_do_not_forbid_every_posture():
 @pytest.mark.parametrize("name", ["cube", "bottle"])
 def test_a_hand_with_a_forearm_and_close_fingers_that_cannot_spread_grasps(name, tmp_path):
     """Its fingers bend in one plane; the forearm is thicker than the palm and lies on the arm."""
-    model = write_hand(tmp_path, HandSpec(5, "urdf", mimic=True, forearm=0.2))
-    text = model.read_text("utf-8").replace('lower="-0.3" upper="0.3"', 'lower="-0.01" upper="0.01"')
-    model.write_text(text, "utf-8")
+    narrow = {'lower="-0.3" upper="0.3"': 'lower="-0.01" upper="0.01"'}
+    model = write_hand(tmp_path, HandSpec(5, "urdf", mimic=True, forearm=0.2), changes=narrow)
     description = propose(model).description
     assert description.mount.translation == pytest.approx([0, 0, 0.2], abs=2e-3)
     goal = GraspPlanner(scenario_with(name), description).plan()
