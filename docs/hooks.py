@@ -184,6 +184,17 @@ def parameters_table(kind: str, nominal: bool) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
+def packages_table() -> str:
+    """A Markdown table of the subpackages, in the order of their imports."""
+    rows = ["| subpackage | contents |", "|---|---|"]
+    for node in ast.parse((ROOT / "tests" / "test_layering.py").read_text("utf-8")).body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "ROOMS":
+            for name in ast.literal_eval(node.value):
+                module = ast.parse((PACKAGE / name / "__init__.py").read_text("utf-8"))
+                rows.append(f"| `{name}` | {(ast.get_docstring(module) or '').splitlines()[0]} |")
+    return "\n".join(rows)
+
+
 def formats_table() -> str:
     """A Markdown table of the formats of recordings."""
     from geort_drake.people.formats import FORMATS
@@ -206,6 +217,7 @@ GENERATORS = {
     "options": commands_help,
     "protocol": protocol_table,
     "assumptions": lambda: parameters_table("ASSUMPTIONS", nominal=True),
+    "packages": packages_table,
     "formats": formats_table,
     "tasks": tasks_table,
     "perturbations": lambda: parameters_table("PERTURBATIONS", nominal=False),

@@ -1,0 +1,1 @@
+"""Comparison of maps by simulated trials: statistics, report."""

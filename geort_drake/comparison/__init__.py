@@ -1,0 +1,1 @@
+"""Comparison of maps by metrics: training, held-out parts, report."""

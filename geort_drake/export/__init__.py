@@ -1,0 +1,1 @@
+"""Parquet, LeRobot datasets and Rerun recordings of hands."""

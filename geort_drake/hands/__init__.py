@@ -1,0 +1,1 @@
+"""Robot hands: description, Drake model, geometry; `importers` read URDF, SDF and MJCF."""

@@ -1,0 +1,1 @@
+"""Live use: transports, session, checks of live input; `web`, the page's server."""

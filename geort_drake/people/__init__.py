@@ -1,0 +1,1 @@
+"""People's hands: keypoints, recordings (`formats`, `checks`), a hand model, synthetic people."""

@@ -1,0 +1,1 @@
+"""Trials: scenario, world, diagram; `tasks`; `operators`, the simulated people."""

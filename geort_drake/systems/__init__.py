@@ -1,0 +1,1 @@
+"""Drake LeafSystems, one per file."""
