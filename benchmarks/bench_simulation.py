@@ -8,8 +8,9 @@ time of the thread, for each turn and in total. Rows:
   no recording    the same without the Rerun recorder; the reference of the ratios
   1 ms            everything on at half the time step, which changes the course of the trial
   replay          the recorded motion of hand and wrist in place of the simulated person, at both steps
-Shares come from another simulation in which each Python system is timed without the calls it makes to others;
-the rest is Drake: dynamics, contact and the framework.
+Shares come from another simulation in which each Python system is timed without the calls it makes to others,
+and without the reading of its ports, for which Drake computes poses and contacts that its next step uses too.
+The rest is Drake: dynamics, contact and the framework.
 """
 
 import argparse
@@ -23,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Diagram
+from pydrake.systems.framework import Diagram, InputPort
 from rich.table import Table
 from side_by_side import parse, write_json
 
@@ -136,13 +137,15 @@ def _shares(kinds: set[type], make: Callable[[], Trial], seconds: float) -> dict
     spent: dict[str, float] = defaultdict(float)
     for kind in kinds:
         _time_callbacks(kind, spent)
+    InputPort.Eval = _timed(InputPort.Eval, "read ports", spent)
     # Now, because systems declare their callbacks when they are made.
     trial = make()
     _advance({"timed": trial}, seconds)
     trial.parts.recorder.close()
     total = sum(trial.cpu)
+    read = spent.pop("read ports") / total
     shares = {name: own / total for name, own in sorted(spent.items(), key=lambda item: -item[1])}
-    return shares | {"Drake": 1 - sum(shares.values())}
+    return shares | {"Drake": 1 - sum(shares.values()), "of which for read ports": read}
 
 
 def _systems(diagram: Diagram) -> Iterator:
@@ -159,28 +162,30 @@ _inner: list[float] = []
 
 def _time_callbacks(kind: type, spent: dict[str, float]) -> None:
     """Adds up the time of a class's methods that get a context, less that of other such methods in them."""
-
-    def timed(function):
-        def wrapper(*args, **kwargs):
-            _inner.append(0.0)
-            started = time.thread_time()
-            try:
-                return function(*args, **kwargs)
-            finally:
-                whole = time.thread_time() - started
-                spent[kind.__name__] += whole - _inner.pop()
-                if _inner:
-                    _inner[-1] += whole
-
-        return wrapper
-
     for base in kind.__mro__:
         if base.__module__.startswith("geort_drake."):
             for name, function in list(vars(base).items()):
                 if inspect.isfunction(function) and not hasattr(kind, f"_{name}_is_timed"):
                     if list(inspect.signature(function).parameters)[1:2] == ["context"]:
-                        setattr(kind, name, timed(function))
+                        setattr(kind, name, _timed(function, kind.__name__, spent))
                         setattr(kind, f"_{name}_is_timed", True)
+
+
+def _timed(function: Callable, name: str, spent: dict[str, float]) -> Callable:
+    """A function whose time is added under a name, less that of timed functions in it."""
+
+    def wrapper(*args, **kwargs):
+        _inner.append(0.0)
+        started = time.thread_time()
+        try:
+            return function(*args, **kwargs)
+        finally:
+            whole = time.thread_time() - started
+            spent[name] += whole - _inner.pop()
+            if _inner:
+                _inner[-1] += whole
+
+    return wrapper
 
 
 def _advance(trials: Mapping[str, Trial], seconds: float) -> None:

@@ -60,7 +60,11 @@ class ActionCorrection(LeafSystem):
 
     def _prerequisites(self) -> set:
         """Returns the dependency tickets of the output port."""
-        return {self.all_sources_ticket()}
+        # Time is not among them, so that the output is not computed anew for each step of the plant.
+        ports = [self._desired]
+        if type(self).correct is not ActionCorrection.correct:
+            ports.append(self._measured)
+        return {port.ticket() for port in ports}
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         desired = self._desired.Eval(context)
