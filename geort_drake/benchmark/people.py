@@ -1,4 +1,4 @@
-"""Sessions of real people, recorded by the live page, beside the trials of the simulated person."""
+"""Sessions of real people, recorded by the live page, for comparison with the simulated person's trials."""
 
 from collections.abc import Sequence
 from pathlib import Path

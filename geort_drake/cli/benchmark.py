@@ -73,8 +73,8 @@ def add_arguments(parser: CommandParser) -> None:
         "NAME uses all"
     )
     add("--sensitivity", nargs="*", metavar="NAME=V1,V2", help=assumptions)
-    beside = "set sessions that real people recorded with the live page beside the trials"
-    add("--people", type=Path, metavar="DIR", help=beside)
+    people = "compare with sessions that real people recorded with the live page"
+    add("--people", type=Path, metavar="DIR", help=people)
     parser.add_side()
     parser.add_seed("training and synthetic play")
     add(

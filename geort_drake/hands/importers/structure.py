@@ -1,7 +1,7 @@
 """Finds the palm and the fingers of a hand's model.
 
-Links with the same movable joints between them and the root are welded together. So a tuple of joint names
-is a group of links, and a group carries those whose tuples begin with its own.
+Links with the same movable joints between them and the root are welded together. A tuple of joint names thus
+identifies a group of links; a group carries those whose tuples begin with its own.
 """
 
 import itertools
@@ -24,7 +24,7 @@ from geort_drake.hands.importers.couplings import read_couplings
 MAX_FINGERS = 5
 # A second branch of a finger is a finger itself if it has this many joints of its own.
 _OWN_JOINTS = 2
-# This many joints in a row that move several chains are an arm; folding palms have one.
+# If this many joints in a row move several chains, they are an arm; folding palms have one.
 _ARM_JOINTS = 4
 _HAND_FINGERS = 3  # chains that make a link the palm of another hand
 

@@ -123,7 +123,7 @@ def _numbers(file: Source, columns: list[str]) -> np.ndarray:
 
 
 def _is_constant(values: np.ndarray) -> bool:
-    """Whether a column has one value, but for a few faulty frames."""
+    """Whether a column is constant, except for a few faulty frames."""
     return bool((values == np.nanmedian(values)).mean() > 0.9) if np.isfinite(values).any() else False
 
 

@@ -8,8 +8,8 @@ JSON: a list of results, or `{"frames": [...]}`, each with the fields of `HandLa
 each, and `timestampMs` (or `timestamp_ms`). An .npz holds `world_landmarks` and optionally `t`, s, and
 `handedness`.
 
-Many versions label hands as if the image were mirrored. So the bending of the fingers decides the side, and
-the label only where they hardly bend.
+Many versions label hands as if the image were mirrored. The side is therefore found from the bending of the
+fingers; the label counts only if they hardly bend.
 
 Source: https://ai.google.dev/edge/mediapipe/solutions/vision/hand_landmarker,
 https://ai.google.dev/edge/api/mediapipe/js/tasks-vision.handlandmarkerresult, and of the labels
@@ -81,7 +81,7 @@ def _label_of_side(file: Source, seen: Mapping[str, np.ndarray], side: str) -> s
 
 
 def _hands(frame: Any, side: str) -> np.ndarray | None:
-    """Landmarks (2, 21, 3) of a frame's left and right hand; without a label, of the side asked for."""
+    """Landmarks (2, 21, 3) of a frame's left and right hand; without a label, it is of the requested side."""
     if not isinstance(frame, Mapping):
         raise BadFrame(f"expected an object, not {frame!r:.40}")
     hands = _list(frame, _WORLD)

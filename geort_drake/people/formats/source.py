@@ -1,7 +1,7 @@
 """Types that format readers work with: a file's contents, checked access to them, and its result.
 
-Readers raise RecordingError only where the meaning of a file stays open. Faults of single frames are noted in
-`Source.faults`; these frames become invalid and are reported.
+Readers raise RecordingError only if the meaning of a file is ambiguous. Faults of single frames are collected
+in `Source.faults`; these frames become invalid and are reported.
 """
 
 import dataclasses
@@ -17,8 +17,8 @@ from geort_drake.errors import RecordingError
 from geort_drake.people.checks.findings import Finding, FrameFaults, warning
 from geort_drake.people.recording import SIDES, Recording
 
-# Of hands with 25 joints: wrist, four of the thumb, then five per finger, of which the first, the base of the
-# metacarpal, is none of the 21 keypoints.
+# Of hands with 25 joints: wrist, four of the thumb, then five per finger, whose first one, the base of the
+# metacarpal, is not among the 21 keypoints.
 KEYPOINTS_OF_25 = tuple(i for i in range(25) if i not in (5, 10, 15, 20))
 
 NO_HAND, UNREADABLE = "show no hand", "cannot be read"
@@ -41,14 +41,14 @@ class Table(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Tracks:
-    """The keypoints of one hand as a file gives them.
+    """The keypoints of one hand in a file.
 
     Attributes:
         p_WK: (T, 21, 3) keypoints in the file's frame W and unit; NaN where the hand was lost.
-        t: (T,) times of the frames, s, NaN where one has none; or None where the file has none.
-        world: whether W stays in place, so that the wrist's pose in it is worth keeping.
-        side: which hand the file says it is, or None.
-        unit: of p_WK, unless the user names another.
+        t: (T,) times of the frames, s, NaN if a frame has none; None if the file has none: 30 Hz are assumed.
+        world: whether W is fixed in space; if so, the wrist pose is kept.
+        side: the side that the file states, or None; a contradiction of the requested side is refused.
+        unit: of p_WK, m, cm, mm or inch, unless the user names another.
     """
 
     p_WK: np.ndarray
@@ -62,10 +62,10 @@ class Format(NamedTuple):
     """One format of recordings.
 
     Attributes:
-        title: what it is, for people.
+        title: a few words for lists.
         suffixes: of its files.
         recognizes: whether the contents of a file with such a suffix are of this format.
-        read: takes the file and the side that the user asked for.
+        read: takes the file and the requested side.
     """
 
     title: str
@@ -83,7 +83,7 @@ class Source:
         contents: a dict of arrays (.npz; of .npy with the one name "data"), a `Table` (.csv), or the objects
             of a JSON or pickle file.
         faults: of single frames.
-        findings: what is odd about the file as a whole, or was repaired.
+        findings: faults and repairs of the file as a whole.
     """
 
     name: str
@@ -97,7 +97,7 @@ class Source:
 
     @property
     def header(self) -> Mapping[str, Any]:
-        """The fields beside the frames."""
+        """The fields outside the frames."""
         return self.contents if isinstance(self.contents, Mapping) else {}
 
     def has(self, field: str) -> bool:
@@ -137,9 +137,9 @@ class Source:
     def each(
         self, values: Sequence[Any], read: Callable[[Any], Any], shape: tuple[int, ...], field: str
     ) -> np.ndarray:
-        """The numbers (T, *shape) that `read` makes of each frame, NaN where it does not.
+        """The numbers (T, *shape) that `read` returns for each frame; NaN where it returns none.
 
-        `read` returns None where a frame shows no hand, and raises BadFrame where it cannot be read.
+        `read` returns None if a frame shows no hand, and raises BadFrame if the frame cannot be read.
 
         Raises:
             RecordingError: no frame can be read.
@@ -311,7 +311,7 @@ def _relative(stamps: Sequence[Any], unit_s: float) -> np.ndarray:
     numbers = sorted(itertools.compress(stamps, known))
     if not numbers:
         return np.full(len(stamps), np.nan)
-    # Nanoseconds since an epoch exceed what a double resolves, so the start is taken off first.
+    # Nanoseconds since an epoch exceed a double's resolution, so the start is subtracted first.
     start = numbers[len(numbers) // 2]
     if known[0] and abs(stamps[0] - start) * unit_s < _ONE_WEEK_S:
         start = stamps[0]

@@ -1,4 +1,4 @@
-"""Kinds of people, their parameters, and how a person learns what the robot makes of their motion."""
+"""Kinds of people, their parameters, and how a person learns the robot's response to their motion."""
 
 import dataclasses as dc
 import hashlib
@@ -103,7 +103,7 @@ class LearnedMotion:
     def own_motion(self, finger: int, robot: np.ndarray) -> np.ndarray:
         """The own motion (3,), m, that is expected to move the robot's fingertip by `robot`, m.
 
-        Directions in which the robot hardly moves are taken as moving with a third of the own motion.
+        In directions in which the robot hardly moves, a third of the own motion is assumed.
         """
         U, s, Vt = np.linalg.svd(self.J[finger])
         return Vt.T @ ((U.T @ robot) / np.maximum(s, 1 / 3))

@@ -79,7 +79,7 @@ class PresserState(Immutable):
     # (5, 3) own fingertips when the press or the release began, m.
     p_HF_press: np.ndarray | None = None
     p_HF_release: np.ndarray | None = None
-    answered: int = 0  # the cue that was last acted on; 0 once it has gone
+    handled_cue: int = 0  # the cue that was last acted on; 0 once it has gone
     finger_velocity: np.ndarray = dc.field(default_factory=lambda: np.zeros((5, 3)))
     # (F,) by how much each finger's place is raised, m; and where each finger is meant to be, (F, 3) in B, m.
     raised: np.ndarray = dc.field(default_factory=lambda: np.zeros(0))
@@ -184,13 +184,13 @@ class KeyPresser:
     def _advance_phase(self, state: PresserState, t: float, scene: SeenKeys) -> None:
         config, since = self._intention, t - state.phase_start
         if scene.cue == 0:
-            state.answered = 0
+            state.handled_cue = 0
         if state.phase == KeyPhase.SETTLE:
             if since > state.settle_time:
                 self._enter(state, KeyPhase.WAIT, t)
         elif state.phase == KeyPhase.WAIT:
-            if scene.cue and scene.cue != state.answered:
-                state.answered = scene.cue
+            if scene.cue and scene.cue != state.handled_cue:
+                state.handled_cue = scene.cue
                 state.finger = int(np.flatnonzero(self._goal.key_of == scene.cue - 1)[0])
                 self._enter(state, KeyPhase.CHOOSE, t)
         elif state.phase == KeyPhase.CHOOSE:
