@@ -184,6 +184,14 @@ def parameters_table(kind: str, nominal: bool) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
+def methods_table() -> str:
+    """A Markdown table of the retargeting methods."""
+    from geort_drake.retargeting.methods import all_methods
+
+    rows = [f"| `{name}` | {method.summary} |" for name, method in all_methods().items()]
+    return "\n".join(["| method | description |", "|---|---|", *rows])
+
+
 def packages_table() -> str:
     """A Markdown table of the subpackages, in the order of their imports."""
     rows = ["| subpackage | contents |", "|---|---|"]
@@ -217,6 +225,7 @@ GENERATORS = {
     "options": commands_help,
     "protocol": protocol_table,
     "assumptions": lambda: parameters_table("ASSUMPTIONS", nominal=True),
+    "methods": methods_table,
     "packages": packages_table,
     "formats": formats_table,
     "tasks": tasks_table,
