@@ -14,7 +14,7 @@ from geort_drake.benchmark.folder import open_benchmark
 from geort_drake.benchmark.records import TrialKey, TrialLog, key_of, read_records
 from geort_drake.cli import run_command
 from geort_drake.comparison.retargeters import names_of
-from geort_drake.errors import BenchmarkError, UnknownNameError
+from geort_drake.errors import BenchmarkError, UnknownNameError, UsageError
 from geort_drake.simulation.diagram import make_grasp_diagram
 from geort_drake.simulation.scenario import load_scenario
 from geort_drake.simulation.trial import run_trial
@@ -136,6 +136,21 @@ def test_methods_objects_and_conditions_can_be_added(copy):
     assert "| **180** | – | 0 % [0, 79] |" in (copy / "report.md").read_text()
     assert (copy / "sensitivity.svg").read_text().startswith("<svg")
     assert (copy / "report.html").read_text().count("<svg") == 2
+
+
+def test_a_submitted_method_adds_its_row_with_the_settings_of_the_others(copy, tmp_path):
+    """No option but the folder is needed; a folder without a benchmark is refused."""
+    before = json.loads((copy / "summary.json").read_text())
+    assert run_command("benchmark", ["--output", str(copy), "--jobs", "1", "--submit", "affine_ik"]) == 0
+    after = json.loads((copy / "summary.json").read_text())
+    assert list(after["methods"]) == [*before["methods"], "affine_ik"]
+    assert after["methods"]["affine_ik"]["overall"]["trials"] == 2
+    assert after["methods"]["hold"] == before["methods"]["hold"]
+    assert after["config"]["settings"] == before["config"]["settings"]
+    with pytest.raises(BenchmarkError, match=r"config\.json: no such file"):
+        run_command("benchmark", ["--output", str(tmp_path), "--submit", "affine_ik"])
+    with pytest.raises(UsageError, match="leave out --methods"):
+        run_command("benchmark", ["--output", str(copy), "--submit", "hold", "--methods", "hold"])
 
 
 def test_a_trial_that_raises_is_recorded_and_stops_no_other(tmp_path, monkeypatch):

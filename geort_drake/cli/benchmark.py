@@ -84,6 +84,8 @@ def add_arguments(parser: CommandParser) -> None:
         help="repeat a finished trial of --output, check it, and write its Rerun recording; CONDITION, such "
         "as delay=100, selects a trial of --sensitivity",
     )
+    submit = "add a method to the benchmark in --output, with its people, objects, seeds and settings"
+    add("--submit", metavar="METHOD", help=submit)
     add("--report", action="store_true", help="only rewrite the report in --output")
     parser.add_json("the summary")
     parser.add_scenario()
@@ -102,6 +104,10 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"--rrd: SEED must be a whole number, not {seed}")
     if arguments.rrd and not arguments.report:
         return repeat(arguments.output, method, thing, int(seed), *condition)
+    if arguments.submit:
+        if arguments.methods or arguments.report:
+            raise UsageError("--submit names the only method that runs; leave out --methods and --report")
+        return submit(arguments)
     chosen = QUICK if arguments.quick else {"methods": None, "objects": None, "trials": 30}
     for name, default in chosen.items():
         if getattr(arguments, name) is None:
@@ -117,6 +123,36 @@ def run(arguments: argparse.Namespace) -> int:
     if several:
         return report_tasks(arguments, write_summary(arguments.output))
     return report(arguments, write_grasp_report(arguments.output, people))
+
+
+def submit(arguments: argparse.Namespace) -> int:
+    """Runs one more method as the benchmark in --output ran the others; returns the exit code.
+
+    Raises:
+        BenchmarkError: the folder holds no benchmark.
+    """
+    from geort_drake import load_scenario
+    from geort_drake.benchmark.config import CONFIG, SCENARIO, read_config
+    from geort_drake.benchmark.report import write_grasp_report
+    from geort_drake.benchmark.tasks import write_summary
+
+    folders = [path.parent for path in sorted(arguments.output.glob(f"*/*/{CONFIG}"))]
+    several = bool(folders) and not (arguments.output / CONFIG).exists()
+    configs = {path: read_config(path) for path in (folders if several else [arguments.output])}
+    config = next(iter(configs.values()))
+    notes = config["notes"]
+    arguments.methods = [arguments.submit]
+    arguments.objects = [name for each in configs.values() for name in each["objects"]]
+    arguments.trials = config["trials"]
+    arguments.seed = config["settings"]["training_seed"]
+    arguments.zero_latency = config["settings"]["latency"] == "zero"
+    arguments.side = notes.get("side")
+    for name in ("recording", "operator"):
+        setattr(arguments, name, Path(notes[name]) if notes.get(name) else None)
+    run_unfinished(arguments, {path: load_scenario(path / SCENARIO, "Resolved") for path in configs})
+    if several:
+        return report_tasks(arguments, write_summary(arguments.output))
+    return report(arguments, write_grasp_report(arguments.output))
 
 
 def tasks_of(arguments: argparse.Namespace) -> dict[Path, "Scenario"]:
