@@ -1,13 +1,12 @@
 """From a model file to a hand description, its notes and checks, and to training and simulation."""
 
-import dataclasses as dc
 import json
 
 import numpy as np
 import pytest
 import torch
 import yaml
-from grasp_setup import Constant, started
+from grasp_setup import Constant, resting_glove, started
 from hand_family import HandSpec, joint_name, write_hand
 from pydrake.geometry import Role
 from pydrake.math import RollPitchYaw
@@ -273,10 +272,9 @@ def test_on_the_arm_only_listed_joints_are_commanded(kind, tmp_path):
     model = write_hand(tmp_path, HandSpec(4, kind))
     write_description(propose(model).description, tmp_path / "mine.yaml")
     hand = HandModel(load_hand(tmp_path / "mine.yaml"))
-    play = synthesize_play(seed=0, duration_s=0.4, rate_hz=30.0)
-    still = dc.replace(play, X_WH=np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(play.t), 1)))
     retarget = Constant(hand, 0.5 * (hand.lower + hand.upper))
-    parts = make_grasp_diagram(load_scenario(hand=str(tmp_path / "mine.yaml")), retarget, still)
+    scenario = load_scenario(hand=str(tmp_path / "mine.yaml"))
+    parts = make_grasp_diagram(scenario, retarget, resting_glove(0.4))
     simulator = started(parts)
     simulator.AdvanceTo(0.4)
     context = parts.plant.GetMyContextFromRoot(simulator.get_context())

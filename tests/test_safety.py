@@ -5,13 +5,10 @@ import dataclasses as dc
 import numpy as np
 import pytest
 from faults.bench import Bench
-from faults.sound import JOINTS, play, smooth_retargeter
+from faults.sound import play, smooth_retargeter
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake.people.recording import Recording
 from geort_drake.systems.glove_checks import (
     FROZEN,
     HELD_CLOCK,
@@ -22,9 +19,8 @@ from geort_drake.systems.glove_checks import (
     HELD_STALE,
     GloveChecks,
 )
-from geort_drake.systems.glove_replay import GloveReplay
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.retargeting_system import EASING, LIMITED, SETTLING, TRACKING, RetargetingSystem
+from geort_drake.systems.retargeting_system import EASING, LIMITED, SETTLING, TRACKING
 
 PLAY = play()
 AT_ONCE = GloveChecks(ease_at_start=False)
@@ -50,39 +46,24 @@ def test_a_joint_stops_at_a_far_target_without_overshoot():
 # -- what a good glove sends
 
 
-def replayed(recording: Recording, retarget, checks=AT_ONCE) -> tuple[np.ndarray, list[str]]:
-    """Joint targets and states at every update while a recording plays."""
-    builder = DiagramBuilder()
-    replay = builder.AddSystem(GloveReplay(recording))
-    system = builder.AddSystem(
-        RetargetingSystem(
-            retarget, JOINTS, JOINTS, dict(zip(JOINTS, retarget(recording.p_HK[0]), strict=True)),
-            checks=checks,
-        )
-    )  # fmt: skip
-    for name in ("keypoints", "valid"):
-        builder.Connect(replay.GetOutputPort(name), system.GetInputPort(name))
-    simulator = Simulator(builder.Build())
-    context = system.GetMyContextFromRoot(simulator.get_context())
-    positions, states = [], []
-    for step in range(len(recording.t)):
-        simulator.AdvanceTo(0.01 * step + 0.005)
-        positions.append(system.GetOutputPort("desired_state").Eval(context)[:16].copy())
-        states.append(system.GetOutputPort("status").Eval(context).state)
-    return np.array(positions), states
+def answered(retarget) -> tuple[np.ndarray, np.ndarray]:
+    """Joint targets and states at every frame of the play."""
+    bench = Bench(retarget, checks=AT_ONCE, start=retarget(PLAY.p_HK[0]))
+    ticks = [bench.tick(keypoints) for keypoints in PLAY.p_HK]
+    return np.array([q for q, *_ in ticks]), np.array([status.state for *_, status in ticks])
 
 
 def test_a_clean_stream_comes_out_as_the_bare_retargeter_gives_it():
     """Bit for bit, while the joints can follow; with a map too steep for the hand, the status says so."""
     retarget = smooth_retargeter()
-    q, states = replayed(PLAY, retarget)
+    q, states = answered(retarget)
     np.testing.assert_array_equal(q, [retarget(keypoints) for keypoints in PLAY.p_HK])
     assert set(states) == {TRACKING}
     steep = smooth_retargeter(10.0)
-    q, states = replayed(PLAY, steep)
+    q, states = answered(steep)
     touched = (q != [steep(keypoints) for keypoints in PLAY.p_HK]).any(axis=1)
     assert touched.any()
-    np.testing.assert_array_equal(touched, np.array(states) == LIMITED)
+    np.testing.assert_array_equal(touched, states == LIMITED)
 
 
 # -- faults, one by one

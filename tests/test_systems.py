@@ -71,15 +71,11 @@ def test_recording_a_replay_gives_the_recording_back():
 # -- RetargetingSystem
 
 
-AT_ONCE = GloveChecks(settle_time=0.0, ease_time=0.0, ease_at_start=False)
-
-
-def make_retargeting(retarget, period=0.01, speed=1e9, acceleration=1e12, latency=0.0, **options):
-    start = dict.fromkeys(JOINTS, 0.0)
-    plant_order = ("index_a", "thumb_a", "thumb_b")
-    limits = JointLimits(np.full(3, -2.0), np.full(3, 2.0), speed, acceleration)
-    options = {"checks": AT_ONCE} | options
-    system = RetargetingSystem(retarget, JOINTS, plant_order, start, period, limits, latency, **options)
+def make_retargeting(retarget, latency=0.0):
+    start, plant_order = dict.fromkeys(JOINTS, 0.0), ("index_a", "thumb_a", "thumb_b")
+    limits = JointLimits(np.full(3, -2.0), np.full(3, 2.0), 1e9, 1e12)
+    checks = GloveChecks(settle_time=0.0, ease_time=0.0, ease_at_start=False)
+    system = RetargetingSystem(retarget, JOINTS, plant_order, start, 0.01, limits, latency, checks=checks)
     simulator = Simulator(system)
     context = simulator.get_mutable_context()
     system.GetInputPort("valid").FixValue(context, [1.0])
