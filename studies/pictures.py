@@ -186,6 +186,15 @@ def record_grasp(folder: Path, arguments: argparse.Namespace) -> None:
     run("simulate_grasp", *options, "--output", folder / "grasp")
 
 
+def record_keys(folder: Path, _arguments: argparse.Namespace) -> None:
+    """A few presses of keys, by a map that needs no training."""
+    few = "{task_settings: {presses: 3, enough: 3}}"
+    method = ["--methods", "affine_ik", "--trials", "1", "--scenario-text", few]
+    run("benchmark_grasping", "--tasks", "keys", "--kinds", "adaptive", *method, "--output", folder / "tasks")
+    benchmark = folder / "tasks" / "keys" / "adaptive"
+    run("benchmark_grasping", "--output", benchmark, "--rrd", "affine_ik", "keys", "0")
+
+
 def record_hand(folder: Path, _arguments: argparse.Namespace) -> None:
     """Synthetic play, with which the drawings are made as well."""
     run("synthesize_recording", folder / "play.npz")
@@ -220,6 +229,7 @@ PICTURES = {
     "explorer": Picture(record_explorer, "explorer.rrd", 4.0),
     "grasp": Picture(record_grasp, "grasp/cylinder-0.rrd", 5.0),
     "grasp_film": Picture(record_grasp, "grasp/cylinder-0.rrd", moves=True),
+    "keys": Picture(record_keys, "tasks/keys/adaptive/rrd/affine_ik-keys-0.rrd", 6.9),
     "objects": Picture(record_objects, "objects.rrd", 0.7),
     "hand": Picture(record_hand, "hand.rrd", 12.0),
     "capture": Picture(record_capture, "capture.rrd", 66.0),

@@ -18,47 +18,54 @@ from geort_drake.benchmark.report import SUMMARY, write_grasp_report
 from geort_drake.benchmark.statistics import axes_of, ending, mean_and_interval, proportion, table_of
 from geort_drake.files import write_text
 from geort_drake.simulation.task import TrialResult
-from geort_drake.simulation.tasks import find_task, task_names
+from geort_drake.simulation.tasks import find_task
 
 GRASP = "grasp"
 
 
-def write_task_report(folder: Path) -> dict:
-    """Writes `summary.json` of a folder of one task, and for grasps the whole report; returns the summary.
+def write_task_report(folder: Path, people: Sequence[Record] = ()) -> dict:
+    """Writes and returns the summary of a folder of one task; of grasps, see `write_grasp_report`.
+
+    Args:
+        people: sessions of real people, see `read_people`, which are set beside grasps.
+
+    Returns:
+        For other tasks: `tasks`: name → kind → `task_figures`; `conditions`: name → the same methods'
+        figures; `errors`, the number of trials that raised one; `config`.
 
     Raises:
         BenchmarkError: the folder holds no benchmark, or a damaged one.
     """
     config = read_config(folder)
     if task_of(config) == GRASP:
-        return write_grasp_report(folder)
+        return write_grasp_report(folder, people)
     records = read_records(folder / TRIALS)
-    summary = {
-        **task_figures(records, config),
-        "conditions": {
-            name: task_figures(records, config, name)["methods"] for name in config.get("conditions", {})
-        },
-        "config": config,
+    figures = task_figures(records, config)
+    conditions = {
+        name: task_figures(records, config, name)["methods"] for name in config.get("conditions", {})
     }
-    write_text(folder / SUMMARY, json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    return summary
+    tasks = {task_of(config): {config["settings"]["scenario"]["kind"]: figures}}
+    return _write(folder, {"tasks": tasks, "conditions": conditions, "config": config})
 
 
 def write_summary(folder: Path) -> dict:
-    """Writes and returns `summary.json` of all tasks and kinds in a folder: `tasks`: name → kind →
-    `task_figures`, and `errors`, the number of trials that raised one.
+    """Writes the reports of all tasks and kinds in a folder; writes and returns their summary.
+
+    Returns:
+        `tasks` and `errors`, as of `write_task_report`.
     """
     tasks: dict[str, dict] = {}
     for path in sorted(folder.glob(f"*/*/{CONFIG}")):
-        if path.parts[-3] in task_names():
-            write_task_report(path.parent)
-            config = read_config(path.parent)
-            figures = task_figures(read_records(path.parent / TRIALS), config)
-            tasks.setdefault(path.parts[-3], {})[path.parts[-2]] = figures
-    summary = {
-        "tasks": tasks,
-        "errors": sum(one["errors"] for kinds in tasks.values() for one in kinds.values()),
-    }
+        config = read_config(path.parent)
+        write_task_report(path.parent)
+        figures = task_figures(read_records(path.parent / TRIALS), config)
+        tasks.setdefault(task_of(config), {})[path.parts[-2]] = figures
+    return _write(folder, {"tasks": tasks})
+
+
+def _write(folder: Path, summary: dict) -> dict:
+    kinds = [figures for kinds in summary["tasks"].values() for figures in kinds.values()]
+    summary["errors"] = sum(figures["errors"] for figures in kinds)
     write_text(folder / SUMMARY, json.dumps(summary, indent=2, allow_nan=False) + "\n")
     return summary
 

@@ -93,8 +93,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake.benchmark.people import read_people
-    from geort_drake.benchmark.report import write_grasp_report
-    from geort_drake.benchmark.tasks import write_summary
+    from geort_drake.benchmark.tasks import write_summary, write_task_report
 
     if arguments.rrd:
         if len(arguments.rrd) not in (3, 4):
@@ -120,9 +119,8 @@ def run(arguments: argparse.Namespace) -> int:
         run_unfinished(
             arguments, tasks_of(arguments) if several else {arguments.output: scenario_of(arguments)}
         )
-    if several:
-        return report_tasks(arguments, write_summary(arguments.output))
-    return report(arguments, write_grasp_report(arguments.output, people))
+    summary = write_summary(arguments.output) if several else write_task_report(arguments.output, people)
+    return report_tasks(arguments, summary) if "tasks" in summary else report(arguments, summary)
 
 
 def submit(arguments: argparse.Namespace) -> int:

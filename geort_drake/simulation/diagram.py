@@ -118,7 +118,7 @@ def make_grasp_diagram(
             task.person(
                 scenario,
                 human[0],
-                task.mirrored(goal) if in_mirror else goal,
+                human[1].mirrored() if in_mirror else human[1],
                 RigidTransform(X_WB_seen.rotation(), np.zeros(3)),
                 seed=int(rng.integers(2**31)),
             ),

@@ -8,7 +8,7 @@ import dataclasses as dc
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -24,7 +24,16 @@ if TYPE_CHECKING:
     from geort_drake.simulation.scenario import Scenario
 
 SERVO = "servo"
-Goal = TypeVar("Goal")
+
+
+class HandGoal(Protocol):
+    """What a person intends, as places relative to the robot hand or to what is handled."""
+
+    def mirrored(self) -> Self:
+        """The goal reflected in the xz-planes of its frames, for a left hand."""
+
+
+Goal = TypeVar("Goal", bound=HandGoal)
 
 
 class Outcome(Protocol):
@@ -184,10 +193,6 @@ class Task(abc.ABC, Generic[Goal]):
         Args:
             goal: in the mirror for a left robot hand.
         """
-
-    @abc.abstractmethod
-    def mirrored(self, goal: Goal) -> Goal:
-        """The goal reflected in the xz-planes of its frames."""
 
     @abc.abstractmethod
     def result_fields(self, outcome: Any, description: HandDescription) -> dict[str, Any]:

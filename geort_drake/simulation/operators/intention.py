@@ -23,8 +23,7 @@ class IntentionConfig:
     """A person with an intention, besides `OperatorConfig`.
 
     Sources: [F54] Fitts 1954, time of aimed movements; [H52] Hick 1952, time to choose; [R98] Rayner 1998,
-    fixations; [K00] Krakauer et al. 2000, adaptation to rotated and scaled motion; [S06] Smith et al. 2006,
-    fast and slow adaptation.
+    fixations; [K00] Krakauer et al. 2000, adaptation to rotated and scaled motion.
     """
 
     # Duration of a press or a release, s: 10 mm to within 3 mm are 2.7 bits of 0.1 s each [F54].

@@ -5,11 +5,9 @@ The hand stays where it is. Nothing here knows the retargeting map.
 """
 
 import dataclasses as dc
-import enum
 
 import numpy as np
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context
 
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES
@@ -24,75 +22,14 @@ from geort_drake.simulation.operators.intention import (
     learned_in_play,
     motion_noise,
 )
+from geort_drake.simulation.operators.key_state import KeyPhase, PresserState, SeenKeys
 from geort_drake.simulation.operators.perception import VisualError
-from geort_drake.simulation.operators.simulated_operator import OperatorSystem
 from geort_drake.simulation.tasks.keys.goal import KeysGoal
 from geort_drake.simulation.wrist_motion import minimum_jerk
-from geort_drake.systems.port_values import Immutable, vector_to_pose
 
 _DOWN = 0.0035  # m; a key that has gone down so far is seen to be down
 _MOVED = 0.0005  # m; a key that has moved so far is seen to move
-_DEPTH = 0.004  # m; how far below its top a key is meant to be pressed
 _PRESS = np.array([1.0, 0.0, 0.0])  # direction in B
-
-
-class KeyPhase(enum.IntEnum):
-    """What the person is doing."""
-
-    SETTLE = 0  # moves the fingers above the keys
-    WAIT = 1
-    CHOOSE = 2  # a cue is seen
-    PRESS = 3
-    RELEASE = 4
-
-
-@dc.dataclass(frozen=True)
-class SeenKeys:
-    """The scene as the person sees it."""
-
-    p_BF: np.ndarray  # (F, 3) robot fingertip points in the hand base, m
-    X_WB: RigidTransform
-    travel: np.ndarray  # (K,) of the keys, m
-    cue: int  # number of the key to press, from 1; 0 for none
-
-
-@dc.dataclass
-class PresserState(Immutable):
-    """The person's memory between decisions; `KeyPresser.step` changes only a copy of it."""
-
-    theta: np.ndarray  # (20,) joint angles of the own hand, rad
-    X_WH: RigidTransform
-    # (5, 3) own fingertips in H at the last decisions, m: the oldest is as old as the seen scene.
-    p_HF_past: tuple[np.ndarray, ...]
-    sight: VisualError
-    learned: LearnedMotion
-    # (5, 3) own fingertips of the relaxed hand, and those with which the task begins, m; and duration of the
-    # movement between the two, s.
-    p_HF_rest: np.ndarray
-    p_HF_open: np.ndarray
-    settle_time: float
-    phase: KeyPhase = KeyPhase.SETTLE
-    phase_start: float = 0.0
-    looking: bool = False  # whether something was seen already
-    attempt: int = 1
-    finger: int = -1  # that presses, of the robot
-    # (5, 3) own fingertips when the press or the release began, m.
-    p_HF_press: np.ndarray | None = None
-    p_HF_release: np.ndarray | None = None
-    handled_cue: int = 0  # the cue that was last acted on; 0 once it has gone
-    finger_velocity: np.ndarray = dc.field(default_factory=lambda: np.zeros((5, 3)))
-    # (F,) by how much each finger's place is raised, m; and where each finger is meant to be, (F, 3) in B, m.
-    raised: np.ndarray = dc.field(default_factory=lambda: np.zeros(0))
-    reference: np.ndarray = dc.field(default_factory=lambda: np.zeros((0, 3)))
-    # The finger that is looked at, since when, and (F,) when each was last.
-    attended: int = -1
-    attended_since: float = 0.0
-    looked: np.ndarray = dc.field(default_factory=lambda: np.zeros(0))
-    # Own and robot's fingertip (3,), m, at the last comparison of their motions, and its time.
-    compared: tuple[np.ndarray, np.ndarray] | None = None
-    compared_at: float = 0.0
-    # (3, 3) factor on the present movement: its error of direction and size.
-    motor: np.ndarray = dc.field(default_factory=lambda: np.eye(3))
 
 
 class KeyPresser:
@@ -254,15 +191,14 @@ class KeyPresser:
             state.raised[finger] = min(state.raised[finger] + step, 3 * config.lift)
         reference = goal.p_BF_open - np.outer(state.raised, _PRESS)
         if state.phase in (KeyPhase.PRESS, KeyPhase.RELEASE):
-            key = goal.p_BK[goal.key_of[state.finger]]
-            gap = float(key[0] - goal.p_BF_open[state.finger, 0]) + _DEPTH
+            way = (goal.p_BF_pressed - goal.p_BF_open)[state.finger]
             share = minimum_jerk(since / config.press_time)
             if state.phase == KeyPhase.RELEASE:
                 share = 1 - share
             late = max(since - config.press_time - self._config.visual_delay, 0.0)
             further = min(config.push_speed * late, config.most_push)
             push = further if state.phase == KeyPhase.PRESS else 0.0
-            reference[state.finger] += (share * gap + push) * _PRESS
+            reference[state.finger] += share * way + push * _PRESS
         return reference
 
     def _move(self, state: PresserState, t: float, p_BF: np.ndarray, change: np.ndarray) -> None:
@@ -318,53 +254,3 @@ class KeyPresser:
     def _progress(self, since: float, duration: float) -> float:
         """Share of a minimum-jerk movement that is made in one period, after this time, s."""
         return minimum_jerk(since / duration) - minimum_jerk((since - self._config.period) / duration)
-
-
-class KeyOperator(OperatorSystem):
-    """Simulates a person who presses keys with the robot by moving the fingers.
-
-    Input ports (F robot fingers in the goal's order, K keys):
-        fingertips (3F): p_WF of the robot, m.
-        hand_pose (7): X_WB of the robot's hand base, qw qx qy qz x y z.
-        travel (K): of the keys, m.
-        cue (1): number of the key to press, from 1; 0 for none.
-    Output ports:
-        keypoints (63): p_HK of the person's hand, keypoint-major, m, wrist frame H.
-        wrist_pose (abstract RigidTransform): X_WH of the tracker on the person's wrist, which stays.
-        valid (1): always 1.
-        phase (1): `KeyPhase` as a number.
-        attempt (1): always 1.
-
-    State: see `OperatorSystem`.
-    """
-
-    phases = KeyPhase
-
-    def __init__(
-        self,
-        hand: HumanHand,
-        goal: KeysGoal,
-        kind: str,
-        config: OperatorConfig,
-        intention: IntentionConfig,
-        X_WH_start: RigidTransform,
-        seed: int,
-    ):
-        super().__init__(hand, config, seed)
-        intention.validate()
-        person = KeyPresser(hand, goal, kind, config, intention, self._rng)
-        self._fingertips = self.DeclareVectorInputPort("fingertips", 3 * len(goal.finger_names))
-        self._hand_pose = self.DeclareVectorInputPort("hand_pose", 7)
-        self._travel = self.DeclareVectorInputPort("travel", len(goal.p_BK))
-        self._cue = self.DeclareVectorInputPort("cue", 1)
-        self._begin(person, person.start(X_WH_start), config.period)
-
-    def _see(self, context: Context) -> SeenKeys:
-        X_WB = vector_to_pose(self._hand_pose.Eval(context))
-        p_WF = self._fingertips.Eval(context).reshape(-1, 3)
-        return SeenKeys(
-            p_BF=X_WB.inverse().multiply(p_WF.T).T,
-            X_WB=X_WB,
-            travel=self._travel.Eval(context).copy(),
-            cue=round(self._cue.Eval(context)[0]),
-        )

@@ -119,9 +119,6 @@ class GraspTask(Task[GraspGoal]):
     ) -> LeafSystem:
         return SimulatedOperator(hand, goal, scenario.operator, X_WH_start, seed)
 
-    def mirrored(self, goal: GraspGoal) -> GraspGoal:
-        return goal.mirrored()
-
     def result_fields(self, outcome: GraspOutcome, description: HandDescription) -> dict[str, Any]:
         if outcome.success:
             text = "success"

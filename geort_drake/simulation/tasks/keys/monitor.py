@@ -18,7 +18,8 @@ PERIOD = 0.01  # s, between two looks
 class KeysSettings:
     """The presses, and when one counts."""
 
-    # Number of cues, and time before the first, of each, and between two, s.
+    # Number of cues, and time before the first, of each at most, and between two, s. A cue ends when its key
+    # was pressed and is up again.
     presses: float = 12
     ready_time: float = 6.0
     cue_time: float = 3.0
@@ -50,6 +51,9 @@ class KeysOutcome(Immutable):
 
     settings: KeysSettings
     t: float = 0.0
+    # Since when the present cue is shown, NaN between two; and when the next one follows, s.
+    cued_since: float = math.nan
+    next_cue: float = 0.0
     presses: tuple[Press, ...] = ()
     over: bool = False
     peak_force: float = 0.0
@@ -99,12 +103,13 @@ class KeysMonitor(LeafSystem):
         self._keys = self.DeclareVectorInputPort("keys", 2 * num_keys)
         self._contact = self.DeclareVectorInputPort("contact", num_fingers)
         self._self_contact = self.DeclareVectorInputPort("self_contact", 1)
-        state = self.DeclareAbstractState(AbstractValue.Make(KeysOutcome(settings)))
+        start = KeysOutcome(settings, next_cue=settings.ready_time)
+        ticket = {self.abstract_state_ticket(self.DeclareAbstractState(AbstractValue.Make(start)))}
         self.DeclareVectorOutputPort(
             "cue",
             1,
-            lambda context, output: output.SetAtIndex(0, self._cue(context.get_time())[1]),
-            {self.time_ticket()},
+            lambda context, output: output.SetAtIndex(0, self._cue(self.outcome(context))),
+            ticket,
         )
         self.DeclareVectorOutputPort(
             "travel",
@@ -114,9 +119,9 @@ class KeysMonitor(LeafSystem):
         )
         self.DeclareAbstractOutputPort(
             "outcome",
-            lambda: AbstractValue.Make(KeysOutcome(settings)),
+            lambda: AbstractValue.Make(start),
             lambda context, output: output.set_value(self.outcome(context)),
-            {self.abstract_state_ticket(state)},
+            ticket,
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._look)
 
@@ -124,46 +129,46 @@ class KeysMonitor(LeafSystem):
         """The outcome so far."""
         return context.get_abstract_state(0).get_value()
 
-    def _cue(self, t: float) -> tuple[int, int]:
-        """Number of the press at time t, and its key counted from 1; the key is 0 between two presses."""
-        settings = self._settings
-        number, since = divmod(t - settings.ready_time + 1e-9, settings.cue_time + settings.rest_time)
-        if not 0 <= number < len(self._cued) or since >= settings.cue_time:
-            return int(number), 0
-        return int(number), self._cued[int(number)] + 1
+    def _cue(self, outcome: KeysOutcome) -> int:
+        """The cued key, counted from 1; 0 for none."""
+        return 0 if math.isnan(outcome.cued_since) else outcome.presses[-1].key + 1
 
     def _look(self, context: Context, state: State) -> EventStatus:
-        before, t = self.outcome(context), context.get_time()
+        before, settings, t = self.outcome(context), self._settings, context.get_time()
         if before.over:
             return EventStatus.DidNothing()
-        number, cue = self._cue(t)
-        presses = list(before.presses)
-        if cue:
-            if number == len(presses):
-                presses.append(Press(cue - 1))
-            travel = self._keys.Eval(context)[: self._num_keys]
-            press = presses[number]
-            depth, others = travel[press.key], np.delete(travel, press.key).max(initial=0.0)
-            started = self._settings.ready_time + number * (
-                self._settings.cue_time + self._settings.rest_time
-            )
-            down = math.isnan(press.time) and depth > self._settings.depth
-            presses[number] = Press(
-                press.key,
-                max(press.depth, float(depth)),
-                max(press.others, float(others)),
-                t - started if down else press.time,
-            )
-        outcome = KeysOutcome(
-            self._settings,
-            t,
-            tuple(presses),
-            over=number >= len(self._cued) or (number == len(self._cued) - 1 and cue == 0),
+        presses, cued_since, next_cue = before.presses, before.cued_since, before.next_cue
+        if not math.isnan(cued_since):
+            press = self._judged(presses[-1], self._keys.Eval(context)[: self._num_keys], t - cued_since)
+            presses = (*presses[:-1], press)
+            is_up = self._keys.Eval(context)[press.key] < settings.still
+            if t - cued_since > settings.cue_time - 1e-9 or (press.depth > settings.depth and is_up):
+                cued_since, next_cue = math.nan, t + settings.rest_time
+        elif t > next_cue - 1e-9:
+            presses, cued_since = (*presses, Press(self._cued[len(presses)])), t
+        outcome = dc.replace(
+            before,
+            t=t,
+            cued_since=cued_since,
+            next_cue=next_cue,
+            presses=presses,
+            over=len(presses) == len(self._cued) and math.isnan(cued_since),
             peak_force=max(before.peak_force, float(self._contact.Eval(context).max())),
             self_contact_time=before.self_contact_time
-            + PERIOD * bool(self._self_contact.Eval(context)[0] > 0 and t > 0),
+            + PERIOD * bool(t > 0 and self._self_contact.Eval(context)[0] > 0),
         )
         state.get_mutable_abstract_state(0).set_value(outcome)
         if outcome.over:
             return EventStatus.ReachedTermination(self, "the presses are judged")
         return EventStatus.Succeeded()
+
+    def _judged(self, press: Press, travel: np.ndarray, since: float) -> Press:
+        """A press with the keys' present travel (K,), m, this long after its cue, s."""
+        depth, others = float(travel[press.key]), float(np.delete(travel, press.key).max(initial=0.0))
+        is_first = math.isnan(press.time) and depth > self._settings.depth
+        return Press(
+            press.key,
+            max(press.depth, depth),
+            max(press.others, others),
+            since if is_first else press.time,
+        )

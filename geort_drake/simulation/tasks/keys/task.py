@@ -22,7 +22,7 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.operators.intention import ADAPTIVE, MIMICRY
-from geort_drake.simulation.operators.key_presser import KeyOperator
+from geort_drake.simulation.operators.key_operator import KeyOperator
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import SERVO, Shown, Stage, Task, TrialResult
@@ -143,9 +143,6 @@ class KeysTask(Task[KeysGoal]):
         self, scenario: Scenario, hand: HumanHand, goal: KeysGoal, X_WH_start: RigidTransform, seed: int
     ) -> LeafSystem:
         return KeyOperator(hand, goal, scenario.kind, scenario.operator, scenario.intention, X_WH_start, seed)
-
-    def mirrored(self, goal: KeysGoal) -> KeysGoal:
-        return goal.mirrored()
 
     def result_fields(self, outcome: KeysOutcome, description: HandDescription) -> dict[str, Any]:
         settings, presses = outcome.settings, outcome.presses
