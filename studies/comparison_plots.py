@@ -23,7 +23,6 @@ from geort_drake.colours import FINGER_COLOURS
 from geort_drake.comparison.comparison import Comparison, Evaluation
 from geort_drake.comparison.metric_table import Metric
 from geort_drake.comparison.protocols import same_person
-from geort_drake.comparison.retargeters import from_cache
 from geort_drake.console import run_main, track
 from geort_drake.errors import GeortError
 from geort_drake.files import atomic_path
@@ -57,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     hand = HandModel(load_hand(arguments.hand))
     recording = read_recording(arguments.recording, hand.description.side, training=True)
     protocol = same_person(recording, arguments.recording.name)
-    comparison = Comparison(hand, [protocol], [0], from_cache(arguments.hand))
+    comparison = Comparison(hand, [protocol], [0])
     done: dict[str, Evaluation] = {}
     for name in track("evaluating", arguments.methods or methods_for(arguments.hand), None):
         (outcome,) = comparison.run(name)[protocol.name]

@@ -141,7 +141,7 @@ def test_a_stopped_run_leaves_the_methods_that_were_done(evaluate, quick, monkey
 @pytest.fixture
 def halves(play, allegro) -> Comparison:
     """A comparison on the halves of the play, of methods that need no training."""
-    return Comparison(allegro, [held_out(play, 2)], (0,), checkpoint_of=pytest.fail, frame_limit=20)
+    return Comparison(allegro, [held_out(play, 2)], (0,), frame_limit=20)
 
 
 def test_pinches_of_all_blocks_count_alike(halves):

@@ -8,7 +8,7 @@ import numpy as np
 
 from geort_drake.benchmark.own_method import OwnMethod
 from geort_drake.benchmark.records import training_of
-from geort_drake.comparison.retargeters import PYTHON, from_cache, retargeter_of
+from geort_drake.comparison.retargeters import PYTHON, retargeter_of
 from geort_drake.files import atomic_directory, atomic_path, sha256_of
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import Recording
@@ -50,7 +50,7 @@ def make_retargeter(
     kept = (keep / name).with_suffix(SUFFIX) if is_map else keep / name
     again = kept.exists() and (is_map or method in trained_methods())
     retarget, path = retargeter_of(
-        str(kept) if again else method, hand, recording, seed + training_of(name)[1], from_cache(hand_name)
+        str(kept) if again else method, hand, recording, seed + training_of(name)[1]
     )
     if path is None:
         return retarget, None

@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.comparison.comparison import Comparison, Outcome
     from geort_drake.comparison.protocols import held_out, other_person, same_person
     from geort_drake.comparison.report import failures, report, tables
-    from geort_drake.comparison.retargeters import from_cache, names_of
+    from geort_drake.comparison.retargeters import names_of
     from geort_drake.console import console, progress_bar, warn
 
     description = load_hand(arguments.hand)
@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.score_on:
         others = {str(path): read_recording(path, description.side) for path in arguments.score_on}
         protocols.append(other_person(recording, others))
-    comparison = Comparison(hand, protocols, seeds, from_cache(arguments.hand), arguments.frames)
+    comparison = Comparison(hand, protocols, seeds, arguments.frames)
     results: dict[str, dict[str, list[Outcome]]] = {}
     done, total = itertools.count(), comparison.cases_per_method * len(methods)
     with progress_bar() as display:

@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.comparison.adaptation import follow
     from geort_drake.comparison.exploration import excerpt, response
     from geort_drake.comparison.explorer_recording import write_exploration
-    from geort_drake.comparison.retargeters import from_cache, names_of, retargeter_of
+    from geort_drake.comparison.retargeters import names_of, retargeter_of
     from geort_drake.comparison.train import training_recording
     from geort_drake.console import track
     from geort_drake.retargeting.retargeter import UniversalRetargeter
@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     hands = excerpt(recording, duration_s=arguments.duration, start_s=arguments.start)
     methods, adaptations = {}, {}
     for name, method in track("retargeting", names.items(), len(names), lambda item: item[0]):
-        retarget, _ = retargeter_of(method, hand, recording, arguments.seed, from_cache(arguments.hand))
+        retarget, _ = retargeter_of(method, hand, recording, arguments.seed)
         if isinstance(retarget, UniversalRetargeter):
             adaptations[name] = follow(retarget, hand, hands)
             methods[name] = response(lambda _, name=name: adaptations[name].q, hand, hands)

@@ -67,7 +67,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import HandModel, __version__, load_hand, run_trial
-    from geort_drake.comparison.retargeters import from_cache, names_of, retargeter_of
+    from geort_drake.comparison.retargeters import names_of, retargeter_of
     from geort_drake.comparison.train import training_recording
     from geort_drake.console import print_table, progress_bar, say, track, warn
     from geort_drake.files import write_text
@@ -106,8 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
         for reason in refused:
             warn(f"left out: {reason}")
         scenarios = [s for s in scenarios if isinstance(plans[s.object.name], list)]
-    cache = from_cache(base.hand, arguments.device)
-    retarget, checkpoint = retargeter_of(method, hand, recording, arguments.seed, cache)
+    retarget, checkpoint = retargeter_of(method, hand, recording, arguments.seed, arguments.device)
     source = str(arguments.recording or f"synthetic play, seed {arguments.seed}")
     say(f"Human motion: {source}")
     properties: dict[str, str | float] = {"method": method, "hand": description.name}

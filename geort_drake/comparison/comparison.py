@@ -9,7 +9,7 @@ import numpy as np
 from geort_drake.comparison.metric_table import mean, worst
 from geort_drake.comparison.metrics import MIN_FRAMES, RobotSpace, evaluate_frames, pinch, robot_space
 from geort_drake.comparison.protocols import HELD_OUT, SAME_PERSON, Case, Protocol
-from geort_drake.comparison.retargeters import CheckpointSource, retargeter_of
+from geort_drake.comparison.retargeters import retargeter_of
 from geort_drake.errors import CheckpointError, GeortError, RecordingError
 from geort_drake.files import finite_json
 from geort_drake.hands.model import HandModel
@@ -61,7 +61,6 @@ class Comparison:
         hand: model of the robot hand.
         protocols: what to train and evaluate on.
         seeds: of training and metrics; everything is done with each of them.
-        checkpoint_of: trains a method, or finds its checkpoint.
         frame_limit: evaluate only the first valid frames of each recording or block, at most this many.
     """
 
@@ -70,11 +69,10 @@ class Comparison:
         hand: HandModel,
         protocols: Sequence[Protocol],
         seeds: Sequence[int],
-        checkpoint_of: CheckpointSource,
         frame_limit: int | None = None,
     ):
         self.hand, self.protocols, self.seeds = hand, tuple(protocols), tuple(seeds)
-        self._checkpoint_of, self.frame_limit = checkpoint_of, frame_limit
+        self.frame_limit = frame_limit
         self._spaces: dict[int, RobotSpace] = {}
 
     @property
@@ -158,7 +156,7 @@ class Comparison:
     def _retargeter(self, name: str, protocol: Protocol, case: Case, seed: int) -> Callable:
         if name not in all_methods() and Path(name).suffix != SUFFIX:
             _check_checkpoint(name, protocol, case)
-        retarget, _ = retargeter_of(name, self.hand, case.trained_on, seed, self._checkpoint_of)
+        retarget, _ = retargeter_of(name, self.hand, case.trained_on, seed)
         if isinstance(retarget, UniversalRetargeter):
             seen = case.scored_on.tracked().p_HK[: max(1, round(case.scored_on.rate_hz * SEEN_S))]
             return retarget.for_person(seen)

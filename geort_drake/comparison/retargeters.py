@@ -1,6 +1,6 @@
 """Retargeters by the name of a method, the directory of a checkpoint, or the file of a map."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from geort_drake.comparison import train
@@ -20,8 +20,6 @@ from geort_drake.retargeting.methods import (
 )
 from geort_drake.retargeting.retargeter import load_retargeter, shipped_map
 
-# (recording, method, seed) → directory of the checkpoint.
-CheckpointSource = Callable[[Recording, str, int], Path]
 PYTHON = ".py"  # suffix of a user's own method, for the grasp benchmark
 
 
@@ -60,7 +58,7 @@ def names_of(methods: Sequence[str], trainings: int = 1, hand: HandModel | None 
 
 
 def retargeter_of(
-    method: str, hand: HandModel, recording: Recording, seed: int, checkpoint_of: CheckpointSource
+    method: str, hand: HandModel, recording: Recording, seed: int, device: str = "cpu"
 ) -> tuple[Retarget, Path | None]:
     """A retargeter and its checkpoint or map; None if the method has none.
 
@@ -68,7 +66,7 @@ def retargeter_of(
         method: name of a method, or the path of a checkpoint or map.
         recording: training data, or the frames that an untrained method uses.
         seed: of the training, or of an untrained method's random samples.
-        checkpoint_of: trains a method, or finds its checkpoint.
+        device: "cpu" or "cuda", where to train.
     """
     if method in untrained_methods():
         keypoints, kinematics = hand.description.human_keypoints, canonical_kinematics(hand)
@@ -78,12 +76,5 @@ def retargeter_of(
     if method in shipped_methods():
         path = shipped_map(hand)
     elif method in trained_methods():
-        path = checkpoint_of(recording, method, seed)
+        path, _ = train.cached_checkpoint(hand.description, recording, method, seed, device)
     return load_retargeter(path, hand), path
-
-
-def from_cache(hand_name: str, device: str = "cpu") -> CheckpointSource:
-    """Takes checkpoints from the cache; see `cached_checkpoint`."""
-    return lambda recording, method, seed: train.cached_checkpoint(
-        hand_name, recording, method, seed, device
-    )[0]

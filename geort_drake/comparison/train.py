@@ -17,7 +17,7 @@ from geort_drake.comparison.metrics import evaluate
 from geort_drake.console import progress_bar, say
 from geort_drake.errors import CheckpointError, RecordingError
 from geort_drake.files import source_digest
-from geort_drake.hands.description import load_hand
+from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.hands.mirror import canonical_kinematics, canonical_shapes
 from geort_drake.hands.model import HandModel
 from geort_drake.people.coverage import finger_motions
@@ -56,7 +56,7 @@ def training_config(method: str, settings: Mapping | None = None) -> TrainingCon
 
 
 def train_checkpoint(
-    hand_name: str | os.PathLike,
+    hand_name: str | os.PathLike | HandDescription,
     recording: Recording | str | os.PathLike | None,
     output: str | os.PathLike,
     method: str = DEFAULT_METHOD,
@@ -72,7 +72,7 @@ def train_checkpoint(
     """Trains a retargeter, evaluates it on the same recording and writes its checkpoint.
 
     Args:
-        hand_name: name or file of a hand description.
+        hand_name: a hand description, or its name or file.
         recording: of the person's hand, or its file; None synthesises five minutes of play.
         output: the checkpoint directory, written at the end.
         method: name of the retargeting method.
@@ -171,7 +171,7 @@ def train_checkpoint(
 
 
 def cached_checkpoint(
-    hand_name: str,
+    hand_name: str | os.PathLike | HandDescription,
     recording: Recording,
     method: str = DEFAULT_METHOD,
     seed: int = 0,

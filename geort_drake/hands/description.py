@@ -215,13 +215,17 @@ def hand_names() -> list[str]:
     return sorted(path.stem for path in (models_dir() / "hands").glob("*.yaml"))
 
 
-def load_hand(name_or_path: str | os.PathLike) -> HandDescription:
+def load_hand(name_or_path: str | os.PathLike | HandDescription) -> HandDescription:
     """Loads a hand description by name, one of `hand_names()`, or by the path of a `.yaml` file.
+
+    A description is returned as it is.
 
     Raises:
         UnknownNameError: no hand has that name.
         HandError: the file is missing, malformed or inconsistent.
     """
+    if isinstance(name_or_path, HandDescription):
+        return name_or_path
     text = os.fspath(name_or_path)
     if text in hand_names():
         path = models_dir() / "hands" / f"{text}.yaml"
