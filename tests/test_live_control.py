@@ -1,5 +1,6 @@
 """What the live page asks of a session: engagement, recordings, and the person's own map."""
 
+import io
 import json
 
 import numpy as np
@@ -9,6 +10,7 @@ from pydrake.systems.analysis import Simulator
 from web_page import PLAY, headset, hello
 
 from geort_drake.benchmark.replay import Replay
+from geort_drake.cli import main
 from geort_drake.hands.description import load_hand
 from geort_drake.live.glove_stream import HANDSHAKE_FRAMES, GloveStream
 from geort_drake.live.robots import SimulatedRobot
@@ -189,3 +191,10 @@ def test_a_map_of_one_person_is_not_made_mine(tmp_path):
     page.control._map_file = None
     page.run(Refit(), steps=10)
     assert "for everyone" in json.loads(page.states[-1])["refit"]["text"]
+
+
+@pytest.mark.parametrize("answer", ["", "\n", "no\n", "yess\n"])
+def test_a_page_moves_a_real_robot_only_after_a_yes_in_the_terminal(answer, monkeypatch, capsys):
+    monkeypatch.setattr("sys.stdin", io.StringIO(answer))
+    assert main(["live", "--robot", "lcm", "--no-open"]) == 2
+    assert "needs the answer yes" in capsys.readouterr().err
