@@ -35,9 +35,9 @@ from geort_drake.live.web.session import WebTeleoperation  # noqa: E402
 from geort_drake.retargeting.retargeter import load_retargeter  # noqa: E402
 from geort_drake.simulation.scenario import load_scenario, object_names  # noqa: E402
 
-STEP_S, FILM_HZ = 1.0 / 60.0, 10.0
+STEP_S, FILM_HZ = 1.0 / 60.0, 6.0
 PATIENCE_MS = 300_000.0
-SIZE, WIDTH, QUALITY = (1200, 760), 720, 45
+SIZE, WIDTH, QUALITY = (1040, 660), 720, 50
 SCRIPTS = """
   const parameter = WebGL2RenderingContext.prototype.getParameter;
   WebGL2RenderingContext.prototype.getParameter = function (name) {
@@ -165,14 +165,14 @@ def main() -> None:
         theatre.step(Engage())
         film, every = [], round(1.0 / (FILM_HZ * STEP_S))
         held = 0
-        while not (outcome := theatre.loop.outcome(theatre.context)).over or held < 8:
+        while not (outcome := theatre.loop.outcome(theatre.context)).over or held < 5:
             held += outcome.over
             for _ in range(every):
                 theatre.step()
             phase = theatre.person.phase
             theatre.show_hand({"reach": 0.0, "approach": 0.2, "surround": 0.5}.get(phase, 1.0))
             film.append(theatre.picture(100))
-            if phase == "hold" and held == 0 and len(film) % 8 == 0:
+            if phase == "hold" and held == 0 and len(film) % 5 == 0:
                 theatre.save(arguments.states, "holding")
             print(f"{theatre.context.get_time():.1f} s: {phase}, {outcome.phase.name}", flush=True)
         middle = film[len(film) // 2]

@@ -80,7 +80,7 @@ class Page:
         self.simulator = Simulator(self.loop.diagram)
         self.context, self.engaged = self.simulator.get_mutable_context(), False
         self.loop.engage(self.context, False)
-        facts = {"object": self.scenario.object.name, "seed": SEED}
+        facts = {"object": self.scenario.object.name, "seed": SEED + self.sessions - 1}
         self.control.begin(self.loop, recorder, self.sessions, facts)
 
     def run(self, *commands, steps=1, hand=None):

@@ -116,7 +116,7 @@ class PageControl:
         self._note = ""
 
     def begin(self, loop: Teleoperation, recorder: GloveRecorder, scene: int, facts: dict[str, Any]) -> None:
-        """Begins a session with a numbered scene, and facts for its recordings, such as its object."""
+        """Begins a session with a numbered scene, and facts for its recordings: its object and seed."""
         self.loop, self.recorder, self._scene, self._facts = loop, recorder, scene, facts
         self.object = facts.get("object")
         self.again, self._takes_over = False, self._fitted is not None
@@ -177,8 +177,8 @@ class PageControl:
         return not engaged or outcome is None or outcome.phase in (GraspPhase.REACH, *OVER)
 
     def _record(self) -> None:
-        # Two sessions of one second have two names.
-        name, operator = time.strftime(f"%Y-%m-%dT%H-%M-%S-{self._scene}.npz"), self._desk.operator
+        name = "-".join([time.strftime("%Y-%m-%dT%H-%M-%S"), *map(str, self._facts.values())])
+        operator = self._desk.operator
         facts = {
             "side": self._desk.about.side,
             "source": "live web page",
@@ -189,7 +189,7 @@ class PageControl:
             **self._facts,
         }
         try:
-            self._parts = RecordingParts(self._folder / name, facts)
+            self._parts = RecordingParts(self._folder / f"{name}.npz", facts)
         except GeortError as error:
             self._note, self._consent = str(error), False
             return
