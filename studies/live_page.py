@@ -1,4 +1,4 @@
-"""Takes the live page's pictures and film for the docs: a hand that sees only the page grasps the cylinder.
+"""Takes the live page's film for the docs: a hand that sees only the page grasps the cylinder.
 
 python studies/live_page.py --output docs/images
 
@@ -12,6 +12,7 @@ import io
 import json
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import numpy as np
@@ -48,8 +49,8 @@ SCRIPTS = """
   const picture = new Image();
   picture.onload = () => context.drawImage(picture, 0, 0);
   window.film = (url) => (picture.src = url);
-  setInterval(() => context.drawImage(picture, 0, 0), 100);
-  navigator.mediaDevices.getUserMedia = async () => canvas.captureStream(10);
+  setInterval(() => context.drawImage(picture, 0, 0), 300);
+  navigator.mediaDevices.getUserMedia = async () => canvas.captureStream(3);
 """
 # Without the number that `draw` writes into its copy.
 DRAW = "(draw(0), document.querySelector('canvas').toDataURL('image/jpeg', 0.92))"
@@ -61,11 +62,12 @@ class ScriptsDesk(Desk):
     def take(self, person, text):
         return None if '"camera"' in text[:60] or '"lost"' in text[:60] else super().take(person, text)
 
-    def lose(self, t: float) -> None:
-        super().take(self.operator.number, json.dumps({"type": "lost", "t": t}))
+    def lose(self) -> None:
+        super().take(self.operator.number, json.dumps({"type": "lost", "t": time.monotonic()}))
 
-    def move(self, joints, t: float) -> None:
-        super().take(self.operator.number, json.dumps({"type": "headset", "t": t, "joints": joints}))
+    def move(self, joints) -> None:
+        hand = {"type": "headset", "t": time.monotonic(), "joints": joints}
+        super().take(self.operator.number, json.dumps(hand))
 
 
 class Theatre:
@@ -78,10 +80,15 @@ class Theatre:
         self.time, self.frames = 100.0, []
         self.server = WebServer(self.desk, "127.0.0.1", 0, "key")
         publish = self.server.publish
-        self.server.publish = lambda state=None, frame=None: (
-            frame and self.frames.append(frame),
-            publish(state, frame),
-        )
+        self.shown = True
+
+        def shown(state: str | None = None, frame: bytes | None = None) -> None:
+            if frame:
+                self.frames.append(frame)
+            if self.shown:
+                publish(state, frame)
+
+        self.server.publish = shown
         retarget = load_retargeter(self.scenario.hand)
         self.control = PageControl(self.desk, self.server.publish, folder, None, lambda path: retarget)
         description = load_hand(self.scenario.hand)
@@ -123,7 +130,7 @@ class Theatre:
         self.time += STEP_S
         if self.frames and self.person:
             frames, self.frames = self.frames, []
-            self.desk.move(self.person.hand(frames, self.engaged), self.time)
+            self.desk.move(self.person.hand(frames, self.engaged))
 
     def picture(self, wait_ms: int = 700) -> Image.Image:
         self.page.wait_for_timeout(wait_ms)
@@ -167,7 +174,9 @@ def main() -> None:
         held = 0
         while not (outcome := theatre.loop.outcome(theatre.context)).over or held < 5:
             held += outcome.over
-            for _ in range(every):
+            # The page draws only what is pictured.
+            for number in range(every):
+                theatre.shown = number >= every - 2
                 theatre.step()
             phase = theatre.person.phase
             theatre.show_hand({"reach": 0.0, "approach": 0.2, "surround": 0.5}.get(phase, 1.0))
@@ -175,15 +184,12 @@ def main() -> None:
             if phase == "hold" and held == 0 and len(film) % 5 == 0:
                 theatre.save(arguments.states, "holding")
             print(f"{theatre.context.get_time():.1f} s: {phase}, {outcome.phase.name}", flush=True)
-        middle = film[len(film) // 2]
-        middle.save(arguments.output / "live_page.png")
         frames = [one.resize((WIDTH, round(WIDTH * SIZE[1] / SIZE[0])), Image.LANCZOS) for one in film]
         frames[0].save(arguments.output / "live_film.webp", save_all=True, append_images=frames[1:],
                        duration=round(1e3 / FILM_HZ), loop=0, quality=QUALITY, method=6)  # fmt: skip
         page.evaluate("film('')")
-        desk.operator and Desk.take(
-            desk, desk.operator.number, json.dumps({"type": "lost", "t": theatre.time})
-        )
+        desk.lose()
+        theatre.person = None
         for _ in range(10):
             theatre.step()
         theatre.save(arguments.states, "held")
