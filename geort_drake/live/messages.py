@@ -1,20 +1,25 @@
 """Messages from gloves: the package's own JSON format, and skeletons from MANUS bridges.
 
-The package's own format is UTF-8 JSON of at most `MAX_BYTES` with exactly these fields:
+The package's own format is UTF-8 JSON of at most 64 KiB with exactly these fields:
+
     format      "geort_drake.glove"
     version     1
     unit        "m"
     side        "right" or "left"
     time        when the hand was measured, s, on the sender's clock, which must not run backwards
-    p_HK        21 keypoints [x, y, z] in the wrist frame H, as in recordings; null while the hand is lost
-    X_WH        [qw, qx, qy, qz, x, y, z], the wrist's pose in the tracker's world; null without a tracker
-docs/reference/messages.md has an example.
+    p_HK        21 keypoints [x, y, z] in the wrist frame H, a left hand mirrored; null while the hand is lost
+    X_WH        [qw, qx, qy, qz, x, y, z], the wrist's pose in the tracker's world; null without a tracker;
+                a norm within 0.2 of 1 is scaled to 1
 
-MANUS bridges send 25 nodes, numbered as in `people.formats.manus`, without a time, in one of two forms:
+MANUS bridges send 25 nodes, numbered as in recordings, without a time, so that of arrival counts:
+
     text        "ID,x,y,z,qx,qy,qz,qw,x,y,z,…": a glove's serial number and 25 poses, m; or two gloves in a
-                row. Pushed by BiDex's client (https://github.com/leap-hand/Bidex_Manus_Teleop).
+                row, of which --glove-id selects one. Pushed to port 8000 by BiDex's client,
+                https://github.com/leap-hand/Bidex_Manus_Teleop
     ManusGlove  the message of MANUS' ROS 2 package as JSON, with `side`, `glove_id` and `raw_nodes`, each
-                with `node_id` and `pose`. Published, for example, by manus_ros2_transporter.
+                with `node_id` and `pose`; published, for example, by manus_ros2_transporter
+
+Ergonomics values are joint angles, which are refused.
 """
 
 import dataclasses as dc
