@@ -94,7 +94,7 @@ def test_a_viewer_that_is_not_there_costs_the_file_nothing(tmp_path, monkeypatch
     world = World().finalize()
     world.record(tmp_path / "file.rrd", viewers=[viewer()])
     world.simulator.AdvanceTo(0.1)
-    with pytest.warns(UserWarning, match="viewer did not get everything"):
+    with pytest.warns(UserWarning, match="viewer did not receive all data"):
         world.recorder.close()
     assert rerun("rrd", "verify", tmp_path / "file.rrd").returncode == 0
 
