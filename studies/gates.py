@@ -5,7 +5,7 @@ python studies/gates.py --task keys --seeds 20 --json gates.json
 Printed, and written to --json: successes of a scripted robot without a person, which must be at least 18 of
 20; successes of a person with a hand that holds still, at most 1 of 20; and mean scores of an affine map
 with inverse kinematics in which every fingertip also moves by a fraction of its neighbours' motion, 0 to
-0.75, which must not rise with the fraction, for each kind of person.
+0.75, which must not rise with the fraction, for each kind of person, with their times to press.
 """
 
 import argparse
@@ -182,14 +182,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     print(f"hold: {successes} of {len(held)}; wanted at most {0.05 * len(held):.0f}")
     ordered = {}
     for kind in task.kinds:
-        means = [
-            float(np.mean([r["score"] for r in records if (r["kind"], r["fraction"]) == (kind, fraction)
-                           and r["method"] == "affine_ik"]))
-            for fraction in FRACTIONS
-        ]  # fmt: skip
-        ordered[kind] = means
+        own = [[r for r in records if r["method"] == "affine_ik" and r["kind"] == kind and r["fraction"] == f]
+               for f in FRACTIONS]  # fmt: skip
+        means = [float(np.mean([r["score"] for r in group])) for group in own]
+        times = [float(np.mean([r["press_time"] or np.inf for r in group])) for group in own]
+        ordered[kind] = {"score": means, "press_time": times}
         right = all(np.diff(means) <= 0) and means[-1] < means[0]
-        print(f"affine maps, {kind}: {', '.join(f'{mean:.2f}' for mean in means)}; ordered: {right}")
+        shown = ", ".join(f"{mean:.2f} ({time:.2f} s)" for mean, time in zip(means, times, strict=True))
+        print(f"affine maps, {kind}: {shown}; ordered: {right}")
     figures = {"scripted": scores, "hold": [r["score"] for r in held], "affine": ordered, "records": records}
     if arguments.json:
         write_text(arguments.json, json.dumps(figures, indent=1) + "\n")

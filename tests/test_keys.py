@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+import yaml
 from grasp_setup import TOO_SHORT, allegro, person_who_plays
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -14,6 +15,7 @@ from pydrake.trajectories import PiecewisePolynomial
 from geort_drake.cli import main
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.people.play import synthesize_play
+from geort_drake.resources import models_dir
 from geort_drake.retargeting.methods import make_untrained
 from geort_drake.simulation.free_play import seen_fingertips
 from geort_drake.simulation.operators.intention import (
@@ -172,9 +174,9 @@ def test_tasks_are_folders_and_say_what_is_wrong():
 
 def test_the_benchmark_runs_several_tasks_and_goes_on(tmp_path):
     """Each kind in its own folder; the summary has all, and a second run adds only what is missing."""
-    command = ["benchmark", "--kinds", "servo", "--methods", "hold", "--objects", "cylinder", "--quiet"]
+    command = ["benchmark", "--kinds", "servo", "--methods", "hold", "--quiet"]
     command += ["--scenario-text", TOO_SHORT, "--output", str(tmp_path)]
-    assert main([*command, "--trials", "1", "--tasks", "keys", "grasp"]) == 0
+    assert main([*command, "--trials", "1", "--tasks", "keys", "grasp", "--objects", "cylinder"]) == 0
     folder = tmp_path / "keys" / "servo"
     before = (folder / "trials.jsonl").read_text()
     assert main([*command, "--trials", "2", "--tasks", "keys"]) == 0
@@ -189,3 +191,19 @@ def test_the_benchmark_runs_several_tasks_and_goes_on(tmp_path):
     assert (
         json.loads((folder / "summary.json").read_text())["tasks"]["keys"]["servo"] == tasks["keys"]["servo"]
     )
+
+
+def test_a_task_that_the_hand_cannot_do_is_left_out_with_its_reason(tmp_path, capsys):
+    """Nothing is simulated, and the run ends well."""
+    description = yaml.safe_load((models_dir() / "hands" / "allegro_right.yaml").read_text())
+    ring = description["fingers"].pop()
+    for joint in ring["joints"]:
+        del description["default_positions"][joint]
+    hand = tmp_path / "three.yaml"
+    hand.write_text(yaml.safe_dump(description))
+    command = ["benchmark", "--tasks", "keys", "--kinds", "servo", "--methods", "hold", "--trials", "1"]
+    assert main([*command, "--hand", str(hand), "--output", str(tmp_path / "out"), "--quiet"]) == 0
+    reason = "the keys need a ring; hand 'allegro_right' has: thumb, index, middle"
+    assert f"left out: {reason}" in " ".join(capsys.readouterr().err.split())
+    figures = json.loads((tmp_path / "out" / "summary.json").read_text())["tasks"]["keys"]["servo"]
+    assert figures["refused"] == {"keys": reason} and figures["methods"]["hold"]["trials"] == 0

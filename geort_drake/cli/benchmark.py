@@ -161,6 +161,7 @@ def tasks_of(arguments: argparse.Namespace) -> dict[Path, "Scenario"]:
         ScenarioError: a scenario's text does not fit a task.
     """
     from geort_drake import load_scenario
+    from geort_drake.console import warn
     from geort_drake.simulation.tasks import find_task
 
     tasks = [find_task(name) for name in arguments.tasks or ["grasp"]]
@@ -170,12 +171,14 @@ def tasks_of(arguments: argparse.Namespace) -> dict[Path, "Scenario"]:
             raise UnknownNameError("kind of person for these tasks", kind, known)
     scenarios = {}
     for task in tasks:
-        for kind in task.kinds:
-            if kind in (arguments.kinds or known):
-                scenario = load_scenario(*task.scenario, arguments.scenario_text, arguments.hand)
-                scenario.kind = kind
-                scenario.validate()
-                scenarios[arguments.output / task.name / kind] = scenario
+        kinds = [kind for kind in task.kinds if kind in (arguments.kinds or known)]
+        if not kinds:
+            warn(f"left out: {task.name}, which has people of the kinds {', '.join(task.kinds)} only")
+        for kind in kinds:
+            scenario = load_scenario(*task.scenario, arguments.scenario_text, arguments.hand)
+            scenario.kind = kind
+            scenario.validate()
+            scenarios[arguments.output / task.name / kind] = scenario
     return scenarios
 
 
@@ -250,6 +253,8 @@ def run_unfinished(arguments: argparse.Namespace, scenarios: "dict[Path, Scenari
             folder.note_refused(benchmark, refused)
             ready.append((log, benchmark, [key for key in left if key.object not in refused], found))
         for log, benchmark, left, goals in ready:
+            if not left:
+                continue  # all are refused
             trials = (benchmark.trial(key, goals[key.object]) for key in left)
             records = run_trials(log, trials, min(arguments.jobs, len(left)), arguments.backend)
             for _ in track("simulating", records, len(left), outcome_line):
@@ -318,8 +323,8 @@ def report_tasks(arguments: argparse.Namespace, summary: dict) -> int:
     rows = []
     for task, kinds in summary["tasks"].items():
         for kind, figures in kinds.items():
-            for reason in figures["refused"].values():
-                warn(f"left out: {reason}")
+            if figures["refused"]:
+                warn(f"{task}, left out, as the hand cannot do it: {', '.join(figures['refused'])}")
             for method, of in figures["methods"].items():
                 score, share = of["score"], of["success"]
                 if share["trials"]:
