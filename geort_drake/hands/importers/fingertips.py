@@ -1,6 +1,8 @@
 """Finds the fingertip on the geometry of a finger's last link."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.geometry import (
@@ -10,13 +12,14 @@ from pydrake.geometry import (
     GeometryId,
     Mesh,
     Role,
+    SceneGraph,
     SceneGraphInspector,
     Shape,
     Sphere,
 )
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import RigidBody
+from pydrake.multibody.tree import Frame, RigidBody
 
 from geort_drake.hands.importers.structure import Chain, HandStructure
 
@@ -44,9 +47,19 @@ class Fingertip:
     source: str
 
 
+class Part(NamedTuple):
+    """A geometry: its link, the poses of both in a frame F, its shape, and its points (N, 3) in F, m."""
+
+    link: RigidBody
+    X_FL: RigidTransform
+    X_FG: RigidTransform
+    shape: Shape
+    points: np.ndarray
+
+
 def find_fingertip(structure: HandStructure, chain: Chain) -> Fingertip:
     """The end of a finger's collision geometry, else of its visual geometry, else a guess."""
-    plant, inspector = structure.plant, structure.scene_graph.model_inspector()
+    plant = structure.plant
     context = plant.CreateDefaultContext()
     X_RJ = [
         plant.GetJointByName(name, structure.hand).frame_on_child().CalcPoseInWorld(context)
@@ -54,11 +67,7 @@ def find_fingertip(structure: HandStructure, chain: Chain) -> Fingertip:
     ]
     p_RJ = X_RJ[-1].translation()
     for role, source in ((Role.kProximity, "collision geometry"), (Role.kIllustration, "visual geometry")):
-        parts = []
-        for body in chain.bodies:
-            X_RL = plant.EvalBodyPoseInWorld(context, body)
-            parts += [(body, *part) for part in link_geometry(plant, inspector, body, role, X_RL)]
-        if parts:
+        if parts := parts_of(plant, structure.scene_graph, chain.bodies, role, plant.world_frame()):
             return _end_of(parts, p_RJ, source)
     offsets = [p_RJ - X.translation() for X in X_RJ[::-1]]
     along = next((v for v in offsets if np.linalg.norm(v) > 1e-3), np.array([0.0, 0.0, 0.02]))
@@ -67,12 +76,12 @@ def find_fingertip(structure: HandStructure, chain: Chain) -> Fingertip:
     return Fingertip(chain.bodies[0], point, _DEFAULT_RADIUS, "the places of joints alone")
 
 
-def _end_of(parts: list, p_RJ: np.ndarray, source: str) -> Fingertip:
-    """The tip of geometries (link, pose of the link, pose of the shape, shape, points), all in R."""
-    points = np.concatenate([points for *_, points in parts])
+def _end_of(parts: list[Part], p_RJ: np.ndarray, source: str) -> Fingertip:
+    """The tip of geometries that a joint at a point moves, all in R."""
+    points = np.concatenate([part.points for part in parts])
     distance = np.linalg.norm(points - p_RJ, axis=1)
     along = (points[distance.argmax()] - p_RJ) / distance.max()
-    owner = np.repeat(np.arange(len(parts)), [len(points) for *_, points in parts])
+    owner = np.repeat(np.arange(len(parts)), [len(part.points) for part in parts])
     body, X_RL, X_RG, shape, _ = parts[owner[distance.argmax()]]
     if isinstance(shape, Sphere | Capsule):
         end = np.array([0.0, 0.0, 0.5 * shape.length() if isinstance(shape, Capsule) else 0.0])
@@ -108,30 +117,17 @@ def surface_points(inspector: SceneGraphInspector, geometry: GeometryId) -> np.n
     return (box.pose() @ (box.half_width()[:, None] * signs)).T
 
 
-def link_geometry(
-    plant: MultibodyPlant, inspector: SceneGraphInspector, link: RigidBody, role: Role, X_BL: RigidTransform
-) -> list[tuple[RigidTransform, RigidTransform, Shape, np.ndarray]]:
-    """X_BL, X_BG, the shape and its surface points in B of each of a link's geometries of a role."""
+def parts_of(
+    plant: MultibodyPlant, scene_graph: SceneGraph, links: Iterable[RigidBody], role: Role, frame: Frame
+) -> list[Part]:
+    """The geometries of links that have a role, in a frame and in the default posture."""
+    inspector, context = scene_graph.model_inspector(), plant.CreateDefaultContext()
     parts = []
-    for geometry in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(link.index()), role):
-        p_GP = surface_points(inspector, geometry)
-        if p_GP is not None:
-            X_BG = X_BL @ inspector.GetPoseInFrame(geometry)
-            parts.append((X_BL, X_BG, inspector.GetShape(geometry), (X_BG @ p_GP.T).T))
+    for link in links:
+        X_FL = plant.CalcRelativeTransform(context, frame, link.body_frame())
+        for geometry in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(link.index()), role):
+            p_GP = surface_points(inspector, geometry)
+            if p_GP is not None:
+                X_FG = X_FL @ inspector.GetPoseInFrame(geometry)
+                parts.append(Part(link, X_FL, X_FG, inspector.GetShape(geometry), (X_FG @ p_GP.T).T))
     return parts
-
-
-def palm_points(structure: HandStructure, X_RB: RigidTransform) -> np.ndarray:
-    """(N, 3) points of the palm's geometry in the hand base B, m; without geometry its links' origins."""
-    plant, inspector = structure.plant, structure.scene_graph.model_inspector()
-    context = plant.CreateDefaultContext()
-    X_BL = {body: X_RB.inverse() @ plant.EvalBodyPoseInWorld(context, body) for body in structure.palm}
-    for role in (Role.kProximity, Role.kIllustration):
-        found = [
-            points
-            for body, X in X_BL.items()
-            for *_, points in link_geometry(plant, inspector, body, role, X)
-        ]
-        if found:
-            return np.concatenate(found)
-    return np.array([X.translation() for X in X_BL.values()])

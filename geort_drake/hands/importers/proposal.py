@@ -24,7 +24,7 @@ from geort_drake.hands.importers.finger_names import (
     side_by_name,
     thumb_by_place,
 )
-from geort_drake.hands.importers.fingertips import Fingertip, find_fingertip, link_geometry, palm_points
+from geort_drake.hands.importers.fingertips import Fingertip, Part, find_fingertip, parts_of
 from geort_drake.hands.importers.structure import Chain, HandStructure, read_structure
 from geort_drake.hands.model import HandModel
 from geort_drake.hands.model_files import read_model
@@ -214,7 +214,8 @@ def _arrange(
         notes.append("the fingers bend to both sides alike; the palm's side is taken to be the thumb's")
     x = _unit(x - (x @ z) * z)
     plant, hand = structure.plant, structure.hand
-    R_RP = plant.EvalBodyPoseInWorld(plant.CreateDefaultContext(), structure.palm[0]).rotation().matrix()
+    context = plant.CreateDefaultContext()
+    R_RP = plant.EvalBodyPoseInWorld(context, structure.palm[0]).rotation().matrix()
     R_RB = R_RP @ _snapped(R_RP.T @ np.column_stack([x, np.cross(z, x), z]), notes)
     knuckles = p_base[others].mean(axis=0)
     thumb_place = 0.5 * (p_base[thumb] + fingers[thumb].p_RF.mean(axis=0)) - knuckles
@@ -238,11 +239,14 @@ def _arrange(
     if named is None:
         towards_thumb = (p_base - knuckles) @ R_RB[:, 1] * (1 if side == "right" else -1)
         named = fingers_by_place(len(fingers), thumb, towards_thumb)
-    rotation = RotationMatrix(R_RB)
-    palm = palm_points(structure, RigidTransform(rotation, knuckles))
+    parts: list[Part] = []
+    for role in (Role.kProximity, Role.kIllustration):
+        parts = parts or parts_of(plant, structure.scene_graph, structure.palm, role, plant.world_frame())
+    origins = [plant.EvalBodyPoseInWorld(context, link).translation() for link in structure.palm]
+    palm = np.concatenate([part.points for part in parts]) if parts else np.array(origins)
     # The wrist end of the palm, behind the middle of the knuckles.
-    wrist = knuckles + min(float(palm[:, 2].min()), 0.0) * R_RB[:, 2]
-    return named, RigidTransform(rotation, wrist), side
+    wrist = knuckles + ((palm - knuckles) @ R_RB[:, 2]).min(initial=0.0) * R_RB[:, 2]
+    return named, RigidTransform(RotationMatrix(R_RB), wrist), side
 
 
 def _snapped(R: np.ndarray, notes: list[str]) -> np.ndarray:
@@ -302,16 +306,10 @@ def _free_posture(hand: HandModel) -> np.ndarray | None:
 
 def _depth(hand: HandModel) -> float:
     """How far the hand's collision geometry reaches behind the hand base in the default posture, m."""
-    plant, inspector = hand.plant, hand.scene_graph.model_inspector()
-    context = plant.CreateDefaultContext()
-    links = map(plant.get_body, plant.GetBodyIndices(hand.instance))
-    X_BL = {link: plant.EvalBodyPoseInWorld(context, link) for link in links}
-    parts = [
-        p_BP
-        for link, X in X_BL.items()
-        for *_, p_BP in link_geometry(plant, inspector, link, Role.kProximity, X)
-    ]
-    return max([0.0, *(-float(p_BP[:, 2].min()) for p_BP in parts)])
+    links = map(hand.plant.get_body, hand.plant.GetBodyIndices(hand.instance))
+    base = hand.plant.GetFrameByName(hand.description.base_frame, hand.instance)
+    parts = parts_of(hand.plant, hand.scene_graph, links, Role.kProximity, base)
+    return max([0.0, *(-float(part.points[:, 2].min()) for part in parts)])
 
 
 def _actuation(structure: HandStructure, notes: list[str]) -> ActuationDescription:

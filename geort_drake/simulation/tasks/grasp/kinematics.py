@@ -12,7 +12,7 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake.hands.chains import palm_links
 from geort_drake.hands.couplings import followers
 from geort_drake.hands.description import FingerDescription, HandDescription
-from geort_drake.hands.importers.fingertips import link_geometry
+from geort_drake.hands.importers.fingertips import parts_of
 from geort_drake.hands.model import tip_geometries
 from geort_drake.simulation.object_shape import ObjectShape, object_shape
 from geort_drake.simulation.scenario import Scenario
@@ -221,14 +221,12 @@ class GraspKinematics:
 
         A forearm behind the palm does not count.
         """
-        inspector, context = scene_graph.model_inspector(), self._plant.CreateDefaultContext()
         low, high = np.array(_PALM_Z) + self._knuckles[:, 2].mean()
         fronts = []
-        for body in palm_links(self._plant, self._description, self._hand):
-            X_BL = self._plant.CalcRelativeTransform(context, self._base, body.body_frame())
-            for *_, p_BP in link_geometry(self._plant, inspector, body, Role.kProximity, X_BL):
-                if p_BP[:, 2].min() < high and p_BP[:, 2].max() > low:
-                    fronts.append(p_BP[:, 0].max())
+        palm = palm_links(self._plant, self._description, self._hand)
+        for *_, p_BP in parts_of(self._plant, scene_graph, palm, Role.kProximity, self._base):
+            if p_BP[:, 2].min() < high and p_BP[:, 2].max() > low:
+                fronts.append(p_BP[:, 0].max())
         return max(fronts, default=0.0)
 
     def _let_tips_touch(self, scene_graph: SceneGraph) -> None:
