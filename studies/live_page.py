@@ -29,8 +29,8 @@ from geort_drake.hands.description import load_hand  # noqa: E402
 from geort_drake.live.glove_stream import HANDSHAKE_FRAMES  # noqa: E402
 from geort_drake.live.teleoperation import RobotModel  # noqa: E402
 from geort_drake.live.web.control import PageControl  # noqa: E402
-from geort_drake.live.web.desk import About, Desk  # noqa: E402
 from geort_drake.live.web.messages import Engage, Guide  # noqa: E402
+from geort_drake.live.web.operator_station import OperatorStation, RobotInfo  # noqa: E402
 from geort_drake.live.web.server import WebServer  # noqa: E402
 from geort_drake.live.web.session import WebTeleoperation  # noqa: E402
 from geort_drake.retargeting.retargeter import load_retargeter  # noqa: E402
@@ -56,8 +56,8 @@ SCRIPTS = """
 DRAW = "(draw(0), document.querySelector('canvas').toDataURL('image/jpeg', 0.92))"
 
 
-class ScriptsDesk(Desk):
-    """A desk at which the page has the controls, and the script the hand."""
+class ScriptedStation(OperatorStation):
+    """A station at which the page has the controls, and the script the hand."""
 
     def take(self, person, text):
         return None if '"camera"' in text[:60] or '"lost"' in text[:60] else super().take(person, text)
@@ -75,10 +75,10 @@ class Theatre:
 
     def __init__(self, browser, folder: Path):
         self.scenario = load_scenario()
-        about = About("right", self.scenario.hand, "simulation", object_names(), "for everyone")
-        self.desk = ScriptsDesk(about, lambda: self.time)
+        about = RobotInfo("right", self.scenario.hand, "simulation", object_names(), "for everyone")
+        self.station = ScriptedStation(about, lambda: self.time)
         self.time, self.frames = 100.0, []
-        self.server = WebServer(self.desk, "127.0.0.1", 0, "key")
+        self.server = WebServer(self.station, "127.0.0.1", 0, "key")
         publish = self.server.publish
         self.shown = True
 
@@ -90,11 +90,11 @@ class Theatre:
 
         self.server.publish = shown
         retarget = load_retargeter(self.scenario.hand)
-        self.control = PageControl(self.desk, self.server.publish, folder, None, lambda path: retarget)
+        self.control = PageControl(self.station, self.server.publish, folder, None, lambda path: retarget)
         description = load_hand(self.scenario.hand)
         session = WebTeleoperation(
             self.scenario, description, RobotModel(self.scenario, description), retarget,
-            self.desk, self.server, self.control,
+            self.station, self.server, self.control,
         )  # fmt: skip
         self.loop = session._begin(1, 0.0)
         self.simulator = Simulator(self.loop.diagram)
@@ -120,7 +120,7 @@ class Theatre:
 
     def step(self, *commands) -> None:
         """Advances by a sixtieth of a second; the person sees what the page gets."""
-        self.desk.commands.extend(commands)
+        self.station.commands.extend(commands)
         self.control._published = -np.inf
         engaged = self.control.step(self.context, self.engaged)
         if engaged != self.engaged:
@@ -130,7 +130,7 @@ class Theatre:
         self.time += STEP_S
         if self.frames and self.person:
             frames, self.frames = self.frames, []
-            self.desk.move(self.person.hand(frames, self.engaged))
+            self.station.move(self.person.hand(frames, self.engaged))
 
     def picture(self, wait_ms: int = 700) -> Image.Image:
         self.page.wait_for_timeout(wait_ms)
@@ -153,7 +153,7 @@ def main() -> None:
 
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
         theatre = Theatre(launch(playwright), Path(folder))
-        page, desk = theatre.page, theatre.desk
+        page, station = theatre.page, theatre.station
         page.wait_for_selector("body[data-state=waiting]")
         for _ in range(6):
             theatre.step()
@@ -188,7 +188,7 @@ def main() -> None:
         frames[0].save(arguments.output / "live_film.webp", save_all=True, append_images=frames[1:],
                        duration=round(1e3 / FILM_HZ), loop=0, quality=QUALITY, method=6)  # fmt: skip
         page.evaluate("film('')")
-        desk.lose()
+        station.lose()
         theatre.person = None
         for _ in range(10):
             theatre.step()

@@ -17,9 +17,9 @@ from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.teleoperation import make_teleoperation
 from geort_drake.live.web import control as page_control
 from geort_drake.live.web.control import DONE, PageControl
-from geort_drake.live.web.desk import About, Desk
 from geort_drake.live.web.guide import DURATION_S
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Guide, Record, Refit, Reset, Stop
+from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.simulation.following import RobotModel
@@ -55,14 +55,16 @@ class Page:
         self.description = load_hand(self.scenario.hand)
         self.model, self.retarget, maps = RobotModel(self.scenario, self.description), retarget, iter(maps)
         objects = ["cylinder", "cube"]
-        self.desk = Desk(About("right", "allegro_right", "simulation", objects, "for everyone"), Clock())
-        self.desk.join(1)
-        self.desk.take(1, hello())
+        self.station = OperatorStation(
+            RobotInfo("right", "allegro_right", "simulation", objects, "for everyone"), Clock()
+        )
+        self.station.join(1)
+        self.station.take(1, hello())
         for number in range(HANDSHAKE_FRAMES):
-            self.desk.take(1, headset(number))
+            self.station.take(1, headset(number))
         self.states = []
         self.control = PageControl(
-            self.desk, self.states.append, folder, folder / "a_map", lambda path: next(maps)
+            self.station, self.states.append, folder, folder / "a_map", lambda path: next(maps)
         )
         self.sessions = self.hands = 0
         self.begin()
@@ -74,7 +76,7 @@ class Page:
         recorder = GloveRecorder(0.01)
         self.loop = make_teleoperation(
             self.scenario, self.description, self.model, self.retarget,
-            GloveStream(self.desk, "right", clock=Clock()), robot, (robot.hand.start, robot.arm.start),
+            GloveStream(self.station, "right", clock=Clock()), robot, (robot.hand.start, robot.arm.start),
             recorder=recorder,
         )  # fmt: skip
         self.simulator = Simulator(self.loop.diagram)
@@ -89,12 +91,12 @@ class Page:
         Returns:
             The joint targets after each, rad, in the order of the maps.
         """
-        self.desk.commands.extend(commands)
+        self.station.commands.extend(commands)
         targets = []
         for _ in range(steps):
             self.hands += 1
             number = (HANDSHAKE_FRAMES + self.hands) % len(PLAY.t) if hand is None else hand
-            self.desk.take(1, headset(number, 100.0 + 0.02 * self.hands))
+            self.station.take(1, headset(number, 100.0 + 0.02 * self.hands))
             engaged = self.control.step(self.context, self.engaged)
             if engaged != self.engaged:
                 self.engaged = engaged

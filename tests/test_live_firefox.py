@@ -7,8 +7,8 @@ import pytest
 from firefox import PATIENCE_S, Firefox, require_firefox
 from live_page import FLAT, PINCH, SCENE, STATE, WEB, require_built_page, require_package, serve
 
-from geort_drake.live.web.desk import About, Desk
 from geort_drake.live.web.messages import Disengage, Engage
+from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.server import WebServer
 
 # In place of the camera: a canvas that shows the pictures in turns.
@@ -25,10 +25,10 @@ CAMERA = """() => {
 @pytest.fixture
 def server():
     require_built_page()
-    desk = Desk(About("right", "allegro_right", "simulation", ["cylinder"], "a map"))
-    server = WebServer(desk, "127.0.0.1", 0, "key")
+    station = OperatorStation(RobotInfo("right", "allegro_right", "simulation", ["cylinder"], "a map"))
+    server = WebServer(station, "127.0.0.1", 0, "key")
     server.show(json.dumps(SCENE).encode(), [])
-    yield server, desk
+    yield server, station
     server.close()
 
 
@@ -44,7 +44,7 @@ def test_without_3d_the_page_still_has_words_and_keys(tmp_path, server):
     asyncio.run(_steer(tmp_path / "profile", *server))
 
 
-async def _steer(profile, server: WebServer, desk: Desk) -> None:
+async def _steer(profile, server: WebServer, station: OperatorStation) -> None:
     async with Firefox(profile, with_3d=False) as firefox:
         await firefox.open(f"http://127.0.0.1:{server.port}/#key")
         await firefox.until("document.body.dataset.state === 'waiting'")
@@ -52,18 +52,18 @@ async def _steer(profile, server: WebServer, desk: Desk) -> None:
         server.publish(json.dumps({**STATE, "engaged": True}))
         await firefox.until("document.body.hasAttribute('data-engaged')")
         await firefox.press(" ")
-        await _command(desk, Disengage)
+        await _command(station, Disengage)
 
 
-async def _command(desk: Desk, kind: type) -> None:
+async def _command(station: OperatorStation, kind: type) -> None:
     """Waits until the page has sent a command."""
     async with asyncio.timeout(PATIENCE_S):
-        while not any(isinstance(command, kind) for command in desk.commands):
+        while not any(isinstance(command, kind) for command in station.commands):
             await asyncio.sleep(0.05)
-    assert desk.refused == 0
+    assert station.refused == 0
 
 
-async def _track(profile, server: WebServer, desk: Desk) -> None:
+async def _track(profile, server: WebServer, station: OperatorStation) -> None:
     async with Firefox(profile, with_3d=True) as firefox:
         with serve(WEB) as address:
             await firefox.open(f"{address}/test/hand.html")
@@ -80,7 +80,7 @@ async def _track(profile, server: WebServer, desk: Desk) -> None:
         await firefox.value("document.querySelector('#camera').click()")
         await firefox.until("document.body.dataset.state === 'tracking'")
         async with asyncio.timeout(PATIENCE_S):
-            while desk.received < 3:
+            while station.received < 3:
                 await asyncio.sleep(0.05)
         await firefox.press(" ")
-        await _command(desk, Engage)
+        await _command(station, Engage)

@@ -40,7 +40,7 @@ def lcm_url():
 
 
 @pytest.fixture(scope="module")
-def desk(tmp_path_factory):
+def station(tmp_path_factory):
     """A folder with a recording and a checkpoint for the Allegro hand."""
     folder = tmp_path_factory.mktemp("live")
     synthesize_play(1, duration_s=20.0, rate_hz=60.0).save(folder / "hand.npz")
@@ -74,7 +74,7 @@ def wait_for_text(folder: Path, name: str, text: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_loop_runs_over_loopback(desk, tmp_path, lcm_url):
+def test_the_loop_runs_over_loopback(station, tmp_path, lcm_url):
     """A robot follows a glove; the glove dies, the hand relaxes; Ctrl-C leaves the robot held."""
     inbox = LcmInbox(
         DrakeLcm(lcm_url),
@@ -96,11 +96,11 @@ def test_the_loop_runs_over_loopback(desk, tmp_path, lcm_url):
     with (
         program(tmp_path, "stand-in-robot", "--lcm", f"lcm+{lcm_url}"),
         program(
-            tmp_path, "publish", str(desk / "hand.npz"), "--to", f"pub+{glove}", "--loop"
+            tmp_path, "publish", str(station / "hand.npz"), "--to", f"pub+{glove}", "--loop"
         ) as publisher,
         program(
             tmp_path, "live", "--glove", f"sub+{glove}", "--robot", f"lcm+{lcm_url}",
-            "--retargeter", str(desk / "checkpoint"), "--engage", "now", "--relax-after", "0.5",
+            "--retargeter", str(station / "checkpoint"), "--engage", "now", "--relax-after", "0.5",
             "--timeout", str(PATIENCE_S), "--robot-silence", "20", "--json",
         ) as teleoperation,
     ):  # fmt: skip
@@ -133,10 +133,10 @@ def test_the_loop_runs_over_loopback(desk, tmp_path, lcm_url):
 
 
 @pytest.mark.slow
-def test_a_replay_drives_the_simulation(desk, tmp_path):
+def test_a_replay_drives_the_simulation(station, tmp_path):
     """In one process; Enter engages and disengages, and the glove's data are recorded."""
     with program(
-        tmp_path, "live", "--glove", str(desk / "hand.npz"), "--retargeter", str(desk / "checkpoint"),
+        tmp_path, "live", "--glove", str(station / "hand.npz"), "--retargeter", str(station / "checkpoint"),
         "--record", str(tmp_path / "kept.npz"), "--json", stdin=subprocess.PIPE,
     ) as teleoperation:  # fmt: skip
         # The first Enter is there before the loop begins, so only the second one disengages.
@@ -215,8 +215,8 @@ def test_a_robot_that_falls_silent_is_not_driven_on(lcm_url):
         (["--glove", "lcm", "--robot", "lcm", "--hand", "leap_right"], HandError, "has no LCM messages"),
     ],
 )  # fmt: skip
-def test_wrong_options_are_refused(desk, arguments, error, expected, monkeypatch):
+def test_wrong_options_are_refused(station, arguments, error, expected, monkeypatch):
     """Before it listens to anything or trains."""
-    monkeypatch.chdir(desk)
+    monkeypatch.chdir(station)
     with pytest.raises(error, match=expected):
         run_command("live", arguments)

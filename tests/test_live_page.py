@@ -15,9 +15,9 @@ from page_person import PagePerson, goal_of
 from web_page import headset as seen_hand
 from web_page import in_world, joints_of
 
-from geort_drake.live.web.desk import About, Desk
 from geort_drake.live.web.hands import HandReader
 from geort_drake.live.web.messages import decode
+from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.server import WebServer
 from geort_drake.people.formats.source import KEYPOINTS_OF_25
 from geort_drake.people.keypoints import BONES
@@ -238,16 +238,16 @@ def test_a_real_robot_is_engaged_after_a_question(headset, stub, address, rng):
 
 
 def test_the_page_and_the_server_understand_each_other(headset):
-    desk = Desk(About("right", "allegro_right", "simulation", ["cube"], "for everyone"))
-    server = WebServer(desk, "127.0.0.1", 0, "key")
+    station = OperatorStation(RobotInfo("right", "allegro_right", "simulation", ["cube"], "for everyone"))
+    server = WebServer(station, "127.0.0.1", 0, "key")
     try:
         page = headset(
             f"http://127.0.0.1:{server.port}", {"right": json.loads(seen_hand(0))["joints"]}, stub=None
         )
         page.wait_for_selector("body[data-state=tracking]")
-        until(page, lambda: desk.received >= 3)
-        assert desk.operator.device == "headset"
-        assert desk.refused == 0
+        until(page, lambda: station.received >= 3)
+        assert station.operator.device == "headset"
+        assert station.refused == 0
         assert page.inner_text("#map") == "Map for everyone"
     finally:
         server.close()

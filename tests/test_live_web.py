@@ -1,4 +1,4 @@
-"""The live page's desk: what it reads, who may speak, and that nothing said there harms the loop."""
+"""The live page's station: what it reads, who may speak, and that nothing said there harms the loop."""
 
 import json
 
@@ -17,11 +17,11 @@ from geort_drake.live.glove_stream import HANDSHAKE_FRAMES, GloveStream
 from geort_drake.live.messages import decode as decode_glove
 from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.teleoperation import make_teleoperation
-from geort_drake.live.web.desk import About, Desk, is_fist
 from geort_drake.live.web.guide import DURATION_S, GuidedPlay
 from geort_drake.live.web.hands import HandReader
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Hello, Reset, decode
 from geort_drake.live.web.one_euro import OneEuroFilter
+from geort_drake.live.web.operator_station import OperatorStation, RobotInfo, is_fist
 from geort_drake.people.keypoints import bone_lengths
 from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.scenario import load_scenario
@@ -29,12 +29,12 @@ from geort_drake.systems.glove_checks import HELD_CLOCK, HELD_LOST, HELD_STALE
 from geort_drake.systems.retargeting_system import TRACKING
 
 
-def desk(robot: str = "simulation", side: str = "right") -> Desk:
-    return Desk(About(side, f"allegro_{side}", robot, ["cube", "sphere"], "a map"), Clock())
+def station(robot: str = "simulation", side: str = "right") -> OperatorStation:
+    return OperatorStation(RobotInfo(side, f"allegro_{side}", robot, ["cube", "sphere"], "a map"), Clock())
 
 
-def known(operated: Desk, person: int = 1) -> Desk:
-    """A desk whose operator's first hands were checked."""
+def known(operated: OperatorStation, person: int = 1) -> OperatorStation:
+    """A station whose operator's first hands were checked."""
     operated.join(person)
     operated.take(person, hello())
     for number in range(HANDSHAKE_FRAMES):
@@ -97,7 +97,7 @@ def test_the_filter_stills_a_hand_and_follows_a_fast_one():
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_the_first_answer_tells_of_which_side_the_robot_is(side):
     """So that a page asks for the controls with that hand, which is then followed."""
-    operated = desk(side=side)
+    operated = station(side=side)
     answer = operated.join(1)
     assert (answer["role"], answer["side"], answer["hand"]) == ("spectator", side, f"allegro_{side}")
     assert operated.take(1, hello(side=answer["side"]))["role"] == "operator"
@@ -108,7 +108,7 @@ def test_the_first_answer_tells_of_which_side_the_robot_is(side):
 
 
 def test_one_person_operates_and_others_look_on():
-    operated = known(desk())
+    operated = known(station())
     operated.join(2)
     assert operated.take(2, hello())["role"] == "spectator"
     assert operated.spectators == 1
@@ -125,7 +125,7 @@ def test_one_person_operates_and_others_look_on():
 
 def test_a_hand_of_the_other_side_is_refused_in_words():
     """By what the page says, and by the hand itself."""
-    operated = desk()
+    operated = station()
     with pytest.raises(MismatchError, match="use the other hand"):
         operated.take(1, hello(side="left"))
     operated.take(1, hello())
@@ -136,7 +136,7 @@ def test_a_hand_of_the_other_side_is_refused_in_words():
 
 
 def test_a_real_robot_asks_twice():
-    operated = known(desk("lcm"))
+    operated = known(station("lcm"))
     with pytest.raises(LiveError, match="once more"):
         operated.take(1, '{"type": "engage"}')
     assert not operated.commands
@@ -154,7 +154,7 @@ def test_a_held_fist_is_a_command(robot):
     for base in (5, 9, 13, 17):
         fist[base + 3] = fist[base] + [0.03, 0.0, -0.01]
     assert is_fist(fist)
-    operated, now = known(desk(robot)), 0.0
+    operated, now = known(station(robot)), 0.0
     operated.drain()
     to_world = np.array([[0, 0, -1.0], [0, 1, 0], [1, 0, 0]])
     for _ in range(30):
@@ -193,7 +193,7 @@ def test_a_malformed_message_is_refused_with_its_field(text, word):
 
 
 def test_an_unknown_object_is_refused_with_the_choices():
-    operated = known(desk())
+    operated = known(station())
     with pytest.raises(LiveError, match="cube, sphere"):
         operated.take(1, '{"type": "reset", "object": "moon"}')
     operated.take(1, '{"type": "reset", "object": "sphere"}')
@@ -231,7 +231,7 @@ class Toy:
 
 
 class LoopBench:
-    """The simulation's loop behind a desk, in steps of the retargeting."""
+    """The simulation's loop behind a station, in steps of the retargeting."""
 
     def __init__(self):
         scenario = load_scenario()
@@ -239,10 +239,10 @@ class LoopBench:
         model = RobotModel(scenario, description)
         robot = SimulatedRobot(scenario, description)
         start = robot.hand.start, robot.arm.start
-        self.desk = desk()
+        self.station = station()
         self.loop = make_teleoperation(
             scenario, description, model, Toy(description.joint_names),
-            GloveStream(self.desk, "right", clock=Clock()), robot, start,
+            GloveStream(self.station, "right", clock=Clock()), robot, start,
         )  # fmt: skip
         self.simulator = Simulator(self.loop.diagram)
         self.context = self.simulator.get_mutable_context()
@@ -262,14 +262,14 @@ class LoopBench:
 
 def test_a_page_that_sleeps_leaves_or_sets_its_clock_is_held_at_once_and_eased_back():
     bench = LoopBench()
-    known(bench.desk)
+    known(bench.station)
 
     def follow(t0: float, count: int = 60) -> list[str]:
         """States and broken limits while the page sends 50 hands a second."""
         seen = []
         for i in range(count):
             if i % 2 == 0:
-                bench.desk.take(1, headset(HANDSHAKE_FRAMES + i // 2, t0 + 0.01 * i))
+                bench.station.take(1, headset(HANDSHAKE_FRAMES + i // 2, t0 + 0.01 * i))
             seen += [*bench.step(), bench.state()]
         return seen
 
@@ -280,7 +280,7 @@ def test_a_page_that_sleeps_leaves_or_sets_its_clock_is_held_at_once_and_eased_b
     assert any(state.startswith("easing") for state in awake) and awake[-1] == TRACKING
     backwards = follow(50.0)
     assert HELD_CLOCK in backwards[:3] and backwards[-1] == TRACKING
-    bench.desk.leave(1)
+    bench.station.leave(1)
     bench.step()
     bench.step()
     assert bench.state() == HELD_LOST
@@ -317,26 +317,26 @@ def malformed(rng: np.random.Generator) -> str | bytes:
 def test_ten_thousand_malformed_messages_harm_nothing():
     """The loop runs on; the hand's targets keep their limits; every message is counted once."""
     bench, rng = LoopBench(), np.random.default_rng(1)
-    known(bench.desk)
+    known(bench.station)
     told = 0
     for _ in range(100):
         for _ in range(100):
             told += 1
             try:
-                bench.desk.take(1, malformed(rng))
+                bench.station.take(1, malformed(rng))
             except GeortError:
                 pass
         assert bench.step() == []
-        bench.desk.commands.clear()
-    assert bench.desk.refused + bench.desk.received <= told
-    assert bench.desk.refused > 0.5 * told
-    assert bench.loop.glove.refused == 0  # what the desk passes on is well formed
+        bench.station.commands.clear()
+    assert bench.station.refused + bench.station.received <= told
+    assert bench.station.refused > 0.5 * told
+    assert bench.loop.glove.refused == 0  # what the station passes on is well formed
     hand = bench.loop.robot.GetOutputPort("hand_state")
     assert np.isfinite(hand.Eval(bench.loop.robot.GetMyContextFromRoot(bench.context))).all()
     t = 1e9
     for i in range(100):
         if i % 2 == 0:
-            bench.desk.take(1, headset(10 + i // 2, t - 2.0 + 0.01 * i))
+            bench.station.take(1, headset(10 + i // 2, t - 2.0 + 0.01 * i))
         assert bench.step() == []
     assert bench.state() == TRACKING
 

@@ -31,8 +31,8 @@ from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.description import load_hand
 from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.web.certificate import own_addresses, self_signed_context
-from geort_drake.live.web.desk import About, Desk
 from geort_drake.live.web.messages import MAX_BYTES
+from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
 from geort_drake.live.web.serve import is_loopback
 from geort_drake.live.web.server import WebServer
@@ -46,10 +46,10 @@ PATIENCE_S = 120.0  # a busy machine takes long to start a program
 
 @contextlib.contextmanager
 def serving(pages=None, tls=None):
-    desk = Desk(About("right", "allegro_right", "simulation", ["cube"], "a map"))
-    server = WebServer(desk, "127.0.0.1", 0, KEY, tls, pages or Path("no-such-folder"))
+    station = OperatorStation(RobotInfo("right", "allegro_right", "simulation", ["cube"], "a map"))
+    server = WebServer(station, "127.0.0.1", 0, KEY, tls, pages or Path("no-such-folder"))
     try:
-        yield server, desk, f"{'https' if tls else 'http'}://127.0.0.1:{server.port}"
+        yield server, station, f"{'https' if tls else 'http'}://127.0.0.1:{server.port}"
     finally:
         server.close()
 
@@ -135,9 +135,9 @@ def test_a_wrong_key_a_foreign_page_and_a_ninth_connection_are_turned_away():
 
 
 def test_a_port_in_use_is_an_error_in_words():
-    with serving() as (server, desk, _):
+    with serving() as (server, station, _):
         with pytest.raises(LiveError, match=str(server.port)):
-            WebServer(desk, "127.0.0.1", server.port, KEY)
+            WebServer(station, "127.0.0.1", server.port, KEY)
 
 
 def test_beyond_this_machine_there_is_a_certificate():
@@ -159,7 +159,7 @@ def test_beyond_this_machine_there_is_a_certificate():
 
 
 def test_states_and_frames_reach_the_page_and_refusals_are_few():
-    with serving() as (server, desk, base):
+    with serving() as (server, station, base):
 
         async def listen(session):
             async with session.ws_connect(f"{base}/ws?key={KEY}") as page:
@@ -167,7 +167,7 @@ def test_states_and_frames_reach_the_page_and_refusals_are_few():
                 for _ in range(50):
                     await page.send_str("nonsense")
                 assert (await next_text(page))["type"] == "refused"
-                while desk.refused < 50:
+                while station.refused < 50:
                     await asyncio.sleep(0.01)
                 server.publish('{"type": "state"}', b"poses")
                 kinds = [(await page.receive()).type for _ in range(2)]
@@ -178,7 +178,7 @@ def test_states_and_frames_reach_the_page_and_refusals_are_few():
 
 @pytest.mark.parametrize("fault", ["a long message", "a flood"])
 def test_who_sends_too_much_is_disconnected_and_leaves_the_controls(fault):
-    with serving() as (server, desk, base):
+    with serving() as (server, station, base):
 
         async def send(session):
             async with session.ws_connect(f"{base}/ws?key={KEY}") as page:
@@ -197,16 +197,16 @@ def test_who_sends_too_much_is_disconnected_and_leaves_the_controls(fault):
 
         assert talk(send) in (1008, 1009, 1006)
         deadline = time.monotonic() + PATIENCE_S
-        while desk.operator and time.monotonic() < deadline:
+        while station.operator and time.monotonic() < deadline:
             time.sleep(0.01)
-        assert desk.operator is None
+        assert station.operator is None
         assert (server.dropped == 1000) == (fault == "a flood")
 
 
 def test_a_hundred_broken_connections_leave_the_server_serving():
     """Garbage, half a handshake, frames that are none, and connections that end in the middle."""
     rng = random.Random(1)
-    with serving() as (server, desk, base):
+    with serving() as (server, station, base):
         upgrade = (
             f"GET /ws?key={KEY} HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
             "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
@@ -227,9 +227,9 @@ def test_a_hundred_broken_connections_leave_the_server_serving():
 
         assert talk(enter) == "operator"
         deadline = time.monotonic() + 10.0
-        while desk.spectators and time.monotonic() < deadline:
+        while station.spectators and time.monotonic() < deadline:
             time.sleep(0.01)
-        assert desk.spectators == 0
+        assert station.spectators == 0
 
 
 # -- the scene

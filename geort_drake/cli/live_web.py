@@ -12,7 +12,7 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.session import stopping
 from geort_drake.live.web.control import PageControl
-from geort_drake.live.web.desk import About, Desk
+from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.serve import open_server
 from geort_drake.live.web.session import WebTeleoperation
 from geort_drake.simulation.following import RobotModel
@@ -37,10 +37,10 @@ def run_web(
     if arguments.retargeter is None and checkpoint.is_dir():
         words = "trained on synthetic play"
     robot, objects = ("lcm", []) if lcm_url else ("simulation", object_names())
-    desk = Desk(About(description.side, scenario.hand, robot, objects, words))
-    with open_server(desk, arguments.host, arguments.port, not arguments.no_open) as server:
+    station = OperatorStation(RobotInfo(description.side, scenario.hand, robot, objects, words))
+    with open_server(station, arguments.host, arguments.port, not arguments.no_open) as server:
         control = PageControl(
-            desk,
+            station,
             server.publish,
             arguments.record or _RECORDINGS,
             checkpoint if checkpoint.is_file() else None,
@@ -51,7 +51,7 @@ def run_web(
             description,
             model,
             load(checkpoint, description, arguments.backend),
-            desk,
+            station,
             server,
             control,
             link,
@@ -71,7 +71,7 @@ def run_web(
         finally:
             control.close()
     summary = summary_of(report, loop, link)
-    summary["glove"] |= {"received": desk.received, "refused": desk.refused + server.dropped}
+    summary["glove"] |= {"received": station.received, "refused": station.refused + server.dropped}
     print_summary(summary)
     if control.recordings:
         last = control.recordings[-1]

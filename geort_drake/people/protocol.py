@@ -48,7 +48,7 @@ def _pinch_with(finger: int) -> Gesture:
 
 _FINGERS = tuple(enumerate(FINGER_NAMES))[1:]
 _ALONE = "Move the {} finger sideways when stretched, half bent and bent; then move it anywhere."
-_PINCH = "Pinch with the finger pads, slide the tips along each other, let go. Vary the place."
+_PINCH = "Pinch thumb and {} finger, slide the tips along each other, let go. Vary the place."
 _FISTS = "Make a fist, then stretch all fingers fully. Repeat."
 _SPREAD = "Spread and close the fingers, first with a flat hand, then with knuckles half bent."
 _THUMB = "Sweep the thumb to the little finger's base, lift it off the palm, bend it, draw circles."
@@ -60,7 +60,7 @@ STEPS = (
     Step("wave", "Bend the fingers in a wave from little finger to thumb and back.", 15, wave),
     Step("thumb alone", _THUMB, 30, _alone(0)),
     *(Step(f"{name} alone", _ALONE.format(name), 20, _alone(i)) for i, name in _FINGERS),
-    *(Step(f"thumb to {name}", _PINCH, 30, _pinch_with(i)) for i, name in _FINGERS),
+    *(Step(f"thumb to {name}", _PINCH.format(name), 30, _pinch_with(i)) for i, name in _FINGERS),
     Step("your task", _TASK, 10, wave),
 )
 DURATION_S = sum(step.seconds for step in STEPS)

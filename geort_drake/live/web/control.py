@@ -14,9 +14,9 @@ from pydrake.systems.framework import Context
 
 from geort_drake.errors import GeortError
 from geort_drake.live.teleoperation import Teleoperation
-from geort_drake.live.web.desk import Desk
 from geort_drake.live.web.guide import GuidedPlay
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Guide, Record, Refit, Reset, Stop
+from geort_drake.live.web.operator_station import OperatorStation
 from geort_drake.people.recording_parts import RecordingParts
 from geort_drake.retargeting.method import Retarget
 from geort_drake.retargeting.retargeter import Retargeter
@@ -31,7 +31,7 @@ _NEWEST = 300  # samples of the delay that is shown
 
 
 class Refitting:
-    """Fits the map for everyone to a person in a process of its own, which is polite to the loop.
+    """Fits the map for everyone to a person, in a separate process with low priority.
 
     Args:
         recording: file of the person's hand.
@@ -52,7 +52,7 @@ class Refitting:
         )
 
     def state(self) -> dict[str, str]:
-        """What the page is told."""
+        """The state for the page."""
         code = self._process.poll()
         if code is None:
             return {"state": "running", "text": "the map is being fitted to your hand"}
@@ -77,7 +77,7 @@ class PageControl:
         recordings: files that were written.
 
     Args:
-        desk: where commands come from.
+        station: where commands come from.
         publish: sends a state to all pages.
         folder: of recordings.
         map_file: the map for everyone, which can be fitted to the person; None if sessions use another map.
@@ -86,13 +86,13 @@ class PageControl:
 
     def __init__(
         self,
-        desk: Desk,
+        station: OperatorStation,
         publish: Callable[[str], None],
         folder: Path,
         map_file: Path | None,
         load: Callable[[Path], Retarget],
     ):
-        self._desk, self._publish, self._folder = desk, publish, folder
+        self._station, self._publish, self._folder = station, publish, folder
         self._map_file, self._load = map_file, load
         self.loop: Teleoperation
         self.recorder: GloveRecorder
@@ -136,8 +136,8 @@ class PageControl:
     def step(self, root: Context, engaged: bool) -> bool:
         """Returns whether the person shall be engaged."""
         self._root = root
-        while self._desk.commands:
-            command = self._desk.commands.popleft()
+        while self._station.commands:
+            command = self._station.commands.popleft()
             self._note = ""
             if isinstance(command, Engage | Disengage):
                 engaged = isinstance(command, Engage)
@@ -151,7 +151,7 @@ class PageControl:
                 self._consent = False
                 self._finish_recording()
             elif isinstance(command, Guide):
-                self._guide, self._missing = GuidedPlay(time.monotonic(), self._desk.about.side), []
+                self._guide, self._missing = GuidedPlay(time.monotonic(), self._station.about.side), []
             elif isinstance(command, Refit):
                 self._begin_refit()
         # A replay follows from its start, as the robot does from its engagement.
@@ -161,7 +161,7 @@ class PageControl:
         self._hand_over_map()
         now = time.monotonic()
         if self._guide is not None:
-            self._guide.see(now, self._desk.p_HK)
+            self._guide.see(now, self._station.p_HK)
             if now - self._judged >= _GUIDE_S:
                 self._judged, self._missing = now, self._guide.missing()
         if now - self._published >= _STATE_S:
@@ -178,13 +178,13 @@ class PageControl:
 
     def _record(self) -> None:
         name = "-".join([time.strftime("%Y-%m-%dT%H-%M-%S"), *map(str, self._facts.values())])
-        operator = self._desk.operator
+        operator = self._station.operator
         facts = {
-            "side": self._desk.about.side,
+            "side": self._station.about.side,
             "source": "live web page",
             "consent": True,
             "device": operator and operator.device,
-            "map": "fitted to the person" if self._fitted else self._desk.about.map,
+            "map": "fitted to the person" if self._fitted else self._station.about.map,
             "began": self._root.get_time(),
             **self._facts,
         }
@@ -229,7 +229,7 @@ class PageControl:
         except (GeortError, IndexError) as error:
             self._refit_state = {"state": "failed", "text": str(error)}
             return
-        self._refit = Refitting(path, path.with_suffix(""), self._desk.about.hand, self._map_file)
+        self._refit = Refitting(path, path.with_suffix(""), self._station.about.hand, self._map_file)
 
     def _watch_refit(self) -> None:
         if self._refit is None:
@@ -253,7 +253,7 @@ class PageControl:
             self._fitted = None
 
     def _state(self, root: Context, engaged: bool) -> dict[str, Any]:
-        desk, guide = self._desk, self._guide
+        station, guide = self._station, self._guide
         return {
             "type": "state",
             "scene": self._scene,
@@ -262,15 +262,15 @@ class PageControl:
             "engaged": engaged,
             "following": self.loop.following(root),
             "status": self._note or self.loop.state(root),
-            "fist": desk.fist if self._fist_counts(engaged) else 0.0,
+            "fist": station.fist if self._fist_counts(engaged) else 0.0,
             "outcome": self._outcome(root),
             "delay": self._delay(),
-            "filter_delay": desk.filter_delay,
-            "received": desk.received,
-            "refused": desk.refused,
+            "filter_delay": station.filter_delay,
+            "received": station.received,
+            "refused": station.refused,
             "late": self.loop.glove.late,  # type: ignore[attr-defined]
-            "operator": desk.operator is not None,
-            "spectators": desk.spectators,
+            "operator": station.operator is not None,
+            "spectators": station.spectators,
             "recording": self._parts.path.name if self._parts else WAITING if self._consent else None,
             "guide": guide
             and {

@@ -19,7 +19,7 @@ _SHORTEST_M = 1e-3  # bone
 _CUTOFF_HZ, _SLOPE = 2.0, 20.0
 _STRAIGHT = (WRIST, *FINGER_KEYPOINTS["middle"])
 
-# A person at the desk faces the camera C (x right in the picture, y down, z away from it) and reaches towards
+# A person at a desk faces the camera C (x right in the picture, y down, z away from it) and reaches towards
 # it as the robot reaches forward.
 _R_WC = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 # A headset's space S has y up and looks along -z.

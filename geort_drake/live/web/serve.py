@@ -11,18 +11,18 @@ from typing import TYPE_CHECKING
 from geort_drake.console import say, warn
 from geort_drake.errors import LiveError
 from geort_drake.live.web.certificate import own_addresses, self_signed_context
-from geort_drake.live.web.desk import Desk
+from geort_drake.live.web.operator_station import OperatorStation
 
 if TYPE_CHECKING:
     from geort_drake.live.web.server import WebServer
 
 
 @contextmanager
-def open_server(desk: Desk, host: str, port: int, browser: bool) -> "Iterator[WebServer]":
+def open_server(station: OperatorStation, host: str, port: int, browser: bool) -> "Iterator[WebServer]":
     """Yields a server and prints its address, which contains its key; closes it at the end.
 
     Args:
-        desk: takes the page's messages.
+        station: takes the page's messages.
         host, port: where to listen. Any address but this machine's own gets TLS.
         browser: whether the browser is opened, if there is a display.
 
@@ -36,7 +36,7 @@ def open_server(desk: Desk, host: str, port: int, browser: bool) -> "Iterator[We
     hosts = own_addresses(host)
     tls = None if is_loopback(host) else self_signed_context(hosts)
     key = secrets.token_urlsafe(16)
-    server = WebServer(desk, host, port, key, tls)
+    server = WebServer(station, host, port, key, tls)
     try:
         shown = f"[{hosts[0]}]" if ":" in hosts[0] else hosts[0]
         address = f"{'https' if tls else 'http'}://{shown}:{server.port}/#{key}"

@@ -14,8 +14,8 @@ import msgspec
 from aiohttp import WSMsgType, web
 
 from geort_drake.errors import GeortError, LiveError
-from geort_drake.live.web.desk import Desk
 from geort_drake.live.web.messages import MAX_BYTES
+from geort_drake.live.web.operator_station import OperatorStation
 
 PAGES = Path(__file__).parent / "static"
 _MOST_CONNECTIONS = 8
@@ -104,7 +104,7 @@ class WebServer:
         dropped: messages that came faster than allowed.
 
     Args:
-        desk: takes the messages.
+        station: takes the messages.
         host, port: where to listen; port 0 lets the system choose.
         key: the secret that the WebSocket asks for.
         tls: settings with a certificate; None for plain HTTP.
@@ -116,14 +116,14 @@ class WebServer:
 
     def __init__(
         self,
-        desk: Desk,
+        station: OperatorStation,
         host: str,
         port: int,
         key: str,
         tls: ssl.SSLContext | None = None,
         pages: Path = PAGES,
     ):
-        self._desk, self._key, self._tls, self._pages = desk, key, tls, pages
+        self._station, self._key, self._tls, self._pages = station, key, tls, pages
         self.dropped = 0
         self._scene, self._meshes = b"{}", list[bytes]()
         self._connections: dict[int, _Connection] = {}
@@ -206,7 +206,7 @@ class WebServer:
         await socket.prepare(request)
         connection = _Connection(next(self._numbers), socket)
         self._connections[connection.number] = connection
-        connection.answer(self._desk.join(connection.number))
+        connection.answer(self._station.join(connection.number))
         sender = asyncio.create_task(connection.send())
         try:
             async for message in socket:
@@ -217,7 +217,7 @@ class WebServer:
         finally:
             sender.cancel()
             del self._connections[connection.number]
-            self._desk.leave(connection.number)
+            self._station.leave(connection.number)
         return socket
 
     def _require_access(self, request: web.Request) -> None:
@@ -236,7 +236,7 @@ class WebServer:
             self.dropped += 1
             return
         try:
-            answer = self._desk.take(connection.number, data)
+            answer = self._station.take(connection.number, data)
         except GeortError as error:
             connection.refuse(str(error))
             return

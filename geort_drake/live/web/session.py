@@ -15,7 +15,7 @@ from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.session import SessionReport, run_session
 from geort_drake.live.teleoperation import Teleoperation, make_teleoperation
 from geort_drake.live.web.control import PageControl
-from geort_drake.live.web.desk import Desk
+from geort_drake.live.web.operator_station import OperatorStation
 from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
 from geort_drake.retargeting.method import Retarget
 from geort_drake.simulation.following import RobotModel
@@ -39,7 +39,7 @@ class WebTeleoperation:
         scenario: settings; every session has its own object.
         description, model: of the robot.
         retarget: the map with which every session begins.
-        desk, server, control: of the page.
+        station, server, control: of the page.
         link: to a real robot; None for the simulation.
         relax_after: see `Watchdog`, s.
     """
@@ -48,7 +48,7 @@ class WebTeleoperation:
     description: HandDescription
     model: RobotModel
     retarget: Retarget
-    desk: Desk
+    station: OperatorStation
     server: "WebServer"
     control: PageControl
     link: RobotLink | None = None
@@ -120,7 +120,7 @@ class WebTeleoperation:
                 "pose_stream",
                 PoseStream(
                     scene,
-                    lambda: self.desk.p_HK,
+                    lambda: self.station.p_HK,
                     description.side,
                     lambda frame: self.server.publish(frame=frame),
                 ),
@@ -140,7 +140,7 @@ class WebTeleoperation:
             description,
             self.model,
             self.retarget,
-            GloveStream(self.desk, description.side),
+            GloveStream(self.station, description.side),
             robot,
             start,
             self.relax_after,

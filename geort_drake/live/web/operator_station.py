@@ -1,4 +1,4 @@
-"""Decides who is at the controls, and hands on what that person sends."""
+"""Decides who has the controls, and passes on what that person sends."""
 
 import dataclasses as dc
 import math
@@ -41,8 +41,8 @@ _FIST = 0.5
 
 
 @dc.dataclass(frozen=True)
-class About:
-    """What a page is told of the robot: see `welcome` in docs/reference/web-protocol.md."""
+class RobotInfo:
+    """Facts about the robot for the pages: see `welcome` in docs/reference/web-protocol.md."""
 
     side: str
     hand: str
@@ -53,7 +53,7 @@ class About:
 
 @dc.dataclass
 class Operator:
-    """The person at the controls.
+    """The person who has the controls.
 
     Attributes:
         number: of the connection.
@@ -76,15 +76,15 @@ class Operator:
     asked: float = -math.inf
 
 
-class Desk:
-    """The desk at which one person operates the robot and others look on. It is the loop's `Receiver`.
+class OperatorStation:
+    """Lets one page operate the robot and others watch. It is the loop's `Receiver`.
 
     The server's thread calls `join`, `take` and `leave`; the loop's calls `drain` and reads `commands`.
 
     Attributes:
         about: the robot.
         commands: what the operator asked for, oldest first.
-        operator: who is at the controls; None without one.
+        operator: who has the controls; None: nobody.
         received, refused: counts of hands that were passed on, and of messages that could not be used.
         fist: share of `FIST_S` for which a fist has been held.
         p_HK: the operator's last hand (21, 3), m; None while it is lost.
@@ -94,7 +94,7 @@ class Desk:
         clock: monotonic, s.
     """
 
-    def __init__(self, about: About, clock: Callable[[], float] = time.monotonic):
+    def __init__(self, about: RobotInfo, clock: Callable[[], float] = time.monotonic):
         self.about, self._clock = about, clock
         self.commands: deque[Command] = deque(maxlen=_MOST_HANDS)
         self.operator: Operator | None = None
