@@ -35,8 +35,10 @@ from geort_drake.simulation.wrist_motion import WristMovement, minimum_jerk
 from geort_drake.systems.port_values import pose_to_vector
 
 RATE = 50.0  # Hz, of the script
-# Ends of the script's parts, s: the hand waits before the object, is at it, touches, squeezes, has lifted it.
-WAITING, THERE, TOUCHING, SQUEEZED, LIFTED, END = 2.0, 3.5, 4.5, 5.0, 6.0, 7.5
+# Ends of the script's first parts, and durations of the others, s: the hand waits before the object, is at
+# it, closes as fast as its joints can, squeezes, lifts and holds.
+WAITING, THERE = 2.0, 3.5
+CLOSING, SQUEEZING, LIFTING, HOLDING = 1.0, 0.5, 1.0, 3.5
 DEPTH, HEIGHT = 0.03, 0.15  # m, of the squeeze and the lift
 ITERATIONS, LARGEST_STEP, DAMPING = 10, 0.1, 5e-3  # of the inverse kinematics; rad, m/rad
 
@@ -79,21 +81,35 @@ class Oracle:
 
     def __init__(self, hand: HandModel):
         self.description, self.joint_names = hand.description, hand.joint_names
-        self._start, self._hand = hand.default_position, NumpyKinematics(hand.kinematics())
+        self._hand = NumpyKinematics(hand.kinematics())
+        # From the default posture, straight fingers are singular.
+        self._start = 0.5 * (hand.lower + hand.upper)
+        joints = [hand.plant.GetJointByName(name, hand.instance) for name in hand.joint_names]
+        self.speed = np.array([joint.velocity_upper_limit() for joint in joints])
         self.reset()
 
     def reset(self) -> None:
         self._q = self._start
 
+    def closing_time(self, p_BF_open: np.ndarray, p_BF_touch: np.ndarray) -> float:
+        """How long a minimum-jerk movement of the joints between two fingertip positions takes, s."""
+        q_open = self._solve(self._start, p_BF_open, 100)
+        q_touch = self._solve(q_open, p_BF_touch, 100)
+        # It peaks at 15/8 of its mean speed.
+        return max(CLOSING, float((1.875 * np.abs(q_touch - q_open) / self.speed).max()))
+
     def __call__(self, p_HK: np.ndarray) -> np.ndarray:
         targets = np.asarray(p_HK, float)[self.description.human_keypoints]
-        q, n = self._q, len(self._q)
-        for _ in range(ITERATIONS):
+        self._q = self._solve(self._q, targets, ITERATIONS)
+        return self._q
+
+    def _solve(self, q: np.ndarray, targets: np.ndarray, iterations: int) -> np.ndarray:
+        n = len(q)
+        for _ in range(iterations):
             tips, J = self._hand.fingertips_and_jacobians(q[None])
             J = J.reshape(-1, n)
             step = J.T @ np.linalg.solve(J @ J.T + DAMPING**2 * np.eye(len(J)), (targets - tips[0]).ravel())
             q = np.clip(q + np.clip(step, -LARGEST_STEP, LARGEST_STEP), self._hand.lower, self._hand.upper)
-        self._q = q
         return q
 
 
@@ -105,7 +121,9 @@ def _try(scenario: Scenario, oracle: Oracle, most: int) -> dict:
         return {"plans": 0, "held": 0, "outcomes": [str(error)]}
     outcomes: list[str] = []
     for goal in plans:
-        result, _ = run_trial(scenario, oracle, script(scenario, oracle, goal))
+        recording = script(scenario, oracle, goal)
+        scenario.timeout = float(recording.t[-1])
+        result, _ = run_trial(scenario, oracle, recording)
         outcomes.append(result.outcome)
         if result.success:
             break
@@ -117,21 +135,22 @@ def script(scenario: Scenario, oracle: Oracle, goal: GraspGoal) -> Recording:
     X_WO = goal.object_frame(_object_pose(scenario))
     X_start = _start_pose(scenario, oracle)
     X_before, X_WB = X_WO @ goal.X_OB_before, X_WO @ goal.X_OB
-    X_end = RigidTransform([0, 0, HEIGHT]) @ X_WB
-    movements = (
-        WristMovement(X_start, X_before, 0.0, WAITING - 0.5),
-        WristMovement(X_before, X_WB, WAITING, THERE - WAITING - 0.5),
-        WristMovement(X_WB, X_end, SQUEEZED, LIFTED - SQUEEZED),
-    )
     X_BO = goal.X_OB.inverse()
     touching, inwards = X_BO.multiply(goal.p_OF_touch.T).T, goal.n_OF @ X_BO.rotation().matrix().T
     touching[~goal.touches] = goal.p_BF_open[~goal.touches]
-    t = np.arange(0.0, END, 1 / RATE)
+    closed = THERE + oracle.closing_time(goal.p_BF_open, touching)
+    squeezed = closed + SQUEEZING
+    movements = (
+        WristMovement(X_start, X_before, 0.0, WAITING - 0.5),
+        WristMovement(X_before, X_WB, WAITING, THERE - WAITING - 0.5),
+        WristMovement(X_WB, RigidTransform([0, 0, HEIGHT]) @ X_WB, squeezed, LIFTING),
+    )
+    t = np.arange(0.0, squeezed + LIFTING + HOLDING, 1 / RATE)
     keypoints, poses = np.zeros((len(t), 21, 3)), []
     for number, time in enumerate(t):
-        closed = minimum_jerk((time - THERE) / (TOUCHING - THERE))
-        depth = DEPTH * minimum_jerk((time - TOUCHING) / (SQUEEZED - TOUCHING))
-        p_BF = goal.p_BF_open + closed * (touching - goal.p_BF_open) + depth * inwards
+        share = minimum_jerk((time - THERE) / (closed - THERE))
+        depth = DEPTH * minimum_jerk((time - closed) / SQUEEZING)
+        p_BF = goal.p_BF_open + share * (touching - goal.p_BF_open) + depth * inwards
         keypoints[number, oracle.description.human_keypoints] = p_BF
         begun = [movement for movement in movements if time >= movement.t_start]
         poses.append(pose_to_vector(begun[-1].pose(time)))
