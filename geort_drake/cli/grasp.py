@@ -67,6 +67,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import HandModel, __version__, load_hand, run_trial
+    from geort_drake.benchmark.trials import plan
     from geort_drake.comparison.retargeters import names_of, retargeter_of
     from geort_drake.comparison.train import training_recording
     from geort_drake.console import print_table, progress_bar, say, track, warn
@@ -76,7 +77,6 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.simulation.free_play import keep_attainable, seen_fingertips
     from geort_drake.simulation.person import persons_hand
     from geort_drake.simulation.scenario import dump_scenario
-    from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
     # The request is checked completely before anything is computed or written.
     base = scenario_of(arguments)
@@ -93,19 +93,14 @@ def run(arguments: argparse.Namespace) -> int:
     # Planning comes before training because it shows whether the robot can grasp the objects at all.
     plans: dict[str, Any] = {}
     if replay is None:
-        for scenario in track("planning", scenarios, len(scenarios), lambda scenario: scenario.object.name):
-            name = scenario.object.name
-            if name not in plans:
-                try:
-                    plans[name] = GraspPlanner(scenario, description).plans()
-                except ScenarioError as error:
-                    plans[name] = error
-        refused = [each for each in plans.values() if isinstance(each, ScenarioError)]
+        names = list(dict.fromkeys(scenario.object.name for scenario in scenarios))
+        plans = {name: plan(dump_scenario(base), name) for name in track("planning", names, len(names))}
+        refused = [reason for reason in plans.values() if isinstance(reason, str)]
         if len(refused) == len(plans):
-            raise refused[0]
+            raise ScenarioError(refused[0])
         for reason in refused:
             warn(f"left out: {reason}")
-        scenarios = [s for s in scenarios if isinstance(plans[s.object.name], list)]
+        scenarios = [scenario for scenario in scenarios if isinstance(plans[scenario.object.name], list)]
     retarget, checkpoint = retargeter_of(method, hand, recording, arguments.seed, arguments.device)
     source = str(arguments.recording or f"synthetic play, seed {arguments.seed}")
     say(f"Human motion: {source}")
@@ -123,8 +118,8 @@ def run(arguments: argparse.Namespace) -> int:
     goals = {}
     if replay is None:
         seen = seen_fingertips(retarget, hand, person)
-        found = {name: each for name, each in plans.items() if isinstance(each, list)}
-        goals = {name: keep_attainable(each, seen.p_BF)[0] for name, each in found.items()}
+        found = {scenario.object.name for scenario in scenarios}
+        goals = {name: keep_attainable(plans[name], seen.p_BF)[0] for name in found}
     results = []
     with progress_bar() as display:
         update = display.counter("grasping")
