@@ -118,6 +118,7 @@ class StubServer:
     messages: list[dict] = dc.field(default_factory=list)
     requests: list[str] = dc.field(default_factory=list)
     socket: object = None
+    silent: bool = False  # at first
 
     def attach(self, page, scene: dict = SCENE) -> None:
         page.on("request", lambda request: self.requests.append(request.url))
@@ -139,7 +140,8 @@ class StubServer:
     def _open(self, socket) -> None:
         self.socket = socket
         socket.on_message(lambda text: self._receive(json.loads(text)))
-        self.welcome(role="spectator")
+        if not self.silent:
+            self.welcome(role="spectator")
 
     def _receive(self, message: dict) -> None:
         self.messages.append(message)

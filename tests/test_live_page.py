@@ -224,11 +224,20 @@ def test_headset_sends_the_robots_side_in_order(headset, stub, address, rng):
     assert stub.messages[-1]["type"] == "lost"
 
 
+def test_a_headset_can_be_used_before_the_server_answers(headset, stub, address, rng):
+    stub.silent = True
+    page = headset(address, {"right": rng.uniform(-1, 1, (25, 3)).tolist()})
+    stub.welcome(role="spectator")
+    page.wait_for_selector("body[data-state=tracking]")
+    assert stub.of("hello")[-1]["device"] == "headset"
+
+
 def test_a_real_robot_is_engaged_after_a_question(headset, stub, address, rng):
     page = headset(address, {"right": rng.uniform(-1, 1, (25, 3)).tolist()})
     page.wait_for_selector("body[data-state=tracking]")
     stub.welcome(robot="lcm")
     until(page, lambda: page.inner_text("#connection") == "Real robot")
+    assert "fist" not in page.inner_text("#headline")
     for answer in ("cancel", "engage"):
         assert not stub.of("engage")
         page.keyboard.press(" ")

@@ -21,7 +21,7 @@ export class Headset {
     this.onEnd = onEnd;
   }
 
-  /** @param {"right" | "left"} side of the hand that is sent. */
+  /** @param {() => "right" | "left" | undefined} side of the hand that is sent; unknown without a connection. */
   async start(mode, side) {
     this.session = await navigator.xr.requestSession(mode, {
       requiredFeatures: ["local-floor", "hand-tracking"],
@@ -31,7 +31,7 @@ export class Headset {
       this.onEnd();
     });
     await this.view.enterHeadset(this.session, (time, frame, space) => {
-      const hand = readHand(this.session, frame, space, side);
+      const hand = readHand(this.session, frame, space, side());
       this.view.setOwnJoints(hand.joints);
       this.onResult({ t: time / 1000, ...hand });
     });

@@ -151,7 +151,7 @@ navigator.permissions
 
 headsetMode().then((mode) => {
   element("headset").hidden = mode === null;
-  element("headset").onclick = () => use("headset", () => headset.start(mode, model.welcome.side));
+  element("headset").onclick = () => use("headset", () => headset.start(mode, () => model.welcome?.side));
 });
 
 // A page that is not shown gets no pictures.

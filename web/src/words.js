@@ -43,6 +43,7 @@ export function situation({ connected, welcome, state, device, hand, refusal }) 
   if (!seen) return say("waiting", `Hold up your ${side} hand`, "The whole hand, with the palm to the camera.");
   if (refusal) return say("tracking", "Not yet", refusal);
   if (state?.guide?.seconds_left > 0) return say("tracking", "Guided play", "The robot waits, and no fist engages it.");
+  if (welcome.robot === "lcm") return say("tracking", "Press Space to take control", "The real robot will move.");
   return state?.fist > 0
     ? say("tracking", "Keep the fist", "The robot follows when the ring is full.")
     : say("tracking", "Hold a fist to take control", "Or press Space. The robot moves as your hand does.");

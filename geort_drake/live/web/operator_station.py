@@ -62,7 +62,7 @@ class Operator:
         time: of the last hand, s on the page's clock.
         first: hands (21, 3), m, that are not checked yet.
         known: whether they were.
-        fist_since: since when a fist is held, s; None without one.
+        fist_since: since when a fist is held, s; None without one, infinite after its command.
         asked: when a confirmation was asked for, s.
     """
 
@@ -215,10 +215,12 @@ class OperatorStation:
         now = self._clock()
         if operator.fist_since is None:
             operator.fist_since = now
-        before, self.fist = self.fist, min((now - operator.fist_since) / FIST_S, 1.0)
-        # A fist is no confirmation that a real robot may move.
-        if before < 1.0 <= self.fist and self.about.robot == "simulation":
-            self.commands.append(Fist())
+        self.fist = min(max((now - operator.fist_since) / FIST_S, 0.0), 1.0)
+        if self.fist >= 1.0:
+            operator.fist_since = math.inf  # it counts once, until the hand opens
+            # A fist is no confirmation that a real robot may move.
+            if self.about.robot == "simulation":
+                self.commands.append(Fist())
 
     def _ask(self, operator: Operator, command: Command) -> None:
         if isinstance(command, Reset) and command.object not in (None, *self.about.objects):
