@@ -172,7 +172,7 @@ class PageControl:
     def _fist_counts(self, engaged: bool) -> bool:
         """Whether a held fist is a command of a simulation: not in guided play or in a grasp."""
         guided = self._guide is not None and self._guide.seconds_left > 0.0
-        if guided or self._desk.about.robot != "simulation":
+        if guided or self._station.about.robot != "simulation":
             return False
         outcome = self.loop.outcome(self._root)
         return not engaged or outcome is None or outcome.phase in (GraspPhase.REACH, *OVER)
