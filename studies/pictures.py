@@ -218,6 +218,13 @@ def draw_human_play(folder: Path, arguments: argparse.Namespace) -> None:
     run("../studies/human_play", folder / "human_play.png", *compared)
 
 
+def draw_people(folder: Path, _arguments: argparse.Namespace) -> None:
+    """Hands of the population."""
+    subprocess.run(
+        [sys.executable, ROOT / "studies" / "people.py", "--output", folder / "people.png"], check=True
+    )
+
+
 def record_objects(folder: Path, _arguments: argparse.Namespace) -> None:
     """The example of docs/how-to/record-with-rerun.md."""
     with contextlib.chdir(folder):
@@ -235,6 +242,7 @@ PICTURES = {
     "capture": Picture(record_capture, "capture.rrd", 66.0),
     "add_hand": Picture(record_add_hand, "add_hand.rrd", 4.0),
     "human_play": Picture(draw_human_play, "human_play.png"),
+    "people": Picture(draw_people, "people.png"),
 }
 
 

@@ -49,7 +49,7 @@ def train_coupled(
 METHODS = (
     TrainedMethod(
         "geort_coupled",
-        "all five criteria, by a network that sees all fingertips; the default",
+        "all five criteria, by a network that sees all fingertips",
         CoupledConfig,
         train_coupled,
         CoupledRetargeter,
