@@ -13,6 +13,7 @@ import json
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -144,11 +145,11 @@ class Theatre:
         self.page.emulate_media(color_scheme="light")
 
 
-def main() -> None:
+def main(argv: Sequence[str] | None = None) -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--output", type=Path, required=True)
     options.add_argument("--states", type=Path)
-    arguments = options.parse_args()
+    arguments = options.parse_args(argv)
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
