@@ -235,9 +235,10 @@ class HumanHand:
 
     def _in_plane(self, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The tip's coordinates (..., 5) along the first bone and across it, in the bending plane."""
-        L = self.lengths
-        along = L[:, 0] + (L[:, 1:] * np.cos(bend)).sum(axis=-1)
-        return along, (L[:, 1:] * np.sin(bend)).sum(axis=-1)
+        first, middle, last = self.lengths.T
+        c, s = np.cos(bend), np.sin(bend)
+        along = first + (middle * c[..., 0] + last * c[..., 1])
+        return along, middle * s[..., 0] + last * s[..., 1]
 
 
 def _nominal_base_frames() -> np.ndarray:

@@ -4,8 +4,10 @@ import dataclasses as dc
 import functools
 
 import numpy as np
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform
 from scipy.spatial.transform import Rotation
+
+from geort_drake.systems.port_values import rotation_of_vector
 
 
 @dc.dataclass
@@ -25,8 +27,7 @@ class WristMovement:
         """Returns the pose at time t: on a straight line, rotated about a fixed axis."""
         s = minimum_jerk((t - self.t_start) / self.duration)
         p = self.X_start.translation() + s * (self.X_end.translation() - self.X_start.translation())
-        rotation = Rotation.from_rotvec(self._rotation_vector * s).as_matrix()
-        return RigidTransform(self.X_start.rotation() @ RotationMatrix(rotation), p)
+        return RigidTransform(self.X_start.rotation() @ rotation_of_vector(self._rotation_vector * s), p)
 
     @functools.cached_property
     def _rotation_vector(self) -> np.ndarray:

@@ -6,10 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from pydrake.math import RigidTransform, RotationMatrix
-from scipy.spatial.transform import Rotation
+from pydrake.math import RigidTransform
 
 from geort_drake.simulation.operators.config import OperatorConfig
+from geort_drake.systems.port_values import rotation_of_vector
 
 # The person looks ahead and down, along this direction in W.
 GAZE_W = np.array([0.8, 0.0, -0.6])
@@ -70,10 +70,10 @@ def perceive(scene: Seen, error: VisualError, config: OperatorConfig, rng: np.ra
 
     Only positions relative to the object matter, so that of the object has no error.
     """
-    turns = Rotation.from_rotvec(error.turn).as_matrix()
+    turns = map(rotation_of_vector, error.turn)
     factor = 1 + rng.normal(0, config.contact_noise, len(scene.p_WF))
     X_WO, X_WB = (
-        RigidTransform(RotationMatrix(turn) @ X.rotation(), X.translation() + shift)
+        RigidTransform(turn @ X.rotation(), X.translation() + shift)
         for X, turn, shift in zip((scene.X_WO, scene.X_WB), turns, (np.zeros(3), error.p[-1]), strict=True)
     )
     # A felt force is never negative.
