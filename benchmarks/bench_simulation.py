@@ -112,7 +112,7 @@ class Maker:
     def __init__(self, object_name: str, retargeter: Path | None):
         self._object = object_name
         scenario, play = _scenario(object_name), synthesize_play(seed=0)
-        checkpoint = retargeter or cached_checkpoint(scenario.hand, play)[0]
+        checkpoint = retargeter or cached_checkpoint(scenario.hand, play)
         description = load_hand(scenario.hand)
         self._retarget = load_retargeter(checkpoint, HandModel(description))
         self._human = HumanHand.fit(play), GraspPlanner(scenario, description).plan()

@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         recording = read_recording(arguments.recording, description.side, training=True)
     else:
         recording = synthesize_play(0)
-    path = arguments.retargeter or cached_checkpoint(arguments.hand, recording, arguments.method)[0]
+    path = arguments.retargeter or cached_checkpoint(arguments.hand, recording, arguments.method)
     frames = recording.fingertips(description.human_keypoints)
     frames = frames[: arguments.frames].astype(float)
     bare = load_retargeter(path, hand)(frames)

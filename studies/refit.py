@@ -64,7 +64,7 @@ def main(argv: Sequence[str] | None = None) -> None:
                 )
                 for steps in arguments.steps
             }
-            paths["own training"], _ = cached_checkpoint(arguments.hand, seen)
+            paths["own training"] = cached_checkpoint(arguments.hand, seen)
             for name, path in paths.items():
                 seconds = load_checkpoint(path).provenance["timings"]["training_s"]
                 maps[name] = load_retargeter(path), seconds

@@ -171,7 +171,7 @@ def checkpoint_of(arguments: argparse.Namespace, description: "HandDescription")
     if (path := arguments.retargeter or shipped_maps().get(hand)) is not None:
         return path
     say(f"no map for everyone comes with {hand} yet: it follows a map trained on synthetic play")
-    return cached_checkpoint(hand, synthesize_play(seed=0, side=description.side))[0]
+    return cached_checkpoint(hand, synthesize_play(seed=0, side=description.side))
 
 
 def load(path: Path, description: "HandDescription", backend: str) -> "Retargeter | UniversalRetargeter":

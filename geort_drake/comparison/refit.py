@@ -13,7 +13,6 @@ from geort_drake.retargeting.map_file import shipped_maps
 from geort_drake.retargeting.methods.coupled import REFIT_STEPS, Start
 from geort_drake.retargeting.methods.coupled.population import likely_plays
 from geort_drake.retargeting.retargeter import load_retargeter
-from geort_drake.retargeting.training.descent import Report
 from geort_drake.retargeting.universal import UniversalRetargeter
 
 
@@ -25,7 +24,6 @@ def refit_checkpoint(
     steps: int = REFIT_STEPS,
     seed: int = 0,
     show_progress: bool = True,
-    report: Report | None = None,
 ) -> Path:
     """Fits the map for everyone to one person and writes a checkpoint of `geort_coupled`.
 
@@ -39,7 +37,6 @@ def refit_checkpoint(
         steps: of the training.
         seed: of the training and the metrics.
         show_progress: draw progress bars on stderr.
-        report: see `Report`.
 
     Returns:
         The checkpoint's directory.
@@ -68,7 +65,6 @@ def refit_checkpoint(
         seed=seed,
         show_progress=show_progress,
         settings={"steps": steps},
-        report=report,
         start=Start(arrays, likely_plays(p_HK, universal.finger_names, seed)),
         provenance={"map": {"name": path.name, "sha256": sha256_of(path)}},
     )

@@ -76,5 +76,5 @@ def retargeter_of(
     if method in shipped_methods():
         path = shipped_map(hand)
     elif method in trained_methods():
-        path, _ = train.cached_checkpoint(hand.description, recording, method, seed, device)
+        path = train.cached_checkpoint(hand.description, recording, method, seed, device)
     return load_retargeter(path, hand), path

@@ -177,7 +177,7 @@ def cached_checkpoint(
     seed: int = 0,
     device: str = "cpu",
     settings: Mapping | None = None,
-) -> tuple[Path, bool]:
+) -> Path:
     """The checkpoint for a hand and a recording from the cache, trained first if it is not there.
 
     The key covers the hand's model and description, the recording, method, seed, device, settings, and the
@@ -188,7 +188,7 @@ def cached_checkpoint(
         hand_name, recording, method, seed, device, settings: as in `train_checkpoint`.
 
     Returns:
-        The checkpoint's directory in `cache_dir() / "retargeters"`, and whether it existed before.
+        The checkpoint's directory in `cache_dir() / "retargeters"`.
 
     Raises:
         HandError, RecordingError, TrainingError, UnknownNameError: see `train_checkpoint`.
@@ -215,12 +215,12 @@ def cached_checkpoint(
         else:
             for text in known:
                 warnings.warn(text, RuntimeWarning, stacklevel=2)
-            return path, True
+            return path
     say(
         f"The cache has no {method} retargeter for {hand.description.name} and this recording; training one "
         "takes about two minutes."
     )
-    return train_checkpoint(hand_name, recording, path, method, seed, device, settings=settings), False
+    return train_checkpoint(hand_name, recording, path, method, seed, device, settings=settings)
 
 
 def training_recording(source: Recording | str | os.PathLike | None, side: str, seed: int = 0) -> Recording:

@@ -222,9 +222,9 @@ def pinch(timeline: Timeline, finger: int, postures: np.ndarray, rng: np.random.
         timeline.move(slide - opened.ravel(), rng.uniform(0.25, 0.5))
 
 
-def pinch_postures(hand: HumanHand, finger: int, rng: np.random.Generator, count: int = 2) -> np.ndarray:
-    """Up to `count` pairs (n, 2, 20) of postures in which thumb and finger touch, the second slid along."""
-    tries = 4 * count
+def pinch_postures(hand: HumanHand, finger: int, rng: np.random.Generator) -> np.ndarray:
+    """Up to two pairs (n, 2, 20) of postures in which thumb and finger touch, the second slid along."""
+    tries = 8
     theta = np.deg2rad(np.stack([resting(rng) for _ in range(tries)]))
     for i, (low, high) in ((_THUMB, _PINCH_THUMB), (finger, _PINCH_FINGER)):
         theta[:, i] = np.deg2rad(rng.uniform(low, high, (tries, 4)))
@@ -236,7 +236,7 @@ def pinch_postures(hand: HumanHand, finger: int, rng: np.random.Generator, count
     slide, still_near = _close(
         hand, finger, touch + onward.reshape(tries, 20), rng.normal(0.0, 0.008, (tries, 3)), gap
     )
-    kept = np.flatnonzero(near & still_near)[:count]
+    kept = np.flatnonzero(near & still_near)[:2]
     return np.stack([touch[kept], slide[kept]], axis=1)
 
 

@@ -69,9 +69,9 @@ def _pinches(hand: HandModel) -> list[str]:
     return found
 
 
-def nearest_pinch(kinematics: NumpyKinematics, number: int, seed: int = 0) -> float:
+def nearest_pinch(kinematics: NumpyKinematics, number: int) -> float:
     """The smallest distance of the first finger's tip and that of finger `number`, m, without collisions."""
-    q = np.random.default_rng(seed).uniform(
+    q = np.random.default_rng(0).uniform(
         kinematics.lower, kinematics.upper, (_PINCH_SAMPLES, len(kinematics.joint_names))
     )
     p_BF = kinematics.fingertips(q)

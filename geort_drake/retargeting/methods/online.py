@@ -45,20 +45,18 @@ class VectorOnline:
         self,
         kinematics: "HandKinematics",
         human_keypoints: Sequence[int] | None = None,
-        scale: float = SCALE,
     ):
         """Makes a retargeter at rest.
 
         Args:
             kinematics: of the robot hand, mirrored for a left one.
             human_keypoints: keypoint of each finger's tip; None goes by the fingers' names.
-            scale: α, robot over human.
 
         Raises:
             UnknownNameError: a finger's name has no keypoint.
             HandError: the method needs other fingers.
         """
-        self.kinematics, self._scale = NumpyKinematics(kinematics), scale
+        self.kinematics = NumpyKinematics(kinematics)
         self.finger_names, self.joint_names = self.kinematics.finger_names, self.kinematics.joint_names
         self.lower, self.upper = self.kinematics.lower, self.kinematics.upper
         self._points = HumanPoints(self.finger_names, human_keypoints)
@@ -142,7 +140,7 @@ class VectorOnline:
 
     def _targets(self, p_HF: np.ndarray, projected: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Target vectors (N, V, 3), weights (N, V) and updated switches (N, V) of hands (N, F, 3)."""
-        targets = self._scale * self._vectors.human(p_HF)
+        targets = SCALE * self._vectors.human(p_HF)
         return targets, np.ones(targets.shape[:2]), projected
 
 
@@ -185,7 +183,7 @@ class DexPilotOnline(VectorOnline):
         heavy = np.full(pairs, PINCH_WEIGHT)
         heavy[pinches:] = APART_WEIGHT
         switched = near[:, :pairs]
-        targets = self._scale * human
+        targets = SCALE * human
         direction = human[:, :pairs] / (distance[..., None] + 1e-6)
         targets[:, :pairs] = np.where(switched[..., None], direction * length[:, None], targets[:, :pairs])
         # Without projection the wrist's vectors lead, as in dex-retargeting.

@@ -12,6 +12,7 @@ import numpy as np
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 WRIST = -1  # origin of a task vector that starts at the wrist
+TOLERANCE, ITERATIONS = 1e-4, 60  # rad, of the last step; at most
 
 
 class TaskVectors:
@@ -51,8 +52,6 @@ class TaskVectors:
         weights: np.ndarray,
         start: np.ndarray,
         previous: np.ndarray | None,
-        tolerance: float = 1e-4,
-        iterations: int = 60,
     ) -> np.ndarray:
         """Joint angles (N, n) that minimise the objective of N frames, each on its own.
 
@@ -61,15 +60,13 @@ class TaskVectors:
             weights: (N, V).
             start: (N, n) joint angles inside the limits from which the descent starts.
             previous: (N, n) joint angles that the regulariser pulls towards; None omits it.
-            tolerance: a frame is done when its next step is shorter, rad.
-            iterations: maximum number of steps.
         """
         lower, upper = self.kinematics.lower, self.kinematics.upper
         q = np.clip(start, lower, upper)
         rows = np.arange(len(q))  # unfinished frames
         damping = np.full(len(q), 1e-3)
         loss, gradient, H = self.objective(q, targets, weights, previous)
-        for _ in range(iterations):
+        for _ in range(ITERATIONS):
             # Joints pressed against a limit are fixed.
             free = ~(((q[rows] <= lower) & (gradient > 0)) | ((q[rows] >= upper) & (gradient < 0)))
             # Damping relative to the mean curvature leaves redundant directions where they are.
@@ -88,7 +85,7 @@ class TaskVectors:
             loss = np.where(better, new[0], loss)
             gradient = np.where(better[:, None], new[1], gradient)
             H = np.where(better[:, None, None], new[2], H)
-            going = moved > tolerance
+            going = moved > TOLERANCE
             if not going.any():
                 break
             rows, loss, gradient, H = rows[going], loss[going], gradient[going], H[going]

@@ -10,6 +10,9 @@ from typing import Any
 
 import torch
 
+BASIS_BETA = 0.95  # decay of the averages whose eigenvectors are the bases
+REFRESH = 10  # steps between renewals of the bases
+
 
 class Soap:
     """Minimises over parameters (..., a, b); every leading index is a matrix by itself.
@@ -25,10 +28,8 @@ class Soap:
         parameters: Iterable[torch.Tensor] | Iterable[dict[str, Any]],
         lr: float,
         betas: tuple[float, float] = (0.9, 0.99),
-        basis_beta: float = 0.95,
         eps: float = 1e-8,
         weight_decay: float = 0.01,
-        refresh: int = 10,
         clip: float = math.inf,
     ):
         """Takes parameters, or dicts of "params" and settings of their own.
@@ -36,14 +37,11 @@ class Soap:
         Args:
             lr: learning rate.
             betas: Adam's.
-            basis_beta: decay of the averages whose eigenvectors are the bases.
             eps: keeps Adam from dividing by zero.
             weight_decay: decoupled from the gradients.
-            refresh: steps between renewals of the bases.
             clip: greatest norm of all gradients together.
         """
-        defaults: dict[str, Any] = {"lr": lr, "betas": betas, "basis_beta": basis_beta, "eps": eps}
-        defaults |= {"weight_decay": weight_decay, "refresh": refresh}
+        defaults: dict[str, Any] = {"lr": lr, "betas": betas, "eps": eps, "weight_decay": weight_decay}
         given: list[Any] = list(parameters)
         groups = given if isinstance(given[0], dict) else [{"params": given}]
         self.param_groups = [{**defaults, **group, "params": list(group["params"])} for group in groups]
@@ -91,10 +89,8 @@ class _State:
         params: Sequence[torch.Tensor],
         lr: float,
         betas: tuple[float, float],
-        basis_beta: float,
         eps: float,
         weight_decay: float,
-        refresh: int,
     ) -> None:
         """Moves the parameters along the gradients of all of them."""
         gradients = self._parts(flat)
@@ -113,8 +109,8 @@ class _State:
         for parameter, gradient, basis, move in zip(params, gradients, bases, moves, strict=True):
             parameter.mul_(1.0 - lr * weight_decay)
             parameter.sub_(basis.out(move).view_as(parameter), alpha=rate)
-            basis.average(gradient, 1.0 - basis_beta)
-            if self._steps % refresh == 0:
+            basis.average(gradient, 1.0 - BASIS_BETA)
+            if self._steps % REFRESH == 0:
                 basis.refresh()
 
 
