@@ -192,9 +192,14 @@ element("keep").onchange = refresh;
 element("record").onclick = () =>
   connection.send(model.state?.recording ? { type: "stop" } : { type: "record", keep: true });
 
-element("length").value = localStorage.getItem("hand_length") ?? "";
+// Browsers that block cookies throw at any use of the storage; then the length is not remembered.
+try {
+  element("length").value = localStorage.getItem("hand_length") ?? "";
+} catch {}
 element("length").onchange = ({ target }) => {
-  localStorage.setItem("hand_length", target.value);
+  try {
+    localStorage.setItem("hand_length", target.value);
+  } catch {}
   if (model.connected) hello();
 };
 
