@@ -24,8 +24,7 @@ def quick(light_evaluation, tmp_path):
 
     def train(hand_name, recording, method="geort", seed=0, device="cpu"):
         path = tmp_path / f"{method}-{seed}-{recording.digest[:8]}"
-        found = path.is_dir()
-        return path if found else train_lightly(hand_name, recording, path, method, seed), found
+        return path if path.is_dir() else train_lightly(hand_name, recording, path, method, seed)
 
     return train
 
@@ -80,7 +79,7 @@ def test_every_method_is_scored_under_every_protocol(evaluate, play, quick, tmp_
 
 def test_a_checkpoint_is_scored_only_where_its_training_fits(evaluate, play, quick, capsys):
     """It cannot be held out; what it learned from decides which of the other protocols it is for."""
-    path, _ = quick("allegro_right", play)
+    path = quick("allegro_right", play)
     code, report = evaluate(f"--methods {path} --held-out 2 --score-on other.npz")
     assert code == 1
     (of_method,) = report["methods"].values()
@@ -89,7 +88,7 @@ def test_a_checkpoint_is_scored_only_where_its_training_fits(evaluate, play, qui
     assert of_method["held_out"]["mean"] is None
     assert "cannot be trained without the block" in of_method["held_out"]["outcomes"][0]["error"]
     assert "block 1 of 2, seed 0" in " ".join(capsys.readouterr().err.split())
-    stranger, _ = quick("allegro_right", synthesize_play(2, duration_s=20.0, rate_hz=30.0), seed=1)
+    stranger = quick("allegro_right", synthesize_play(2, duration_s=20.0, rate_hz=30.0), seed=1)
     code, report = evaluate(f"--methods {stranger}")
     assert code == 1
     (outcome,) = report["methods"][str(stranger)]["same_person"]["outcomes"]
@@ -125,9 +124,8 @@ def test_a_stopped_run_leaves_the_methods_that_were_done(evaluate, quick, monkey
     def train(hand_name, recording, method, seed, device="cpu"):
         if method == "geort" and not trained[1:]:
             raise KeyboardInterrupt
-        path, found = quick(hand_name, recording, method, seed)
-        trained.append((method, found))
-        return path, found
+        trained.append((method, (tmp_path / f"{method}-{seed}-{recording.digest[:8]}").is_dir()))
+        return quick(hand_name, recording, method, seed)
 
     monkeypatch.setattr("geort_drake.comparison.train.cached_checkpoint", train)
     with pytest.raises(KeyboardInterrupt):
