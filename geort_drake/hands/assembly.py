@@ -144,7 +144,9 @@ def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstance
             (hand,) = parser.AddModels(path)
     except (RuntimeError, ValueError, SystemExit) as error:  # a failed assertion of Drake exits
         raise HandError(f"{source}: not one readable model: {error}") from error
-    check_model_values(model_files(plant, parser.scene_graph().model_inspector(), hand, path), source)
+    scene_graph = parser.scene_graph()
+    inspector = scene_graph.model_inspector() if scene_graph is not None else None
+    check_model_values(model_files(plant, inspector, hand, path), source)
     return hand
 
 

@@ -117,19 +117,21 @@ def resolve_reference(model: Path, name: str) -> Path:
 
 
 def model_files(
-    plant: MultibodyPlant, inspector: SceneGraphInspector, hand: ModelInstanceIndex, model: Path
+    plant: MultibodyPlant, inspector: SceneGraphInspector | None, hand: ModelInstanceIndex, model: Path
 ) -> list[Path]:
     """A hand's model file, the files that it includes, and the meshes of its collision geometry.
 
     Args:
         plant: with the hand.
-        inspector: of the plant's scene graph.
+        inspector: of the plant's scene graph; None for a plant without one, where meshes are left out.
         hand: the model instance of the hand.
         model: its SDF, URDF or MJCF file.
     """
-    bodies = [plant.get_body(index) for index in plant.GetBodyIndices(hand)]
-    geometries = [id for body in bodies for id in plant.GetCollisionGeometriesForBody(body)]
-    shapes = [inspector.GetShape(id) for id in geometries]
+    shapes = []
+    if inspector is not None:
+        bodies = [plant.get_body(index) for index in plant.GetBodyIndices(hand)]
+        geometries = [id for body in bodies for id in plant.GetCollisionGeometriesForBody(body)]
+        shapes = [inspector.GetShape(id) for id in geometries]
     sources = [shape.source() for shape in shapes if isinstance(shape, Convex | Mesh)]
     meshes = [Path(source.path()) for source in sources if source.is_path()]
     return list(dict.fromkeys([model, *_included_files(model), *meshes]))

@@ -48,7 +48,8 @@ def benchmark(seed: int, jobs: int = 1) -> None:
 
     It has fewer trials with seed 1 than with seed 0, which resumes it.
     """
-    from geort_drake.benchmark import folder, trials
+    from geort_drake.benchmark import trials
+    from geort_drake.comparison import train
 
     argv = [
         "--output", ".", "--methods", "hold", "--objects", "cylinder", "--jobs", str(jobs),
@@ -58,7 +59,7 @@ def benchmark(seed: int, jobs: int = 1) -> None:
     with (
         mock.patch.object(trials, "call_in_workers", call),
         mock.patch.object(trials, "plan", lambda *_: [reach_goal()]),
-        mock.patch.object(folder, "synthesize_play", lambda seed, side: play()),
+        mock.patch.object(train, "synthesize_play", lambda seed, side: play()),
     ):
         run_command("benchmark", argv)
     if jobs > 1:
