@@ -13,6 +13,7 @@ from geort_drake.errors import TrainingError
 from geort_drake.retargeting.clouds import first_in_voxels, voxel_centres, voxel_index
 from geort_drake.retargeting.methods.coupled import CoupledConfig, CoupledRetargeter, Start, train_coupled
 from geort_drake.retargeting.methods.coupled.network import CoupledNetwork
+from geort_drake.retargeting.methods.coupled.people import TrainingPeople
 from geort_drake.retargeting.methods.geort import GeortConfig
 from geort_drake.retargeting.training.collision_geometry import CollisionShapes
 
@@ -102,6 +103,26 @@ def test_a_training_starts_from_given_weights(hand, human):
     assert 0 < change.mean() < 0.1
     with pytest.raises(TrainingError, match=r"columns must be of shape \(6,\), it is \(9,\)"):
         train_coupled(toy_data(toy_kinematics(("thumb", "index"))), CoupledConfig(steps=1), start=start)
+
+
+def test_a_training_uses_the_likely_plays_of_its_start(hand, human):
+    """Other plays give other weights, and draws follow the weights of the people."""
+    arrays = network_of(hand).arrays()
+    weights = [
+        train_coupled(
+            toy_data(hand, human), CoupledConfig(steps=2), start=Start(arrays, play)
+        ).network.arrays()
+        for play in (human[None], human[None] + 0.01)
+    ]
+    assert np.abs(weights[0]["weight0"] - weights[1]["weight0"]).max() > 1e-4
+    codes, reach, cpu = torch.zeros(2, 1, 0), torch.ones(2, 3), torch.device("cpu")
+    p_HF, generator = (
+        np.stack([human[:300], human[:300]]).astype(np.float32),
+        torch.Generator().manual_seed(0),
+    )
+    rng, pairs = np.random.default_rng(0), [(0, 1), (0, 2)]
+    people = TrainingPeople(p_HF, pairs, generator, rng, codes, reach, 0.01, [3, 1], cpu)
+    assert float((people.someone(4000) == 0).float().mean()) == pytest.approx(0.75, abs=0.03)
 
 
 def test_unusable_settings_are_refused(hand, human):

@@ -153,11 +153,11 @@ class KeyPresser:
         if t - state.attended_since < self._intention.attention_time:
             return
         if state.phase in (KeyPhase.CHOOSE, KeyPhase.PRESS, KeyPhase.RELEASE):
-            wanted = state.finger
+            next_finger = state.finger
         else:
-            wanted = int(self._pressing[np.argmin(state.looked[self._pressing])])
-        if wanted != state.attended:
-            state.attended, state.attended_since, state.compared = wanted, t, None
+            next_finger = int(self._pressing[np.argmin(state.looked[self._pressing])])
+        if next_finger != state.attended:
+            state.attended, state.attended_since, state.compared = next_finger, t, None
 
     def _compare(self, state: PresserState, t: float, scene: SeenKeys, p_BF: np.ndarray) -> None:
         """Learns from the motion of the finger that is looked at, while its key is seen to be up."""
@@ -219,16 +219,16 @@ class KeyPresser:
         # Forward model: since the seen scene, the robot's fingers moved as learned.
         done = (state.p_HF_past[-1] - state.p_HF_past[0])[self._own]
         error = state.reference - p_BF - (learned.J @ done[..., None])[..., 0]
-        wanted = np.zeros((5, 3))
+        velocity = np.zeros((5, 3))
         fingers = self._pressing.tolist() if self._kind == SERVO else [state.attended]
         for finger in fingers:
-            wanted[self._own[finger]] = self._rate * learned.own_motion(finger, error[finger])
+            velocity[self._own[finger]] = self._rate * learned.own_motion(finger, error[finger])
         if self._kind != SERVO and state.phase == KeyPhase.RELEASE:
-            wanted[self._own[state.finger]] = 0.0  # goes back to where it was
-        speed = np.linalg.norm(wanted, axis=1, keepdims=True)
-        wanted *= np.minimum(1.0, config.max_fingertip_speed / np.maximum(speed, 1e-9))
+            velocity[self._own[state.finger]] = 0.0  # goes back to where it was
+        speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+        velocity *= np.minimum(1.0, config.max_fingertip_speed / np.maximum(speed, 1e-9))
         weight = config.period / (config.period + config.muscle_time_constant)
-        state.finger_velocity = state.finger_velocity + weight * (wanted - state.finger_velocity)
+        state.finger_velocity = state.finger_velocity + weight * (velocity - state.finger_velocity)
         noise = self._rng.normal(0, config.motor_noise, (5, 1))
         return config.period * state.finger_velocity * (1 + noise)
 
