@@ -5,7 +5,8 @@ python benchmarks/bench_live.py --seconds 60 --film hand.mjpeg
 
 A scripted page in another process sends a headset's joints and reads all poses; their time stamps are of this
 machine's monotonic clock, so that a delay begins before the message is sent. It records, plays as guided, and
-fits the map, so growth is that of a session with everything on. With a film of a hand, which `film_hand` of
+fits the map, and resets every two minutes, so growth is that of sessions with everything on. The JSON file
+has 60 samples of memory and delay over time. With a film of a hand, which `film_hand` of
 tests/live_page.py makes, Chromium's camera plays it to the page instead. `late` counts pauses of a loop that
 could not keep real time.
 """
@@ -38,6 +39,8 @@ P_SH = np.array([0.2, 1.2, -0.3])
 # Requests of the page, and when, s; guided play takes half a minute.
 COMMANDS = {"engage": 0.2, "record": 0.5, "guide": 1.0, "refit": 40.0}
 EXTRA = {"record": {"keep": True}}
+RESET_S = 120.0  # the page's person engages again after a second
+SAMPLES = 60
 WITHOUT_GPU = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 
 
@@ -65,10 +68,10 @@ def main(argv: Sequence[str] | None = None) -> int:
                     return server.returncode
                 time.sleep(0.01)
             if arguments.film:
-                measured = _film(address[0], arguments.film.resolve(), arguments.seconds)
+                measured, samples = _film(address[0], arguments.film.resolve(), arguments.seconds), []
             else:
                 play = _play(address[0], server.pid, arguments.rate, arguments.seconds, began)
-                measured = asyncio.run(play)
+                measured, samples = asyncio.run(play)
             server.send_signal(signal.SIGINT)
             report = json.loads(server.communicate()[0])
         recordings = sum(file.stat().st_size for file in Path(folder).rglob("*.npz"))
@@ -90,7 +93,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         table.add_row(name, f"{value:.4g}")
     console.print(table)
     if arguments.json:
-        write_json(arguments.json, title="live", results=results)
+        write_json(arguments.json, title="live", results=results, samples=samples)
     return 0
 
 
@@ -123,24 +126,30 @@ def _film(address: str, film: Path, seconds: float) -> dict[str, float]:
     return {"picture_to_target_median_ms": float(np.median(delays)), "hands_per_s": rate}
 
 
-async def _play(address: str, server: int, rate: float, seconds: float, began: float) -> dict[str, float]:
+async def _play(
+    address: str, server: int, rate: float, seconds: float, began: float
+) -> tuple[dict[str, float], list[dict[str, float]]]:
     """Plays hands to the server, with everything on.
 
     Returns:
         Time from the command to the first motion, s; frames a second; and after the first quarter, growth of
-        the server's memory, MB, and its share of one core.
+        the server's memory, MB, and its share of one core. And samples over time: s, memory in MB, and median
+        and 99th percentile of the newest 300 delays, ms.
     """
     base, key = address.split("/#")
     hands = synthesize_play(0, duration_s=60.0, rate_hz=rate).p_HK
     moved, frames, before = np.nan, 0, (np.nan, np.nan, np.nan)
+    state: dict = {}
+    samples: list[dict[str, float]] = []
     async with aiohttp.ClientSession() as session, session.ws_connect(f"{base}/ws?key={key}") as page:
 
         async def read() -> None:
-            nonlocal moved, frames
+            nonlocal moved, frames, state
             async for message in page:
                 frames += message.type == aiohttp.WSMsgType.BINARY
-                if message.type == aiohttp.WSMsgType.TEXT and np.isnan(moved):
-                    if msgspec.json.decode(message.data).get("following"):
+                if message.type == aiohttp.WSMsgType.TEXT:
+                    state = msgspec.json.decode(message.data)
+                    if np.isnan(moved) and state.get("following"):
                         moved = time.monotonic() - began
 
         hello = {"type": "hello", "version": 1, "role": "operator", "device": "scripted", "side": "right"}
@@ -155,17 +164,30 @@ async def _play(address: str, server: int, rate: float, seconds: float, began: f
             for kind, second in COMMANDS.items():
                 if number == round(rate * second):
                     await page.send_str(msgspec.json.encode({"type": kind, **EXTRA.get(kind, {})}).decode())
+            for kind, second in (("reset", 0.0), ("engage", 1.0)):
+                if number > rate * RESET_S / 2 and number % round(rate * RESET_S) == round(rate * second):
+                    await page.send_str(msgspec.json.encode({"type": kind}).decode())
+            if number % max(count // SAMPLES, 1) == 0 and (delay := state.get("delay", {})).get("count"):
+                samples.append(
+                    {
+                        "s": time.monotonic() - start,
+                        "memory_mb": _used(server)[0],
+                        "median_ms": 1e3 * delay["median"],
+                        "p99_ms": 1e3 * delay["p99"],
+                    }
+                )
             if number == count // 4:
                 before = (*_used(server), time.monotonic())
             await asyncio.sleep(start + (number + 1) / rate - time.monotonic())
         reader.cancel()
     (memory, cpu), now = _used(server), time.monotonic()
-    return {
+    measured = {
         "to_first_motion_s": moved,
         "frames_per_s": frames / (now - start),
         "server_cpu_share": (cpu - before[1]) / (now - before[2]),
         "memory_growth_mb": memory - before[0],
     }
+    return measured, samples
 
 
 def _used(process: int) -> tuple[float, float]:

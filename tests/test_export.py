@@ -84,8 +84,10 @@ def test_a_trial_is_read_as_it_was_recorded(run):
         np.testing.assert_allclose(first.signals[done], first.signals[asked] - 0.1, atol=1e-9)
     assert first.states["grasp"].tolist() == ["reach"] * 6 + ["hold"] * 24
     assert list(first.poses) == ["hand.palm", "cube.cube"]
-    np.testing.assert_allclose(first.body_pose()[:, 4:], np.outer(t, [0, 0, 1]), atol=1e-6)
-    turned = Rotation.from_quat(first.body_pose("cube")[:, :4], scalar_first=True).as_euler("xyz")[:, 2]
+    np.testing.assert_allclose(first.hand_pose[:, 4:], np.outer(t, [0, 0, 1]), atol=1e-6)
+    turned = Rotation.from_quat(first.handled_poses["cube.cube"][:, :4], scalar_first=True).as_euler("xyz")[
+        :, 2
+    ]
     np.testing.assert_allclose(turned, 1.0 + t, atol=1e-5)
     recorded = Recording.load(run / "cube-0.glove.npz")
     np.testing.assert_array_equal(first.glove.p_HK, recorded.p_HK[::2][:30])

@@ -54,17 +54,22 @@ class Page:
         self.scenario.random_seed = SEED
         self.description = load_hand(self.scenario.hand)
         self.model, self.retarget, maps = RobotModel(self.scenario, self.description), retarget, iter(maps)
-        objects = ["cylinder", "cube"]
+        tasks = {"grasp": ["cylinder", "cube"], "keys": ["keys"]}
         self.station = OperatorStation(
-            RobotInfo("right", "allegro_right", "simulation", objects, "for everyone"), Clock()
+            RobotInfo("right", "allegro_right", "simulation", tasks, "for everyone"), Clock()
         )
         self.station.join(1)
         self.station.take(1, hello())
         for number in range(HANDSHAKE_FRAMES):
             self.station.take(1, headset(number))
-        self.states = []
+        self.states, self.exported = [], []
         self.control = PageControl(
-            self.station, self.states.append, folder, folder / "a_map", lambda path: next(maps)
+            self.station,
+            self.states.append,
+            folder,
+            folder / "a_map",
+            lambda path: next(maps),
+            lambda *session: self.exported.append(session),
         )
         self.sessions = self.hands = 0
         self.begin()
@@ -72,7 +77,7 @@ class Page:
     def begin(self):
         """Begins a session, as after a reset."""
         self.sessions += 1
-        robot = SimulatedRobot(self.scenario, self.description)
+        robot = SimulatedRobot(self.scenario, self.description, self.model)
         recorder = GloveRecorder(0.01)
         self.loop = make_teleoperation(
             self.scenario, self.description, self.model, self.retarget,
@@ -124,6 +129,7 @@ def test_a_held_fist_engages_and_disengages_unless_it_is_asked_for_or_grasps(tmp
     for phase, engaged in ((GraspPhase.GRASP, True), (GraspPhase.HOLD, True), (GraspPhase.REACH, False)):
         outcome = GraspOutcome(phase=phase)
         monkeypatch.setattr(page_control.Teleoperation, "outcome", lambda *_, outcome=outcome: outcome)
+        monkeypatch.setattr(page_control.Teleoperation, "phase", lambda *_, phase=phase: phase.name.lower())
         page.run(Fist())
         assert page.engaged == engaged, phase
 
@@ -141,11 +147,12 @@ def test_with_consent_every_session_is_recorded_from_its_engagement_and_can_be_r
     page.run(Engage(), steps=10)
     page.control.end()
     page.control.close()
+    assert [(driver, simulated) for _, driver, simulated in page.exported] == 2 * [(tmp_path / "a_map", True)]
     first, second = (Recording.load(path) for path in sorted(tmp_path.glob("*.npz")))
     assert first.t[-1] == pytest.approx(0.8, abs=0.03)
     assert first.valid[5:55].all() and not first.valid[65:].any()
     assert second.valid.sum() > 50
-    assert first.metadata["began"] == pytest.approx(0.4, abs=0.03)
+    assert first.metadata["began"] == pytest.approx(0.0, abs=0.03)
     assert first.metadata["consent"] and first.metadata["outcome"]["phase"] == "reach"
 
     scenario = load_scenario()
@@ -190,7 +197,7 @@ def test_a_map_made_mine_again_takes_over_without_a_new_session_or_a_jump(tmp_pa
 def test_a_map_of_one_person_is_not_made_mine(tmp_path):
     """The page is told why."""
     page = Page(tmp_path, OWN)
-    page.control._map_file = None
+    page.control._retargeter = tmp_path
     page.run(Refit(), steps=10)
     assert "for everyone" in json.loads(page.states[-1])["refit"]["text"]
 

@@ -25,7 +25,9 @@ CAMERA = """() => {
 @pytest.fixture
 def server():
     require_built_page()
-    station = OperatorStation(RobotInfo("right", "allegro_right", "simulation", ["cylinder"], "a map"))
+    station = OperatorStation(
+        RobotInfo("right", "allegro_right", "simulation", {"grasp": ["cylinder"]}, "a map")
+    )
     server = WebServer(station, "127.0.0.1", 0, "key")
     server.show(json.dumps(SCENE).encode(), [])
     yield server, station

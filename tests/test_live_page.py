@@ -247,7 +247,9 @@ def test_a_real_robot_is_engaged_after_a_question(headset, stub, address, rng):
 
 
 def test_the_page_and_the_server_understand_each_other(headset):
-    station = OperatorStation(RobotInfo("right", "allegro_right", "simulation", ["cube"], "for everyone"))
+    station = OperatorStation(
+        RobotInfo("right", "allegro_right", "simulation", {"grasp": ["cube"]}, "for everyone")
+    )
     server = WebServer(station, "127.0.0.1", 0, "key")
     try:
         page = headset(
@@ -311,16 +313,21 @@ def test_panel_and_keys(browser, stub, address):
     assert "The robot holds until" in page.inner_text("#headline")
     page.keyboard.press("r")
     page.select_option("#object", "sphere")
+    page.select_option("#task-name", "keys")
+    stub.send(task="keys", object="keys", outcome=None)
+    page.wait_for_selector("#object", state="hidden")
     page.focus("#reset")
     page.keyboard.press(" ")  # disengages, although a button has the focus
     page.wait_for_timeout(50)
-    assert [m["object"] for m in stub.of("reset")] == [None, "sphere"]
+    assert stub.of("reset") == [
+        {"type": "reset", **choice} for choice in ({}, {"object": "sphere"}, {"task": "keys"})
+    ]
     assert len(stub.of("disengage")) == 1
 
     assert page.is_disabled("#record")
     page.check("#keep")
     page.click("#record")
-    outcome = {"phase": "done", "held": 2.0, "seconds": 21.0, "over": True, "success": True}
+    outcome = {"phase": "done", "score": 1.0, "seconds": 21.0, "over": True, "success": True}
     guide = {"instruction": "Pinch", "seconds_left": 11.2, "missing": ["The little finger has not moved"]}
     stub.send(outcome=outcome, guide=guide, recording="session.npz")
     page.wait_for_selector("body[data-recording]")

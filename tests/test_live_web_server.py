@@ -46,7 +46,7 @@ PATIENCE_S = 120.0  # a busy machine takes long to start a program
 
 @contextlib.contextmanager
 def serving(pages=None, tls=None):
-    station = OperatorStation(RobotInfo("right", "allegro_right", "simulation", ["cube"], "a map"))
+    station = OperatorStation(RobotInfo("right", "allegro_right", "simulation", {"grasp": ["cube"]}, "a map"))
     server = WebServer(station, "127.0.0.1", 0, KEY, tls, pages or Path("no-such-folder"))
     try:
         yield server, station, f"{'https' if tls else 'http'}://127.0.0.1:{server.port}"
@@ -238,9 +238,9 @@ def test_a_hundred_broken_connections_leave_the_server_serving():
 def test_the_scene_holds_every_body_that_moves_and_frames_follow_it():
     scenario = load_scenario()
     description = load_hand(scenario.hand)
-    robot = SimulatedRobot(scenario, description)
-    plant = robot.scene.plant
-    scene = Scene(plant, robot.scene.scene_graph.model_inspector(), description)
+    robot = SimulatedRobot(scenario, description, RobotModel(scenario, description))
+    plant = robot.stage.scene.plant
+    scene = Scene(plant, robot.stage.scene.scene_graph.model_inspector(), description)
     facts = json.loads(json.dumps(scene.description))
     names = facts["moving"]
     assert {"arm::panda_link7", "cylinder::cylinder"} <= {*names}

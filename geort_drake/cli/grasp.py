@@ -9,12 +9,14 @@ tracker data (.npz).
 import argparse
 import copy
 import dataclasses
+import json
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geort_drake.cli.options import (
     DEFAULT_METHOD,
+    DEFAULT_SCENARIO,
     SHIPPED_METHOD,
     CommandParser,
     at_least,
@@ -58,7 +60,8 @@ def add_arguments(parser: CommandParser) -> None:
     add(
         "--replay",
         type=Path,
-        help="replay this recording, with its wrist poses, instead of the simulated person",
+        help="replay this recording, with its wrist poses, instead of the simulated person; a session is "
+        "replayed with its own task, object and seed",
     )
     add("--no-rerun", action="store_true", help="write no Rerun recordings")
     parser.add_json("the results")
@@ -77,17 +80,17 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.simulation.free_play import keep_attainable, seen_fingertips
     from geort_drake.simulation.person import persons_hand
     from geort_drake.simulation.scenario import dump_scenario
+    from geort_drake.simulation.tasks import find_task
 
     # The request is checked completely before anything is computed or written.
-    base = scenario_of(arguments)
+    base, replay = _request(arguments)
     description = load_hand(base.hand)
     hand = HandModel(description)
     has_map = SHIPPED_METHOD in methods_for(base.hand)
     method = arguments.retargeter or (SHIPPED_METHOD if has_map else DEFAULT_METHOD)
     names_of([method], hand=hand)  # refuses an unusable one
     side = arguments.side or description.side
-    scenarios = scenarios_of(arguments, base)
-    replay = _replay(arguments, base, side)
+    scenarios = scenarios_of(arguments, base, replay)
     recording = training_recording(arguments.recording, side, arguments.seed)
 
     # Planning comes before training because it shows whether the robot can grasp the objects at all.
@@ -105,6 +108,8 @@ def run(arguments: argparse.Namespace) -> int:
     source = str(arguments.recording or f"synthetic play, seed {arguments.seed}")
     say(f"Human motion: {source}")
     properties: dict[str, str | float] = {"method": method, "hand": description.name}
+    session = replay.metadata if replay else {}
+    properties |= {f"session_{name}": json.dumps(value) for name, value in session.items()}
     if checkpoint is None:
         say(f"Retargeter:   {method} (needs no training)")
     elif isinstance(retarget, UniversalRetargeter):
@@ -124,7 +129,7 @@ def run(arguments: argparse.Namespace) -> int:
     with progress_bar() as display:
         update = display.counter("grasping")
         for done, scenario in enumerate(scenarios):
-            stem = f"{scenario.object.name}-{scenario.random_seed}"
+            stem = f"{find_task(scenario.task).case_of(scenario)}-{scenario.random_seed}"
 
             def show(t: float, done: int = done, stem: str = stem) -> None:
                 update(done, len(scenarios), f"{stem}: {t:.1f} s simulated")
@@ -149,6 +154,7 @@ def run(arguments: argparse.Namespace) -> int:
         "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "successes": sum(result.success for result in results),
         "trials": [result.to_json() for result in results],
+        "session": session,
     }
     write_json(arguments.output / "results.json", report)
     # That of the first trial; the others differ in object and seed, which are in results.json.
@@ -166,45 +172,61 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def scenarios_of(arguments: argparse.Namespace, base: "Scenario") -> list["Scenario"]:
-    """One scenario per trial: `base` with its object and seed."""
+def scenarios_of(
+    arguments: argparse.Namespace, base: "Scenario", replay: "Recording | None" = None
+) -> list["Scenario"]:
+    """One scenario per trial: `base` with its object and seed, or a session's, until the session's end."""
     from geort_drake.simulation.scenario import names_object
+    from geort_drake.simulation.tasks import find_task
 
     objects = arguments.objects or DEFAULT_OBJECTS
     of_scenario = arguments.scenario_file, arguments.scenario_name, arguments.scenario_text
     if arguments.objects is None and names_object(*of_scenario):
         objects = [base.object.name]
+    facts = replay.metadata if replay else {}
+    if replay and arguments.objects is None and "object" in facts:
+        objects = [facts["object"]]
+        base.random_seed = int(facts.get("seed", base.random_seed))
+        base.timeout = float(replay.t[-1] - replay.t[0]) + base.monitor.hold_time
     scenarios = []
     for name in objects:
         for trial in range(arguments.trials):
             scenario = copy.deepcopy(base)
-            scenario.object.name = name
+            find_task(scenario.task).choose(scenario, name)
             scenario.random_seed = base.random_seed + trial
             scenario.validate()
             scenarios.append(scenario)
     return scenarios
 
 
-def _replay(arguments: argparse.Namespace, base: "Scenario", side: str) -> "Recording | None":
-    """The recording of --replay, which a fixed base needs and which other scenarios need with wrist poses."""
-    from geort_drake import read_recording
+def _request(arguments: argparse.Namespace) -> "tuple[Scenario, Recording | None]":
+    """The scenario, and the recording of --replay, which needs wrist poses unless the base is fixed.
 
+    A session of another task has that task's scenario, unless an option selects one.
+    """
+    from geort_drake import load_hand, load_scenario, read_recording
+    from geort_drake.simulation.tasks import find_task
+
+    base = scenario_of(arguments)
     name, path = arguments.scenario_name, arguments.replay
     if path is None:
         if base.fixed_base:
             raise ScenarioError(
                 f"scenario '{name}': the operator cannot grasp with a fixed base; give a --replay"
             )
-        return None
-    replay = read_recording(path, side)
+        return base, None
+    replay = read_recording(path, arguments.side or load_hand(base.hand).side)
+    task = replay.metadata.get("task", base.task)
+    if task != base.task and arguments.scenario_file is None and name == DEFAULT_SCENARIO:
+        base = load_scenario(*find_task(task).scenario, arguments.scenario_text, arguments.hand)
     if base.fixed_base:
-        return dataclasses.replace(replay, X_WH=None)  # the base cannot follow the wrist
+        return base, dataclasses.replace(replay, X_WH=None)  # the base cannot follow the wrist
     if replay.X_WH is None:
         raise ScenarioError(
             f"{path}: a replay needs wrist poses (X_WH); this recording has none; use --scenario-name Fixed "
             "to keep the hand in place"
         )
-    return replay
+    return base, replay
 
 
 def _row(result: Any) -> tuple[str, ...]:
@@ -214,7 +236,7 @@ def _row(result: Any) -> tuple[str, ...]:
         f"[{'green' if result.success else 'red'}]{result.outcome}[/]",
         "–" if result.completion_time is None else f"{result.completion_time:.1f} s",
         "–" if result.attempts is None else str(result.attempts),
-        f"{100 * result.peak_height:.0f} cm",
+        f"{100 * result.peak_height:.0f} cm" if hasattr(result, "peak_height") else "–",
         f"{result.peak_force:.0f} N",
         f"{result.simulated_time / result.wall_time:.1f} ×",
     )

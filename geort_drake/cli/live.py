@@ -119,7 +119,9 @@ def run(arguments: argparse.Namespace) -> int:
             glove.handshake(arguments.timeout)
         link = None
         if lcm_url is None:
-            robot = SimulatedRobot(scenario, description, open_meshcat() if arguments.meshcat else None)
+            robot = SimulatedRobot(
+                scenario, description, model, open_meshcat() if arguments.meshcat else None
+            )
             start = robot.hand.start, robot.arm.start
         else:
             robot = link = RobotLink(lcm_url, model.hand, model.arm, scenario.retargeting.period)

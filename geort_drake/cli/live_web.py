@@ -1,22 +1,26 @@
 """`geort-drake live` with the page: serves it and runs its sessions."""
 
 import argparse
+import copy
 import sys
 from pathlib import Path
 
 from geort_drake.cli.live import checkpoint_of, load, print_keys, print_summary, say_state, summary_of
-from geort_drake.cli.options import command, finish, write_json
+from geort_drake.cli.options import finish, view, write_json
 from geort_drake.console import console
 from geort_drake.errors import UsageError
 from geort_drake.hands.description import HandDescription
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.session import stopping
 from geort_drake.live.web.control import PageControl
+from geort_drake.live.web.exports import SessionExports
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.serve import open_server
 from geort_drake.live.web.session import WebTeleoperation
 from geort_drake.simulation.following import RobotModel
-from geort_drake.simulation.scenario import Scenario, object_names
+from geort_drake.simulation.scenario import Scenario, load_scenario
+from geort_drake.simulation.task import Task
+from geort_drake.simulation.tasks import find_task, task_names
 
 # Where the page's recordings go, unless --record names a folder.
 _RECORDINGS = Path("runs/live")
@@ -36,18 +40,25 @@ def run_web(
     words = f"of {checkpoint.name}" if arguments.retargeter else "for everyone"
     if arguments.retargeter is None and checkpoint.is_dir():
         words = "trained on synthetic play"
-    robot, objects = ("lcm", []) if lcm_url else ("simulation", object_names())
-    station = OperatorStation(RobotInfo(description.side, scenario.hand, robot, objects, words))
+    scenarios = {scenario.task: scenario}
+    tasks: dict[str, list[str]] = {}
+    if lcm_url is None:
+        for name in task_names():
+            scenarios.setdefault(name, _like(scenario, find_task(name)))
+            tasks[name] = find_task(name).cases()
+    robot = "lcm" if lcm_url else "simulation"
+    station = OperatorStation(RobotInfo(description.side, scenario.hand, robot, tasks, words))
     with open_server(station, arguments.host, arguments.port, not arguments.no_open) as server:
         control = PageControl(
             station,
             server.publish,
             arguments.record or _RECORDINGS,
-            checkpoint if checkpoint.is_file() else None,
+            checkpoint,
             lambda fitted: load(fitted, description, arguments.backend),
+            SessionExports().write,
         )
         teleoperation = WebTeleoperation(
-            scenario,
+            scenarios,
             description,
             model,
             load(checkpoint, description, arguments.backend),
@@ -75,9 +86,18 @@ def run_web(
     print_summary(summary)
     if control.recordings:
         last = control.recordings[-1]
-        finish({"Recording": last}, command("replay", last, "--retargeter", arguments.retargeter))
+        watch = view(last.with_suffix(""), "/*.rrd")
+        finish({"Recording": last, "LeRobot dataset": last.with_suffix("") / "lerobot"}, watch)
     write_json(arguments.json, summary)
     return 0
+
+
+def _like(scenario: Scenario, task: Task) -> Scenario:
+    """The scenario of another task, with the same hand, safety and seed."""
+    other = load_scenario(*task.scenario, None, scenario.hand)
+    for name in ("random_seed", "retargeting", "correction", "wrist_to_arm"):
+        setattr(other, name, copy.deepcopy(getattr(scenario, name)))
+    return other
 
 
 def _confirm_real_robot() -> None:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 DEFAULT_HAND = "allegro_right"
 SIDES = ("left", "right")
 DEFAULT_METHOD = "geort_coupled"
+DEFAULT_SCENARIO = "Grasp"
 SHIPPED_METHOD = "universal"
 STDOUT = Path("-")
 
@@ -104,7 +105,9 @@ class CommandParser(argparse.ArgumentParser):
         group.add_argument(
             "--scenario-file", type=Path, help="YAML file with scenarios (default: the package's)"
         )
-        group.add_argument("--scenario-name", default="Grasp", help="name of the scenario in the file")
+        group.add_argument(
+            "--scenario-name", default=DEFAULT_SCENARIO, help="name of the scenario in the file"
+        )
         text = f"YAML merged into the scenario, for example '{example}'"
         group.add_argument("--scenario-text", help=text)
 

@@ -12,7 +12,8 @@ import yaml
 from geort_drake.errors import RecordingError
 from geort_drake.people.recording import Recording, newest
 from geort_drake.rerun.reader import read_samples
-from geort_drake.simulation.world import HAND
+from geort_drake.simulation.scenario import scenario_fields
+from geort_drake.simulation.world import ARM, HAND
 
 RESULTS, SCENARIO = "results.json", "scenario.yaml"
 
@@ -28,7 +29,8 @@ class Episode:
         signals: (T,) each, such as "joints.command.thumb.joint_12"; joint angles in rad, forces in N.
         states: (T,) each, the state's name.
         poses: X_WB (T, 7) of every moving body, qw qx qy qz x y z.
-        facts: about the whole episode, JSON types; of a trial, its entry in results.json.
+        facts: about the whole episode, JSON types; of a trial, its entry in results.json, and the metadata of
+            the session that it replays.
         robot: name of the robot hand; None without a robot.
     """
 
@@ -51,16 +53,15 @@ class Episode:
         """The signals that hold measured joint positions."""
         return [name for name in self.signals if name.split(".")[1:2] == ["measured"]]
 
-    def body_pose(self, model: str = HAND) -> np.ndarray:
-        """X_WB (T, 7) of the first moving body of a model, by default the robot hand.
+    @property
+    def hand_pose(self) -> np.ndarray | None:
+        """X_WB (T, 7) of the robot hand's first moving body; None on a fixed base."""
+        return next((X_WB for name, X_WB in self.poses.items() if name.partition(".")[0] == HAND), None)
 
-        Raises:
-            RecordingError: no body of that model moves.
-        """
-        for name, X_WB in self.poses.items():
-            if name.partition(".")[0] == model:
-                return X_WB
-        raise RecordingError(f"{self.name}: no body of '{model}' moves; there are {', '.join(self.poses)}")
+    @property
+    def handled_poses(self) -> dict[str, np.ndarray]:
+        """`poses` of what does not belong to the robot."""
+        return {name: X for name, X in self.poses.items() if name.partition(".")[0] not in (ARM, HAND)}
 
     def resampled(self, t: np.ndarray) -> "Episode":
         """The episode at other times (T,), s, each with the latest sample before it."""
@@ -88,9 +89,10 @@ def read_episodes(path: str | os.PathLike) -> Iterator[Episode]:
             f"{folder}: {RESULTS} is missing; a run is a folder that geort-drake grasp wrote"
         )
     try:
-        trials = json.loads(results.read_text(encoding="utf-8"))["trials"]
+        report = json.loads(results.read_text(encoding="utf-8"))
+        trials = [{**trial, "session": report.get("session", {})} for trial in report["trials"]]
         names = [f"{trial['object']}-{trial['seed']}" for trial in trials]
-        robot = yaml.safe_load((folder / SCENARIO).read_text(encoding="utf-8"))["Resolved"]["hand"]
+        robot = scenario_fields((folder / SCENARIO).read_text(encoding="utf-8"))["hand"]
     except (ValueError, KeyError, TypeError, OSError, RecursionError, yaml.YAMLError) as error:
         raise RecordingError(f"{folder}: not the results of geort-drake grasp: {error}") from error
     if not names:

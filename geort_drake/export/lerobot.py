@@ -17,6 +17,7 @@ from geort_drake.errors import RecordingError
 from geort_drake.export.episode import Episode
 from geort_drake.export.parquet import check_replaceable, rows
 from geort_drake.files import atomic_directory
+from geort_drake.simulation.tasks import find_task
 
 VERSION = "v3.0"
 INFO, STATS, TASKS = "meta/info.json", "meta/stats.json", "meta/tasks.parquet"
@@ -59,6 +60,8 @@ def write_lerobot(
             episode = recorded.resampled(np.arange(frames) / fps)
             features = features_of(episode)
             task = f"grasp the {str(episode.facts['object']).replace('_', ' ')}"
+            if episode.facts.get("task", "grasp") != "grasp":
+                task = find_task(episode.facts["task"]).summary
             counters: dict[str, np.ndarray] = {
                 "timestamp": episode.t.astype(np.float32),
                 "frame_index": np.arange(frames),
@@ -100,6 +103,7 @@ def write_lerobot(
                     "meta/episodes/file_index": 0,
                     "name": episode.name,
                     "outcome": episode.facts["outcome"],
+                    "session": json.dumps(episode.facts.get("session", {})),
                     **statistics,
                 }
             )
@@ -147,10 +151,13 @@ def features_of(episode: Episode) -> Features:
     floats: Features = {
         "action": (_table(episode, commands), commands),
         "observation.state": (_table(episode, measured), measured),
-        "observation.hand_pose": (episode.body_pose(), _POSE),
-        "observation.environment_state": (episode.body_pose(str(episode.facts["object"])), _POSE),
         "observation.glove": (episode.glove.p_HK[seen].reshape(frames, 63), _KEYPOINTS),
     }
+    if (hand_pose := episode.hand_pose) is not None:
+        floats["observation.hand_pose"] = (hand_pose, _POSE)
+    if handled := episode.handled_poses:
+        names = _POSE if len(handled) == 1 else [f"{body}.{name}" for body in handled for name in _POSE]
+        floats["observation.environment_state"] = (np.concatenate([*handled.values()], axis=1), names)
     if episode.glove.X_WH is not None:
         floats["observation.wrist"] = (episode.glove.X_WH[seen], _POSE)
     features: Features = {name: (values.astype(np.float32), of) for name, (values, of) in floats.items()}

@@ -21,61 +21,74 @@ from geort_drake.live.devices import (
     ALLEGRO,
     PANDA,
     Device,
-    JointGroup,
     JointStatus,
     LcmInbox,
     require_hand_messages,
 )
 from geort_drake.live.glove_stream import POLL_PERIOD
 from geort_drake.live.transports import open_lcm
+from geort_drake.simulation.following import JointGroup, RobotModel
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.tasks.grasp.task import add_monitor
-from geort_drake.simulation.world import ARM, HAND, actuated_state, add_scene
+from geort_drake.simulation.tasks import find_task
+from geort_drake.simulation.world import ARM, HAND, actuated_state
 
 # Time between statuses, s.
 STATUS_PERIOD = 0.004
 
 
-class SimulatedRobot(Diagram):
-    """Simulates a scenario's arm, hand and object; the scenario's seed places the object.
+class SimulatedRobot:
+    """Simulates a scenario's arm, hand and task; the scenario's seed places what is handled.
 
-    Input ports:
+    Input ports of `diagram`:
         hand_desired_state (2n), arm_desired_state (2m): joint positions (rad), then velocities (rad/s),
             in the plant's actuator order.
     Output ports:
         hand_state (2n), arm_state (2m): measured positions (rad), then velocities (rad/s), in the same order.
         body_poses (abstract list of RigidTransform): X_WB by the plant's body index.
-        outcome (abstract GraspOutcome): of the grasp so far.
 
     Attributes:
+        diagram: no subclass in Python, which would never be freed (drake#24162), nor its plant.
         hand, arm: their joints.
-        scene: the plant and its geometry.
+        stage: of the task.
 
     Args:
-        scenario: arm, object and simulation settings.
+        scenario: task, arm and simulation settings.
         description: of the hand.
+        model: of the robot.
         meshcat: viewer that shows the scene, if any.
 
     Raises:
         ScenarioError, HandError: scenario and models do not fit.
     """
 
-    def __init__(self, scenario: Scenario, description: HandDescription, meshcat: Meshcat | None = None):
-        super().__init__()
+    def __init__(
+        self,
+        scenario: Scenario,
+        description: HandDescription,
+        model: RobotModel,
+        meshcat: Meshcat | None = None,
+    ):
         builder = DiagramBuilder()
-        scene = add_scene(builder, scenario, description, np.random.default_rng(scenario.random_seed))
+        rng = np.random.default_rng(scenario.random_seed)
+        task = find_task(scenario.task)
+        self.stage = task.add_stage(builder, scenario, description, None, model.X_WB, rng)
+        scene = self.stage.scene
         plant, hand, arm = scene.plant, scene.hand, scene.arm
-        for model, name in ((hand, HAND), (arm, ARM)):
-            builder.ExportInput(plant.get_desired_state_input_port(model), f"{name}_desired_state")
-            builder.ExportOutput(actuated_state(builder, plant, model), f"{name}_state")
+        for instance, name in ((hand, HAND), (arm, ARM)):
+            builder.ExportInput(plant.get_desired_state_input_port(instance), f"{name}_desired_state")
+            builder.ExportOutput(actuated_state(builder, plant, instance), f"{name}_state")
         if meshcat is not None:
             MeshcatVisualizer.AddToBuilder(builder, scene.scene_graph, meshcat)
-        _, monitor = add_monitor(builder, scene, scenario, description)
         builder.ExportOutput(plant.get_body_poses_output_port(), "body_poses")
-        builder.ExportOutput(monitor.GetOutputPort("outcome"), "outcome")
-        builder.BuildInto(self)
-        self.scene = scene
+        self.diagram = builder.Build()
+        self._fixed_base = scenario.fixed_base
         self.hand, self.arm = JointGroup.of_plant(plant, hand), JointGroup.of_plant(plant, arm)
+
+    def initialize(self, root: Context) -> None:
+        """Sets what only a context can hold; call it before the simulation starts."""
+        self.stage.initialize(root)
+        if self._fixed_base:
+            self.stage.scene.lock_arm(root)
 
 
 def open_meshcat() -> Meshcat:
@@ -153,8 +166,9 @@ def make_stand_in(scenario: Scenario, url: str, meshcat: Meshcat | None = None) 
     description = load_hand(scenario.hand)
     require_hand_messages(description)
     builder = DiagramBuilder()
-    robot = builder.AddNamedSystem("robot", SimulatedRobot(scenario, description, meshcat))
-    for device, group in ((ALLEGRO, robot.hand), (PANDA, robot.arm)):
+    simulated = SimulatedRobot(scenario, description, RobotModel(scenario, description), meshcat)
+    robot = builder.AddNamedSystem("robot", simulated.diagram)
+    for device, group in ((ALLEGRO, simulated.hand), (PANDA, simulated.arm)):
         server = builder.AddNamedSystem(f"{group.name}_server", JointServer(device, open_lcm(url), group))
         builder.Connect(robot.GetOutputPort(f"{group.name}_state"), server.GetInputPort("state"))
         builder.Connect(

@@ -10,12 +10,13 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSyst
 from geort_drake.hands.description import HandDescription
 from geort_drake.live.glove_stream import LATEST_S
 from geort_drake.live.latency import LatencyMeter
+from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.watchdog import EngageSwitch, Watchdog
 from geort_drake.retargeting.method import Retarget
 from geort_drake.retargeting.numpy_retargeter import Retargeter
 from geort_drake.simulation.following import RobotModel, add_arm, add_fingers
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.tasks.grasp.monitor import GraspOutcome
+from geort_drake.simulation.task import Outcome
 from geort_drake.systems.action_correction import ActionCorrection
 from geort_drake.systems.glove_checks import HELD_LOST, GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
@@ -33,7 +34,7 @@ class Teleoperation:
 
     diagram: Diagram
     glove: LeafSystem
-    robot: System
+    simulation: SimulatedRobot | None
     retargeting: RetargetingSystem
     watchdog: Watchdog
     correction: ActionCorrection
@@ -53,9 +54,24 @@ class Teleoperation:
         """Lets a map that was fitted to the person take over; see `RetargetingSystem.take_map`."""
         self.retargeting.take_map(self.retargeting.GetMyMutableContextFromRoot(root), retargeter)
 
-    def outcome(self, root: Context) -> GraspOutcome | None:
-        """Returns the grasp so far; None without a simulation."""
-        return _eval(self.robot, "outcome", root) if self.robot.HasOutputPort("outcome") else None
+    def outcome(self, root: Context) -> Outcome | None:
+        """Returns the task's outcome so far; None without a simulation."""
+        if self.simulation is None:
+            return None
+        monitor: Any = self.simulation.stage.monitor
+        return monitor.outcome(monitor.GetMyContextFromRoot(root))
+
+    def restart(self, root: Context) -> None:
+        """Lets the simulation's task begin now."""
+        if self.simulation is not None:
+            self.simulation.stage.restart(root)
+
+    def phase(self, root: Context) -> str | None:
+        """Returns the name of the task's present state; None without a simulation."""
+        if self.simulation is None:
+            return None
+        port, names = next(iter(self.simulation.stage.states.values()))
+        return names[int(port.Eval(port.get_system().GetMyContextFromRoot(root))[0])]
 
     def state(self, root: Context) -> str:
         """Returns what the fingers do; or, if they follow, why the policy or the arm is held, if it is."""
@@ -80,7 +96,7 @@ def make_teleoperation(
     model: RobotModel,
     retarget: Retarget,
     glove: LeafSystem,
-    robot: System,
+    robot: LeafSystem | SimulatedRobot,
     start: tuple[np.ndarray, np.ndarray],
     relax_after: float = 5.0,
     recorder: GloveRecorder | None = None,
@@ -94,7 +110,7 @@ def make_teleoperation(
         model: of the robot.
         retarget: a `Retargeter`, or anything with its `joint_names` and its call.
         glove: `GloveStream`, or `GloveReplay`, which has no stamps.
-        robot: `RobotLink`, `SimulatedRobot`, or a system with their ports.
+        robot: `RobotLink`, `SimulatedRobot`, or a system with the link's ports.
         start: present positions of hand (n,) and arm (m,), rad, in the model's order.
         relax_after: time for which a lost hand is held before it relaxes, s.
         recorder: records the glove's outputs, if given; the hand is lost while the person is disengaged.
@@ -106,7 +122,8 @@ def make_teleoperation(
     """
     builder = DiagramBuilder()
     builder.AddNamedSystem("glove", glove)
-    builder.AddNamedSystem("robot", robot)
+    simulation = robot if isinstance(robot, SimulatedRobot) else None
+    robot = builder.AddNamedSystem("robot", simulation.diagram if simulation else robot)
     q_hand, q_arm = start
     settings = scenario.retargeting
 
@@ -159,5 +176,5 @@ def make_teleoperation(
     built = builder.Build()
     built.set_name("teleoperation")
     return Teleoperation(
-        built, glove, robot, retargeting, watchdog, correction, wrist_checks, wrist_to_arm, meter
+        built, glove, simulation, retargeting, watchdog, correction, wrist_checks, wrist_to_arm, meter
     )

@@ -21,7 +21,7 @@ from geort_drake.simulation.following import RobotModel, add_arm, add_fingers
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Stage
 from geort_drake.simulation.tasks import find_task
-from geort_drake.simulation.world import ARM, HAND, actuated_state
+from geort_drake.simulation.world import actuated_state
 from geort_drake.simulation.worn_glove import WornGlove
 from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
@@ -58,11 +58,9 @@ class GraspDiagram:
         The recorder has already read that geometry.
         """
         remove_visuals(self.plant, self.stage.scene.scene_graph, root)
-        context = self.plant.GetMyMutableContextFromRoot(root)
         self.stage.initialize(root)
         if self.fixed_base:
-            for index in self.plant.GetJointIndices(self.plant.GetModelInstanceByName(ARM)):
-                self.plant.get_joint(index).Lock(context)
+            self.stage.scene.lock_arm(root)
 
 
 def make_grasp_diagram(
@@ -90,9 +88,7 @@ def make_grasp_diagram(
 
     # The robot alone, for the inverse kinematics.
     model = RobotModel(scenario, description)
-    robot = model.diagram.plant()
-    base = robot.GetFrameByName(description.base_frame, robot.GetModelInstanceByName(HAND))
-    X_WB_start = base.CalcPoseInWorld(robot.CreateDefaultContext())
+    X_WB_start = model.X_WB
 
     # The plant and the monitor of the task.
     task = find_task(scenario.task)

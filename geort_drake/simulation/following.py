@@ -57,6 +57,7 @@ class RobotModel:
         diagram: the robot at its start.
         hand, arm: their joints; `start` as given by the scenario and the hand's description.
         limits: of the hand's joints, in actuator order.
+        X_WB: of the hand's base at the start.
     """
 
     def __init__(self, scenario: Scenario, description: HandDescription):
@@ -65,6 +66,8 @@ class RobotModel:
         plant = self.diagram.plant()
         self.hand = JointGroup.of_plant(plant, plant.GetModelInstanceByName(HAND))
         self.arm = JointGroup.of_plant(plant, plant.GetModelInstanceByName(ARM))
+        base = plant.GetFrameByName(description.base_frame, plant.GetModelInstanceByName(HAND))
+        self.X_WB = base.CalcPoseInWorld(plant.CreateDefaultContext())
         self.limits = JointLimits.of_plant(
             plant,
             plant.GetModelInstanceByName(HAND),

@@ -93,6 +93,9 @@ class Stage:
     def initialize(self, root: Context) -> None:
         """Sets what only a context can hold."""
 
+    def restart(self, root: Context) -> None:
+        """Lets the task begin now, for a person who has just got ready; a task without a clock need not."""
+
 
 @dc.dataclass(frozen=True)
 class TrialResult:

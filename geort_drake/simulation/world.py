@@ -14,7 +14,7 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.parsing import GetScopedFrameByName, ModelDirectives, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import Joint, ModelInstanceIndex, PdControllerGains, RigidBody
-from pydrake.systems.framework import DiagramBuilder, OutputPort
+from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import MatrixGain
 
 from geort_drake.errors import HandError, ScenarioError, UnknownNameError
@@ -50,6 +50,12 @@ class Scene:
     scene_graph: SceneGraph
     arm: ModelInstanceIndex
     hand: ModelInstanceIndex
+
+    def lock_arm(self, root: Context) -> None:
+        """Keeps the arm where it is in a context."""
+        context = self.plant.GetMyMutableContextFromRoot(root)
+        for index in self.plant.GetJointIndices(self.arm):
+            self.plant.get_joint(index).Lock(context)
 
 
 @dc.dataclass(frozen=True, eq=False)

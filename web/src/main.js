@@ -3,7 +3,7 @@
 import { Camera } from "./camera.js";
 import { Connection } from "./connection.js";
 import { Headset, headsetMode } from "./headset.js";
-import { show, showObjects } from "./panel.js";
+import { show, showTasks } from "./panel.js";
 import { View } from "./view.js";
 
 const VERSION = 1;
@@ -71,7 +71,7 @@ function hello() {
 function receiveWelcome(welcome) {
   const first = !model.welcome;
   Object.assign(model, { connected: true, welcome });
-  showObjects(welcome.objects);
+  showTasks(welcome.tasks);
   if (first) hello();
 }
 
@@ -178,12 +178,16 @@ function confirmRealRobot() {
   return new Promise((resolve) => (dialog.onclose = () => resolve(dialog.returnValue === "engage")));
 }
 
-const reset = (object = null) => connection.send({ type: "reset", object });
+const reset = (choice = {}) => connection.send({ type: "reset", ...choice });
 
 element("engage").onclick = toggle;
 element("reset").onclick = () => reset();
+element("task-name").onchange = ({ target }) => {
+  reset({ task: target.value });
+  target.blur();
+};
 element("object").onchange = ({ target }) => {
-  reset(target.value);
+  reset({ object: target.value });
   target.blur();
 };
 element("guide").onclick = () => connection.send({ type: "guide" });

@@ -2,7 +2,9 @@
 
 import { quality, situation } from "./words.js";
 
-const PHASES = ["reach", "touch", "grasp", "lift", "hold"];
+// Steps of the tasks that have some; others show what to do now.
+const STEPS = { grasp: ["reach", "touch", "grasp", "lift", "hold"] };
+const END = { thrown: "Thrown" };
 const IN_HEADSET = "The robot is in your headset.";
 const element = (id) => document.getElementById(id);
 
@@ -35,8 +37,13 @@ export function show(model) {
   const operator = model.connected && welcome?.role === "operator";
   element("engage").disabled = !operator || !(state?.engaged || hand.seen);
   write(element("engage").querySelector("span"), state?.engaged ? "Disengage" : "Engage");
-  element("reset").disabled = element("object").disabled = !operator || !welcome.objects.length;
-  if (state?.object && document.activeElement !== element("object")) element("object").value = state.object;
+  const fixed = !operator || !state?.task;
+  element("reset").disabled = element("task-name").disabled = element("object").disabled = fixed;
+  if (state?.task && document.activeElement !== element("task-name") && document.activeElement !== element("object")) {
+    element("task-name").value = state.task;
+    showObjects(welcome.tasks[state.task]);
+    element("object").value = state.object;
+  }
 
   write("map", welcome ? `Map ${welcome.map}` : "");
   element("guide").disabled = element("refit").disabled = !operator;
@@ -51,9 +58,18 @@ export function show(model) {
   return now;
 }
 
-/** Fills the choice of objects. */
-export function showObjects(names) {
-  element("object").replaceChildren(...names.map((name) => new Option(name.replaceAll("_", " "), name)));
+/** Fills the choice of tasks. */
+export const showTasks = (tasks) => fill("task-name", Object.keys(tasks));
+
+function showObjects(names) {
+  element("object").hidden = names.length < 2;
+  fill("object", names);
+}
+
+function fill(id, names) {
+  const { options } = element(id);
+  if (names.join() === Array.from(options, ({ value }) => value).join()) return;
+  element(id).replaceChildren(...names.map((name) => new Option(sentenceCase(name.replaceAll("_", " ")), name)));
 }
 
 function showGuide(guide) {
@@ -69,11 +85,12 @@ function showTask(state) {
   const outcome = state?.outcome;
   element("task").hidden = !outcome;
   if (!outcome) return;
-  const { phase, seconds, over, success } = outcome;
+  const { phase, score, seconds, over, success } = outcome;
   element("task").dataset.outcome = !over ? "open" : success ? "success" : "failure";
   write("timer", `${(seconds ?? state.time).toFixed(1)} s`);
-  const done = phase === "done" ? PHASES.length : PHASES.indexOf(phase);
-  const items = PHASES.map((name, i) => {
+  const steps = STEPS[state.task] ?? (over ? [] : [phase]);
+  const done = phase === "done" ? steps.length : steps.indexOf(phase);
+  const items = steps.map((name, i) => {
     const item = Object.assign(document.createElement("li"), { textContent: sentenceCase(name) });
     item.classList.toggle("past", i < done);
     if (i === done && !over) item.ariaCurrent = "step";
@@ -81,7 +98,7 @@ function showTask(state) {
   });
   if (over) {
     const end = document.createElement("li");
-    end.textContent = success ? "Done" : phase === "thrown" ? "Thrown" : "Time is up";
+    end.textContent = success ? "Done" : (END[phase] ?? `${Math.round(100 * score)} %`);
     end.ariaCurrent = "step";
     items.push(end);
   }

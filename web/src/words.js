@@ -29,7 +29,7 @@ export function situation({ connected, welcome, state, device, hand, refusal }) 
     return say("lost", "Hand lost", `The robot holds until it sees your ${side} hand again.`);
   if (state?.outcome?.over)
     return state.outcome.success
-      ? say(state.engaged ? "engaged" : "tracking", "Lifted and held", "Press R for another try.")
+      ? say(state.engaged ? "engaged" : "tracking", "Done", "Press R for another try.")
       : say(state.engaged ? "engaged" : "tracking", "Not this time", "Press R to try again.");
   if (state?.engaged && state.fist > 0)
     return say("engaged", "Keep the fist to stop", "The robot holds when the ring is full.");

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 from pydrake.systems.framework import Context
 
+from geort_drake.console import say, warn
 from geort_drake.errors import GeortError
 from geort_drake.live.teleoperation import Teleoperation
 from geort_drake.live.web.guide import GuidedPlay
@@ -20,13 +21,14 @@ from geort_drake.live.web.operator_station import OperatorStation
 from geort_drake.people.recording_parts import RecordingParts
 from geort_drake.retargeting.method import Retarget
 from geort_drake.retargeting.retargeter import Retargeter
-from geort_drake.simulation.tasks.grasp.monitor import OVER, GraspPhase
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.retargeting_status import HELD_OTHER_PERSON
 
 _STATE_S, _GUIDE_S = 0.1, 1.0  # between two states, and two judgements of guided play
 DONE = {"state": "done", "text": "the map is yours"}
 WAITING = "begins when you engage"
+# Phase of a task in which a fist lets nothing fall.
+UNTOUCHED = "reach"
 _NEWEST = 300  # samples of the delay that is shown
 
 
@@ -72,7 +74,8 @@ class PageControl:
 
     Attributes:
         loop, recorder: of the present session.
-        object: that the next session has; None for the present one.
+        task, object: that the next session has; None for the scenario's.
+        note: shown instead of the state until the next command.
         again: whether the page asked for a new session.
         recordings: files that were written.
 
@@ -80,8 +83,9 @@ class PageControl:
         station: where commands come from.
         publish: sends a state to all pages.
         folder: of recordings.
-        map_file: the map for everyone, which can be fitted to the person; None if sessions use another map.
+        retargeter: checkpoint, or file of a map for everyone, which can be fitted to the person.
         load: returns the retargeter of the fitted map's directory.
+        export: writes other files of a recording; see `SessionExports.write`.
     """
 
     def __init__(
@@ -89,14 +93,17 @@ class PageControl:
         station: OperatorStation,
         publish: Callable[[str], None],
         folder: Path,
-        map_file: Path | None,
+        retargeter: Path,
         load: Callable[[Path], Retarget],
+        export: Callable[[Path, Path, bool], None],
     ):
         self._station, self._publish, self._folder = station, publish, folder
-        self._map_file, self._load = map_file, load
+        self._retargeter, self._load, self._export = retargeter, load, export
         self.loop: Teleoperation
         self.recorder: GloveRecorder
+        self.task: str | None = None
         self.object: str | None = None
+        self.note = ""
         self.again = False
         self.recordings: list[Path] = []
         self._scene = 0
@@ -111,14 +118,15 @@ class PageControl:
         self._refit: Refitting | None = None
         # The person's own map, and whether it shall take over.
         self._fitted: Retargeter | None = None
+        self._fitted_file = retargeter
         self._takes_over = False
         self._refit_state: dict[str, str] | None = None
-        self._note = ""
 
     def begin(self, loop: Teleoperation, recorder: GloveRecorder, scene: int, facts: dict[str, Any]) -> None:
-        """Begins a session with a numbered scene, and facts for its recordings: its object and seed."""
+        """Begins a session with a numbered scene, and facts for its recordings: robot, task, object, seed."""
         self.loop, self.recorder, self._scene, self._facts = loop, recorder, scene, facts
-        self.object = facts.get("object")
+        self.task, self.object = facts.get("task"), facts.get("object")
+        self._started = math.nan
         self.again, self._takes_over = False, self._fitted is not None
         recorder.switch(None)
 
@@ -128,6 +136,8 @@ class PageControl:
 
     def close(self) -> None:
         """Waits for the recordings' files, and ends a fit."""
+        if busy := sum(thread.is_alive() for thread in self._finishing):
+            say(f"Writing the files of {busy} sessions")
         for thread in self._finishing:
             thread.join()
         if self._refit is not None:
@@ -138,12 +148,14 @@ class PageControl:
         self._root = root
         while self._station.commands:
             command = self._station.commands.popleft()
-            self._note = ""
+            self.note = ""
             if isinstance(command, Engage | Disengage):
                 engaged = isinstance(command, Engage)
             elif isinstance(command, Fist):
                 engaged ^= self._fist_counts(engaged)
             elif isinstance(command, Reset):
+                if command.task not in (None, self.task):
+                    self.task, self.object = command.task, self._station.about.tasks[command.task][0]
                 self.object, self.again = command.object or self.object, True
             elif isinstance(command, Record):
                 self._consent = True
@@ -154,6 +166,9 @@ class PageControl:
                 self._guide, self._missing = GuidedPlay(time.monotonic(), self._station.about.side), []
             elif isinstance(command, Refit):
                 self._begin_refit()
+        if math.isnan(self._started):
+            self.loop.restart(root)
+            self._started = root.get_time() if engaged else math.nan
         # A replay follows from its start, as the robot does from its engagement.
         if engaged and self._consent and self._parts is None:
             self._record()
@@ -175,10 +190,11 @@ class PageControl:
         if guided or self._station.about.robot != "simulation":
             return False
         outcome = self.loop.outcome(self._root)
-        return not engaged or outcome is None or outcome.phase in (GraspPhase.REACH, *OVER)
+        return not engaged or outcome is None or outcome.over or self.loop.phase(self._root) == UNTOUCHED
 
     def _record(self) -> None:
-        name = "-".join([time.strftime("%Y-%m-%dT%H-%M-%S"), *map(str, self._facts.values())])
+        what = [str(self._facts[name]) for name in ("object", "seed") if name in self._facts]
+        name = "-".join([time.strftime("%Y-%m-%dT%H-%M-%S"), *what])
         operator = self._station.operator
         facts = {
             "side": self._station.about.side,
@@ -186,13 +202,13 @@ class PageControl:
             "consent": True,
             "device": operator and operator.device,
             "map": "fitted to the person" if self._fitted else self._station.about.map,
-            "began": self._root.get_time(),
+            "began": self._clock(self._root),
             **self._facts,
         }
         try:
             self._parts = RecordingParts(self._folder / f"{name}.npz", facts)
         except GeortError as error:
-            self._note, self._consent = str(error), False
+            self.note, self._consent = str(error), False
             return
         self.recorder.switch(self._parts)
 
@@ -202,22 +218,26 @@ class PageControl:
         parts, self._parts = self._parts, None
         self.recorder.switch(None)
         facts = {"outcome": self._outcome(self._root), "delay": self._delay()}
+        driver = self._fitted_file if self._fitted else self._retargeter
+        simulated = self.loop.simulation is not None
 
-        # Joining takes longer than a step of the loop.
+        # Joining takes longer than a step of the loop, and a replay much longer.
         def finish() -> None:
             try:
                 if parts.finish(facts):
                     self.recordings.append(parts.path)
+                    self._export(parts.path, driver, simulated)
             except GeortError as error:
-                self._note = str(error)
+                self.note = str(error)
+                warn(f"{parts.path}: {error}")
 
-        self._finishing.append(threading.Thread(target=finish, name="joining"))
+        self._finishing.append(threading.Thread(target=finish, name="finishing", daemon=True))
         self._finishing[-1].start()
 
     def _begin_refit(self) -> None:
         if self._refit is not None:
             return
-        if self._map_file is None:
+        if self._retargeter.is_dir():
             text = "this map is not for everyone; start without --retargeter"
             self._refit_state = {"state": "failed", "text": text}
             return
@@ -230,7 +250,7 @@ class PageControl:
         except (GeortError, IndexError) as error:
             self._refit_state = {"state": "failed", "text": str(error)}
             return
-        self._refit = Refitting(path, path.with_suffix(""), self._station.about.hand, self._map_file)
+        self._refit = Refitting(path, path.with_suffix(""), self._station.about.hand, self._retargeter)
 
     def _watch_refit(self) -> None:
         if self._refit is None:
@@ -241,6 +261,7 @@ class PageControl:
                 fitted = self._load(self._refit.output)
                 assert isinstance(fitted, Retargeter)
                 self._fitted, self._takes_over = fitted, True
+                self._fitted_file = self._refit.output
             self._refit = None
 
     def _hand_over_map(self) -> None:
@@ -258,11 +279,12 @@ class PageControl:
         return {
             "type": "state",
             "scene": self._scene,
+            "task": self._facts.get("task"),
             "object": self._facts.get("object"),
-            "time": root.get_time(),
+            "time": self._clock(root),
             "engaged": engaged,
             "following": self.loop.following(root),
-            "status": self._note or self.loop.state(root),
+            "status": self.note or self.loop.state(root),
             "fist": station.fist if self._fist_counts(engaged) else 0.0,
             "outcome": self._outcome(root),
             "delay": self._delay(),
@@ -282,15 +304,18 @@ class PageControl:
             "refit": self._refit_state,
         }
 
+    def _clock(self, root: Context) -> float:
+        """Time since the session's first engagement, s; 0 before."""
+        return 0.0 if math.isnan(self._started) else root.get_time() - self._started
+
     def _outcome(self, root: Context) -> dict[str, Any] | None:
         outcome = self.loop.outcome(root)
         if outcome is None:
             return None
-        held = 0.0 if math.isnan(outcome.held_since) else root.get_time() - outcome.held_since
         return {
-            "phase": outcome.phase.name.lower(),
-            "held": held,
-            "seconds": outcome.completion_time if outcome.success else None,
+            "phase": self.loop.phase(root),
+            "score": outcome.score,
+            "seconds": outcome.completion_time - self._started if outcome.success else None,
             "over": outcome.over,
             "success": outcome.success,
         }

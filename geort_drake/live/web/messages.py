@@ -69,8 +69,9 @@ class Disengage(Message):
 
 
 class Reset(Message):
-    """The scene shall start again, with another object if one is named."""
+    """The scene shall start again, with another task or object if one is named."""
 
+    task: Annotated[str, Meta(max_length=64)] | None = None
     object: Annotated[str, Meta(max_length=64)] | None = None
 
 

@@ -1,6 +1,7 @@
 """Decides who has the controls, and passes on what that person sends."""
 
 import dataclasses as dc
+import itertools
 import math
 import time
 from collections import deque
@@ -47,7 +48,7 @@ class RobotInfo:
     side: str
     hand: str
     robot: str
-    objects: list[str]
+    tasks: dict[str, list[str]]
     map: str
 
 
@@ -223,8 +224,13 @@ class OperatorStation:
                 self.commands.append(Fist())
 
     def _ask(self, operator: Operator, command: Command) -> None:
-        if isinstance(command, Reset) and command.object not in (None, *self.about.objects):
-            raise LiveError(f"no object '{command.object}'; there are {', '.join(self.about.objects)}")
+        if isinstance(command, Reset):
+            tasks = self.about.tasks
+            if command.task not in (None, *tasks):
+                raise LiveError(f"no task '{command.task}'; there are {', '.join(tasks)}")
+            objects = tasks[command.task] if command.task else [*itertools.chain(*tasks.values())]
+            if command.object not in (None, *objects):
+                raise LiveError(f"no object '{command.object}'; there are {', '.join(objects)}")
         if self.about.robot != "simulation":
             if isinstance(command, Reset | Guide | Refit):
                 raise LiveError("this is for the simulation; here a real robot moves")

@@ -2,12 +2,14 @@
 
 import copy
 import dataclasses as dc
-from collections.abc import Callable
+import gc
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 import msgspec
 from pydrake.systems.framework import DiagramBuilder, System
 
+from geort_drake.errors import GeortError
 from geort_drake.hands.description import HandDescription
 from geort_drake.live.glove_stream import GloveStream
 from geort_drake.live.robot_link import RobotLink
@@ -20,6 +22,7 @@ from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
 from geort_drake.retargeting.method import Retarget
 from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import ARM, HAND
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.release import release
@@ -36,15 +39,15 @@ class WebTeleoperation:
     """What the sessions of one page have in common.
 
     Attributes:
-        scenario: settings; every session has its own object.
-        description, model: of the robot.
+        scenarios: task → settings, the first task first; every session has its own object.
+        description, model: of the robot in the first.
         retarget: the map with which every session begins.
         station, server, control: of the page.
         link: to a real robot; None for the simulation.
         relax_after: see `Watchdog`, s.
     """
 
-    scenario: Scenario
+    scenarios: Mapping[str, Scenario]
     description: HandDescription
     model: RobotModel
     retarget: Retarget
@@ -76,9 +79,18 @@ class WebTeleoperation:
         total = SessionReport(0.0, {}, 0)
         link, control = self.link, self.control
         scenes = 0
+        before: tuple[str | None, str | None] | None = None
         while True:
             scenes += 1
-            loop = self._begin(scenes, timeout)
+            try:
+                loop = self._begin(scenes, timeout)
+            except GeortError as error:
+                if not before:
+                    raise
+                # Not every hand can do every task.
+                (control.task, control.object), control.note = before, str(error)
+                loop = self._begin(scenes, timeout)
+            before = control.task, control.object
             report = run_session(
                 loop,
                 engaged,
@@ -97,19 +109,29 @@ class WebTeleoperation:
             if stop() or not control.again:
                 return total, loop
             engaged = False
-            release(loop.diagram)  # a system in Python is never freed, so every reset would cost memory
+            # A system in Python is never freed, and the rest is in cycles, so every reset would cost memory.
+            release(loop.diagram)
+            del loop
+            gc.collect()
+
+    def _model(self, scenario: Scenario) -> RobotModel:
+        first = next(iter(self.scenarios))
+        return self.model if scenario.task == first else RobotModel(scenario, self.description)
 
     def _begin(self, number: int, timeout: float) -> Teleoperation:
         """Builds a session's diagram and shows its scene."""
-        scenario, description = copy.deepcopy(self.scenario), self.description
+        control, description = self.control, self.description
+        scenario = copy.deepcopy(self.scenarios[control.task or next(iter(self.scenarios))])
+        task, model = find_task(scenario.task), self._model(scenario)
         robot: SimulatedRobot | RobotLink
         if self.link is None:
-            scenario.object.name = self.control.object or scenario.object.name
+            task.choose(scenario, control.object or task.case_of(scenario))
             scenario.random_seed += number - 1  # the object stands somewhere else
             scenario.retargeting.period = min(scenario.retargeting.period, _PERIOD)
-            robot = SimulatedRobot(scenario, description)
+            robot = SimulatedRobot(scenario, description, model)
             start = robot.hand.start, robot.arm.start
-            scene = Scene(robot.scene.plant, robot.scene.scene_graph.model_inspector(), description)
+            shown = robot.stage.scene
+            scene = Scene(shown.plant, shown.scene_graph.model_inspector(), description)
         else:
             robot, start = self.link, self.link.handshake(timeout)
             standing = self.model.standing_at({})
@@ -138,7 +160,7 @@ class WebTeleoperation:
         loop = make_teleoperation(
             scenario,
             description,
-            self.model,
+            model,
             self.retarget,
             GloveStream(self.station, description.side),
             robot,
@@ -148,6 +170,8 @@ class WebTeleoperation:
             add_view,
         )
         self.server.show(msgspec.json.encode({"scene": number, **scene.description}), scene.meshes)
-        facts = {} if self.link else {"object": scenario.object.name, "seed": scenario.random_seed}
-        self.control.begin(loop, recorder, number, facts)
+        facts: dict[str, str | int] = {"robot": self.station.about.robot, "hand": description.name}
+        if self.link is None:
+            facts |= {"task": task.name, "object": task.case_of(scenario), "seed": scenario.random_seed}
+        control.begin(loop, recorder, number, facts)
         return loop

@@ -129,6 +129,11 @@ class KeysMonitor(LeafSystem):
         """The outcome so far."""
         return context.get_abstract_state(0).get_value()
 
+    def restart(self, context: Context) -> None:
+        """Forgets the presses, and cues the first one after the time to get ready."""
+        start = KeysOutcome(self._settings, next_cue=context.get_time() + self._settings.ready_time)
+        context.SetAbstractState(0, start)
+
     def _cue(self, outcome: KeysOutcome) -> int:
         """The cued key, counted from 1; 0 for none."""
         return 0 if math.isnan(outcome.cued_since) else outcome.presses[-1].key + 1

@@ -17,7 +17,7 @@ from pydrake.multibody.tree import (
     RigidBody,
     SpatialInertia,
 )
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.human_hand import HumanHand
@@ -50,6 +50,17 @@ class KeysResult(TrialResult):
     # if none was.
     others_travel: float
     press_time: float | None
+
+
+@dc.dataclass(frozen=True)
+class KeysStage(Stage):
+    """The stage of keys."""
+
+    monitor: KeysMonitor
+
+    def restart(self, root: Context) -> None:
+        """Begins with the first press."""
+        self.monitor.restart(self.monitor.GetMyMutableContextFromRoot(root))
 
 
 class KeysTask(Task[KeysGoal]):
@@ -94,7 +105,7 @@ class KeysTask(Task[KeysGoal]):
         goal: KeysGoal | None,
         X_WB: RigidTransform,
         rng: np.random.Generator,
-    ) -> Stage:
+    ) -> KeysStage:
         goal = goal or self.plans(scenario, description)[0]
         settings = KeysSettings(**scenario.task_settings)
         plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
@@ -131,7 +142,7 @@ class KeysTask(Task[KeysGoal]):
             "cue": Shown(monitor.GetOutputPort("cue")),
         }
         names = [f"key {number + 1}" for number in range(len(caps))]
-        return Stage(
+        return KeysStage(
             scene,
             monitor,
             shown,

@@ -1,0 +1,48 @@
+"""Replays recorded sessions, for the Rerun viewer and as LeRobot datasets."""
+
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+from geort_drake.errors import LiveError
+
+
+class SessionExports:
+    """Exports sessions one after the other, in processes of the lowest priority.
+
+    A replay takes longer than the pause between two sessions, and must not slow down the page's loop.
+    """
+
+    def __init__(self) -> None:
+        self._one = threading.Lock()
+
+    def write(self, session: Path, retargeter: Path, simulated: bool) -> None:
+        """Writes the folder of a session, named as its file, and waits for it.
+
+        A simulated session is replayed with its own task, object and seed. Of a real robot's, whose objects
+        nobody knows, only the hand is exported.
+
+        Args:
+            session: its recording.
+            retargeter: that it was driven by.
+
+        Raises:
+            LiveError: a step failed.
+        """
+        folder = session.with_suffix("")
+        if simulated:
+            self._run("grasp", "--replay", session, "--retargeter", retargeter, "--output", folder)
+            self._run("export", folder, folder / "lerobot", "--format", "lerobot")
+        else:
+            self._run("export", session, folder / "hand.rrd", "--format", "rrd")
+
+    def _run(self, *words: str | Path) -> None:
+        command = ["nice", "-n", "19", sys.executable, "-m", "geort_drake", *map(str, words), "--quiet"]
+        with self._one:
+            # In a process group of its own, so that Ctrl-C does not end it.
+            done = subprocess.run(
+                command, capture_output=True, text=True, start_new_session=True, check=False
+            )
+        if done.returncode:
+            raise LiveError(f"{words[0]}: {done.stderr.strip()[-300:]}")
