@@ -42,6 +42,18 @@ def play():
     return synthesize_play(0, duration_s=60.0, rate_hz=30.0)
 
 
+@pytest.fixture(scope="module")
+def no_workers():
+    """Benchmarks run their trials in this process; their workers are tested in test_grasp_workers.py."""
+    from grasp_setup import in_this_process
+
+    from geort_drake.benchmark import trials
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trials, "call_in_workers", in_this_process)
+        yield
+
+
 @pytest.fixture
 def light_evaluation(tmp_path, monkeypatch):
     """A cache of its own and an evaluation with few samples, where the plumbing is what is tested."""

@@ -141,7 +141,7 @@ def test_training_avoids_collisions_of_the_given_shapes(hand, human):
     shapes = CollisionShapes(np.array([5, 8]), X, np.zeros((2, 3)), radius, np.array([[0, 1]]))
 
     def colliding(shapes) -> float:
-        result = quick(hand, human, shapes=shapes)
+        result = quick(hand, human, shapes=shapes, steps=80)
         with torch.no_grad():
             tips = hand.fingertips(result.network(torch.tensor(human).float())).numpy()
         return float((np.linalg.norm(tips[:, 1] - tips[:, 2], axis=-1) < 0.022).mean())

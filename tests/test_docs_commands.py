@@ -8,10 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grasp_setup import in_this_process
 from light_training import train_lightly
 
-from geort_drake.benchmark import trials
 from geort_drake.cli import COMMANDS, load_command, parser_of, run_command
 from geort_drake.comparison import train as comparison_train
 from geort_drake.console import console
@@ -84,7 +82,7 @@ CHAINS = {
     },
     "grasps": {
         f"grasp --objects cylinder --recording hand.npz --output run {SHORT}": "trials",
-        f"grasp --objects cube --retargeter vector_online --no-rerun --output online {SHORT}": "trials",
+        f"grasp --objects cube --retargeter affine_ik --no-rerun --output untrained {SHORT}": "trials",
         "export run parquet": "episodes",
         "export run lerobot --format lerobot --fps 10": "episodes",
         "stand-in-robot --duration 0.2": None,
@@ -107,15 +105,13 @@ def tiny(hand, recording, path, method="geort_coupled", seed=0, device="cpu", se
 
 
 @pytest.fixture(scope="module")
-def desk(light_desk, play):
+def desk(light_desk, play, no_workers):
     """A folder with recordings, where metrics and trainings are tiny and a plan is made once."""
     plans = GraspPlanner(load_scenario(), load_hand("allegro_right")).plans(2)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(comparison_train, "train_checkpoint", tiny)
         patch.setattr(GraspPlanner, "plans", lambda _: plans)  # no trial lasts long enough to follow one
-        # Workers are tested in test_grasp_workers.py.
-        patch.setattr(trials, "call_in_workers", in_this_process)
         patch.chdir(light_desk)
         np.save("hand.npy", play.p_HK.astype(float))
         play.save("hand.npz")

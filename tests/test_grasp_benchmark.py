@@ -5,7 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
-from grasp_setup import TOO_SHORT, human_with, in_this_process, judged, planned_goal
+from grasp_setup import TOO_SHORT, human_with, judged, planned_goal
 
 from geort_drake.benchmark import folder as benchmark_folder
 from geort_drake.benchmark import methods, trials
@@ -21,11 +21,10 @@ from geort_drake.simulation.trial import run_trial
 
 
 @pytest.fixture(scope="module", autouse=True)
-def quick(play):
+def quick(play, no_workers):
     """One person, and one plan: no trial lasts long enough to follow it. Latencies come from few calls."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(methods, "_PARTS", 1)
-        patch.setattr(trials, "call_in_workers", in_this_process)
         patch.setattr(trials, "plan", lambda *_: [planned_goal("cylinder")])
         patch.setattr(
             benchmark_folder, "read_person", lambda *_: (play, {"recording": None, "side": "right"})
@@ -110,19 +109,19 @@ def test_methods_objects_and_conditions_can_be_added(copy):
     config["methods"]["hold"]["latency_s"] = 0.0123
     (copy / "config.json").write_text(json.dumps(config))
     before = read_records(copy / "trials.jsonl")
-    added = ["--methods", "vector_online", "vector_online", "--objects", "sphere", "--trials", "1"]
+    added = ["--methods", "affine_ik", "affine_ik", "--objects", "sphere", "--trials", "1"]
     assert run(copy, *added) == 0
     more = ["--methods", "hold", "--trials", "1", "--sensitivity", "delay=0,180", "stiffness=2"]
     assert run(copy, *more) == 0
     records = read_records(copy / "trials.jsonl")
     assert records[:4] == before
     assert [str(key_of(record)) for record in records[4:]] == [
-        "vector_online sphere 0",
+        "affine_ik sphere 0",
         "hold cylinder 0 delay=0",
         "hold cylinder 0 stiffness=2",
     ]
     config = read_config(copy)
-    assert list(config["methods"]) == ["hold", "nearest_neighbour", "vector_online"]
+    assert list(config["methods"]) == ["hold", "nearest_neighbour", "affine_ik"]
     assert config["objects"] == ["cylinder", "sphere"] and config["trials"] == 2
     assert config["methods"]["hold"]["latency_s"] == 0.0123
     assert config["conditions"] == {
@@ -130,7 +129,7 @@ def test_methods_objects_and_conditions_can_be_added(copy):
         "stiffness=2": {"hand_stiffness_factor": 2.0},
     }
     summary = json.loads((copy / "summary.json").read_text())
-    assert summary["methods"]["vector_online"]["objects"]["sphere"]["trials"] == 1
+    assert summary["methods"]["affine_ik"]["objects"]["sphere"]["trials"] == 1
     assert summary["methods"]["hold"]["overall"]["trials"] == 2
     assert [c["value"] for c in summary["sensitivity"]["delay"]["conditions"]] == [0, 180]
     assert "| **180** | – | 0 % [0, 79] |" in (copy / "report.md").read_text()
@@ -254,9 +253,9 @@ def test_every_method_has_its_measured_latency_unless_none_is_wanted(tmp_path, p
     used = []
     monkeypatch.setattr(trials, "run_trial", lambda scenario, *_: used.append(scenario.retargeting.latency))
     for made in (measured, zero):
-        key = TrialKey("vector_online", "cylinder", 0)
+        key = TrialKey("hold", "cylinder", 0)
         trials.simulate(made.trial(key, [planned_goal("cylinder")]))
-    assert used == [stored["vector_online"], 0.0]
+    assert used == [stored["hold"], 0.0]
 
 
 def test_seeds_are_paired_across_methods(tmp_path, play):

@@ -4,12 +4,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from grasp_setup import TOO_SHORT, allegro, human_with, judged
+from growing import grow
 
 import geort_drake
 from geort_drake.benchmark import workers
@@ -62,7 +62,7 @@ def test_other_processes_give_the_same_results(short, alone):
 
 def test_a_single_job_has_a_process_that_is_replaced():
     """Drake never frees a diagram with systems in Python, so a process that runs trials keeps growing."""
-    used = list(call_in_workers(_grow, ((),) * 4, 1))
+    used = list(call_in_workers(grow, ((),) * 3, 1))
     assert os.getpid() not in used and len(set(used)) > 1
 
 
@@ -117,16 +117,6 @@ def test_the_digest_covers_what_a_worker_loads():
     package = Path(geort_drake.__file__).parent
     paths = [Path(path).relative_to(package) for path in loaded.split()]
     assert {path.parts[0] for path in paths if len(path.parts) > 1} <= {*workers._TRIAL_ROOMS, "benchmark"}
-
-
-_grown = []
-
-
-def _grow() -> int:
-    """Keeps 200 MB, and waits as long as loky does between its looks at memory; its process."""
-    _grown.append(np.ones(25_000_000))
-    time.sleep(1)
-    return os.getpid()
 
 
 WORKER = (

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 import yaml
-from grasp_setup import TOO_SHORT, allegro, person_who_plays
+from grasp_setup import TOO_SHORT, allegro, person_who_plays, play
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
@@ -14,7 +14,6 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from geort_drake.cli import main
 from geort_drake.errors import ScenarioError, UnknownNameError
-from geort_drake.people.play import synthesize_play
 from geort_drake.resources import models_dir
 from geort_drake.retargeting.methods import make_untrained
 from geort_drake.simulation.free_play import seen_fingertips
@@ -126,10 +125,10 @@ def test_a_hand_without_the_fingers_is_refused_before_it_runs():
 def test_people_press_keys_through_a_map_that_follows_alone(method, kind, score, plans):
     """The map is affine, and the hand that does not follow holds still."""
     task, person = find_task("keys"), person_who_plays()
-    frames = synthesize_play(seed=0, duration_s=60).fingertips([4, 8, 12, 16])
+    frames = play().fingertips([4, 8, 12, 16])
     retarget = make_untrained(method, allegro().kinematics(), frames=frames)
-    play = seen_fingertips(retarget, allegro(), person)
-    goal, attainable = task.keep([plan.goal for plan in plans], play)
+    seen = seen_fingertips(retarget, allegro(), person)
+    goal, attainable = task.keep([plan.goal for plan in plans], seen)
     result, _ = run_trial(keys_scenario(kind), retarget, (person, goal))
     assert (result.score, result.success, attainable) == (score, score == 1.0, score == 1.0)
 
@@ -172,7 +171,7 @@ def test_tasks_are_folders_and_say_what_is_wrong():
             load_scenario(*find_task("keys").scenario, text)
 
 
-def test_the_benchmark_runs_several_tasks_and_goes_on(tmp_path):
+def test_the_benchmark_runs_several_tasks_and_goes_on(tmp_path, no_workers):
     """Each kind in its own folder; the summary has all, and a second run adds only what is missing."""
     command = ["benchmark", "--kinds", "servo", "--methods", "hold", "--quiet"]
     command += ["--scenario-text", TOO_SHORT, "--output", str(tmp_path)]

@@ -47,7 +47,7 @@ def final(result, name):
 
 def test_training_finds_the_planted_map(hand, human):
     """A person who is a scaled robot can be followed: directions agree and the C-space is covered."""
-    result = quick(hand, human, steps=350, pinch_weight=0.0, collision_weight=0.0)
+    result = quick(hand, human, steps=250, pinch_weight=0.0, collision_weight=0.0)
     first = result.history[0]
     assert final(result, "direction") < -0.9
     assert final(result, "coverage") < 0.2 * first["coverage"]
