@@ -168,16 +168,6 @@ class HumanHand:
             theta = np.clip(moved, lower, upper).reshape(theta.shape)
         return theta
 
-    def fit_angles(self, p_HK: np.ndarray, iterations: int = 8) -> np.ndarray:
-        """Finds joint angles (T, 20), rad, within the limits that reproduce keypoints p_HK (T, 21, 3), m.
-
-        The bones' directions give the angles in closed form; least-squares steps then reduce the tips' error.
-        """
-        p_HK = np.asarray(p_HK, dtype=float)
-        theta = np.clip(_angles(_bone_directions(p_HK), self.R_HB, self.twist), self.lower, self.upper)
-        p_HF = p_HK[..., 1:, :].reshape(*p_HK.shape[:-2], 5, 4, 3)[..., 3, :]
-        return self.solve_fingertips(p_HF, theta, iterations=iterations)
-
     @classmethod
     def anatomical(cls, length_m: float = 0.19, breadth_m: float = 0.085) -> "HumanHand":
         """Makes a hand of average adult proportions.
