@@ -3,7 +3,10 @@
 import dataclasses as dc
 
 import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import ModelInstanceIndex
 
+from geort_drake.errors import HandError
 from geort_drake.hands.description import CouplingDescription, HandDescription, resolved_couplings
 
 
@@ -38,3 +41,34 @@ class JointCouplings:
 def followers(description: HandDescription) -> list[CouplingDescription]:
     """The couplings, direct or not, to joints that fingers list."""
     return [c for c in resolved_couplings(description.couplings) if c.follows in description.joint_names]
+
+
+def position_limits(
+    plant: MultibodyPlant, description: HandDescription, hand: ModelInstanceIndex, source: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) lower and upper limits of q, rad, within which followers keep their own limits.
+
+    Args:
+        plant: with the hand.
+        description: of the hand.
+        hand: its model instance, from `add_hand_model`.
+        source: how errors begin.
+
+    Raises:
+        HandError: a follower would leave its limits at every angle of its leader.
+    """
+    joints = [plant.GetJointByName(name, hand) for name in description.joint_names]
+    lower = np.array([joint.position_lower_limits()[0] for joint in joints])
+    upper = np.array([joint.position_upper_limits()[0] for joint in joints])
+    for c in followers(description):
+        leader, follower = description.joint_names.index(c.follows), plant.GetJointByName(c.joint, hand)
+        ends = np.array([follower.position_lower_limits()[0], follower.position_upper_limits()[0]])
+        low, high = np.sort((ends - c.offset) / c.ratio)
+        lower[leader], upper[leader] = max(lower[leader], low), min(upper[leader], high)
+        if not lower[leader] < upper[leader]:
+            raise HandError(
+                f"{source}: joint '{c.joint}', which follows '{c.follows}', would leave its limits "
+                f"[{ends[0]:g}, {ends[1]:g}] rad at every angle of that joint; correct its couplings or its "
+                "limits"
+            )
+    return lower, upper

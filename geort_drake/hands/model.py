@@ -22,12 +22,11 @@ from geort_drake.errors import HandError
 from geort_drake.hands.assembly import (
     add_hand_model,
     find_frame,
-    position_limits,
     remove_visuals,
     require_name,
 )
 from geort_drake.hands.chains import PlantFingertips, finger_chain
-from geort_drake.hands.couplings import JointCouplings
+from geort_drake.hands.couplings import JointCouplings, position_limits
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model_files import digest_of_contents, model_files
 from geort_drake.resources import resolve_uri

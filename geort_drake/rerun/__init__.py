@@ -14,10 +14,11 @@ methods send arrays over time. `take_screenshot` makes a picture of a file.
 """
 
 from geort_drake.rerun.add_recorder import add_rerun_recorder
+from geort_drake.rerun.camera import CameraSpec
 from geort_drake.rerun.plant import ContactSpec
 from geort_drake.rerun.recorder import RerunRecorder
 from geort_drake.rerun.screenshot import take_screenshot
-from geort_drake.rerun.specs import CameraSpec, CloseUpSpec, HandSpec, PointsSpec, SignalSpec, Spec, StateSpec
+from geort_drake.rerun.specs import CloseUpSpec, HandSpec, PointsSpec, SignalSpec, Spec, StateSpec
 from geort_drake.rerun.streams import file_writer
 from geort_drake.rerun.writer import Writer
 

@@ -11,10 +11,10 @@ import rerun.blueprint as rrb
 from geort_drake.errors import ScenarioError
 from geort_drake.people.keypoints import FINGER_NAMES, wrist_pose
 from geort_drake.rerun import blueprint as views
+from geort_drake.rerun.camera import CameraSpec
 from geort_drake.rerun.plant import Poses
 from geort_drake.rerun.scene import Scene
 from geort_drake.rerun.specs import (
-    CameraSpec,
     CloseUpSpec,
     HandSpec,
     PointsSpec,

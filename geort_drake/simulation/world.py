@@ -18,7 +18,8 @@ from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import MatrixGain
 
 from geort_drake.errors import HandError, ScenarioError, UnknownNameError
-from geort_drake.hands.assembly import add_hand_model, position_limits
+from geort_drake.hands.assembly import add_hand_model
+from geort_drake.hands.couplings import position_limits
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import tip_geometries
 from geort_drake.resources import PACKAGE_NAME, models_dir, resource_root

@@ -5,7 +5,8 @@ from typing import Any
 
 from geort_drake.errors import RecordingError, UnknownNameError
 from geort_drake.people.formats import keypoint_arrays, manus, mediapipe, vision_pro, xr
-from geort_drake.people.formats.source import Format, description
+from geort_drake.people.formats.contents import description
+from geort_drake.people.formats.source import Format
 
 AUTO = "auto"
 

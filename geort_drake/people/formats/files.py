@@ -11,7 +11,8 @@ from typing import Any
 
 from geort_drake.errors import RecordingError
 from geort_drake.people.checks.findings import FrameFaults
-from geort_drake.people.formats.source import UNREADABLE, Source, Table
+from geort_drake.people.formats.contents import Table
+from geort_drake.people.formats.source import UNREADABLE, Source
 from geort_drake.people.formats.unpickling import ForbiddenPickle, load_plain
 from geort_drake.people.recording import check_file, load_arrays
 

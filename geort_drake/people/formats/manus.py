@@ -23,15 +23,8 @@ import numpy as np
 
 from geort_drake.people.checks.anatomy import bent_side
 from geort_drake.people.checks.findings import warning
-from geort_drake.people.formats.source import (
-    KEYPOINTS_OF_25,
-    BadFrame,
-    Format,
-    Source,
-    Table,
-    Tracks,
-    shape_in,
-)
+from geort_drake.people.formats.contents import BadFrame, Table, shape_in
+from geort_drake.people.formats.source import KEYPOINTS_OF_25, Format, Source, Tracks
 
 NODE_COUNT = 25
 

@@ -23,16 +23,8 @@ import numpy as np
 
 from geort_drake.people.checks.anatomy import bent_side
 from geort_drake.people.checks.findings import warning
-from geort_drake.people.formats.source import (
-    NO_HAND,
-    BadFrame,
-    Format,
-    Source,
-    Tracks,
-    any_frame,
-    frames_of,
-    point,
-)
+from geort_drake.people.formats.contents import BadFrame, any_frame, frames_of, point
+from geort_drake.people.formats.source import NO_HAND, Format, Source, Tracks
 from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.people.recording import SIDES
 

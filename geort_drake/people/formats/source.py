@@ -1,4 +1,4 @@
-"""Types that format readers work with: a file's contents, checked access to them, and its result.
+"""Types that format readers work with: checked access to a file's contents, and its result.
 
 Readers raise RecordingError only if the meaning of a file is ambiguous. Faults of single frames are collected
 in `Source.faults`; these frames become invalid and are reported.
@@ -15,6 +15,14 @@ import numpy as np
 
 from geort_drake.errors import RecordingError
 from geort_drake.people.checks.findings import Finding, FrameFaults, warning
+from geort_drake.people.formats.contents import (
+    BadFrame,
+    any_frame,
+    description,
+    empty_frames,
+    frames_of,
+    shape_of,
+)
 from geort_drake.people.recording import SIDES, Recording
 
 # Of hands with 25 joints: wrist, four of the thumb, then five per finger, whose first one, the base of the
@@ -26,17 +34,6 @@ NO_HAND, UNREADABLE = "show no hand", "cannot be read"
 _TIME_FIELDS = ("t", "timestamps", "timestamp", "time", "timestampMs", "timestamp_ms")
 _SIDE_FIELDS = ("side", "chirality", "handedness", "hand")
 _ONE_WEEK_S = 6e5
-
-
-class BadFrame(Exception):
-    """A single frame cannot be read. The message says what was expected and what was given."""
-
-
-class Table(NamedTuple):
-    """A CSV file: names of the columns, and rows of texts."""
-
-    header: list[str]
-    rows: list[list[str]]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -125,7 +122,7 @@ class Source:
             array = array.astype(float)
         elif self.has(field):
             values = self._of_frames(field)
-            counts = Counter(shape for value in values if (shape := _shape_of(value)) in shapes)
+            counts = Counter(shape for value in values if (shape := shape_of(value)) in shapes)
             shape = max(counts, key=counts.__getitem__, default=shapes[0])
             array = self.each(values, lambda value: value, shape, field)
         else:
@@ -152,7 +149,7 @@ class Source:
                 if (numbers := read(value)) is None:
                     lost.append(i)
                     continue
-                array = np.asarray(numbers) if _shape_of(numbers) == shape else np.array(None)
+                array = np.asarray(numbers) if shape_of(numbers) == shape else np.array(None)
                 if array.dtype.kind not in "fiu":
                     raise BadFrame(f"{field} must hold numbers of shape {shape}, not {numbers!r:.60}")
                 result[i] = array
@@ -234,74 +231,6 @@ class Source:
             advice = "transposed back; their zeros and ones confirm it"
             self.findings.append(warning("axes", "transforms are stored transposed", field, advice))
         return X
-
-
-def frames_of(contents: Any) -> list:
-    """The frames of a file that holds a list of them, or an object with such a list named frames; or none."""
-    frames = contents.get("frames") if isinstance(contents, Mapping) else contents
-    return frames if isinstance(frames, list) else []
-
-
-def any_frame(contents: Any, fits: Callable[[Mapping], bool]) -> bool:
-    """Whether one of the frames that are objects fits."""
-    return any(fits(frame) for frame in frames_of(contents) if isinstance(frame, Mapping))
-
-
-def joints_of(frame: Any, field: str, names: Sequence[str]) -> list | None:
-    """A frame's joints, given in the order of `names` or by name; None without any.
-
-    Raises:
-        BadFrame: joints are missing.
-    """
-    given = frame.get(field) if isinstance(frame, Mapping) else f"in {frame!r:.40}"
-    if isinstance(given, Mapping):
-        if missing := [name for name in names if name not in given]:
-            raise BadFrame(f"{field} lacks {len(missing)} of {len(names)} joints, such as {missing[0]}")
-        return [given[name] for name in names]
-    if given in (None, []):
-        return None
-    if not isinstance(given, list) or len(given) != len(names):
-        raise BadFrame(f"{field} must hold {len(names)} joints, not {given!r:.60}")
-    return given
-
-
-def shape_in(contents: Any, field: str) -> tuple[int, ...]:
-    """The shape of an array in an archive; empty where there is none, or none of numbers."""
-    array = contents.get(field) if isinstance(contents, Mapping) else None
-    return array.shape if isinstance(array, np.ndarray) and array.dtype.kind in "fiu" else ()
-
-
-def point(value: Any) -> Any:
-    """A point given as [x, y, z], {"x": ..., "y": ..., "z": ...}, or null, which is NaN."""
-    if value is None:
-        return [np.nan] * 3
-    return [value.get(axis) for axis in "xyz"] if isinstance(value, Mapping) else value
-
-
-def empty_frames(values: np.ndarray) -> np.ndarray:
-    """(T,) bool: frames of values (T, ...) that are all zeros, as some trackers store a lost hand."""
-    return (values == 0.0).all(axis=tuple(range(1, values.ndim)))
-
-
-def description(contents: Any) -> str:
-    """A file's contents in a few words."""
-    if isinstance(contents, Mapping):
-        parts = [
-            f"{name if isinstance(name, str) else type(name).__name__:.40}{getattr(value, 'shape', '')}"
-            for name, value in contents.items()
-        ]
-        return ", ".join(parts[:8]) + (", ..." if len(parts) > 8 else "") or "nothing"
-    if isinstance(contents, Table):
-        return f"columns {', '.join(contents.header[:5])}, ..."
-    return type(contents).__name__ + (f" of {len(contents)}" if isinstance(contents, list) else "")
-
-
-def _shape_of(value: Any) -> tuple[int, ...] | None:
-    """The shape of a value in a frame; None where its rows differ in length."""
-    try:
-        return np.shape(value)
-    except ValueError:
-        return None
 
 
 def _relative(stamps: Sequence[Any], unit_s: float) -> np.ndarray:

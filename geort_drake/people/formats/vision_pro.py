@@ -20,17 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from geort_drake.people.formats.source import (
-    KEYPOINTS_OF_25,
-    NO_HAND,
-    Format,
-    Source,
-    Tracks,
-    any_frame,
-    empty_frames,
-    frames_of,
-    joints_of,
-)
+from geort_drake.people.formats.contents import any_frame, empty_frames, frames_of, joints_of
+from geort_drake.people.formats.source import KEYPOINTS_OF_25, NO_HAND, Format, Source, Tracks
 from geort_drake.people.recording import SIDES
 
 _FIELDS = ("fingers", "arm")

@@ -22,17 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from geort_drake.people.formats.source import (
-    KEYPOINTS_OF_25,
-    BadFrame,
-    Format,
-    Source,
-    Tracks,
-    frames_of,
-    joints_of,
-    point,
-    shape_in,
-)
+from geort_drake.people.formats.contents import BadFrame, frames_of, joints_of, point, shape_in
+from geort_drake.people.formats.source import KEYPOINTS_OF_25, Format, Source, Tracks
 
 _SUFFIXES = (".json", ".jsonl", ".npz")
 _POSITION_VALID = 2  # XR_SPACE_LOCATION_POSITION_VALID_BIT

@@ -1,0 +1,171 @@
+"""Finds from the fingers of a model their names, the hand base and the side."""
+
+import dataclasses as dc
+
+import numpy as np
+from pydrake.geometry import Role
+from pydrake.math import RigidTransform, RotationMatrix
+
+from geort_drake.hands.importers.finger_names import (
+    fingers_by_name,
+    fingers_by_place,
+    side_by_name,
+    thumb_by_place,
+)
+from geort_drake.hands.importers.fingertips import Part, parts_of
+from geort_drake.hands.importers.structure import Chain, HandStructure
+from geort_drake.hands.model import HandModel
+
+POSTURES = 300  # random ones
+_STRETCH_GRID = 7
+# A hand base this close to the axes of the palm's link is aligned with them, because stretched fingers may
+# lean against the palm; above the second angle, a note says so.
+_SNAP_ANGLE, _NOTED_ANGLE = np.deg2rad(30.0), np.deg2rad(5.0)
+# Fingers close to one side if their mean tip offset is this fraction of their mean distance from straight.
+_CLOSING_FRACTION = 0.6
+# A thumb is beside the fingers if its sideways offset is this fraction of its offset to the front.
+_SIDEWAYS_FRACTION = 0.35
+
+
+@dc.dataclass(frozen=True)
+class _Finger:
+    """A chain, and how it lies and closes in the root link R.
+
+    `p_base` is its first joint, `p_RF` (N, 3) are places of its tip at random postures, `p_stretched` is the
+    farthest one, m.
+    """
+
+    chain: Chain
+    p_base: np.ndarray
+    p_stretched: np.ndarray
+    p_RF: np.ndarray
+
+    @property
+    def direction(self) -> np.ndarray:
+        """(3,) unit vector along the stretched finger."""
+        return _unit(self.p_stretched - self.p_base)
+
+    @property
+    def length(self) -> float:
+        """Of the stretched finger, m."""
+        return float(np.linalg.norm(self.p_stretched - self.p_base))
+
+    @property
+    def sideways(self) -> np.ndarray:
+        """(N, 3) offsets of the tip perpendicular to the stretched finger, m."""
+        v = self.p_RF - self.p_stretched
+        return v - np.outer(v @ self.direction, self.direction)
+
+
+def arrange(
+    structure: HandStructure, hand: HandModel, notes: list[str]
+) -> tuple[list[str], RigidTransform, str]:
+    """The names of the chains' fingers, the pose X_RB of the hand base in the root link R, and the side.
+
+    Args:
+        structure: of the model.
+        hand: the model with its fingers under any names, and R as hand base.
+        notes: grows by a sentence on each guess.
+    """
+    fingers = _stretched(structure, hand)
+    p_base = np.array([finger.p_base for finger in fingers])
+    directions = np.array([finger.direction for finger in fingers])
+    named = fingers_by_name([finger.chain.names for finger in fingers])
+    if named is not None and "thumb" in named:
+        thumb = named.index("thumb")
+    else:
+        named = None
+        thumb = thumb_by_place(p_base, directions, np.array([finger.length for finger in fingers]))
+        joints = ", ".join(fingers[thumb].chain.joints)
+        notes.append(f"no name identifies the thumb; it is taken to be the finger with the joints {joints}")
+    others = [number for number in range(len(fingers)) if number != thumb]
+    z = _unit(directions[others].mean(axis=0))
+    sideways = np.concatenate([fingers[number].sideways for number in others])
+    x = sideways.mean(axis=0)
+    if np.linalg.norm(x) < _CLOSING_FRACTION * np.linalg.norm(sideways, axis=1).mean():
+        x = p_base[thumb] - p_base[others].mean(axis=0)
+        notes.append("the fingers bend to both sides alike; the palm's side is taken to be the thumb's")
+    x = _unit(x - (x @ z) * z)
+    plant = structure.plant
+    context = plant.CreateDefaultContext()
+    R_RP = plant.EvalBodyPoseInWorld(context, structure.palm[0]).rotation().matrix()
+    R_RB = R_RP @ _snapped(R_RP.T @ np.column_stack([x, np.cross(z, x), z]), notes)
+    knuckles = p_base[others].mean(axis=0)
+    thumb_place = 0.5 * (p_base[thumb] + fingers[thumb].p_RF.mean(axis=0)) - knuckles
+    forward, to_left, _ = thumb_place @ R_RB
+    side = "right" if to_left > 0 else "left"
+    links = [plant.get_body(index).name() for index in plant.GetBodyIndices(structure.hand)]
+    # The links come last, because those of a whole robot are of both sides.
+    named_side = (
+        side_by_name([structure.path.stem])
+        or side_by_name([structure.palm[0].name()])
+        or side_by_name([plant.GetModelInstanceName(structure.hand), *links])
+    )
+    if abs(to_left) < _SIDEWAYS_FRACTION * abs(forward):
+        side = named_side or "right"
+        notes.append(f"the thumb is opposite to the fingers, not beside them; taken for a {side} hand")
+    elif named_side is not None and named_side != side:
+        notes.append(
+            f"names say that this is a {named_side} hand, but the thumb's place says a {side} hand; check "
+            "base_pose and side, and the joint limits, which may close the fingers backwards"
+        )
+    if named is None:
+        towards_thumb = (p_base - knuckles) @ R_RB[:, 1] * (1 if side == "right" else -1)
+        named = fingers_by_place(len(fingers), thumb, towards_thumb)
+    parts: list[Part] = []
+    for role in (Role.kProximity, Role.kIllustration):
+        parts = parts or parts_of(plant, structure.scene_graph, structure.palm, role, plant.world_frame())
+    origins = [plant.EvalBodyPoseInWorld(context, link).translation() for link in structure.palm]
+    palm = np.concatenate([part.points for part in parts]) if parts else np.array(origins)
+    # The wrist end of the palm, behind the middle of the knuckles.
+    wrist = knuckles + ((palm - knuckles) @ R_RB[:, 2]).min(initial=0.0) * R_RB[:, 2]
+    return named, RigidTransform(RotationMatrix(R_RB), wrist), side
+
+
+def _stretched(structure: HandStructure, hand: HandModel) -> list[_Finger]:
+    """Moves the hand through random postures, and stretches each finger."""
+    q = hand.sample(POSTURES)
+    p_RF = hand.fingertips(q)
+    context = structure.plant.CreateDefaultContext()
+    fingers = []
+    for number, chain in enumerate(structure.chains):
+        first = structure.plant.GetJointByName(chain.joints[0], structure.hand)
+        p_base = first.frame_on_parent().CalcPoseInWorld(context).translation()
+        best = q[np.linalg.norm(p_RF[:, number] - p_base, axis=1).argmax()].copy()
+        # From the most stretched sample, stretch one joint after the other, from the tip to the base.
+        for joint in reversed([hand.joint_names.index(name) for name in chain.joints]):
+            low, high = hand.lower[joint], hand.upper[joint]
+            trials = np.tile(best, (_STRETCH_GRID, 1))
+            trials[:, joint] = np.linspace(low, high, _STRETCH_GRID)
+            if low < 0 < high:
+                trials[_STRETCH_GRID // 2, joint] = 0.0
+            reached = np.linalg.norm(hand.fingertips(trials)[:, number] - p_base, axis=1)
+            # A joint that does not change the length, such as abduction, goes to zero.
+            flat = np.ptp(reached) < 0.02 * reached.max()
+            best[joint] = np.clip(0.0, low, high) if flat else trials[reached.argmax(), joint]
+        fingers.append(_Finger(chain, p_base, hand.fingertips(best)[number], p_RF[:, number]))
+    return fingers
+
+
+def _snapped(R: np.ndarray, notes: list[str]) -> np.ndarray:
+    """The rotation aligned with the nearest axes, if they are near."""
+    nearest = np.zeros((3, 3))
+    rows = np.abs(R).argmax(axis=0)
+    nearest[rows, range(3)] = np.sign(R[rows, range(3)])
+    if len(set(rows.tolist())) == 3 and np.linalg.det(nearest) > 0:
+        angle = np.arccos(np.clip(0.5 * (np.trace(nearest.T @ R) - 1.0), -1.0, 1.0))
+        if angle < _SNAP_ANGLE:
+            if angle > _NOTED_ANGLE:
+                notes.append(
+                    f"the hand base has the axes of the palm's link; stretched fingers lean by "
+                    f"{np.rad2deg(angle):.0f} degrees"
+                )
+            return nearest
+    notes.append(
+        "no axes of the palm's link lie along the fingers, so the hand base is aligned with the fingers"
+    )
+    return R
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / max(float(np.linalg.norm(v)), 1e-12)
