@@ -30,7 +30,7 @@ def test_equal_requests_share_a_checkpoint(trained, play, monkeypatch):
     def cached(method="linear_offline", **settings):
         return cached_checkpoint("allegro_right", play, method, settings=settings)
 
-    paths = [cached(points=16), cached(points=16), cached(points=24), cached("geort_coupled", collision=0.1)]
+    paths = [cached(points=16), cached(points=16), cached(points=24), cached("geort", pinch_weight=0.5)]
     monkeypatch.setattr(comparison_train, "source_digest", lambda *subpackages: "other")
     paths.append(cached(points=16))
     assert paths[0] == paths[1]
