@@ -83,9 +83,6 @@ def test_facts_repeated_for_help_agree_with_their_modules():
     assert unit.choices == list(UNITS_M)
 
 
-# -- options
-
-
 # -- outputs
 
 

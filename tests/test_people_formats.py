@@ -113,6 +113,8 @@ def test_a_stated_unit_is_converted(tmp_path, unit):
     np.testing.assert_allclose(read_recording(path, unit=unit).p_HK, hand.p_HK, atol=1e-6)
     with pytest.raises(UnknownNameError, match="unknown unit 'feet'"):
         read_recording(path, unit="feet")
+    with pytest.raises(RecordingError, match="own files are in metres, not in mm"):
+        read_recording(write_own(tmp_path, hand), unit="mm")
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
@@ -224,15 +226,6 @@ def test_a_manus_skeleton_is_read_with_or_without_order_times_and_tracker(tmp_pa
     untracked = read_recording(write_manus(tmp_path, dc.replace(hand, p_WH=0 * hand.p_WH)))
     assert untracked.metadata["wrist_position_tracked"] is False
     np.testing.assert_allclose(untracked.X_WH[:, 4:], 0.0, atol=1e-7)
-
-
-def test_our_own_files_are_read_unchanged_and_in_metres_alone(tmp_path):
-    """The digest stays; a unit is refused."""
-    recording = read_recording(WRITERS["manus"](tmp_path, moving()))
-    recording.save(tmp_path / "saved.npz")
-    assert read_recording(tmp_path / "saved.npz").digest == recording.digest
-    with pytest.raises(RecordingError, match="own files are in metres, not in mm"):
-        read_recording(write_own(tmp_path, moving()), unit="mm")
 
 
 class Reduced:

@@ -1,19 +1,14 @@
 """Programs that are killed or cannot write: results are complete, none is lost, and the next run resumes."""
 
-import errno
 import functools
-from pathlib import Path
 
 import numpy as np
 import pytest
 from faults import disks, kills
-from faults.child import run
-from trial_records import error
 
 from geort_drake import files
-from geort_drake.benchmark.records import TrialLog, read_records
 from geort_drake.errors import OutputError
-from geort_drake.files import atomic_directory, atomic_path, write_text
+from geort_drake.files import atomic_directory, write_text
 
 
 @pytest.fixture(scope="module")
@@ -50,20 +45,6 @@ def test_every_writer_names_the_file_that_it_cannot_write(reason, tmp_path):
     assert disks.spoilt(tmp_path / "disk", reason) == []
 
 
-def test_a_line_that_did_not_fit_is_dropped_and_the_log_goes_on(tmp_path):
-    """All lines before it are kept, and the next one is complete."""
-    room = tmp_path / "room"
-    room.mkdir()
-    run(disks.append_trials, (), room, tmp_path / "beside", RLIMIT_FSIZE=2_000)
-    path = room / "trials.jsonl"
-    assert path.stat().st_size == 2_000
-    whole = read_records(path)
-    with TrialLog(path) as log:
-        assert log.torn and log.records == whole and len(whole) == 7
-        log.append(error(seed=-1))
-    assert len(read_records(path)) == 8
-
-
 def test_a_directory_is_replaced_in_one_step(tmp_path, monkeypatch):
     """Old and new are exchanged; where the system cannot, the old one is renamed first."""
     target = tmp_path / "run"
@@ -74,32 +55,6 @@ def test_a_directory_is_replaced_in_one_step(tmp_path, monkeypatch):
                 (draft / "number.txt").write_text(str(number))
         assert (target / "number.txt").read_text() == "1"
         assert [path.name for path in tmp_path.iterdir()] == ["run"]
-
-
-@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS, errno.EACCES])
-def test_what_cannot_be_written_leaves_nothing(code, tmp_path, monkeypatch):
-    """No draft and no incomplete file; the earlier one stays. The error is also an OSError."""
-    file, folder = tmp_path / "notes.txt", tmp_path / "run"
-    write_text(file, "before")
-    with atomic_directory(folder) as draft:
-        write_text(draft / "notes.txt", "before")
-
-    replace = files.os.replace
-
-    def refuse(source, target):
-        if Path(target) in (file, folder) and not str(source).endswith("-old"):
-            raise OSError(code, "no")
-        replace(source, target)
-
-    monkeypatch.setattr(files, "_exchange", lambda *_: False)
-    monkeypatch.setattr(files.os, "replace", refuse)
-    for write, target in ((atomic_path, file), (atomic_directory, folder)):
-        message = rf"{target.name}: cannot be written: no"
-        with pytest.raises(OutputError, match=message) as raised, write(target):
-            pass
-        assert isinstance(raised.value, OSError)
-    assert file.read_text() == (folder / "notes.txt").read_text() == "before"
-    assert set(tmp_path.iterdir()) == {file, folder}
 
 
 def test_a_directory_does_not_replace_a_file(tmp_path):

@@ -1,4 +1,4 @@
-"""Checks the derivations of the documentation by computation."""
+"""The losses, and the derivations of the documentation, checked by computation."""
 
 import math
 
@@ -125,3 +125,25 @@ def test_the_loss_of_open_pinches_pulls_evenly_from_afar():
     slope = gradient(lambda d: pinch_loss(d).sum(), distances)
     torch.testing.assert_close(PINCH_SCALE * slope, e * (2 + e) / (1 + e) ** 2, rtol=1e-6, atol=1e-6)
     assert (slope.diff() > 0).all()
+
+
+def test_chamfer_of_a_small_translation_is_twice_its_square():
+    """Points farther apart than the translation keep their partners, in both directions."""
+    grid = torch.tensor(np.stack(np.meshgrid(*[np.arange(4.0)] * 3), -1).reshape(1, -1, 3))
+    shift = torch.tensor([0.1, -0.2, 0.05])
+    loss = float(criteria.chamfer_loss(grid, grid + shift))
+    assert loss == pytest.approx(2 * float(shift.square().sum()), rel=1e-5)
+
+
+def test_pinches_are_weighted_and_weights_mark_near_pairs():
+    """The nearest pair weighs 1, others under the threshold less; no pinch has no loss and no gradient."""
+    pairs = [(0, 1), (0, 2)]
+    p = torch.tensor([[[0.0, 0, 0], [1.0, 0, 0], [0.0, 2, 0]]])
+    loss = float(criteria.pinch_loss(p, pairs, torch.tensor([[1.0, 3.0]])))
+    assert loss == pytest.approx((1 * 1 + 3 * 4) / 4)
+    p = normal(5, 3, 3).requires_grad_(True)
+    criteria.pinch_loss(p, pairs, torch.zeros(5, 2, dtype=p.dtype)).backward()
+    assert float(p.grad.abs().max()) == 0.0
+    frames = [[[0.0, 0, 0], [a, 0, 0], [0, b, 0]] for a, b in ((0.010, 0.050), (0.012, 0.008), (0.02, 0.03))]
+    expected = torch.tensor([[1.0, 0.0], [0.2, 1.0], [0.0, 0.0]])
+    torch.testing.assert_close(criteria.pinch_weights(torch.tensor(frames), pairs, 0.015, 0.2), expected)
