@@ -314,7 +314,7 @@ def test_panel_and_keys(browser, stub, address):
     page.keyboard.press("r")
     page.select_option("#object", "sphere")
     page.select_option("#task-name", "keys")
-    stub.send(task="keys", object="keys", outcome=None)
+    stub.send(task="keys", object="keys", outcome=None, engaged=True)
     page.wait_for_selector("#object", state="hidden")
     page.focus("#reset")
     page.keyboard.press(" ")  # disengages, although a button has the focus

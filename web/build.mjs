@@ -13,7 +13,7 @@ const target = ["chrome111", "firefox132", "safari17"];
 const common = { bundle: true, minify: true, outdir: out, target, legalComments: "none" };
 await build({ ...common, entryPoints: [`${here}src/main.js`, `${here}src/style.css`], format: "esm" });
 // MediaPipe loads itself by importScripts, which only classic workers have.
-await build({ ...common, entryPoints: [`${here}src/tracker.js`], format: "iife" });
+await build({ ...common, entryPoints: [`${here}src/worker.js`], format: "iife" });
 cpSync(`${here}src/index.html`, `${out}index.html`);
 cpSync(`${here}../docs/assets/favicon.svg`, `${out}icon.svg`);
 for (const name of [

@@ -1,5 +1,28 @@
 // The camera: its pictures go to the tracker, whose hands come back.
 
+import { startTracker } from "./tracker.js";
+
+/** In place of a worker where workers have no WebGL, as in WebKitGTK: the tracker on the page's main thread. */
+class PageWorker {
+  constructor() {
+    this.take = startTracker((data) => this.onmessage?.({ data }), loadScript);
+  }
+
+  postMessage(message) {
+    this.take(message);
+  }
+
+  terminate() {
+    this.onmessage = undefined;
+  }
+}
+
+function loadScript(src) {
+  return new Promise((onload, onerror) =>
+    document.head.append(Object.assign(document.createElement("script"), { src, onload, onerror })),
+  );
+}
+
 export class Camera {
   /**
    * @param {HTMLElement} mirror shows the pictures and the hand in them.
@@ -21,7 +44,8 @@ export class Camera {
       video: { width: { ideal: 640 }, height: { ideal: 480 }, frameRate: { ideal: 30 }, facingMode: "user" },
     });
     this.busy = true;
-    this.worker = new Worker("tracker.js");
+    const alone = new OffscreenCanvas(1, 1).getContext("webgl2") !== null;
+    this.worker = alone ? new Worker("worker.js") : new PageWorker();
     this.worker.onmessage = ({ data }) => this.#receive(data);
     this.worker.onerror = (event) => this.onFailure(`The hand tracker did not start: ${event.message}.`);
     const canvas = Object.assign(document.createElement("canvas"), { ariaLabel: "Mirrored picture of your hand" });

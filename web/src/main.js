@@ -9,6 +9,13 @@ import { View } from "./view.js";
 const VERSION = 1;
 // How long the reason of a refusal is shown.
 const REFUSAL_MS = 4000;
+// Browsers' own words differ, and some are none.
+const REASONS = {
+  NotAllowedError: "the browser does not allow it",
+  NotFoundError: "there is none",
+  NotReadableError: "another program uses it",
+  OverconstrainedError: "there is none",
+};
 const element = (id) => document.getElementById(id);
 const UNSEEN = { seen: false, side: "", score: 0, rate: 0, delay: 0 };
 
@@ -139,7 +146,7 @@ async function use(device, start) {
   model.device = device;
   if (model.connected) hello();
   refresh();
-  await start().catch((error) => stopUsing(`The ${device} cannot be used: ${error.message}.`));
+  await start().catch(({ name, message }) => stopUsing(`The ${device} cannot be used: ${REASONS[name] ?? message}.`));
 }
 
 const useCamera = () => use("camera", () => camera.start());
@@ -151,6 +158,8 @@ navigator.permissions
 
 headsetMode().then((mode) => {
   element("headset").hidden = mode === null;
+  if (mode === null)
+    element("no-headset").textContent = navigator.xr ? "No headset found." : "This browser supports no headset.";
   element("headset").onclick = () => use("headset", () => headset.start(mode, () => model.welcome?.side));
 });
 

@@ -1,33 +1,6 @@
-// A worker that finds one hand in pictures with MediaPipe Hands, and draws both.
-//
-// Messages in: {canvas: OffscreenCanvas} first, then {frame: VideoFrame or ImageBitmap, t}. Messages out: {ready},
-// {t, hand, aspect} or {failure}; `hand` is null or {world: 21 × [x, y, z] m, image: 21 × [u, v], score, side}.
+// Finds one hand in pictures with MediaPipe Hands, and draws both.
 
 import { drawSkeleton } from "./skeleton.js";
-
-const files = new URL("hands/", self.location).href;
-
-// MediaPipe's own support of workers loads its models as scripts. With these two names it takes the page's way.
-self.window = self;
-self.document = {
-  createElement(tag) {
-    if (tag === "canvas") return new OffscreenCanvas(1, 1);
-    return {
-      setAttribute(name, value) {
-        this[name] = value;
-      },
-      addEventListener(event, listener) {
-        this[event] = listener;
-      },
-    };
-  },
-  body: {
-    appendChild(script) {
-      importScripts(script.src);
-      script.load();
-    },
-  },
-};
 
 // MediaPipe names sides as in a mirrored picture.
 const SIDE = { Left: "right", Right: "left" };
@@ -41,8 +14,9 @@ let shown = null;
 
 let found = null;
 
-async function open() {
-  importScripts(`${files}hands.js`);
+async function open(load) {
+  const files = new URL("hands/", self.location).href;
+  await load(`${files}hands.js`);
   const hands = new self.Hands({ locateFile: (file) => files + file });
   // Inference on the CPU is fast on every machine, and leaves the GPU to the view.
   hands.setOptions({ maxNumHands: 1, modelComplexity: 0, useCpuInference: true });
@@ -51,30 +25,39 @@ async function open() {
   return hands;
 }
 
-const opening = open();
-opening.then(
-  () => postMessage({ ready: true }),
-  (error) => postMessage({ failure: String(error) }),
-);
-
-onmessage = async ({ data: { canvas, frame, t } }) => {
-  if (canvas) {
-    shown = canvas.getContext("2d", IN_MEMORY);
-    return;
-  }
-  try {
-    const hands = await opening;
-    found = null;
-    draw(frame);
-    await hands.send({ image: picture.canvas });
-    const hand = first(found);
-    shown.drawImage(picture.canvas, 0, 0);
-    if (hand) drawSkeleton(shown, hand.image);
-    postMessage({ t, hand, aspect: picture.canvas.width / picture.canvas.height });
-  } catch (error) {
-    postMessage({ failure: String(error) });
-  }
-};
+/**
+ * Starts MediaPipe.
+ *
+ * @param {(message: object) => void} post gets {ready}, {t, hand, aspect} or {failure}; `hand` is null or
+ *   {world: 21 × [x, y, z] m, image: 21 × [u, v], score, side}.
+ * @param {(url: string) => any} load runs a script.
+ * @returns {(message: object) => void} takes {canvas} first, then {frame: VideoFrame or ImageBitmap, t}.
+ */
+export function startTracker(post, load) {
+  const opening = open(load);
+  opening.then(
+    () => post({ ready: true }),
+    (error) => post({ failure: String(error) }),
+  );
+  return async ({ canvas, frame, t }) => {
+    if (canvas) {
+      shown = canvas.getContext("2d", IN_MEMORY);
+      return;
+    }
+    try {
+      const hands = await opening;
+      found = null;
+      draw(frame);
+      await hands.send({ image: picture.canvas });
+      const hand = first(found);
+      shown.drawImage(picture.canvas, 0, 0);
+      if (hand) drawSkeleton(shown, hand.image);
+      post({ t, hand, aspect: picture.canvas.width / picture.canvas.height });
+    } catch (error) {
+      post({ failure: String(error) });
+    }
+  };
+}
 
 function draw(frame) {
   const { displayWidth = frame.width, displayHeight = frame.height } = frame;

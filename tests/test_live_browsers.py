@@ -1,10 +1,10 @@
-"""The live web page in Firefox, with its own server and a camera that shows a rendered hand."""
+"""The live web page in Firefox and WebKit, with its own server and a camera that shows a rendered hand."""
 
 import asyncio
 import json
 
 import pytest
-from firefox import PATIENCE_S, Firefox, require_firefox
+from browsers import PATIENCE_S, Browser, Firefox, WebKit
 from live_page import FLAT, PINCH, SCENE, STATE, WEB, require_built_page, require_package, serve
 
 from geort_drake.live.web.messages import Disengage, Engage
@@ -34,15 +34,16 @@ def server():
     server.close()
 
 
-def test_firefox_tracks_the_hand_and_engages(tmp_path, server):
-    """MediaPipe finds the hand, and the server gets and understands it."""
-    require_firefox(with_3d=True)
+@pytest.mark.parametrize("browser", [Firefox, WebKit])
+def test_the_page_tracks_the_hand_and_engages(browser, tmp_path, server):
+    """MediaPipe finds the hand, and the server gets and understands it; a headset is excused in words."""
+    browser.require()
     require_package("@webxr-input-profiles/assets")
-    asyncio.run(_track(tmp_path / "profile", *server))
+    asyncio.run(_track(browser(tmp_path / "profile"), *server))
 
 
 def test_without_3d_the_page_still_has_words_and_keys(tmp_path, server):
-    require_firefox(with_3d=False)
+    Firefox.require(with_3d=False)
     asyncio.run(_steer(tmp_path / "profile", *server))
 
 
@@ -65,24 +66,27 @@ async def _command(station: OperatorStation, kind: type) -> None:
     assert station.refused == 0
 
 
-async def _track(profile, server: WebServer, station: OperatorStation) -> None:
-    async with Firefox(profile, with_3d=True) as firefox:
+async def _track(browser: Browser, server: WebServer, station: OperatorStation) -> None:
+    async with browser as page:
         with serve(WEB) as address:
-            await firefox.open(f"{address}/test/hand.html")
-            await firefox.until("Boolean(window.ready)")
+            await page.open(f"{address}/test/hand.html")
+            await page.until("Boolean(window.ready)")
             pictures = []
             for number, posture in enumerate((FLAT, PINCH)):
-                await firefox.value(f"void pose({json.dumps(posture)})")
-                pictures.append(await firefox.value(f"draw({number})"))
-        camera = CAMERA.replace("PICTURES", json.dumps(pictures))
-        await firefox.open(f"http://127.0.0.1:{server.port}/#key", camera)
-        await firefox.until("document.body.dataset.state === 'waiting'")
-        assert "right hand" in await firefox.value("document.querySelector('#headline').innerText")
+                await page.value(f"void pose({json.dumps(posture)})")
+                pictures.append(await page.value(f"draw({number})"))
+        await page.open(f"http://127.0.0.1:{server.port}/#key")
+        await page.value(f"void ({CAMERA.replace('PICTURES', json.dumps(pictures))})()")
+        await page.until("document.body.dataset.state === 'waiting'")
+        assert await page.value("document.querySelector('#blind').hidden")
+        assert "right hand" in await page.value("document.querySelector('#headline').innerText")
+        if isinstance(browser, WebKit):
+            assert "no headset" in await page.value("document.querySelector('#no-headset').innerText")
         server.publish(json.dumps(STATE))
-        await firefox.value("document.querySelector('#camera').click()")
-        await firefox.until("document.body.dataset.state === 'tracking'")
+        await page.value("document.querySelector('#camera').click()")
+        await page.until("document.body.dataset.state === 'tracking'")
         async with asyncio.timeout(PATIENCE_S):
             while station.received < 3:
                 await asyncio.sleep(0.05)
-        await firefox.press(" ")
+        await page.press(" ")
         await _command(station, Engage)
