@@ -55,7 +55,7 @@ def add_arguments(parser: CommandParser) -> None:
     add("--methods", nargs="+", metavar="NAME", help=methods)
     add("--objects", nargs="+", metavar="NAME", help="objects to grasp (default: all)")
     add("--trials", type=at_least(1), help="trials per method and object (default: 30)")
-    trainings = "trainings of each trained method, with successive seeds; every one does all trials"
+    trainings = "number of trainings of each trained method, with successive seeds; each does all trials"
     add("--trainings", type=at_least(1), default=1, help=trainings)
     add("--quick", action="store_true", help="small benchmark that takes two to five minutes on two cores")
     parser.add_workers()
@@ -113,7 +113,7 @@ def run(arguments: argparse.Namespace) -> int:
             setattr(arguments, name, default)
     several = arguments.tasks or arguments.kinds
     if several and arguments.people:
-        raise UsageError("--people: people grasp; leave out --tasks and --kinds")
+        raise UsageError("--people compares grasps only; leave out --tasks and --kinds")
     people = read_people(arguments.people) if arguments.people else []
     if not arguments.report:
         run_unfinished(
@@ -334,7 +334,7 @@ def report_tasks(arguments: argparse.Namespace, summary: dict) -> int:
     caption = "score: from 0 to 1, mean with its 95 % interval"
     print_table(("task", "person", "method", "score", "95 %", "success"), rows, "Tasks", caption)
     if summary["errors"]:
-        warn(f"{summary['errors']} trials raised an error: see the folders errors in {arguments.output}")
+        warn(f"{summary['errors']} trials raised an error: see the errors/ folders in {arguments.output}")
     write_json(arguments.json, summary)
     finish({"Summary": f"{arguments.output / 'summary.json'}"})
     return 1 if summary["errors"] else 0

@@ -50,19 +50,19 @@ def add_arguments(parser: CommandParser) -> None:
         "--relax-after",
         type=positive,
         default=5.0,
-        help="seconds for which a lost hand holds before it relaxes",
+        help="seconds to hold after the hand is lost, before relaxing",
     )
-    add("--duration", type=positive, default=math.inf, help="stop after so many seconds (default: never)")
+    add("--duration", type=positive, default=math.inf, help="stop after this many seconds (default: never)")
     add("--timeout", type=positive, default=10.0, help="seconds to wait for glove and robot")
     add(
         "--robot-silence",
         type=positive,
         default=0.5,
-        help="stop if the robot is silent for so many seconds",
+        help="stop if the robot sends nothing for this many seconds",
     )
     record = "record the followed hand to a file (.npz); from the page, to a folder (default: runs/live)"
     add("--record", type=Path, metavar="PATH", help=record)
-    local = "address of the page; any but this machine's own gets TLS with a certificate of its own"
+    local = "address of the page; beyond this machine, it uses TLS with a self-signed certificate"
     add("--host", default="127.0.0.1", help=local)
     add("--port", type=at_least(0), default=8742, help="port of the page; 0 for any")
     add("--no-open", action="store_true", help="do not open the browser")
@@ -163,7 +163,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def checkpoint_of(arguments: argparse.Namespace, description: "HandDescription") -> Path:
-    """The checkpoint or map that is asked for, or the hand's map for everyone, or else one trained first."""
+    """The requested checkpoint or map; by default the hand's map for everyone, else one trained now."""
     from geort_drake import synthesize_play
     from geort_drake.comparison.train import cached_checkpoint
     from geort_drake.console import say
@@ -172,7 +172,7 @@ def checkpoint_of(arguments: argparse.Namespace, description: "HandDescription")
     hand = scenario_of(arguments).hand
     if (path := arguments.retargeter or shipped_maps().get(hand)) is not None:
         return path
-    say(f"no map for everyone comes with {hand} yet: it follows a map trained on synthetic play")
+    say(f"no map for everyone is shipped for {hand}; using a map trained on synthetic play")
     return cached_checkpoint(hand, synthesize_play(seed=0, side=description.side))
 
 

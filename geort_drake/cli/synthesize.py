@@ -26,8 +26,8 @@ def add_arguments(parser: CommandParser) -> None:
     add("output", help="recording to write (.npz), or with --people a folder for recordings")
     parser.add_seed("the motions, and of the people")
     add("--duration", type=finite, default=300.0, help="duration, s")
-    add("--rate", type=finite, help=f"frames per second (default: {_RATE_HZ:g}; of people, their device's)")
-    add("--people", type=at_least(1), metavar="N", help="draw N people, from 0 on in the seed's population")
+    add("--rate", type=finite, help=f"frames per second (default: {_RATE_HZ:g}; with --people, the device's)")
+    add("--people", type=at_least(1), metavar="N", help="draw the first N people of the seed's population")
     add("--hand-of", type=Path, help="recording of the hand to imitate (default: an average adult's hand)")
     parser.add_side("right")
 

@@ -60,7 +60,7 @@ class Episode:
 
     @property
     def handled_poses(self) -> dict[str, np.ndarray]:
-        """`poses` of what does not belong to the robot."""
+        """The poses of bodies that are not the robot's."""
         return {name: X for name, X in self.poses.items() if name.partition(".")[0] not in (ARM, HAND)}
 
     def resampled(self, t: np.ndarray) -> "Episode":

@@ -140,7 +140,7 @@ def remove_visuals(plant: MultibodyPlant, scene_graph: SceneGraph, root: Context
 
 
 def require_name(source: str, field: str, kind: str, name: str, choices: Iterable[str]) -> None:
-    """Raises HandError, with the choices, if a model has nothing of the name that a field gives."""
+    """Raises HandError, listing the choices, unless the model has what a field names."""
     listed = [choice for choice in choices if choice]
     if name not in listed:
         raise HandError(
@@ -217,8 +217,8 @@ def _remove_joint(plant: MultibodyPlant, joint: Joint) -> None:
         plant.RemoveJoint(joint)
     except RuntimeError as error:
         raise HandError(
-            f"joint '{name}' cannot be held, as Drake removes no joint from a plant with springs; remove the "
-            f"stiffness of joints from the models: {error}"
+            f"joint '{name}' cannot be held, because Drake removes no joints from a plant with springs; "
+            f"remove joint stiffness from the models: {error}"
         ) from error
 
 

@@ -1,4 +1,4 @@
-"""Kinematics and shapes of a hand as those of a right hand, like all human hands here."""
+"""Kinematics and shapes in the convention of human hands: those of a left hand are mirrored."""
 
 from typing import TYPE_CHECKING
 
@@ -11,12 +11,12 @@ if TYPE_CHECKING:
 
 
 def canonical_kinematics(hand: HandModel) -> "HandKinematics":
-    """The hand's kinematics, of a left hand mirrored in the plane y = 0 of the hand base."""
+    """The hand's kinematics; a left hand's are mirrored in the plane y = 0 of the hand base."""
     return hand.kinematics().mirrored() if hand.description.side == "left" else hand.kinematics()
 
 
 def canonical_shapes(hand: HandModel) -> "CollisionShapes":
-    """The hand's collision shapes, of a left hand mirrored likewise.
+    """The hand's collision shapes; a left hand's are mirrored likewise.
 
     Raises:
         HandError: as for `collision_shapes`.

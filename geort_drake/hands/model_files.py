@@ -158,7 +158,7 @@ def _included_files(model: Path) -> list[Path]:
 
 
 def check_model_values(files: Iterable[Path], source: str) -> None:
-    """Refuses values that Drake would replace by its own with a warning at most.
+    """Refuses values that Drake would replace by its own, silently or with a warning.
 
     Args:
         files: from `model_files`; only URDF, SDF, MJCF and OBJ files are checked.

@@ -8,7 +8,7 @@ from geort_drake.hands.model import HandModel
 
 
 def hand_urdf(hand: HandModel) -> str:
-    """The fingers of a hand as URDF, of a left hand mirrored, as retargeters see it.
+    """The fingers of a hand as URDF, as retargeters see them: a left hand is mirrored.
 
     The links are `base`, which is B; `wrist`; `JOINT_link` for each joint; and `FINGER_tip` for each
     fingertip point. Joints have the hand's names and limits. Links have neither shapes nor inertia.

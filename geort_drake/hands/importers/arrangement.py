@@ -1,4 +1,4 @@
-"""Finds from the fingers of a model their names, the hand base and the side."""
+"""Infers finger names, hand base and side from how a model's fingers lie and move."""
 
 import dataclasses as dc
 

@@ -1,4 +1,4 @@
-"""Copies of models in which convex hulls replace meshes that Drake does not read, or missing collisions."""
+"""Copies of models with convex hulls in place of meshes that Drake cannot read, or of missing collisions."""
 
 import copy
 import re

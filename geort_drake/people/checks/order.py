@@ -24,7 +24,7 @@ _JITTER = 5e-4  # of a glove's bones, as a share of the palm
 
 
 def fitting_order(p: np.ndarray) -> tuple[str | None, str]:
-    """The order of `ORDERS` in which keypoints p (T, 21, 3) of any frame and unit are a hand.
+    """The order of `ORDERS` in which keypoints p (T, 21, 3), in any frame and unit, form a hand.
 
     The expected order is preferred if it fits nearly as well as another. If no order fits, the first value is
     None and the second describes what contradicts the expected order.

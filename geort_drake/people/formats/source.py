@@ -206,7 +206,7 @@ class Source:
         return self.transforms(field, X, column_major and p.ndim < 4)[..., :3, 3]
 
     def lose(self, bad: np.ndarray, known: np.ndarray, what: str) -> None:
-        """Notes that frames cannot be read, all of them (T,) bool; raises where most of the known are bad."""
+        """Marks frames, a mask (T,), as unreadable; raises if they are over half of the `known` ones."""
         if bad.sum() > 0.5 * known.sum():
             raise self.error(what)
         self.faults.add(UNREADABLE, np.flatnonzero(bad), what)
