@@ -43,14 +43,19 @@ def play():
 
 
 @pytest.fixture(scope="module")
-def no_workers():
-    """Benchmarks run their trials in this process; their workers are tested in test_grasp_workers.py."""
+def light_benchmark():
+    """Benchmarks run in this process, and people play little before a trial.
+
+    Workers are tested in test_grasp_workers.py, free play in test_free_play.py.
+    """
     from grasp_setup import in_this_process
 
     from geort_drake.benchmark import trials
+    from geort_drake.simulation import free_play
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(trials, "call_in_workers", in_this_process)
+        patch.setattr(free_play, "DURATION", 2.0)
         yield
 
 

@@ -105,7 +105,7 @@ def tiny(hand, recording, path, method="geort_coupled", seed=0, device="cpu", se
 
 
 @pytest.fixture(scope="module")
-def desk(light_desk, play, no_workers):
+def desk(light_desk, play, light_benchmark):
     """A folder with recordings, where metrics and trainings are tiny and a plan is made once."""
     plans = GraspPlanner(load_scenario(), load_hand("allegro_right")).plans(2)
 

@@ -21,7 +21,7 @@ from geort_drake.simulation.trial import run_trial
 
 
 @pytest.fixture(scope="module", autouse=True)
-def quick(play, no_workers):
+def quick(play, light_benchmark):
     """One person, and one plan: no trial lasts long enough to follow it. Latencies come from few calls."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(methods, "_PARTS", 1)

@@ -171,7 +171,7 @@ def test_tasks_are_folders_and_say_what_is_wrong():
             load_scenario(*find_task("keys").scenario, text)
 
 
-def test_the_benchmark_runs_several_tasks_and_goes_on(tmp_path, no_workers):
+def test_the_benchmark_runs_several_tasks_and_goes_on(tmp_path, light_benchmark):
     """Each kind in its own folder; the summary has all, and a second run adds only what is missing."""
     command = ["benchmark", "--kinds", "servo", "--methods", "hold", "--quiet"]
     command += ["--scenario-text", TOO_SHORT, "--output", str(tmp_path)]

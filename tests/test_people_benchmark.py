@@ -92,7 +92,7 @@ def test_a_folder_without_sessions_or_facts_is_refused(tmp_path):
         read_people(tmp_path)
 
 
-def test_the_report_sets_people_beside_the_simulated_person(tmp_path, no_workers):
+def test_the_report_sets_people_beside_the_simulated_person(tmp_path, light_benchmark):
     save(tmp_path / "study", "p1", 1)
     options = ["--methods", "hold", "--objects", "cylinder", "--trials", "1", "--zero-latency", "--jobs", "1"]
     options += ["--output", str(tmp_path / "run"), "--scenario-text", "{timeout: 2.0}"]

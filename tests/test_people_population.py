@@ -44,8 +44,8 @@ def measures(recording):
 
 @pytest.fixture(scope="module")
 def people():
-    """200 people of a minute at 30 Hz each, as recordings."""
-    return [Recording(np.arange(1800) / 30, p_HK, np.ones(1800, bool)) for p_HK in sample_population(200, 0)]
+    """120 people of a minute at 30 Hz each, as recordings."""
+    return [Recording(np.arange(1800) / 30, p_HK, np.ones(1800, bool)) for p_HK in sample_population(120, 0)]
 
 
 @pytest.mark.slow

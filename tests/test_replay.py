@@ -4,10 +4,10 @@ import json
 
 import numpy as np
 import pytest
-from grasp_setup import allegro, in_this_process, resting_glove, scenario_with
+from grasp_setup import allegro, resting_glove, scenario_with
 from trial_records import error, trial
 
-from geort_drake.benchmark import replay, trials
+from geort_drake.benchmark import replay
 from geort_drake.benchmark.records import read_records
 from geort_drake.benchmark.replay import as_recorded, summarize_replay
 from geort_drake.cli import run_command
@@ -64,9 +64,8 @@ def test_the_summary_pools_sessions_and_begins_without_a_change():
 
 
 @pytest.fixture
-def untrained(monkeypatch, tmp_path):
-    """A method that needs no training in place of a checkpoint, and trials in this process."""
-    monkeypatch.setattr(trials, "call_in_workers", in_this_process)
+def untrained(light_benchmark, monkeypatch, tmp_path):
+    """A method that needs no training in place of a checkpoint."""
     monkeypatch.setattr(replay, "load_retargeter", lambda *_: Hold(allegro().kinematics()))
     (tmp_path / "map").mkdir()
     (tmp_path / "map" / replay.WEIGHTS).write_bytes(b"a known map")
