@@ -1,0 +1,67 @@
+"""The scripted robot of keys."""
+
+import numpy as np
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
+
+from geort_drake.hands.description import HandDescription
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.tasks.keys.planner import KeysPlan, KeysPlanner
+from geort_drake.simulation.world import Scene, actuated_joints
+from geort_drake.simulation.wrist_motion import minimum_jerk
+from scripted.robot import hand_order, run_script
+
+MOVE = 0.3  # s, of a finger
+
+
+class ScriptedKeys(LeafSystem):
+    """Moves a hand between the planned postures above and on the keys.
+
+    Input ports:
+        cue (1): number of the key to press, from 1; 0 for none.
+    Output ports:
+        desired_state (2n): joint positions and velocities in actuator order.
+    """
+
+    def __init__(self, plan: KeysPlan, scene: Scene, description: HandDescription):
+        super().__init__()
+        order = hand_order(scene, description)
+        start = np.array([joint.default_positions()[0] for joint in actuated_joints(scene.plant, scene.hand)])
+        postures = [start, plan.q_open[order], *(q[order] for q in plan.q_pressed)]
+        cue = self.DeclareVectorInputPort("cue", 1)
+        # Where the last movement began, its posture's number, and when.
+        state = self.DeclareDiscreteState(np.array([*start, 0.0, 0.0]))
+        n = len(start)
+
+        def position(context: Context) -> np.ndarray:
+            memory = context.get_discrete_state(state).value()
+            share = minimum_jerk(
+                (context.get_time() - memory[n + 1]) / (3 * MOVE if memory[n] == 1 else MOVE)
+            )
+            return memory[:n] + share * (postures[int(memory[n])] - memory[:n])
+
+        def update(context: Context, values) -> None:
+            memory, t = context.get_discrete_state(state).value(), context.get_time()
+            wanted = 1 + round(cue.Eval(context)[0])
+            # A press is held for a moment, and released before its cue ends.
+            if memory[n] > 1 and t - memory[n + 1] > 2 * MOVE:
+                wanted = 1
+            elif memory[n] == 1 and wanted > 1 and t - memory[n + 1] < 6 * MOVE:
+                wanted = 1
+            if wanted != memory[n]:
+                values.set_value(state, np.array([*position(context), wanted, t]))
+
+        def output(context: Context, vector: BasicVector) -> None:
+            vector.SetFromVector(np.concatenate([position(context), np.zeros(n)]))
+
+        self.DeclareVectorOutputPort("desired_state", 2 * n, output)
+        self.DeclarePeriodicDiscreteUpdateEvent(0.01, 0.0, update)
+
+
+def plans(scenario: Scenario, description: HandDescription) -> list[KeysPlan]:
+    """Places of the keys."""
+    return KeysPlanner(description).plans()
+
+
+def scripted(scenario: Scenario, plan: KeysPlan, seed: int) -> float:
+    """Score of the scripted robot in one trial, 0 without success."""
+    return run_script(scenario, plan.goal, seed, lambda *robot: ScriptedKeys(plan, *robot))

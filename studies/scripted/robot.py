@@ -1,0 +1,64 @@
+"""Runs a script in place of a person, a glove, a map and an arm's controller."""
+
+from collections.abc import Callable
+
+import numpy as np
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import ConstantVectorSource
+
+from geort_drake.hands.description import HandDescription, load_hand
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.task import HandGoal
+from geort_drake.simulation.tasks import find_task
+from geort_drake.simulation.world import ARM, HAND, Scene, actuated_joints, add_robot
+
+
+def run_script(
+    scenario: Scenario, goal: HandGoal, seed: int, script_for: Callable[[Scene, HandDescription], LeafSystem]
+) -> float:
+    """Score of a script in one trial, 0 without success.
+
+    Args:
+        script_for: makes the script. Its input ports are things shown by the stage, which it sees without
+            delay or noise. Output `desired_state` drives the hand. Output `arm_desired_state` drives the
+            arm, which stays where it is without that port.
+    """
+    description = load_hand(scenario.hand)
+    robot, _ = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
+    add_robot(robot, scenario, description)
+    robot.Finalize()
+    base = robot.GetFrameByName(description.base_frame, robot.GetModelInstanceByName(HAND))
+    X_WB = base.CalcPoseInWorld(robot.CreateDefaultContext())
+    builder = DiagramBuilder()
+    rng = np.random.default_rng(seed)
+    stage = find_task(scenario.task).add_stage(builder, scenario, description, goal, X_WB, rng)
+    plant, hand, arm = stage.scene.plant, stage.scene.hand, stage.scene.arm
+    script = builder.AddSystem(script_for(stage.scene, description))
+    for index in range(script.num_input_ports()):
+        port = script.get_input_port(index)
+        builder.Connect(stage.shown[port.get_name()].port, port)
+    builder.Connect(script.GetOutputPort("desired_state"), plant.get_desired_state_input_port(hand))
+    moves_arm = script.HasOutputPort("arm_desired_state")
+    if moves_arm:
+        arm_target = script.GetOutputPort("arm_desired_state")
+    else:
+        q = [joint.default_positions()[0] for joint in actuated_joints(plant, arm)]
+        still = builder.AddSystem(ConstantVectorSource(np.concatenate([q, np.zeros(len(q))])))
+        arm_target = still.get_output_port()
+    builder.Connect(arm_target, plant.get_desired_state_input_port(arm))
+    simulator = Simulator(builder.Build())
+    root = simulator.get_mutable_context()
+    stage.initialize(root)
+    if not moves_arm:
+        for index in plant.GetJointIndices(plant.GetModelInstanceByName(ARM)):
+            plant.get_joint(index).Lock(plant.GetMyMutableContextFromRoot(root))
+    simulator.AdvanceTo(scenario.timeout)
+    outcome = stage.monitor.outcome(stage.monitor.GetMyContextFromRoot(root))
+    return outcome.score if outcome.success else 0.0
+
+
+def hand_order(scene: Scene, description: HandDescription) -> list[int]:
+    """Number in the description's joints of each actuated joint of the hand, in actuator order."""
+    return [description.joint_names.index(joint.name()) for joint in actuated_joints(scene.plant, scene.hand)]
