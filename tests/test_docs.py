@@ -10,6 +10,7 @@ from unittest import mock
 import numpy as np
 import pytest
 from light_training import train_lightly
+from pages import PAGES, ROOT, fences, lines_of, title
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
@@ -22,31 +23,6 @@ from geort_drake.people.formats import FORMATS
 from geort_drake.people.play import synthesize_play
 from geort_drake.resources import models_dir
 from geort_drake.systems.glove_replay import GloveReplay
-
-ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-FENCE = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
-
-
-def fences(page: Path, *languages: str) -> list[str]:
-    """Contents of fenced blocks without their indentation; the site shows included programs as such."""
-    text = re.sub(
-        r"^\{\{ python (\S+) \}\}$",
-        lambda name: f"```python\n{(ROOT / name[1]).read_text('utf-8')}```",
-        page.read_text("utf-8"),
-        flags=re.MULTILINE,
-    )
-    found = []
-    for indent, language, body in FENCE.findall(text):
-        if language in languages:
-            lines = [line.removeprefix(indent) for line in body.splitlines()]
-            found.append("\n".join(lines) + "\n")
-    return found
-
-
-def title(page: Path) -> str:
-    return page.relative_to(ROOT).as_posix().removeprefix("docs/")
-
 
 # -- snippets
 
@@ -160,13 +136,6 @@ def test_the_diagram_of_the_docs_moves_the_hand(desk, monkeypatch):
 
 
 # -- programs and make targets; commands are parsed by test_docs_commands.py
-
-
-def lines_of(page: Path) -> list[str]:
-    """Lines of shell blocks, continued ones joined, and inline code."""
-    blocks = [body.replace("\\\n", " ") for body in fences(page, "sh")]
-    inline = [" ".join(code.split()) for code in re.findall(r"`([^`]+)`", page.read_text("utf-8"))]
-    return [line.strip() for body in blocks for line in body.splitlines()] + inline
 
 
 def shown(pattern: str) -> dict[str, str]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from light_training import train_lightly
+from pages import PAGES, ROOT, lines_of
 
 from geort_drake.cli import COMMANDS, load_command, parser_of, run_command
 from geort_drake.comparison import train as comparison_train
@@ -19,20 +20,14 @@ from geort_drake.resources import diagrams_dir
 from geort_drake.simulation.scenario import load_scenario
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
-ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = ROOT / "scripts"
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-FENCE = re.compile(r"^ *```(?:sh|bash)\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
 DOOR = re.compile(r'main\(\["([\w-]+)"')
 
 
 def documented() -> Iterator[str]:
     """Command lines of all pages, in shell blocks and as inline code, as `COMMAND ARGUMENTS`."""
     for page in PAGES:
-        text = page.read_text("utf-8")
-        blocks = [body.replace("\\\n", " ") for body in FENCE.findall(text)]
-        lines = [line for body in blocks for line in body.splitlines()] + re.findall(r"`([^`]+)`", text)
-        for line in lines:
+        for line in lines_of(page):
             program, _, rest = " ".join(line.split("  #")[0].split()).partition(" ")
             if program == "python" and (script := re.match(r"scripts/(\w+\.py) ?", rest)):
                 door = DOOR.search((SCRIPTS / script[1]).read_text("utf-8"))
