@@ -4,7 +4,7 @@ python studies/live_page.py --output docs/images
 
 The simulation is stepped between pictures, so any machine gives the same film. The camera's picture is of a
 rendered hand; the page tracks it, but the script's exact joints move the robot. Needs Chromium and
-`make live NPM_ARGS=`. `--states DIR` also writes four states of the page, light and dark.
+`make live NPM_ARGS=`. `--states DIR` also writes states of the page, light and dark, on desktop and phone.
 """
 
 import argparse
@@ -35,11 +35,14 @@ from geort_drake.live.web.operator_station import OperatorStation, RobotInfo  # 
 from geort_drake.live.web.server import WebServer  # noqa: E402
 from geort_drake.live.web.session import WebTeleoperation  # noqa: E402
 from geort_drake.retargeting.retargeter import load_retargeter  # noqa: E402
-from geort_drake.simulation.scenario import load_scenario, object_names  # noqa: E402
+from geort_drake.simulation.scenario import load_scenario  # noqa: E402
+from geort_drake.simulation.tasks import find_task, task_names  # noqa: E402
 
 STEP_S, FILM_HZ = 1.0 / 60.0, 6.0
 PATIENCE_MS = 300_000.0
 SIZE, WIDTH, QUALITY = (1040, 660), 720, 50
+PHONE = {"width": 390, "height": 844}
+TASKS = {name: find_task(name).cases() for name in task_names()}
 SCRIPTS = """
   const parameter = WebGL2RenderingContext.prototype.getParameter;
   WebGL2RenderingContext.prototype.getParameter = function (name) {
@@ -76,7 +79,7 @@ class Theatre:
 
     def __init__(self, browser, folder: Path):
         self.scenario = load_scenario()
-        about = RobotInfo("right", self.scenario.hand, "simulation", object_names(), "for everyone")
+        about = RobotInfo("right", self.scenario.hand, "simulation", TASKS, "for everyone")
         self.station = ScriptedStation(about, lambda: self.time)
         self.time, self.frames = 100.0, []
         self.server = WebServer(self.station, "127.0.0.1", 0, "key")
@@ -91,15 +94,18 @@ class Theatre:
 
         self.server.publish = shown
         retarget = load_retargeter(self.scenario.hand)
-        self.control = PageControl(self.station, self.server.publish, folder, None, lambda path: retarget)
+        self.control = PageControl(
+            self.station, self.server.publish, folder, folder, lambda path: retarget, lambda *_: None
+        )
         description = load_hand(self.scenario.hand)
         session = WebTeleoperation(
-            self.scenario, description, RobotModel(self.scenario, description), retarget,
+            {"grasp": self.scenario}, description, RobotModel(self.scenario, description), retarget,
             self.station, self.server, self.control,
         )  # fmt: skip
         self.loop = session._begin(1, 0.0)
         self.simulator = Simulator(self.loop.diagram)
         self.context, self.engaged = self.simulator.get_mutable_context(), False
+        self.loop.simulation.initialize(self.context)
         self.loop.engage(self.context, False)
         with serve(WEB) as address:
             self.hand = browser.new_page()
@@ -138,11 +144,13 @@ class Theatre:
         return Image.open(io.BytesIO(self.page.screenshot())).convert("RGB")
 
     def save(self, folder: Path | None, name: str) -> None:
-        """Writes a state, light and dark."""
-        for scheme in ("light", "dark") if folder else ():
-            self.page.emulate_media(color_scheme=scheme)
-            self.picture(1500).save(folder / f"{name}_{scheme}.png")
-        self.page.emulate_media(color_scheme="light")
+        """Writes a state, light and dark, of a desktop and a phone."""
+        desktop = self.page.viewport_size
+        for device, size in (("phone", PHONE), ("desktop", desktop)) if folder else ():
+            self.page.set_viewport_size(size)
+            for scheme in ("dark", "light"):
+                self.page.emulate_media(color_scheme=scheme)
+                self.picture(1500).save(folder / f"{name}_{device}_{scheme}.png")
 
 
 def main(argv: Sequence[str] | None = None) -> None:

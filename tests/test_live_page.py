@@ -314,8 +314,10 @@ def test_panel_and_keys(browser, stub, address):
     page.keyboard.press("r")
     page.select_option("#object", "sphere")
     page.select_option("#task-name", "keys")
-    stub.send(task="keys", object="keys", outcome=None, engaged=True)
+    cue = {"phase": "key 2", "score": 0.1, "seconds": None, "over": False, "success": False}
+    stub.send(task="keys", object="keys", outcome=cue, engaged=True)
     page.wait_for_selector("#object", state="hidden")
+    assert "Key 2" in page.inner_text("#task")
     page.focus("#reset")
     page.keyboard.press(" ")  # disengages, although a button has the focus
     page.wait_for_timeout(50)

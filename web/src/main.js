@@ -40,7 +40,7 @@ function openView(canvas) {
   } catch (error) {
     element("blind").hidden = false;
     const nothing = () => {};
-    return { coarse: false, load: nothing, setPoses: nothing, setWords: nothing };
+    return { coarse: false, load: nothing, highlight: nothing, setPoses: nothing, setWords: nothing };
   }
 }
 
@@ -93,12 +93,16 @@ function receiveRefusal({ text }) {
 
 function receiveState(state) {
   model.state = state;
+  view.highlight(cuedBody(state.outcome?.phase));
   if (state.scene === scene) return;
   scene = state.scene;
   fetch("scene")
     .then((response) => response.json())
     .then((description) => view.load(description));
 }
+
+/** The body of the key that shall be pressed. */
+const cuedBody = (phase) => phase?.replace(/^key (\d+)$/, "keys::cap_$1");
 
 // Devices
 

@@ -88,8 +88,8 @@ function showTask(state) {
   const { phase, score, seconds, over, success } = outcome;
   element("task").dataset.outcome = !over ? "open" : success ? "success" : "failure";
   write("timer", `${(seconds ?? state.time).toFixed(1)} s`);
-  const steps = STEPS[state.task] ?? (over ? [] : [phase]);
-  const done = phase === "done" ? steps.length : steps.indexOf(phase);
+  const steps = STEPS[state.task] ?? (over ? [] : [phase === "none" ? "wait" : phase]);
+  const done = phase === "done" ? steps.length : Math.max(steps.indexOf(phase), 0);
   const items = steps.map((name, i) => {
     const item = Object.assign(document.createElement("li"), { textContent: sentenceCase(name) });
     item.classList.toggle("past", i < done);

@@ -14,11 +14,13 @@ const WORLD = new THREE.Matrix4().makeBasis(
   new THREE.Vector3(-1, 0, 0),
   new THREE.Vector3(0, 1, 0),
 );
-// The own hand is drawn this far to the right of the robot's, m.
+// The own hand is drawn this far to the right of the robot's, m, and nearer to it in a near view.
 const BESIDE = 0.24;
+const BESIDE_SHARE = 0.28;
 // Renderers that use the processor. The view then yields to the hand tracker: coarse, and a few pictures a second.
 const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
 const COARSE_INTERVAL_MS = 200;
+const HIGHLIGHT = "#00a892";
 // Where a headset shows the middle of the scene, m: ahead of the person, who looks past the arm's right side.
 const HEADSET_TARGET = new THREE.Vector3(-0.3, 0.95, -0.9);
 
@@ -66,6 +68,7 @@ export class View {
     const meshes = await makeMeshes(description.geometries, this.Material);
     if (this.description !== description) return;
     for (const { moving, mesh } of meshes) (this.bodies[moving] ?? this.world).add(mesh);
+    this.highlighted = undefined;
     const { eye, target } = description.camera;
     this.world.updateMatrixWorld();
     this.target.set(...target).applyMatrix4(WORLD);
@@ -83,6 +86,17 @@ export class View {
     if (values.length !== 1 + 7 * n + 63) return;
     this.bodies.forEach((body, i) => setPose(body, values, 1 + 7 * i));
     this.#setOwnHand(values.subarray(1 + 7 * n));
+    this.stale = true;
+  }
+
+  /** Tints the moving body of this name, and no other. */
+  highlight(name) {
+    if (name === this.highlighted) return;
+    this.highlighted = name;
+    this.bodies.forEach((body, i) => {
+      const colour = this.description.moving[i] === name ? HIGHLIGHT : "#fff";
+      body.traverse(({ material }) => material?.color.set(colour));
+    });
     this.stale = true;
   }
 
@@ -132,7 +146,8 @@ export class View {
   #beside() {
     const { eye, target } = this.description.camera;
     const ahead = new THREE.Vector3(...target).sub(new THREE.Vector3(...eye));
-    return ahead.cross(new THREE.Vector3(0, 0, 1)).setLength(BESIDE);
+    const beside = Math.min(BESIDE, BESIDE_SHARE * ahead.length());
+    return ahead.cross(new THREE.Vector3(0, 0, 1)).setLength(beside);
   }
 
   #makeSun() {

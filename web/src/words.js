@@ -35,8 +35,8 @@ export function situation({ connected, welcome, state, device, hand, refusal }) 
     return say("engaged", "Keep the fist to stop", "The robot holds when the ring is full.");
   if (state?.engaged)
     return state.following
-      ? say("engaged", "The robot follows your hand", refusal || sentence(state.status))
-      : say("engaged", "The robot holds", refusal || sentence(state.status));
+      ? say("engaged", "The robot follows your hand", refusal || sentence(state.status, device))
+      : say("engaged", "The robot holds", refusal || sentence(state.status, device));
   if (!device) return say("waiting", `Hold up your ${side} hand`, "Start the camera or the headset first.");
   if (wrong)
     return say("waiting", `That is your ${hand.side} hand`, `This robot has a ${side} one. Show your ${side} hand.`);
@@ -51,7 +51,11 @@ export function situation({ connected, welcome, state, device, hand, refusal }) 
 
 const say = (name, headline, detail) => ({ name, headline, detail });
 
-const sentence = (words) => (words ? `${words[0].toUpperCase()}${words.slice(1)}.` : "");
+/** The state as a sentence; what the server calls a glove is the device. */
+function sentence(status, device) {
+  const words = status?.replaceAll("the glove", `the ${device ?? "page"}`);
+  return words ? `${words[0].toUpperCase()}${words.slice(1)}.` : "";
+}
 
 /** Quality of tracking from 0 to 1, and in words. */
 export function quality({ seen, score, rate }) {

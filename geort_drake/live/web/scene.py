@@ -33,8 +33,9 @@ from geort_drake.systems.port_values import pose_to_vector
 FRAME_PERIOD = 1.0 / 30.0
 _GREY = [0.75, 0.75, 0.78, 1.0]
 _GROUND_M = 2.0  # side of the square that stands for a half space
-# The person looks over the robot's shoulder, so that left is left.
-_CAMERA = {"eye": [-0.45, -0.55, 0.85], "target": [0.5, 0.0, 0.2]}
+# The person looks over the robot's shoulder, so that left is left; at a parked hand from near its base.
+_CAMERA = np.array([-0.45, -0.55, 0.85]), np.array([0.5, 0.0, 0.2])
+_NEAR = np.array([-0.36, -0.40, 0.16]), np.array([0.08, 0.04, -0.05])
 _SHAPES: dict[type, Callable[[Any], tuple[str, list[float]]]] = {
     Box: lambda s: ("box", s.size().tolist()),
     HalfSpace: lambda s: ("box", [_GROUND_M, _GROUND_M, 0.0]),
@@ -57,9 +58,16 @@ class Scene:
         plant: finalized.
         inspector: of its scene graph.
         hand: its description.
+        parked: whether the arm stays.
     """
 
-    def __init__(self, plant: MultibodyPlant, inspector: SceneGraphInspector, hand: HandDescription):
+    def __init__(
+        self,
+        plant: MultibodyPlant,
+        inspector: SceneGraphInspector,
+        hand: HandDescription,
+        parked: bool = False,
+    ):
         self._inspector = inspector
         self.meshes: list[bytes] = []
         self.moving: list[BodyIndex] = []
@@ -79,8 +87,10 @@ class Scene:
                 if shape := self._shape(geometry):
                     look = {"moving": number, "pose": _numbers(X), "color": self._color(geometry)}
                     geometries.append(look | shape)
+        p_WB = base.CalcPoseInWorld(defaults).translation()
+        eye, target = (p_WB + offset for offset in _NEAR) if parked else _CAMERA
         self.description = {
-            "camera": _CAMERA,
+            "camera": {"eye": eye.tolist(), "target": target.tolist()},
             "moving": [plant.get_body(index).scoped_name().get_full() for index in self.moving],
             "hand_base": {
                 "moving": self.moving.index(base.body().index()),

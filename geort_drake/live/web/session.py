@@ -131,7 +131,8 @@ class WebTeleoperation:
             robot = SimulatedRobot(scenario, description, model)
             start = robot.hand.start, robot.arm.start
             shown = robot.stage.scene
-            scene = Scene(shown.plant, shown.scene_graph.model_inspector(), description)
+            inspector = shown.scene_graph.model_inspector()
+            scene = Scene(shown.plant, inspector, description, scenario.fixed_base)
         else:
             robot, start = self.link, self.link.handshake(timeout)
             standing = self.model.standing_at({})
