@@ -52,7 +52,7 @@ def test_the_overview_lists_every_command_in_a_line(capsys):
     files = {
         path.stem.replace("_", "-") for path in (SCRIPTS.parent / "geort_drake" / "cli").glob("[a-z]*.py")
     }
-    assert files - {"options", "retargeters", "live-web"} == set(COMMANDS)
+    assert files - {"options", "live-session", "live-web"} == set(COMMANDS)
 
 
 def test_python_m_and_scripts_are_the_same_program(tmp_path):

@@ -157,6 +157,6 @@ def test_live_says_before_it_trains_that_this_takes_minutes(tmp_path, inputs, mo
 
     monkeypatch.setattr(comparison_train, "train_checkpoint", train)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr("geort_drake.retargeting.map_file.shipped_maps", dict)  # a hand without one
+    monkeypatch.setattr("geort_drake.cli.live_session.shipped_maps", dict)  # a hand without one
     with pytest.raises(InterruptedError, match=r"no geort_coupled retargeter.*takes about two minutes"):
         run_command("live", ["--glove", str(inputs / "no_wrist.npz")])

@@ -10,10 +10,8 @@ moves the robot. The page asks for the key in its address.
 """
 
 import argparse
-import dataclasses
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from geort_drake.cli.options import (
     CommandParser,
@@ -25,13 +23,6 @@ from geort_drake.cli.options import (
     write_json,
 )
 from geort_drake.errors import UsageError
-
-if TYPE_CHECKING:
-    from geort_drake.hands.description import HandDescription
-    from geort_drake.live.robot_link import RobotLink
-    from geort_drake.live.session import SessionReport
-    from geort_drake.live.teleoperation import Teleoperation
-    from geort_drake.retargeting.retargeter import Retargeter, UniversalRetargeter
 
 
 def add_arguments(parser: CommandParser) -> None:
@@ -73,6 +64,14 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import GloveReplay, load_hand, read_recording
+    from geort_drake.cli.live_session import (
+        checkpoint_of,
+        load,
+        print_keys,
+        print_summary,
+        say_state,
+        summary_of,
+    )
     from geort_drake.console import warn
     from geort_drake.live.devices import require_hand_messages
     from geort_drake.live.glove_stream import GloveStream
@@ -162,60 +161,6 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def checkpoint_of(arguments: argparse.Namespace, description: "HandDescription") -> Path:
-    """The requested checkpoint or map; by default the hand's map for everyone, else one trained now."""
-    from geort_drake import synthesize_play
-    from geort_drake.comparison.train import cached_checkpoint
-    from geort_drake.console import say
-    from geort_drake.retargeting.map_file import shipped_maps
-
-    hand = scenario_of(arguments).hand
-    if (path := arguments.retargeter or shipped_maps().get(hand)) is not None:
-        return path
-    say(f"no map for everyone is shipped for {hand}; using a map trained on synthetic play")
-    return cached_checkpoint(hand, synthesize_play(seed=0, side=description.side))
-
-
-def load(path: Path, description: "HandDescription", backend: str) -> "Retargeter | UniversalRetargeter":
-    """The retargeter of a checkpoint or map."""
-    from geort_drake import HandModel, load_retargeter
-
-    return load_retargeter(path, HandModel(description), backend)
-
-
-def print_keys(keys: str) -> None:
-    from geort_drake.console import console
-
-    console.print(f"{keys}Ctrl-C stops.")
-
-
-def say_state(time: float, state: str) -> None:
-    from geort_drake.console import say
-
-    say(f"{time:8.2f} s  {state}")
-
-
-def summary_of(report: "SessionReport", loop: "Teleoperation", link: "RobotLink | None") -> dict:
-    """The report of a session, for --json."""
-    summary = dataclasses.asdict(report)
-    if (meter := loop.meter) is not None:
-        glove = loop.glove
-        summary["glove"] = {
-            "received": glove.received,
-            "refused": glove.refused,
-            "late": glove.late,
-            "repaired": glove.repaired,
-            "clock_offset_s": None if math.isnan(glove.clock_offset) else glove.clock_offset,
-        }
-        summary["latency_s"] = {
-            name: dataclasses.asdict(latency)
-            for name, latency in (("command", meter.to_command()), ("echo", meter.to_echo()))
-        }
-    if link:
-        summary["robot"] = {"refused": link.inbox.refused}
-    return summary
-
-
 def _warn_of_open_addresses(glove: str | None, lcm_url: str | None) -> None:
     """Warns of addresses through which others in the network can move the robot."""
     from geort_drake.console import warn
@@ -231,24 +176,3 @@ def _warn_of_open_addresses(glove: str | None, lcm_url: str | None) -> None:
                 f"{url} is also heard from the network: anyone in it can move the robot. To keep it to "
                 f"this machine: sudo ip link set lo multicast on && sudo ip route add {group} dev lo"
             )
-
-
-def print_summary(summary: dict) -> None:
-    """The session in a few lines."""
-    from geort_drake.console import say, warn
-
-    for name, text in (("command", "glove to command"), ("echo", "glove to the robot and back")):
-        latency = summary.get("latency_s", {}).get(name)
-        if latency and latency["count"]:
-            median, p99 = (f"{1e3 * latency[key]:.1f} ms" for key in ("median", "p99"))
-            say(f"{text}: median {median}, 99th percentile {p99} ({latency['count']} commands)")
-    if counts := summary.get("glove"):
-        say(
-            f"glove: {counts['received']} frames received, {counts['refused']} refused, "
-            f"{counts['late']} late, {counts['repaired']} with a repaired wrist rotation"
-        )
-        if counts["clock_offset_s"] is not None:
-            say(f"glove: the fastest frame arrived {counts['clock_offset_s']:.3f} s after its time stamp")
-    if summary["late"]:
-        warn(f"the loop was late {summary['late']} times")
-    say("stopped; the robot holds its last command")

@@ -5,7 +5,7 @@ import copy
 import sys
 from pathlib import Path
 
-from geort_drake.cli.live import checkpoint_of, load, print_keys, print_summary, say_state, summary_of
+from geort_drake.cli.live_session import checkpoint_of, load, print_keys, print_summary, say_state, summary_of
 from geort_drake.cli.options import finish, view, write_json
 from geort_drake.console import console
 from geort_drake.errors import UsageError

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geort_drake.retargeting.rotations import cross_matrices
+
 if TYPE_CHECKING:
     from geort_drake.retargeting.training.kinematics import HandKinematics
 
@@ -76,10 +78,3 @@ class NumpyKinematics:
         full[:, np.arange(fingers)[:, None], self._indices] = np.swapaxes(J, -1, -2)
         J = np.swapaxes(full[:, :, :n], -1, -2)
         return p[..., 0], J if self._coupling is None else J @ self._coupling
-
-
-def cross_matrices(axes: np.ndarray) -> np.ndarray:
-    """K (..., 3, 3) of axes a (..., 3) with K x = a × x."""
-    K = np.zeros((*axes.shape, 3))
-    K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -axes[..., 2], axes[..., 1], -axes[..., 0]
-    return K - np.swapaxes(K, -1, -2)

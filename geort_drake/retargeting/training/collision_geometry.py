@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
-from geort_drake.retargeting.numpy_kinematics import cross_matrices
+from geort_drake.retargeting.rotations import cross_matrices
 from geort_drake.retargeting.training.kinematics import HandKinematics
 
 _CHUNK = 1000

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from geort_drake.retargeting.numpy_kinematics import cross_matrices
+from geort_drake.retargeting.rotations import cross_matrices
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,80 @@
+"""What sessions of `geort-drake live` have in common: the map, messages and the report."""
+
+import argparse
+import dataclasses
+import math
+from pathlib import Path
+
+from geort_drake.cli.options import scenario_of
+from geort_drake.comparison.train import cached_checkpoint
+from geort_drake.console import console, say, warn
+from geort_drake.hands.description import HandDescription
+from geort_drake.hands.model import HandModel
+from geort_drake.live.robot_link import RobotLink
+from geort_drake.live.session import SessionReport
+from geort_drake.live.teleoperation import Teleoperation
+from geort_drake.people.play import synthesize_play
+from geort_drake.retargeting.map_file import shipped_maps
+from geort_drake.retargeting.retargeter import Retargeter, UniversalRetargeter, load_retargeter
+
+
+def checkpoint_of(arguments: argparse.Namespace, description: HandDescription) -> Path:
+    """The requested checkpoint or map; by default the hand's map for everyone, else one trained now."""
+    hand = scenario_of(arguments).hand
+    if (path := arguments.retargeter or shipped_maps().get(hand)) is not None:
+        return path
+    say(f"no map for everyone is shipped for {hand}; using a map trained on synthetic play")
+    return cached_checkpoint(hand, synthesize_play(seed=0, side=description.side))
+
+
+def load(path: Path, description: HandDescription, backend: str) -> Retargeter | UniversalRetargeter:
+    """The retargeter of a checkpoint or map."""
+    return load_retargeter(path, HandModel(description), backend)
+
+
+def print_keys(keys: str) -> None:
+    console.print(f"{keys}Ctrl-C stops.")
+
+
+def say_state(time: float, state: str) -> None:
+    say(f"{time:8.2f} s  {state}")
+
+
+def summary_of(report: SessionReport, loop: Teleoperation, link: RobotLink | None) -> dict:
+    """The report of a session, for --json."""
+    summary = dataclasses.asdict(report)
+    if (meter := loop.meter) is not None:
+        glove = loop.glove
+        summary["glove"] = {
+            "received": glove.received,
+            "refused": glove.refused,
+            "late": glove.late,
+            "repaired": glove.repaired,
+            "clock_offset_s": None if math.isnan(glove.clock_offset) else glove.clock_offset,
+        }
+        summary["latency_s"] = {
+            name: dataclasses.asdict(latency)
+            for name, latency in (("command", meter.to_command()), ("echo", meter.to_echo()))
+        }
+    if link:
+        summary["robot"] = {"refused": link.inbox.refused}
+    return summary
+
+
+def print_summary(summary: dict) -> None:
+    """The session in a few lines."""
+    for name, text in (("command", "glove to command"), ("echo", "glove to the robot and back")):
+        latency = summary.get("latency_s", {}).get(name)
+        if latency and latency["count"]:
+            median, p99 = (f"{1e3 * latency[key]:.1f} ms" for key in ("median", "p99"))
+            say(f"{text}: median {median}, 99th percentile {p99} ({latency['count']} commands)")
+    if counts := summary.get("glove"):
+        say(
+            f"glove: {counts['received']} frames received, {counts['refused']} refused, "
+            f"{counts['late']} late, {counts['repaired']} with a repaired wrist rotation"
+        )
+        if counts["clock_offset_s"] is not None:
+            say(f"glove: the fastest frame arrived {counts['clock_offset_s']:.3f} s after its time stamp")
+    if summary["late"]:
+        warn(f"the loop was late {summary['late']} times")
+    say("stopped; the robot holds its last command")
