@@ -6,7 +6,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-STUDIES = {path.stem for path in (ROOT / "studies").glob("*.py")} - {"affine_map", "guided_fuzzing"}
+STUDIES = {path.stem for path in (ROOT / "studies").glob("*.py")} - {
+    *("affine_map", "distorted_map", "guided_fuzzing", "predictor_analysis")
+}
 BENCHMARKS = {path.stem for path in (ROOT / "benchmarks").glob("bench_*.py")}
 PROGRAMS = [*(f"studies.{name}" for name in STUDIES), *(f"benchmarks.{name}" for name in BENCHMARKS)]
 

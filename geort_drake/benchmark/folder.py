@@ -116,6 +116,7 @@ def open_benchmark(
     operator: Recording | None = None,
     trainings: int = 1,
     latencies: Mapping[str, float] | None = None,
+    made: Mapping[str, tuple[Retarget, str]] | None = None,
 ) -> Benchmark:
     """Starts a benchmark in a folder, or continues the one that is there.
 
@@ -133,13 +134,14 @@ def open_benchmark(
         any_code: continue even if the code of the trials has changed.
         operator: recording of the person who operates, such as another session; None: `recording`.
         trainings: of each trained method, with seeds from `seed` on.
-        latencies: of methods that another task has measured, s.
+        latencies: known ones, by method, such as another task has measured, s.
+        made: name → further retargeter, which can be sent to another process, and a digest of it.
 
     Raises:
         BenchmarkError: the folder's benchmark was started with another configuration.
         UnknownNameError, HandError, CheckpointError, TrainingError: see `make_retargeter`.
     """
-    names = names_of(methods, trainings)
+    names, made = names_of(methods, trainings), made or {}
     hand = HandModel(load_hand(scenario.hand))
     text = dump_scenario(scenario)
     resolved = scenario_fields(text)
@@ -168,9 +170,9 @@ def open_benchmark(
         config["trials"] = max(trials, stored["trials"])
         config["notes"] = stored["notes"]
     ready = {}
-    for name, method in names.items():
-        retarget, digest = make_retargeter(
-            name, method, folder / METHODS, scenario.hand, hand, recording, seed
+    for name in [*names, *made]:
+        retarget, digest = made.get(name) or make_retargeter(
+            name, names[name], folder / METHODS, scenario.hand, hand, recording, seed
         )
         if name not in config["methods"]:
             latency = 0.0 if zero_latency else (latencies or {}).get(name)
