@@ -22,7 +22,6 @@ from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.population import sample_person
 from geort_drake.retargeting.checkpoint import load_checkpoint
-from geort_drake.retargeting.methods.coupled import REFIT_STEPS
 from geort_drake.retargeting.retargeter import load_retargeter
 
 SEED = 9  # of the population; that of the map is another
@@ -44,7 +43,6 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--people", type=int, nargs="+", default=[0, 1, 2], help="numbers in the population")
     parser.add_argument("--seconds", type=float, default=60.0, help="of play to fit to")
     parser.add_argument("--rate", type=float, default=30.0, help="Hz")
-    parser.add_argument("--steps", type=int, nargs="+", default=[REFIT_STEPS], help="of the refit")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args(argv)
     hand = HandModel(load_hand(arguments.hand))
@@ -59,12 +57,9 @@ def main(argv: Sequence[str] | None = None) -> None:
         maps = {"for everyone": (universal.for_person(seen.p_HK[seen.valid]), None)}
         with tempfile.TemporaryDirectory() as folder:
             paths = {
-                f"refit, {steps} steps": refit_checkpoint(
-                    seen, Path(folder) / str(steps), arguments.hand, arguments.map, steps
-                )
-                for steps in arguments.steps
+                "refit": refit_checkpoint(seen, Path(folder) / "refit", arguments.hand, arguments.map),
+                "own training": cached_checkpoint(arguments.hand, seen),
             }
-            paths["own training"] = cached_checkpoint(arguments.hand, seen)
             for name, path in paths.items():
                 seconds = load_checkpoint(path).provenance["timings"]["training_s"]
                 maps[name] = load_retargeter(path), seconds

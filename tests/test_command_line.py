@@ -66,17 +66,15 @@ def test_python_m_and_scripts_are_the_same_program(tmp_path):
 
 
 def test_facts_repeated_for_help_agree_with_their_modules():
-    """Methods, sides and refit's steps, which help lists without importing them."""
+    """Methods and sides, which help lists without importing them."""
     from geort_drake.people import recording
     from geort_drake.people.checks.anatomy import UNITS_M
     from geort_drake.retargeting import methods
-    from geort_drake.retargeting.methods.coupled import REFIT_STEPS
     from geort_drake.retargeting.methods.geort.config import FORWARD_KINEMATICS, PRESETS
 
     assert DEFAULT_METHOD == methods.DEFAULT_METHOD
     assert [SHIPPED_METHOD] == list(methods.shipped_methods())
     assert set(SIDES) == set(recording.SIDES)
-    assert parser_of("refit").get_default("steps") == REFIT_STEPS
     choices = {action.dest: action.choices for action in parser_of("train")._actions}
     assert (choices["preset"], choices["fk"]) == (list(PRESETS), list(FORWARD_KINEMATICS))
     (unit,) = (action for action in parser_of("convert")._actions if action.dest == "unit")

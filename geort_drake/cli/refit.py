@@ -14,11 +14,11 @@ from geort_drake.cli.options import CommandParser, at_least, command, finish, ou
 
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
-    add("recording", type=Path, help="recording of the person's hand, about a minute")
+    add("recording", type=Path, help="recording of the person's hand, one to five minutes")
     add("output", type=output_folder, help="directory of the checkpoint")
     parser.add_hand()
     add("--map", type=Path, metavar="FILE", help="map for everyone (default: the one shipped for the hand)")
-    add("--steps", type=at_least(1), default=600, help="training steps")
+    add("--steps", type=at_least(1), help="training steps (default: 400 a minute, 600 to 2000)")
     parser.add_seed("training and metrics")
     parser.add_json("the metrics")
 

@@ -60,7 +60,6 @@ TABLES: dict[str, tuple[Metric, ...]] = {
         Metric("coverage.10mm", "\n10 mm", "{:.2f}", "higher"),
         Metric("coverage.15mm", "\n15 mm", "{:.2f}", "higher"),
         Metric("coverage_context_averaged.10mm", "averaged\n10 mm", "{:.2f}", "higher"),
-        Metric("coverage_collision_free.10mm", "free\n10 mm", "{:.2f}", "higher"),
         Metric("self_collision", "self-\ncollision", "{:.1%}", "lower"),
         Metric("self_collision_raw", "\nraw", "{:.1%}", "lower"),
     ),
@@ -78,7 +77,6 @@ TABLES: dict[str, tuple[Metric, ...]] = {
 METRICS: tuple[Metric, ...] = (
     *(metric for columns in TABLES.values() for metric in columns),
     *(Metric(f"coverage_context_averaged.{r}mm", better="higher") for r in (5, 15)),
-    *(Metric(f"coverage_collision_free.{r}mm", better="higher") for r in (5, 15)),
     Metric("pinch.frames"),
     Metric("pinch.all_pairs.too_deep", better="lower"),
     Metric("pinch.all_pairs.mean_mm"),

@@ -47,19 +47,17 @@ class RobotSpace:
     Attributes:
         p_BF: (N, F, 3) fingertips of all samples, m; mirrored for a left hand, as people are right hands.
         reachable: F arrays (M, 3), centres of the 3 mm voxels that samples hit, m.
-        collision_free: the same for the samples without self-collision.
     """
 
     p_BF: np.ndarray
     reachable: list[np.ndarray]
-    collision_free: list[np.ndarray]
 
 
 def robot_space(hand: HandModel, seed: int = 0) -> RobotSpace:
     """Samples the C-space of a hand; all methods share it."""
     q = hand.sample(ROBOT_SAMPLES, seed)
     p_BF = fingertips_of(hand)(q)
-    return RobotSpace(p_BF, robot_voxels(p_BF), robot_voxels(p_BF[~hand.collides(q)]))
+    return RobotSpace(p_BF, robot_voxels(p_BF))
 
 
 def evaluate(retarget: Callable, hand: HandModel, recording: Recording, seed: int = 0) -> dict:
@@ -116,7 +114,6 @@ def evaluate_frames(
         "motion_preservation_track": motion_preservation_track(frames, p_BF),
         "coverage": None,
         "coverage_context_averaged": None,
-        "coverage_collision_free": None,
         "cross_talk": cross_talk(g, frames, rng),
         "flatness": flat,
         "gain_p95_p5": gain_ratio(gains),
@@ -126,10 +123,8 @@ def evaluate_frames(
         "smoothness": smoothness(q, rate_hz),
     }
     if space is not None:
-        tips = list(np.moveaxis(p_BF, 1, 0))
-        figures["coverage"] = coverage(space.reachable, tips)
+        figures["coverage"] = coverage(space.reachable, list(np.moveaxis(p_BF, 1, 0)))
         figures["coverage_context_averaged"] = coverage(space.reachable, context_averaged(g, frames))
-        figures["coverage_collision_free"] = coverage(space.collision_free, tips)
     median, p99 = np.percentile(call_times(retarget, frames), (50, 99))
     figures["latency_us"] = {"median": 1e6 * float(median), "p99": 1e6 * float(p99)}
     return figures, p_BF

@@ -10,7 +10,7 @@ from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.map_file import shipped_maps
-from geort_drake.retargeting.methods.coupled import REFIT_STEPS, Start
+from geort_drake.retargeting.methods.coupled import Start, refit_steps
 from geort_drake.retargeting.methods.coupled.population import likely_plays
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.retargeting.universal import UniversalRetargeter
@@ -21,7 +21,7 @@ def refit_checkpoint(
     output: str | os.PathLike,
     hand_name: str | os.PathLike = "allegro_right",
     map_file: str | os.PathLike | None = None,
-    steps: int = REFIT_STEPS,
+    steps: int | None = None,
     seed: int = 0,
     show_progress: bool = True,
 ) -> Path:
@@ -30,11 +30,11 @@ def refit_checkpoint(
     The person's code is folded into the weights, which are then trained further on the recording.
 
     Args:
-        recording: about a minute of the person's hand, or its file.
+        recording: one to five minutes of the person's hand, or its file.
         output: the checkpoint's directory.
         hand_name: name or file of the robot hand's description.
         map_file: the map for everyone; None takes the one that is shipped for the hand.
-        steps: of the training.
+        steps: of the training; None takes those of `refit_steps`.
         seed: of the training and the metrics.
         show_progress: draw progress bars on stderr.
 
@@ -64,7 +64,7 @@ def refit_checkpoint(
         output,
         seed=seed,
         show_progress=show_progress,
-        settings={"steps": steps},
+        settings={"steps": steps or refit_steps(len(p_HK) / recording.rate_hz)},
         start=Start(arrays, likely_plays(p_HK, universal.finger_names, seed)),
         provenance={"map": {"name": path.name, "sha256": sha256_of(path)}},
     )

@@ -7,7 +7,7 @@ losses.
 from typing import TYPE_CHECKING
 
 from geort_drake.retargeting.method import ShippedMethod, TrainedMethod, TrainingData, TrainingResult
-from geort_drake.retargeting.methods.coupled.config import FOR_EVERYONE, REFIT_STEPS, CoupledConfig, Start
+from geort_drake.retargeting.methods.coupled.config import FOR_EVERYONE, CoupledConfig, Start, refit_steps
 from geort_drake.retargeting.methods.coupled.retargeter import CoupledRetargeter
 
 if TYPE_CHECKING:
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 __all__ = [
     "FOR_EVERYONE",
     "METHODS",
-    "REFIT_STEPS",
     "CoupledConfig",
     "CoupledRetargeter",
     "Start",
+    "refit_steps",
     "train_coupled",
 ]
 

@@ -33,7 +33,11 @@ class CoupledConfig(TrainingConfig):
 FOR_EVERYONE = CoupledConfig(
     steps=30_000, learning_rate=0.003, direction=0.044, track=0.042, cross_talk=0.044
 )
-REFIT_STEPS = 600  # from the map for everyone to one person's
+
+
+def refit_steps(seconds: float) -> int:
+    """Steps from the map for everyone to one person's: 400 for each minute of play, 600 to 2,000."""
+    return round(400 * min(max(seconds / 60, 1.5), 5.0))
 
 
 @dataclass(frozen=True)

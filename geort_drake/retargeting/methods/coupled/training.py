@@ -32,7 +32,7 @@ from geort_drake.retargeting.training.soap import Soap
 
 ROBOT_SAMPLES, ROBOT_VOXEL = 60_000, 0.005  # of the robot's C-space; m
 COVERAGE_WEIGHT = 4.0
-PEOPLE_PER_BATCH = 24
+PEOPLE_PER_BATCH, PEOPLE_PER_REFIT_BATCH = 24, 10
 WEIGHT_DECAY = 0.01
 MOMENTUM = (0.95, 0.99)  # gradients differ from person to person
 # m; of made-up pinches around recorded ones. One person's recording shows fewer of their places.
@@ -102,6 +102,8 @@ def train(
         q = torch.tensor(np.asarray(data.q), dtype=torch.float32)
         shapes = None if data.shapes is None else data.shapes()
         training = _Training(network.to(place), people, kinematics, shapes, q, config, ONE_PERSON, generator)
+        if start is not None:
+            training.people_per_batch = PEOPLE_PER_REFIT_BATCH
         descent = training.run(report)
     return TrainingResult(
         network=network.cpu(),
@@ -191,7 +193,7 @@ class _Training:
             self.collisions = collisions.NearCollisions(people, gaps.to(people.device))
         self.coverage = CoverageTargets(people, kinematics, voxels, generator)
         self.multipliers = Multipliers({name: getattr(config, name) for name in CONSTRAINTS}, **gains)
-        self.covered = 0.0
+        self.covered, self.people_per_batch = 0.0, PEOPLE_PER_BATCH
 
     def run(self, report: Report | None) -> Descent:
         config = self.config
@@ -209,7 +211,7 @@ class _Training:
 
     def _losses(self, step: int) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
         """The Lagrangian on one batch, and each loss."""
-        hands = self.people.draw(PEOPLE_PER_BATCH)
+        hands = self.people.draw(self.people_per_batch)
         robot = self._answers(hands)
         if robot is None:
             return torch.tensor(math.nan), {}
