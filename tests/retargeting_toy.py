@@ -62,3 +62,14 @@ def toy_data(hand: HandKinematics, human: np.ndarray | None = None, **changes) -
     q = toy_samples(hand)
     given = {"labels": lambda: toy_collides(q), "collides": toy_collides} | changes
     return TrainingData(toy_human(hand) if human is None else human, hand, **{"q": q} | given)
+
+
+HAND = toy_kinematics()
+HUMAN = toy_human(HAND)
+PLANTED = (HUMAN - [0.0, 0.0, 0.05]) / 0.8  # the fingertips that this person has as a robot, m
+
+
+def answers(network: torch.nn.Module) -> np.ndarray:
+    """(T, F, 3) robot fingertips of a trained network for that person, m."""
+    with torch.no_grad():
+        return HAND.fingertips(network(torch.tensor(HUMAN).float())).numpy()

@@ -7,7 +7,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from retargeting_toy import toy_data, toy_human, toy_kinematics, uneven_kinematics
+from retargeting_toy import HAND, HUMAN, PLANTED, answers, toy_data, toy_kinematics, uneven_kinematics
 
 from geort_drake.errors import TrainingError
 from geort_drake.retargeting.clouds import first_in_voxels, voxel_centres, voxel_index
@@ -21,18 +21,8 @@ KEYPOINTS = [4, 8, 12]
 QUICK = CoupledConfig(steps=150)
 
 
-@pytest.fixture(scope="module")
-def hand():
-    return toy_kinematics()
-
-
-@pytest.fixture(scope="module")
-def human(hand):
-    return toy_human(hand)
-
-
-def quick(hand, human, seed=0, shapes=None, **settings):
-    data = toy_data(hand, human, shapes=shapes and (lambda: shapes))
+def quick(seed=0, shapes=None, **settings):
+    data = toy_data(HAND, HUMAN, shapes=shapes and (lambda: shapes))
     return train_coupled(data, dataclasses.replace(QUICK, **settings), seed)
 
 
@@ -66,38 +56,35 @@ def test_numpy_equals_torch_with_a_full_jacobian(hand, rng):
     assert (np.abs(J) > 1e-9).all()
 
 
-def test_training_finds_the_planted_map(hand, human):
+def test_training_finds_the_planted_map():
     """A short run follows the person's steps, closes pinches and covers the robot's space."""
-    result = quick(hand, human)
+    result = quick()
     first, last = result.history[0], result.history[-1]
     assert np.mean([row["direction"] for row in result.history[-10:]]) < 0.15
     assert np.mean([row["track"] for row in result.history[-10:]]) < 0.15
     assert last["coverage"] < 0.7 * first["coverage"]
     assert last["open_pinch"] < 0.5 * first["open_pinch"]
-    with torch.no_grad():
-        tips = hand.fingertips(result.network(torch.tensor(human).float())).numpy()
-    planted = (human - [0.0, 0.0, 0.05]) / 0.8
-    assert np.median(np.linalg.norm(tips - planted, axis=-1)) < 0.02
+    assert np.median(np.linalg.norm(answers(result.network) - PLANTED, axis=-1)) < 0.02
 
 
-def test_the_seed_alone_decides_the_weights(hand, human):
+def test_the_seed_alone_decides_the_weights():
     """Global generators do not change a bit; other seeds do."""
     runs = []
     for seed, elsewhere in ((3, 0), (3, 1), (4, 0)):
         torch.manual_seed(elsewhere)
         np.random.seed(elsewhere)  # noqa: NPY002
-        runs.append(quick(hand, human, seed=seed, steps=25).network.arrays())
+        runs.append(quick(seed=seed, steps=25).network.arrays())
     for name in runs[0]:
         np.testing.assert_array_equal(runs[0][name], runs[1][name])
     assert np.abs(runs[0]["residual_weight0"] - runs[2]["residual_weight0"]).max() > 1e-3
 
 
-def test_a_training_starts_from_given_weights(hand, human):
+def test_a_training_starts_from_given_weights():
     """A first step hardly changes them; those of another hand are refused."""
-    network = network_of(hand)
-    start = Start(network.arrays(), human[None, :100])
-    still = train_coupled(toy_data(hand, human), CoupledConfig(steps=1), start=start)
-    p = torch.tensor(human[:20]).float()
+    network = network_of(HAND)
+    start = Start(network.arrays(), HUMAN[None, :100])
+    still = train_coupled(toy_data(HAND, HUMAN), CoupledConfig(steps=1), start=start)
+    p = torch.tensor(HUMAN[:20]).float()
     with torch.no_grad():
         change = (still.network(p) - network(p)).abs()
     assert 0 < change.mean() < 0.1
@@ -105,19 +92,19 @@ def test_a_training_starts_from_given_weights(hand, human):
         train_coupled(toy_data(toy_kinematics(("thumb", "index"))), CoupledConfig(steps=1), start=start)
 
 
-def test_a_training_uses_the_likely_plays_of_its_start(hand, human):
+def test_a_training_uses_the_likely_plays_of_its_start():
     """Other plays give other weights, and draws follow the weights of the people."""
-    arrays = network_of(hand).arrays()
+    arrays = network_of(HAND).arrays()
     weights = [
         train_coupled(
-            toy_data(hand, human), CoupledConfig(steps=2), start=Start(arrays, play)
+            toy_data(HAND, HUMAN), CoupledConfig(steps=2), start=Start(arrays, play)
         ).network.arrays()
-        for play in (human[None], human[None] + 0.01)
+        for play in (HUMAN[None], HUMAN[None] + 0.01)
     ]
     assert np.abs(weights[0]["weight0"] - weights[1]["weight0"]).max() > 1e-4
     codes, reach, cpu = torch.zeros(2, 1, 0), torch.ones(2, 3), torch.device("cpu")
     p_HF, generator = (
-        np.stack([human[:300], human[:300]]).astype(np.float32),
+        np.stack([HUMAN[:300], HUMAN[:300]]).astype(np.float32),
         torch.Generator().manual_seed(0),
     )
     rng, pairs = np.random.default_rng(0), [(0, 1), (0, 2)]
@@ -125,15 +112,15 @@ def test_a_training_uses_the_likely_plays_of_its_start(hand, human):
     assert float((people.someone(4000) == 0).float().mean()) == pytest.approx(0.75, abs=0.03)
 
 
-def test_unusable_settings_are_refused(hand, human):
+def test_unusable_settings_are_refused():
     """The config of another method and values that make no sense."""
     with pytest.raises(TrainingError, match="takes a CoupledConfig"):
-        train_coupled(toy_data(hand, human), GeortConfig())
+        train_coupled(toy_data(HAND, HUMAN), GeortConfig())
     with pytest.raises(TrainingError, match="collision must be positive, it is -1"):
-        quick(hand, human, collision=-1.0)
+        quick(collision=-1.0)
 
 
-def test_training_avoids_collisions_of_the_given_shapes(hand, human):
+def test_training_avoids_collisions_of_the_given_shapes():
     """Spheres on the index and middle fingertips keep apart; without shapes they do not."""
     X = np.tile(np.eye(4), (2, 1, 1))
     X[:, 2, 3] = 0.04
@@ -141,9 +128,7 @@ def test_training_avoids_collisions_of_the_given_shapes(hand, human):
     shapes = CollisionShapes(np.array([5, 8]), X, np.zeros((2, 3)), radius, np.array([[0, 1]]))
 
     def colliding(shapes) -> float:
-        result = quick(hand, human, shapes=shapes, steps=80)
-        with torch.no_grad():
-            tips = hand.fingertips(result.network(torch.tensor(human).float())).numpy()
+        tips = answers(quick(shapes=shapes, steps=80).network)
         return float((np.linalg.norm(tips[:, 1] - tips[:, 2], axis=-1) < 0.022).mean())
 
     without, having = colliding(None), colliding(shapes)
