@@ -2,10 +2,9 @@
 
 import numpy as np
 from faults.bench import Watch
-from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
+from system_bench import SystemBench
 
 from geort_drake.hands.description import load_hand
 from geort_drake.simulation.following import RobotModel
@@ -21,7 +20,7 @@ SPEED = np.array([2.175] * 4 + [2.61] * 3)
 ACCELERATION = np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0])
 
 
-class ArmBench:
+class ArmBench(SystemBench):
     """Steps wrist checks and `WristToArm` with the settings of teleoperation, update by update."""
 
     def __init__(self):
@@ -43,10 +42,7 @@ class ArmBench:
         builder.ExportInput(self.checks.GetInputPort("wrist_pose"), "wrist_pose")
         builder.ConnectInput("wrist_pose", self.arm.GetInputPort("wrist_pose"))
         builder.ExportInput(self.checks.GetInputPort("valid"), "valid")
-        self.diagram = builder.Build()
-        self.simulator = Simulator(self.diagram)
-        self.context = self.simulator.get_mutable_context()
-        self.ticks = 0
+        super().__init__(builder.Build(), PERIOD)
         self._hand_pose = lambda q: (plant.SetPositions(scratch, arm, q), base.CalcPoseInWorld(scratch))[1]
         scratch = plant.CreateDefaultContext()
 
@@ -56,10 +52,7 @@ class ArmBench:
 
     def tick(self, X_WH: RigidTransform, valid: float = 1.0) -> tuple[np.ndarray, np.ndarray, str]:
         """One update; returns the arm's positions (rad) and velocities (rad/s), and the wrist's state."""
-        self.diagram.GetInputPort("wrist_pose").FixValue(self.context, AbstractValue.Make(X_WH))
-        self.diagram.GetInputPort("valid").FixValue(self.context, [valid])
-        self.simulator.AdvanceTo((self.ticks + 0.5) * PERIOD)
-        self.ticks += 1
-        desired = self.arm.get_output_port().Eval(self.arm.GetMyContextFromRoot(self.context)).copy()
-        state = self.checks.GetOutputPort("state").Eval(self.checks.GetMyContextFromRoot(self.context))
-        return desired[:7], desired[7:], state
+        self.fix(wrist_pose=X_WH, valid=valid)
+        self.advance()
+        desired = self.value("arm_desired_state", self.arm)
+        return desired[:7], desired[7:], self.value("state", self.checks)

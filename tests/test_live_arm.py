@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 from arm_bench import PERIOD, ArmBench
-from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.systems.analysis import Simulator
+from system_bench import SystemBench
 
 from geort_drake.systems.wrist_checks import WRIST_JUMPED, WRIST_NOT_FINITE, WristChecks
 
@@ -76,24 +75,19 @@ def test_a_tracker_that_jumps_is_not_followed_there():
     np.testing.assert_allclose(bench.hand_position(states[-1][0]), start, atol=1e-3)
 
 
-class ChecksBench:
+class ChecksBench(SystemBench):
     """Wrist checks by themselves."""
 
     def __init__(self):
-        self.system = WristChecks(PERIOD)
-        self.simulator = Simulator(self.system)
-        self.context = self.simulator.get_mutable_context()
-        self.ticks = 0
+        # The update of this moment is the first thing that happens on the way to the next.
+        super().__init__(WristChecks(PERIOD), PERIOD, 1.0)
 
     def tick(self, X_WH: RigidTransform) -> str:
         """The state at an update, where nobody has acted on the pose yet."""
-        self.system.GetInputPort("wrist_pose").FixValue(self.context, AbstractValue.Make(X_WH))
-        self.system.GetInputPort("valid").FixValue(self.context, [1.0])
-        state = self.system.GetOutputPort("state").Eval(self.context)
-        assert self.system.GetOutputPort("valid").Eval(self.context)[0] == float(not state)
-        self.ticks += 1
-        # The update of this moment is the first thing that happens on the way to the next.
-        self.simulator.AdvanceTo(self.ticks * PERIOD)
+        self.fix(wrist_pose=X_WH, valid=1.0)
+        state = self.value("state")
+        assert self.value("valid")[0] == float(not state)
+        self.advance()
         return state
 
 

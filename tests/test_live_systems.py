@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_messages import Clock, Inbox, nodes_of, own_fields
-from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
+from system_bench import SystemBench
 
 from geort_drake.errors import LiveError, MismatchError, RecordingError
 from geort_drake.live.glove_stream import GloveStream
@@ -38,23 +38,20 @@ def message(i: int, **changes) -> bytes:
 # -- the stream
 
 
-class StreamBench:
+class StreamBench(SystemBench):
     """A stream by itself, into which messages are put."""
 
-    def __init__(self, *messages, **options):
+    def __init__(self, *messages):
         self.inbox, self.clock = Inbox(*messages), Clock()
-        self.stream = GloveStream(self.inbox, "right", clock=self.clock, **options)
-        self.simulator = Simulator(self.stream)
-        self.context = self.simulator.get_mutable_context()
+        self.stream = GloveStream(self.inbox, "right", clock=self.clock)
+        super().__init__(self.stream, 0.004, 1.0)
 
     def after(self, *messages) -> dict:
         """What the ports give after the next polls."""
         self.inbox.messages += messages
-        self.simulator.AdvanceTo(self.context.get_time() + 0.004)
-        return {
-            name: self.stream.GetOutputPort(name).Eval(self.context)
-            for name in ("keypoints", "valid", "stamp", "sent", "lateness", "wrist_pose")
-        }
+        self.advance()
+        ports = ("keypoints", "valid", "stamp", "sent", "lateness", "wrist_pose")
+        return {name: self.value(name) for name in ports}
 
 
 def test_the_stream_gives_the_newest_frame_and_holds_it():
@@ -204,17 +201,13 @@ def test_engaging_never_makes_the_joints_jump():
     builder.Connect(glove.GetOutputPort("keypoints"), retargeting.GetInputPort("keypoints"))
     builder.Connect(switch.GetOutputPort("valid"), retargeting.GetInputPort("valid"))
     builder.ExportInput(switch.GetInputPort("engaged"), "engaged")
-    diagram = builder.Build()
-    simulator = Simulator(diagram)
-    root = simulator.get_mutable_context()
+    bench = SystemBench(builder.Build(), PERIOD, 1.0)
 
     def tick(i: int, engaged: bool):
-        diagram.GetInputPort("engaged").FixValue(root, [float(engaged)])
+        bench.fix(engaged=engaged)
         stream.inbox.messages.append(message(i))
-        simulator.AdvanceTo((i + 1) * PERIOD)
-        context = retargeting.GetMyContextFromRoot(root)
-        status = retargeting.GetOutputPort("status").Eval(context)
-        return retargeting.GetOutputPort("desired_state").Eval(context)[:4].copy(), status.state
+        bench.advance()
+        return bench.value("desired_state", retargeting)[:4], bench.value("status", retargeting).state
 
     held = [tick(i, False) for i in range(100)]
     assert all((q == 0.3).all() for q, _ in held)
@@ -238,34 +231,18 @@ LIMITS = JointLimits(np.full(3, -1.0), np.full(3, 2.0), 4.0, 200.0)
 SAFE = np.array([0.1, 0.5, -0.2])
 
 
-class WatchdogBench:
+class WatchdogBench(SystemBench):
     """Steps a watchdog alone."""
 
-    def __init__(self, **config):
-        self.system = Watchdog(LIMITS, SAFE, PERIOD, **config)
-        self.simulator = Simulator(self.system)
-        self.context = self.simulator.get_mutable_context()
-        self.ticks = 0
+    def __init__(self, limits=LIMITS, safe=SAFE, **config):
+        super().__init__(Watchdog(limits, safe, PERIOD, **config))
 
     def tick(self, q, v=(0.0, 0.0, 0.0), state=TRACKING, engaged=True):
         """One period; returns the positions, the velocities, and the values of the other two ports."""
-        fix = {
-            "desired_state": np.concatenate([q, v]),
-            "status": AbstractValue.Make(RetargetingStatus(state)),
-            "engaged": [float(engaged)],
-        }
-        for name, value in fix.items():
-            self.system.GetInputPort(name).FixValue(self.context, value)
-        self.simulator.AdvanceTo((self.ticks + 0.5) * PERIOD)
-        self.ticks += 1
-        out = self.system.GetOutputPort("desired_state").Eval(self.context)
-        following = self.system.GetOutputPort("following").Eval(self.context)[0]
-        return (
-            out[:3].copy(),
-            out[3:].copy(),
-            following,
-            self.system.GetOutputPort("state").Eval(self.context),
-        )
+        self.fix(desired_state=[*q, *v], status=RetargetingStatus(state), engaged=engaged)
+        self.advance()
+        following, state = self.value("following")[0], self.value("state")
+        return *np.split(self.value("desired_state"), 2), following, state
 
 
 def motion(tick: int) -> tuple[np.ndarray, np.ndarray]:
@@ -329,9 +306,7 @@ def test_a_hand_that_relaxed_returns_to_the_commands():
 def test_relaxing_and_returning_keep_the_acceleration(seed):
     """Of positions and reported velocities, while the commands move as fast as they may."""
     limits = JointLimits(np.full(2, -1.5), np.full(2, 1.5), 7.0, 100.0)
-    system = Watchdog(limits, np.zeros(2), PERIOD, relax_after=0.05, relax_speed=0.5, ease_time=0.05)
-    simulator = Simulator(system)
-    context = simulator.get_mutable_context()
+    bench = WatchdogBench(limits, np.zeros(2), relax_after=0.05, relax_speed=0.5, ease_time=0.05)
     rng = np.random.default_rng(seed)
     q, v, target = np.zeros(2), np.zeros(2), np.zeros(2)
     out, states = [np.zeros(4)], set()
@@ -339,13 +314,9 @@ def test_relaxing_and_returning_keep_the_acceleration(seed):
         lost, before = tick % 120 >= 60 and tick % 60 < 20, target
         target = q if lost else 1.2 * np.sin(3.0 * tick * PERIOD * rng.uniform(0.98, 1.02, 2) + [0, seed])
         q, v = limits.step(q, v, target, q if lost else before, PERIOD)
-        status = RetargetingStatus(HELD_LOST if lost else TRACKING)
-        system.GetInputPort("desired_state").FixValue(context, [*q, *v])
-        system.GetInputPort("engaged").FixValue(context, [1.0])
-        system.GetInputPort("status").FixValue(context, AbstractValue.Make(status))
-        simulator.AdvanceTo((tick + 0.5) * PERIOD)
-        out.append(system.GetOutputPort("desired_state").Eval(context).copy())
-        states.add(system.GetOutputPort("state").Eval(context).partition(":")[0])
+        *desired, _, state = bench.tick(q, v, HELD_LOST if lost else TRACKING)
+        out.append(np.concatenate(desired))
+        states.add(state.partition(":")[0])
     assert {"relaxing", "returning", TRACKING} <= states
     positions, reported = np.split(np.array(out), 2, axis=1)
     velocity = np.diff(positions, axis=0) / PERIOD
@@ -422,20 +393,18 @@ def test_the_meter_measures_how_long_commands_take():
     """And their confirmations; held commands and old keypoints do not count."""
     clock = Clock(10.0)
     meter = LatencyMeter(1, PERIOD, clock)
-    simulator = Simulator(meter)
-    context = simulator.get_mutable_context()
+    bench = SystemBench(meter, PERIOD, 0.9)
     for tick in range(10):
         moving = tick < 6
-        meter.GetInputPort("sent").FixValue(context, [10.0 + tick * PERIOD - 0.004 if tick else math.nan])
-        meter.GetInputPort("command").FixValue(context, [min(tick, 5), 0.0])
+        sent = 10.0 + tick * PERIOD - 0.004 if tick else math.nan
         # The robot reports the command of two periods ago.
-        meter.GetInputPort("echo").FixValue(context, [min(tick - 2, 5)])
+        bench.fix(sent=sent, command=[min(tick, 5), 0.0], echo=min(tick - 2, 5))
         clock.now = 10.0 + tick * PERIOD
-        simulator.AdvanceTo((tick + 0.9) * PERIOD)
+        bench.advance()
         assert moving or meter.to_command().count == 5
     # A joint that lags causes new commands from old keypoints.
-    meter.GetInputPort("command").FixValue(context, [6.0, 0.0])
-    simulator.AdvanceTo(11 * PERIOD)
+    bench.fix(command=[6.0, 0.0])
+    bench.advance()
     for latency, expected in ((meter.to_command(), 0.004), (meter.to_echo(), 0.024)):
         assert latency.count == 5
         assert latency.median == pytest.approx(expected)

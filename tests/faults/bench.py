@@ -1,7 +1,7 @@
 """Steps a retargeting system alone and checks its commands."""
 
 import numpy as np
-from pydrake.systems.analysis import Simulator
+from system_bench import SystemBench
 
 from faults.sound import JOINTS, LOWER, UPPER, smooth_retargeter
 from geort_drake.systems.joint_limits import JointLimits
@@ -10,31 +10,24 @@ from geort_drake.systems.retargeting_system import RetargetingSystem
 START = 0.3  # rad, of every joint
 
 
-class Bench:
+class Bench(SystemBench):
     """Steps a `RetargetingSystem` update by update; functions without joint names have `JOINTS`."""
 
     def __init__(self, retarget=None, period=0.01, stamped=False, start=START, **options):
-        self.period = period
         self.limits = options.pop("limits", JointLimits(LOWER, UPPER))
         retarget = retarget or smooth_retargeter()
         joints = tuple(getattr(retarget, "joint_names", JOINTS))
         start = dict(zip(joints, start + np.zeros(len(joints)), strict=True))
-        self.system = RetargetingSystem(retarget, joints, joints, start, period, self.limits, **options)
-        self.simulator = Simulator(self.system)
-        self.context = self.simulator.get_mutable_context()
-        self.ticks = 0
+        super().__init__(
+            RetargetingSystem(retarget, joints, joints, start, period, self.limits, **options), period
+        )
         self.stamped = stamped
 
     def tick(self, keypoints, valid=1.0, stamp=None):
         """One update; returns positions, velocities and the status after it."""
-        self.system.GetInputPort("keypoints").FixValue(self.context, np.ravel(keypoints))
-        self.system.GetInputPort("valid").FixValue(self.context, [valid])
-        if self.stamped:
-            self.system.GetInputPort("stamp").FixValue(self.context, [stamp])
-        self.simulator.AdvanceTo((self.ticks + 0.5) * self.period)
-        self.ticks += 1
-        desired = self.system.GetOutputPort("desired_state").Eval(self.context).copy()
-        return *np.split(desired, 2), self.system.GetOutputPort("status").Eval(self.context)
+        self.fix(keypoints=keypoints, valid=valid, **({"stamp": stamp} if self.stamped else {}))
+        self.advance()
+        return *np.split(self.value("desired_state"), 2), self.value("status")
 
 
 class Watch:
