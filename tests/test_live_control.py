@@ -6,15 +6,12 @@ import json
 import numpy as np
 import pytest
 from live_messages import Clock
-from pydrake.systems.analysis import Simulator
+from loop_bench import LoopBench
 from web_page import PLAY, headset, hello
 
 from geort_drake.benchmark.replay import Replay
 from geort_drake.cli import main
-from geort_drake.hands.description import load_hand
-from geort_drake.live.glove_stream import HANDSHAKE_FRAMES, GloveStream
-from geort_drake.live.robots import SimulatedRobot
-from geort_drake.live.teleoperation import make_teleoperation
+from geort_drake.live.glove_stream import HANDSHAKE_FRAMES
 from geort_drake.live.web import control as page_control
 from geort_drake.live.web.control import DONE, PageControl
 from geort_drake.live.web.guide import DURATION_S
@@ -22,11 +19,9 @@ from geort_drake.live.web.messages import Disengage, Engage, Fist, Guide, Record
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.retargeter import load_retargeter
-from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.scenario import load_scenario, parse_scenario
 from geort_drake.simulation.tasks.grasp.monitor import GraspOutcome, GraspPhase
 from geort_drake.simulation.world import draw_placement
-from geort_drake.systems.glove_recorder import GloveRecorder
 
 UNIVERSAL = load_retargeter("allegro_right")
 OWN, OTHERS = (UNIVERSAL.for_person(scale * PLAY.p_HK) for scale in (1.1, 0.9))
@@ -50,45 +45,28 @@ class Page:
     """Sessions under a page's control, in steps of the retargeting."""
 
     def __init__(self, folder, retarget=UNIVERSAL, maps=()):
-        self.scenario = load_scenario()
-        self.scenario.random_seed = SEED
-        self.description = load_hand(self.scenario.hand)
-        self.model, self.retarget, maps = RobotModel(self.scenario, self.description), retarget, iter(maps)
+        self.retarget, maps = retarget, iter(maps)
         tasks = {"grasp": ["cylinder", "cube"], "keys": ["keys"]}
-        self.station = OperatorStation(
-            RobotInfo("right", "allegro_right", "simulation", tasks, "for everyone"), Clock()
-        )
+        about = RobotInfo("right", "allegro_right", "simulation", tasks, "for everyone")
+        self.station = OperatorStation(about, Clock())
         self.station.join(1)
         self.station.take(1, hello())
         for number in range(HANDSHAKE_FRAMES):
             self.station.take(1, headset(number))
         self.states, self.exported = [], []
         self.control = PageControl(
-            self.station,
-            self.states.append,
-            folder,
-            folder / "a_map",
-            lambda path: next(maps),
+            self.station, self.states.append, folder, folder / "a_map", lambda path: next(maps),
             lambda *session: self.exported.append(session),
-        )
+        )  # fmt: skip
         self.sessions = self.hands = 0
         self.begin()
 
     def begin(self):
         """Begins a session, as after a reset."""
         self.sessions += 1
-        robot = SimulatedRobot(self.scenario, self.description, self.model)
-        recorder = GloveRecorder(0.01)
-        self.loop = make_teleoperation(
-            self.scenario, self.description, self.model, self.retarget,
-            GloveStream(self.station, "right", clock=Clock()), robot, (robot.hand.start, robot.arm.start),
-            recorder=recorder,
-        )  # fmt: skip
-        self.simulator = Simulator(self.loop.diagram)
-        self.context, self.engaged = self.simulator.get_mutable_context(), False
-        self.loop.engage(self.context, False)
-        facts = {"object": self.scenario.object.name, "seed": SEED + self.sessions - 1}
-        self.control.begin(self.loop, recorder, self.sessions, facts)
+        self.bench = LoopBench(self.station, self.retarget, SEED)
+        facts = {"object": self.bench.scenario.object.name, "seed": SEED + self.sessions - 1}
+        self.control.begin(self.bench.loop, self.bench.recorder, self.sessions, facts)
 
     def run(self, *commands, steps=1, hand=None):
         """Runs steps of 20 ms with a hand each, the same one if given.
@@ -97,20 +75,14 @@ class Page:
             The joint targets after each, rad, in the order of the maps.
         """
         self.station.commands.extend(commands)
-        targets = []
+        bench, targets = self.bench, []
         for _ in range(steps):
             self.hands += 1
             number = (HANDSHAKE_FRAMES + self.hands) % len(PLAY.t) if hand is None else hand
             self.station.take(1, headset(number, 100.0 + 0.02 * self.hands))
-            engaged = self.control.step(self.context, self.engaged)
-            if engaged != self.engaged:
-                self.engaged = engaged
-                self.loop.engage(self.context, engaged)
-            self.simulator.AdvanceTo(self.context.get_time() + 0.02)
-            retargeting = self.loop.retargeting
-            context = retargeting.GetMyContextFromRoot(self.context)
-            targets.append(retargeting.GetOutputPort("desired_state").Eval(context)[:16].copy())
-        return np.array(targets)[:, [self.model.hand.joints.index(name) for name in OWN.joint_names]]
+            bench.engage(self.control.step(bench.context, bench.engaged))
+            targets.append(bench.step(0.02)[0])
+        return np.array(targets)[:, [bench.model.hand.joints.index(name) for name in OWN.joint_names]]
 
     def reset(self):
         self.run(Reset())
@@ -122,16 +94,16 @@ class Page:
 def test_a_held_fist_engages_and_disengages_unless_it_is_asked_for_or_grasps(tmp_path, monkeypatch):
     page = Page(tmp_path)
     page.run(Guide(), Fist())
-    assert not page.engaged
+    assert not page.bench.engaged
     monkeypatch.setattr(page.control, "_guide", None)
     page.run(Fist())
-    assert page.engaged
+    assert page.bench.engaged
     for phase, engaged in ((GraspPhase.GRASP, True), (GraspPhase.HOLD, True), (GraspPhase.REACH, False)):
         outcome = GraspOutcome(phase=phase)
         monkeypatch.setattr(page_control.Teleoperation, "outcome", lambda *_, outcome=outcome: outcome)
         monkeypatch.setattr(page_control.Teleoperation, "phase", lambda *_, phase=phase: phase.name.lower())
         page.run(Fist())
-        assert page.engaged == engaged, phase
+        assert page.bench.engaged == engaged, phase
 
 
 def test_with_consent_every_session_is_recorded_from_its_engagement_and_can_be_replayed(tmp_path):
@@ -159,7 +131,7 @@ def test_with_consent_every_session_is_recorded_from_its_engagement_and_can_be_r
     replay = Replay(scenario, sorted(tmp_path.glob("*.npz")), None, None, None, {}, 1)
     key, _ = replay.keys()
     trial = replay.trial(key)
-    placement = draw_placement(page.scenario, 0.0, np.random.default_rng(SEED))
+    placement = draw_placement(page.bench.scenario, 0.0, np.random.default_rng(SEED))
     p_WO = placement.X_WO.translation()[:2]
     np.testing.assert_allclose(parse_scenario(trial.scenario_text).object.position, p_WO, atol=1e-9)
     np.testing.assert_allclose(

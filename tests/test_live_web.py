@@ -4,27 +4,20 @@ import json
 
 import numpy as np
 import pytest
-from faults.bench import Watch
-from hypothesis import given
-from hypothesis import strategies as st
 from live_messages import Clock
-from pydrake.systems.analysis import Simulator
+from loop_bench import LoopBench
 from web_page import PLAY, R_CW, camera, headset, hello, in_world
 
 from geort_drake.errors import GeortError, LiveError, MismatchError
 from geort_drake.hands.description import load_hand
-from geort_drake.live.glove_stream import HANDSHAKE_FRAMES, GloveStream
+from geort_drake.live.glove_stream import HANDSHAKE_FRAMES
 from geort_drake.live.messages import decode as decode_glove
-from geort_drake.live.robots import SimulatedRobot
-from geort_drake.live.teleoperation import make_teleoperation
 from geort_drake.live.web.guide import DURATION_S, GuidedPlay
 from geort_drake.live.web.hands import HandReader
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Hello, Reset, decode
 from geort_drake.live.web.one_euro import OneEuroFilter
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo, is_fist
 from geort_drake.people.keypoints import bone_lengths
-from geort_drake.simulation.following import RobotModel
-from geort_drake.simulation.scenario import load_scenario
 from geort_drake.systems.glove_checks import HELD_CLOCK, HELD_LOST, HELD_STALE
 from geort_drake.systems.retargeting_system import TRACKING
 
@@ -236,38 +229,15 @@ class Toy:
         return np.full(len(self.joint_names), 20.0 * (p_HK[12, 2] - 0.1))
 
 
-class LoopBench:
-    """The simulation's loop behind a station, in steps of the retargeting."""
-
-    def __init__(self):
-        scenario = load_scenario()
-        description = load_hand(scenario.hand)
-        model = RobotModel(scenario, description)
-        robot = SimulatedRobot(scenario, description, model)
-        start = robot.hand.start, robot.arm.start
-        self.station = station()
-        self.loop = make_teleoperation(
-            scenario, description, model, Toy(description.joint_names),
-            GloveStream(self.station, "right", clock=Clock()), robot, start,
-        )  # fmt: skip
-        self.simulator = Simulator(self.loop.diagram)
-        self.context = self.simulator.get_mutable_context()
-        self.loop.engage(self.context, True)
-        self.watch = Watch(model.limits, scenario.retargeting.period, start[0])
-
-    def step(self) -> list[str]:
-        """Advances by a period; returns the limits that the hand's targets break."""
-        self.simulator.AdvanceTo(self.context.get_time() + 0.01)
-        correction = self.loop.correction
-        context = correction.GetMyContextFromRoot(self.context)
-        return self.watch.broken(*np.split(correction.GetOutputPort("desired_state").Eval(context), 2))
-
-    def state(self) -> str:
-        return self.loop.state(self.context)
+def toy_loop() -> LoopBench:
+    """A loop with an engaged person."""
+    bench = LoopBench(station(), Toy(load_hand("allegro_right").joint_names))
+    bench.engage(True)
+    return bench
 
 
 def test_a_page_that_sleeps_leaves_or_sets_its_clock_is_held_at_once_and_eased_back():
-    bench = LoopBench()
+    bench = toy_loop()
     known(bench.station)
 
     def follow(t0: float, count: int = 60) -> list[str]:
@@ -276,11 +246,11 @@ def test_a_page_that_sleeps_leaves_or_sets_its_clock_is_held_at_once_and_eased_b
         for i in range(count):
             if i % 2 == 0:
                 bench.station.take(1, headset(HANDSHAKE_FRAMES + i // 2, t0 + 0.01 * i))
-            seen += [*bench.step(), bench.state()]
+            seen += [*bench.watch.broken(*bench.step()), bench.state()]
         return seen
 
     assert follow(100.0)[-1] == TRACKING
-    asleep = [state for _ in range(40) for state in (*bench.step(), bench.state())]
+    asleep = [state for _ in range(40) for state in (*bench.watch.broken(*bench.step()), bench.state())]
     assert asleep[-1] == HELD_STALE
     awake = follow(101.6)
     assert any(state.startswith("easing") for state in awake) and awake[-1] == TRACKING
@@ -322,7 +292,7 @@ def malformed(rng: np.random.Generator) -> str | bytes:
 
 def test_ten_thousand_malformed_messages_harm_nothing():
     """The loop runs on; the hand's targets keep their limits; every message is counted once."""
-    bench, rng = LoopBench(), np.random.default_rng(1)
+    bench, rng = toy_loop(), np.random.default_rng(1)
     known(bench.station)
     told = 0
     for _ in range(100):
@@ -332,7 +302,7 @@ def test_ten_thousand_malformed_messages_harm_nothing():
                 bench.station.take(1, malformed(rng))
             except GeortError:
                 pass
-        assert bench.step() == []
+        assert bench.watch.broken(*bench.step()) == []
         bench.station.commands.clear()
     assert bench.station.refused + bench.station.received <= told
     assert bench.station.refused > 0.5 * told
@@ -344,13 +314,5 @@ def test_ten_thousand_malformed_messages_harm_nothing():
     for i in range(100):
         if i % 2 == 0:
             bench.station.take(1, headset(10 + i // 2, t - 2.0 + 0.01 * i))
-        assert bench.step() == []
+        assert bench.watch.broken(*bench.step()) == []
     assert bench.state() == TRACKING
-
-
-@given(st.text() | st.binary())
-def test_no_text_is_more_than_refused(text):
-    try:
-        decode(text)
-    except LiveError:
-        pass

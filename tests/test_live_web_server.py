@@ -304,7 +304,7 @@ def test_a_real_robots_bodies_are_where_its_joints_say():
 
 @pytest.mark.slow
 def test_a_session_is_engaged_recorded_and_reset_from_the_page(tmp_path):
-    """The command, driven by a page that sends a headset's joints."""
+    """The command, driven by a page that sends a headset's joints; it leaves the session in three formats."""
     checkpoint(tmp_path)
     with subprocess.Popen(
         [sys.executable, "-m", "geort_drake", "live", "--no-open", "--port", "0", "--json",
@@ -316,7 +316,7 @@ def test_a_session_is_engaged_recorded_and_reset_from_the_page(tmp_path):
             address, key = re.search(r"(http://\S+)/#(\S+)", line).groups()
             scenes = asyncio.run(_drive(f"{address}/ws?key={key}"))
             program.send_signal(signal.SIGINT)
-            out, log = program.communicate(timeout=PATIENCE_S)
+            out, log = program.communicate(timeout=3 * PATIENCE_S)
         finally:
             program.kill()
     assert program.returncode == 0, log
@@ -324,6 +324,11 @@ def test_a_session_is_engaged_recorded_and_reset_from_the_page(tmp_path):
     report = json.loads(out)
     assert report["states"]["tracking"] > 0.5 and report["glove"]["received"] > 50
     (file,) = (tmp_path / "runs" / "live").glob("*.npz")
+    folder = file.with_suffix("")
+    results = json.loads((folder / "results.json").read_text())
+    assert (results["trials"][0]["object"], results["trials"][0]["seed"]) == ("cylinder", 0)
+    assert results["session"]["consent"] and (folder / "cylinder-0.rrd").stat().st_size > 10_000
+    assert json.loads((folder / "lerobot/meta/info.json").read_text())["total_episodes"] == 1
     recording = Recording.load(file)
     assert recording.valid.sum() > 50
     facts = recording.metadata
@@ -332,7 +337,7 @@ def test_a_session_is_engaged_recorded_and_reset_from_the_page(tmp_path):
 
 
 async def _drive(address: str) -> set[int]:
-    """Engages, records until the robot follows for a while, and resets with another object."""
+    """Engages, records until the robot follows for a while, and resets with another task."""
     scenes: set[int] = set()
     state: dict = {}
 
@@ -362,8 +367,8 @@ async def _drive(address: str) -> set[int]:
 
         await send_until(lambda: state.get("recording"), {"type": "engage"}, {"type": "record", "keep": True})
         await send_until(lambda: state["following"] and state["time"] > 2.0)
-        await send_until(lambda: state["scene"] == 2, {"type": "stop"}, {"type": "reset", "object": "sphere"})
-        assert state["object"] == "sphere"
+        await send_until(lambda: state["scene"] == 2, {"type": "stop"}, {"type": "reset", "task": "keys"})
+        assert (state["task"], state["object"], state["outcome"]["phase"]) == ("keys", "keys", "none")
         assert not state["engaged"] and state["recording"] is None
         reader.cancel()
     return scenes

@@ -9,7 +9,7 @@ from geort_drake.errors import LiveError
 
 
 class SessionExports:
-    """Exports sessions one after the other, in processes of the lowest priority.
+    """Exports sessions one after the other, in processes of low priority.
 
     A replay takes longer than the pause between two sessions, and must not slow down the page's loop.
     """
@@ -38,7 +38,7 @@ class SessionExports:
             self._run("export", session, folder / "hand.rrd", "--format", "rrd")
 
     def _run(self, *words: str | Path) -> None:
-        command = ["nice", "-n", "19", sys.executable, "-m", "geort_drake", *map(str, words), "--quiet"]
+        command = ["nice", "-n", "10", sys.executable, "-m", "geort_drake", *map(str, words), "--quiet"]
         with self._one:
             # In a process group of its own, so that Ctrl-C does not end it.
             done = subprocess.run(
