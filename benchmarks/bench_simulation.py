@@ -36,7 +36,7 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.retargeter import load_retargeter
-from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
+from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.scenario import Scenario, load_scenario
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.trial import run_trial
@@ -85,7 +85,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 class Trial:
     """A trial that is advanced by turns."""
 
-    def __init__(self, parts: GraspDiagram):
+    def __init__(self, parts: TrialDiagram):
         self.parts = parts
         self.simulator = Simulator(parts.diagram)
         parts.initialize(self.simulator.get_mutable_context())
@@ -121,7 +121,7 @@ class Maker:
         self, step: float = 0.002, rerun_path: Path | None = None, session: Recording | None = None
     ) -> Trial:
         human = session or self._human
-        return Trial(make_grasp_diagram(_scenario(self._object, step), self._retarget, human, rerun_path))
+        return Trial(make_trial_diagram(_scenario(self._object, step), self._retarget, human, rerun_path))
 
     def session(self) -> Recording:
         """What the person's hand does in the trial."""

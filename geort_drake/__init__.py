@@ -24,7 +24,7 @@ Rerun:
     HandSpec, PointsSpec, ContactSpec, CameraSpec, CloseUpSpec: hands, points, contacts and views to record.
 Simulation:
     load_scenario: loads a grasp scenario from YAML.
-    make_grasp_diagram: builds a scenario's diagram.
+    make_trial_diagram: builds a scenario's diagram.
     run_trial: simulates one grasp and judges it.
 
 Each name is imported when it is first used, so importing the package takes no time.
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from geort_drake.rerun import add_rerun_recorder as add_rerun_recorder
     from geort_drake.retargeting.retargeter import Retargeter as Retargeter
     from geort_drake.retargeting.retargeter import load_retargeter as load_retargeter
-    from geort_drake.simulation.diagram import make_grasp_diagram as make_grasp_diagram
+    from geort_drake.simulation.diagram import make_trial_diagram as make_trial_diagram
     from geort_drake.simulation.scenario import load_scenario as load_scenario
     from geort_drake.simulation.trial import run_trial as run_trial
     from geort_drake.systems.action_correction import ActionCorrection as ActionCorrection
@@ -84,7 +84,7 @@ _MODULES = {
     "load_hand": "hands.description",
     "load_retargeter": "retargeting.retargeter",
     "load_scenario": "simulation.scenario",
-    "make_grasp_diagram": "simulation.diagram",
+    "make_trial_diagram": "simulation.diagram",
     "read_recording": "people.readers",
     "refit_checkpoint": "comparison.refit",
     "run_trial": "simulation.trial",

@@ -26,7 +26,7 @@ from geort_drake.errors import GeortError
 from geort_drake.files import write_text
 from geort_drake.hands.description import load_hand
 from geort_drake.people.human_hand import HumanHand
-from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
+from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
@@ -85,7 +85,7 @@ def draw_scenario(scenario: Scenario) -> str:
     return svg
 
 
-def build(scenario: Scenario, rerun_path: Path) -> GraspDiagram:
+def build(scenario: Scenario, rerun_path: Path) -> TrialDiagram:
     """The scenario's diagram with a stand-in retargeter and goal, which do not change the picture."""
     description = load_hand(scenario.hand)
     fingers = len(description.fingers)
@@ -104,7 +104,7 @@ def build(scenario: Scenario, rerun_path: Path) -> GraspDiagram:
         n_OF=np.zeros((fingers, 3)),
         yaw_symmetry=0.0,
     )
-    return make_grasp_diagram(scenario, hold, (HumanHand.anatomical(), goal), rerun_path)
+    return make_trial_diagram(scenario, hold, (HumanHand.anatomical(), goal), rerun_path)
 
 
 # -- from the diagram to what is drawn

@@ -245,12 +245,12 @@ def trials(counts: dict, seed: int, folder: Path, report: Report) -> dict:
     from faults.physics import watched
     from grasp_setup import centred_map, human_with, scenario_with
 
-    from geort_drake.simulation.diagram import make_grasp_diagram
+    from geort_drake.simulation.diagram import make_trial_diagram
 
     seen, failures = {}, []
     for number, name in enumerate(("cylinder", "sphere", "cube")[: counts["trials"]]):
         human = human_with(name)
-        result = watched(make_grasp_diagram(scenario_with(name), centred_map(), human), 12.0)
+        result = watched(make_trial_diagram(scenario_with(name), centred_map(), human), 12.0)
         seen[name] = result.__dict__
         failures += [f"{name}: {result}"] if result.violations or not result.contacts else []
         report(number + 1, counts["trials"])

@@ -13,7 +13,7 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.methods.affine_ik import AffineIK
-from geort_drake.simulation.diagram import GraspDiagram
+from geort_drake.simulation.diagram import TrialDiagram
 from geort_drake.simulation.operators.finger_motion import FingerMotion
 from geort_drake.simulation.scenario import Scenario, load_scenario
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
@@ -112,7 +112,7 @@ def resting_glove(duration: float, **metadata) -> Recording:
     )
 
 
-def started(parts: GraspDiagram) -> Simulator:
+def started(parts: TrialDiagram) -> Simulator:
     """A simulator at the beginning of a trial."""
     simulator = Simulator(parts.diagram)
     parts.initialize(simulator.get_mutable_context())

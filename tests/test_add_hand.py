@@ -26,7 +26,7 @@ from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.retargeting.training.collision_geometry import CollisionGaps
-from geort_drake.simulation.diagram import make_grasp_diagram
+from geort_drake.simulation.diagram import make_trial_diagram
 from geort_drake.simulation.scenario import load_scenario
 
 # The family: every number of fingers, format and kind of oddity, each with some of the others.
@@ -274,7 +274,7 @@ def test_on_the_arm_only_listed_joints_are_commanded(kind, tmp_path):
     hand = HandModel(load_hand(tmp_path / "mine.yaml"))
     retarget = Constant(hand, 0.5 * (hand.lower + hand.upper))
     scenario = load_scenario(hand=str(tmp_path / "mine.yaml"))
-    parts = make_grasp_diagram(scenario, retarget, resting_glove(0.4))
+    parts = make_trial_diagram(scenario, retarget, resting_glove(0.4))
     simulator = started(parts)
     simulator.AdvanceTo(0.4)
     context = parts.plant.GetMyContextFromRoot(simulator.get_context())

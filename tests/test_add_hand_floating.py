@@ -10,7 +10,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from geort_drake.cli import run_command
 from geort_drake.errors import ScenarioError
 from geort_drake.people.play import synthesize_play
-from geort_drake.simulation.diagram import make_grasp_diagram
+from geort_drake.simulation.diagram import make_trial_diagram
 from geort_drake.simulation.scenario import load_scenario
 from geort_drake.simulation.world import HAND
 from geort_drake.systems.port_values import pose_to_vector
@@ -23,7 +23,7 @@ def moved(name: str) -> tuple[RigidTransform, RigidTransform, float]:
     wrist = [RigidTransform(RollPitchYaw(0, 0, 0.3 * s), [0, 0.05 * s, 0.05 * s]) for s in part]
     glove = dc.replace(glove, X_WH=np.array([pose_to_vector(X) for X in wrist]))
     middle = Constant(q=0.5 * (allegro().lower + allegro().upper))
-    parts = make_grasp_diagram(load_scenario(name=name), middle, glove)
+    parts = make_trial_diagram(load_scenario(name=name), middle, glove)
     simulator = started(parts)
     hand = parts.plant.GetModelInstanceByName(HAND)
     base = parts.plant.GetFrameByName("base_link", hand)

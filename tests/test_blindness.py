@@ -14,7 +14,7 @@ from pydrake.systems.primitives import DiscreteTimeDelay
 
 from geort_drake.hands.description import load_hand
 from geort_drake.simulation import operators
-from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
+from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.scenario import load_scenario
 from geort_drake.simulation.tasks import find_task
@@ -60,12 +60,12 @@ def test_goals_tell_places_and_no_postures():
 
 
 @cache
-def diagram_of(task: str, hand: str) -> GraspDiagram:
+def diagram_of(task: str, hand: str) -> TrialDiagram:
     if task == "grasp":
-        return make_grasp_diagram(scenario_with(text=f"{{hand: {hand}}}"), centred_map(), human_with())
+        return make_trial_diagram(scenario_with(text=f"{{hand: {hand}}}"), centred_map(), human_with())
     scenario = load_scenario(*find_task(task).scenario, hand=hand)
     goal = find_task(task).plans(scenario, load_hand(hand))[0]
-    return make_grasp_diagram(scenario, centred_map(), (person_who_plays(), goal))
+    return make_trial_diagram(scenario, centred_map(), (person_who_plays(), goal))
 
 
 @pytest.mark.parametrize("hand", ["allegro_right", "allegro_left"])

@@ -11,7 +11,7 @@ from pydrake.systems.framework import LeafSystem
 
 from geort_drake.errors import HandError
 from geort_drake.people.recording import Recording
-from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
+from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.world import HAND
 from geort_drake.systems.self_collision_guard import SelfCollisionGuard
 
@@ -29,10 +29,10 @@ def glove(p_W_moved=(0.0, 0.0, 0.0), spread: float = 0.0, duration: float = 3.0)
 
 
 @cache
-def whole_diagram() -> GraspDiagram:
+def whole_diagram() -> TrialDiagram:
     """The diagram with the simulated operator."""
     human = human_with()
-    return make_grasp_diagram(scenario_with("cylinder"), centred_map(), human)
+    return make_trial_diagram(scenario_with("cylinder"), centred_map(), human)
 
 
 # -- what moves
@@ -42,7 +42,7 @@ def test_the_hand_follows_the_glove():
     """The fingers get to their targets, and the hand base moves as the wrist does, without a turn."""
     shift = (0.05, -0.03, 0.0)
     recording = glove(shift, spread=0.05)
-    parts = make_grasp_diagram(scenario_with("cylinder"), centred_map(), recording)
+    parts = make_trial_diagram(scenario_with("cylinder"), centred_map(), recording)
     simulator = started(parts)
     root, plant = simulator.get_context(), parts.plant
     context = plant.GetMyContextFromRoot(root)
@@ -70,7 +70,7 @@ def test_the_hand_follows_the_glove():
 def test_the_retargeting_has_the_scenarios_latency_and_speed():
     """The latency is rounded up to plant steps; no joint is sent further than speed times time."""
     scenario = scenario_with("cylinder", "{retargeting: {latency: 0.0131, max_joint_speed: 0.5}}")
-    parts = make_grasp_diagram(scenario, centred_map(), glove(spread=0.05))
+    parts = make_trial_diagram(scenario, centred_map(), glove(spread=0.05))
     simulator = started(parts)
     context = parts.retargeting.GetMyContextFromRoot(simulator.get_context())
     port = parts.retargeting.GetOutputPort("desired_state")
@@ -94,7 +94,7 @@ def own_leaf_systems() -> list[LeafSystem]:
             todo += system.GetSystems()
         if type(system).__module__.startswith(OWN_PACKAGE):
             seen.append(system)
-    replay = make_grasp_diagram(scenario_with("cylinder"), centred_map(), glove())
+    replay = make_trial_diagram(scenario_with("cylinder"), centred_map(), glove())
     return [*seen, replay.diagram.GetSubsystemByName("glove_replay")]
 
 
@@ -124,7 +124,7 @@ def test_the_diagram_is_closed_and_nothing_runs_through_it_unsampled():
 def test_the_scenarios_correction_has_the_last_word_on_the_hand():
     """Its output is what the plant's hand is asked for."""
     scenario = scenario_with("cylinder", "{correction: {kind: guard}}")
-    parts = make_grasp_diagram(scenario, centred_map(), glove())
+    parts = make_trial_diagram(scenario, centred_map(), glove())
     wanted = parts.plant.get_desired_state_input_port(parts.plant.GetModelInstanceByName(HAND))
     (source,) = [
         system
@@ -139,4 +139,4 @@ def test_a_retargeter_for_another_hand_is_refused():
     retarget = centred_map()
     retarget.joint_names = [f"finger_{name}" for name in retarget.joint_names]
     with pytest.raises(HandError, match=r"finger_joint_0.*the plant's hand has joint_0"):
-        make_grasp_diagram(scenario_with("cylinder"), retarget, glove())
+        make_trial_diagram(scenario_with("cylinder"), retarget, glove())

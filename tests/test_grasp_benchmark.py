@@ -15,7 +15,7 @@ from geort_drake.benchmark.records import TrialKey, TrialLog, key_of, read_recor
 from geort_drake.cli import run_command
 from geort_drake.comparison.retargeters import names_of
 from geort_drake.errors import BenchmarkError, UnknownNameError, UsageError
-from geort_drake.simulation.diagram import make_grasp_diagram
+from geort_drake.simulation.diagram import make_trial_diagram
 from geort_drake.simulation.scenario import load_scenario
 from geort_drake.simulation.trial import run_trial
 
@@ -269,7 +269,7 @@ def test_seeds_are_paired_across_methods(tmp_path, play):
     for key in keys[:3]:
         scenario = load_scenario(text=f"{{timeout: 0.4, random_seed: {key.seed}}}")
         retarget, _ = made.methods[key.method]
-        drawn = make_grasp_diagram(scenario, retarget, human).stage.scene.placement
+        drawn = make_trial_diagram(scenario, retarget, human).stage.scene.placement
         glove = run_trial(scenario, retarget, human)[1]
         # The person first decides at the sample after the visual delay, and sees what the method does with it
         # one sample later. The arm moves without the method.

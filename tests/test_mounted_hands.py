@@ -15,7 +15,7 @@ from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import mirrored
-from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
+from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.free_play import keep_attainable, seen_fingertips
 from geort_drake.simulation.object_shape import object_shape
 from geort_drake.simulation.scenario import load_scenario
@@ -72,10 +72,10 @@ def test_a_left_hands_contacts_are_mirrored(grip, name):
         np.testing.assert_allclose(left.n_O, mirrored(right.n_O), atol=1e-12)
 
 
-def simulate(hand: str, goal: GraspGoal, person: HumanHand, seconds: float) -> tuple[GraspDiagram, Context]:
+def simulate(hand: str, goal: GraspGoal, person: HumanHand, seconds: float) -> tuple[TrialDiagram, Context]:
     still = "position_range: 0, yaw_range: 0, mass_range: 0"
     scenario = load_scenario(text=f"{{hand: {hand}, object: {{{still}}}}}")
-    parts = make_grasp_diagram(scenario, copy.copy(centred_map()), (person, goal))
+    parts = make_trial_diagram(scenario, copy.copy(centred_map()), (person, goal))
     simulator = started(parts)
     simulator.AdvanceTo(seconds)
     return parts, simulator.get_context()

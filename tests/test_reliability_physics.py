@@ -7,12 +7,12 @@ import numpy as np
 from faults.physics import ENERGY, watched
 from grasp_setup import centred_map, human_with, scenario_with
 
-from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
+from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 
 
-def grasp() -> GraspDiagram:
+def grasp() -> TrialDiagram:
     human = human_with()
-    return make_grasp_diagram(scenario_with("cylinder"), centred_map(), human)
+    return make_trial_diagram(scenario_with("cylinder"), centred_map(), human)
 
 
 class Idle:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 @dc.dataclass(frozen=True)
-class GraspDiagram:
+class TrialDiagram:
     """The diagram of a trial, and its parts with results."""
 
     diagram: Diagram
@@ -63,13 +63,13 @@ class GraspDiagram:
             self.stage.scene.lock_arm(root)
 
 
-def make_grasp_diagram(
+def make_trial_diagram(
     scenario: Scenario,
     retarget: Retarget,
     human: tuple[HumanHand, Any] | Recording,
     rerun_path: str | os.PathLike | None = None,
     properties: Mapping[str, str | int | float | bool] | None = None,
-) -> GraspDiagram:
+) -> TrialDiagram:
     """Builds the diagram: glove → retargeting → hand, wrist → arm, and the plant.
 
     Args:
@@ -177,7 +177,7 @@ def make_grasp_diagram(
 
     diagram = builder.Build()
     diagram.set_name(task.name)
-    return GraspDiagram(
+    return TrialDiagram(
         diagram=diagram,
         plant=plant,
         description=description,

@@ -11,7 +11,7 @@ from pydrake.systems.framework import Context
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.method import Retarget
-from geort_drake.simulation.diagram import GraspDiagram, make_grasp_diagram
+from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Outcome, TrialResult
 from geort_drake.simulation.tasks import find_task
@@ -31,7 +31,7 @@ def run_trial(
     """Simulates one trial until it succeeds, fails or times out.
 
     Args:
-        scenario, retarget, human, rerun_path, properties: as for `make_grasp_diagram`.
+        scenario, retarget, human, rerun_path, properties: as for `make_trial_diagram`.
         report: called with the simulated time, s, every 0.25 simulated s.
 
     Returns:
@@ -42,7 +42,7 @@ def run_trial(
     if callable(reset := getattr(retarget, "reset", None)):
         reset()
     properties = {**(properties or {}), "seed": scenario.random_seed}
-    parts = make_grasp_diagram(scenario, retarget, human, rerun_path, properties)
+    parts = make_trial_diagram(scenario, retarget, human, rerun_path, properties)
     simulator = Simulator(parts.diagram)
     root = simulator.get_mutable_context()
     parts.initialize(root)
@@ -71,7 +71,7 @@ def run_trial(
 
 
 def _result(
-    scenario: Scenario, parts: GraspDiagram, outcome: Outcome, root: Context, wall_time: float
+    scenario: Scenario, parts: TrialDiagram, outcome: Outcome, root: Context, wall_time: float
 ) -> TrialResult:
     task = find_task(scenario.task)
     attempts = operator_phase = None

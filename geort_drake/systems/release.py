@@ -6,8 +6,8 @@ from pydrake.systems.framework import Diagram, System
 def release(diagram: Diagram) -> None:
     """Deletes the attributes of the diagram's Python systems. The diagram cannot be used afterwards.
 
-    pydrake never frees systems written in Python (drake#24162), nor what they refer to: a grasp diagram leaks
-    11 MB, a released one 0.3 MB (Drake 1.51).
+    pydrake never frees systems written in Python (drake#24162), nor what they refer to. The diagram of a
+    trial leaks 11 MB, or 0.3 MB once released (Drake 1.51).
     """
     systems: list[System] = [diagram]
     while systems:

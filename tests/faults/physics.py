@@ -6,7 +6,7 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import EventStatus
 
-from geort_drake.simulation.diagram import GraspDiagram
+from geort_drake.simulation.diagram import TrialDiagram
 
 PENETRATION = 3e-3  # m
 # J: what compliant contacts and joint stops store and give back, and what a step of 2 ms rounds off.
@@ -34,7 +34,7 @@ class Invariants:
     violations: int = 0
 
 
-def watched(parts: GraspDiagram, duration: float) -> Invariants:
+def watched(parts: TrialDiagram, duration: float) -> Invariants:
     """Simulates a trial for `duration` seconds, or until it is judged, and checks every step of the plant.
 
     Only motors add energy, so the energy of all bodies may not rise by more than the motors' work. Because of
