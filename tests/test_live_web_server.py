@@ -320,24 +320,25 @@ def test_a_session_is_engaged_recorded_and_reset_from_the_page(tmp_path):
         finally:
             program.kill()
     assert program.returncode == 0, log
-    assert scenes == {1, 2}
+    assert scenes == {1, 2, 3}
     report = json.loads(out)
     assert report["states"]["tracking"] > 0.5 and report["glove"]["received"] > 50
     (file,) = (tmp_path / "runs" / "live").glob("*.npz")
     folder = file.with_suffix("")
     results = json.loads((folder / "results.json").read_text())
-    assert (results["trials"][0]["object"], results["trials"][0]["seed"]) == ("cylinder", 0)
-    assert results["session"]["consent"] and (folder / "cylinder-0.rrd").stat().st_size > 10_000
+    (trial,) = results["trials"]
+    assert (trial["object"], trial["seed"]) == ("sphere", 1)
+    assert results["session"]["consent"] and (folder / "sphere-1.rrd").stat().st_size > 10_000
     assert json.loads((folder / "lerobot/meta/info.json").read_text())["total_episodes"] == 1
     recording = Recording.load(file)
     assert recording.valid.sum() > 50
     facts = recording.metadata
-    assert facts["consent"] and facts["object"] == "cylinder" and facts["device"] == "scripted"
+    assert facts["consent"] and facts["object"] == "sphere" and facts["device"] == "scripted"
     assert facts["outcome"]["phase"] == "reach" and facts["delay"]["count"] > 20
 
 
 async def _drive(address: str) -> set[int]:
-    """Engages, records until the robot follows for a while, and resets with another task."""
+    """Engages, records until the robot follows for a while, and resets with another object and task."""
     scenes: set[int] = set()
     state: dict = {}
 
@@ -365,9 +366,11 @@ async def _drive(address: str) -> set[int]:
                     commands = commands[1:]
                 await asyncio.sleep(1 / 60)
 
+        await send_until(lambda: state.get("scene") == 1)
+        await send_until(lambda: state["scene"] == 2, {"type": "reset", "object": "sphere"})
         await send_until(lambda: state.get("recording"), {"type": "engage"}, {"type": "record", "keep": True})
         await send_until(lambda: state["following"] and state["time"] > 2.0)
-        await send_until(lambda: state["scene"] == 2, {"type": "stop"}, {"type": "reset", "task": "keys"})
+        await send_until(lambda: state["scene"] == 3, {"type": "stop"}, {"type": "reset", "task": "keys"})
         assert (state["task"], state["object"], state["outcome"]["phase"]) == ("keys", "keys", "none")
         assert not state["engaged"] and state["recording"] is None
         reader.cancel()

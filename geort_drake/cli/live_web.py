@@ -86,8 +86,10 @@ def run_web(
     print_summary(summary)
     if control.recordings:
         last = control.recordings[-1]
-        watch = view(last.with_suffix(""), "/*.rrd")
-        finish({"Recording": last, "LeRobot dataset": last.with_suffix("") / "lerobot"}, watch)
+        results, dataset = {"Recording": last}, last.with_suffix("") / "lerobot"
+        if dataset.is_dir():
+            results["LeRobot dataset"] = dataset
+        finish(results, view(last.with_suffix(""), "/*.rrd"))
     write_json(arguments.json, summary)
     return 0
 
