@@ -1,6 +1,6 @@
 """Figures of a map for everyone on people it never saw: from one second, and from thirty seconds of them.
 
-python studies/universal_map.py models/maps/allegro_right.safetensors --people 12 \
+python studies/universal_map.py models/maps/allegro_right.safetensors --people 40 \
     --recordings alex.npy manus.npz
 
 The people are those of the population after the ones of the training. Each code is taken from the start of a
@@ -48,7 +48,9 @@ def people_of(
     arguments: argparse.Namespace, first: int, seed: int, side: str
 ) -> Iterator[tuple[str, Recording]]:
     for number in range(first, first + arguments.people):
-        yield f"person {number}", sample_person(seed, number).record(arguments.duration, side=side)
+        person = sample_person(seed, number)
+        name = f"person {number}{', camera' if person.device.is_camera else ''}"
+        yield name, person.record(arguments.duration, side=side)
     for path in arguments.recordings:
         yield path.stem, read_recording(path, side)
 
@@ -78,6 +80,9 @@ def main(argv: Sequence[str] | None = None) -> None:
         shown = dict(people)
         if len(drawn):
             shown["people, mean"] = np.nanmean(drawn, axis=0).tolist()
+            seen_by_cameras = [row for name, row in people.items() if name.endswith("camera")]
+            if seen_by_cameras:
+                shown["cameras, mean"] = np.nanmean(seen_by_cameras, axis=0).tolist()
             worst = [
                 (np.nanmin if best is max else np.nanmax)(column)
                 for best, column in zip(BEST, drawn.T, strict=True)
