@@ -218,7 +218,7 @@ def analyse(
 
     Args:
         cells: task and kind → scores and times, see `tables`; rows as in `maps`.
-        maps: name → `levels` of designed ones, `figures` and `latency`.
+        maps: name → `levels` of designed ones, `figures`, None where not measured yet, and `latency`.
 
     Returns:
         `cells`: "task kind" → `trials`, `maps`, `reliability` of score and time, `halves`, the median R² on
@@ -228,7 +228,9 @@ def analyse(
     """
     designed = np.array([each.get("levels") is not None for each in maps.values()])
     levels = np.array([each["levels"] for each in maps.values() if each.get("levels") is not None], float)
-    X = np.array([[criterion.value(each) for criterion in CRITERIA] for each in maps.values()])
+    X = np.array(
+        [[c.value(each) if each["figures"] else math.nan for c in CRITERIA] for each in maps.values()]
+    )
     X = (X - np.nanmean(X, axis=0)) / np.nanstd(X, axis=0)
     result: dict[str, Any] = {"cells": {}, "verdicts": {}}
     answers: dict[str, dict[str, dict[str, str]]] = {criterion.label: {} for criterion in CRITERIA}
@@ -265,7 +267,8 @@ def analyse(
             "criteria": criteria,
         }
     result["verdicts"] = {label: verdict(given) for label, given in answers.items()}
-    correlated = np.abs(np.corrcoef(X[designed], rowvar=False)) - np.eye(len(CRITERIA))
+    measured = X[designed & ~np.isnan(X).any(axis=1)]
+    correlated = np.abs(np.corrcoef(measured, rowvar=False)) - np.eye(len(CRITERIA))
     result["largest_correlation"] = float(correlated.max())
     return result
 

@@ -128,6 +128,7 @@ def run(arguments: argparse.Namespace) -> None:
     with contextlib.ExitStack() as stack:
         places = []
         for task in map(find_task, arguments.tasks):
+            goals: dict[str, list] | None = None  # the same for all kinds of people
             for kind in sorted(task.kinds, key=lambda kind: kind != SERVO):
                 scenario = load_scenario(*task.scenario, hand=arguments.hand)
                 scenario.kind = kind
@@ -141,11 +142,13 @@ def run(arguments: argparse.Namespace) -> None:
                     made=made,
                 )
                 latencies |= {name: latency for name, (_, latency) in benchmark.methods.items()}
-                goals = dict(plan_cases(benchmark.scenario_text, cases, arguments.jobs, "loky"))
-                refused = {name: reason for name, reason in goals.items() if isinstance(reason, str)}
+                if goals is None:
+                    found = dict(plan_cases(benchmark.scenario_text, cases, arguments.jobs, "loky"))
+                    refused = {name: each for name, each in found.items() if isinstance(each, str)}
+                    goals = {name: each for name, each in found.items() if not isinstance(each, str)}
                 note_refused(benchmark, refused)
-                goals = {name: goal for name, goal in goals.items() if name not in refused}
                 places.append(Place(log, benchmark, goals, list(maps) if kind == SERVO else balanced))
+        note(arguments.output / MAPS, maps, places[0].benchmark)
         queue = order(places, arguments.trials)
         say(f"{len(queue)} trials are unfinished")
         in_time = (each for each in queue if time.monotonic() - started < arguments.budget)
@@ -160,7 +163,7 @@ def run(arguments: argparse.Namespace) -> None:
         for number, record in enumerate(track("simulating", records, len(queue), outcome_line)):
             place = handed[number][0]
             place.log.append(keep_error(place.log.path.parent, record))
-        measure(arguments.output / MAPS, maps, places[0].benchmark, recording)
+        measure(arguments.output / MAPS, places[0].benchmark, recording)
 
 
 def order(places: Sequence[Place], trials: int) -> list[tuple[Place, TrialKey]]:
@@ -179,18 +182,26 @@ def order(places: Sequence[Place], trials: int) -> list[tuple[Place, TrialKey]]:
     return [each for rank in sorted(by_map) for each in by_map[rank]]
 
 
-def measure(path: Path, maps: dict[str, dict], benchmark: Benchmark, recording: Recording) -> None:
-    """Writes the open-loop figures of maps that are not in the file yet."""
+def note(path: Path, maps: Mapping[str, dict], benchmark: Benchmark) -> None:
+    """Writes what is known of the maps; open-loop figures of the same maps are kept."""
     known = json.loads(path.read_text()) if path.exists() else {}
-    space = robot_space(benchmark.hand)
     for name, each in maps.items():
         digest = benchmark.config["methods"][name]["weights_sha256"]
-        if known.get(name, {"digest": ""})["digest"] == digest:
-            continue
-        retarget, latency = benchmark.methods[name]
-        figures = open_loop(retarget, benchmark.hand, recording, space)
-        known[name] = {"digest": digest, "levels": each.get("levels"), "latency": latency, "figures": figures}
-        write_text(path, json.dumps(known, indent=1) + "\n")
+        if known.get(name, {"digest": ""})["digest"] != digest:
+            latency = benchmark.methods[name][1]
+            known[name] = {
+                "digest": digest, "levels": each.get("levels"), "latency": latency, "figures": None
+            }  # fmt: skip
+    write_text(path, json.dumps(known, indent=1) + "\n")
+
+
+def measure(path: Path, benchmark: Benchmark, recording: Recording) -> None:
+    """Adds the open-loop figures of maps that have none yet."""
+    known, space = json.loads(path.read_text()), robot_space(benchmark.hand)
+    for name, each in known.items():
+        if each["figures"] is None:
+            each["figures"] = open_loop(benchmark.methods[name][0], benchmark.hand, recording, space)
+            write_text(path, json.dumps(known, indent=1) + "\n")
 
 
 def draw(result: Mapping[str, Any], path: Path) -> None:

@@ -169,6 +169,7 @@ def test_the_analysis_of_synthetic_trials_finds_what_was_put_in(rng):
             "figures": figures,
             "latency": 0.016 + 0.014 * spoilt["latency"],
         }
+    maps["59"]["figures"] = None  # not measured yet
     cells = {}
     for task in ("keys", "grasp"):
         for kind in ("servo", "mimicry", "adaptive"):
@@ -182,7 +183,7 @@ def test_the_analysis_of_synthetic_trials_finds_what_was_put_in(rng):
     assert found["gain"] == found["latency"] == "unsupported"
     assert result["largest_correlation"] < 0.1
     cell = result["cells"]["keys servo"]
-    assert cell["trials"] == 60 * 8 - 20
+    assert cell["trials"] == 60 * 8 - 20 and cell["maps"] == 59
     assert cell["reliability"]["score"] > 0.9 and cell["halves"] > 0.8 and cell["others"] > 0.8
     share = {label: each["dominance"] for label, each in cell["criteria"].items()}
     assert sorted(share, key=share.get)[-2:] != ["coverage at 10 mm", "latency, s"]
