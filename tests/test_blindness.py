@@ -20,11 +20,12 @@ from geort_drake.simulation.scenario import load_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.keys.goal import KeysGoal
+from geort_drake.simulation.tasks.trigger.goal import TriggerGoal
 
 # What the person's modules may run through besides each other, directly or not.
 HARMLESS = {
     *("errors", "files", "settings", "people.human_hand", "people.keypoints", "people.recording"),
-    *("simulation.tasks.grasp.goal", "simulation.tasks.keys.goal"),
+    *("simulation.tasks.grasp.goal",),
     *("simulation.wrist_motion", "systems.port_values"),
 }
 DRAKE = {"pydrake.math", "pydrake.common.value", "pydrake.common.eigen_geometry", "pydrake.systems.framework"}
@@ -54,8 +55,8 @@ def test_no_module_of_the_person_runs_through_a_robot_or_a_map():
 
 def test_goals_tell_places_and_no_postures():
     """Nor the map; free play tells what could be seen then."""
-    told = {field.name for goal in (GraspGoal, KeysGoal) for field in dc.fields(goal)}
-    assert not told & {"q", "q_open", "q_pressed", "joint_names", "retarget"}
+    told = {field.name for goal in (GraspGoal, KeysGoal, TriggerGoal) for field in dc.fields(goal)}
+    assert not told & {"q", "q_open", "q_pressed", "q_held", "joint_names", "retarget"}
     assert set(FreePlay._fields) == {"p_HF", "p_BF", "period"}
 
 
@@ -74,6 +75,7 @@ def diagram_of(task: str, hand: str) -> TrialDiagram:
     [
         ("grasp", {"fingertips", "hand_pose", "object_pose"}, {"contact"}, "grasp_monitor"),
         ("keys", {"fingertips", "hand_pose"}, {"travel", "cue"}, "keys_monitor"),
+        ("trigger", {"fingertips", "hand_pose"}, {"travel", "cue", "contact"}, "trigger_monitor"),
     ],
 )
 def test_the_persons_ports_lead_through_delays_to_what_can_be_seen_and_felt(

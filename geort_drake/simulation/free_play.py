@@ -3,6 +3,7 @@
 import dataclasses as dc
 import math
 from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from geort_drake.retargeting.universal import UniversalRetargeter
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
+Goal = TypeVar("Goal")
 DURATION, RATE = 30.0, 30.0  # s, frames per second
 
 
@@ -63,3 +65,23 @@ def keep_attainable(plans: Sequence[GraspGoal], p_BF: np.ndarray) -> tuple[Grasp
     kept = min(plans, key=excess)
     attainable = excess(kept) == 0.0
     return kept if attainable else dc.replace(kept, clearance=np.inf), attainable
+
+
+def keep_reached(
+    plans: Sequence[Goal], play: FreePlay, places: Callable[[Goal], Sequence[np.ndarray]]
+) -> tuple[Goal, bool]:
+    """The first plan of which play reached all places within its clearance, or the nearest; with the play.
+
+    Args:
+        places: of fingertips, (F, 3) each, m in B.
+    """
+
+    def excess(goal: Any) -> float:
+        misses = [
+            np.linalg.norm(play.p_BF - place, axis=-1).min(axis=0, initial=np.inf)[goal.touches].max()
+            for place in places(goal)
+        ]
+        return max(0.0, float(max(misses)) - goal.clearance)
+
+    kept: Any = min(plans, key=excess)
+    return dc.replace(kept, play=play), excess(kept) == 0.0

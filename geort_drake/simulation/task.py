@@ -210,3 +210,12 @@ class Task(abc.ABC, Generic[Goal]):
 def finite_or_none(value: float) -> float | None:
     """None for NaN, which JSON lacks."""
     return None if math.isnan(value) else value
+
+
+def require_settings(known: type, settings: Mapping[str, float]) -> None:
+    """Raises ValueError for a setting that the dataclass `known` lacks, or that it refuses."""
+    names = [field.name for field in dc.fields(known)]
+    for name in settings:
+        if name not in names:
+            raise ValueError(f"task_settings has no '{name}'; the settings are: {', '.join(names)}")
+    known(**settings)

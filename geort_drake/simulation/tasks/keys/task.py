@@ -17,15 +17,17 @@ from pydrake.multibody.tree import (
     RigidBody,
     SpatialInertia,
 )
-from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.human_hand import HumanHand
+from geort_drake.simulation.free_play import keep_reached
+from geort_drake.simulation.operators.finger_operator import FingerOperator
 from geort_drake.simulation.operators.intention import ADAPTIVE, MIMICRY
-from geort_drake.simulation.operators.key_operator import KeyOperator
+from geort_drake.simulation.operators.key_presser import KeyPresser
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import SERVO, Shown, Stage, Task, TrialResult
+from geort_drake.simulation.task import SERVO, Shown, Stage, Task, TrialResult, require_settings
 from geort_drake.simulation.tasks.keys.goal import CAP_LENGTH, CAP_WIDTH, KeysGoal
 from geort_drake.simulation.tasks.keys.monitor import KeysMonitor, KeysOutcome, KeysSettings
 from geort_drake.simulation.tasks.keys.planner import TRAVEL, KeysPlanner
@@ -52,17 +54,6 @@ class KeysResult(TrialResult):
     press_time: float | None
 
 
-@dc.dataclass(frozen=True)
-class KeysStage(Stage):
-    """The stage of keys."""
-
-    monitor: KeysMonitor
-
-    def restart(self, root: Context) -> None:
-        """Begins with the first press."""
-        self.monitor.restart(self.monitor.GetMyMutableContextFromRoot(root))
-
-
 class KeysTask(Task[KeysGoal]):
     """Press the cued one of three keys; the others stay still."""
 
@@ -73,29 +64,14 @@ class KeysTask(Task[KeysGoal]):
     scenario = Path(__file__).with_name("scenario.yaml"), "Keys"
 
     def check_settings(self, settings: Mapping[str, float]) -> None:
-        """Raises ValueError for a setting that `KeysSettings` lacks, or a value out of range."""
-        known = [field.name for field in dc.fields(KeysSettings)]
-        for name in settings:
-            if name not in known:
-                raise ValueError(f"task_settings has no '{name}'; the settings are: {', '.join(known)}")
-        KeysSettings(**settings)
+        require_settings(KeysSettings, settings)
 
     def plans(self, scenario: Scenario, description: HandDescription) -> list[KeysGoal]:
         return [plan.goal for plan in KeysPlanner(description).plans()]
 
     def keep(self, plans: Sequence[KeysGoal], play: FreePlay) -> tuple[KeysGoal, bool]:
         """The first plan whose keys the person could reach in free play, or the nearest."""
-
-        def excess(goal: KeysGoal) -> float:
-            """By how much play missed the places above the keys and those on pressed keys, m."""
-            worst = 0.0
-            for place in (goal.p_BF_open, goal.p_BF_pressed):
-                miss = np.linalg.norm(play.p_BF - place, axis=-1).min(axis=0, initial=np.inf)
-                worst = max(worst, float(miss[goal.touches].max()) - goal.clearance)
-            return worst
-
-        kept = min(plans, key=excess)
-        return dc.replace(kept, play=play), excess(kept) == 0.0
+        return keep_reached(plans, play, lambda goal: (goal.p_BF_open, goal.p_BF_pressed))
 
     def add_stage(
         self,
@@ -105,7 +81,7 @@ class KeysTask(Task[KeysGoal]):
         goal: KeysGoal | None,
         X_WB: RigidTransform,
         rng: np.random.Generator,
-    ) -> KeysStage:
+    ) -> Stage:
         goal = goal or self.plans(scenario, description)[0]
         settings = KeysSettings(**scenario.task_settings)
         plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
@@ -142,7 +118,7 @@ class KeysTask(Task[KeysGoal]):
             "cue": Shown(monitor.GetOutputPort("cue")),
         }
         names = [f"key {number + 1}" for number in range(len(caps))]
-        return KeysStage(
+        return Stage(
             scene,
             monitor,
             shown,
@@ -153,7 +129,17 @@ class KeysTask(Task[KeysGoal]):
     def person(
         self, scenario: Scenario, hand: HumanHand, goal: KeysGoal, X_WH_start: RigidTransform, seed: int
     ) -> LeafSystem:
-        return KeyOperator(hand, goal, scenario.kind, scenario.operator, scenario.intention, X_WH_start, seed)
+        return FingerOperator(
+            KeyPresser,
+            hand,
+            goal,
+            scenario.kind,
+            scenario.operator,
+            scenario.intention,
+            X_WH_start,
+            seed,
+            {"travel": len(goal.p_BK), "cue": 1},
+        )
 
     def result_fields(self, outcome: KeysOutcome, description: HandDescription) -> dict[str, Any]:
         settings, presses = outcome.settings, outcome.presses

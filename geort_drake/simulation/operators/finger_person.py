@@ -1,0 +1,248 @@
+"""A person who moves the robot's fingers; the intention is a motion of the own fingers.
+
+The person sees the robot's fingertips and what the task shows, with delay and noise, and moves the own
+fingers. The hand stays where it is. Nothing here knows the retargeting map. Tasks give the reference motion.
+"""
+
+import abc
+import dataclasses as dc
+import enum
+from collections.abc import Mapping
+from typing import Any, ClassVar, Generic, TypeVar
+
+import numpy as np
+from pydrake.math import RigidTransform
+
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.keypoints import FINGER_NAMES
+from geort_drake.simulation.operators.config import OperatorConfig
+from geort_drake.simulation.operators.finger_motion import FingerMotion
+from geort_drake.simulation.operators.finger_state import FingerState
+from geort_drake.simulation.operators.intention import (
+    ADAPTIVE,
+    MIMICRY,
+    SERVO,
+    IntentionConfig,
+    LearnedMotion,
+    learned_in_play,
+    motion_noise,
+)
+from geort_drake.simulation.operators.perception import VisualError
+from geort_drake.simulation.wrist_motion import minimum_jerk
+
+State = TypeVar("State", bound=FingerState)
+
+
+@dc.dataclass(frozen=True)
+class SeenFingers:
+    """The scene as the person sees it."""
+
+    p_BF: np.ndarray  # (F, 3) robot fingertip points in the hand base, m
+    X_WB: RigidTransform
+    told: Mapping[str, np.ndarray]  # name → what the task shows or lets feel
+
+
+class FingerPerson(abc.ABC, Generic[State]):
+    """Decides how a person's fingers move next.
+
+    Attributes:
+        phases: what the person can be doing; the first is the movement to where the task begins.
+        state: type of the memory.
+
+    Args:
+        hand: the person's hand.
+        goal: has `finger_names`, `touches`, `p_BF_open` and `play`, as `KeysGoal`.
+        kind: SERVO, MIMICRY or ADAPTIVE.
+        config, intention: the person's parameters.
+        rng: draws the noise of perception and motion.
+    """
+
+    phases: ClassVar[type[enum.IntEnum]]
+    state: type[State]
+
+    def __init__(
+        self,
+        hand: HumanHand,
+        goal: Any,
+        kind: str,
+        config: OperatorConfig,
+        intention: IntentionConfig,
+        rng: np.random.Generator,
+    ):
+        self._hand, self._goal, self._kind = hand, goal, kind
+        self._config, self._intention, self._rng = config, intention, rng
+        self._motion = FingerMotion(hand)
+        self._own = np.array([FINGER_NAMES.index(name) for name in goal.finger_names])
+        self._used = np.flatnonzero(goal.touches)
+        used = self._own[self._used]
+        # The own fingers beyond the thumb that do nothing follow their neighbour.
+        self._followers = [i for i in range(1, 5) if i not in used]
+        self._rate = config.correction_rate if kind != MIMICRY else intention.mimicry_rate
+
+    @abc.abstractmethod
+    def _advance_phase(self, state: State, t: float, scene: SeenFingers) -> None:
+        """Changes phase, phase_start and finger."""
+
+    @abc.abstractmethod
+    def _reference(self, state: State, t: float, scene: SeenFingers) -> np.ndarray:
+        """Where the robot's fingertips are meant to be now, (F, 3) m in B."""
+
+    @abc.abstractmethod
+    def _watched(self, state: State) -> np.ndarray:
+        """The fingers that are looked at by turns."""
+
+    @abc.abstractmethod
+    def _is_free(self, state: State, scene: SeenFingers, finger: int) -> bool:
+        """Whether a finger is seen to touch nothing, so that its motion tells about the map."""
+
+    @abc.abstractmethod
+    def _own_movement(self, state: State, t: float, change: np.ndarray) -> np.ndarray:
+        """Step (5, 3), m, that is not a correction; `change` (F, 3), m, as for `_move`."""
+
+    def _corrected(self, state: State) -> list[int]:
+        """The fingers whose seen errors are corrected."""
+        return self._used.tolist() if self._kind == SERVO else [state.attended]
+
+    def _error(self, state: State, p_BF: np.ndarray, scene: SeenFingers) -> np.ndarray:
+        """Seen errors of the robot's fingertips, (F, 3) m in B."""
+        # Forward model: since the seen scene, the robot's fingers moved as learned.
+        done = (state.p_HF_past[-1] - state.p_HF_past[0])[self._own]
+        return state.reference - p_BF - (state.learned.J @ done[..., None])[..., 0]
+
+    def start(self, X_WH: RigidTransform) -> State:
+        """The state before the first decision: a relaxed hand at X_WH, its thumb straight and aside."""
+        theta = self._motion.rest
+        theta[:4] = self._hand.upper[0], self._hand.lower[1], 0.0, 0.0
+        theta = np.clip(theta, self._hand.lower, self._hand.upper)
+        p_HF = self._hand.fingertips(theta)
+        steps = round(self._config.visual_delay / self._config.period)
+        p_HF_open, goal, play = p_HF.copy(), self._goal, self._goal.play
+        num_fingers = len(self._own)
+        learned = LearnedMotion.unlearned(num_fingers, self._intention)
+        if play is not None and len(play.p_HF):
+            noise = np.sqrt(0.5) * motion_noise(self._config, np.inf)
+            seen = play.p_BF + self._rng.normal(0, noise, play.p_BF.shape)
+            nearest = np.linalg.norm(seen - goal.p_BF_open, axis=-1).argmin(axis=0)
+            for finger in self._used:
+                p_HF_open[self._own[finger]] = play.p_HF[nearest[finger], finger]
+            for own in self._followers:
+                p_HF_open[own] += p_HF_open[own - 1] - p_HF[own - 1]
+            if self._kind == ADAPTIVE:
+                learned = learned_in_play(
+                    play, p_HF_open[self._own], self._intention, self._config, self._rng
+                )
+        # A minimum-jerk movement peaks at 15/8 of its mean speed.
+        farthest = np.linalg.norm(p_HF_open - p_HF, axis=1)[1:].max()
+        return self.state(
+            theta=theta,
+            X_WH=X_WH,
+            p_HF_past=(p_HF,) * max(steps, 1),
+            sight=VisualError.draw(num_fingers, self._config, self._rng),
+            learned=learned,
+            p_HF_rest=p_HF,
+            p_HF_open=p_HF_open,
+            settle_time=max(
+                self._config.min_movement_time, 1.875 * farthest / self._config.max_fingertip_speed
+            ),
+            phase=self.phases(0),
+            reference=goal.p_BF_open.copy(),
+            attended=int(self._used[0]),
+            looked=np.zeros(num_fingers),
+        )
+
+    def step(self, state: State, t: float, scene: SeenFingers) -> State:
+        """The state after one decision at time t, s; does not change `state`."""
+        past = (*state.p_HF_past[1:], self._hand.fingertips(state.theta))
+        state = dc.replace(state, p_HF_past=past, sight=state.sight.later(self._config, self._rng))
+        p_BF = scene.p_BF + state.sight.p[:-1] @ scene.X_WB.rotation().matrix()
+        if not state.looking:
+            state.looking, state.phase_start = True, t
+        self._advance_phase(state, t, scene)
+        self._attend(state, t)
+        if self._kind == ADAPTIVE:
+            self._compare(state, t, scene, p_BF)
+        before, state.reference = state.reference, self._reference(state, t, scene)
+        self._move(state, t, p_BF, scene, state.reference - before)
+        return state
+
+    def _enter(self, state: State, phase: enum.IntEnum, t: float) -> None:
+        state.phase, state.phase_start = phase, t
+        noise = self._config.motor_noise / np.sqrt(3)
+        state.motor = np.eye(3) + self._rng.normal(0, noise, (3, 3))
+
+    def _attend(self, state: State, t: float) -> None:
+        """Looks at the watched finger that was not looked at for longest."""
+        state.looked = state.looked.copy()
+        state.looked[state.attended] = t
+        if t - state.attended_since < self._intention.attention_time:
+            return
+        watched = self._watched(state)
+        next_finger = int(watched[np.argmin(state.looked[watched])])
+        if next_finger != state.attended:
+            state.attended, state.attended_since, state.compared = next_finger, t, None
+
+    def _compare(self, state: State, t: float, scene: SeenFingers, p_BF: np.ndarray) -> None:
+        """Learns from the motion of the finger that is looked at, while it is free."""
+        config, finger = self._intention, state.attended
+        own, robot = state.p_HF_past[0][self._own[finger]], p_BF[finger]
+        if not self._is_free(state, scene, finger):
+            state.compared = None
+            return
+        elapsed = t - state.compared_at
+        if state.compared is None:
+            state.compared, state.compared_at = (own, robot), t
+        elif elapsed >= config.comparison_time:
+            moved = own - state.compared[0]
+            if np.linalg.norm(moved) > config.least_motion:
+                noise = motion_noise(self._config, elapsed)
+                seen = robot - state.compared[1]
+                state.learned = state.learned.compared(
+                    finger, moved, seen, noise, elapsed, config.jacobian_drift
+                )
+            state.compared, state.compared_at = (own, robot), t
+
+    def _move(self, state: State, t: float, p_BF: np.ndarray, scene: SeenFingers, change: np.ndarray) -> None:
+        """Moves the own fingers; `change` (F, 3), m, is that of the reference since the last decision."""
+        if state.phase == 0:
+            step = self._settling_step(state, t)
+        else:
+            step = self._correction(state, self._error(state, p_BF, scene))
+            step += self._own_movement(state, t, change)
+        for own in self._followers:
+            step[own] = step[own - 1]
+        state.theta = self._motion.follow(state.theta, state.p_HF_past[-1] + step)
+
+    def _correction(self, state: State, error: np.ndarray) -> np.ndarray:
+        """Step (5, 3), m, in proportion to seen errors."""
+        config = self._config
+        velocity = np.zeros((5, 3))
+        for finger in self._corrected(state):
+            velocity[self._own[finger]] = self._rate * state.learned.own_motion(finger, error[finger])
+        speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+        velocity *= np.minimum(1.0, config.max_fingertip_speed / np.maximum(speed, 1e-9))
+        weight = config.period / (config.period + config.muscle_time_constant)
+        state.finger_velocity = state.finger_velocity + weight * (velocity - state.finger_velocity)
+        noise = self._rng.normal(0, config.motor_noise, (5, 1))
+        return config.period * state.finger_velocity * (1 + noise)
+
+    def _intended(self, state: State, finger: int, change: np.ndarray) -> np.ndarray:
+        """Own step (3,), m, that is expected to move a robot fingertip by `change` (3,), m."""
+        return state.motor @ state.learned.own_motion(finger, change)
+
+    def _return(self, state: State, t: float) -> np.ndarray:
+        """Own step (3,), m, of a release to where the press began."""
+        assert state.p_HF_press is not None and state.p_HF_release is not None  # set by the press
+        own = self._own[state.finger]
+        back = state.motor @ (state.p_HF_press - state.p_HF_release)[own]
+        return self._progress(t - state.phase_start, self._intention.press_time) * back
+
+    def _settling_step(self, state: State, t: float) -> np.ndarray:
+        """Step (5, 3), m, of the first movement, from the relaxed hand to where the task begins."""
+        way = state.p_HF_open - state.p_HF_rest
+        step = self._progress(t - state.phase_start, state.settle_time) * way
+        step[0] = 0.0
+        return step
+
+    def _progress(self, since: float, duration: float) -> float:
+        """Share of a minimum-jerk movement that is made in one period, after this time, s."""
+        return minimum_jerk(since / duration) - minimum_jerk((since - self._config.period) / duration)

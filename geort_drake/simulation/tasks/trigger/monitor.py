@@ -1,0 +1,166 @@
+"""Cues pulls of the trigger and judges them: the pad held half way, and the handle still."""
+
+import dataclasses as dc
+import math
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from geort_drake.settings import require_numbers
+from geort_drake.systems.port_values import Immutable, vector_to_pose
+
+PERIOD = 0.01  # s, between two looks
+CUES = ("none", "pull", "release")
+
+
+@dc.dataclass(frozen=True)
+class TriggerSettings:
+    """The pulls, and when one counts."""
+
+    # Number of pulls, each of them followed by a release; and how long the pad must stay down, s.
+    pulls: float = 5
+    hold_time: float = 2.0
+    # Wanted travel of the pad, its tolerance, and what counts as released, m.
+    depth: float = 0.004
+    tolerance: float = 0.001
+    released: float = 0.001
+    # Time until the stand lets go of the handle, and from then until the handle must keep its place, s. It is
+    # lost once it has moved from there by more than these, m and degrees.
+    ready_time: float = 5.0
+    settle_time: float = 1.0
+    handle_shift: float = 0.010
+    handle_turn: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for a value out of range."""
+        require_numbers(self, "task_settings")
+
+
+@dc.dataclass(frozen=True)
+class TriggerOutcome(Immutable):
+    """The pulls so far; times in s, lengths in m."""
+
+    settings: TriggerSettings
+    t: float = 0.0
+    cue: int = 0  # see `CUES`
+    done: int = 0  # pulls that were held and released
+    held_since: float = math.nan  # since when the pad is where it is wanted; NaN: it is not
+    X_WH: RigidTransform | None = None  # the place that the handle keeps
+    shift: float = 0.0  # largest motion of the handle
+    turn: float = 0.0  # largest turn of the handle, degrees
+    is_lost: bool = False
+    peak_force: float = 0.0
+    self_contact_time: float = 0.0
+
+    @property
+    def score(self) -> float:
+        """Fraction of the pulls that are done."""
+        return self.done / round(self.settings.pulls)
+
+    @property
+    def success(self) -> bool:
+        """Whether all pulls are done."""
+        return self.done == round(self.settings.pulls)
+
+    @property
+    def over(self) -> bool:
+        """Whether all pulls are done or the handle is lost."""
+        return self.success or self.is_lost
+
+    @property
+    def completion_time(self) -> float:
+        """Time from the start to the last release, s; NaN without success."""
+        return self.t if self.success else math.nan
+
+
+class TriggerMonitor(LeafSystem):
+    """Cues pulls and releases, watches pad and handle, and terminates a decided simulation.
+
+    Input ports (F fingers):
+        pad (2): travel of the pad, m, and its speed.
+        object_pose (7): X_WH of the handle, qw qx qy qz x y z.
+        contact (F): force between each finger and handle or pad, N.
+        self_contact (1): above 0 while links of the hand touch each other.
+    Output ports:
+        cue (1): number of one of `CUES`.
+        travel (1): of the pad, m.
+        outcome (abstract TriggerOutcome).
+
+    State (abstract): the outcome.
+    """
+
+    def __init__(self, num_fingers: int, settings: TriggerSettings):
+        super().__init__()
+        self._settings = settings
+        self._pad = self.DeclareVectorInputPort("pad", 2)
+        self._pose = self.DeclareVectorInputPort("object_pose", 7)
+        self._contact = self.DeclareVectorInputPort("contact", num_fingers)
+        self._self_contact = self.DeclareVectorInputPort("self_contact", 1)
+        start = TriggerOutcome(settings)
+        ticket = {self.abstract_state_ticket(self.DeclareAbstractState(AbstractValue.Make(start)))}
+        self.DeclareVectorOutputPort(
+            "cue", 1, lambda context, output: output.SetAtIndex(0, self.outcome(context).cue), ticket
+        )
+        self.DeclareVectorOutputPort(
+            "travel",
+            1,
+            lambda context, output: output.SetAtIndex(0, self._pad.Eval(context)[0]),
+            {self._pad.ticket()},
+        )
+        self.DeclareAbstractOutputPort(
+            "outcome",
+            lambda: AbstractValue.Make(start),
+            lambda context, output: output.set_value(self.outcome(context)),
+            ticket,
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._look)
+
+    def outcome(self, context: Context) -> TriggerOutcome:
+        """The outcome so far."""
+        return context.get_abstract_state(0).get_value()
+
+    def _look(self, context: Context, state: State) -> EventStatus:
+        before, t = self.outcome(context), context.get_time()
+        if before.over:
+            return EventStatus.DidNothing()
+        outcome = dc.replace(
+            self._with_handle(before, t, vector_to_pose(self._pose.Eval(context))),
+            t=t,
+            peak_force=max(before.peak_force, float(self._contact.Eval(context).max())),
+            self_contact_time=before.self_contact_time
+            + PERIOD * bool(t > 0 and self._self_contact.Eval(context)[0] > 0),
+        )
+        if outcome.X_WH is not None and not outcome.is_lost:
+            outcome = self._with_pad(outcome, float(self._pad.Eval(context)[0]))
+        state.get_mutable_abstract_state(0).set_value(outcome)
+        if outcome.over:
+            return EventStatus.ReachedTermination(self, "the pulls are judged")
+        return EventStatus.Succeeded()
+
+    def _with_handle(self, before: TriggerOutcome, t: float, X_WH: RigidTransform) -> TriggerOutcome:
+        settings = self._settings
+        if before.X_WH is None:
+            is_settled = t > settings.ready_time + settings.settle_time - 1e-9
+            return dc.replace(before, X_WH=X_WH, cue=1) if is_settled else before
+        X_HH = before.X_WH.inverse() @ X_WH
+        shift = float(np.linalg.norm(X_HH.translation()))
+        turn = math.degrees(abs(X_HH.rotation().ToAngleAxis().angle()))
+        return dc.replace(
+            before,
+            shift=max(before.shift, shift),
+            turn=max(before.turn, turn),
+            is_lost=shift > settings.handle_shift or turn > settings.handle_turn,
+        )
+
+    def _with_pad(self, before: TriggerOutcome, travel: float) -> TriggerOutcome:
+        settings = self._settings
+        if before.cue == 2:
+            return before if travel > settings.released else dc.replace(before, cue=1, done=before.done + 1)
+        if abs(travel - settings.depth) > settings.tolerance:
+            return dc.replace(before, held_since=math.nan)
+        if math.isnan(before.held_since):
+            return dc.replace(before, held_since=before.t)
+        is_held = before.t - before.held_since > settings.hold_time - 1e-9
+        return dc.replace(before, cue=2, held_since=math.nan) if is_held else before

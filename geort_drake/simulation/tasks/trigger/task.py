@@ -1,0 +1,208 @@
+"""The trigger: hold a handle while the index finger alone presses its pad half way."""
+
+import dataclasses as dc
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydrake.geometry import Box, Cylinder, Sphere
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    PrismaticJoint,
+    PrismaticSpring,
+    RigidBody,
+    SpatialInertia,
+)
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import MatrixGain
+
+from geort_drake.hands.description import HandDescription
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.simulation.free_play import keep_reached
+from geort_drake.simulation.operators.finger_operator import FingerOperator
+from geort_drake.simulation.operators.intention import ADAPTIVE, MIMICRY
+from geort_drake.simulation.operators.perception import FreePlay
+from geort_drake.simulation.operators.trigger_puller import TriggerPuller
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.task import SERVO, Shown, Stage, Task, TrialResult, require_settings
+from geort_drake.simulation.tasks.trigger.goal import BACK, LENGTH, RADIUS, TriggerGoal
+from geort_drake.simulation.tasks.trigger.monitor import (
+    CUES,
+    TriggerMonitor,
+    TriggerOutcome,
+    TriggerSettings,
+)
+from geort_drake.simulation.tasks.trigger.planner import PAD_HEIGHT, PAD_TRAVEL, SUPPORT, TriggerPlanner
+from geort_drake.simulation.world import add_robot, finish_scene
+from geort_drake.systems.port_values import POINT_MIRROR, POSE_MIRROR
+from geort_drake.systems.scene_view import SceneView
+from geort_drake.systems.stand import Stand
+
+_MASS, _PAD_MASS = 0.150, 0.005  # kg
+_FRICTION, _RANGE = 0.8, 0.2  # of the handle; mass and friction vary by this fraction with the seed
+_PAD = (0.006, 0.018, 0.024)  # m, of the pad: along its travel, along the handle, and across both
+_STIFFNESS, _DAMPING = 200.0, 2.0  # N/m and N s/m of the pad; the damping is critical
+_COLOR, _PAD_COLOR = np.array([0.25, 0.26, 0.28, 1.0]), np.array([0.95, 0.45, 0.10, 1.0])
+
+
+@dc.dataclass(frozen=True)
+class TriggerResult(TrialResult):
+    """Result of one trial of the trigger. `outcome` is "success", "handle lost", or the pulls done."""
+
+    # Pulls that were held and released; largest motion of the handle, m, and its largest turn, degrees.
+    pulls: int
+    handle_shift: float
+    handle_turn: float
+
+
+class TriggerTask(Task[TriggerGoal]):
+    """Hold a handle while the index finger alone pulls its trigger."""
+
+    name = "trigger"
+    summary = "hold a handle while the index finger alone pulls its trigger"
+    kinds = (ADAPTIVE, MIMICRY, SERVO)
+    result = TriggerResult
+    scenario = Path(__file__).with_name("scenario.yaml"), "Trigger"
+
+    def check_settings(self, settings: Mapping[str, float]) -> None:
+        require_settings(TriggerSettings, settings)
+
+    def plans(self, scenario: Scenario, description: HandDescription) -> list[TriggerGoal]:
+        return [plan.goal for plan in TriggerPlanner(description).plans()]
+
+    def keep(self, plans: Sequence[TriggerGoal], play: FreePlay) -> tuple[TriggerGoal, bool]:
+        """The first plan whose places the person could reach in free play, or the nearest."""
+        return keep_reached(plans, play, lambda goal: (goal.p_BF_open, goal.p_BF_touch))
+
+    def add_stage(
+        self,
+        builder: DiagramBuilder,
+        scenario: Scenario,
+        description: HandDescription,
+        goal: TriggerGoal | None,
+        X_WB: RigidTransform,
+        rng: np.random.Generator,
+    ) -> Stage:
+        goal = goal or self.plans(scenario, description)[0]
+        settings = TriggerSettings(**scenario.task_settings)
+        plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
+        add_robot(plant, scenario, description)
+        X_WH, handle, pad = _add_handle(plant, X_WB, goal, *rng.uniform(1 - _RANGE, 1 + _RANGE, 2))
+        scene = finish_scene(plant, scene_graph, scenario, description, handle.model_instance())
+        view = builder.AddNamedSystem(
+            "scene_view",
+            SceneView(
+                plant, description, scene.hand, handle.index(), scene_graph.model_inspector(), [pad.index()]
+            ),
+        )
+        builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
+        builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
+        stand = builder.AddNamedSystem("stand", Stand(handle.index(), X_WH, settings.ready_time))
+        for name in ("body_poses", "body_spatial_velocities"):
+            builder.Connect(plant.GetOutputPort(name), stand.GetInputPort(name))
+        builder.Connect(stand.get_output_port(), plant.get_applied_spatial_force_input_port())
+        monitor = builder.AddNamedSystem(
+            "trigger_monitor", TriggerMonitor(len(description.fingers), settings)
+        )
+        pad_joint = plant.GetJointByName("pad", handle.model_instance())
+        selector = builder.AddSystem(MatrixGain(plant.MakeStateSelectorMatrix([pad_joint.index()])))
+        builder.Connect(plant.get_state_output_port(), selector.get_input_port())
+        builder.Connect(selector.get_output_port(), monitor.GetInputPort("pad"))
+        for name in ("object_pose", "contact", "self_contact"):
+            builder.Connect(view.GetOutputPort(name), monitor.GetInputPort(name))
+        shown = {
+            "fingertips": Shown(
+                view.GetOutputPort("fingertips"), np.tile(POINT_MIRROR, len(description.fingers))
+            ),
+            "hand_pose": Shown(view.GetOutputPort("hand_pose"), POSE_MIRROR),
+            "contact": Shown(view.GetOutputPort("contact")),
+            "travel": Shown(monitor.GetOutputPort("travel")),
+            "cue": Shown(monitor.GetOutputPort("cue")),
+        }
+        return Stage(
+            scene,
+            monitor,
+            shown,
+            {"cue": (monitor.GetOutputPort("cue"), CUES)},
+            [handle],
+            {"trigger/travel": (monitor.GetOutputPort("travel"), ["pad"], "m")},
+        )
+
+    def person(
+        self, scenario: Scenario, hand: HumanHand, goal: TriggerGoal, X_WH_start: RigidTransform, seed: int
+    ) -> LeafSystem:
+        told = {"travel": 1, "cue": 1, "contact": len(goal.finger_names)}
+        return FingerOperator(
+            TriggerPuller,
+            hand,
+            goal,
+            scenario.kind,
+            scenario.operator,
+            scenario.intention,
+            X_WH_start,
+            seed,
+            told,
+        )
+
+    def result_fields(self, outcome: TriggerOutcome, description: HandDescription) -> dict[str, Any]:
+        missing = (
+            "handle lost" if outcome.is_lost else f"{outcome.done} of {outcome.settings.pulls:.0f} pulls"
+        )
+        return {
+            "outcome": "success" if outcome.success else missing,
+            "pulls": outcome.done,
+            "handle_shift": outcome.shift,
+            "handle_turn": outcome.turn,
+        }
+
+
+def _add_handle(
+    plant: MultibodyPlant, X_WB: RigidTransform, goal: TriggerGoal, mass_factor: float, friction_factor: float
+) -> tuple[RigidTransform, RigidBody, RigidBody]:
+    """Adds the handle with its pad on a spring; returns its pose X_WH at the start, handle and pad.
+
+    The handle's frame: x towards the fingers, y along its axis, as in B.
+    """
+    model = plant.AddModelInstance("handle")
+    inertia = SpatialInertia.SolidCylinderWithMass(mass_factor * _MASS, RADIUS, LENGTH, [0.0, 1.0, 0.0])
+    friction = CoulombFriction(friction_factor * _FRICTION, friction_factor * _FRICTION)
+    handle = plant.AddRigidBody("handle", model, inertia)
+    y = np.array([0.0, 1.0, 0.0])
+    R_BH = RotationMatrix(np.column_stack([goal.n_B, y, np.cross(goal.n_B, y)]))
+    X_WH = X_WB @ RigidTransform(R_BH, goal.p_BH)
+    plant.SetDefaultFloatingBaseBodyPose(handle, X_WH)
+    upright = RotationMatrix.MakeXRotation(np.pi / 2)
+    # A cylinder touches a palm in one point, which rocks it: it stands on two spheres, and is 0.2 mm smaller.
+    solid = Cylinder(RADIUS - 0.0002, LENGTH)
+    plant.RegisterCollisionGeometry(handle, RigidTransform(upright, [0, 0, 0]), solid, "solid", friction)
+    for end in (-SUPPORT, SUPPORT):
+        X_HS = RigidTransform(R_BH.inverse() @ np.array([-BACK, 0.0, 0.0]) + [0.0, end, 0.0])
+        ball = Sphere(RADIUS)
+        plant.RegisterCollisionGeometry(handle, X_HS, ball, f"support {end}", friction)
+        plant.RegisterVisualGeometry(handle, X_HS, ball, f"support {end}", _COLOR)
+    shape = Cylinder(RADIUS, LENGTH)
+    plant.RegisterVisualGeometry(handle, RigidTransform(upright, [0, 0, 0]), shape, "handle", _COLOR)
+    pad = plant.AddRigidBody("pad", model, SpatialInertia.SolidBoxWithMass(_PAD_MASS, *_PAD))
+    along = (goal.p_BF_open[goal.trigger] - goal.p_BH)[1]
+    p_HP = [PAD_HEIGHT - _PAD[0] / 2, along, 0.0]
+    joint = plant.AddJoint(
+        PrismaticJoint(
+            "pad",
+            plant.AddFrame(FixedOffsetFrame("pad_rest", handle, RigidTransform(p_HP))),
+            pad.body_frame(),
+            [-1.0, 0.0, 0.0],
+            0.0,
+            PAD_TRAVEL,
+            _DAMPING,
+        )
+    )
+    plant.AddForceElement(PrismaticSpring(joint, 0.0, _STIFFNESS))
+    plant.RegisterCollisionGeometry(pad, RigidTransform(), Box(*_PAD), "pad", friction)
+    plant.RegisterVisualGeometry(pad, RigidTransform(), Box(*_PAD), "pad", _PAD_COLOR)
+    return X_WH, handle, pad
+
+
+TASK = TriggerTask()

@@ -1,0 +1,53 @@
+"""Holds a body in its place until it lets go."""
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.math import RigidTransform
+from pydrake.multibody.math import SpatialForce, SpatialVelocity
+from pydrake.multibody.plant import ExternallyAppliedSpatialForce
+from pydrake.multibody.tree import BodyIndex
+from pydrake.systems.framework import Context, LeafSystem
+
+_STIFFNESS, _DAMPING = 1000.0, 15.0  # N/m and N s/m
+_TURN_STIFFNESS, _TURN_DAMPING = 0.5, 0.005  # N m/rad and N m s/rad
+
+
+class Stand(LeafSystem):
+    """A spring and a damper between a body and its place, which let go at a time.
+
+    A constraint of the plant could be let go only from outside the diagram.
+
+    Input ports:
+        body_poses (abstract list of RigidTransform), body_spatial_velocities (abstract list of
+            SpatialVelocity): the plant's ports of these names.
+    Output port:
+        force (abstract list of ExternallyAppliedSpatialForce): on the body.
+
+    Args:
+        X_WP: the place.
+        until: when it lets go, s.
+    """
+
+    def __init__(self, body: BodyIndex, X_WP: RigidTransform, until: float):
+        super().__init__()
+        self._body, self._X_WP, self._until = body, X_WP, until
+        poses = AbstractValue.Make([RigidTransform()])
+        self._poses = self.DeclareAbstractInputPort("body_poses", poses)
+        velocities = AbstractValue.Make([SpatialVelocity()])
+        self._velocities = self.DeclareAbstractInputPort("body_spatial_velocities", velocities)
+        nothing = AbstractValue.Make([ExternallyAppliedSpatialForce()])
+        self.DeclareAbstractOutputPort("force", lambda: nothing, self._calc_force)
+
+    def _calc_force(self, context: Context, output: AbstractValue) -> None:
+        if context.get_time() >= self._until:
+            output.set_value([])
+            return
+        X_WO, V_WO = self._poses.Eval(context)[self._body], self._velocities.Eval(context)[self._body]
+        turn = (self._X_WP.rotation() @ X_WO.rotation().inverse()).ToAngleAxis()
+        applied = ExternallyAppliedSpatialForce()
+        applied.body_index, applied.p_BoBq_B = self._body, np.zeros(3)
+        applied.F_Bq_W = SpatialForce(
+            tau=_TURN_STIFFNESS * turn.angle() * turn.axis() - _TURN_DAMPING * V_WO.rotational(),
+            f=_STIFFNESS * (self._X_WP.translation() - X_WO.translation()) - _DAMPING * V_WO.translational(),
+        )
+        output.set_value([applied])
