@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
@@ -39,6 +39,7 @@ RATE = 50.0  # Hz, of the script
 # it, closes as fast as its joints can, squeezes, lifts and holds.
 WAITING, THERE = 2.0, 3.5
 CLOSING, SQUEEZING, LIFTING, HOLDING = 1.0, 0.5, 1.0, 3.5
+CARRYING = 1.5  # each of the ways to above a place and down to it
 DEPTH, HEIGHT = 0.03, 0.15  # m, of the squeeze and the lift
 ITERATIONS, LARGEST_STEP, DAMPING = 10, 0.1, 5e-3  # of the inverse kinematics; rad, m/rad
 
@@ -130,8 +131,18 @@ def _try(scenario: Scenario, oracle: Oracle, most: int) -> dict:
     return {"plans": len(plans), "held": len(outcomes) * (outcomes[-1] == "success"), "outcomes": outcomes}
 
 
-def script(scenario: Scenario, oracle: Oracle, goal: GraspGoal) -> Recording:
-    """The oracle's motion for the object as the scenario's seed places it."""
+def script(
+    scenario: Scenario,
+    oracle: Oracle,
+    goal: GraspGoal,
+    squeeze: float = DEPTH,
+    place: tuple[np.ndarray, float, float] | None = None,
+) -> Recording:
+    """The oracle's motion for the object as the scenario's seed places it.
+
+    `place`: where to bring the object after the lift: p_WP, m; by which angle to turn it about the vertical,
+    rad; and from which height above P to lower it, m.
+    """
     X_WO = goal.object_frame(_object_pose(scenario))
     X_start = _start_pose(scenario, oracle)
     X_before, X_WB = X_WO @ goal.X_OB_before, X_WO @ goal.X_OB
@@ -140,16 +151,29 @@ def script(scenario: Scenario, oracle: Oracle, goal: GraspGoal) -> Recording:
     touching[~goal.touches] = goal.p_BF_open[~goal.touches]
     closed = THERE + oracle.closing_time(goal.p_BF_open, touching)
     squeezed = closed + SQUEEZING
-    movements = (
+    movements = [
         WristMovement(X_start, X_before, 0.0, WAITING - 0.5),
         WristMovement(X_before, X_WB, WAITING, THERE - WAITING - 0.5),
         WristMovement(X_WB, RigidTransform([0, 0, HEIGHT]) @ X_WB, squeezed, LIFTING),
-    )
-    t = np.arange(0.0, squeezed + LIFTING + HOLDING, 1 / RATE)
+    ]
+    end, opening = squeezed + LIFTING + HOLDING, np.inf
+    if place is not None:
+        p_WP, turn, hover = place
+        X_WP = RigidTransform(RotationMatrix.MakeZRotation(turn) @ X_WO.rotation(), p_WP)
+        X_above = RigidTransform([0, 0, hover]) @ X_WP
+        opening = squeezed + LIFTING + 2 * CARRYING
+        movements += [
+            WristMovement(movements[-1].X_end, X_above @ goal.X_OB, squeezed + LIFTING, CARRYING - 0.5),
+            WristMovement(X_above @ goal.X_OB, X_WP @ goal.X_OB, opening - CARRYING, CARRYING - 0.5),
+            WristMovement(X_WP @ goal.X_OB, X_WP @ goal.X_OB_before, opening + CLOSING + 0.3, LIFTING),
+        ]
+        end = opening + CLOSING + LIFTING + 1.0
+    t = np.arange(0.0, end, 1 / RATE)
     keypoints, poses = np.zeros((len(t), 21, 3)), []
     for number, time in enumerate(t):
-        share = minimum_jerk((time - THERE) / (closed - THERE))
-        depth = DEPTH * minimum_jerk((time - closed) / SQUEEZING)
+        opened = minimum_jerk((time - opening) / CLOSING)
+        share = minimum_jerk((time - THERE) / (closed - THERE)) * (1 - opened)
+        depth = squeeze * minimum_jerk((time - closed) / SQUEEZING) * (1 - opened)
         p_BF = goal.p_BF_open + share * (touching - goal.p_BF_open) + depth * inwards
         keypoints[number, oracle.description.human_keypoints] = p_BF
         begun = [movement for movement in movements if time >= movement.t_start]

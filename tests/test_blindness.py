@@ -76,6 +76,12 @@ def diagram_of(task: str, hand: str) -> TrialDiagram:
         ("grasp", {"fingertips", "hand_pose", "object_pose"}, {"contact"}, "grasp_monitor"),
         ("keys", {"fingertips", "hand_pose"}, {"travel", "cue"}, "keys_monitor"),
         ("trigger", {"fingertips", "hand_pose"}, {"travel", "cue", "contact"}, "trigger_monitor"),
+        (
+            "pick_place",
+            {"fingertips", "hand_pose", "object_pose", "place_pose"},
+            {"contact"},
+            "transfer_monitor",
+        ),
     ],
 )
 def test_the_persons_ports_lead_through_delays_to_what_can_be_seen_and_felt(

@@ -62,7 +62,7 @@ _PERIODS = tuple(
 class ObjectConfig:
     """The object to grasp, and how it varies with the seed."""
 
-    # Stem of a file in models/sdf/objects.
+    # Stem of a file in models/sdf/objects, or of one in models/sdf/parts that a task needs.
     name: str = "cylinder"
     # Centre of the placement in W, [x, y] in m.
     position: list[float] = dc.field(default_factory=lambda: [0.5, 0.0])
@@ -209,8 +209,7 @@ class Scenario:
             period = attrgetter(name)(self)
             whole = abs(period / step - round(period / step)) <= 1e-6
             _require(whole, name, f"a multiple of plant_config.time_step ({step} s)", period)
-        if self.object.name not in object_names():
-            raise UnknownNameError("object", self.object.name, object_names())
+        object_file(self.object.name)
 
 
 def _require(holds: bool, name: str, rule: str, value: object) -> None:
@@ -221,6 +220,14 @@ def _require(holds: bool, name: str, rule: str, value: object) -> None:
 def object_names() -> list[str]:
     """Returns the names of the objects that come with the package."""
     return sorted(path.stem for path in (models_dir() / "sdf" / "objects").glob("*.sdf"))
+
+
+def object_file(name: str) -> Path:
+    """The model of an object or part; raises UnknownNameError if there is none."""
+    for folder in ("objects", "parts"):
+        if (path := models_dir() / "sdf" / folder / f"{name}.sdf").is_file():
+            return path
+    raise UnknownNameError("object", name, object_names())
 
 
 def default_scenario_file() -> Path:

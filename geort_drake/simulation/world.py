@@ -2,6 +2,7 @@
 
 import dataclasses as dc
 import math
+from collections.abc import Callable
 
 import numpy as np
 from pydrake.geometry import (
@@ -17,14 +18,14 @@ from pydrake.multibody.tree import Joint, ModelInstanceIndex, PdControllerGains,
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import MatrixGain
 
-from geort_drake.errors import HandError, ScenarioError, UnknownNameError
+from geort_drake.errors import HandError, ScenarioError
 from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.couplings import position_limits
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import tip_geometries
-from geort_drake.resources import PACKAGE_NAME, models_dir, resource_root
+from geort_drake.resources import PACKAGE_NAME, resource_root
 from geort_drake.simulation.object_shape import ObjectShape, object_shape
-from geort_drake.simulation.scenario import Scenario, object_names
+from geort_drake.simulation.scenario import Scenario, object_file
 
 ARM, HAND = "arm", "hand"  # names of model instances
 _MESH_SIZE = 0.004  # m; edges of hydroelastic meshes, a third of a fingertip's radius
@@ -73,15 +74,22 @@ class ObjectScene(Scene):
 
 
 def add_scene(
-    builder: DiagramBuilder, scenario: Scenario, description: HandDescription, rng: np.random.Generator
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    description: HandDescription,
+    rng: np.random.Generator,
+    add_fixtures: Callable[[MultibodyPlant], None] = lambda plant: None,
 ) -> ObjectScene:
     """Adds the plant of a scenario with its object to a diagram; `rng` draws the placement.
+
+    `add_fixtures` adds what the directives lack.
 
     Raises:
         ScenarioError, HandError: the scenario and the models do not fit.
     """
     plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
     add_robot(plant, scenario, description)
+    add_fixtures(plant)
     body = add_object(plant, scenario.object.name)
     shape = object_shape(plant, scene_graph.model_inspector(), body)
     placement = draw_placement(scenario, shape.lowest_point(RigidTransform()), rng)
@@ -146,14 +154,12 @@ def add_robot(plant: MultibodyPlant, scenario: Scenario, description: HandDescri
 
 
 def add_object(plant: MultibodyPlant, name: str) -> RigidBody:
-    """Adds an object of models/sdf/objects and returns its body.
+    """Adds an object, see `object_file`, and returns its body.
 
     Raises:
         UnknownNameError: there is no such object.
     """
-    if name not in object_names():
-        raise UnknownNameError("object", name, object_names())
-    models = Parser(plant).AddModels(str(models_dir() / "sdf" / "objects" / f"{name}.sdf"))
+    models = Parser(plant).AddModels(str(object_file(name)))
     (body,) = plant.GetBodyIndices(models[0])
     return plant.get_body(body)
 

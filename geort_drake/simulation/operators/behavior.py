@@ -82,7 +82,7 @@ class GraspingPerson:
         config, goal = self._config, self._goal
         # After several movements the arm can bring the hand no nearer.
         there = self._wrist_rests(state, t) and (
-            state.movements >= config.max_corrections or self._at(seen, self._target_hand_pose(state, seen))
+            state.movements >= config.max_corrections or self._at(state, seen)
         )
         touching = (seen.contact > config.touch_force)[goal.touches]
         if state.phase in (Phase.REACH, Phase.RELEASE):
@@ -180,7 +180,7 @@ class GraspingPerson:
 
     def _move_fingers(self, state: OperatorState, t: float, seen: Seen) -> None:
         config = self._config
-        if state.phase in (Phase.SQUEEZE, Phase.LIFT, Phase.HOLD):
+        if state.phase in (Phase.SQUEEZE, Phase.LIFT, Phase.HOLD, Phase.CARRY, Phase.LOWER):
             self._squeeze(state, t)
             return
         p_HF = state.p_HF_past[-1]
@@ -233,7 +233,7 @@ class GraspingPerson:
 
     def _target_hand_pose(self, state: OperatorState, seen: Seen) -> RigidTransform:
         X_WO = self._goal.object_frame(seen.X_WO)
-        before = state.phase in (Phase.REACH, Phase.RELEASE)
+        before = state.phase in (Phase.REACH, Phase.RELEASE, Phase.RETREAT)
         return X_WO @ (self._goal.X_OB_before if before else self._goal.X_OB)
 
     def _wrist_rests(self, state: OperatorState, t: float) -> bool:
@@ -241,13 +241,16 @@ class GraspingPerson:
             return True
         return t >= state.movement.t_end + self._config.visual_delay + self._config.judging_time
 
-    def _at(self, seen: Seen, X_WB_target: RigidTransform) -> bool:
-        X = seen.X_BW @ X_WB_target
+    def _at(self, state: OperatorState, seen: Seen) -> bool:
+        X = seen.X_BW @ self._target_hand_pose(state, seen)
         turn = X.rotation().ToAngleAxis().angle()
         return bool(
-            np.linalg.norm(X.translation()) < self._config.reach_tolerance
+            np.linalg.norm(X.translation()) < self._reach_tolerance(state)
             and turn < self._config.turn_tolerance
         )
+
+    def _reach_tolerance(self, state: OperatorState) -> float:
+        return self._config.reach_tolerance
 
     def _move_wrist(self, state: OperatorState, t: float, seen: Seen) -> None:
         if self._wrist_rests(state, t):
@@ -276,9 +279,9 @@ class GraspingPerson:
                 return None
             state.best_error, state.best_time = np.inf, t
             return shift, RotationMatrix()
-        target = self._target_hand_pose(state, seen)
-        if self._at(seen, target):
+        if self._at(state, seen):
             return None
+        target = self._target_hand_pose(state, seen)
         turn = target.rotation() @ seen.X_WB.rotation().inverse()
         return target.translation() - seen.X_WB.translation(), turn
 

@@ -23,7 +23,8 @@ class IntentionConfig:
     """A person with an intention, besides `OperatorConfig`.
 
     Sources: [F54] Fitts 1954, time of aimed movements; [H52] Hick 1952, time to choose; [R98] Rayner 1998,
-    fixations; [K00] Krakauer et al. 2000, adaptation to rotated and scaled motion.
+    fixations; [K00] Krakauer et al. 2000, adaptation to rotated and scaled motion; [B02] as in
+    `OperatorConfig`.
     """
 
     # Duration of a press or a release, s: 10 mm to within 3 mm are 2.7 bits of 0.1 s each [F54].
@@ -50,6 +51,10 @@ class IntentionConfig:
     most_push: float = 0.02
     # A finger that is seen to press without a cue is raised by this, m. An assumption.
     lift: float = 0.004
+    # An object is carried to within this distance of above its place, m, and lowered to this far below the
+    # seen place, m, so that it is felt to stand. Both are about the error of vision [B02].
+    place_tolerance: float = 0.003
+    place_overshoot: float = 0.005
 
     def validate(self) -> None:
         """Raises ValueError for a value out of range."""

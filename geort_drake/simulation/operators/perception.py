@@ -23,6 +23,7 @@ class Seen:
     X_WB: RigidTransform  # robot hand base
     X_WO: RigidTransform  # object
     contact: np.ndarray  # (F,) force between each robot finger and the object, N
+    X_WP: RigidTransform | None = None  # where the object belongs
 
     @functools.cached_property
     def X_BW(self) -> RigidTransform:
@@ -78,7 +79,7 @@ def perceive(scene: Seen, error: VisualError, config: OperatorConfig, rng: np.ra
     )
     # A felt force is never negative.
     contact = scene.contact * np.maximum(factor, 0) * config.touch
-    return Seen(scene.p_WF + error.p[:-1], X_WB, X_WO, contact)
+    return dc.replace(scene, p_WF=scene.p_WF + error.p[:-1], X_WB=X_WB, X_WO=X_WO, contact=contact)
 
 
 def averaged(before: np.ndarray | None, now: np.ndarray, config: OperatorConfig) -> np.ndarray:

@@ -135,13 +135,16 @@ class SimulatedOperator(OperatorSystem):
         seed: int,
     ):
         super().__init__(hand, config, seed)
-        person = GraspingPerson(hand, goal, config, self._rng)
+        person = self._person_with(hand, goal, config)
         num_fingers = len(goal.finger_names)
         self._fingertips = self.DeclareVectorInputPort("fingertips", 3 * num_fingers)
         self._hand_pose = self.DeclareVectorInputPort("hand_pose", 7)
         self._object_pose = self.DeclareVectorInputPort("object_pose", 7)
         self._contact = self.DeclareVectorInputPort("contact", num_fingers)
         self._begin(person, person.start(X_WH_start), config.period)
+
+    def _person_with(self, hand: HumanHand, goal: GraspGoal, config: OperatorConfig) -> GraspingPerson:
+        return GraspingPerson(hand, goal, config, self._rng)
 
     def _see(self, context: Context) -> Seen:
         return Seen(

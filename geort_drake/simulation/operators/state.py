@@ -22,6 +22,10 @@ class Phase(enum.IntEnum):
     LIFT = 5
     HOLD = 6
     RELEASE = 7  # opens and goes back after the object slipped
+    CARRY = 8  # moves the held object above its place
+    LOWER = 9
+    OPEN = 10
+    RETREAT = 11  # moves the open hand away
 
 
 @dc.dataclass
@@ -58,3 +62,5 @@ class OperatorState(Immutable):
     n_BF: np.ndarray | None = None
     # Lift: the object's origin in B at its start.
     p_BO_start: np.ndarray | None = None
+    # Errors of the seen place, if there is one, relative to the object.
+    place_error: VisualError | None = None

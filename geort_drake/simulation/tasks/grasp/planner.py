@@ -23,6 +23,7 @@ from geort_drake.simulation.tasks.grasp.contacts import (
     grip_contacts,
     grip_of,
     palm_contact,
+    vertical_extent,
     yaw_candidates,
 )
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
@@ -48,14 +49,21 @@ class GraspPlanner:
 
     Args:
         grip: one of `GRIPS`; None: the object's.
+        tip_height: of the fingertip points above the object's bottom, m; None: as `contact_heights` says.
 
     Raises:
         ScenarioError: the hand lacks a finger of the object's grip.
         UnknownNameError: no grip is known for the object.
     """
 
-    def __init__(self, scenario: Scenario, description: HandDescription, grip: str | None = None):
-        self._grip = grip or grip_of(scenario.object.name)
+    def __init__(
+        self,
+        scenario: Scenario,
+        description: HandDescription,
+        grip: str | None = None,
+        tip_height: float | None = None,
+    ):
+        self._grip, self._tip_height = grip or grip_of(scenario.object.name), tip_height
         names = [finger.name for finger in description.fingers]
         for needed in GRIPS[self._grip].fingers:
             if needed not in names:
@@ -93,7 +101,7 @@ class GraspPlanner:
             found = self._search(robot.q_middle, [(offsets[0], robot.finger_spacing)], enough)
         if found:
             return [goal for _, goal in sorted(found, key=itemgetter(0))]
-        if self._grip in _INSTEAD:
+        if self._grip in _INSTEAD and self._tip_height is None:
             return GraspPlanner(self._scenario, self._description, _INSTEAD[self._grip]).plans(enough)
         raise ScenarioError(
             f"the robot cannot grasp object '{self._scenario.object.name}' at "
@@ -122,7 +130,12 @@ class GraspPlanner:
     def _grasp_from(self, candidate: "_Candidate") -> tuple[float, GraspGoal] | None:
         """Cost and goal of a collision-free grasp with open fingers and a path to it, or None."""
         robot = self._kinematics
-        solution = robot.touch(candidate.contacts, candidate.palm, candidate.q)
+        # Beside a low object, the support often separates the first guess from all solutions.
+        guesses = (
+            [candidate.q] if self._tip_height is None else [candidate.q, robot.q_default, robot.q_middle]
+        )
+        touched = (robot.touch(candidate.contacts, candidate.palm, guess) for guess in guesses)
+        solution = next((found for found in touched if found is not None), None)
         if solution is None:
             return None
         discomfort, q_touch = solution
@@ -162,8 +175,12 @@ class GraspPlanner:
         robot, side = self._kinematics, self._description.side
         shape = robot.shape
         lowest = max(finger.tip_radius for finger in self._description.fingers) + _TIP_GAP
+        heights = contact_heights(shape, self._grip, lowest, spacing)
+        if self._tip_height is not None:
+            bottom, top = vertical_extent(shape)
+            heights = [self._tip_height / (top - bottom)] if self._tip_height > lowest - 1e-9 else []
         candidates = []
-        for step, height in enumerate(contact_heights(shape, self._grip, lowest, spacing)):
+        for step, height in enumerate(heights):
             for yaw in yaw_candidates(shape)[0]:
                 contacts = grip_contacts(shape, yaw, height, self._grip, side, offset, spacing)
                 palm = palm_contact(shape, yaw, height, side) if GRIPS[self._grip].palm else None

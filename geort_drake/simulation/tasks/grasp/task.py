@@ -99,17 +99,11 @@ class GraspTask(Task[GraspGoal]):
     ) -> GraspStage:
         scene = add_scene(builder, scenario, description, rng)
         view, monitor = add_monitor(builder, scene, scenario, description)
-        mirrors = {
-            "fingertips": np.tile(POINT_MIRROR, len(description.fingers)),
-            "hand_pose": POSE_MIRROR,
-            "object_pose": POSE_MIRROR,
-            "contact": None,
-        }
         phases = [phase.name.lower() for phase in GraspPhase]
         return GraspStage(
             scene,
             monitor,
-            {name: Shown(view.GetOutputPort(name), mirror) for name, mirror in mirrors.items()},
+            shown_by(view, len(description.fingers)),
             {"grasp": (monitor.GetOutputPort("phase"), phases)},
             [scene.object_body],
         )
@@ -139,17 +133,33 @@ class GraspTask(Task[GraspGoal]):
         }
 
 
-def add_monitor(
-    builder: DiagramBuilder, scene: ObjectScene, scenario: Scenario, description: HandDescription
-) -> tuple[SceneView, GraspMonitor]:
-    """Adds the systems that observe and judge the grasp in a scene, and connects them."""
-    plant = scene.plant
-    inspector = scene.scene_graph.model_inspector()
+def add_view(builder: DiagramBuilder, scene: ObjectScene, description: HandDescription) -> SceneView:
+    """Adds the system that observes the object of a scene."""
+    plant, inspector = scene.plant, scene.scene_graph.model_inspector()
     view = builder.AddNamedSystem(
         "scene_view", SceneView(plant, description, scene.hand, scene.object_body.index(), inspector)
     )
     builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
     builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
+    return view
+
+
+def shown_by(view: SceneView, num_fingers: int) -> dict[str, Shown]:
+    """What a person who handles an object sees and feels."""
+    mirrors = {
+        "fingertips": np.tile(POINT_MIRROR, num_fingers),
+        "hand_pose": POSE_MIRROR,
+        "object_pose": POSE_MIRROR,
+        "contact": None,
+    }
+    return {name: Shown(view.GetOutputPort(name), mirror) for name, mirror in mirrors.items()}
+
+
+def add_monitor(
+    builder: DiagramBuilder, scene: ObjectScene, scenario: Scenario, description: HandDescription
+) -> tuple[SceneView, GraspMonitor]:
+    """Adds the systems that observe and judge the grasp in a scene, and connects them."""
+    view = add_view(builder, scene, description)
     monitor = builder.AddNamedSystem(
         "grasp_monitor",
         GraspMonitor(

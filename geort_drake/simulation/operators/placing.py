@@ -1,0 +1,154 @@
+"""A person who grasps an object and brings it to a place: carry, lower, open, retreat, and retry.
+
+The intention is the motion of the object: the own hand moves as if it held the object itself, and the robot
+hand is assumed to move alike. Nothing here knows the retargeting map.
+"""
+
+import dataclasses as dc
+import math
+
+import numpy as np
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.framework import Context
+
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.simulation.operators.behavior import GraspingPerson
+from geort_drake.simulation.operators.config import OperatorConfig
+from geort_drake.simulation.operators.intention import IntentionConfig
+from geort_drake.simulation.operators.perception import Seen, VisualError
+from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
+from geort_drake.simulation.operators.state import OperatorState, Phase
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
+from geort_drake.systems.port_values import rotation_of_vector, vector_to_pose
+
+
+class PlacingPerson(GraspingPerson):
+    """Grasps an object and brings it to its place.
+
+    The object's tilt is left to gravity: only its position and its yaw are corrected.
+
+    Args:
+        hover: height above its place from which the object is lowered, m.
+        hand, goal, config, rng: as of `GraspingPerson`.
+    """
+
+    def __init__(
+        self,
+        hand: HumanHand,
+        goal: GraspGoal,
+        config: OperatorConfig,
+        intention: IntentionConfig,
+        hover: float,
+        rng: np.random.Generator,
+    ):
+        super().__init__(hand, goal, config, rng)
+        self._intention, self._hover = intention, hover
+        # Its own generator, so that the errors of the place do not change the others.
+        self._place_rng = rng.spawn(1)[0]
+
+    def start(self, X_WH: RigidTransform) -> OperatorState:
+        error = VisualError.draw(0, self._config, self._place_rng)
+        return dc.replace(super().start(X_WH), place_error=error)
+
+    def step(self, state: OperatorState, t: float, scene: Seen) -> OperatorState:
+        assert state.place_error is not None and scene.X_WP is not None  # since the start
+        error = state.place_error.later(self._config, self._place_rng)
+        X_WP = RigidTransform(
+            rotation_of_vector(error.turn[0]) @ scene.X_WP.rotation(), scene.X_WP.translation() + error.p[0]
+        )
+        return super().step(dc.replace(state, place_error=error), t, dc.replace(scene, X_WP=X_WP))
+
+    def _advance_phase(self, state: OperatorState, t: float, seen: Seen) -> None:
+        rests = self._wrist_rests(state, t)
+        there = rests and (state.movements >= self._config.max_corrections or self._at(state, seen))
+        if state.phase in (Phase.CARRY, Phase.LOWER) and self._has_slipped(state):
+            self._enter(state, Phase.RELEASE, t)
+            state.attempt += 1
+        elif state.phase == Phase.CARRY:
+            if there:
+                self._enter(state, Phase.LOWER, t)
+        elif state.phase == Phase.LOWER:
+            # An object that did not come down stands beside its place.
+            if rests and state.movement is not None:
+                down = self._way(seen).translation()[2] > -self._config.reach_tolerance
+                self._enter(state, Phase.OPEN if down else Phase.CARRY, t)
+        elif state.phase == Phase.OPEN:
+            if self._worst_error(state) < self._config.shape_tolerance or self._fingers_at_limit(state, t):
+                self._enter(state, Phase.RETREAT, t)
+        elif state.phase == Phase.RETREAT:
+            if there and np.linalg.norm(self._way(seen).translation()) > 2 * self._config.reach_tolerance:
+                self._enter(state, Phase.REACH, t)
+                state.attempt += 1
+        else:
+            super()._advance_phase(state, t, seen)
+            if state.phase == Phase.HOLD:
+                self._enter(state, Phase.CARRY, t)
+
+    def _way(self, seen: Seen) -> RigidTransform:
+        """The seen motion of the object to its place: yaw about the object's origin, translation in W."""
+        assert seen.X_WP is not None  # see `step`
+        yaw = _yaw(seen.X_WP) - _yaw(seen.X_WO)
+        symmetry = self._goal.yaw_symmetry
+        yaw = math.remainder(yaw, symmetry) if symmetry else 0.0
+        return RigidTransform(
+            RotationMatrix.MakeZRotation(yaw), seen.X_WP.translation() - seen.X_WO.translation()
+        )
+
+    def _target_hand_pose(self, state: OperatorState, seen: Seen) -> RigidTransform:
+        if state.phase != Phase.CARRY:
+            return super()._target_hand_pose(state, seen)
+        way = self._way(seen)
+        p_OB_W = seen.X_WB.translation() - seen.X_WO.translation()
+        above = seen.X_WO.translation() + way.translation() + [0, 0, self._hover]
+        return RigidTransform(way.rotation() @ seen.X_WB.rotation(), above + way.rotation() @ p_OB_W)
+
+    def _reach_tolerance(self, state: OperatorState) -> float:
+        carrying = state.phase == Phase.CARRY
+        return self._intention.place_tolerance if carrying else super()._reach_tolerance(state)
+
+    def _wrist_shift(
+        self, state: OperatorState, t: float, seen: Seen
+    ) -> tuple[np.ndarray, RotationMatrix] | None:
+        if state.phase == Phase.OPEN or (state.phase == Phase.LOWER and state.movement is not None):
+            return None
+        if state.phase == Phase.LOWER:
+            down = min(self._way(seen).translation()[2], 0.0) - self._intention.place_overshoot
+            return np.array([0.0, 0.0, down]), RotationMatrix()
+        return super()._wrist_shift(state, t, seen)
+
+
+class PlacingOperator(SimulatedOperator):
+    """Simulates a person who grasps an object with the robot and brings it to its place.
+
+    Input ports, besides those of `SimulatedOperator`:
+        place_pose (7): X_WP, where the object belongs, qw qx qy qz x y z.
+    Output ports: those of `SimulatedOperator`.
+
+    State: see `OperatorSystem`.
+    """
+
+    def __init__(
+        self,
+        hand: HumanHand,
+        goal: GraspGoal,
+        config: OperatorConfig,
+        intention: IntentionConfig,
+        hover: float,
+        X_WH_start: RigidTransform,
+        seed: int,
+    ):
+        intention.validate()
+        self._intention, self._hover = intention, hover
+        super().__init__(hand, goal, config, X_WH_start, seed)
+        self._place_pose = self.DeclareVectorInputPort("place_pose", 7)
+
+    def _person_with(self, hand: HumanHand, goal: GraspGoal, config: OperatorConfig) -> PlacingPerson:
+        return PlacingPerson(hand, goal, config, self._intention, self._hover, self._rng)
+
+    def _see(self, context: Context) -> Seen:
+        return dc.replace(super()._see(context), X_WP=vector_to_pose(self._place_pose.Eval(context)))
+
+
+def _yaw(X: RigidTransform) -> float:
+    R = X.rotation().matrix()
+    return math.atan2(R[1, 0], R[0, 0])
