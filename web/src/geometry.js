@@ -5,12 +5,13 @@ import { mergeGeometries, mergeVertices, toCreasedNormals } from "three/addons/u
 
 const CREASE = Math.PI / 5;
 
+/** `n`: edges of a circle. */
 const SHAPES = {
   box: ([x, y, z]) => new THREE.BoxGeometry(x, y, z),
-  ellipsoid: ([a, b, c]) => new THREE.SphereGeometry(1, 32, 20).scale(a, b, c),
+  ellipsoid: ([a, b, c], n) => new THREE.SphereGeometry(1, n, n / 2).scale(a, b, c),
   // three.js has these along y.
-  cylinder: ([radius, length]) => new THREE.CylinderGeometry(radius, radius, length, 40).rotateX(Math.PI / 2),
-  capsule: ([radius, length]) => new THREE.CapsuleGeometry(radius, length, 8, 28).rotateX(Math.PI / 2),
+  cylinder: ([radius, length], n) => new THREE.CylinderGeometry(radius, radius, length, n).rotateX(Math.PI / 2),
+  capsule: ([radius, length], n) => new THREE.CapsuleGeometry(radius, length, n / 4, n).rotateX(Math.PI / 2),
 };
 
 async function fetchMesh(url) {
@@ -23,8 +24,8 @@ async function fetchMesh(url) {
 }
 
 /** Makes one entry of `geometries` in its body's frame, with its colour at every vertex. */
-async function makeGeometry({ shape, size, url, color: [red, green, blue], pose }) {
-  const geometry = shape === "mesh" ? await fetchMesh(url) : SHAPES[shape](size);
+async function makeGeometry({ shape, size, url, color: [red, green, blue], pose }, edges) {
+  const geometry = shape === "mesh" ? await fetchMesh(url) : SHAPES[shape](size, edges);
   geometry.deleteAttribute("uv");
   const place = new THREE.Object3D();
   setPose(place, pose);
@@ -41,9 +42,10 @@ async function makeGeometry({ shape, size, url, color: [red, green, blue], pose 
  *
  * @param {object[]} geometries of `/scene`
  * @param {typeof THREE.Material} Material
+ * @param {number} edges of a circle
  * @returns {Promise<{moving: number | null, mesh: THREE.Mesh}[]>}
  */
-export async function makeMeshes(geometries, Material) {
+export async function makeMeshes(geometries, Material, edges) {
   const groups = new Map();
   for (const entry of geometries) {
     const key = `${entry.moving} ${entry.color[3]}`;
@@ -53,7 +55,7 @@ export async function makeMeshes(geometries, Material) {
     Array.from(groups.values(), async (entries) => {
       const { moving, color } = entries[0];
       const opacity = color[3];
-      const geometry = mergeGeometries(await Promise.all(entries.map(makeGeometry)));
+      const geometry = mergeGeometries(await Promise.all(entries.map((entry) => makeGeometry(entry, edges))));
       const material = new Material({ vertexColors: true, transparent: opacity < 1, opacity });
       const mesh = new THREE.Mesh(geometry, material);
       mesh.castShadow = opacity === 1;

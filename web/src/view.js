@@ -65,7 +65,7 @@ export class View {
     this.world.clear();
     this.bodies = description.moving.map(() => new THREE.Group());
     this.world.add(...this.bodies, this.ownHand);
-    const meshes = await makeMeshes(description.geometries, this.Material);
+    const meshes = await makeMeshes(description.geometries, this.Material, this.coarse ? 12 : 32);
     if (this.description !== description) return;
     for (const { moving, mesh } of meshes) (this.bodies[moving] ?? this.world).add(mesh);
     this.highlighted = undefined;
