@@ -140,7 +140,7 @@ def test_with_consent_every_session_is_recorded_from_its_engagement_and_can_be_r
 
 
 def test_a_map_made_mine_again_takes_over_without_a_new_session_or_a_jump(tmp_path, monkeypatch):
-    """Also after a reset, which keeps the person's map."""
+    """Also after a reset, which keeps the person's map; without consent nothing of it is kept."""
     monkeypatch.setattr(page_control, "Refitting", Fit)
     page = Page(tmp_path, maps=(OWN, OTHERS))
     page.run(Engage(), steps=100)
@@ -164,6 +164,7 @@ def test_a_map_made_mine_again_takes_over_without_a_new_session_or_a_jump(tmp_pa
     # Evenly within half a second, in steps of 20 ms.
     assert np.abs(np.diff(q, axis=0)).max() < 0.08 * np.abs(q[-1] - q[0]).max()
     page.control.close()
+    assert not [*tmp_path.iterdir()]
 
 
 def test_a_map_of_one_person_is_not_made_mine(tmp_path):

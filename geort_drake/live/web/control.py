@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -111,6 +112,7 @@ class PageControl:
         self._root: Context
         self._published = self._judged = -math.inf
         self._consent = False
+        self._private = tempfile.TemporaryDirectory(prefix="geort-drake-live-")
         self._parts: RecordingParts | None = None
         self._finishing: list[threading.Thread] = []
         self._guide: GuidedPlay | None = None
@@ -142,6 +144,7 @@ class PageControl:
             thread.join()
         if self._refit is not None:
             self._refit.close()
+        self._private.cleanup()
 
     def step(self, root: Context, engaged: bool) -> bool:
         """Returns whether the person shall be engaged."""
@@ -244,7 +247,9 @@ class PageControl:
         if self._guide is None or self._guide.seconds_left > 0.0:
             self._refit_state = {"state": "failed", "text": "guided play comes first"}
             return
-        path = self._folder / time.strftime("%Y-%m-%dT%H-%M-%S-guided.npz")
+        # Without consent, a person's play and map end with the command.
+        folder = self._folder if self._consent else Path(self._private.name)
+        path = folder / time.strftime("%Y-%m-%dT%H-%M-%S-guided.npz")
         try:
             self._guide.recording().save(path)
         except (GeortError, IndexError) as error:
