@@ -186,13 +186,22 @@ def record_grasp(folder: Path, arguments: argparse.Namespace) -> None:
     run("simulate_grasp", *options, "--output", folder / "grasp")
 
 
-def record_keys(folder: Path, _arguments: argparse.Namespace) -> None:
-    """A few presses of keys, by a map that needs no training."""
-    few = "{task_settings: {presses: 3, enough: 3}}"
+def record_task(task: str, few: str, folder: Path) -> None:
+    """A short trial of a task, by a map that needs no training."""
     method = ["--methods", "affine_ik", "--trials", "1", "--scenario-text", few]
-    run("benchmark_grasping", "--tasks", "keys", "--kinds", "adaptive", *method, "--output", folder / "tasks")
-    benchmark = folder / "tasks" / "keys" / "adaptive"
-    run("benchmark_grasping", "--output", benchmark, "--rrd", "affine_ik", "keys", "0")
+    run("benchmark_grasping", "--tasks", task, "--kinds", "adaptive", *method, "--output", folder / "tasks")
+    benchmark = folder / "tasks" / task / "adaptive"
+    run("benchmark_grasping", "--output", benchmark, "--rrd", "affine_ik", task, "0")
+
+
+def record_keys(folder: Path, _arguments: argparse.Namespace) -> None:
+    """A few presses of keys."""
+    record_task("keys", "{task_settings: {presses: 3, enough: 3}}", folder)
+
+
+def record_trigger(folder: Path, _arguments: argparse.Namespace) -> None:
+    """One pull of the trigger."""
+    record_task("trigger", "{task_settings: {pulls: 1}}", folder)
 
 
 def record_hand(folder: Path, _arguments: argparse.Namespace) -> None:
@@ -237,6 +246,7 @@ PICTURES = {
     "grasp": Picture(record_grasp, "grasp/cylinder-0.rrd", 5.0),
     "grasp_film": Picture(record_grasp, "grasp/cylinder-0.rrd", moves=True),
     "keys": Picture(record_keys, "tasks/keys/adaptive/rrd/affine_ik-keys-0.rrd", 6.9),
+    "trigger": Picture(record_trigger, "tasks/trigger/adaptive/rrd/affine_ik-trigger-0.rrd", 7.5),
     "objects": Picture(record_objects, "objects.rrd", 0.7),
     "hand": Picture(record_hand, "hand.rrd", 12.0),
     "capture": Picture(record_capture, "capture.rrd", 66.0),
