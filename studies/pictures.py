@@ -186,17 +186,23 @@ def record_grasp(folder: Path, arguments: argparse.Namespace) -> None:
     run("simulate_grasp", *options, "--output", folder / "grasp")
 
 
-def record_task(task: str, few: str, folder: Path) -> None:
+def record_task(task: str, few: str, folder: Path, kind: str = "adaptive", case: str | None = None) -> None:
     """A short trial of a task, by a map that needs no training."""
-    method = ["--methods", "affine_ik", "--trials", "1", "--scenario-text", few]
-    run("benchmark_grasping", "--tasks", task, "--kinds", "adaptive", *method, "--output", folder / "tasks")
-    benchmark = folder / "tasks" / task / "adaptive"
-    run("benchmark_grasping", "--output", benchmark, "--rrd", "affine_ik", task, "0")
+    case = case or task
+    method = ["--methods", "affine_ik", "--trials", "1", "--scenario-text", few, "--objects", case]
+    run("benchmark_grasping", "--tasks", task, "--kinds", kind, *method, "--output", folder / "tasks")
+    benchmark = folder / "tasks" / task / kind
+    run("benchmark_grasping", "--output", benchmark, "--rrd", "affine_ik", case, "0")
 
 
 def record_keys(folder: Path, _arguments: argparse.Namespace) -> None:
     """A few presses of keys."""
     record_task("keys", "{task_settings: {presses: 3, enough: 3}}", folder)
+
+
+def record_pick_place(folder: Path, _arguments: argparse.Namespace) -> None:
+    """A block on its way to its place."""
+    record_task("pick_place", "{}", folder, "servo", "block_20")
 
 
 def record_trigger(folder: Path, _arguments: argparse.Namespace) -> None:
@@ -246,6 +252,7 @@ PICTURES = {
     "grasp": Picture(record_grasp, "grasp/cylinder-0.rrd", 5.0),
     "grasp_film": Picture(record_grasp, "grasp/cylinder-0.rrd", moves=True),
     "keys": Picture(record_keys, "tasks/keys/adaptive/rrd/affine_ik-keys-0.rrd", 6.9),
+    "pick_place": Picture(record_pick_place, "tasks/pick_place/servo/rrd/affine_ik-block_20-0.rrd", 6.3),
     "trigger": Picture(record_trigger, "tasks/trigger/adaptive/rrd/affine_ik-trigger-0.rrd", 7.5),
     "objects": Picture(record_objects, "objects.rrd", 0.7),
     "hand": Picture(record_hand, "hand.rrd", 12.0),
