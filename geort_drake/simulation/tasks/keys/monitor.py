@@ -22,11 +22,11 @@ class KeysSettings:
     # was pressed and is up again.
     presses: float = 12
     ready_time: float = 6.0
-    cue_time: float = 3.0
+    cue_time: float = 2.0
     rest_time: float = 0.5
     # The cued key must go down by more than `depth` and no other by more than `still` during the cue, m.
     depth: float = 0.003
-    still: float = 0.001
+    still: float = 0.0005
     # Presses without fault that make a success.
     enough: float = 10
 

@@ -9,7 +9,7 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.finger_reach import FingerReach
 from geort_drake.simulation.tasks.keys.goal import FINGERS, PITCH, KeysGoal
 
-HOVER = 0.010  # m, gap between a waiting fingertip and its key
+HOVER = 0.002  # m, gap between a waiting fingertip and its key
 TRAVEL = 0.005  # m, of a key
 _CLEARANCE = 0.008  # m, by which free play may miss a fingertip's place above its key
 # Distances of the keys' tops from the hand base that are tried, along x and z of B, m.
