@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from grasp_setup import TOO_SHORT, allegro, human_with, judged
-from growing import grow
 
 import geort_drake
 from geort_drake.benchmark import workers
@@ -60,10 +59,14 @@ def test_other_processes_give_the_same_results(short, alone):
     assert results_of([grasp, *short], jobs=2) == [touched, *alone]
 
 
-def test_a_single_job_has_a_process_that_is_replaced():
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_workers_are_replaced(jobs, monkeypatch):
     """Drake never frees a diagram with systems in Python, so a process that runs trials keeps growing."""
-    used = list(call_in_workers(grow, ((),) * 3, 1))
-    assert os.getpid() not in used and len(set(used)) > 1
+    monkeypatch.setattr(workers, "RENEWED_AFTER", 1)
+    used = set(call_in_workers(os.getpid, ((),) * 2 * jobs, jobs))
+    assert os.getpid() not in used and len(used) >= 2
+    started = call_in_workers(os.getpid, ((),) * 4, jobs, ordered=True)
+    assert len({next(started), *list(started)[-1:]}) == 2
 
 
 def test_a_ray_cluster_gives_the_same_results(short, alone, monkeypatch):

@@ -1,6 +1,7 @@
 """Worker processes, here or on a Ray cluster, that run the same code as their parent."""
 
 import functools
+import itertools
 import os
 import platform
 import warnings
@@ -9,13 +10,13 @@ from concurrent.futures import BrokenExecutor
 from typing import Any
 
 from joblib import Parallel, delayed, parallel_config, register_parallel_backend
-from joblib.externals.loky import ProcessPoolExecutor
+from joblib.externals.loky import ProcessPoolExecutor, get_reusable_executor
 
 from geort_drake.errors import BenchmarkError, GeortError
 from geort_drake.files import source_digest
 from geort_drake.processes import end_with
 
-RENEWED_AFTER = 25  # tasks; then a worker on a cluster is replaced, see `call_in_workers`
+RENEWED_AFTER = 100  # tasks of a worker; then it is replaced, see `call_in_workers`
 # Other subpackages do not change a trial; learned weights have a digest of their own.
 _TRIAL_ROOMS = ("people", "hands", "retargeting", "simulation", "systems")
 
@@ -26,8 +27,8 @@ def call_in_workers(
     """Calls `function` with each of the arguments in workers, and yields the results.
 
     Drake 1.51 never frees systems written in Python (RobotLocomotion/drake#24162), and even `release` leaves
-    5 MB of a recorded trial. Even a single job therefore has its own process: loky replaces processes that
-    have grown by 300 MB; on a cluster they are replaced after `RENEWED_AFTER` tasks.
+    0.4 MB of a trial. Even a single job therefore has its own process, and processes are replaced after
+    `RENEWED_AFTER` tasks, so that they stay below 300 MB.
 
     Args:
         function: to call; must be picklable.
@@ -49,13 +50,16 @@ def call_in_workers(
     try:
         with parallel_config(backend=backend, n_jobs=jobs, **options), warnings.catch_warnings():
             warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
-            if jobs == 1:
-                yield from _one_by_one(tasks)
-            else:
+            order = "generator" if ordered else "generator_unordered"
+            for some in [tasks] if backend == "ray" else _batches(tasks, RENEWED_AFTER * jobs):
+                if jobs == 1:
+                    yield from _one_by_one(some)
+                    continue
                 # Tasks are long and their arguments small: dispatched singly, without memory-mapped files.
-                order = "generator" if ordered else "generator_unordered"
                 parallel = Parallel(batch_size=1, max_nbytes=None, return_as=order)
-                yield from parallel(delayed(_call)(*task) for task in tasks)
+                yield from parallel(delayed(_call)(*task) for task in some)
+                if backend != "ray":
+                    get_reusable_executor(reuse=True).shutdown()
     except BrokenExecutor as error:
         message = (
             "a worker process ended, perhaps because memory ran out; finished trials are kept: run the same "
@@ -103,6 +107,13 @@ def require_workers(jobs: int, backend: str) -> None:
 def code_digest() -> str:
     """SHA-256 of the code of trials as it was at this process's first call."""
     return source_digest(*_TRIAL_ROOMS)
+
+
+def _batches(tasks: Iterable[tuple], count: int) -> Iterator[Iterator[tuple]]:
+    """Up to `count` of the tasks at a time; a batch must be used up before the next."""
+    rest = iter(tasks)
+    for first in rest:
+        yield itertools.chain([first], itertools.islice(rest, count - 1))
 
 
 def _one_by_one(tasks: Iterable[tuple]) -> Iterator[Any]:

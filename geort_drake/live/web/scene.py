@@ -30,7 +30,7 @@ from geort_drake.people.keypoints import mirrored
 from geort_drake.simulation.world import ARM, HAND, actuated_joints
 from geort_drake.systems.port_values import pose_to_vector
 
-FRAME_PERIOD = 1.0 / 30.0
+FRAME_PERIOD = 0.032  # s; at least 30 a second
 _GREY = [0.75, 0.75, 0.78, 1.0]
 _GROUND_M = 2.0  # side of the square that stands for a half space
 # The person looks over the robot's shoulder, so that left is left; at a parked hand from near its base.
