@@ -16,13 +16,16 @@ from geort_drake.simulation.free_play import keep_attainable
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
 from geort_drake.simulation.scenario import Scenario, default_scenario_file, object_names
-from geort_drake.simulation.task import SERVO, Shown, Stage, Task, TrialResult, finite_or_none
+from geort_drake.simulation.task import SERVO, Stage, Task, TrialResult, finite_or_none
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor, GraspOutcome, GraspPhase
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
+from geort_drake.simulation.view import add_view, shown_by
 from geort_drake.simulation.world import ObjectScene, add_scene
-from geort_drake.systems.port_values import POINT_MIRROR, POSE_MIRROR
 from geort_drake.systems.scene_view import SceneView
+
+# What the person sees and feels who handles an object.
+HANDLING = ("fingertips", "hand_pose", "object_pose", "contact")
 
 
 @dc.dataclass(frozen=True)
@@ -62,7 +65,22 @@ class GraspStage(Stage):
         body.SetSpatialInertiaInBodyFrame(context, scaled)
 
 
-class GraspTask(Task[GraspGoal]):
+class ObjectTask(Task[GraspGoal]):
+    """A task that begins with the grasp of an object, which is its case."""
+
+    def choose(self, scenario: Scenario, case: str) -> None:
+        if case not in self.cases():
+            raise UnknownNameError("object", case, self.cases())
+        scenario.object.name = case
+
+    def case_of(self, scenario: Scenario) -> str:
+        return scenario.object.name
+
+    def keep(self, plans: Sequence[GraspGoal], play: FreePlay) -> tuple[GraspGoal, bool]:
+        return keep_attainable(plans, play.p_BF)
+
+
+class GraspTask(ObjectTask):
     """Lift an object and hold it."""
 
     name = "grasp"
@@ -74,19 +92,8 @@ class GraspTask(Task[GraspGoal]):
     def cases(self) -> list[str]:
         return object_names()
 
-    def choose(self, scenario: Scenario, case: str) -> None:
-        if case not in object_names():
-            raise UnknownNameError("object", case, object_names())
-        scenario.object.name = case
-
-    def case_of(self, scenario: Scenario) -> str:
-        return scenario.object.name
-
     def plans(self, scenario: Scenario, description: HandDescription) -> list[GraspGoal]:
         return GraspPlanner(scenario, description).plans()
-
-    def keep(self, plans: Sequence[GraspGoal], play: FreePlay) -> tuple[GraspGoal, bool]:
-        return keep_attainable(plans, play.p_BF)
 
     def add_stage(
         self,
@@ -103,7 +110,7 @@ class GraspTask(Task[GraspGoal]):
         return GraspStage(
             scene,
             monitor,
-            shown_by(view, len(description.fingers)),
+            shown_by(view, len(description.fingers), *HANDLING),
             {"grasp": (monitor.GetOutputPort("phase"), phases)},
             [scene.object_body],
         )
@@ -133,33 +140,11 @@ class GraspTask(Task[GraspGoal]):
         }
 
 
-def add_view(builder: DiagramBuilder, scene: ObjectScene, description: HandDescription) -> SceneView:
-    """Adds the system that observes the object of a scene."""
-    plant, inspector = scene.plant, scene.scene_graph.model_inspector()
-    view = builder.AddNamedSystem(
-        "scene_view", SceneView(plant, description, scene.hand, scene.object_body.index(), inspector)
-    )
-    builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
-    builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
-    return view
-
-
-def shown_by(view: SceneView, num_fingers: int) -> dict[str, Shown]:
-    """What a person who handles an object sees and feels."""
-    mirrors = {
-        "fingertips": np.tile(POINT_MIRROR, num_fingers),
-        "hand_pose": POSE_MIRROR,
-        "object_pose": POSE_MIRROR,
-        "contact": None,
-    }
-    return {name: Shown(view.GetOutputPort(name), mirror) for name, mirror in mirrors.items()}
-
-
 def add_monitor(
     builder: DiagramBuilder, scene: ObjectScene, scenario: Scenario, description: HandDescription
 ) -> tuple[SceneView, GraspMonitor]:
     """Adds the systems that observe and judge the grasp in a scene, and connects them."""
-    view = add_view(builder, scene, description)
+    view = add_view(builder, scene, description, scene.object_body)
     monitor = builder.AddNamedSystem(
         "grasp_monitor",
         GraspMonitor(

@@ -5,13 +5,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context
 
 from geort_drake.settings import require_numbers
+from geort_drake.simulation.monitor import TaskMonitor
 from geort_drake.systems.port_values import Immutable
-
-PERIOD = 0.01  # s, between two looks
 
 
 @dc.dataclass(frozen=True)
@@ -79,37 +77,29 @@ class KeysOutcome(Immutable):
         return self.t if self.success else math.nan
 
 
-class KeysMonitor(LeafSystem):
+class KeysMonitor(TaskMonitor[KeysOutcome]):
     """Cues keys one after the other, watches all of them, and terminates the simulation after the last.
 
-    Input ports (K keys, F fingers):
+    Input ports (K keys), besides those of `TaskMonitor`:
         keys (2K): travel of each key, m, then its speed.
-        contact (F): force between each finger and the keys, N.
-        self_contact (1): above 0 while links of the hand touch each other.
     Output ports:
         cue (1): number of the key to press, from 1; 0 for none.
         travel (K): of each key, m.
         outcome (abstract KeysOutcome).
-
-    State (abstract): the outcome.
 
     Args:
         cued: key of each press.
     """
 
     def __init__(self, num_keys: int, num_fingers: int, cued: Sequence[int], settings: KeysSettings):
-        super().__init__()
+        super().__init__(num_fingers, KeysOutcome(settings, next_cue=settings.ready_time))
         self._cued, self._settings, self._num_keys = list(cued), settings, num_keys
         self._keys = self.DeclareVectorInputPort("keys", 2 * num_keys)
-        self._contact = self.DeclareVectorInputPort("contact", num_fingers)
-        self._self_contact = self.DeclareVectorInputPort("self_contact", 1)
-        start = KeysOutcome(settings, next_cue=settings.ready_time)
-        ticket = {self.abstract_state_ticket(self.DeclareAbstractState(AbstractValue.Make(start)))}
         self.DeclareVectorOutputPort(
             "cue",
             1,
             lambda context, output: output.SetAtIndex(0, self._cue(self.outcome(context))),
-            ticket,
+            self._of_outcome,
         )
         self.DeclareVectorOutputPort(
             "travel",
@@ -117,17 +107,6 @@ class KeysMonitor(LeafSystem):
             lambda context, output: output.SetFromVector(self._keys.Eval(context)[:num_keys]),
             {self._keys.ticket()},
         )
-        self.DeclareAbstractOutputPort(
-            "outcome",
-            lambda: AbstractValue.Make(start),
-            lambda context, output: output.set_value(self.outcome(context)),
-            ticket,
-        )
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._look)
-
-    def outcome(self, context: Context) -> KeysOutcome:
-        """The outcome so far."""
-        return context.get_abstract_state(0).get_value()
 
     def restart(self, context: Context) -> None:
         """Forgets the presses, and cues the first one after the time to get ready."""
@@ -138,36 +117,27 @@ class KeysMonitor(LeafSystem):
         """The cued key, counted from 1; 0 for none."""
         return 0 if math.isnan(outcome.cued_since) else outcome.presses[-1].key + 1
 
-    def _look(self, context: Context, state: State) -> EventStatus:
-        before, settings, t = self.outcome(context), self._settings, context.get_time()
-        if before.over:
-            return EventStatus.DidNothing()
+    def _judged(self, context: Context, before: KeysOutcome) -> KeysOutcome:
+        settings, t = self._settings, context.get_time()
         presses, cued_since, next_cue = before.presses, before.cued_since, before.next_cue
         if not math.isnan(cued_since):
-            press = self._judged(presses[-1], self._keys.Eval(context)[: self._num_keys], t - cued_since)
+            press = self._watched(presses[-1], self._keys.Eval(context)[: self._num_keys], t - cued_since)
             presses = (*presses[:-1], press)
             is_up = self._keys.Eval(context)[press.key] < settings.still
             if t - cued_since > settings.cue_time - 1e-9 or (press.depth > settings.depth and is_up):
                 cued_since, next_cue = math.nan, t + settings.rest_time
         elif t > next_cue - 1e-9:
             presses, cued_since = (*presses, Press(self._cued[len(presses)])), t
-        outcome = dc.replace(
+        return dc.replace(
             before,
             t=t,
             cued_since=cued_since,
             next_cue=next_cue,
             presses=presses,
             over=len(presses) == len(self._cued) and math.isnan(cued_since),
-            peak_force=max(before.peak_force, float(self._contact.Eval(context).max())),
-            self_contact_time=before.self_contact_time
-            + PERIOD * bool(t > 0 and self._self_contact.Eval(context)[0] > 0),
         )
-        state.get_mutable_abstract_state(0).set_value(outcome)
-        if outcome.over:
-            return EventStatus.ReachedTermination(self, "the presses are judged")
-        return EventStatus.Succeeded()
 
-    def _judged(self, press: Press, travel: np.ndarray, since: float) -> Press:
+    def _watched(self, press: Press, travel: np.ndarray, since: float) -> Press:
         """A press with the keys' present travel (K,), m, this long after its cue, s."""
         depth, others = float(travel[press.key]), float(np.delete(travel, press.key).max(initial=0.0))
         is_first = math.isnan(press.time) and depth > self._settings.depth

@@ -31,9 +31,8 @@ from geort_drake.simulation.task import SERVO, Shown, Stage, Task, TrialResult, 
 from geort_drake.simulation.tasks.keys.goal import CAP_LENGTH, CAP_WIDTH, KeysGoal
 from geort_drake.simulation.tasks.keys.monitor import KeysMonitor, KeysOutcome, KeysSettings
 from geort_drake.simulation.tasks.keys.planner import TRAVEL, KeysPlanner
+from geort_drake.simulation.view import add_view, shown_by
 from geort_drake.simulation.world import add_robot, finish_scene
-from geort_drake.systems.port_values import POINT_MIRROR, POSE_MIRROR
-from geort_drake.systems.scene_view import SceneView
 
 _CAP_HEIGHT, _CAP_MASS = 0.006, 0.005  # m, kg
 _STIFFNESS, _DAMPING = 150.0, 1.7  # N/m and N s/m of a key; the damping is critical
@@ -88,19 +87,7 @@ class KeysTask(Task[KeysGoal]):
         add_robot(plant, scenario, description)
         keys, bed, caps = _add_keys(plant, X_WB, goal.p_BK)
         scene = finish_scene(plant, scene_graph, scenario, description)
-        view = builder.AddNamedSystem(
-            "scene_view",
-            SceneView(
-                plant,
-                description,
-                scene.hand,
-                bed.index(),
-                scene_graph.model_inspector(),
-                [cap.index() for cap in caps],
-            ),
-        )
-        builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
-        builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
+        view = add_view(builder, scene, description, bed, caps)
         # Every key equally often.
         presses = round(settings.presses)
         cued = rng.permutation(np.arange(presses) % len(caps))
@@ -110,10 +97,8 @@ class KeysTask(Task[KeysGoal]):
         builder.Connect(plant.get_state_output_port(keys), monitor.GetInputPort("keys"))
         for name in ("contact", "self_contact"):
             builder.Connect(view.GetOutputPort(name), monitor.GetInputPort(name))
-        tips_mirror = np.tile(POINT_MIRROR, len(description.fingers))
         shown = {
-            "fingertips": Shown(view.GetOutputPort("fingertips"), tips_mirror),
-            "hand_pose": Shown(view.GetOutputPort("hand_pose"), POSE_MIRROR),
+            **shown_by(view, len(description.fingers), "fingertips", "hand_pose"),
             "travel": Shown(monitor.GetOutputPort("travel")),
             "cue": Shown(monitor.GetOutputPort("cue")),
         }

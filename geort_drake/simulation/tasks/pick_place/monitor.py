@@ -6,13 +6,12 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context
 
+from geort_drake.simulation.monitor import TaskMonitor
 from geort_drake.systems.port_values import Immutable, pose_to_vector, vector_to_pose
 
-PERIOD = 0.01  # s, between two looks
 TOUCH_FORCE = 0.02  # N; a larger force is a touch
 # The object is lost if it is this far below its support, or this far from its place and untouched, m.
 _FALLEN, _STRAYED = 0.03, 0.4
@@ -70,19 +69,15 @@ class TransferOutcome(Immutable):
         return self.times[-1] if self.success else math.nan
 
 
-class TransferMonitor(LeafSystem):
+class TransferMonitor(TaskMonitor[TransferOutcome]):
     """Watches an object on its way without delay or noise, and terminates a decided simulation.
 
-    Input ports (F fingers):
+    Input ports, besides those of `TaskMonitor`:
         object_pose (7): X_WO, qw qx qy qz x y z.
-        contact (F): force between each finger and the object, N.
-        self_contact (1): above 0 while links of the hand touch each other.
     Output ports:
         place_pose (7): X_WP, where the object belongs, qw qx qy qz x y z.
         step (1): number of steps reached.
         outcome (abstract TransferOutcome).
-
-    State (abstract): the outcome.
 
     Args:
         X_WP: where the object belongs.
@@ -103,14 +98,10 @@ class TransferMonitor(LeafSystem):
         lowest_point: Callable[[RigidTransform], float],
         support_height: float,
     ):
-        super().__init__()
+        super().__init__(num_fingers, TransferOutcome(tuple(steps)))
         self._progress, self._hold_time, self._symmetry = list(steps.values()), hold_time, symmetry
         self._X_WP, self._lowest_point, self._support = X_WP, lowest_point, support_height
         self._object_pose = self.DeclareVectorInputPort("object_pose", 7)
-        self._contact = self.DeclareVectorInputPort("contact", num_fingers)
-        self._self_contact = self.DeclareVectorInputPort("self_contact", 1)
-        start = TransferOutcome(tuple(steps))
-        ticket = {self.abstract_state_ticket(self.DeclareAbstractState(AbstractValue.Make(start)))}
         place = pose_to_vector(X_WP)
         self.DeclareVectorOutputPort(
             "place_pose",
@@ -122,21 +113,10 @@ class TransferMonitor(LeafSystem):
             "step",
             1,
             lambda context, output: output.SetAtIndex(0, len(self.outcome(context).times)),
-            ticket,
+            self._of_outcome,
         )
-        self.DeclareAbstractOutputPort(
-            "outcome",
-            lambda: AbstractValue.Make(start),
-            lambda context, output: output.set_value(self.outcome(context)),
-            ticket,
-        )
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._judge)
 
-    def outcome(self, context: Context) -> TransferOutcome:
-        """The outcome so far."""
-        return context.get_abstract_state(0).get_value()
-
-    def _look(self, context: Context) -> Look:
+    def _seen(self, context: Context) -> Look:
         X_WO = vector_to_pose(self._object_pose.Eval(context))
         way = X_WO.translation() - self._X_WP.translation()
         R = self._X_WP.rotation().matrix().T @ X_WO.rotation().matrix()
@@ -150,10 +130,8 @@ class TransferMonitor(LeafSystem):
             touching=int(np.sum(self._contact.Eval(context) > TOUCH_FORCE)),
         )
 
-    def _judge(self, context: Context, state: State) -> EventStatus:
-        before, t, look = self.outcome(context), context.get_time(), self._look(context)
-        if before.over:
-            return EventStatus.DidNothing()
+    def _judged(self, context: Context, before: TransferOutcome) -> TransferOutcome:
+        t, look = context.get_time(), self._seen(context)
         times, progress, done_since = before.times, before.progress, math.nan
         now = self._progress[len(times)](look)
         progress = max(progress, now) if now < 1 else progress
@@ -164,18 +142,11 @@ class TransferMonitor(LeafSystem):
             done_since = t if math.isnan(before.done_since) else before.done_since
             if t - done_since > self._hold_time - 1e-9:
                 times = (*times, done_since)
-        outcome = dc.replace(
+        return dc.replace(
             before,
             times=times,
             progress=progress,
             done_since=done_since,
             look=look,
             lost=look.height < -_FALLEN or (look.offset > _STRAYED and look.touching == 0),
-            peak_force=max(before.peak_force, float(self._contact.Eval(context).max())),
-            self_contact_time=before.self_contact_time
-            + PERIOD * bool(t > 0 and self._self_contact.Eval(context)[0] > 0),
         )
-        state.get_mutable_abstract_state(0).set_value(outcome)
-        if outcome.over:
-            return EventStatus.ReachedTermination(self, "the transfer is judged")
-        return EventStatus.Succeeded()

@@ -3,7 +3,7 @@
 import abc
 import dataclasses as dc
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,18 +13,16 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from geort_drake.errors import UnknownNameError
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.human_hand import HumanHand
-from geort_drake.simulation.free_play import keep_attainable
-from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.operators.placing import PlacingOperator
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import SERVO, Shown, Task, TrialResult
+from geort_drake.simulation.task import SERVO, Shown, TrialResult
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
-from geort_drake.simulation.tasks.grasp.task import GraspStage, add_view, shown_by
+from geort_drake.simulation.tasks.grasp.task import HANDLING, GraspStage, ObjectTask
 from geort_drake.simulation.tasks.pick_place.monitor import Look, Progress, TransferMonitor, TransferOutcome
+from geort_drake.simulation.view import add_view, shown_by
 from geort_drake.simulation.world import add_scene
 from geort_drake.systems.port_values import POSE_MIRROR
 
@@ -46,7 +44,7 @@ class TransferResult(TrialResult):
     step_times: dict[str, float]
 
 
-class TransferTask(Task[GraspGoal]):
+class TransferTask(ObjectTask):
     """Grasp an object and bring it to its place.
 
     Attributes:
@@ -65,17 +63,6 @@ class TransferTask(Task[GraspGoal]):
 
     def cases(self) -> list[str]:
         return list(self.heights)
-
-    def choose(self, scenario: Scenario, case: str) -> None:
-        if case not in self.cases():
-            raise UnknownNameError("object", case, self.cases())
-        scenario.object.name = case
-
-    def case_of(self, scenario: Scenario) -> str:
-        return scenario.object.name
-
-    def keep(self, plans: Sequence[GraspGoal], play: FreePlay) -> tuple[GraspGoal, bool]:
-        return keep_attainable(plans, play.p_BF)
 
     def place(self, scenario: Scenario, side: str, rng: np.random.Generator) -> RigidTransform:
         """X_WP of the scenario's object at its place, for a hand of that side."""
@@ -101,7 +88,7 @@ class TransferTask(Task[GraspGoal]):
     ) -> GraspStage:
         X_WP = self.place(scenario, description.side, rng.spawn(1)[0])
         scene = add_scene(builder, scenario, description, rng, lambda plant: self.add_place(plant, X_WP))
-        view = add_view(builder, scene, description)
+        view = add_view(builder, scene, description, scene.object_body)
         monitor = builder.AddNamedSystem(
             "transfer_monitor",
             TransferMonitor(
@@ -116,7 +103,7 @@ class TransferTask(Task[GraspGoal]):
         )
         for name in ("object_pose", "contact", "self_contact"):
             builder.Connect(view.GetOutputPort(name), monitor.GetInputPort(name))
-        shown = shown_by(view, len(description.fingers))
+        shown = shown_by(view, len(description.fingers), *HANDLING)
         return GraspStage(
             scene,
             monitor,

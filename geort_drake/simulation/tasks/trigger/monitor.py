@@ -4,14 +4,13 @@ import dataclasses as dc
 import math
 
 import numpy as np
-from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context
 
 from geort_drake.settings import require_numbers
+from geort_drake.simulation.monitor import TaskMonitor
 from geort_drake.systems.port_values import Immutable, vector_to_pose
 
-PERIOD = 0.01  # s, between two looks
 CUES = ("none", "pull", "release")
 
 
@@ -75,33 +74,28 @@ class TriggerOutcome(Immutable):
         return self.t if self.success else math.nan
 
 
-class TriggerMonitor(LeafSystem):
+class TriggerMonitor(TaskMonitor[TriggerOutcome]):
     """Cues pulls and releases, watches pad and handle, and terminates a decided simulation.
 
-    Input ports (F fingers):
+    Input ports, besides those of `TaskMonitor`:
         pad (2): travel of the pad, m, and its speed.
         object_pose (7): X_WH of the handle, qw qx qy qz x y z.
-        contact (F): force between each finger and handle or pad, N.
-        self_contact (1): above 0 while links of the hand touch each other.
     Output ports:
         cue (1): number of one of `CUES`.
         travel (1): of the pad, m.
         outcome (abstract TriggerOutcome).
-
-    State (abstract): the outcome.
     """
 
     def __init__(self, num_fingers: int, settings: TriggerSettings):
-        super().__init__()
+        super().__init__(num_fingers, TriggerOutcome(settings))
         self._settings = settings
         self._pad = self.DeclareVectorInputPort("pad", 2)
         self._pose = self.DeclareVectorInputPort("object_pose", 7)
-        self._contact = self.DeclareVectorInputPort("contact", num_fingers)
-        self._self_contact = self.DeclareVectorInputPort("self_contact", 1)
-        start = TriggerOutcome(settings)
-        ticket = {self.abstract_state_ticket(self.DeclareAbstractState(AbstractValue.Make(start)))}
         self.DeclareVectorOutputPort(
-            "cue", 1, lambda context, output: output.SetAtIndex(0, self.outcome(context).cue), ticket
+            "cue",
+            1,
+            lambda context, output: output.SetAtIndex(0, self.outcome(context).cue),
+            self._of_outcome,
         )
         self.DeclareVectorOutputPort(
             "travel",
@@ -109,35 +103,13 @@ class TriggerMonitor(LeafSystem):
             lambda context, output: output.SetAtIndex(0, self._pad.Eval(context)[0]),
             {self._pad.ticket()},
         )
-        self.DeclareAbstractOutputPort(
-            "outcome",
-            lambda: AbstractValue.Make(start),
-            lambda context, output: output.set_value(self.outcome(context)),
-            ticket,
-        )
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._look)
 
-    def outcome(self, context: Context) -> TriggerOutcome:
-        """The outcome so far."""
-        return context.get_abstract_state(0).get_value()
-
-    def _look(self, context: Context, state: State) -> EventStatus:
-        before, t = self.outcome(context), context.get_time()
-        if before.over:
-            return EventStatus.DidNothing()
-        outcome = dc.replace(
-            self._with_handle(before, t, vector_to_pose(self._pose.Eval(context))),
-            t=t,
-            peak_force=max(before.peak_force, float(self._contact.Eval(context).max())),
-            self_contact_time=before.self_contact_time
-            + PERIOD * bool(t > 0 and self._self_contact.Eval(context)[0] > 0),
-        )
-        if outcome.X_WH is not None and not outcome.is_lost:
-            outcome = self._with_pad(outcome, float(self._pad.Eval(context)[0]))
-        state.get_mutable_abstract_state(0).set_value(outcome)
-        if outcome.over:
-            return EventStatus.ReachedTermination(self, "the pulls are judged")
-        return EventStatus.Succeeded()
+    def _judged(self, context: Context, before: TriggerOutcome) -> TriggerOutcome:
+        t = context.get_time()
+        outcome = self._with_handle(dc.replace(before, t=t), t, vector_to_pose(self._pose.Eval(context)))
+        if outcome.X_WH is None or outcome.is_lost:
+            return outcome
+        return self._with_pad(outcome, float(self._pad.Eval(context)[0]))
 
     def _with_handle(self, before: TriggerOutcome, t: float, X_WH: RigidTransform) -> TriggerOutcome:
         settings = self._settings

@@ -36,9 +36,8 @@ from geort_drake.simulation.tasks.trigger.monitor import (
     TriggerSettings,
 )
 from geort_drake.simulation.tasks.trigger.planner import PAD_HEIGHT, PAD_TRAVEL, SUPPORT, TriggerPlanner
+from geort_drake.simulation.view import add_view, shown_by
 from geort_drake.simulation.world import add_robot, finish_scene
-from geort_drake.systems.port_values import POINT_MIRROR, POSE_MIRROR
-from geort_drake.systems.scene_view import SceneView
 from geort_drake.systems.stand import Stand
 
 _MASS, _PAD_MASS = 0.150, 0.005  # kg
@@ -92,14 +91,7 @@ class TriggerTask(Task[TriggerGoal]):
         add_robot(plant, scenario, description)
         X_WH, handle, pad = _add_handle(plant, X_WB, goal, *rng.uniform(1 - _RANGE, 1 + _RANGE, 2))
         scene = finish_scene(plant, scene_graph, scenario, description, handle.model_instance())
-        view = builder.AddNamedSystem(
-            "scene_view",
-            SceneView(
-                plant, description, scene.hand, handle.index(), scene_graph.model_inspector(), [pad.index()]
-            ),
-        )
-        builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
-        builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
+        view = add_view(builder, scene, description, handle, [pad])
         stand = builder.AddNamedSystem("stand", Stand(handle.index(), X_WH, settings.ready_time))
         for name in ("body_poses", "body_spatial_velocities"):
             builder.Connect(plant.GetOutputPort(name), stand.GetInputPort(name))
@@ -114,11 +106,7 @@ class TriggerTask(Task[TriggerGoal]):
         for name in ("object_pose", "contact", "self_contact"):
             builder.Connect(view.GetOutputPort(name), monitor.GetInputPort(name))
         shown = {
-            "fingertips": Shown(
-                view.GetOutputPort("fingertips"), np.tile(POINT_MIRROR, len(description.fingers))
-            ),
-            "hand_pose": Shown(view.GetOutputPort("hand_pose"), POSE_MIRROR),
-            "contact": Shown(view.GetOutputPort("contact")),
+            **shown_by(view, len(description.fingers), "fingertips", "hand_pose", "contact"),
             "travel": Shown(monitor.GetOutputPort("travel")),
             "cue": Shown(monitor.GetOutputPort("cue")),
         }
