@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from joint_angles import fitted_keypoints
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError
@@ -103,6 +104,10 @@ def test_fitting_recovers_the_person():
     fitted = HumanHand.fit(recording)
     np.testing.assert_allclose(fitted.p_HB, person.p_HB, atol=1e-6)
     np.testing.assert_allclose(fitted.lengths, person.lengths, atol=1e-6)
+    p_HK = recording.p_HK[::100].astype(float)
+    error = np.linalg.norm(fitted_keypoints(fitted, p_HK) - p_HK, axis=-1)
+    assert np.sqrt(np.mean(error[:, 4::4] ** 2)) < 1e-3
+    assert np.percentile(error, 99) < 4e-3
     # PIP range: play bends it from straight to nearly 100°, and the margin is 2°.
     pip = fitted.joint_names.index("middle_pip_flexion")
     assert np.rad2deg(fitted.lower[pip]) == pytest.approx(-2.0, abs=0.5)
@@ -122,12 +127,17 @@ def test_lost_frames_do_not_disturb_the_fit():
         HumanHand.fit(Recording(recording.t, p_HK, np.zeros_like(valid)))
 
 
-@pytest.mark.parametrize("fixture", ["alex_npy", "manus_npz"])
-def test_real_fingertips_are_within_reach(fixture, request):
-    """The hand that is fitted to a real recording reaches nearly all of its fingertips."""
+@pytest.mark.parametrize(("fixture", "limit_mm"), [("alex_npy", 1.0), ("manus_npz", 1.5)])
+def test_real_hands_are_reproduced(fixture, limit_mm, request):
+    """Fitted to a real recording, the model gives its fingertips back to about half a millimetre RMS.
+
+    The joints between are off by up to 4 mm RMS: four angles cannot follow the twist that the
+    gloves' own models allow a finger.
+    """
     recording = read_recording(request.getfixturevalue(fixture))
     hand = HumanHand.fit(recording)
-    p_HF = recording.fingertips()[::5]
-    middle = np.tile((hand.lower + hand.upper) / 2, (len(p_HF), 1))
-    found = hand.fingertips(hand.solve_fingertips(p_HF, middle, iterations=60))
-    assert (np.linalg.norm(found - p_HF, axis=-1) < 1e-3).mean() > 0.95
+    p_HK = recording.p_HK[::40].astype(float)
+    error = 1e3 * np.linalg.norm(fitted_keypoints(hand, p_HK) - p_HK, axis=-1)
+    assert np.sqrt(np.mean(error[:, 4::4] ** 2)) < limit_mm
+    assert np.sqrt(np.mean(error**2)) < 3.0
+    assert np.sqrt(np.mean(error**2, axis=0)).max() < 5.0

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -73,6 +74,26 @@ def test_a_map_that_is_driven_into_its_limits_is_noticed():
     """Its loss is finite and worse than at the start."""
     with pytest.warns(RuntimeWarning, match=r"loss did not fall: \S+ at the start, \S+ at the end"):
         quick(learning_rate=100.0)
+
+
+def test_a_loss_whose_multipliers_rise_is_no_fault():
+    """Only a fixed loss must fall."""
+
+    def descended(is_fixed):
+        network = torch.nn.Linear(1, 1)
+        return descend(
+            network,
+            lambda step: ((1.0 + step) * (network.weight.square().sum() + 1.0), {}),
+            120,
+            1e-6,
+            is_fixed=is_fixed,
+        )
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        descended(is_fixed=False)
+    with pytest.warns(RuntimeWarning, match="loss did not fall"):
+        descended(is_fixed=True)
 
 
 def test_the_best_weights_of_a_descent_are_not_older_than_a_hundredth_of_it():

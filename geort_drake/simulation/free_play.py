@@ -58,13 +58,10 @@ def keep_attainable(plans: Sequence[GraspGoal], p_BF: np.ndarray) -> tuple[Grasp
         The plan and True. Without an attainable plan: the nearest one, with an infinite clearance, and False.
     """
 
-    def excess(goal: GraspGoal) -> float:
-        miss = np.linalg.norm(p_BF - goal.p_BF_open, axis=-1).min(axis=0, initial=np.inf)
-        return max(float(miss[goal.touches].max() - goal.clearance), 0.0) if goal.clearance < np.inf else 0.0
-
-    kept = min(plans, key=excess)
-    attainable = excess(kept) == 0.0
-    return kept if attainable else dc.replace(kept, clearance=np.inf), attainable
+    excess = [_excess(p_BF, goal, [goal.p_BF_open]) if goal.clearance < np.inf else 0.0 for goal in plans]
+    least = min(excess)
+    kept = plans[excess.index(least)]
+    return (kept, True) if least == 0.0 else (dc.replace(kept, clearance=np.inf), False)
 
 
 def keep_reached(
@@ -76,12 +73,12 @@ def keep_reached(
         places: of fingertips, (F, 3) each, m in B.
     """
 
-    def excess(goal: Any) -> float:
-        misses = [
-            np.linalg.norm(play.p_BF - place, axis=-1).min(axis=0, initial=np.inf)[goal.touches].max()
-            for place in places(goal)
-        ]
-        return max(0.0, float(max(misses)) - goal.clearance)
+    excess = [_excess(play.p_BF, goal, places(goal)) for goal in plans]
+    kept: Any = plans[excess.index(min(excess))]
+    return dc.replace(kept, play=play), min(excess) == 0.0
 
-    kept: Any = min(plans, key=excess)
-    return dc.replace(kept, play=play), excess(kept) == 0.0
+
+def _excess(p_BF: np.ndarray, goal: Any, places: Sequence[np.ndarray]) -> float:
+    """By how much play (T, F, 3) missed the places of touching fingertips, beyond the clearance, m."""
+    misses = [np.linalg.norm(p_BF - place, axis=-1).min(axis=0, initial=np.inf) for place in places]
+    return max(float(np.max(misses, axis=0)[goal.touches].max()) - goal.clearance, 0.0)

@@ -40,11 +40,12 @@ def descend(
     optimiser: torch.optim.Optimizer | Soap | None = None,
     warm_up: int = 0,
     averaging: float = 0.0,
+    is_fixed: bool = True,
 ) -> Descent:
     """Minimises a loss; the learning rate falls to zero along half a cosine.
 
     A loss that stops being finite restores weights from at most a hundredth of the descent earlier, with a
-    RuntimeWarning. A loss that did not fall gives a RuntimeWarning too.
+    RuntimeWarning. A fixed loss that did not fall gives a RuntimeWarning too.
 
     Args:
         network: trained in place.
@@ -56,6 +57,7 @@ def descend(
         warm_up: steps in which the learning rate rises from zero.
         averaging: decay per step of a moving average of the weights in the second half, which the network has
             at the end. 0: it keeps the last weights.
+        is_fixed: whether the loss is the same function at all steps, unlike one with multipliers that adapt.
 
     Raises:
         TrainingError: the loss is not finite at the first step.
@@ -106,7 +108,7 @@ def descend(
             stacklevel=3,
         )
         return Descent(history, time.perf_counter() - started, stopped_at)
-    if len(history) >= 100:
+    if is_fixed and len(history) >= 100:
         # The loss of a saturated map is finite, but the map learns nothing more.
         last = sum(row["total"] for row in history[-10:]) / 10
         if last >= history[0]["total"]:

@@ -101,9 +101,10 @@ def train(
     with one_thread():
         q = torch.tensor(np.asarray(data.q), dtype=torch.float32)
         shapes = None if data.shapes is None else data.shapes()
-        training = _Training(network.to(place), people, kinematics, shapes, q, config, ONE_PERSON, generator)
-        if start is not None:
-            training.people_per_batch = PEOPLE_PER_REFIT_BATCH
+        batch = PEOPLE_PER_BATCH if start is None else PEOPLE_PER_REFIT_BATCH
+        training = _Training(
+            network.to(place), people, kinematics, shapes, q, config, ONE_PERSON, generator, batch
+        )
         descent = training.run(report)
     return TrainingResult(
         network=network.cpu(),
@@ -177,8 +178,10 @@ class _Training:
         config: CoupledConfig,
         gains: Mapping[str, float],
         generator: torch.Generator,
+        batch: int = PEOPLE_PER_BATCH,
     ):
-        """Takes random joint angles q (N, n), rad; collisions are ignored without `shapes`."""
+        """Takes random joint angles q (N, n), rad, and the people per batch; without `shapes`, collisions are
+        ignored."""
         self.network, self.people, self.kinematics, self.config = network, people, kinematics, config
         with torch.no_grad():
             tips = kinematics.fingertips(q).numpy()
@@ -193,7 +196,7 @@ class _Training:
             self.collisions = collisions.NearCollisions(people, gaps.to(people.device))
         self.coverage = CoverageTargets(people, kinematics, voxels, generator)
         self.multipliers = Multipliers({name: getattr(config, name) for name in CONSTRAINTS}, **gains)
-        self.covered, self.people_per_batch = 0.0, PEOPLE_PER_BATCH
+        self.covered, self._batch = 0.0, batch
 
     def run(self, report: Report | None) -> Descent:
         config = self.config
@@ -207,11 +210,12 @@ class _Training:
             Soap(groups, lr=config.learning_rate, betas=MOMENTUM, clip=2.0),
             warm_up=min(100, config.steps // 10),
             averaging=max(1.0 - AVERAGED_STEPS / config.steps, 0.0),
+            is_fixed=False,
         )
 
     def _losses(self, step: int) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
         """The Lagrangian on one batch, and each loss."""
-        hands = self.people.draw(self.people_per_batch)
+        hands = self.people.draw(self._batch)
         robot = self._answers(hands)
         if robot is None:
             return torch.tensor(math.nan), {}
