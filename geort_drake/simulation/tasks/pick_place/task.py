@@ -37,7 +37,7 @@ _MARK = np.array([0.20, 0.62, 0.35, 1.0])
 class TransferResult(TrialResult):
     """Result of one transfer. `outcome` is "success", or "lost" or "timeout" with the last step reached."""
 
-    # Horizontal distance from the place, m, and angle from it about the vertical, rad, at the end.
+    # Horizontal distance from the place, m, and signed angle from it about the vertical, rad, at the end.
     place_error: float
     place_turn: float
     # Step → when it was reached, s.
