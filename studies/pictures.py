@@ -210,6 +210,11 @@ def record_trigger(folder: Path, _arguments: argparse.Namespace) -> None:
     record_task("trigger", "{task_settings: {pulls: 1}}", folder)
 
 
+def record_cap(folder: Path, _arguments: argparse.Namespace) -> None:
+    """Two strokes."""
+    record_task("cap", "{task_settings: {turn: 90}}", folder)
+
+
 def record_hand(folder: Path, _arguments: argparse.Namespace) -> None:
     """Synthetic play, with which the drawings are made as well."""
     run("synthesize_recording", folder / "play.npz")
@@ -254,6 +259,7 @@ PICTURES = {
     "keys": Picture(record_keys, "tasks/keys/adaptive/rrd/affine_ik-keys-0.rrd", 6.9),
     "pick_place": Picture(record_pick_place, "tasks/pick_place/servo/rrd/affine_ik-block_20-0.rrd", 6.3),
     "trigger": Picture(record_trigger, "tasks/trigger/adaptive/rrd/affine_ik-trigger-0.rrd", 7.5),
+    "cap": Picture(record_cap, "tasks/cap/adaptive/rrd/affine_ik-cap-0.rrd", 6.0),
     "objects": Picture(record_objects, "objects.rrd", 0.7),
     "hand": Picture(record_hand, "hand.rrd", 12.0),
     "capture": Picture(record_capture, "capture.rrd", 66.0),

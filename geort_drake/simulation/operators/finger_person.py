@@ -110,10 +110,8 @@ class FingerPerson(abc.ABC, Generic[State]):
         return state.reference - p_BF - (state.learned.J @ done[..., None])[..., 0]
 
     def start(self, X_WH: RigidTransform) -> State:
-        """The state before the first decision: a relaxed hand at X_WH, its thumb straight and aside."""
-        theta = self._motion.rest
-        theta[:4] = self._hand.upper[0], self._hand.lower[1], 0.0, 0.0
-        theta = np.clip(theta, self._hand.lower, self._hand.upper)
+        """The state before the first decision: a hand at X_WH that does not move."""
+        theta = np.clip(self._first_posture(), self._hand.lower, self._hand.upper)
         p_HF = self._hand.fingertips(theta)
         steps = round(self._config.visual_delay / self._config.period)
         p_HF_open, goal, play = p_HF.copy(), self._goal, self._goal.play
@@ -132,7 +130,7 @@ class FingerPerson(abc.ABC, Generic[State]):
                     play, p_HF_open[self._own], self._intention, self._config, self._rng
                 )
         # A minimum-jerk movement peaks at 15/8 of its mean speed.
-        farthest = np.linalg.norm(p_HF_open - p_HF, axis=1)[1:].max()
+        farthest = np.linalg.norm(p_HF_open - p_HF, axis=1).max()
         return self.state(
             theta=theta,
             X_WH=X_WH,
@@ -149,6 +147,12 @@ class FingerPerson(abc.ABC, Generic[State]):
             attended=int(self._used[0]),
             looked=np.zeros(num_fingers),
         )
+
+    def _first_posture(self) -> np.ndarray:
+        """(20,) joint angles of a relaxed hand, its thumb straight and aside, rad."""
+        theta = self._motion.rest
+        theta[:4] = self._hand.upper[0], self._hand.lower[1], 0.0, 0.0
+        return theta
 
     def step(self, state: State, t: float, scene: SeenFingers) -> State:
         """The state after one decision at time t, s; does not change `state`."""
@@ -239,9 +243,7 @@ class FingerPerson(abc.ABC, Generic[State]):
     def _settling_step(self, state: State, t: float) -> np.ndarray:
         """Step (5, 3), m, of the first movement, from the relaxed hand to where the task begins."""
         way = state.p_HF_open - state.p_HF_rest
-        step = self._progress(t - state.phase_start, state.settle_time) * way
-        step[0] = 0.0
-        return step
+        return self._progress(t - state.phase_start, state.settle_time) * way
 
     def _progress(self, since: float, duration: float) -> float:
         """Share of a minimum-jerk movement that is made in one period, after this time, s."""

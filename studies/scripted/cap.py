@@ -1,0 +1,58 @@
+"""The scripted robot of the cap."""
+
+import numpy as np
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
+
+from geort_drake.hands.description import HandDescription
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.tasks.cap.planner import CapPlan, CapPlanner
+from geort_drake.simulation.world import Scene, actuated_joints
+from geort_drake.simulation.wrist_motion import minimum_jerk
+from scripted.robot import hand_order, run_script
+
+_START = 2.0  # s, until the fingers are around the cap
+_MOVES = (1.0, 1.5, 0.7, 1.0)  # s: squeeze, turn, open, return
+
+
+class ScriptedCap(LeafSystem):
+    """Repeats the planned stroke, blindly.
+
+    Output ports:
+        desired_state (2n): joint positions and velocities in actuator order.
+    """
+
+    def __init__(self, plan: CapPlan, scene: Scene, description: HandDescription):
+        super().__init__()
+        order = hand_order(scene, description)
+        start = np.array([joint.default_positions()[0] for joint in actuated_joints(scene.plant, scene.hand)])
+        q_open, q_held = plan.q_open[:, order], plan.q_held[:, order]
+
+        def at(path: np.ndarray, share: float) -> np.ndarray:
+            place = share * (len(path) - 1)
+            first = min(int(place), len(path) - 2)
+            return path[first] + (place - first) * (path[first + 1] - path[first])
+
+        def output(context: Context, vector: BasicVector) -> None:
+            t = context.get_time()
+            q = start + minimum_jerk(t / _START) * (q_open[0] - start)
+            since = (t - _START) % sum(_MOVES)
+            if t > _START:
+                ends = np.cumsum(_MOVES)
+                held, turned, opened, returned = (
+                    minimum_jerk((since - end + move) / move) for end, move in zip(ends, _MOVES, strict=True)
+                )
+                place, squeeze = turned - returned, held - opened
+                q = at(q_open, place) + squeeze * (at(q_held, place) - at(q_open, place))
+            vector.SetFromVector(np.concatenate([q, np.zeros(len(q))]))
+
+        self.DeclareVectorOutputPort("desired_state", 2 * len(start), output)
+
+
+def plans(scenario: Scenario, description: HandDescription) -> list[CapPlan]:
+    """Places of the cap."""
+    return CapPlanner(description).plans()
+
+
+def scripted(scenario: Scenario, plan: CapPlan, seed: int) -> float:
+    """Score of the scripted robot in one trial, 0 without success."""
+    return run_script(scenario, plan.goal, seed, lambda *robot: ScriptedCap(plan, *robot))
