@@ -12,9 +12,10 @@ from geort_drake.simulation.tasks.cap.goal import FINGERS, HEIGHT, RADIUS, CapGo
 
 GAP, SQUEEZE = 0.010, 0.020  # m, of fingertips from the cap's surface, and beyond it
 _CLEARANCE = 0.010  # m, by which free play may miss a fingertip's place
-# Places of the cap in B that are tried, m; and the angle between index and middle finger around it, rad.
+# Places of the cap in B that are tried, m; and angles between index and middle finger around it, rad. In a
+# smaller one, they slip less.
 _X, _Y, _Z = np.arange(0.06, 0.131, 0.02), np.arange(-0.02, 0.061, 0.02), np.arange(-0.02, 0.081, 0.02)
-_APART = np.deg2rad(60)
+_APART = np.deg2rad([60, 70])
 _STEP, _LEAST_STROKE = np.deg2rad(10), np.deg2rad(40)
 _CLEAR = 0.002  # m, of finger links from the cap
 
@@ -60,11 +61,10 @@ class CapPlanner:
             ScenarioError: there is none.
         """
         side = -1.0 if self._robot.hand.description.side == "left" else 1.0
-        found = []
-        for x, y, z in itertools.product(_X, _Y, _Z):
-            plan = self._plan(np.array([x, side * y, z]), side)
-            if plan is not None:
-                found.append(plan)
+        places = [np.array([x, side * y, z]) for x, y, z in itertools.product(_X, _Y, _Z)]
+        found: list[CapPlan] = []
+        for apart in _APART:
+            found = found or [plan for p_BC in places if (plan := self._plan(p_BC, side, apart)) is not None]
         if not found:
             raise ScenarioError(
                 f"hand '{self._robot.hand.description.name}' cannot turn a cap of {2000 * RADIUS:.0f} mm by "
@@ -72,9 +72,9 @@ class CapPlanner:
             )
         return sorted(found, key=lambda plan: (-round(plan.goal.stroke, 6), plan.discomfort))
 
-    def _plan(self, p_BC: np.ndarray, side: float) -> CapPlan | None:
+    def _plan(self, p_BC: np.ndarray, side: float, apart: float) -> CapPlan | None:
         hand, fingers = self._robot.hand, self._robot.fingers
-        angles = 0.5 * np.array([-np.pi, np.pi - _APART, np.pi + _APART])
+        angles = 0.5 * np.array([-np.pi, np.pi - apart, np.pi + apart])
         p_BF = hand.fingertips(hand.default_position)
         p_BF[fingers] = p_BC + (RADIUS + self._robot.radius)[:, None] * np.column_stack(
             [np.zeros(3), side * np.cos(angles), np.sin(angles)]
