@@ -220,6 +220,48 @@ def tasks_table() -> str:
     return "\n".join(["| task | what the person does | kinds of people |", "|---|---|---|", *rows])
 
 
+def objects_table() -> str:
+    """A Markdown table of the objects to grasp, with the extents of their collision geometry."""
+    import numpy as np
+    from pydrake.math import RigidTransform, RotationMatrix
+    from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+    from pydrake.systems.framework import DiagramBuilder
+
+    from geort_drake.simulation.object_shape import object_shape
+    from geort_drake.simulation.scenario import object_names
+    from geort_drake.simulation.tasks.grasp.contacts import grip_of
+    from geort_drake.simulation.world import add_object
+
+    rows = ["| object | grip | size, mm | mass, kg |", "|---|---|---|---|"]
+    for name in object_names():
+        plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
+        body = add_object(plant, name)
+        shape, extents = object_shape(plant, scene_graph.model_inspector(), body), []
+        for axis in np.eye(3):
+            ups = (RotationMatrix.MakeFromOneVector(up, 2) for up in (axis, -axis))
+            extents.append(-sum(shape.lowest_point(RigidTransform(R.inverse())) for R in ups))
+        size = " × ".join(f"{1e3 * extent:.0f}" for extent in extents)
+        rows.append(f"| `{name}` | {grip_of(name)} | {size} | {body.default_mass():g} |")
+    return "\n".join(rows)
+
+
+def hands_table() -> str:
+    """A Markdown table of the shipped hands."""
+    from geort_drake.hands.description import load_hand
+    from geort_drake.hands.model import HandModel
+
+    rows = ["| name | joints | mass | tip radius | stiffness | torque limit |", "|---|---|---|---|---|---|"]
+    for path in sorted((ROOT / "models" / "hands").glob("*.yaml")):
+        hand = HandModel(load_hand(path.stem))
+        motor = hand.plant.get_joint_actuator(hand.plant.GetJointActuatorIndices()[0])
+        mass = hand.plant.CalcTotalMass(hand.plant.CreateDefaultContext())
+        rows.append(
+            f"| `{path.stem}` | {len(hand.joint_names)} | {mass:.3f} kg | {1e3 * hand.tip_radius:.3g} mm "
+            f"| {motor.get_controller_gains().p:g} N·m/rad | {motor.effort_limit():g} N·m |"
+        )
+    return "\n".join(rows)
+
+
 GENERATORS = {
     "commands": commands_table,
     "options": commands_help,
@@ -229,5 +271,7 @@ GENERATORS = {
     "packages": packages_table,
     "formats": formats_table,
     "tasks": tasks_table,
+    "objects": objects_table,
+    "hands": hands_table,
     "perturbations": lambda: parameters_table("PERTURBATIONS", nominal=False),
 }
