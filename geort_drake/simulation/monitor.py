@@ -12,7 +12,7 @@ Judged = TypeVar("Judged", bound=Any)  # an `Outcome`, a frozen dataclass
 
 
 class TaskMonitor(LeafSystem, Generic[Judged]):
-    """Judges a task every `PERIOD`, and terminates a simulation that is decided.
+    """Judges a task periodically, and terminates a simulation that is decided.
 
     Input ports (F fingers):
         contact (F): force between each finger and what is handled, N.
@@ -24,10 +24,12 @@ class TaskMonitor(LeafSystem, Generic[Judged]):
 
     Args:
         start: outcome before the first look.
+        period: between two looks, s.
     """
 
-    def __init__(self, num_fingers: int, start: Judged):
+    def __init__(self, num_fingers: int, start: Judged, period: float = PERIOD):
         super().__init__()
+        self._period = period
         self._contact = self.DeclareVectorInputPort("contact", num_fingers)
         self._self_contact = self.DeclareVectorInputPort("self_contact", 1)
         self._of_outcome = {self.abstract_state_ticket(self.DeclareAbstractState(AbstractValue.Make(start)))}
@@ -37,7 +39,7 @@ class TaskMonitor(LeafSystem, Generic[Judged]):
             lambda context, output: output.set_value(self.outcome(context)),
             self._of_outcome,
         )
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._look)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._look)
 
     def outcome(self, context: Context) -> Judged:
         """The outcome so far."""
@@ -55,7 +57,7 @@ class TaskMonitor(LeafSystem, Generic[Judged]):
         outcome = dc.replace(
             self._judged(context, before),
             peak_force=max(before.peak_force, float(self._contact.Eval(context).max())),
-            self_contact_time=before.self_contact_time + PERIOD * bool(touches_itself),
+            self_contact_time=before.self_contact_time + self._period * bool(touches_itself),
         )
         state.get_mutable_abstract_state(0).set_value(outcome)
         if outcome.over:

@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context
 
 from geort_drake.settings import require_numbers
+from geort_drake.simulation.monitor import TaskMonitor
 from geort_drake.systems.port_values import Immutable, vector_to_pose
 
 
@@ -78,6 +78,11 @@ class GraspOutcome(Immutable):
     peak_height: float = 0.0
     # Total time in which links of the hand touched each other, s; see `SceneView`.
     self_contact_time: float = 0.0
+    # The object's place at first; during a lift p_BO at its start, and since when fewer than two fingers have
+    # touched the object.
+    p_WO_start: np.ndarray | None = None
+    p_BO_lifted: np.ndarray | None = None
+    loose_since: float = math.nan
 
     @property
     def success(self) -> bool:
@@ -101,29 +106,16 @@ class GraspOutcome(Immutable):
         return self.held_since if self.success else math.nan
 
 
-@dc.dataclass(frozen=True)
-class _Memory(Immutable):
-    outcome: GraspOutcome = GraspOutcome()
-    p_WO_start: np.ndarray | None = None
-    # During a lift: p_BO at its start, and since when fewer than two fingers have touched the object.
-    p_BO_lifted: np.ndarray | None = None
-    loose_since: float = math.nan
+class GraspMonitor(TaskMonitor[GraspOutcome]):
+    """Watches object and contacts without delay or noise.
 
-
-class GraspMonitor(LeafSystem):
-    """Watches object and contacts without delay or noise, and terminates a decided simulation.
-
-    Input ports (F fingers):
+    Input ports, besides those of `TaskMonitor`, contact (F) and self_contact (1):
         object_pose (7): X_WO, qw qx qy qz x y z.
         hand_pose (7): X_WB of the robot's hand base.
-        contact (F): force between each finger and the object, N.
-        link_contact (L): the same for each link of the hand.
-        self_contact (1): above 0 while links of the hand touch each other.
+        link_contact (L): force between each link of the hand and the object, N.
     Output ports:
         phase (1): `GraspPhase` as a number.
         outcome (abstract GraspOutcome).
-
-    State (abstract): the outcome, and memory of the present lift.
 
     Args:
         links: L names.
@@ -139,40 +131,25 @@ class GraspMonitor(LeafSystem):
         support_height: float,
         config: GraspMonitorConfig,
     ):
-        super().__init__()
         config.validate()
+        super().__init__(num_fingers, GraspOutcome(), config.period)
         self._lowest_point, self._support, self._config = lowest_point, support_height, config
         self._object_pose = self.DeclareVectorInputPort("object_pose", 7)
         self._hand_pose = self.DeclareVectorInputPort("hand_pose", 7)
-        self._contact = self.DeclareVectorInputPort("contact", num_fingers)
         self._links = np.array(links)
         self._link_contact = self.DeclareVectorInputPort("link_contact", len(links))
-        self._self_contact = self.DeclareVectorInputPort("self_contact", 1)
-        ticket = {self.abstract_state_ticket(self.DeclareAbstractState(AbstractValue.Make(_Memory())))}
         self.DeclareVectorOutputPort(
-            "phase", 1, lambda context, output: output.SetAtIndex(0, self.outcome(context).phase), ticket
+            "phase",
+            1,
+            lambda context, output: output.SetAtIndex(0, self.outcome(context).phase),
+            self._of_outcome,
         )
-        self.DeclareAbstractOutputPort(
-            "outcome",
-            lambda: AbstractValue.Make(GraspOutcome()),
-            lambda context, output: output.set_value(self.outcome(context)),
-            ticket,
-        )
-        self.DeclarePeriodicUnrestrictedUpdateEvent(config.period, 0.0, self._look)
 
-    def outcome(self, context: Context) -> GraspOutcome:
-        """The outcome so far."""
-        return context.get_abstract_state(0).get_value().outcome
-
-    def _look(self, context: Context, state: State) -> EventStatus:
-        memory = context.get_abstract_state(0).get_value()
-        before = memory.outcome
-        if before.over:
-            return EventStatus.DidNothing()
+    def _judged(self, context: Context, before: GraspOutcome) -> GraspOutcome:
         config, t = self._config, context.get_time()
         X_WO = vector_to_pose(self._object_pose.Eval(context))
         force = self._contact.Eval(context).tolist()
-        p_WO_start = X_WO.translation() if memory.p_WO_start is None else memory.p_WO_start
+        p_WO_start = X_WO.translation() if before.p_WO_start is None else before.p_WO_start
         height = self._lowest_point(X_WO) - self._support
         touching = sum(one > config.touch_force for one in force)
         x, y = (X_WO.translation() - p_WO_start)[:2].tolist()
@@ -189,26 +166,25 @@ class GraspMonitor(LeafSystem):
         else:
             phase = GraspPhase(min(touching, 2))
 
-        drops, slip, p_BO_lifted, loose_since = before.drops, before.slip, memory.p_BO_lifted, math.nan
+        drops, slip, p_BO_lifted, loose_since = before.drops, before.slip, before.p_BO_lifted, math.nan
         if phase in _LIFTED:
             p_BO = vector_to_pose(self._hand_pose.Eval(context)).inverse() @ X_WO.translation()
             if p_BO_lifted is None:
                 p_BO_lifted, slip = p_BO, 0.0
             slip = max(slip, float(np.linalg.norm(p_BO - p_BO_lifted)))
         elif p_BO_lifted is not None:
-            loose_since = memory.loose_since
+            loose_since = before.loose_since
             if touching < 2 and math.isnan(loose_since):
                 loose_since = t
             # A short loss of contact is chatter of the contact model, not a drop.
             if height <= config.lifted or t - loose_since >= config.drop_time - _TIME_TOLERANCE:
                 drops, p_BO_lifted, loose_since = drops + 1, None, math.nan
 
-        durations, self_contact_time = before.durations, before.self_contact_time
+        durations, name = before.durations, before.phase.name
         if t > 0:
-            name = before.phase.name
             durations = {**durations, name: durations.get(name, 0.0) + config.period}
-            self_contact_time += config.period * bool(self._self_contact.Eval(context)[0] > 0)
-        outcome = GraspOutcome(
+        return dc.replace(
+            before,
             phase=phase,
             times={**before.times, phase.name: before.times.get(phase.name, t)},
             durations=durations,
@@ -217,11 +193,8 @@ class GraspMonitor(LeafSystem):
             last_touched=phase if touching and phase not in OVER else before.last_touched,
             drops=drops,
             slip=slip,
-            peak_force=max(before.peak_force, *force),
             peak_height=max(before.peak_height, height),
-            self_contact_time=self_contact_time,
+            p_WO_start=p_WO_start,
+            p_BO_lifted=p_BO_lifted,
+            loose_since=loose_since,
         )
-        state.get_mutable_abstract_state(0).set_value(_Memory(outcome, p_WO_start, p_BO_lifted, loose_since))
-        if outcome.over:
-            return EventStatus.ReachedTermination(self, "the grasp is judged")
-        return EventStatus.Succeeded()
