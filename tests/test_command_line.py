@@ -1,5 +1,6 @@
-"""The command `geort-drake`: finding commands, shared options, messages, exit codes, and what it imports."""
+"""The command `geort-drake`: finding commands, options, settings, messages, exit codes, imports."""
 
+import dataclasses
 import json
 import re
 import subprocess
@@ -20,7 +21,8 @@ from geort_drake.cli.options import (
     write_json,
 )
 from geort_drake.console import console, progress_bar, run_main, warn
-from geort_drake.errors import RecordingError
+from geort_drake.errors import GeortError, RecordingError
+from geort_drake.settings import parse_settings
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 HEAVY = {"rich", "torch", "pydrake", "rerun", "scipy", "matplotlib", "pyarrow", "joblib"}
@@ -52,7 +54,7 @@ def test_the_overview_lists_every_command_in_a_line(capsys):
     files = {
         path.stem.replace("_", "-") for path in (SCRIPTS.parent / "geort_drake" / "cli").glob("[a-z]*.py")
     }
-    assert files - {"options", "live-session", "live-web"} == set(COMMANDS)
+    assert files - {"options", "benchmark-tables", "live-session", "live-web"} == set(COMMANDS)
 
 
 def test_python_m_and_scripts_are_the_same_program(tmp_path):
@@ -194,3 +196,25 @@ def test_importing_the_package_loads_nothing_else():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {name.split(".")[0].lstrip("_") for name in done.stdout.split()}
     assert loaded - {"geort_drake"} <= {name.lstrip("_") for name in sys.stdlib_module_names}
+
+
+@dataclasses.dataclass
+class Config:
+    steps: int = 10
+    rate: float = 0.5
+    exact: bool = True
+    mode: str = "slow"
+    extent: tuple = (1, 2)
+
+
+def test_values_get_the_type_of_the_default():
+    """Numbers, truth values and texts, also those with an equals sign; the last of a name counts."""
+    texts = ["steps=20", "rate=1e-3", "exact=False", "mode=a=b", "steps=30"]
+    assert parse_settings(texts, Config, "x") == {"steps": 30, "rate": 1e-3, "exact": False, "mode": "a=b"}
+    assert parse_settings([], Config(), "x") == {}
+    for text, message in (
+        ("exact=1", "true or false, not '1'"),
+        ("extent=3", "of: exact, mode, rate, steps"),
+    ):
+        with pytest.raises(GeortError, match=message):
+            parse_settings([text], Config, "the toy")

@@ -1,0 +1,102 @@
+"""The tables that `geort-drake benchmark` prints."""
+
+import argparse
+from collections.abc import Iterator
+
+from geort_drake.cli.options import finish, write_json
+
+
+def report(arguments: argparse.Namespace, summary: dict) -> int:
+    """Prints the summary of grasps; returns the exit code."""
+    from geort_drake.console import print_table, warn
+
+    folder, errors = arguments.output, summary["errors"]
+    headings = ("method", "one-time", "95 %", "success", "tip-only", "mean time", "difference")
+    caption = (
+        "one-time: lifted and held at the first closing; tip-only: only fingertips touched the held object; "
+        "mean time: failures count as the timeout; difference: of one-time success to the first method, %"
+    )
+    print_table(headings, _rows(summary), "Grasps", caption)
+    if summary["people"]:
+        people = ("who", "success", "95 %", "mean time", "wrist", "fingertips", "movements")
+        meaning = (
+            "with the objects that people grasped; mean time: failures count as the timeout; wrist, "
+            "fingertips: mean speed in motion; movements: peaks of the wrist's speed"
+        )
+        print_table(people, _people_rows(summary["people"]), "Real and simulated people", meaning)
+    if summary["refused"]:
+        warn(f"objects left out, because the hand cannot grasp them: {', '.join(summary['refused'])}")
+    for name, entry in summary["methods"].items():
+        if faults := entry["overall"]["faults"]:
+            counted = ", ".join(f"{number} {kind}" for kind, number in faults.items())
+            warn(f"faulty outputs of {name}; the joints held, or stayed at their limits: {counted}")
+    if errors:
+        warn(f"{errors} trials raised an error: see {folder / 'errors'}")
+    write_json(arguments.json, summary)
+    finish({"Report": f"{folder / 'report.html'} (open it in a browser)"})
+    return 1 if errors else 0
+
+
+def report_tasks(arguments: argparse.Namespace, summary: dict) -> int:
+    """Prints the summary of tasks and kinds; returns the exit code."""
+    from geort_drake.console import print_table, warn
+
+    rows = []
+    for task, kinds in summary["tasks"].items():
+        for kind, figures in kinds.items():
+            if figures["refused"]:
+                warn(f"{task}, left out, as the hand cannot do it: {', '.join(figures['refused'])}")
+            for method, of in figures["methods"].items():
+                score, share = of["score"], of["success"]
+                if share["trials"]:
+                    bounds = "–" if score["low"] is None else f"{score['low']:.2f}–{score['high']:.2f}"
+                    done = f"{share['successes']} of {share['trials']}"
+                    rows.append([task, kind, method, f"{score['mean']:.2f}", bounds, done])
+    caption = "score: from 0 to 1, mean with its 95 % interval"
+    print_table(("task", "person", "method", "score", "95 %", "success"), rows, "Tasks", caption)
+    if summary["errors"]:
+        warn(f"{summary['errors']} trials raised an error: see the errors/ folders in {arguments.output}")
+    write_json(arguments.json, summary)
+    finish({"Summary": f"{arguments.output / 'summary.json'}"})
+    return 1 if summary["errors"] else 0
+
+
+def _rows(summary: dict) -> Iterator[list[str]]:
+    """One row per method."""
+    for name, entry in summary["methods"].items():
+        of = entry["overall"]
+        once, success = of["one_time_success"], of["success"]
+        if not once["trials"]:
+            yield [name, *["–"] * 6]
+            continue
+        against = summary["differences"].get(name, {}).get("overall", {}).get("one_time_success", {})
+        yield [
+            name,
+            f"{once['successes']} of {once['trials']}",
+            f"{100 * once['low']:.0f}–{100 * once['high']:.0f} %",
+            f"{100 * success['rate']:.0f} %",
+            f"{100 * of['tip_success']['rate']:.0f} %",
+            f"{of['completion_time_s']['restricted_mean']['mean']:.1f} s",
+            "–" if against.get("mean") is None else f"{100 * against['mean']:+.0f}",
+        ]
+
+
+def _people_rows(summary: dict) -> Iterator[list[str]]:
+    """One row a map of real people, and one a method of the simulated person."""
+    rows = {f"{of['persons']} people, map {name}": of for name, of in summary["people"].items()}
+    rows |= {f"simulated, {name}": of for name, of in summary["simulated"].items()}
+
+    def mean(value: dict, form: str) -> str:
+        return "–" if value["mean"] is None else form.format(value["mean"])
+
+    for name, of in rows.items():
+        success = of["success"]
+        yield [
+            name,
+            f"{success['successes']} of {success['trials']}",
+            f"{100 * success['low']:.0f}–{100 * success['high']:.0f} %",
+            mean(of["completion_time"], "{:.1f} s"),
+            mean(of["wrist_speed"], "{:.2f} m/s"),
+            mean(of["fingertip_speed"], "{:.2f} m/s"),
+            mean(of["movements"], "{:.1f}"),
+        ]
