@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 import torch
 from grasp_setup import allegro
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import ConstantVectorSource
+from system_bench import SystemBench
 
 from geort_drake.errors import PolicyError
 from geort_drake.hands.clearance import HandClearance
@@ -101,24 +99,19 @@ def pinching_position() -> np.ndarray:
             return q
 
 
-def test_the_guard_in_a_diagram_walks_towards_a_command_and_stays_clear():
+def test_the_guard_walks_towards_a_command_and_stays_clear():
     """From update to update; its velocities are those of its positions."""
     hand, joints = allegro(), plant_order()
-    wanted = np.clip(np.full(16, 1.4), *(bound[[hand.joint_names.index(n) for n in joints]]
-                                         for bound in (hand.lower, hand.upper)))  # fmt: skip
+    limits = limits_of(hand, joints)
+    wanted = np.clip(np.full(16, 1.4), limits.lower, limits.upper)
     start = dict(zip(hand.joint_names, hand.default_position, strict=True))
-    builder = DiagramBuilder()
-    system = builder.AddSystem(SelfCollisionGuard(hand, joints, start, limits_of(hand, joints)))
-    source = builder.AddSystem(ConstantVectorSource(np.concatenate([wanted, np.zeros(16)])))
-    builder.Connect(source.get_output_port(), system.GetInputPort("desired_state"))
-    simulator = Simulator(builder.Build())
-    context = system.GetMyContextFromRoot(simulator.get_context())
+    bench = SystemBench(SelfCollisionGuard(hand, joints, start, limits))
+    bench.fix(desired_state=[*wanted, *np.zeros(16)])
     back = [joints.index(name) for name in hand.joint_names]
     before = np.array([start[name] for name in joints])
     for step in range(60):
-        simulator.AdvanceTo(0.01 * step + 0.005)
-        desired = system.get_output_port().Eval(context).copy()
-        q, v = desired[:16], desired[16:]
+        bench.advance()
+        q, v = np.split(bench.value("desired_state"), 2)
         assert not clearance().near(q[back]).pairs
         if step:
             np.testing.assert_allclose(v, (q - before) / 0.01, atol=1e-9)
@@ -153,16 +146,13 @@ def torchscript(folder, module) -> str:
 def run_policy(policy, desired: np.ndarray, measured: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """Desired states and statuses of two joints in [-1, 1] for commands (T, 2) and positions (T, 2)."""
     limits = JointLimits(np.full(2, -1.0), np.full(2, 1.0), 5.0, 200.0)
-    system = PolicyCorrection(policy, ["a", "b"], {"a": 0.0, "b": 0.0}, limits)
-    simulator = Simulator(system)
-    context = simulator.get_mutable_context()
+    bench = SystemBench(PolicyCorrection(policy, ["a", "b"], {"a": 0.0, "b": 0.0}, limits))
     states, statuses = [], []
-    for step, (q_desired, q) in enumerate(zip(desired, measured, strict=True)):
-        system.GetInputPort("desired_state").FixValue(context, [*q_desired, 0.0, 0.0])
-        system.GetInputPort("hand_state").FixValue(context, [*q, 0.0, 0.0])
-        simulator.AdvanceTo(0.01 * step + 0.005)
-        states.append(system.GetOutputPort("desired_state").Eval(context).copy())
-        statuses.append(system.GetOutputPort("status").Eval(context))
+    for q_desired, q in zip(desired, measured, strict=True):
+        bench.fix(desired_state=[*q_desired, 0.0, 0.0], hand_state=[*q, 0.0, 0.0])
+        bench.advance()
+        states.append(bench.value("desired_state"))
+        statuses.append(bench.value("status"))
     states = np.array(states)
     v = states[:, 2:]
     assert np.abs(states[:, :2]).max() <= 1.0 and np.abs(v).max() <= 5.0 + 1e-9

@@ -1,4 +1,4 @@
-"""`geort_coupled` on a small hand whose right answer is known, and its map in NumPy."""
+"""`geort_coupled` on a small hand whose right answer is known, its map in NumPy, and its collision gaps."""
 
 import dataclasses
 
@@ -8,14 +8,18 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from retargeting_toy import HAND, HUMAN, PLANTED, answers, toy_data, toy_kinematics, uneven_kinematics
+from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import TrainingError
+from geort_drake.hands.collision_shapes import collision_shapes
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.clouds import first_in_voxels, voxel_centres, voxel_index
 from geort_drake.retargeting.methods.coupled import CoupledConfig, CoupledRetargeter, Start, train_coupled
 from geort_drake.retargeting.methods.coupled.network import CoupledNetwork
 from geort_drake.retargeting.methods.coupled.people import TrainingPeople
 from geort_drake.retargeting.methods.geort import GeortConfig
-from geort_drake.retargeting.training.collision_geometry import CollisionShapes
+from geort_drake.retargeting.training.collision_geometry import CollisionGaps, CollisionShapes, box_gap
 
 KEYPOINTS = [4, 8, 12]
 QUICK = CoupledConfig(steps=150)
@@ -143,3 +147,47 @@ def test_one_point_of_each_voxel_remains(count, seed):
     cells, first = np.unique(voxel_index(points, 0.005), axis=0, return_index=True)
     np.testing.assert_array_equal(first_in_voxels(points, 0.005), np.sort(first))
     np.testing.assert_allclose(voxel_centres(points, 0.005), (cells + 0.5) * 0.005)
+
+
+CPU = torch.device("cpu")
+
+
+def gap(R_A, R_B, p_AB, a, b) -> float:
+    tensors = [torch.tensor(np.asarray(value, dtype=float))[None] for value in (R_A, R_B, p_AB, a, b)]
+    return float(box_gap(*tensors)[0])
+
+
+@pytest.mark.parametrize(
+    ("p_AB", "expected"), [([3, 0, 0], 1.0), ([0, 1.5, 0], -0.5), ([0, 0, 2], 0.0), ([3, 3, 0], 2**0.5)]
+)
+def test_parallel_cubes_and_a_point(p_AB, expected):
+    """Unit half edges: face to face; for a point at a corner the distance is Euclidean."""
+    eye = np.eye(3)
+    b = [1, 1, 1] if expected != 2**0.5 else [0, 0, 0]
+    p = p_AB if expected != 2**0.5 else [2, 2, 0]
+    assert gap(eye, eye, p, [1, 1, 1], b) == pytest.approx(expected, abs=1e-6)
+
+
+def test_crossed_edges_are_separated_by_their_product():
+    """Two cubes on edge, crossing at right angles: the gap along z is the height minus 2√2."""
+    R_A, R_B = Rotation.from_euler("x", 45, True).as_matrix(), Rotation.from_euler("y", 45, True).as_matrix()
+    for height in (2.5, 3.5):
+        expected = height - 2 * 2**0.5
+        assert gap(R_A, R_B, [0, 0, height], [1, 1, 1], [1, 1, 1]) == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["allegro_right", "leap_right"])
+def test_gaps_agree_with_drake(name):
+    """The sign of the least gap is Drake's answer, except where a cylinder's rim decides."""
+    hand = HandModel(load_hand(name))
+    q = np.random.default_rng(0).uniform(hand.lower, hand.upper, (1500, 16))
+    shapes = collision_shapes(hand)
+    gaps = CollisionGaps(hand.kinematics(), shapes)
+    before = len(gaps.pairs)
+    least = gaps.least(torch.tensor(q).float(), 0.002).numpy()
+    label = hand.collides_beyond_tips(q)
+    assert ((least < 0) == label).mean() > 0.99
+    gaps.keep_pairs_that_meet(torch.tensor(q).float(), 0.001)
+    assert len(gaps.pairs) < before
+    after = gaps.least(torch.tensor(q).float(), 0.002).numpy()
+    np.testing.assert_array_equal(after < 0, least < 0)

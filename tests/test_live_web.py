@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from faults.mutations import changed, mutated
 from live_messages import Clock
 from loop_bench import LoopBench
 from web_page import PLAY, R_CW, camera, headset, hello, in_world
@@ -19,7 +20,7 @@ from geort_drake.live.web.one_euro import OneEuroFilter
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo, is_fist
 from geort_drake.people.keypoints import bone_lengths
 from geort_drake.systems.glove_checks import HELD_CLOCK, HELD_LOST, HELD_STALE
-from geort_drake.systems.retargeting_system import TRACKING
+from geort_drake.systems.retargeting_system import SETTLING, TRACKING
 
 
 def station(robot: str = "simulation", side: str = "right") -> OperatorStation:
@@ -236,7 +237,7 @@ def toy_loop() -> LoopBench:
     return bench
 
 
-def test_a_page_that_sleeps_leaves_or_sets_its_clock_is_held_at_once_and_eased_back():
+def test_a_page_that_sleeps_leaves_disengages_or_sets_its_clock_is_held_at_once_and_eased_back():
     bench = toy_loop()
     known(bench.station)
 
@@ -254,39 +255,38 @@ def test_a_page_that_sleeps_leaves_or_sets_its_clock_is_held_at_once_and_eased_b
     assert asleep[-1] == HELD_STALE
     awake = follow(101.6)
     assert any(state.startswith("easing") for state in awake) and awake[-1] == TRACKING
+    bench.engage(False)
+    disengaged = follow(103.0, 40)
+    assert disengaged[-1] == "disengaged: held"
+    np.testing.assert_array_equal(bench.step()[1], 0.0)
+    bench.engage(True)
+    engaged = follow(104.0)
+    assert engaged[0] == SETTLING and engaged[-1] == TRACKING
+    assert any(state.startswith("easing") for state in engaged)
     backwards = follow(50.0)
     assert HELD_CLOCK in backwards[:3] and backwards[-1] == TRACKING
     bench.station.leave(1)
     bench.step()
     bench.step()
     assert bench.state() == HELD_LOST
-    states = {*asleep, *awake, *backwards}
+    states = {*asleep, *awake, *disengaged, *engaged, *backwards}
     assert not [state for state in states if "limit" in state and not state.startswith("limited")]
 
 
 def malformed(rng: np.random.Generator) -> str | bytes:
     """A message with one fault, or one that is well formed and absurd."""
-    fields = json.loads(headset(int(rng.integers(len(PLAY.t)))))
-    kind = int(rng.integers(8))
-    if kind == 0:
-        return rng.bytes(int(rng.integers(200)))
-    if kind == 1:
-        text = json.dumps(fields)
-        return text[: int(rng.integers(len(text)))]
-    if kind == 2:
-        fields[str(rng.choice(list(fields)))] = [None, "x", [], {}, -1, 1e308, True, [[]]][
-            int(rng.integers(8))
-        ]
-    elif kind == 3:
-        fields["joints"][int(rng.integers(25))] = [None, [0.0], "x", [1e9, 0.0, 0.0]][int(rng.integers(4))]
-    elif kind == 4:
+    text = headset(int(rng.integers(len(PLAY.t))))
+    fields, kind = json.loads(text), int(rng.integers(8))
+    if kind < 3:
+        return mutated(text.encode(), rng)
+    if kind == 3:
         fields["joints"] = rng.normal(0.0, 10.0 ** rng.integers(-3, 3), (25, 3)).tolist()
-    elif kind == 5:
+    elif kind == 4:
         fields["t"] = float(10.0 ** rng.uniform(-9, 9))
-    elif kind == 6:
+    elif kind == 5:
         fields = {"type": str(rng.choice(["engage", "reset", "hello", "lost", "record", "", "💥"]))}
     else:
-        return json.dumps(fields).replace("]", rng.choice(["", "]]", "NaN", "1e999", "\0"]), 1)
+        fields = changed(fields, rng)
     return json.dumps(fields)
 
 

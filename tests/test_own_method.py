@@ -1,4 +1,4 @@
-"""A method given as a Python file: how it is called, and what becomes of its faults."""
+"""Methods of one's own: a Python file, how it is called, its faults; and a module of a trained method."""
 
 import copy
 from pathlib import Path
@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from grasp_setup import TOO_SHORT, allegro, human_with
+from light_training import train_lightly
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
@@ -18,6 +19,9 @@ from geort_drake.benchmark.statistics import figures
 from geort_drake.comparison.retargeters import names_of
 from geort_drake.errors import BenchmarkError, MethodError
 from geort_drake.hands.urdf import hand_urdf
+from geort_drake.retargeting import methods
+from geort_drake.retargeting.checkpoint import load_checkpoint
+from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.simulation.scenario import dump_scenario, load_scenario
 
 FILE = """
@@ -128,3 +132,27 @@ def test_a_method_of_another_package_answers(play):
     pytest.importorskip("dex_retargeting")
     example = Path(__file__).parents[1] / "examples" / "dex_retargeting_method.py"
     OwnMethod(example, "allegro_right").check(play.p_HK[0])
+
+
+MODULE = """
+from geort_drake.retargeting.method import TrainedMethod
+from geort_drake.retargeting.methods.linear_offline import LinearConfig, train_linear_offline
+from geort_drake.retargeting.numpy_retargeter import Retargeter
+
+METHODS = (TrainedMethod("mine", "of a newcomer", LinearConfig, train_linear_offline, Retargeter),)
+"""
+
+
+@pytest.mark.usefixtures("light_evaluation")
+def test_one_module_adds_a_method(tmp_path, play, monkeypatch):
+    """It is listed, trained, stored and loaded under its name."""
+    (tmp_path / "newcomer.py").write_text(MODULE)
+    monkeypatch.setattr(methods, "__path__", [*methods.__path__, str(tmp_path)])
+    methods.all_methods.cache_clear()
+    try:
+        assert methods.trained_method("mine").summary == "of a newcomer"
+        path = train_lightly("allegro_right", play, tmp_path / "map", "mine")
+        assert load_checkpoint(path).config["method"] == "mine"
+        assert load_retargeter(path)(play.p_HK[:3]).shape == (3, 16)
+    finally:
+        methods.all_methods.cache_clear()

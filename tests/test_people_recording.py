@@ -1,14 +1,20 @@
-"""Recordings and their file."""
+"""Recordings, their file, and recordings that are kept while they are made."""
 
 import dataclasses
+import dataclasses as dc
+import os
+import threading
 
 import numpy as np
 import pytest
 from glove_files import write_own
 from moving_hands import moving
 
-from geort_drake.errors import RecordingError
+from geort_drake.errors import OutputError, RecordingError
+from geort_drake.people.play import synthesize_play
+from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
+from geort_drake.people.recording_parts import RecordingParts
 
 
 def recorded(frames=400) -> Recording:
@@ -80,3 +86,99 @@ def test_malformed_files_are_refused(tmp_path, changes, message):
     """A file that lacks a field is named and refused."""
     with pytest.raises(RecordingError, match=message):
         Recording.load(write_own(tmp_path, moving(), **changes))
+
+
+PLAY = dc.replace(synthesize_play(4, duration_s=8.0, rate_hz=50.0), metadata={"side": "right"})
+PLAY = dc.replace(PLAY, X_WH=np.tile(np.eye(7)[0], (len(PLAY), 1)))
+LATER = 3.25  # s, when the first frame came
+
+
+def append(parts: RecordingParts, frames: range, step: int = 50) -> None:
+    for start in frames[::step]:
+        part = slice(start, min(start + step, frames.stop))
+        parts.append(PLAY.t[part] + LATER, PLAY.p_HK[part], PLAY.valid[part], PLAY.X_WH[part])
+
+
+def interrupt(parts: RecordingParts) -> None:
+    """Ends the thread and leaves everything else as kill -9 would."""
+    parts._waiting.put(None)
+    parts._thread.join()
+
+
+def test_parts_are_joined_to_one_recording(tmp_path):
+    """Times from zero, nothing missing, and no part left."""
+    parts = RecordingParts(tmp_path / "session.npz", PLAY.metadata)
+    append(parts, range(len(PLAY)))
+    assert parts.finish()
+    assert [path.name for path in tmp_path.iterdir()] == ["session.npz"]
+    joined = Recording.load(tmp_path / "session.npz")
+    np.testing.assert_allclose(joined.t, PLAY.t, atol=1e-12)
+    for name in ("p_HK", "valid", "X_WH"):
+        np.testing.assert_array_equal(getattr(joined, name), getattr(PLAY, name))
+
+
+def test_an_interrupted_session_is_read_and_then_kept(tmp_path):
+    """Under the file's name while there is none; under another one by the next session."""
+    path = tmp_path / "session.npz"
+    first = RecordingParts(path, PLAY.metadata)
+    append(first, range(300))
+    interrupt(first)
+    read = read_recording(path)
+    assert len(read) == 300
+    np.testing.assert_array_equal(read.p_HK, PLAY.p_HK[:300])
+    with pytest.raises(RecordingError, match="right"):
+        read_recording(path, side="left")
+    again = RecordingParts(path, PLAY.metadata)
+    assert again.recovered == tmp_path / "session-interrupted-1.npz"
+    assert Recording.load(again.recovered).digest == read.digest
+    append(again, range(100))
+    assert again.finish()
+    assert len(read_recording(path)) == 100
+    assert len(read_recording(again.recovered)) == 300
+
+
+def test_a_full_disk_keeps_the_parts_before(tmp_path, monkeypatch):
+    """The session goes on, with one warning; its end names the file, and the parts can be read."""
+    save, saved = Recording.save, []
+
+    def full(recording, path):
+        if len(saved) == 3:
+            raise OutputError(f"{path}: cannot be written: No space left on device")
+        saved.append(path)
+        save(recording, path)
+
+    monkeypatch.setattr(Recording, "save", full)
+    path = tmp_path / "session.npz"
+    parts = RecordingParts(path, PLAY.metadata)
+    with pytest.warns(RuntimeWarning, match="the recording ends here: .*No space left") as warned:
+        append(parts, range(len(PLAY)))
+        with pytest.raises(OutputError, match=r"000003\.npz: cannot be written: No space left"):
+            parts.finish()
+    assert len(warned) == 1
+    assert len(read_recording(path)) == 150
+
+
+def test_a_disk_that_hangs_holds_nobody_up(tmp_path, monkeypatch):
+    """Memory stays bounded: what does not fit is left out, and told."""
+    go_on = threading.Event()
+    save = Recording.save
+    monkeypatch.setattr(Recording, "save", lambda *arguments: (go_on.wait(), save(*arguments)))
+    parts = RecordingParts(tmp_path / "session.npz", PLAY.metadata)
+    with pytest.warns(RuntimeWarning, match="disk is too slow"):
+        append(parts, range(200), step=10)
+    go_on.set()
+    with pytest.raises(OutputError, match="disk is too slow"):
+        parts.finish()
+
+
+def test_a_broken_part_is_named(tmp_path):
+    """Nothing is joined or removed."""
+    path = tmp_path / "session.npz"
+    parts = RecordingParts(path, PLAY.metadata)
+    append(parts, range(100))
+    interrupt(parts)
+    (tmp_path / "session.npz.parts" / "000001.npz").write_bytes(b"x")
+    for read in (read_recording, lambda path: RecordingParts(path, {})):
+        with pytest.raises(RecordingError, match=r"000001\.npz: not a readable NumPy file"):
+            read(path)
+    assert sorted(os.listdir(tmp_path)) == ["session.npz.parts"]

@@ -91,27 +91,15 @@ CELL_TYPES 1
 OBJ = "v 0 0 0\nv 0.3 0 0\nv 0 0.2 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
-def gltf(buffer_uri):
-    """A tetrahedron; its buffer is `CORNERS` and `FACES`."""
-    buffer = {"byteLength": CORNERS.nbytes + FACES.nbytes, "uri": buffer_uri}
-    accessors = [
-        {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3",
-         "min": CORNERS.min(0).tolist(), "max": CORNERS.max(0).tolist()},
-        {"bufferView": 1, "componentType": 5123, "count": 12, "type": "SCALAR"},
-    ]  # fmt: skip
-    return {
-        "asset": {"version": "2.0"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-        "buffers": [buffer],
-        "bufferViews": [
-            {"buffer": 0, "byteOffset": 0, "byteLength": CORNERS.nbytes},
-            {"buffer": 0, "byteOffset": CORNERS.nbytes, "byteLength": FACES.nbytes},
-        ],
-        "accessors": accessors,
-    }
+def write_gltf(folder, buffer):
+    """A tetrahedron whose buffer has that name, with a space in its URI; returns the file's path."""
+    mesh = trimesh.Trimesh(CORNERS, FACES, process=False)
+    files = mesh.export(file_type="gltf", merge_buffers=True)
+    (folder / buffer).write_bytes(files["gltf_buffer.bin"])
+    model = json.loads(files["model.gltf"])
+    model["buffers"][0]["uri"] = buffer.replace(" ", "%20")
+    (folder / "t.gltf").write_text(json.dumps(model))
+    return str(folder / "t.gltf")
 
 
 def drawn(tmp_path, shape, role=Role.kIllustration):
@@ -153,9 +141,7 @@ def test_a_mesh_keeps_its_vertices(tmp_path, kind, role, name, text):
 def test_a_gltf_file_is_whole_and_turned_as_drake_turns_it(tmp_path):
     """The recording holds all buffers; the file's y axis is Drake's z."""
     scale = np.array([1.0, 2.0, 3.0])
-    (tmp_path / "a b.bin").write_bytes(CORNERS.tobytes() + FACES.tobytes())
-    (tmp_path / "t.gltf").write_text(json.dumps(gltf("a%20b.bin")))
-    value = drawn(tmp_path, Mesh(str(tmp_path / "t.gltf"), scale))
+    value = drawn(tmp_path, Mesh(write_gltf(tmp_path, "a b.bin"), scale))
     contents = np.asarray(value("Asset3D:blob")[0], dtype=np.uint8).tobytes()
     held = trimesh.load_scene(io.BytesIO(contents), file_type="glb", process=False).to_mesh()
     np.testing.assert_allclose(held.triangles, CORNERS[FACES.astype(int)], atol=1e-7)
@@ -213,11 +199,10 @@ def test_an_obj_file_has_the_colours_and_textures_of_its_materials(tmp_path):
 
 def test_a_damaged_file_is_drawn_as_its_hull_or_left_out(tmp_path):
     """The warnings name the geometry."""
-    (tmp_path / "t.gltf").write_text(json.dumps(gltf("missing.bin")))
+    mesh = Mesh(write_gltf(tmp_path, "lost.bin"))
+    (tmp_path / "lost.bin").unlink()
     world = World()
-    world.plant.RegisterVisualGeometry(
-        world.ball, RigidTransform(), Mesh(str(tmp_path / "t.gltf")), "mesh", [1, 1, 1, 1]
-    )
+    world.plant.RegisterVisualGeometry(world.ball, RigidTransform(), mesh, "mesh", [1, 1, 1, 1])
     with pytest.warns(UserWarning) as warned:
         world.finalize().record(tmp_path / "mesh.rrd")
     world.recorder.close()

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
+from system_bench import SystemBench
 
 from geort_drake.errors import HandError
 from geort_drake.people.recording import Recording
@@ -40,15 +40,12 @@ def small_recording(frames: int = 12, rate: float = 100.0) -> Recording:
 def test_replay_holds_each_sample_until_the_next():
     """Between two samples the older one is given; times are compared up to rounding."""
     recording = small_recording()
-    replay = GloveReplay(recording)
-    context = replay.CreateDefaultContext()
+    bench = SystemBench(GloveReplay(recording))
     for time, sample in ((0.0, 0), (0.0099, 0), (0.01, 1), (0.035, 3), (0.06 - 5e-10, 6), (9.0, 11)):
-        context.SetTime(time)
-        keypoints = replay.GetOutputPort("keypoints").Eval(context)
-        np.testing.assert_array_equal(keypoints.reshape(21, 3), recording.p_HK[sample])
-        assert replay.GetOutputPort("valid").Eval(context)[0] == recording.valid[sample]
-        X_WH = replay.GetOutputPort("wrist_pose").Eval(context)
-        np.testing.assert_allclose(X_WH.translation(), recording.X_WH[sample, 4:])
+        bench.context.SetTime(time)
+        np.testing.assert_array_equal(bench.value("keypoints").reshape(21, 3), recording.p_HK[sample])
+        assert bench.value("valid")[0] == recording.valid[sample]
+        np.testing.assert_allclose(bench.value("wrist_pose").translation(), recording.X_WH[sample, 4:])
 
 
 def test_recording_a_replay_gives_the_recording_back():
@@ -71,15 +68,14 @@ def test_recording_a_replay_gives_the_recording_back():
 # -- RetargetingSystem
 
 
-def make_retargeting(retarget, latency=0.0):
+def retargeting_bench(retarget, latency=0.0, **timing) -> SystemBench:
     start, plant_order = dict.fromkeys(JOINTS, 0.0), ("index_a", "thumb_a", "thumb_b")
     limits = JointLimits(np.full(3, -2.0), np.full(3, 2.0), 1e9, 1e12)
     checks = GloveChecks(settle_time=0.0, ease_time=0.0, ease_at_start=False)
     system = RetargetingSystem(retarget, JOINTS, plant_order, start, 0.01, limits, latency, checks=checks)
-    simulator = Simulator(system)
-    context = simulator.get_mutable_context()
-    system.GetInputPort("valid").FixValue(context, [1.0])
-    return system, simulator, context
+    bench = SystemBench(system, **timing)
+    bench.fix(valid=1.0)
+    return bench
 
 
 def first_three(keypoints):
@@ -88,32 +84,28 @@ def first_three(keypoints):
 
 def test_retargeting_orders_joints_as_the_plant_does():
     """Values are matched by name, velocities belong to positions, and there is no direct feedthrough."""
-    system, simulator, context = make_retargeting(first_three)
-    assert not system.HasAnyDirectFeedthrough()
+    bench = retargeting_bench(first_three)
+    assert not bench.system.HasAnyDirectFeedthrough()
     keypoints = np.zeros((21, 3))
     keypoints[4] = [0.1, 0.2, 0.25]
-    system.GetInputPort("keypoints").FixValue(context, keypoints.ravel())
-    simulator.AdvanceTo(0.005)
-    desired = system.GetOutputPort("desired_state").Eval(context)
+    bench.fix(keypoints=keypoints)
+    bench.advance()
+    desired = bench.value("desired_state")
     np.testing.assert_allclose(desired[:3], [0.25, 0.1, 0.2])
     np.testing.assert_allclose(desired[3:], np.array([0.25, 0.1, 0.2]) / 0.01)
-    simulator.AdvanceTo(0.025)
-    np.testing.assert_allclose(system.GetOutputPort("desired_state").Eval(context)[3:], 0, atol=1e-12)
+    bench.advance()
+    np.testing.assert_allclose(bench.value("desired_state")[3:], 0, atol=1e-12)
 
 
 def test_retargeting_holds_when_the_map_gives_no_number():
     """One NaN among the joint targets holds them all, and the next good answer is followed."""
     answers = iter([[0.1, 0.1, 0.1], [0.2, np.nan, 0.2], [0.3, 0.3, 0.3]])
-    system, simulator, context = make_retargeting(lambda _keypoints: np.array(next(answers)))
-    system.GetInputPort("keypoints").FixValue(context, np.zeros(63))
-    for until, wanted, state in (
-        (0.005, 0.1, TRACKING),
-        (0.015, 0.1, HELD_NOT_FINITE),
-        (0.025, 0.3, TRACKING),
-    ):
-        simulator.AdvanceTo(until)
-        np.testing.assert_allclose(system.GetOutputPort("desired_state").Eval(context)[:3], wanted)
-        assert system.GetOutputPort("status").Eval(context).state == state
+    bench = retargeting_bench(lambda _keypoints: np.array(next(answers)))
+    bench.fix(keypoints=np.zeros(63))
+    for wanted, state in ((0.1, TRACKING), (0.1, HELD_NOT_FINITE), (0.3, TRACKING)):
+        bench.advance()
+        np.testing.assert_allclose(bench.value("desired_state")[:3], wanted)
+        assert bench.value("status").state == state
 
 
 @pytest.mark.parametrize(
@@ -122,18 +114,14 @@ def test_retargeting_holds_when_the_map_gives_no_number():
 )
 def test_retargeting_answers_after_its_latency_and_as_often_as_it_can(latency, updates):
     """What comes out at any time was made of the keypoints of the last update that is `latency` ago."""
-    system, simulator, context = make_retargeting(first_three, latency=latency)
-    port = system.GetOutputPort("desired_state")
-    start = port.Eval(context)[:3].copy()
-    seen = []
+    bench = retargeting_bench(first_three, latency, period=0.001)
+    start = bench.value("desired_state")[:3]
     for millisecond in range(300):
-        system.GetInputPort("keypoints").FixValue(context, np.full(63, 1e-3 * millisecond))
-        simulator.AdvanceTo(1e-3 * (millisecond + 0.5))
-        seen.append(port.Eval(context)[:3].copy())
-    for millisecond, q in enumerate(seen):
+        bench.fix(keypoints=np.full(63, 1e-3 * millisecond))
+        bench.advance()
         answered = np.floor((millisecond - 1e3 * latency) / (1e3 * updates) + 1e-6)
         wanted = start if answered < 0 else np.full(3, answered * updates)
-        np.testing.assert_allclose(q, wanted, atol=1e-9)
+        np.testing.assert_allclose(bench.value("desired_state")[:3], wanted, atol=1e-9)
 
 
 def test_retargeting_needs_the_plants_joints_and_limits_and_a_start_within_them():
@@ -156,34 +144,30 @@ def test_retargeting_needs_the_plants_joints_and_limits_and_a_start_within_them(
 def test_clutch_moves_the_hand_by_what_the_wrist_moved_and_survives_a_gap():
     """Translation and rotation are relative to the engagement; after a gap, to where the arm was held."""
     X_WB0 = RigidTransform(RotationMatrix.MakeXRotation(0.5), [0.4, 0.1, 0.3])
-    clutch = Clutch(X_WB0, 0.01)
-    simulator = Simulator(clutch)
-    context = simulator.get_mutable_context()
+    bench = SystemBench(Clutch(X_WB0, 0.01))
 
-    def at(X_WH, valid, until, commanded=X_WB0):
-        clutch.GetInputPort("wrist_pose").FixValue(context, AbstractValue.Make(X_WH))
-        clutch.GetInputPort("valid").FixValue(context, [valid])
-        clutch.GetInputPort("commanded_pose").FixValue(context, AbstractValue.Make(commanded))
-        simulator.AdvanceTo(until)
-        return RigidTransform(clutch.GetOutputPort("hand_pose").Eval(context))
+    def at(X_WH, valid, commanded=X_WB0):
+        bench.fix(wrist_pose=X_WH, valid=valid, commanded_pose=commanded)
+        bench.advance()
+        return bench.value("hand_pose")
 
     first = RigidTransform(RotationMatrix.MakeZRotation(1.0), [5, 5, 5])
-    np.testing.assert_allclose(at(first, 1.0, 0.005).GetAsMatrix4(), X_WB0.GetAsMatrix4(), atol=1e-12)
+    np.testing.assert_allclose(at(first, 1.0).GetAsMatrix4(), X_WB0.GetAsMatrix4(), atol=1e-12)
     turn = RotationMatrix.MakeYRotation(0.3)
     moved = RigidTransform(turn @ first.rotation(), first.translation() + [0.1, 0, -0.05])
-    target = at(moved, 1.0, 0.015)
+    target = at(moved, 1.0)
     np.testing.assert_allclose(target.translation(), X_WB0.translation() + [0.1, 0, -0.05], atol=1e-12)
     np.testing.assert_allclose(target.rotation().matrix(), (turn @ X_WB0.rotation()).matrix(), atol=1e-12)
     far = RigidTransform([9, 9, 9])
     # The arm has not come all the way to the target, and is held where it is.
     held = RigidTransform(target.rotation(), target.translation() - [0.02, 0, 0])
-    for valid, until in ((0.0, 0.025), (1.0, 0.035)):
-        np.testing.assert_allclose(
-            at(far, valid, until, held).GetAsMatrix4(), held.GetAsMatrix4(), atol=1e-12
-        )
+    for valid in (0.0, 1.0):
+        np.testing.assert_allclose(at(far, valid, held).GetAsMatrix4(), held.GetAsMatrix4(), atol=1e-12)
 
 
 # -- GraspMonitor
+
+TILTED = RotationMatrix.MakeXRotation(1.0)
 
 
 def run_monitor(heights, contacts, period=0.1, x=None, hand_heights=None, palm=None, **config):
@@ -195,20 +179,18 @@ def run_monitor(heights, contacts, period=0.1, x=None, hand_heights=None, palm=N
         0.1,
         GraspMonitorConfig(period=period, **config),
     )
-    simulator = Simulator(monitor)
-    context = simulator.get_mutable_context()
+    bench = SystemBench(monitor, period)
     for step, (height, contact) in enumerate(zip(heights, contacts, strict=True)):
-        pose = pose_to_vector(RigidTransform([0.5 if x is None else x[step], 0, 0.12 + height]))
-        monitor.GetInputPort("object_pose").FixValue(context, pose)
-        monitor.GetInputPort("contact").FixValue(context, contact)
-        links = [*contact, 0.0 if palm is None else palm[step]]
-        monitor.GetInputPort("link_contact").FixValue(context, links)
-        monitor.GetInputPort("self_contact").FixValue(context, 0.0)
         above = height if hand_heights is None else hand_heights[step]
-        X_WB = RigidTransform(RotationMatrix.MakeXRotation(1.0), [0.4, 0.1, 0.3 + above])
-        monitor.GetInputPort("hand_pose").FixValue(context, pose_to_vector(X_WB))
-        simulator.AdvanceTo((step + 0.5) * period)
-    return monitor.outcome(context)
+        bench.fix(
+            object_pose=pose_to_vector(RigidTransform([0.5 if x is None else x[step], 0, 0.12 + height])),
+            hand_pose=pose_to_vector(RigidTransform(TILTED, [0.4, 0.1, 0.3 + above])),
+            contact=contact,
+            link_contact=[*contact, 0.0 if palm is None else palm[step]],
+            self_contact=0.0,
+        )
+        bench.advance()
+    return monitor.outcome(bench.context)
 
 
 def test_monitor_needs_the_height_for_the_whole_hold():

@@ -1,16 +1,27 @@
-"""The map for everyone: its folded weights, the ways to call it and its file."""
+"""The map for everyone: folded weights, calls, file, the observed person, and the fit to one person."""
+
+import dataclasses
+import json
 
 import numpy as np
 import pytest
 import torch
+from grasp_setup import allegro
 from universal_map import FINGERS, PLAY, map_of, random_network, random_retargeter, retargeter_of
 
+from geort_drake.cli import run_command
 from geort_drake.comparison.metrics import evaluate_frames
-from geort_drake.errors import CheckpointError, GeortError
+from geort_drake.comparison.refit import refit_checkpoint
+from geort_drake.errors import CheckpointError, GeortError, RecordingError
 from geort_drake.hands.description import load_hand
+from geort_drake.hands.mirror import canonical_kinematics
 from geort_drake.hands.model import HandModel
+from geort_drake.people.play import synthesize_play
 from geort_drake.people.population import sample_person
+from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.map_file import load_map
+from geort_drake.retargeting.person_code import observe
+from geort_drake.retargeting.person_observer import RECENT, WINDOW, PersonObserver
 from geort_drake.retargeting.retargeter import load_retargeter
 
 
@@ -103,3 +114,91 @@ def test_the_shipped_map_serves_a_stranger_from_the_first_second(name):
     metrics, _ = evaluate_frames(own, hand, p_HF, recording.rate_hz)
     assert metrics["motion_preservation"] > 0.94
     assert metrics["pinch"]["closed"] > 0.9
+
+
+def observer_of(frames, observer=None):
+    observer = observer or PersonObserver.of_nobody(FINGERS)
+    for p_HK in frames:
+        observer = observer.seeing(p_HK)
+    return observer
+
+
+@pytest.mark.parametrize("count", [1, 300])
+def test_frame_by_frame_is_as_all_at_once(count):
+    """As long as the window holds all frames; an observer is not changed by those made of it."""
+    start = observer_of(PLAY[:1])
+    observer = observer_of(PLAY[1:count], start)
+    for part, given in vars(observer.observation()).items():
+        np.testing.assert_allclose(given, getattr(observe(PLAY[:count], FINGERS), part), atol=1e-12)
+    np.testing.assert_array_equal(start.places, 1)
+
+
+def test_memory_is_bounded_and_a_still_hand_shows_nothing_new():
+    """Shapes are those of the last frames; a place counts once."""
+    observer = observer_of([PLAY[0]] * (WINDOW + 5))
+    assert len(observer.shapes) == WINDOW
+    np.testing.assert_array_equal(observer.places, 1)
+
+
+def test_points_that_are_no_hand_do_not_count():
+    """Bones without length."""
+    assert len(observer_of(np.zeros((3, 21, 3))).shapes) == 0
+
+
+def test_another_person_is_noticed_and_the_same_one_is_not():
+    """A hand 7 % larger is; a camera's noise is not."""
+    camera = next(person for person in (sample_person(5, n) for n in range(40)) if person.device.is_camera)
+    for frames in (PLAY[::2], camera.record(8.0, 30.0).p_HK.astype(float)):
+        observer = observer_of(frames[: 3 * RECENT])
+        for p_HK in frames[3 * RECENT :]:
+            observer = observer.seeing(p_HK)
+            assert not observer.has_changed()
+    observer = observer_of(PLAY[: 2 * RECENT])
+    assert observer_of(1.07 * PLAY[:RECENT], observer).has_changed()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a random map for everyone of the Allegro hand."""
+    folder, hand = tmp_path_factory.mktemp("refit"), allegro()
+    file = dataclasses.replace(
+        map_of(random_network(FINGERS, canonical_kinematics(hand))),
+        hands={"allegro_right": hand.digest},
+        joint_names=hand.joint_names,
+        lower=hand.lower.tolist(),
+        upper=hand.upper.tolist(),
+    )
+    file.save(folder / "map.safetensors")
+    return folder
+
+
+def test_the_command_writes_an_ordinary_checkpoint(folder, monkeypatch):
+    """It loads, starts from the map for everyone, knows the person's fingertips, and names its origin."""
+    monkeypatch.setattr("geort_drake.comparison.metrics.ROBOT_SAMPLES", 2_000)
+    hand = synthesize_play(5, 40.0, 30.0)
+    hand.save(folder / "hand.npz")
+    arguments = ["hand.npz", "own", "--map", "map.safetensors", "--steps", "1"]
+    monkeypatch.chdir(folder)
+    run_command("refit", arguments)
+    retarget, checkpoint = load_retargeter("own"), load_checkpoint("own")
+    folded = load_retargeter("map.safetensors").for_person(hand.p_HK)
+    assert np.abs(retarget(hand.p_HK[:30]) - folded(hand.p_HK[:30])).max() < 0.2  # after one step
+    assert retarget.trained_space.distances(hand.p_HK[100]).max() < 0.012
+    assert checkpoint.provenance["map"]["name"] == "map.safetensors"
+    assert checkpoint.provenance["recording"]["sha256"] == hand.digest
+    assert json.loads((folder / "own" / "metrics.json").read_text())["recording_sha256"] == hand.digest
+    with pytest.raises(CheckpointError, match="a map for everyone is needed"):
+        refit_checkpoint(hand, "other", map_file="own")
+
+
+def test_hands_without_a_map_and_other_hands_are_refused(folder, monkeypatch):
+    """A robot hand that no map is shipped for, one that the map is not for, and the person's other hand."""
+    monkeypatch.setattr("geort_drake.comparison.refit.shipped_maps", lambda: {})
+    play = synthesize_play(5, 12.0, 30.0)
+    with pytest.raises(CheckpointError, match=r"shipped for allegro_right.*geort-drake pretrain"):
+        refit_checkpoint(play, folder / "x")
+    with pytest.raises(CheckpointError, match="the map is for another hand"):
+        refit_checkpoint(play, folder / "x", "leap_right", folder / "map.safetensors")
+    left = synthesize_play(5, 12.0, 30.0, side="left")
+    with pytest.raises(RecordingError, match="of a left hand, the robot's is a right hand"):
+        refit_checkpoint(left, folder / "x", map_file=folder / "map.safetensors")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from grasp_setup import centred_map, human_with, scenario_with
-from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
+from system_bench import SystemBench
 
 from geort_drake.people.play import synthesize_play
 from geort_drake.simulation.person import persons_hand
@@ -14,19 +14,11 @@ from geort_drake.simulation.worn_glove import WornGlove, WornGloveConfig
 X_WH = RigidTransform([0.1, 0.2, 0.3])
 
 
-def measured(
-    config: WornGloveConfig, t: float = 0.0, seed: int = 0
-) -> tuple[np.ndarray, RigidTransform, float]:
-    """Keypoints (21, 3), wrist pose and validity at time t of a hand whose keypoints are known."""
-    system = WornGlove(config, 10.0, np.random.default_rng(seed))
-    context = system.CreateDefaultContext()
-    context.SetTime(t)
-    system.GetInputPort("keypoints").FixValue(context, hand().ravel())
-    system.GetInputPort("wrist_pose").FixValue(context, AbstractValue.Make(X_WH))
-    system.GetInputPort("valid").FixValue(context, 1.0)
-    keypoints, pose, valid = (
-        system.GetOutputPort(n).Eval(context) for n in ("keypoints", "wrist_pose", "valid")
-    )
+def measured(config: WornGloveConfig) -> tuple[np.ndarray, RigidTransform, float]:
+    """Keypoints (21, 3), wrist pose and validity of a hand whose keypoints are known."""
+    bench = SystemBench(WornGlove(config, 10.0, np.random.default_rng(0)))
+    bench.fix(keypoints=hand(), wrist_pose=X_WH, valid=1.0)
+    keypoints, pose, valid = (bench.value(name) for name in ("keypoints", "wrist_pose", "valid"))
     return np.reshape(keypoints, (21, 3)), pose, valid[0]
 
 

@@ -36,7 +36,7 @@ class Case:
     """An input that must be refused.
 
     Attributes:
-        kind: recording, checkpoint, scenario, hand or command.
+        kind: recording, checkpoint, scenario, hand or results.
         name: what is wrong with it.
         make: writes the input into a folder and returns a command and its arguments, or a function and its
             arguments.
@@ -366,7 +366,7 @@ SCENARIOS: dict[str, tuple[Make, str]] = {
 }
 
 
-# -- commands and results
+# -- results
 
 
 def results(content: bytes) -> Make:
@@ -379,26 +379,10 @@ def results(content: bytes) -> Make:
     return make
 
 
-SETTING = "steps=__import__('os').system('touch harm')"
-
 CASES = [
     *(Case("recording", name, make, "RecordingError", text) for name, (make, text) in RECORDINGS.items()),
     *(Case("checkpoint", name, make, "CheckpointError", text) for name, (make, text) in CHECKPOINTS.items()),
     *(Case("hand", name, make, "HandError", text) for name, (make, text) in HANDS.items()),
     *(Case("scenario", name, make, "ScenarioError", text) for name, (make, text) in SCENARIOS.items()),
-    Case(
-        "command",
-        "a setting that runs code",
-        lambda folder: ("train", "--output", "out", "--set", SETTING),
-        "GeortError",
-        "must be int",
-    ),
-    Case(
-        "command",
-        "a method elsewhere",
-        lambda folder: ("benchmark", "--output", "runs", "--methods", "../../../etc"),
-        "UnknownNameError",
-        "method or checkpoint",
-    ),
     Case("results", "100,000 deep", results(DEEP), "BenchmarkError", "line 1: not a trial"),
 ]

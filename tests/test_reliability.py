@@ -1,0 +1,98 @@
+"""Hostile inputs are refused, guarantees hold through thousands of faults, and trials obey physics."""
+
+import dataclasses as dc
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from faults.frames import FAULTS, WRIST_FAULTS, fuzz_arm, fuzz_system
+from faults.guard import COMMANDS, fuzz_guard
+from faults.hostile import CASES, faults_of
+from faults.mutations import fuzz
+from faults.physics import ENERGY, watched
+from faults.soak import soak
+from grasp_setup import centred_map, human_with, scenario_with
+
+from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_a_hostile_input_is_refused(case, tmp_path):
+    """Without a traceback, within bounded time and memory."""
+    assert faults_of(case, tmp_path) == []
+
+
+def test_inputs_changed_at_random_are_read_or_refused(tmp_path):
+    """For every reader; nothing else happens."""
+    result = fuzz(200, 1, tmp_path / "fuzz")
+    assert result["failures"] == []
+    assert result["inputs"] == 200 and len(result["tried"]) > 25
+
+
+def test_no_faulty_frame_breaks_a_guarantee():
+    """Commands are finite and within the limits of position, speed and acceleration, for every fault."""
+    result = fuzz_system(10_000, 0)
+    assert result["violations"] == 0, result
+    assert set(result["faults"]) == set(FAULTS)
+    assert result["held"] > 400
+    assert result["frames"] == 10_000 == result["sound"] + sum(result["faults"].values())
+
+
+def test_no_command_gets_past_the_guard():
+    """For any command, the hand stays clear of itself and within its limits of position and speed."""
+    result = fuzz_guard(2_000, 0)
+    assert result["violations"] == 0, result
+    assert set(result["commands"]) == set(COMMANDS)
+    assert all(result["corrected"][kind] > 50 for kind in COMMANDS)
+
+
+def test_no_faulty_wrist_breaks_the_arms_limits():
+    """Position, speed and acceleration; and an arm that is held stands still."""
+    result = fuzz_arm(4_000, 0)
+    assert result["violations"] == 0, result
+    assert set(result["faults"]) == set(WRIST_FAULTS)
+    assert result["held"] > 400
+    assert result["speed_when_held"] == 0.0
+
+
+def test_updates_do_not_grow_the_memory():
+    """By less than they would if each kept 4 kB."""
+    count = 3_000
+    for name, result in soak(count).items():
+        assert result["updates"] == count
+        assert result["violations"] == 0, name
+        assert result["growth_mb"] <= 10.0, name
+
+
+def grasp() -> TrialDiagram:
+    human = human_with()
+    return make_trial_diagram(scenario_with("cylinder"), centred_map(), human)
+
+
+class Idle:
+    """A plant that reports no work of its motors."""
+
+    def __init__(self, plant):
+        self._plant = plant
+
+    def __getattr__(self, name: str):
+        return getattr(self._plant, name)
+
+    def get_net_actuation_output_port(self):
+        return SimpleNamespace(Eval=lambda _context: np.zeros(self._plant.num_actuators()))
+
+
+def test_a_grasp_obeys_physics():
+    """No energy without work, penetration of at most 3 mm, no motor beyond its limit."""
+    seen = watched(grasp(), 8.0)
+    assert seen.violations == 0, seen
+    assert seen.contacts > 100 and 0.05 < seen.effort <= 1.0 + 1e-6
+    assert 0 < seen.penetration <= 3e-3
+
+
+def test_energy_without_work_is_noticed():
+    """The arm's motion has no source if the motors' work is left out."""
+    parts = grasp()
+    seen = watched(dc.replace(parts, plant=Idle(parts.plant)), 2.0)
+    assert seen.gained > ENERGY
+    assert seen.violations > 0 == seen.effort
