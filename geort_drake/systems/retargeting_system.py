@@ -2,7 +2,9 @@
 
 import dataclasses as dc
 import math
+import weakref
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -137,7 +139,9 @@ class RetargetingSystem(LeafSystem):
         tickets = {self.discrete_state_ticket(self._memory)}
         self._person = None
         if isinstance(retarget, UniversalRetargeter):
-            start = AbstractValue.Make(PersonFollowing.start(retarget))
+            # A proxy, as Drake never frees a state's first value; see `release`.
+            proxy: Any = weakref.proxy(retarget)
+            start = AbstractValue.Make(PersonFollowing.start(proxy))
             self._person = self.DeclareAbstractState(start)
             tickets.add(self.abstract_state_ticket(self._person))
             self.DeclarePeriodicUnrestrictedUpdateEvent(max(LOOK, period), 0.0, self._look)
