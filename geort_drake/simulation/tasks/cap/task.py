@@ -2,7 +2,7 @@
 
 import dataclasses as dc
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +17,14 @@ from pydrake.multibody.tree import (
     ScrewJoint,
     SpatialInertia,
 )
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.people.human_hand import HumanHand
-from geort_drake.simulation.free_play import keep_reached
+from geort_drake.simulation.finger_task import FingerTask
 from geort_drake.simulation.operators.cap_turner import CapTurner
-from geort_drake.simulation.operators.finger_operator import FingerOperator
-from geort_drake.simulation.operators.intention import ADAPTIVE, MIMICRY
-from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import SERVO, Shown, Stage, Task, TrialResult, require_settings
+from geort_drake.simulation.task import Shown, Stage, TrialResult
 from geort_drake.simulation.tasks.cap.goal import HEIGHT, RADIUS, CapGoal
 from geort_drake.simulation.tasks.cap.monitor import CapMonitor, CapOutcome, CapSettings
 from geort_drake.simulation.tasks.cap.planner import CapPlanner
@@ -50,26 +46,22 @@ class CapResult(TrialResult):
     turned: float  # degrees
 
 
-class CapTask(Task[CapGoal]):
+class CapTask(FingerTask[CapGoal]):
     """Unscrew a cap with three fingers."""
 
     name = "cap"
     summary = "unscrew a cap with three fingers, which grip again and again"
-    kinds = (ADAPTIVE, MIMICRY, SERVO)
     result = CapResult
     scenario = Path(__file__).with_name("scenario.yaml"), "Cap"
+    settings = CapSettings
+    planner = CapPlanner
+    person_type = CapTurner
 
-    def check_settings(self, settings: Mapping[str, float]) -> None:
-        require_settings(CapSettings, settings)
+    def places(self, goal: CapGoal) -> Sequence[np.ndarray]:
+        return goal.p_BF_open, goal.fingertips(goal.stroke, -goal.gap)
 
-    def plans(self, scenario: Scenario, description: HandDescription) -> list[CapGoal]:
-        return [plan.goal for plan in CapPlanner(description).plans()]
-
-    def keep(self, plans: Sequence[CapGoal], play: FreePlay) -> tuple[CapGoal, bool]:
-        """The first plan whose strokes the person could make in free play, or the nearest."""
-        return keep_reached(
-            plans, play, lambda goal: (goal.p_BF_open, goal.fingertips(goal.stroke, -goal.gap))
-        )
+    def told(self, goal: CapGoal) -> dict[str, int]:
+        return {"turned": 1, "contact": len(goal.finger_names)}
 
     def add_stage(
         self,
@@ -104,21 +96,6 @@ class CapTask(Task[CapGoal]):
             shown,
             {},
             signals={"cap/turned": (monitor.GetOutputPort("turned"), ["cap"], "rad")},
-        )
-
-    def person(
-        self, scenario: Scenario, hand: HumanHand, goal: CapGoal, X_WH_start: RigidTransform, seed: int
-    ) -> LeafSystem:
-        return FingerOperator(
-            CapTurner,
-            hand,
-            goal,
-            scenario.kind,
-            scenario.operator,
-            scenario.intention,
-            X_WH_start,
-            seed,
-            {"turned": 1, "contact": len(goal.finger_names)},
         )
 
     def result_fields(self, outcome: CapOutcome, description: HandDescription) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """The keys: press the cued one of three, the others still, with a parked hand."""
 
 import dataclasses as dc
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +17,13 @@ from pydrake.multibody.tree import (
     RigidBody,
     SpatialInertia,
 )
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.people.human_hand import HumanHand
-from geort_drake.simulation.free_play import keep_reached
-from geort_drake.simulation.operators.finger_operator import FingerOperator
-from geort_drake.simulation.operators.intention import ADAPTIVE, MIMICRY
+from geort_drake.simulation.finger_task import FingerTask
 from geort_drake.simulation.operators.key_presser import KeyPresser
-from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import SERVO, Shown, Stage, Task, TrialResult, require_settings
+from geort_drake.simulation.task import Shown, Stage, TrialResult
 from geort_drake.simulation.tasks.keys.goal import CAP_LENGTH, CAP_WIDTH, KeysGoal
 from geort_drake.simulation.tasks.keys.monitor import KeysMonitor, KeysOutcome, KeysSettings
 from geort_drake.simulation.tasks.keys.planner import TRAVEL, KeysPlanner
@@ -53,24 +49,22 @@ class KeysResult(TrialResult):
     press_time: float | None
 
 
-class KeysTask(Task[KeysGoal]):
+class KeysTask(FingerTask[KeysGoal]):
     """Press the cued one of three keys; the others stay still."""
 
     name = "keys"
     summary = "press the cued one of three keys, the others still"
-    kinds = (ADAPTIVE, MIMICRY, SERVO)
     result = KeysResult
     scenario = Path(__file__).with_name("scenario.yaml"), "Keys"
+    settings = KeysSettings
+    planner = KeysPlanner
+    person_type = KeyPresser
 
-    def check_settings(self, settings: Mapping[str, float]) -> None:
-        require_settings(KeysSettings, settings)
+    def places(self, goal: KeysGoal) -> Sequence[np.ndarray]:
+        return goal.p_BF_open, goal.p_BF_pressed
 
-    def plans(self, scenario: Scenario, description: HandDescription) -> list[KeysGoal]:
-        return [plan.goal for plan in KeysPlanner(description).plans()]
-
-    def keep(self, plans: Sequence[KeysGoal], play: FreePlay) -> tuple[KeysGoal, bool]:
-        """The first plan whose keys the person could reach in free play, or the nearest."""
-        return keep_reached(plans, play, lambda goal: (goal.p_BF_open, goal.p_BF_pressed))
+    def told(self, goal: KeysGoal) -> dict[str, int]:
+        return {"travel": len(goal.p_BK), "cue": 1}
 
     def add_stage(
         self,
@@ -109,21 +103,6 @@ class KeysTask(Task[KeysGoal]):
             shown,
             {"cue": (monitor.GetOutputPort("cue"), ["none", *names])},
             signals={"keys/travel": (monitor.GetOutputPort("travel"), names, "m")},
-        )
-
-    def person(
-        self, scenario: Scenario, hand: HumanHand, goal: KeysGoal, X_WH_start: RigidTransform, seed: int
-    ) -> LeafSystem:
-        return FingerOperator(
-            KeyPresser,
-            hand,
-            goal,
-            scenario.kind,
-            scenario.operator,
-            scenario.intention,
-            X_WH_start,
-            seed,
-            {"travel": len(goal.p_BK), "cue": 1},
         )
 
     def result_fields(self, outcome: KeysOutcome, description: HandDescription) -> dict[str, Any]:
