@@ -49,7 +49,7 @@ def test_the_hand_follows_the_glove():
     hand = plant.GetModelInstanceByName(HAND)
     base = plant.GetFrameByName(parts.description.base_frame, hand)
     X_WB0 = base.CalcPoseInWorld(context)
-    simulator.AdvanceTo(2.5)
+    simulator.AdvanceTo(1.5)
     X_WB = base.CalcPoseInWorld(context)
     desired = parts.retargeting.GetOutputPort("desired_state").Eval(
         parts.retargeting.GetMyContextFromRoot(root)

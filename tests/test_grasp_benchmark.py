@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from grasp_setup import TOO_SHORT, human_with, judged, planned_goal
 
-from geort_drake.benchmark import folder as benchmark_folder
-from geort_drake.benchmark import methods, trials
+from geort_drake.benchmark import trials
 from geort_drake.benchmark.config import read_config
 from geort_drake.benchmark.folder import open_benchmark
 from geort_drake.benchmark.records import TrialKey, TrialLog, key_of, read_records
@@ -21,14 +20,10 @@ from geort_drake.simulation.trial import run_trial
 
 
 @pytest.fixture(scope="module", autouse=True)
-def quick(play, light_benchmark):
-    """One person, and one plan: no trial lasts long enough to follow it. Latencies come from few calls."""
+def quick(light_benchmark):
+    """One plan: no trial lasts long enough to follow it."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(methods, "_PARTS", 1)
         patch.setattr(trials, "plan", lambda *_: [planned_goal("cylinder")])
-        patch.setattr(
-            benchmark_folder, "read_person", lambda *_: (play, {"recording": None, "side": "right"})
-        )
         yield
 
 

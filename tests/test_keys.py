@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 import yaml
-from grasp_setup import TOO_SHORT, allegro, person_who_plays, play
+from grasp_setup import TOO_SHORT, allegro, person_who_plays, planned_goal, play
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
@@ -24,6 +24,7 @@ from geort_drake.simulation.operators.intention import (
 )
 from geort_drake.simulation.scenario import Scenario, load_scenario
 from geort_drake.simulation.tasks import find_task, task_names
+from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.tasks.keys.goal import PITCH
 from geort_drake.simulation.tasks.keys.monitor import KeysMonitor, KeysOutcome, KeysSettings
 from geort_drake.simulation.tasks.keys.planner import HOVER, TRAVEL, KeysPlanner
@@ -171,8 +172,10 @@ def test_tasks_are_folders_and_say_what_is_wrong():
             load_scenario(*find_task("keys").scenario, text)
 
 
-def test_the_benchmark_runs_several_tasks_and_goes_on(tmp_path, light_benchmark):
+def test_the_benchmark_runs_several_tasks_and_goes_on(tmp_path, light_benchmark, monkeypatch):
     """Each kind in its own folder; the summary has all, and a second run adds only what is missing."""
+    goal = planned_goal("cylinder")  # no trial lasts long enough to follow it
+    monkeypatch.setattr(GraspPlanner, "plans", lambda _: [goal])
     command = ["benchmark", "--kinds", "servo", "--methods", "hold", "--quiet"]
     command += ["--scenario-text", TOO_SHORT, "--output", str(tmp_path)]
     assert main([*command, "--trials", "1", "--tasks", "keys", "grasp", "--objects", "cylinder"]) == 0

@@ -12,13 +12,10 @@ import numpy as np
 import pytest
 from live_page import PAGE, WEB, StubServer, film_hand, launch, require_package, require_page, serve
 from page_person import PagePerson, goal_of
-from web_page import headset as seen_hand
 from web_page import in_world, joints_of
 
 from geort_drake.live.web.hands import HandReader
 from geort_drake.live.web.messages import decode
-from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
-from geort_drake.live.web.server import WebServer
 from geort_drake.people.formats.source import KEYPOINTS_OF_25
 from geort_drake.people.keypoints import BONES
 from geort_drake.retargeting.methods import make_untrained
@@ -246,24 +243,6 @@ def test_a_real_robot_is_engaged_after_a_question(headset, stub, address, rng):
     assert len(stub.of("engage")) == 2  # the server wants it twice
 
 
-def test_the_page_and_the_server_understand_each_other(headset):
-    station = OperatorStation(
-        RobotInfo("right", "allegro_right", "simulation", {"grasp": ["cube"]}, "for everyone")
-    )
-    server = WebServer(station, "127.0.0.1", 0, "key")
-    try:
-        page = headset(
-            f"http://127.0.0.1:{server.port}", {"right": json.loads(seen_hand(0))["joints"]}, stub=None
-        )
-        page.wait_for_selector("body[data-state=tracking]")
-        until(page, lambda: station.received >= 3)
-        assert station.operator.device == "headset"
-        assert station.refused == 0
-        assert page.inner_text("#map") == "Map for everyone"
-    finally:
-        server.close()
-
-
 @pytest.mark.slow
 def test_a_person_who_sees_only_the_page_grasps_the_cylinder(headset, tmp_path):
     """Page, server, diagram and physics: the command, a headset in the page, and the page's own messages."""
@@ -279,6 +258,7 @@ def test_a_person_who_sees_only_the_page_grasps_the_cylinder(headset, tmp_path):
             page = headset(address, {"right": joints_of(in_world(0))}, None, key, seen)
             until(page, lambda: "state" in seen.texts and seen.frames)
             until(page, lambda: page.get_attribute("body", "data-state") == "tracking")
+            assert page.inner_text("#map") == "Map for everyone"
             scene = page.evaluate("fetch('scene').then((response) => response.json())")
             person = PagePerson(scene, seen.texts["welcome"]["hand"], seen.texts["state"]["object"], goal)
 

@@ -66,7 +66,7 @@ def test_updates_do_not_grow_the_memory():
 
 def grasp() -> TrialDiagram:
     human = human_with()
-    return make_trial_diagram(scenario_with("cylinder"), centred_map(), human)
+    return make_trial_diagram(scenario_with("cylinder", "{monitor: {hold_time: 0.5}}"), centred_map(), human)
 
 
 class Idle:
