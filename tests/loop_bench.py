@@ -13,6 +13,7 @@ from geort_drake.live.web.operator_station import OperatorStation
 from geort_drake.retargeting.method import Retarget
 from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.tasks import find_task
 from geort_drake.systems.glove_recorder import GloveRecorder
 
 
@@ -21,10 +22,18 @@ class LoopBench:
 
     Args:
         seed: of the scenario.
+        task, text: whose scenario, and YAML that is merged into it.
     """
 
-    def __init__(self, station: OperatorStation, retarget: Retarget, seed: int = 0):
-        self.station, self.scenario = station, load_scenario()
+    def __init__(
+        self,
+        station: OperatorStation,
+        retarget: Retarget,
+        seed: int = 0,
+        task: str = "grasp",
+        text: str = "{}",
+    ):
+        self.station, self.scenario = station, load_scenario(*find_task(task).scenario, text)
         self.scenario.random_seed = seed
         description = load_hand(self.scenario.hand)
         self.model = RobotModel(self.scenario, description)

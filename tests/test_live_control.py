@@ -44,8 +44,8 @@ class Fit:
 class Page:
     """Sessions under a page's control, in steps of the retargeting."""
 
-    def __init__(self, folder, retarget=UNIVERSAL, maps=()):
-        self.retarget, maps = retarget, iter(maps)
+    def __init__(self, folder, retarget=UNIVERSAL, maps=(), **scenario):
+        self.retarget, maps, self.scenario = retarget, iter(maps), scenario
         tasks = {"grasp": ["cylinder", "cube"], "keys": ["keys"]}
         about = RobotInfo("right", "allegro_right", "simulation", tasks, "for everyone")
         self.station = OperatorStation(about, Clock())
@@ -64,7 +64,7 @@ class Page:
     def begin(self):
         """Begins a session, as after a reset."""
         self.sessions += 1
-        self.bench = LoopBench(self.station, self.retarget, SEED)
+        self.bench = LoopBench(self.station, self.retarget, SEED, **self.scenario)
         facts = {"object": self.bench.scenario.object.name, "seed": SEED + self.sessions - 1}
         self.control.begin(self.bench.loop, self.bench.recorder, self.sessions, facts)
 
@@ -104,6 +104,33 @@ def test_a_held_fist_engages_and_disengages_unless_it_is_asked_for_or_grasps(tmp
         monkeypatch.setattr(page_control.Teleoperation, "phase", lambda *_, phase=phase: phase.name.lower())
         page.run(Fist())
         assert page.bench.engaged == engaged, phase
+
+
+@pytest.mark.parametrize(
+    ("task", "text"),
+    [("keys", "{ready_time: 0.5}"), ("trigger", "{ready_time: 0.3, settle_time: 0.2, handle_shift: 1.0}")],
+)
+def test_a_task_begins_when_the_person_engages(tmp_path, task, text):
+    """The first cue comes after the time to get ready, until which a stand holds what is handled."""
+    page = Page(tmp_path, task=task, text=f"{{task_settings: {text}}}")
+    loop, context = page.bench.loop, page.bench.context
+    stage = loop.simulation.stage
+    plant = stage.scene.plant
+
+    def heights():
+        state = plant.GetMyContextFromRoot(context)
+        return [plant.EvalBodyPoseInWorld(state, body).translation()[2] for body in stage.bodies]
+
+    page.run(steps=5)
+    before = heights()
+    page.run(steps=40)
+    assert loop.phase(context) == "none"
+    page.run(Engage(), steps=12)
+    np.testing.assert_allclose(heights(), before, atol=1e-3)
+    page.run(steps=11)
+    assert loop.phase(context) == "none"
+    page.run(steps=4)
+    assert loop.phase(context) != "none"
 
 
 def test_with_consent_every_session_is_recorded_from_its_engagement_and_can_be_replayed(tmp_path):

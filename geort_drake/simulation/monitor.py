@@ -29,7 +29,7 @@ class TaskMonitor(LeafSystem, Generic[Judged]):
 
     def __init__(self, num_fingers: int, start: Judged, period: float = PERIOD):
         super().__init__()
-        self._period = period
+        self._start, self._period = start, period
         self._contact = self.DeclareVectorInputPort("contact", num_fingers)
         self._self_contact = self.DeclareVectorInputPort("self_contact", 1)
         self._of_outcome = {self.abstract_state_ticket(self.DeclareAbstractState(AbstractValue.Make(start)))}
@@ -44,6 +44,14 @@ class TaskMonitor(LeafSystem, Generic[Judged]):
     def outcome(self, context: Context) -> Judged:
         """The outcome so far."""
         return context.get_abstract_state(0).get_value()
+
+    def restart(self, context: Context) -> None:
+        """Lets the task begin now, as if nothing had happened."""
+        context.SetAbstractState(0, self._beginning(context.get_time()))
+
+    def _beginning(self, t: float) -> Judged:
+        """The outcome before the first look at a task that begins at t, s."""
+        return self._start
 
     def _judged(self, context: Context, before: Judged) -> Judged:
         """The outcome now, except for forces and contacts of the hand with itself."""

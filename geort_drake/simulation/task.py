@@ -17,6 +17,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, Outpu
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.human_hand import HumanHand
+from geort_drake.simulation.monitor import TaskMonitor
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.world import Scene
 
@@ -76,7 +77,7 @@ class Stage:
     """What a task adds to a trial's diagram.
 
     Attributes:
-        monitor: judges the task; has `outcome(context)`, an `Outcome`, and terminates a decided simulation.
+        monitor: judges the task.
         shown: name of the person's input port → what it shows.
         states: name → port with the number of a state, and the states' names; for the recording.
         bodies: free bodies whose path is recorded, and through which close-ups look.
@@ -84,7 +85,7 @@ class Stage:
     """
 
     scene: Scene
-    monitor: LeafSystem
+    monitor: TaskMonitor
     shown: Mapping[str, Shown]
     states: Mapping[str, tuple[OutputPort, Sequence[str]]]
     bodies: Sequence[RigidBody] = ()
@@ -94,7 +95,8 @@ class Stage:
         """Sets what only a context can hold."""
 
     def restart(self, root: Context) -> None:
-        """Lets the task begin now, for a person who has just got ready; a task without a clock need not."""
+        """Lets the task begin now, for a person who has just got ready."""
+        self.monitor.restart(self.monitor.GetMyMutableContextFromRoot(root))
 
 
 @dc.dataclass(frozen=True)

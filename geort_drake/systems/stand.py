@@ -6,7 +6,7 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialForce, SpatialVelocity
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.multibody.tree import BodyIndex
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 _STIFFNESS, _DAMPING = 1000.0, 15.0  # N/m and N s/m
 _TURN_STIFFNESS, _TURN_DAMPING = 0.5, 0.005  # N m/rad and N m s/rad
@@ -23,6 +23,8 @@ class Stand(LeafSystem):
     Output port:
         force (abstract list of ExternallyAppliedSpatialForce): on the body.
 
+    Parameter: when it lets go, s.
+
     Args:
         X_WP: the place.
         until: when it lets go, s.
@@ -30,7 +32,8 @@ class Stand(LeafSystem):
 
     def __init__(self, body: BodyIndex, X_WP: RigidTransform, until: float):
         super().__init__()
-        self._body, self._X_WP, self._until = body, X_WP, until
+        self._body, self._X_WP = body, X_WP
+        self._until = self.DeclareNumericParameter(BasicVector([until]))
         poses = AbstractValue.Make([RigidTransform()])
         self._poses = self.DeclareAbstractInputPort("body_poses", poses)
         velocities = AbstractValue.Make([SpatialVelocity()])
@@ -38,8 +41,12 @@ class Stand(LeafSystem):
         nothing = AbstractValue.Make([ExternallyAppliedSpatialForce()])
         self.DeclareAbstractOutputPort("force", lambda: nothing, self._calc_force)
 
+    def hold(self, context: Context, until: float) -> None:
+        """Lets go at another time, s."""
+        context.get_mutable_numeric_parameter(self._until).SetAtIndex(0, until)
+
     def _calc_force(self, context: Context, output: AbstractValue) -> None:
-        if context.get_time() >= self._until:
+        if context.get_time() >= context.get_numeric_parameter(self._until)[0]:
             output.set_value([])
             return
         X_WO, V_WO = self._poses.Eval(context)[self._body], self._velocities.Eval(context)[self._body]

@@ -108,10 +108,8 @@ class KeysMonitor(TaskMonitor[KeysOutcome]):
             {self._keys.ticket()},
         )
 
-    def restart(self, context: Context) -> None:
-        """Forgets the presses, and cues the first one after the time to get ready."""
-        start = KeysOutcome(self._settings, next_cue=context.get_time() + self._settings.ready_time)
-        context.SetAbstractState(0, start)
+    def _beginning(self, t: float) -> KeysOutcome:
+        return KeysOutcome(self._settings, next_cue=t + self._settings.ready_time)
 
     def _cue(self, outcome: KeysOutcome) -> int:
         """The cued key, counted from 1; 0 for none."""

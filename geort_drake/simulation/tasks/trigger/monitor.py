@@ -42,6 +42,7 @@ class TriggerOutcome(Immutable):
     """The pulls so far; times in s, lengths in m."""
 
     settings: TriggerSettings
+    began: float = 0.0
     t: float = 0.0
     cue: int = 0  # see `CUES`
     done: int = 0  # pulls that were held and released
@@ -104,6 +105,9 @@ class TriggerMonitor(TaskMonitor[TriggerOutcome]):
             {self._pad.ticket()},
         )
 
+    def _beginning(self, t: float) -> TriggerOutcome:
+        return TriggerOutcome(self._settings, t)
+
     def _judged(self, context: Context, before: TriggerOutcome) -> TriggerOutcome:
         t = context.get_time()
         outcome = self._with_handle(dc.replace(before, t=t), t, vector_to_pose(self._pose.Eval(context)))
@@ -114,7 +118,7 @@ class TriggerMonitor(TaskMonitor[TriggerOutcome]):
     def _with_handle(self, before: TriggerOutcome, t: float, X_WH: RigidTransform) -> TriggerOutcome:
         settings = self._settings
         if before.X_WH is None:
-            is_settled = t > settings.ready_time + settings.settle_time - 1e-9
+            is_settled = t > before.began + settings.ready_time + settings.settle_time - 1e-9
             return dc.replace(before, X_WH=X_WH, cue=1) if is_settled else before
         X_HH = before.X_WH.inverse() @ X_WH
         shift = float(np.linalg.norm(X_HH.translation()))

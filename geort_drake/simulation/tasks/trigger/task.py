@@ -16,7 +16,7 @@ from pydrake.multibody.tree import (
     RigidBody,
     SpatialInertia,
 )
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import MatrixGain
 
 from geort_drake.hands.description import HandDescription
@@ -55,6 +55,18 @@ class TriggerResult(TrialResult):
     pulls: int
     handle_shift: float
     handle_turn: float
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class TriggerStage(Stage):
+    """A stage whose stand holds the handle for `ready_time`, s."""
+
+    stand: Stand
+    ready_time: float
+
+    def restart(self, root: Context) -> None:
+        super().restart(root)
+        self.stand.hold(self.stand.GetMyMutableContextFromRoot(root), root.get_time() + self.ready_time)
 
 
 class TriggerTask(Task[TriggerGoal]):
@@ -110,13 +122,15 @@ class TriggerTask(Task[TriggerGoal]):
             "travel": Shown(monitor.GetOutputPort("travel")),
             "cue": Shown(monitor.GetOutputPort("cue")),
         }
-        return Stage(
+        return TriggerStage(
             scene,
             monitor,
             shown,
             {"cue": (monitor.GetOutputPort("cue"), CUES)},
             [handle],
             {"trigger/travel": (monitor.GetOutputPort("travel"), ["pad"], "m")},
+            stand=stand,
+            ready_time=settings.ready_time,
         )
 
     def person(
