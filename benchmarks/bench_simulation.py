@@ -10,7 +10,7 @@ time of the thread, for each turn and in total. Rows:
   replay          the recorded motion of hand and wrist in place of the simulated person, at both steps
 Shares come from another simulation in which each Python system is timed without the calls it makes to others,
 and without the reading of its ports, for which Drake computes poses and contacts that its next step uses too.
-The rest is Drake: dynamics, contact and the framework.
+What the timers take themselves does not count. The rest is Drake: dynamics, contact and the framework.
 """
 
 import argparse
@@ -134,6 +134,7 @@ def _scenario(name: str, step: float = 0.002) -> Scenario:
 
 def _shares(kinds: set[type], make: Callable[[], Trial], seconds: float) -> dict[str, float]:
     """Each kind of system's share of the CPU time of a simulation, and what is left for Drake."""
+    _calibrate()
     spent: dict[str, float] = defaultdict(float)
     for kind in kinds:
         _time_callbacks(kind, spent)
@@ -142,7 +143,7 @@ def _shares(kinds: set[type], make: Callable[[], Trial], seconds: float) -> dict
     trial = make()
     _advance({"timed": trial}, seconds)
     trial.parts.recorder.close()
-    total = sum(trial.cpu)
+    total = sum(trial.cpu) - spent.pop("timers")
     read = spent.pop("read ports") / total
     shares = {name: own / total for name, own in sorted(spent.items(), key=lambda item: -item[1])}
     return shares | {"Drake": 1 - sum(shares.values()), "of which for read ports": read}
@@ -158,6 +159,8 @@ def _systems(diagram: Diagram) -> Iterator:
 
 
 _inner: list[float] = []
+# CPU time that a timer adds to the call and around it, s; see `_calibrate`.
+_cost = [0.0, 0.0]
 
 
 def _time_callbacks(kind: type, spent: dict[str, float]) -> None:
@@ -180,12 +183,23 @@ def _timed(function: Callable, name: str, spent: dict[str, float]) -> Callable:
         try:
             return function(*args, **kwargs)
         finally:
-            whole = time.thread_time() - started
+            whole = time.thread_time() - started - _cost[0]
             spent[name] += whole - _inner.pop()
+            spent["timers"] += sum(_cost)
             if _inner:
-                _inner[-1] += whole
+                _inner[-1] += whole + sum(_cost)
 
     return wrapper
+
+
+def _calibrate(count: int = 100_000) -> None:
+    spent: dict[str, float] = defaultdict(float)
+    empty = _timed(lambda: None, "empty", spent)
+    started = time.thread_time()
+    for _ in range(count):
+        empty()
+    whole = (time.thread_time() - started) / count
+    _cost[:] = spent["empty"] / count, whole - spent["empty"] / count
 
 
 def _advance(trials: Mapping[str, Trial], seconds: float) -> None:

@@ -221,7 +221,9 @@ class HumanHand:
         """
         angles = theta.reshape(*theta.shape[:-1], 5, 4)
         x, y, z = _bone_axes(angles[..., 0], angles[..., 1], self.twist)
-        return z, x, y, np.sin(self.twist), np.cumsum(angles[..., 2:], axis=-1)
+        bend = angles[..., 2:].copy()
+        bend[..., 1] += bend[..., 0]
+        return z, x, y, np.sin(self.twist), bend
 
     def _in_plane(self, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The tip's coordinates (..., 5) along the first bone and across it, in the bending plane."""

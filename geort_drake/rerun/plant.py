@@ -46,8 +46,7 @@ class Poses(Spec):
         return {key: plant_port(key)}
 
     def read(self, body_poses: Sequence[RigidTransform]) -> np.ndarray:
-        rows = [body_poses[i].GetAsMatrix34() for i in self.scene.moving]
-        return np.reshape(rows, (len(rows), 3, 4))
+        return np.array([body_poses[i].GetAsMatrix34() for i in self.scene.moving]).reshape(-1, 3, 4)
 
     def write(self, writer: Writer, key: str, rows: Sequence[np.ndarray]) -> None:
         X_WB = np.reshape(rows, (len(rows), len(self.scene.moving), 3, 4))

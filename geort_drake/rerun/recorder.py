@@ -130,10 +130,11 @@ class RerunRecorder(LeafSystem):
         values: dict[str, Any] = {}  # of the ports, of which several specs may share one
         rows: list = []
         for key, spec in self._specs.items():
-            if self._read_at[key] <= now < self._read_at[key] + spec.period - 1e-9:
-                rows.append(None)
-                continue
-            self._read_at[key] = now
+            if spec.period > 0.0:
+                if self._read_at[key] <= now < self._read_at[key] + spec.period - 1e-9:
+                    rows.append(None)
+                    continue
+                self._read_at[key] = now
             for name in self._inputs[key]:
                 if name not in values:
                     values[name] = self._ports[name].Eval(context)

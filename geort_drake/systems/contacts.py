@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from pydrake.geometry import GeometryId
-from pydrake.multibody.plant import ContactResults, MultibodyPlant, PointPairContactInfo
+from pydrake.multibody.plant import ContactResults, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 
 _NO_CONTACTS = np.empty((0, 8))
@@ -30,12 +30,12 @@ def contact_rows(results: ContactResults, bodies: Mapping[GeometryId, int]) -> n
     if not points + surfaces:
         return _NO_CONTACTS
     rows = np.empty((points + surfaces, 8))
-    # Calls into C++ take most of the time; `map` avoids a Python loop around them.
     infos = list(map(results.point_pair_contact_info, range(points)))
-    rows[:points, 0] = np.fromiter(map(PointPairContactInfo.bodyA_index, infos), int, points)
-    rows[:points, 1] = np.fromiter(map(PointPairContactInfo.bodyB_index, infos), int, points)
-    rows[:points, 2:5] = np.reshape(list(map(PointPairContactInfo.contact_point, infos)), (points, 3))
-    rows[:points, 5:] = np.reshape(list(map(PointPairContactInfo.contact_force, infos)), (points, 3))
+    if infos:
+        rows[:points, 0] = [int(info.bodyA_index()) for info in infos]
+        rows[:points, 1] = [int(info.bodyB_index()) for info in infos]
+        rows[:points, 2:5] = [info.contact_point() for info in infos]
+        rows[:points, 5:] = [info.contact_force() for info in infos]
     for number in range(surfaces):
         info = results.hydroelastic_contact_info(number)
         surface = info.contact_surface()

@@ -115,9 +115,9 @@ class SceneView(LeafSystem):
 
     def _calc_contacts(self, context: Context, output: AbstractValue) -> None:
         results = self._contacts.Eval(context)
-        force, self_contact = np.zeros(len(self.links)), 0.0
+        force, self_contact = [0.0] * len(self.links), 0.0
         rows = contact_rows(results, self._body_of_geometry)
-        bodies, magnitudes = rows[:, :2].astype(int).tolist(), np.linalg.norm(rows[:, 5:], axis=1)
+        bodies, magnitudes = rows[:, :2].tolist(), np.linalg.norm(rows[:, 5:], axis=1).tolist()
         for row, ((A, B), magnitude) in enumerate(zip(bodies, magnitudes, strict=True)):
             if A in self._parts or B in self._parts:
                 link = self._number_of_link.get(B if A in self._parts else A)
@@ -129,7 +129,7 @@ class SceneView(LeafSystem):
         output.set_value(
             {
                 "link_contact": force,
-                "contact": np.array([force[links].max() for links in self._finger_links]),
-                "self_contact": np.array([self_contact]),
+                "contact": [max(force[link] for link in links) for links in self._finger_links],
+                "self_contact": [self_contact],
             }
         )

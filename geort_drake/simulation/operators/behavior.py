@@ -63,16 +63,17 @@ class GraspingPerson:
         seen = perceive(scene, state.visual_error, self._config, self._rng)
         free = seen.contact <= self._config.touch_force
         # The oldest remembered own fingertips are as old as the seen scene.
-        tips = np.stack([past[0][self._own], seen.p_BF])
+        tips = np.array([past[0][self._own], seen.p_BF])
         state.fingertips = averaged(state.fingertips, tips, self._config)
         own, robot = state.fingertips
         state.sensed = state.sensed.update(t, own, robot, free)
         state.p_BO = averaged(state.p_BO, seen.X_BW @ seen.X_WO.translation(), self._config)
-        state.shape_error = averaged(state.shape_error, self._fingertip_errors(state, seen), self._config)
+        error = self._fingertip_errors(state, seen)
+        state.shape_error = averaged(state.shape_error, error, self._config)
         self._advance_phase(state, t, seen)
         if state.shape_error is None:  # a new phase has other fingertip targets
-            state.shape_error = self._fingertip_errors(state, seen)
-        self._move_fingers(state, t, seen)
+            state.shape_error = error = self._fingertip_errors(state, seen)
+        self._move_fingers(state, t, seen, error)
         self._move_wrist(state, t, seen)
         return state
 
@@ -178,7 +179,8 @@ class GraspingPerson:
             error[self._goal.touches & (seen.contact > self._config.touch_force)] = 0
         return error
 
-    def _move_fingers(self, state: OperatorState, t: float, seen: Seen) -> None:
+    def _move_fingers(self, state: OperatorState, t: float, seen: Seen, error: np.ndarray) -> None:
+        """Corrects errors (F, 3), m, of the robot's fingertips in B."""
         config = self._config
         if state.phase in (Phase.SQUEEZE, Phase.LIFT, Phase.HOLD, Phase.CARRY, Phase.LOWER):
             self._squeeze(state, t)
@@ -187,9 +189,8 @@ class GraspingPerson:
         # Forward model (Miall and Wolpert 1996): since the seen scene, the robot's fingers are assumed to
         # have moved like the person's.
         done = (p_HF - state.p_HF_past[0])[self._own]
-        error = self._fingertip_errors(state, seen) - done
         target = np.zeros((5, 3))
-        target[self._own] = config.correction_rate * error
+        target[self._own] = config.correction_rate * (error - done)
         speed = np.linalg.norm(target, axis=1, keepdims=True)
         limit = np.full((5, 1), config.max_fingertip_speed)
         if state.phase == Phase.CLOSE:

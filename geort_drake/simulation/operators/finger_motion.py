@@ -41,22 +41,22 @@ class FingerMotion:
 
         Takes damped Gauss–Newton steps. A coordinate at its limit stays there; the others continue.
         """
-        x = np.clip(np.asarray(theta, float).reshape(5, 4)[:, :3], self._lower, self._upper)
+        x = np.minimum(np.maximum(np.reshape(theta, (5, 4))[:, :3], self._lower), self._upper)
         p_BF = self._R_BH @ (p_HF - self._hand.p_HB)[..., None]
         for _ in range(iterations):
             tips, J = self._tips_and_jacobians(x)
             error = p_BF - tips[..., None]
-            moved, within = self._step(x, J, error)
-            if not within.all():
-                moved, _ = self._step(x, J * within[:, None], error)
+            moved = self._step(x, J, error)
+            within = (moved >= self._lower) & (moved <= self._upper)
+            if np.count_nonzero(within) < within.size:
+                moved = self._step(x, J * within[:, None], error)
             x = np.minimum(np.maximum(moved, self._lower), self._upper)
         return self._angles(x)
 
-    def _step(self, x: np.ndarray, J: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates (5, 3) after a damped step that reduces `error` (5, 3, 1), and which are in range."""
+    def _step(self, x: np.ndarray, J: np.ndarray, error: np.ndarray) -> np.ndarray:
+        """Coordinates (5, 3) after a damped step that reduces `error` (5, 3, 1)."""
         Jt = J.swapaxes(1, 2)
-        moved = x + (Jt @ np.linalg.solve(J @ Jt + _DAMPING, error))[..., 0]
-        return moved, (moved >= self._lower) & (moved <= self._upper)
+        return x + (Jt @ np.linalg.solve(J @ Jt + _DAMPING, error))[..., 0]
 
     def _tips_and_jacobians(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Fingertips (5, 3), m, in the fingers' base frames, and their derivatives (5, 3, 3) by x (5, 3).

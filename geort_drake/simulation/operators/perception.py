@@ -56,7 +56,7 @@ class VisualError:
         """Independent errors of the configured sizes."""
         n = rng.normal(size=(num_fingers + 1, 3))
         across, along = config.visual_noise, config.visual_depth_noise
-        p = across * n + (along - across) * np.outer(n @ GAZE_W, GAZE_W)
+        p = across * n + (along - across) * (n.dot(GAZE_W)[:, None] * GAZE_W)
         return cls(p, rng.normal(0, config.visual_turn_noise, (2, 3)))
 
     def later(self, config: OperatorConfig, rng: np.random.Generator) -> "VisualError":
@@ -71,15 +71,16 @@ def perceive(scene: Seen, error: VisualError, config: OperatorConfig, rng: np.ra
 
     Only positions relative to the object matter, so that of the object has no error.
     """
-    turns = map(rotation_of_vector, error.turn)
+    X_WB, X_WO, (turn_O, turn_B) = scene.X_WB, scene.X_WO, map(rotation_of_vector, error.turn)
     factor = 1 + rng.normal(0, config.contact_noise, len(scene.p_WF))
-    X_WO, X_WB = (
-        RigidTransform(turn @ X.rotation(), X.translation() + shift)
-        for X, turn, shift in zip((scene.X_WO, scene.X_WB), turns, (np.zeros(3), error.p[-1]), strict=True)
+    return Seen(
+        scene.p_WF + error.p[:-1],
+        RigidTransform(turn_B @ X_WB.rotation(), X_WB.translation() + error.p[-1]),
+        RigidTransform(turn_O @ X_WO.rotation(), X_WO.translation()),
+        # A felt force is never negative.
+        scene.contact * np.maximum(factor, 0) * config.touch,
+        scene.X_WP,
     )
-    # A felt force is never negative.
-    contact = scene.contact * np.maximum(factor, 0) * config.touch
-    return dc.replace(scene, p_WF=scene.p_WF + error.p[:-1], X_WB=X_WB, X_WO=X_WO, contact=contact)
 
 
 def averaged(before: np.ndarray | None, now: np.ndarray, config: OperatorConfig) -> np.ndarray:

@@ -58,8 +58,10 @@ class OperatorSystem(LeafSystem):
         """
         self._person = person
         state = self.DeclareAbstractState(AbstractValue.Make(start))
+        # The last posture and its keypoints, as a hand that holds something keeps it.
+        self._posture, self._p_HK = start.theta, self._hand.keypoints(start.theta)
         # A state, because the tremor is drawn once per decision.
-        self._keypoints = self.DeclareDiscreteState(self._hand.keypoints(start.theta).ravel())
+        self._keypoints = self.DeclareDiscreteState(self._p_HK.ravel())
         ticket = {self.abstract_state_ticket(state)}
         self.DeclareStateOutputPort("keypoints", self._keypoints)
         self.DeclareAbstractOutputPort(
@@ -92,7 +94,9 @@ class OperatorSystem(LeafSystem):
             return EventStatus.DidNothing()
         after = self._person.step(before, context.get_time(), self._see(context))
         state.get_mutable_abstract_state(0).set_value(after)
-        keypoints = self._hand.keypoints(after.theta)
+        if after.theta is not self._posture:
+            self._posture, self._p_HK = after.theta, self._hand.keypoints(after.theta)
+        keypoints = self._p_HK.copy()
         keypoints[1:] += self._tremor_rng.normal(0, self._tremor, (20, 3))
         state.get_mutable_discrete_state(self._keypoints).set_value(keypoints.ravel())
         return EventStatus.Succeeded()
