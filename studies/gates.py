@@ -1,21 +1,26 @@
-"""Gates: is a task neither too hard nor too easy, before any method is tried?
+"""Gates: is a task neither too hard nor too easy, and does it show a bad map, before any method is tried?
 
-python studies/gates.py --task keys --seeds 20 --json gates.json
+python studies/gates.py --task keys --json gates.json
 
 Printed, and written to --json: successes of a scripted robot without a person, which must be at least 18 of
-20; successes of a person with a hand that holds still, at most 1 of 20; and mean scores of an affine map
-with inverse kinematics in which every fingertip also moves by a fraction of its neighbours' motion, 0 to
-0.75, which must not rise with the fraction, for each kind of person. `studies/scripted` has the robots.
+20; successes of a person with a hand that holds still, at most 1 of 20; and, for each kind of person, scores
+with an affine map and three worsened ones. `WORSENED` declares the fault and why the task's mechanics must
+show it. Kendall's tau must be positive beyond chance (p < 0.05 in a permutation test within seeds). The same
+command resumes. `studies/scripted` has the robots.
 """
 
 import argparse
 import functools
 import importlib
+import itertools
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.stats import permutation_test
 
 from geort_drake.comparison.retargeters import retargeter_of
 from geort_drake.console import run_main
@@ -30,23 +35,49 @@ from geort_drake.simulation.scenario import load_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.trial import run_trial
 
-FRACTIONS = (0.0, 0.25, 0.5, 0.75)
+MIXED, TURNED = "mixed", "turned"
+_CONE = "a squeeze that is turned beyond the friction cone, 39° at the mean friction of 0.8, slides"
 
 
-class CrossTalk:
-    """A map in which every fingertip also moves by a fraction of its neighbours' mean motion."""
+class Worsening(NamedTuple):
+    """A fault of a map, by amount, and why the task must show it."""
 
-    def __init__(self, retarget, rest: np.ndarray, keypoints: Sequence[int], fraction: float):
+    fault: str
+    amounts: tuple[float, ...]
+    reason: str
+
+
+# MIXED: fraction of its neighbours' mean motion by which every finger also moves. TURNED: angle of all
+# directions, degrees, about an axis in the palm's plane that is drawn by the seed.
+WORSENED = {
+    "keys": Worsening(
+        MIXED, (0.0, 0.25, 0.5, 0.75), "a press of 8 mm moves the others by 1, 2 and 3 mm; 2.5 mm are allowed"
+    ),
+    "trigger": Worsening(TURNED, (0.0, 20.0, 40.0, 60.0), _CONE),
+    "pick_place": Worsening(TURNED, (0.0, 20.0, 40.0, 60.0), _CONE),
+}
+
+
+class WorsenedMap:
+    """A map whose input motion about a posture is mixed among the fingers beyond the thumb, or turned."""
+
+    def __init__(
+        self, retarget: Any, rest: np.ndarray, keypoints: Sequence[int], fault: str, amount: float, seed: int
+    ):
         self._retarget, self._rest, self._keypoints = retarget, rest, list(keypoints)
-        self._fraction, self.joint_names = fraction, retarget.joint_names
+        self.joint_names = retarget.joint_names
+        self._mixing, self._R = np.eye(len(rest)), np.eye(3)
+        if fault == MIXED:
+            others = len(rest) - 2
+            self._mixing[1:, 1:] += amount / others * (1 - np.eye(others + 1))
+        else:
+            turn = np.random.default_rng(seed).uniform(0, 2 * np.pi)
+            axis = np.array([0.0, np.cos(turn), np.sin(turn)])  # x of H points out of the palm
+            self._R = Rotation.from_rotvec(np.radians(amount) * axis).as_matrix()
 
     def __call__(self, p_HK: np.ndarray) -> np.ndarray:
-        p_HF = p_HK[self._keypoints]
-        moved = (p_HF - self._rest)[1:]
-        others = (moved.sum(axis=0) - moved) / (len(moved) - 1)
-        mixed = p_HF.copy()
-        mixed[1:] += self._fraction * others
-        return self._retarget(mixed)
+        moved = p_HK[self._keypoints] - self._rest
+        return self._retarget(self._rest + self._mixing @ moved @ self._R.T)
 
 
 @functools.cache
@@ -58,56 +89,103 @@ def setting(task_name: str, hand_name: str) -> tuple[HandModel, Recording, Human
     return hand, recording, HumanHand.fit(recording), plans
 
 
-def trial(task_name: str, hand_name: str, kind: str, method: str, fraction: float, seed: int) -> dict:
-    """Record of one trial of a person with the affine map, or with a hand that holds still."""
-    task = find_task(task_name)
-    scenario = load_scenario(*task.scenario, hand=hand_name)
-    scenario.kind, scenario.random_seed = kind, seed
+@functools.cache
+def kept(task_name: str, hand_name: str, method: str, amount: float, seed: int) -> tuple[Any, Any]:
+    """The map, worsened by an amount, and the goal that the person keeps after free play with it."""
     hand, recording, person, plans = setting(task_name, hand_name)
     retarget, _ = retargeter_of(method, hand, recording, 0, lambda *_: Path())
-    if fraction:
+    if amount:
         keypoints = hand.description.human_keypoints
-        retarget = CrossTalk(retarget, recording.fingertips(keypoints).mean(axis=0), keypoints, fraction)
-    goal, _ = task.keep(plans, seen_fingertips(retarget, hand, person))
-    result, _ = run_trial(scenario, retarget, (person, goal))
-    return {"kind": kind, "method": method, "fraction": fraction, **result.to_json()}
+        rest = recording.fingertips(keypoints).mean(axis=0)
+        retarget = WorsenedMap(retarget, rest, keypoints, WORSENED[task_name].fault, amount, seed)
+    goal, _ = find_task(task_name).keep(plans, seen_fingertips(retarget, hand, person))
+    return retarget, goal
+
+
+def trial(task_name: str, hand_name: str, kind: str, method: str, amount: float, seed: int) -> dict:
+    """Record of one trial of a person with the affine map, or with a hand that holds still."""
+    scenario = load_scenario(*find_task(task_name).scenario, hand=hand_name)
+    scenario.kind, scenario.random_seed = kind, seed
+    retarget, goal = kept(task_name, hand_name, method, amount, seed if amount else 0)
+    result, _ = run_trial(scenario, retarget, (setting(task_name, hand_name)[2], goal))
+    return {"kind": kind, "method": method, "amount": amount, **result.to_json()}
+
+
+def tau(*scores: np.ndarray) -> float:
+    """Kendall's tau-a within trials: scores (trials,) of each map, the best first; 1 if ordered rightly."""
+    return float(np.mean([np.sign(better - worse) for better, worse in itertools.combinations(scores, 2)]))
+
+
+def ordering(records: Sequence[dict], kinds: Sequence[str], amounts: Sequence[float]) -> dict[str, Any]:
+    """Mean scores by map, tau, and the chances of one as high, and as low, if maps did not matter.
+
+    A kind of person with a seed, of whom all maps were tried, is a block: scores are permuted within blocks.
+    """
+    scores = {(r["kind"], r["seed"], r["amount"]): r["score"] for r in records if r["kind"] in kinds}
+    blocks = list(dict.fromkeys((kind, seed) for kind, seed, _ in scores))
+    blocks = [block for block in blocks if all((*block, amount) in scores for amount in amounts)]
+    if not blocks:
+        return {"blocks": 0}
+    table = [np.array([scores[*block, amount] for block in blocks]) for amount in amounts]
+    chances = [
+        permutation_test(table, tau, permutation_type="samples", alternative=side, rng=0).pvalue
+        for side in ("greater", "less")
+    ]
+    return {
+        "blocks": len(blocks),
+        "means": [round(float(scores.mean()), 3) for scores in table],
+        "tau": round(tau(*table), 3),
+        "p": round(float(chances[0]), 4),
+        "p_reversed": round(float(chances[1]), 4),
+    }
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--task", default="keys", help="name of a task with a scripted robot")
+    parser.add_argument("--task", default="keys", choices=WORSENED, help="a task with a scripted robot")
     parser.add_argument("--hand", default="allegro_right", help="name or file of a hand description")
+    parser.add_argument("--kinds", nargs="+", help="of people with affine maps (default: all of the task)")
     parser.add_argument("--seeds", type=int, default=20, help="of the scripted robot and the still hand")
-    parser.add_argument("--map-seeds", type=int, default=2, help="of each affine map and kind of person")
-    parser.add_argument("--json", type=Path, help="where to write the figures")
+    parser.add_argument("--map-seeds", type=int, default=4, help="of each affine map and kind of person")
+    parser.add_argument("--json", type=Path, required=True, help="where to write the figures")
     arguments = parser.parse_args(argv)
-    task, seeds = find_task(arguments.task), range(arguments.seeds)
+    task, path = find_task(arguments.task), arguments.json
+    worsened, kinds = WORSENED[task.name], arguments.kinds or task.kinds
+    figures = json.loads(path.read_text()) if path.exists() else {"scripted": {}, "records": []}
+    scripted, records = figures["scripted"], figures["records"]
     robot = importlib.import_module(f"scripted.{task.name}")
     scenario = load_scenario(*task.scenario, hand=arguments.hand)
     plan = robot.plans(scenario, load_hand(arguments.hand))[0]
-    scores = [robot.scripted(scenario, plan, seed) for seed in seeds]
-    done = sum(score > 0 for score in scores)
-    print(f"scripted robot: {done} of {len(scores)}; wanted at least {0.9 * len(scores):.0f}", flush=True)
-    one = functools.partial(trial, task.name, arguments.hand)
-    records = [one(task.kinds[0], "hold", 0.0, seed) for seed in seeds]
-    held = sum(record["success"] for record in records)
-    print(f"hold: {held} of {len(records)}; wanted at most {0.05 * len(records):.0f}", flush=True)
-    ordered = {}
-    for kind in task.kinds if arguments.map_seeds else ():
-        own = [
-            [one(kind, "affine_ik", fraction, seed) for seed in range(arguments.map_seeds)]
-            for fraction in FRACTIONS
-        ]
-        records += [record for group in own for record in group]
-        means = ordered[kind] = [float(np.mean([r["score"] for r in group])) for group in own]
-        right = all(np.diff(means) <= 0) and means[-1] < means[0]
-        shown = ", ".join(f"{mean:.2f}" for mean in means)
-        print(f"affine maps, {kind}: {shown}; ordered: {right}", flush=True)
-    figures = {"scripted": scores, "affine": ordered, "records": records}
-    if arguments.json:
-        write_text(arguments.json, json.dumps(figures, indent=1) + "\n")
+    known = {(r["kind"], r["method"], r["amount"], r["seed"]) for r in records}
+    # Seed by seed, so that what is there after an interruption is balanced.
+    wanted = [
+        (kind, "affine_ik", amount, seed)
+        for seed in range(arguments.map_seeds)
+        for kind in kinds
+        for amount in worsened.amounts
+    ] + [(task.kinds[0], "hold", 0.0, seed) for seed in range(arguments.seeds)]
+    for each in wanted:
+        if each not in known:
+            records.append(trial(task.name, arguments.hand, *each))
+            write_text(path, json.dumps(figures, indent=1) + "\n")
+    for seed in range(arguments.seeds):
+        if str(seed) not in scripted:
+            scripted[str(seed)] = robot.scripted(scenario, plan, seed)
+            write_text(path, json.dumps(figures, indent=1) + "\n")
+    if arguments.seeds:
+        done = sum(score > 0 for score in scripted.values())
+        print(f"scripted robot: {done} of {len(scripted)}; wanted at least {0.9 * len(scripted):.0f}")
+        held = [record["success"] for record in records if record["method"] == "hold"]
+        print(f"hold: {sum(held)} of {len(held)}; wanted at most {0.05 * len(held):.0f}")
+    print(f"{worsened.fault} by {', '.join(f'{amount:g}' for amount in worsened.amounts)}: {worsened.reason}")
+    affine = [record for record in records if record["method"] == "affine_ik"]
+    groups = {kind: [kind] for kind in kinds} | {"all kinds": kinds}
+    figures["ordered"] = {name: ordering(affine, group, worsened.amounts) for name, group in groups.items()}
+    for kind, found in figures["ordered"].items():
+        print(f"{kind}: {json.dumps(found)}")
+    write_text(path, json.dumps(figures, indent=1) + "\n")
     return 0
 
 

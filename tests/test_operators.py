@@ -8,10 +8,13 @@ import pytest
 from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.play import synthesize_play
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.finger_motion import FingerMotion
-from geort_drake.simulation.operators.perception import Seen
+from geort_drake.simulation.operators.intention import IntentionConfig
+from geort_drake.simulation.operators.perception import FreePlay, Seen
+from geort_drake.simulation.operators.placing import PlacingPerson
 from geort_drake.simulation.operators.state import Phase
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
@@ -61,10 +64,14 @@ class StandInWorld:
         self._p_BO_held: np.ndarray | None = None
         self._past: deque[Seen] = deque(maxlen=round(config.visual_delay / config.period))
 
+    def robot_tips(self, p_HF: np.ndarray) -> np.ndarray:
+        """(..., 4, 3) in B for own fingertips, m."""
+        return self._rest + self._gain * (p_HF - self._rest)
+
     def advance(self, theta: np.ndarray, X_WH: RigidTransform, lifting: bool) -> Seen:
         """What the person sees after the robot has followed hand and wrist."""
         self.X_WB = RigidTransform(X_WH.rotation(), self.X_WB_start.translation() + X_WH.translation())
-        p_BF = self._rest + self._gain * (self.hand.fingertips(theta)[:4] - self._rest)
+        p_BF = self.robot_tips(self.hand.fingertips(theta)[:4])
         p_WF = self.X_WB.multiply(p_BF.T).T
         depth = ((p_WF - self.X_WO.translation() - self.goal.p_OF_touch) * self.goal.n_OF).sum(axis=1)
         contact = np.where(self.goal.touches, np.maximum(100.0 * (depth + 1e-4), 0.0), 0.0)
@@ -75,7 +82,7 @@ class StandInWorld:
             self._slips -= 1
         if self._p_BO_held is not None and self._slips <= 0:
             self.X_WO = RigidTransform(self.X_WB @ self._p_BO_held)
-        self._past.append(Seen(p_WF=p_WF, X_WB=self.X_WB, X_WO=self.X_WO, contact=contact))
+        self._past.append(Seen(p_WF, self.X_WB, self.X_WO, contact, RigidTransform([0.5, 0.2, 0.15])))
         return self._past[0]
 
 
@@ -90,11 +97,21 @@ class Session:
     duration: float
 
 
-def act(gain: float, seed: int = 3, slips: int = 0, until: float = 20.0, **changes: float) -> Session:
-    """Lets a person grasp in the stand-in world; ends one second into the hold."""
+def act(
+    gain: float, seed: int = 3, slips: int = 0, until: float = 20.0, kind: str | None = None, **changes: float
+) -> Session:
+    """Lets a person grasp, or a kind of one grasp and place, in the stand-in world.
+
+    Ends one second into the hold, or after the lift.
+    """
     config = dc.replace(OperatorConfig(), **changes)
     world = StandInWorld(gain, config, slips)
-    person = GraspingPerson(world.hand, world.goal, config, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    person = GraspingPerson(world.hand, world.goal, config, rng)
+    if kind is not None:
+        own = synthesize_play(0, duration_s=30, rate_hz=30, hand=world.hand).fingertips([4, 8, 12, 16])
+        goal = dc.replace(world.goal, play=FreePlay(own, world.robot_tips(own)))
+        person = PlacingPerson(world.hand, goal, kind, config, IntentionConfig(), 0.02, rng)
     state = person.start(RigidTransform())
     p_WO = world.X_WO.translation()
     phases, theta, wrist, squeeze = [state.phase], [state.theta], [], []
@@ -109,7 +126,8 @@ def act(gain: float, seed: int = 3, slips: int = 0, until: float = 20.0, **chang
         if state.phase == Phase.SQUEEZE:
             moved = world.hand.fingertips(state.theta) - state.p_HF_start
             squeeze.append((moved[:3] * world.goal.n_OF[:3]).sum(axis=1))
-        if state.phase == Phase.HOLD and step * config.period > state.phase_start + 1.0:
+        is_held = state.phase == Phase.HOLD and step * config.period > state.phase_start + 1.0
+        if is_held or state.phase == Phase.CARRY:
             break
     return Session(
         phases=phases,
@@ -120,6 +138,15 @@ def act(gain: float, seed: int = 3, slips: int = 0, until: float = 20.0, **chang
         squeeze=float(np.mean(squeeze[-1])) if squeeze else 0.0,
         duration=step * config.period,
     )
+
+
+@pytest.mark.parametrize("gain", [1.5, 2.0])
+def test_kinds_of_people_pinch_as_they_move_a_robot_finger(gain):
+    """All at first try; a mimic squeezes as deep as intended, the others by the gain that they learned."""
+    for kind, expected in (("servo", 1 / gain), ("mimicry", 1.0), ("adaptive", 1 / gain)):
+        session = act(gain, kind=kind)
+        assert session.phases == [*STRAIGHT[:-1], Phase.CARRY], kind
+        assert session.squeeze == pytest.approx(expected * OperatorConfig().squeeze, rel=0.2), kind
 
 
 STRAIGHT = [Phase.REACH, Phase.APPROACH, Phase.SURROUND, Phase.CLOSE, Phase.SQUEEZE, Phase.LIFT, Phase.HOLD]

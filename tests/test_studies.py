@@ -3,6 +3,7 @@
 import importlib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -30,3 +31,42 @@ def test_every_picture_of_the_docs_can_be_made_anew():
         made = image.suffix == ".svg" or image.stem in {*pictures.PICTURES, *STUDIES, "live_film"}
         assert made, f"{image} cannot be made anew"
         assert image.stat().st_size < (1_500_000 if image.suffix == ".webp" else 300_000)
+
+
+def test_gates_tell_a_right_order_from_chance_and_from_a_reversed_one():
+    """Ties count for neither."""
+    ordering = importlib.import_module("studies.gates").ordering
+
+    def of(*scores: float) -> dict:
+        return ordering(
+            [
+                {"kind": "servo", "seed": seed, "amount": float(amount), "score": score}
+                for seed in range(4)
+                for amount, score in enumerate(scores)
+            ],
+            ["servo"],
+            range(len(scores)),
+        )
+
+    right, reversed_, tied = of(1.0, 1.0, 0.8, 0.2), of(0.2, 0.5, 0.8, 1.0), of(1.0, 1.0, 1.0, 1.0)
+    assert right["tau"] == pytest.approx(5 / 6, abs=1e-3) and right["p"] < 0.01 < right["p_reversed"]
+    assert reversed_["tau"] == -1 and reversed_["p_reversed"] < 0.01
+    assert tied["tau"] == 0 and tied["p"] == tied["p_reversed"] == 1
+
+
+def test_worsened_maps_mix_or_turn_the_motion_of_fingers():
+    gates = importlib.import_module("studies.gates")
+    rest, moved = np.zeros((4, 3)), np.zeros((4, 3))
+    moved[1] = 0.01, 0.0, 0.0  # the index finger, out of the palm
+
+    class Echo:
+        joint_names = ()
+
+        def __call__(self, p_HF):
+            return p_HF
+
+    mixed = gates.WorsenedMap(Echo(), rest, range(4), gates.MIXED, 0.5, 0)(moved)
+    np.testing.assert_allclose(mixed, [[0, 0, 0], moved[1], 0.25 * moved[1], 0.25 * moved[1]])
+    turned = gates.WorsenedMap(Echo(), rest, range(4), gates.TURNED, 60.0, 0)(moved)
+    assert turned[1, 0] == pytest.approx(0.005) and np.linalg.norm(turned[1]) == pytest.approx(0.01)
+    np.testing.assert_allclose(turned[[0, 2, 3]], 0.0)

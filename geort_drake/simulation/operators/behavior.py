@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.simulation.operators.config import OperatorConfig
-from geort_drake.simulation.operators.finger_motion import FingerMotion
+from geort_drake.simulation.operators.finger_motion import FingerMotion, limited
 from geort_drake.simulation.operators.perception import Seen, SensedGain, VisualError, averaged, perceive
 from geort_drake.simulation.operators.state import OperatorState, Phase
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
@@ -118,7 +118,7 @@ class GraspingPerson:
     def _enter(self, state: OperatorState, phase: Phase, t: float) -> None:
         state.phase, state.phase_start = phase, t
         state.best_error, state.best_time = np.inf, t
-        state.shape_error = None
+        state.shape_error = state.intended = None
         if phase != Phase.HOLD:
             state.movement, state.movements = None, 0
 
@@ -186,18 +186,14 @@ class GraspingPerson:
             self._squeeze(state, t)
             return
         p_HF = state.p_HF_past[-1]
-        # Forward model (Miall and Wolpert 1996): since the seen scene, the robot's fingers are assumed to
-        # have moved like the person's.
-        done = (p_HF - state.p_HF_past[0])[self._own]
-        target = np.zeros((5, 3))
-        target[self._own] = config.correction_rate * (error - done)
-        speed = np.linalg.norm(target, axis=1, keepdims=True)
-        limit = np.full((5, 1), config.max_fingertip_speed)
+        # Forward model (Miall and Wolpert 1996) of the robot's motion since the seen scene.
+        done = self._expected(state, (p_HF - state.p_HF_past[0])[self._own])
+        error = error - done
+        limit = np.full(len(error), config.max_fingertip_speed)
         if state.phase == Phase.CLOSE:
-            limit[self._own, 0] = config.closing_speed * self._closing_fraction(
-                state.shape_error - done, seen
-            )
-        target *= np.minimum(1.0, limit / np.maximum(speed, 1e-9))
+            limit = config.closing_speed * self._closing_fraction(state.shape_error - done, seen)
+        target = np.zeros((5, 3))
+        target[self._own] = limited(self._wanted_velocity(state, error, limit[:, None]), limit[:, None])
         for own in self._followers:
             target[own] = target[own - 1]
         share = config.period / (config.period + config.muscle_time_constant)
@@ -206,19 +202,33 @@ class GraspingPerson:
         noisy = velocity * (1 + self._rng.normal(0, config.motor_noise, (5, 1)))
         state.theta = self._motion.follow(state.theta, p_HF + config.period * noisy)
 
+    def _expected(self, state: OperatorState, own: np.ndarray) -> np.ndarray:
+        """The robot's motion (F, 3), m, that is expected of an own one; here the same."""
+        return own
+
+    def _wanted_velocity(self, state: OperatorState, error: np.ndarray, limit: np.ndarray) -> np.ndarray:
+        """Velocities (F, 3), m/s, of the own fingertips for the robot's errors (F, 3), m."""
+        return self._config.correction_rate * error
+
+    def _inwards(self, state: OperatorState, share: float) -> np.ndarray:
+        """Motion (F, 3), m, of the own fingertips after a share of a squeeze by the sensed gain.
+
+        The axes of H and B are taken as the same directions.
+        """
+        assert state.n_BF is not None  # set when the squeeze begins
+        return self._config.squeeze / state.sensed.ratio * share * state.n_BF
+
     def _squeeze(self, state: OperatorState, t: float) -> None:
-        """Moves the touching fingertips inwards by the squeeze's depth divided by the sensed gain."""
+        """Moves the touching fingertips inwards."""
         config, goal = self._config, self._goal
         state.finger_velocity = np.zeros((5, 3))
         if state.phase != Phase.SQUEEZE:
             return
-        assert state.p_HF_start is not None and state.n_BF is not None  # set when the squeeze begins
-        # The axes of H and B are taken as the same directions.
-        inwards = np.zeros((5, 3))
-        inwards[self._own[goal.touches]] = state.n_BF[goal.touches]
-        depth = config.squeeze / state.sensed.ratio
-        depth *= minimum_jerk((t - state.phase_start) / config.squeeze_time)
-        state.theta = self._motion.follow(state.theta, state.p_HF_start + depth * inwards)
+        assert state.p_HF_start is not None  # set when the squeeze begins
+        share = minimum_jerk((t - state.phase_start) / config.squeeze_time)
+        inwards, touches = np.zeros((5, 3)), goal.touches
+        inwards[self._own[touches]] = self._inwards(state, share)[touches]
+        state.theta = self._motion.follow(state.theta, state.p_HF_start + inwards)
 
     def _closing_fraction(self, error: np.ndarray, seen: Seen) -> np.ndarray:
         """(F,) fraction of the closing speed: touching fingers stop, leading ones wait."""

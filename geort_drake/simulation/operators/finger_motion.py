@@ -13,6 +13,12 @@ _LEAST_BEND = np.deg2rad(8.0)
 _DAMPING = (2e-3) ** 2 * np.eye(3)
 
 
+def limited(velocity: np.ndarray, limit: np.ndarray | float) -> np.ndarray:
+    """Velocities (n, 3), none faster than `limit`, a number or (n, 1)."""
+    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+    return velocity * np.minimum(1.0, limit / np.maximum(speed, 1e-9))
+
+
 class FingerMotion:
     """Inverse kinematics of a human hand in three coordinates per finger, within its joint limits.
 

@@ -16,7 +16,7 @@ from pydrake.math import RigidTransform
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.simulation.operators.config import OperatorConfig
-from geort_drake.simulation.operators.finger_motion import FingerMotion
+from geort_drake.simulation.operators.finger_motion import FingerMotion, limited
 from geort_drake.simulation.operators.finger_state import FingerState
 from geort_drake.simulation.operators.intention import (
     ADAPTIVE,
@@ -222,8 +222,7 @@ class FingerPerson(abc.ABC, Generic[State]):
         velocity = np.zeros((5, 3))
         for finger in self._corrected(state):
             velocity[self._own[finger]] = self._rate * state.learned.own_motion(finger, error[finger])
-        speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-        velocity *= np.minimum(1.0, config.max_fingertip_speed / np.maximum(speed, 1e-9))
+        velocity = limited(velocity, config.max_fingertip_speed)
         weight = config.period / (config.period + config.muscle_time_constant)
         state.finger_velocity = state.finger_velocity + weight * (velocity - state.finger_velocity)
         noise = self._rng.normal(0, config.motor_noise, (5, 1))

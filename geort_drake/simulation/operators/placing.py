@@ -1,7 +1,8 @@
 """A person who grasps an object and brings it to a place: carry, lower, open, retreat, and retry.
 
 The intention is the motion of the object: the own hand moves as if it held the object itself, and the robot
-hand is assumed to move alike. Nothing here knows the retargeting map.
+hand is assumed to move alike. A person who is no servo makes each motion of the fingers, open, around the
+object, onto it and inwards, with the own fingers, and corrects the pinch. Nothing here knows the map.
 """
 
 import dataclasses as dc
@@ -14,7 +15,15 @@ from pydrake.systems.framework import Context
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
-from geort_drake.simulation.operators.intention import IntentionConfig
+from geort_drake.simulation.operators.finger_motion import limited
+from geort_drake.simulation.operators.intention import (
+    ADAPTIVE,
+    MIMICRY,
+    SERVO,
+    IntentionConfig,
+    LearnedMotion,
+    learned_in_play,
+)
 from geort_drake.simulation.operators.perception import Seen, VisualError
 from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
 from geort_drake.simulation.operators.state import OperatorState, Phase
@@ -28,6 +37,7 @@ class PlacingPerson(GraspingPerson):
     The object's tilt is left to gravity: only its position and its yaw are corrected.
 
     Args:
+        kind: SERVO, MIMICRY or ADAPTIVE.
         hover: height above its place from which the object is lowered, m.
         hand, goal, config, rng: as of `GraspingPerson`.
     """
@@ -36,19 +46,26 @@ class PlacingPerson(GraspingPerson):
         self,
         hand: HumanHand,
         goal: GraspGoal,
+        kind: str,
         config: OperatorConfig,
         intention: IntentionConfig,
         hover: float,
         rng: np.random.Generator,
     ):
         super().__init__(hand, goal, config, rng)
-        self._intention, self._hover = intention, hover
+        self._kind, self._intention, self._hover = kind, intention, hover
         # Its own generator, so that the errors of the place do not change the others.
         self._place_rng = rng.spawn(1)[0]
 
     def start(self, X_WH: RigidTransform) -> OperatorState:
         error = VisualError.draw(0, self._config, self._place_rng)
-        return dc.replace(super().start(X_WH), place_error=error)
+        learned = LearnedMotion.unlearned(len(self._own), self._intention)
+        play = self._goal.play
+        if self._kind == ADAPTIVE and play is not None and len(play.p_HF):
+            nearest = np.linalg.norm(play.p_BF - self._goal.p_BF_open, axis=-1).argmin(axis=0)
+            p_HF = play.p_HF[nearest, np.arange(len(nearest))]
+            learned = learned_in_play(play, p_HF, self._intention, self._config, self._place_rng)
+        return dc.replace(super().start(X_WH), place_error=error, learned=learned)
 
     def step(self, state: OperatorState, t: float, scene: Seen) -> OperatorState:
         assert state.place_error is not None and scene.X_WP is not None  # since the start
@@ -57,6 +74,41 @@ class PlacingPerson(GraspingPerson):
             rotation_of_vector(error.turn[0]) @ scene.X_WP.rotation(), scene.X_WP.translation() + error.p[0]
         )
         return super().step(dc.replace(state, place_error=error), t, dc.replace(scene, X_WP=X_WP))
+
+    def _expected(self, state: OperatorState, own: np.ndarray) -> np.ndarray:
+        assert state.learned is not None  # since the start
+        return np.einsum("fij,fj->fi", state.learned.J, own)
+
+    def _own_motion(self, state: OperatorState, robot: np.ndarray) -> np.ndarray:
+        """Own motion (F, 3) that is expected to move the robot's fingertips by `robot` (F, 3), m."""
+        assert state.learned is not None  # since the start
+        return np.array([state.learned.own_motion(f, motion) for f, motion in enumerate(robot)])
+
+    def _wanted_velocity(self, state: OperatorState, error: np.ndarray, limit: np.ndarray) -> np.ndarray:
+        if self._kind == SERVO:
+            return super()._wanted_velocity(state, error, limit)
+        if state.intended is None:  # a new phase: the seen error, but a release goes back to where it began
+            state.intended = error
+            if state.phase in (Phase.OPEN, Phase.RELEASE):
+                assert state.p_HF_open is not None  # set before the fingers close
+                state.intended = self._expected(state, (state.p_HF_open - state.p_HF_past[-1])[self._own])
+        velocity = limited(state.intended / self._config.period, limit)
+        state.intended = state.intended - self._config.period * velocity
+        rate = self._intention.mimicry_rate if self._kind == MIMICRY else self._config.correction_rate
+        # The fingers of a pinch are looked at together.
+        velocity += rate * self._goal.touches[:, None] * (error - state.intended)
+        return self._own_motion(state, velocity)
+
+    def _inwards(self, state: OperatorState, share: float) -> np.ndarray:
+        if self._kind == SERVO:
+            return super()._inwards(state, share)
+        assert state.n_BF is not None  # set when the squeeze begins
+        return self._own_motion(state, self._config.squeeze * share * state.n_BF)
+
+    def _enter(self, state: OperatorState, phase: Phase, t: float) -> None:
+        super()._enter(state, phase, t)
+        if phase == Phase.SURROUND:
+            state.p_HF_open = state.p_HF_past[-1]
 
     def _advance_phase(self, state: OperatorState, t: float, seen: Seen) -> None:
         rests = self._wrist_rests(state, t)
@@ -131,6 +183,7 @@ class PlacingOperator(SimulatedOperator):
         self,
         hand: HumanHand,
         goal: GraspGoal,
+        kind: str,
         config: OperatorConfig,
         intention: IntentionConfig,
         hover: float,
@@ -138,12 +191,12 @@ class PlacingOperator(SimulatedOperator):
         seed: int,
     ):
         intention.validate()
-        self._intention, self._hover = intention, hover
+        self._kind, self._intention, self._hover = kind, intention, hover
         super().__init__(hand, goal, config, X_WH_start, seed)
         self._place_pose = self.DeclareVectorInputPort("place_pose", 7)
 
     def _person_with(self, hand: HumanHand, goal: GraspGoal, config: OperatorConfig) -> PlacingPerson:
-        return PlacingPerson(hand, goal, config, self._intention, self._hover, self._rng)
+        return PlacingPerson(hand, goal, self._kind, config, self._intention, self._hover, self._rng)
 
     def _see(self, context: Context) -> Seen:
         return dc.replace(super()._see(context), X_WP=vector_to_pose(self._place_pose.Eval(context)))

@@ -6,6 +6,7 @@ import enum
 import numpy as np
 from pydrake.math import RigidTransform
 
+from geort_drake.simulation.operators.intention import LearnedMotion
 from geort_drake.simulation.operators.perception import SensedGain, VisualError
 from geort_drake.simulation.wrist_motion import WristMovement
 from geort_drake.systems.port_values import Immutable
@@ -62,5 +63,10 @@ class OperatorState(Immutable):
     n_BF: np.ndarray | None = None
     # Lift: the object's origin in B at its start.
     p_BO_start: np.ndarray | None = None
-    # Errors of the seen place, if there is one, relative to the object.
+    # Of a person who places: errors of the seen place relative to the object; the learned response of the
+    # robot; what is left of the intended motion of robot fingertips in this phase, (F, 3) m in B; and own
+    # fingertips (5, 3) before they closed, m in H.
     place_error: VisualError | None = None
+    learned: LearnedMotion | None = None
+    intended: np.ndarray | None = None
+    p_HF_open: np.ndarray | None = None

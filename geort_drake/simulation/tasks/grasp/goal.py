@@ -7,6 +7,7 @@ import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.people.keypoints import mirrored
+from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.systems.port_values import mirrored_pose
 
 
@@ -34,9 +35,11 @@ class GraspGoal:
     n_OF: np.ndarray
     # The grasp is the same for an object turned about its vertical by this angle, rad; 0: by any angle.
     yaw_symmetry: float
+    # What the person saw before, if it matters.
+    play: FreePlay | None = None
 
     def mirrored(self) -> "GraspGoal":
-        """Returns the grasp reflected in the xz-planes of its frames."""
+        """Returns the grasp reflected in the xz-planes of its frames; the person's own hand is not."""
         return dc.replace(
             self,
             X_OB=mirrored_pose(self.X_OB),
@@ -44,6 +47,7 @@ class GraspGoal:
             p_BF_open=mirrored(self.p_BF_open),
             p_OF_touch=mirrored(self.p_OF_touch),
             n_OF=mirrored(self.n_OF),
+            play=self.play and self.play._replace(p_BF=mirrored(self.play.p_BF)),
         )
 
     def object_frame(self, X_WO: RigidTransform) -> RigidTransform:

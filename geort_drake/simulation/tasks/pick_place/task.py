@@ -3,7 +3,7 @@
 import abc
 import dataclasses as dc
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -15,6 +15,8 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.human_hand import HumanHand
+from geort_drake.simulation.operators.intention import ADAPTIVE, MIMICRY
+from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.operators.placing import PlacingOperator
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import SERVO, Shown, TrialResult
@@ -54,7 +56,7 @@ class TransferTask(ObjectTask):
         steps: see `TransferMonitor`.
     """
 
-    kinds = (SERVO,)
+    kinds = (ADAPTIVE, MIMICRY, SERVO)
     result = TransferResult
     heights: ClassVar[Mapping[str, float]]
     hover: float
@@ -63,6 +65,10 @@ class TransferTask(ObjectTask):
 
     def cases(self) -> list[str]:
         return list(self.heights)
+
+    def keep(self, plans: Sequence[GraspGoal], play: FreePlay) -> tuple[GraspGoal, bool]:
+        goal, is_attainable = super().keep(plans, play)
+        return dc.replace(goal, play=play), is_attainable
 
     def place(self, scenario: Scenario, side: str, rng: np.random.Generator) -> RigidTransform:
         """X_WP of the scenario's object at its place, for a hand of that side."""
@@ -116,7 +122,8 @@ class TransferTask(ObjectTask):
         self, scenario: Scenario, hand: HumanHand, goal: GraspGoal, X_WH_start: RigidTransform, seed: int
     ) -> LeafSystem:
         return PlacingOperator(
-            hand, goal, scenario.operator, scenario.intention, self.hover, X_WH_start, seed
+            *(hand, goal, scenario.kind, scenario.operator, scenario.intention, self.hover),
+            *(X_WH_start, seed),
         )
 
     def result_fields(self, outcome: TransferOutcome, description: HandDescription) -> dict[str, Any]:
