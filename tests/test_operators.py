@@ -111,7 +111,7 @@ def act(
     if kind is not None:
         own = synthesize_play(0, duration_s=30, rate_hz=30, hand=world.hand).fingertips([4, 8, 12, 16])
         goal = dc.replace(world.goal, play=FreePlay(own, world.robot_tips(own)))
-        person = PlacingPerson(world.hand, goal, kind, config, IntentionConfig(), 0.02, rng)
+        person = PlacingPerson(world.hand, goal, config, rng, kind, IntentionConfig(), 0.02)
     state = person.start(RigidTransform())
     p_WO = world.X_WO.translation()
     phases, theta, wrist, squeeze = [state.phase], [state.theta], [], []

@@ -2,12 +2,16 @@
 
 import dataclasses as dc
 import functools
+from typing import TYPE_CHECKING
 
 import numpy as np
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RotationMatrix
 from scipy.spatial.transform import Rotation
 
 from geort_drake.systems.port_values import rotation_of_vector
+
+if TYPE_CHECKING:
+    from geort_drake.simulation.operators.config import OperatorConfig
 
 
 @dc.dataclass
@@ -18,6 +22,27 @@ class WristMovement:
     X_end: RigidTransform
     t_start: float
     duration: float
+
+    @classmethod
+    def planned(
+        cls,
+        X_WH: RigidTransform,
+        shift: np.ndarray,
+        turn: RotationMatrix,
+        t: float,
+        config: "OperatorConfig",
+        rng: np.random.Generator,
+    ) -> "WristMovement":
+        """A person's movement from X_WH by shift (m) and turn in W, with motor noise, which starts at t."""
+        error = rng.normal(0, config.motor_noise / np.sqrt(3), 3) * np.linalg.norm(shift)
+        # A minimum-jerk movement peaks at 15/8 of its mean speed.
+        duration = max(
+            config.min_movement_time,
+            1.875 * float(np.linalg.norm(shift)) / config.peak_wrist_speed,
+            1.875 * float(Rotation.from_matrix(turn.matrix()).magnitude()) / config.peak_wrist_turn,
+        )
+        X_end = RigidTransform(turn @ X_WH.rotation(), X_WH.translation() + shift + error)
+        return cls(X_WH, X_end, t, duration)
 
     @property
     def t_end(self) -> float:

@@ -9,7 +9,6 @@ import dataclasses as dc
 
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
-from scipy.spatial.transform import Rotation
 
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES
@@ -267,7 +266,7 @@ class GraspingPerson:
         if self._wrist_rests(state, t):
             shift = self._wrist_shift(state, t, seen)
             if shift is not None:
-                state.movement = self._plan_movement(state.X_WH, *shift, t)
+                state.movement = WristMovement.planned(state.X_WH, *shift, t, self._config, self._rng)
                 state.movements += 1
         # Two periods later the last pose has been applied, and the wrist stays there.
         if state.movement is not None and t < state.movement.t_end + 2 * self._config.period:
@@ -295,18 +294,3 @@ class GraspingPerson:
         target = self._target_hand_pose(state, seen)
         turn = target.rotation() @ seen.X_WB.rotation().inverse()
         return target.translation() - seen.X_WB.translation(), turn
-
-    def _plan_movement(
-        self, X_WH: RigidTransform, shift: np.ndarray, turn: RotationMatrix, t: float
-    ) -> WristMovement:
-        config = self._config
-        error = self._rng.normal(0, config.motor_noise / np.sqrt(3), 3) * np.linalg.norm(shift)
-        angle = Rotation.from_matrix(turn.matrix()).magnitude()
-        # A minimum-jerk movement peaks at 15/8 of its mean speed.
-        duration = max(
-            config.min_movement_time,
-            1.875 * float(np.linalg.norm(shift)) / config.peak_wrist_speed,
-            1.875 * float(angle) / config.peak_wrist_turn,
-        )
-        X_end = RigidTransform(turn @ X_WH.rotation(), X_WH.translation() + shift + error)
-        return WristMovement(X_WH, X_end, t, duration)

@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.systems.framework import Context
 
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.operators.behavior import GraspingPerson
@@ -25,10 +24,9 @@ from geort_drake.simulation.operators.intention import (
     learned_in_play,
 )
 from geort_drake.simulation.operators.perception import Seen, VisualError
-from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
 from geort_drake.simulation.operators.state import OperatorState, Phase
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
-from geort_drake.systems.port_values import rotation_of_vector, vector_to_pose
+from geort_drake.systems.port_values import rotation_of_vector
 
 
 class PlacingPerson(GraspingPerson):
@@ -37,22 +35,23 @@ class PlacingPerson(GraspingPerson):
     The object's tilt is left to gravity: only its position and its yaw are corrected.
 
     Args:
+        hand, goal, config, rng: as of `GraspingPerson`.
         kind: SERVO, MIMICRY or ADAPTIVE.
         hover: height above its place from which the object is lowered, m.
-        hand, goal, config, rng: as of `GraspingPerson`.
     """
 
     def __init__(
         self,
         hand: HumanHand,
         goal: GraspGoal,
-        kind: str,
         config: OperatorConfig,
+        rng: np.random.Generator,
+        kind: str,
         intention: IntentionConfig,
         hover: float,
-        rng: np.random.Generator,
     ):
         super().__init__(hand, goal, config, rng)
+        intention.validate()
         self._kind, self._intention, self._hover = kind, intention, hover
         # Its own generator, so that the errors of the place do not change the others.
         self._place_rng = rng.spawn(1)[0]
@@ -167,39 +166,6 @@ class PlacingPerson(GraspingPerson):
             down = min(self._way(seen).translation()[2], 0.0) - self._intention.place_overshoot
             return np.array([0.0, 0.0, down]), RotationMatrix()
         return super()._wrist_shift(state, t, seen)
-
-
-class PlacingOperator(SimulatedOperator):
-    """Simulates a person who grasps an object with the robot and brings it to its place.
-
-    Input ports, besides those of `SimulatedOperator`:
-        place_pose (7): X_WP, where the object belongs, qw qx qy qz x y z.
-    Output ports: those of `SimulatedOperator`.
-
-    State: see `OperatorSystem`.
-    """
-
-    def __init__(
-        self,
-        hand: HumanHand,
-        goal: GraspGoal,
-        kind: str,
-        config: OperatorConfig,
-        intention: IntentionConfig,
-        hover: float,
-        X_WH_start: RigidTransform,
-        seed: int,
-    ):
-        intention.validate()
-        self._kind, self._intention, self._hover = kind, intention, hover
-        super().__init__(hand, goal, config, X_WH_start, seed)
-        self._place_pose = self.DeclareVectorInputPort("place_pose", 7)
-
-    def _person_with(self, hand: HumanHand, goal: GraspGoal, config: OperatorConfig) -> PlacingPerson:
-        return PlacingPerson(hand, goal, self._kind, config, self._intention, self._hover, self._rng)
-
-    def _see(self, context: Context) -> Seen:
-        return dc.replace(super()._see(context), X_WP=vector_to_pose(self._place_pose.Eval(context)))
 
 
 def _yaw(X: RigidTransform) -> float:

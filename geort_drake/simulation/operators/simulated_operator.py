@@ -1,6 +1,7 @@
 """The simulated person as a system that replaces a glove and a tracker."""
 
 import enum
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -117,6 +118,7 @@ class SimulatedOperator(OperatorSystem):
         hand_pose (7): X_WB of the robot's hand base, qw qx qy qz x y z.
         object_pose (7): X_WO, qw qx qy qz x y z.
         contact (F): force between each finger and the object, N.
+        place_pose (7): X_WP, where the object belongs, as the others; only with `has_place`.
     Output ports:
         keypoints (63): p_HK of the person's hand, keypoint-major, m, wrist frame H.
         wrist_pose (abstract RigidTransform): X_WH of the tracker on the person's wrist.
@@ -126,6 +128,9 @@ class SimulatedOperator(OperatorSystem):
 
     State: the person's memory (abstract OperatorState) and the keypoints (63). The noise generator is not
     part of the state, so a system serves one simulation.
+
+    Args:
+        person: makes the person of hand, goal, config and a generator.
     """
 
     phases = Phase
@@ -137,18 +142,18 @@ class SimulatedOperator(OperatorSystem):
         config: OperatorConfig,
         X_WH_start: RigidTransform,
         seed: int,
+        person: Callable[..., GraspingPerson] = GraspingPerson,
+        has_place: bool = False,
     ):
         super().__init__(hand, config, seed)
-        person = self._person_with(hand, goal, config)
         num_fingers = len(goal.finger_names)
         self._fingertips = self.DeclareVectorInputPort("fingertips", 3 * num_fingers)
         self._hand_pose = self.DeclareVectorInputPort("hand_pose", 7)
         self._object_pose = self.DeclareVectorInputPort("object_pose", 7)
         self._contact = self.DeclareVectorInputPort("contact", num_fingers)
-        self._begin(person, person.start(X_WH_start), config.period)
-
-    def _person_with(self, hand: HumanHand, goal: GraspGoal, config: OperatorConfig) -> GraspingPerson:
-        return GraspingPerson(hand, goal, config, self._rng)
+        self._place_pose = self.DeclareVectorInputPort("place_pose", 7) if has_place else None
+        own = person(hand, goal, config, self._rng)
+        self._begin(own, own.start(X_WH_start), config.period)
 
     def _see(self, context: Context) -> Seen:
         return Seen(
@@ -156,4 +161,5 @@ class SimulatedOperator(OperatorSystem):
             X_WB=vector_to_pose(self._hand_pose.Eval(context)),
             X_WO=vector_to_pose(self._object_pose.Eval(context)),
             contact=self._contact.Eval(context).copy(),
+            X_WP=self._place_pose and vector_to_pose(self._place_pose.Eval(context)),
         )

@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses as dc
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,7 +18,8 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.operators.intention import ADAPTIVE, MIMICRY
 from geort_drake.simulation.operators.perception import FreePlay
-from geort_drake.simulation.operators.placing import PlacingOperator
+from geort_drake.simulation.operators.placing import PlacingPerson
+from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import SERVO, Shown, TrialResult
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
@@ -121,10 +123,10 @@ class TransferTask(ObjectTask):
     def person(
         self, scenario: Scenario, hand: HumanHand, goal: GraspGoal, X_WH_start: RigidTransform, seed: int
     ) -> LeafSystem:
-        return PlacingOperator(
-            *(hand, goal, scenario.kind, scenario.operator, scenario.intention, self.hover),
-            *(X_WH_start, seed),
+        person = functools.partial(
+            PlacingPerson, kind=scenario.kind, intention=scenario.intention, hover=self.hover
         )
+        return SimulatedOperator(hand, goal, scenario.operator, X_WH_start, seed, person, has_place=True)
 
     def result_fields(self, outcome: TransferOutcome, description: HandDescription) -> dict[str, Any]:
         assert outcome.look is not None  # the monitor looks at the start
