@@ -55,6 +55,9 @@ WORSENED = {
     ),
     "trigger": Worsening(TURNED, (0.0, 20.0, 40.0, 60.0), _CONE),
     "pick_place": Worsening(TURNED, (0.0, 20.0, 40.0, 60.0), _CONE),
+    "cap": Worsening(
+        TURNED, (0.0, 20.0, 40.0, 60.0), "a turned stroke leaves the circle around the cap, and slides"
+    ),
 }
 
 

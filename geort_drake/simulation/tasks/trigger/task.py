@@ -1,7 +1,7 @@
 """The trigger: hold a handle while the index finger alone presses its pad half way."""
 
 import dataclasses as dc
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,18 +16,14 @@ from pydrake.multibody.tree import (
     RigidBody,
     SpatialInertia,
 )
-from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import MatrixGain
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.people.human_hand import HumanHand
-from geort_drake.simulation.free_play import keep_reached
-from geort_drake.simulation.operators.finger_operator import FingerOperator
-from geort_drake.simulation.operators.intention import ADAPTIVE, MIMICRY
-from geort_drake.simulation.operators.perception import FreePlay
+from geort_drake.simulation.finger_task import FingerTask
 from geort_drake.simulation.operators.trigger_puller import TriggerPuller
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import SERVO, Shown, Stage, Task, TrialResult, require_settings
+from geort_drake.simulation.task import Shown, Stage, TrialResult
 from geort_drake.simulation.tasks.trigger.goal import BACK, LENGTH, RADIUS, TriggerGoal
 from geort_drake.simulation.tasks.trigger.monitor import (
     CUES,
@@ -69,24 +65,22 @@ class TriggerStage(Stage):
         self.stand.hold(self.stand.GetMyMutableContextFromRoot(root), root.get_time() + self.ready_time)
 
 
-class TriggerTask(Task[TriggerGoal]):
+class TriggerTask(FingerTask[TriggerGoal]):
     """Hold a handle while the index finger alone pulls its trigger."""
 
     name = "trigger"
     summary = "hold a handle while the index finger alone pulls its trigger"
-    kinds = (ADAPTIVE, MIMICRY, SERVO)
     result = TriggerResult
     scenario = Path(__file__).with_name("scenario.yaml"), "Trigger"
+    settings = TriggerSettings
+    planner = TriggerPlanner
+    person_type = TriggerPuller
 
-    def check_settings(self, settings: Mapping[str, float]) -> None:
-        require_settings(TriggerSettings, settings)
+    def places(self, goal: TriggerGoal) -> Sequence[np.ndarray]:
+        return goal.p_BF_open, goal.p_BF_touch
 
-    def plans(self, scenario: Scenario, description: HandDescription) -> list[TriggerGoal]:
-        return [plan.goal for plan in TriggerPlanner(description).plans()]
-
-    def keep(self, plans: Sequence[TriggerGoal], play: FreePlay) -> tuple[TriggerGoal, bool]:
-        """The first plan whose places the person could reach in free play, or the nearest."""
-        return keep_reached(plans, play, lambda goal: (goal.p_BF_open, goal.p_BF_touch))
+    def told(self, goal: TriggerGoal) -> dict[str, int]:
+        return {"travel": 1, "cue": 1, "contact": len(goal.finger_names)}
 
     def add_stage(
         self,
@@ -131,22 +125,6 @@ class TriggerTask(Task[TriggerGoal]):
             {"trigger/travel": (monitor.GetOutputPort("travel"), ["pad"], "m")},
             stand=stand,
             ready_time=settings.ready_time,
-        )
-
-    def person(
-        self, scenario: Scenario, hand: HumanHand, goal: TriggerGoal, X_WH_start: RigidTransform, seed: int
-    ) -> LeafSystem:
-        told = {"travel": 1, "cue": 1, "contact": len(goal.finger_names)}
-        return FingerOperator(
-            TriggerPuller,
-            hand,
-            goal,
-            scenario.kind,
-            scenario.operator,
-            scenario.intention,
-            X_WH_start,
-            seed,
-            told,
         )
 
     def result_fields(self, outcome: TriggerOutcome, description: HandDescription) -> dict[str, Any]:
