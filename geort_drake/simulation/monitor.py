@@ -1,6 +1,5 @@
 """What the monitors of tasks share: ports, state, and the end of a decided simulation."""
 
-import dataclasses as dc
 from typing import Any, Generic, TypeVar
 
 from pydrake.common.value import AbstractValue
@@ -8,7 +7,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 PERIOD = 0.01  # s, between two looks
 
-Judged = TypeVar("Judged", bound=Any)  # an `Outcome`, a frozen dataclass
+Judged = TypeVar("Judged", bound=Any)  # an `Outcome`, a frozen dataclass that is `Immutable`
 
 
 class TaskMonitor(LeafSystem, Generic[Judged]):
@@ -62,8 +61,7 @@ class TaskMonitor(LeafSystem, Generic[Judged]):
         if before.over:
             return EventStatus.DidNothing()
         touches_itself = context.get_time() > 0 and self._self_contact.Eval(context)[0] > 0
-        outcome = dc.replace(
-            self._judged(context, before),
+        outcome = self._judged(context, before).having(
             peak_force=max(before.peak_force, float(self._contact.Eval(context).max())),
             self_contact_time=before.self_contact_time + self._period * bool(touches_itself),
         )

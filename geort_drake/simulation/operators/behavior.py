@@ -5,8 +5,6 @@ Fingers are corrected continuously, in proportion to the seen error. The wrist m
 and waits to see the result. Nothing here knows the retargeting map.
 """
 
-import dataclasses as dc
-
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
@@ -39,6 +37,7 @@ class GraspingPerson:
         # Own finger for each robot finger; the other own fingers follow their neighbour.
         self._own = np.array([FINGER_NAMES.index(name) for name in goal.finger_names])
         self._followers = [i for i in range(5) if i not in self._own]
+        self._posture = np.zeros(0), np.zeros((5, 3))  # the last one, and its fingertips
 
     def start(self, X_WH: RigidTransform) -> OperatorState:
         """The state before the first decision: a relaxed hand at X_WH."""
@@ -55,11 +54,12 @@ class GraspingPerson:
 
     def step(self, state: OperatorState, t: float, scene: Seen) -> OperatorState:
         """The state after one decision at time t, s; does not change `state`."""
-        past = (*state.p_HF_past[1:], self._hand.fingertips(state.theta))
-        state = dc.replace(
-            state, p_HF_past=past, visual_error=state.visual_error.later(self._config, self._rng)
-        )
-        seen = perceive(scene, state.visual_error, self._config, self._rng)
+        if state.theta is not self._posture[0]:  # a hand that holds something keeps its posture
+            self._posture = state.theta, self._hand.fingertips(state.theta)
+        past = (*state.p_HF_past[1:], self._posture[1])
+        visual_error = state.visual_error.later(self._config, self._rng)
+        state = state.having(p_HF_past=past, visual_error=visual_error)
+        seen = perceive(scene, visual_error, self._config, self._rng)
         free = seen.contact <= self._config.touch_force
         # The oldest remembered own fingertips are as old as the seen scene.
         tips = np.array([past[0][self._own], seen.p_BF])

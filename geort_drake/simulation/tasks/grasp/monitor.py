@@ -183,8 +183,7 @@ class GraspMonitor(TaskMonitor[GraspOutcome]):
         durations, name = before.durations, before.phase.name
         if t > 0:
             durations = {**durations, name: durations.get(name, 0.0) + config.period}
-        return dc.replace(
-            before,
+        return before.having(
             phase=phase,
             times={**before.times, phase.name: before.times.get(phase.name, t)},
             durations=durations,
