@@ -58,6 +58,9 @@ WORSENED = {
     "cap": Worsening(
         TURNED, (0.0, 20.0, 40.0, 60.0), "a turned stroke leaves the circle around the cap, and slides"
     ),
+    "tracking": Worsening(
+        TURNED, (0.0, 20.0, 40.0, 60.0), "the puck goes astray by the sine of the angle, 3 mm of 10 at 20°"
+    ),
 }
 
 

@@ -215,6 +215,11 @@ def record_cap(folder: Path, _arguments: argparse.Namespace) -> None:
     record_task("cap", "{task_settings: {turn: 90}}", folder)
 
 
+def record_tracking(folder: Path, _arguments: argparse.Namespace) -> None:
+    """Two targets of the puck."""
+    record_task("tracking", "{task_settings: {targets: 2, enough: 1}}", folder, "servo")
+
+
 def record_hand(folder: Path, _arguments: argparse.Namespace) -> None:
     """Synthetic play, with which the drawings are made as well."""
     run("synthesize_recording", folder / "play.npz")
@@ -260,6 +265,7 @@ PICTURES = {
     "pick_place": Picture(record_pick_place, "tasks/pick_place/servo/rrd/affine_ik-block_20-0.rrd", 6.3),
     "trigger": Picture(record_trigger, "tasks/trigger/adaptive/rrd/affine_ik-trigger-0.rrd", 7.5),
     "cap": Picture(record_cap, "tasks/cap/adaptive/rrd/affine_ik-cap-0.rrd", 6.0),
+    "tracking": Picture(record_tracking, "tasks/tracking/servo/rrd/affine_ik-tracking-0.rrd", 9.5),
     "objects": Picture(record_objects, "objects.rrd", 0.7),
     "hand": Picture(record_hand, "hand.rrd", 12.0),
     "capture": Picture(record_capture, "capture.rrd", 66.0),

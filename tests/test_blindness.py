@@ -75,6 +75,12 @@ def diagram_of(task: str, hand: str) -> TrialDiagram:
     [
         ("grasp", {"fingertips", "hand_pose", "object_pose"}, {"contact"}, "grasp_monitor"),
         ("keys", {"fingertips", "hand_pose"}, {"travel", "cue"}, "keys_monitor"),
+        (
+            "tracking",
+            {"fingertips", "hand_pose", "object_pose", "target_pose"},
+            {"cue", "contact"},
+            "tracking_monitor",
+        ),
         ("cap", {"fingertips", "hand_pose", "turned"}, {"contact"}, "cap_monitor"),
         ("trigger", {"fingertips", "hand_pose"}, {"travel", "cue", "contact"}, "trigger_monitor"),
         (

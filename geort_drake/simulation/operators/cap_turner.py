@@ -47,13 +47,7 @@ class CapTurner(FingerPerson[TurnerState]):
     not seen to turn any more. Touch, not sight, tells how deep a squeeze is, and how to undo it.
     """
 
-    phases, state = CapPhase, TurnerState
-
-    def _first_posture(self) -> np.ndarray:
-        """An open hand, as bent fingers would be in the cap's way."""
-        theta = super()._first_posture().reshape(5, 4)
-        theta[1:, 1:] = 0.0
-        return theta.ravel()
+    phases, state, begins_open = CapPhase, TurnerState, True
 
     def _advance_phase(self, state: TurnerState, t: float, scene: SeenFingers) -> None:
         config, since = self._config, t - state.phase_start

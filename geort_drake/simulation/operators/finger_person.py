@@ -48,6 +48,7 @@ class FingerPerson(abc.ABC, Generic[State]):
     Attributes:
         phases: what the person can be doing; the first is the movement to where the task begins.
         state: type of the memory.
+        begins_open: whether the fingers are straight at first, as bent ones would be in the way.
 
     Args:
         hand: the person's hand.
@@ -59,6 +60,7 @@ class FingerPerson(abc.ABC, Generic[State]):
 
     phases: ClassVar[type[enum.IntEnum]]
     state: type[State]
+    begins_open: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -149,10 +151,12 @@ class FingerPerson(abc.ABC, Generic[State]):
         )
 
     def _first_posture(self) -> np.ndarray:
-        """(20,) joint angles of a relaxed hand, its thumb straight and aside, rad."""
-        theta = self._motion.rest
-        theta[:4] = self._hand.upper[0], self._hand.lower[1], 0.0, 0.0
-        return theta
+        """(20,) joint angles of a relaxed or open hand, its thumb straight and aside, rad."""
+        theta = self._motion.rest.reshape(5, 4)
+        theta[0] = self._hand.upper[0], self._hand.lower[1], 0.0, 0.0
+        if self.begins_open:
+            theta[1:, 1:] = 0.0
+        return theta.ravel()
 
     def step(self, state: State, t: float, scene: SeenFingers) -> State:
         """The state after one decision at time t, s; does not change `state`."""
@@ -207,7 +211,7 @@ class FingerPerson(abc.ABC, Generic[State]):
 
     def _move(self, state: State, t: float, p_BF: np.ndarray, scene: SeenFingers, change: np.ndarray) -> None:
         """Moves the own fingers; `change` (F, 3), m, is that of the reference since the last decision."""
-        if state.phase == 0:
+        if state.phase == 0 and t - state.phase_start <= state.settle_time:
             step = self._settling_step(state, t)
         else:
             step = self._correction(state, self._error(state, p_BF, scene))

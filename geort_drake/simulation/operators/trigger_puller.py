@@ -5,8 +5,8 @@ import enum
 
 import numpy as np
 
-from geort_drake.simulation.operators.finger_person import FingerPerson, SeenFingers
-from geort_drake.simulation.operators.finger_state import FingerState
+from geort_drake.simulation.operators.finger_person import SeenFingers
+from geort_drake.simulation.operators.holding import HolderState, HoldingPerson
 from geort_drake.simulation.operators.intention import SERVO
 from geort_drake.simulation.wrist_motion import minimum_jerk
 
@@ -26,45 +26,27 @@ class TriggerPhase(enum.IntEnum):
 
 
 @dc.dataclass
-class PullerState(FingerState):
+class PullerState(HolderState):
     """Memory of a person who pulls a trigger."""
 
-    # (F,) motion of each fingertip from its open place towards the handle's axis, m.
-    depth: np.ndarray = dc.field(default_factory=lambda: np.zeros(0))
-    touching: frozenset[int] = frozenset()  # fingers that hold the handle
     pushed: float = 0.0  # motion of the finger beyond its place on the pad, m, kept from pull to pull
     push: float = 0.0  # part of it in the last decision, m
 
 
-class TriggerPuller(FingerPerson[PullerState]):
+class TriggerPuller(HoldingPerson[PullerState]):
     """Closes two fingers around a handle, squeezes, and then pulls as cued with the index finger.
 
-    Is told the `travel` (1) of the pad, m, the `cue`, see `TriggerMonitor`, and the `contact` (F), N. Holding
-    fingers stay as they are once they have squeezed. The person reads the pad's travel, and moves the finger
-    on at `correction_rate` times what is missing.
+    Is told the `travel` (1) of the pad, m, and the `cue`, see `TriggerMonitor`, besides the `contact`. The
+    person reads the pad's travel, and moves the finger on at `correction_rate` times what is missing.
     """
 
     phases, state = TriggerPhase, PullerState
 
     def _advance_phase(self, state: PullerState, t: float, scene: SeenFingers) -> None:
-        config, since, cue = self._config, t - state.phase_start, round(scene.told["cue"][0])
+        super()._advance_phase(state, t, scene)
+        since, cue = t - state.phase_start, round(scene.told["cue"][0])
         state.finger = self._goal.trigger
-        if not len(state.depth):
-            state.depth = np.zeros(len(self._own))
-        if state.phase == TriggerPhase.SETTLE:
-            if since > state.settle_time:
-                self._enter(state, TriggerPhase.CLOSE, t)
-        elif state.phase == TriggerPhase.CLOSE:
-            noise = 1 + self._rng.normal(0, config.contact_noise, len(self._own))
-            felt = np.flatnonzero(config.touch * noise * scene.told["contact"] > config.touch_force)
-            state.touching |= set(felt.tolist()) & set(self._holding)
-            if len(state.touching) == len(self._holding) or since > self._longest_closing:
-                state.touching = frozenset(self._holding)
-                self._enter(state, TriggerPhase.SQUEEZE, t)
-        elif state.phase == TriggerPhase.SQUEEZE:
-            if since > config.squeeze_time + config.settle_time:
-                self._enter(state, TriggerPhase.WAIT, t)
-        elif state.phase == TriggerPhase.WAIT:
+        if state.phase == TriggerPhase.WAIT:
             if cue == _PULL:
                 self._enter(state, TriggerPhase.PULL, t)
                 state.p_HF_press = state.p_HF_past[-1]
@@ -72,27 +54,18 @@ class TriggerPuller(FingerPerson[PullerState]):
             if cue != _PULL:
                 self._enter(state, TriggerPhase.RELEASE, t)
                 state.p_HF_release = state.p_HF_past[-1]
-        elif since > self._intention.press_time:
+        elif state.phase == TriggerPhase.RELEASE and since > self._intention.press_time:
             self._enter(state, TriggerPhase.WAIT, t)
 
     @property
     def _holding(self) -> list[int]:
         return [finger for finger in self._used.tolist() if finger != self._goal.trigger]
 
-    @property
-    def _longest_closing(self) -> float:
-        """Time, s, after which the fingers have moved by `overshoot` beyond the handle's surface."""
-        gap = np.linalg.norm(self._goal.p_BF_touch - self._goal.p_BF_open, axis=1)[self._holding].max()
-        return (gap + self._config.overshoot) / self._config.closing_speed + self._config.visual_delay
-
     def _watched(self, state: PullerState) -> np.ndarray:
         if state.phase < TriggerPhase.CLOSE:
             return self._used
         closing = [finger for finger in self._holding if finger not in state.touching]
         return np.array(closing or [self._goal.trigger])
-
-    def _is_free(self, state: PullerState, scene: SeenFingers, finger: int) -> bool:
-        return finger not in state.touching and scene.told["contact"][finger] < self._config.touch_force
 
     def _corrected(self, state: PullerState) -> list[int]:
         is_back = self._kind != SERVO and state.phase == TriggerPhase.RELEASE
@@ -101,19 +74,13 @@ class TriggerPuller(FingerPerson[PullerState]):
 
     def _reference(self, state: PullerState, t: float, scene: SeenFingers) -> np.ndarray:
         goal, config, since = self._goal, self._config, t - state.phase_start
-        state.depth = state.depth.copy()
-        for finger in self._holding:
-            if state.phase == TriggerPhase.CLOSE and finger not in state.touching:
-                state.depth[finger] += config.closing_speed * config.period
-            elif state.phase == TriggerPhase.SQUEEZE and since <= config.squeeze_time:
-                state.depth[finger] += config.squeeze * config.period / config.squeeze_time
+        reference = self._grip(state, t)
         travel, state.push = float(scene.told["travel"][0]), 0.0
         arrived = since > self._intention.press_time + config.visual_delay
         if state.phase == TriggerPhase.PULL and (arrived or travel > _MOVED):
             speed = config.correction_rate * (goal.travel - travel)
             state.push = config.period * float(np.clip(speed, -0.02, self._intention.push_speed))
             state.pushed += state.push
-        reference = goal.p_BF_open - state.depth[:, None] * goal.n_B
         if state.phase in (TriggerPhase.PULL, TriggerPhase.RELEASE):
             share = minimum_jerk(since / self._intention.press_time)
             share = share if state.phase == TriggerPhase.PULL else 1 - share

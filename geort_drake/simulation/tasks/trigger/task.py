@@ -16,11 +16,12 @@ from pydrake.multibody.tree import (
     RigidBody,
     SpatialInertia,
 )
-from pydrake.systems.framework import Context, DiagramBuilder
+from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import MatrixGain
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.finger_task import FingerTask
+from geort_drake.simulation.held_stage import HeldStage, add_stand
 from geort_drake.simulation.operators.trigger_puller import TriggerPuller
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Shown, Stage, TrialResult
@@ -34,7 +35,6 @@ from geort_drake.simulation.tasks.trigger.monitor import (
 from geort_drake.simulation.tasks.trigger.planner import PAD_HEIGHT, PAD_TRAVEL, SUPPORT, TriggerPlanner
 from geort_drake.simulation.view import add_view, shown_by
 from geort_drake.simulation.world import add_robot, finish_scene
-from geort_drake.systems.stand import Stand
 
 _MASS, _PAD_MASS = 0.150, 0.005  # kg
 _FRICTION, _RANGE = 0.8, 0.2  # of the handle; mass and friction vary by this fraction with the seed
@@ -51,18 +51,6 @@ class TriggerResult(TrialResult):
     pulls: int
     handle_shift: float
     handle_turn: float
-
-
-@dc.dataclass(frozen=True, kw_only=True)
-class TriggerStage(Stage):
-    """A stage whose stand holds the handle for `ready_time`, s."""
-
-    stand: Stand
-    ready_time: float
-
-    def restart(self, root: Context) -> None:
-        super().restart(root)
-        self.stand.hold(self.stand.GetMyMutableContextFromRoot(root), root.get_time() + self.ready_time)
 
 
 class TriggerTask(FingerTask[TriggerGoal]):
@@ -98,10 +86,7 @@ class TriggerTask(FingerTask[TriggerGoal]):
         X_WH, handle, pad = _add_handle(plant, X_WB, goal, *rng.uniform(1 - _RANGE, 1 + _RANGE, 2))
         scene = finish_scene(plant, scene_graph, scenario, description, handle.model_instance())
         view = add_view(builder, scene, description, handle, [pad])
-        stand = builder.AddNamedSystem("stand", Stand(handle.index(), X_WH, settings.ready_time))
-        for name in ("body_poses", "body_spatial_velocities"):
-            builder.Connect(plant.GetOutputPort(name), stand.GetInputPort(name))
-        builder.Connect(stand.get_output_port(), plant.get_applied_spatial_force_input_port())
+        stand = add_stand(builder, plant, handle, X_WH, settings.ready_time)
         monitor = builder.AddNamedSystem(
             "trigger_monitor", TriggerMonitor(len(description.fingers), settings)
         )
@@ -116,7 +101,7 @@ class TriggerTask(FingerTask[TriggerGoal]):
             "travel": Shown(monitor.GetOutputPort("travel")),
             "cue": Shown(monitor.GetOutputPort("cue")),
         }
-        return TriggerStage(
+        return HeldStage(
             scene,
             monitor,
             shown,

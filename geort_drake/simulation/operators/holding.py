@@ -1,0 +1,79 @@
+"""A person who closes the robot's fingers around something and squeezes it."""
+
+import dataclasses as dc
+from typing import TypeVar
+
+import numpy as np
+
+from geort_drake.simulation.operators.finger_person import FingerPerson, SeenFingers
+from geort_drake.simulation.operators.finger_state import FingerState
+
+# The first phases of every such person: moves the fingers to their open places; closes them until what they
+# hold is felt; squeezes; waits for a cue.
+SETTLE, CLOSE, SQUEEZE, WAIT = range(4)
+
+
+@dc.dataclass
+class HolderState(FingerState):
+    """Memory of a person who holds something."""
+
+    # (F,) motion of each fingertip from its open place against the goal's normal, m.
+    depth: np.ndarray = dc.field(default_factory=lambda: np.zeros(0))
+    touching: frozenset[int] = frozenset()  # fingers that hold
+
+
+State = TypeVar("State", bound=HolderState)
+
+
+class HoldingPerson(FingerPerson[State]):
+    """Closes fingers, and squeezes. Is told the `contact` (F), N.
+
+    Fingers that hold stay as they are once they have squeezed. The goal has `p_BF_touch` and `n_B`, the
+    direction away from what is held, (3,) or (F, 3).
+    """
+
+    @property
+    def _holding(self) -> list[int]:
+        """The fingers that hold."""
+        return self._used.tolist()
+
+    def _advance_phase(self, state: State, t: float, scene: SeenFingers) -> None:
+        config, since = self._config, t - state.phase_start
+        if not len(state.depth):
+            state.depth = np.zeros(len(self._own))
+        if state.phase == SETTLE:
+            if since > state.settle_time and self._is_shaped(state, t, scene):
+                self._enter(state, self.phases(CLOSE), t)
+        elif state.phase == CLOSE:
+            noise = 1 + self._rng.normal(0, config.contact_noise, len(self._own))
+            felt = np.flatnonzero(config.touch * noise * scene.told["contact"] > config.touch_force)
+            state.touching |= set(felt.tolist()) & set(self._holding)
+            if len(state.touching) == len(self._holding) or since > self._longest_closing:
+                state.touching = frozenset(self._holding)
+                self._enter(state, self.phases(SQUEEZE), t)
+        elif state.phase == SQUEEZE and since > config.squeeze_time + config.settle_time:
+            self._enter(state, self.phases(WAIT), t)
+
+    def _is_shaped(self, state: State, t: float, scene: SeenFingers) -> bool:
+        """Whether the settled fingers are near enough to their open places; until then they are corrected."""
+        return True
+
+    @property
+    def _longest_closing(self) -> float:
+        """Time, s, after which the fingers have moved by `overshoot` beyond the surface."""
+        gap = np.linalg.norm(self._goal.p_BF_touch - self._goal.p_BF_open, axis=1)[self._holding].max()
+        return (gap + self._config.overshoot) / self._config.closing_speed + self._config.visual_delay
+
+    def _is_free(self, state: State, scene: SeenFingers, finger: int) -> bool:
+        return finger not in state.touching and scene.told["contact"][finger] < self._config.touch_force
+
+    def _grip(self, state: State, t: float) -> np.ndarray:
+        """Where the fingertips are meant to be for the grip alone, (F, 3) m in B."""
+        config = self._config
+        state.depth = state.depth.copy()
+        for finger in self._holding:
+            if state.phase == CLOSE and finger not in state.touching:
+                state.depth[finger] += config.closing_speed * config.period
+            elif state.phase == SQUEEZE and t - state.phase_start <= config.squeeze_time:
+                state.depth[finger] += config.squeeze * config.period / config.squeeze_time
+        return self._goal.p_BF_open - state.depth[:, None] * self._goal.n_B

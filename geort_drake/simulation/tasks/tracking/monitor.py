@@ -1,0 +1,164 @@
+"""Cues targets of the puck and judges which it reaches."""
+
+import dataclasses as dc
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import BasicVector, Context
+
+from geort_drake.settings import require_numbers
+from geort_drake.simulation.monitor import TaskMonitor
+from geort_drake.simulation.tasks.tracking.goal import targets
+from geort_drake.systems.port_values import Immutable, pose_to_vector, vector_to_pose
+
+
+@dc.dataclass(frozen=True)
+class TrackingSettings:
+    """The targets, and when one counts."""
+
+    # Number of targets, how many make a success, and longest time of each, s.
+    targets: float = 10
+    enough: float = 5
+    target_time: float = 6.0
+    # The puck counts as at its target within this distance, m, and angle of its axis, degrees, for this
+    # time, s.
+    distance: float = 0.003
+    angle: float = 6.0
+    hold_time: float = 0.5
+    # Time until the stand lets go of the puck and the first target is cued, s. The puck is dropped this far
+    # from its grip, m.
+    ready_time: float = 8.0
+    dropped: float = 0.04
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for a value out of range."""
+        require_numbers(self, "task_settings")
+
+
+@dc.dataclass(frozen=True)
+class TrackingOutcome(Immutable):
+    """The targets so far; times in s."""
+
+    settings: TrackingSettings
+    began: float = 0.0
+    t: float = 0.0
+    times: tuple[float, ...] = ()  # of the targets that are over: until each was reached; NaN: it was not
+    bits: float = 0.0  # sum of the reached targets' indices of difficulty
+    difficulty: float = 0.0  # of the present target, bits
+    cued_since: float = math.nan  # NaN: no target yet
+    there_since: float = math.nan  # since when the puck is at its target; NaN: it is not
+    is_dropped: bool = False
+    peak_force: float = 0.0
+    self_contact_time: float = 0.0
+
+    @property
+    def reached(self) -> int:
+        """Number of targets reached."""
+        return sum(not math.isnan(time) for time in self.times)
+
+    @property
+    def score(self) -> float:
+        """Fraction of the targets reached."""
+        return self.reached / round(self.settings.targets)
+
+    @property
+    def success(self) -> bool:
+        """Whether the puck was held to the end and enough targets were reached."""
+        return self.over and not self.is_dropped and self.reached >= self.settings.enough
+
+    @property
+    def over(self) -> bool:
+        """Whether all targets are over or the puck is dropped."""
+        return self.is_dropped or len(self.times) == round(self.settings.targets)
+
+    @property
+    def completion_time(self) -> float:
+        """Time from the start to the end of the last target, s; NaN without success."""
+        return self.t - self.began if self.success else math.nan
+
+
+class TrackingMonitor(TaskMonitor[TrackingOutcome]):
+    """Cues one target after the other, watches the puck, and terminates a decided simulation.
+
+    Input ports, besides those of `TaskMonitor`:
+        object_pose (7): X_WO of the puck, qw qx qy qz x y z.
+    Output ports:
+        cue (1): number of the target among those of the trial, from 1; 0 for none.
+        target_pose (7): X_WT of the target; the grip without one.
+        error (2): distance of the puck from there, mm, and angle of its axis, degrees.
+        outcome (abstract TrackingOutcome).
+
+    Args:
+        X_WG: the grip.
+        cued: numbers of the targets in the order of their cues.
+    """
+
+    def __init__(
+        self, num_fingers: int, X_WG: RigidTransform, cued: Sequence[int], settings: TrackingSettings
+    ):
+        super().__init__(num_fingers, TrackingOutcome(settings))
+        self._settings, self._X_WG = settings, X_WG
+        self._X_WT = [X_WG @ targets()[number] for number in cued]
+        self._pose = self.DeclareVectorInputPort("object_pose", 7)
+        self.DeclareVectorOutputPort("cue", 1, self._calc_cue, self._of_outcome)
+        self.DeclareVectorOutputPort(
+            "target_pose",
+            7,
+            lambda context, output: output.SetFromVector(pose_to_vector(self._target(self.outcome(context)))),
+            self._of_outcome,
+        )
+        self.DeclareVectorOutputPort(
+            "error",
+            2,
+            lambda context, output: output.SetFromVector(
+                [1e3, 1] * self._error(context, self.outcome(context))
+            ),
+            {*self._of_outcome, self._pose.ticket()},
+        )
+
+    def _calc_cue(self, context: Context, output: BasicVector) -> None:
+        outcome = self.outcome(context)
+        output.SetAtIndex(0, 0 if math.isnan(outcome.cued_since) else len(outcome.times) + 1)
+
+    def _target(self, outcome: TrackingOutcome) -> RigidTransform:
+        return (
+            self._X_WG if math.isnan(outcome.cued_since) or outcome.over else self._X_WT[len(outcome.times)]
+        )
+
+    def _error(self, context: Context, outcome: TrackingOutcome) -> np.ndarray:
+        """Distance, m, and angle, degrees, between the puck and its target; (2,)."""
+        X_TO = self._target(outcome).inverse() @ vector_to_pose(self._pose.Eval(context))
+        x, y, z = X_TO.rotation().matrix()[:, 2]
+        return np.array([np.linalg.norm(X_TO.translation()), math.degrees(math.atan2(math.hypot(x, y), z))])
+
+    def _beginning(self, t: float) -> TrackingOutcome:
+        return self._start.having(began=t)
+
+    def _judged(self, context: Context, before: TrackingOutcome) -> TrackingOutcome:
+        settings, t = self._settings, context.get_time()
+        now = before.having(t=t)
+        if t < before.began + settings.ready_time - 1e-9:
+            return now
+        away = vector_to_pose(self._pose.Eval(context)).translation() - self._X_WG.translation()
+        if np.linalg.norm(away) > settings.dropped:
+            return now.having(is_dropped=True)
+        if math.isnan(before.cued_since):
+            return self._cued(now, context)
+        error = self._error(context, before)
+        is_there = error[0] < settings.distance and error[1] < settings.angle
+        there_since = (t if math.isnan(before.there_since) else before.there_since) if is_there else math.nan
+        if t - there_since > settings.hold_time - 1e-9:
+            bits, time = before.bits + before.difficulty, t - before.cued_since
+        elif t - before.cued_since > settings.target_time - 1e-9:
+            bits, time = before.bits, math.nan
+        else:
+            return now.having(there_since=there_since)
+        return self._cued(now.having(times=(*before.times, time), bits=bits), context)
+
+    def _cued(self, outcome: TrackingOutcome, context: Context) -> TrackingOutcome:
+        """The outcome with the next target, whose difficulty is log2(1 + way / width), see Fitts 1954."""
+        now = outcome.having(cued_since=outcome.t, there_since=math.nan)
+        way = self._error(context, now) / [2 * self._settings.distance, 2 * self._settings.angle]
+        return now.having(difficulty=math.log2(1 + way.max()))

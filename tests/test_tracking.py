@@ -1,0 +1,148 @@
+"""In-grasp tracking: its grips and targets, its judgement, and people who move the puck."""
+
+import dataclasses as dc
+import math
+
+import numpy as np
+import pytest
+from grasp_setup import allegro, person_who_plays
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
+
+from geort_drake.errors import ScenarioError
+from geort_drake.people.keypoints import mirrored
+from geort_drake.people.play import synthesize_play
+from geort_drake.retargeting.methods import make_untrained
+from geort_drake.simulation.free_play import seen_fingertips
+from geort_drake.simulation.operators.config import OperatorConfig
+from geort_drake.simulation.operators.intention import SERVO, IntentionConfig
+from geort_drake.simulation.operators.puck_mover import PuckMover
+from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.tasks import find_task
+from geort_drake.simulation.tasks.tracking.goal import RADIUS, targets
+from geort_drake.simulation.tasks.tracking.monitor import TrackingMonitor, TrackingOutcome, TrackingSettings
+from geort_drake.simulation.tasks.tracking.planner import TrackingPlanner
+from geort_drake.simulation.trial import run_trial
+from geort_drake.systems.port_values import pose_to_vector
+
+X_WG = RigidTransform(RotationMatrix.MakeYRotation(0.4), [0.5, 0.0, 0.3])
+CUED = (5, 6)  # 10 mm along the axis, and 20° about x
+
+
+@pytest.fixture(scope="module")
+def plans():
+    return TrackingPlanner(allegro().description).plans()
+
+
+def outcome_of(path: list[RigidTransform], tolerance: float = 0.003) -> TrackingOutcome:
+    """The judgement of a puck on lines between poses in the grip, 10 a second from the first cue on."""
+    rules = TrackingSettings(targets=2, enough=2, target_time=2.0, ready_time=0.5, distance=tolerance)
+    builder = DiagramBuilder()
+    monitor = builder.AddSystem(TrackingMonitor(4, X_WG, CUED, rules))
+    poses = np.array([pose_to_vector(X_WG @ X_GO) for X_GO in path])
+    t = 0.5 + 0.1 * np.arange(len(path))
+    sources = {
+        "object_pose": TrajectorySource(PiecewisePolynomial.FirstOrderHold(t, poses.T)),
+        "contact": ConstantVectorSource(np.zeros(4)),
+        "self_contact": ConstantVectorSource(np.zeros(1)),
+    }
+    for name, source in sources.items():
+        builder.Connect(builder.AddSystem(source).get_output_port(), monitor.GetInputPort(name))
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(5.0)
+    return monitor.outcome(monitor.GetMyContextFromRoot(simulator.get_context()))
+
+
+GRIP, UP, TURNED = RigidTransform(), targets()[CUED[0]], targets()[CUED[1]]
+ROLLED = TURNED @ RigidTransform(RotationMatrix.MakeZRotation(1.0))
+
+
+@pytest.mark.parametrize(
+    ("path", "reached"),
+    [
+        ([GRIP, *[UP] * 8, *[TURNED] * 40], 2),
+        ([GRIP, *[UP] * 8, *[ROLLED] * 40], 2),  # the puck is round
+        ([GRIP, *[UP] * 40], 1),
+        ([GRIP, *[RigidTransform([0, 0, 0.006])] * 10, *[UP] * 30], 1),  # too far; later the other is cued
+        ([GRIP, *[UP, UP, UP, GRIP] * 5, *[TURNED] * 30], 1),  # not long enough at a time
+    ],
+)
+def test_a_target_counts_once_the_puck_stays_there(path, reached):
+    outcome = outcome_of(path)
+    assert (outcome.reached, outcome.score, outcome.success) == (reached, reached / 2, reached == 2)
+    assert outcome.over and not outcome.is_dropped
+
+
+def test_time_and_difficulty_of_a_target():
+    """A way of 10 mm to within 3 mm either way, and one of 20° to within 6°."""
+    outcome = outcome_of([GRIP, *[UP] * 7, *[TURNED] * 40])
+    assert outcome.times[0] == pytest.approx(0.1 * 0.7 + 0.5, abs=0.03)
+    assert outcome.bits == pytest.approx(math.log2(1 + 10 / 6) + math.log2(1 + 20 / 12), abs=0.02)
+    assert outcome.completion_time == pytest.approx(0.5 + sum(outcome.times), abs=0.03)
+
+
+def test_a_dropped_puck_ends_the_trial():
+    outcome = outcome_of([GRIP, *[UP] * 8, RigidTransform([0.05, 0, 0]), *[TURNED] * 40])
+    assert outcome.is_dropped and outcome.over and not outcome.success
+    assert outcome.reached == 1 and outcome.t < 1.6
+
+
+def test_every_plan_holds_the_puck_and_reaches_the_targets(plans):
+    """Within 2 mm, with joints inside their limits."""
+    hand = allegro()
+    planner = TrackingPlanner(hand.description)
+    for plan in (plans[0], plans[-1]):
+        goal = plan.goal
+        off = (goal.X_BG.inverse().multiply(goal.p_BF_touch.T).T)[goal.touches]
+        np.testing.assert_allclose(np.linalg.norm(off[:, :2], axis=1), RADIUS + hand.tip_radius, atol=1e-9)
+        np.testing.assert_allclose(off[:, 2], 0.0, atol=1e-9)
+        tips = hand.fingertips(plan.q_open)
+        np.testing.assert_allclose(tips[goal.touches], goal.p_BF_open[goal.touches], atol=2e-3)
+        assert len(goal.places()) == 11
+        for p_BF in goal.places():
+            q = planner._robot.reach(p_BF[goal.touches], plan.q_open)
+            assert q is not None and np.all((hand.lower < q) & (q < hand.upper))
+
+
+def test_the_mirror_has_the_same_places(plans):
+    """In another order: targets to either side change places."""
+    goal = plans[0].goal
+    seen = goal.mirrored().places()
+    for place in map(mirrored, goal.places()):
+        assert min(np.abs(place - other).max() for other in seen) < 1e-9
+
+
+def test_a_hand_without_the_fingers_is_refused_before_it_runs():
+    description = dc.replace(allegro().description, fingers=allegro().description.fingers[1:])
+    with pytest.raises(ScenarioError, match="tracking needs a thumb; hand 'allegro_right' has: index"):
+        TrackingPlanner(description)
+
+
+def test_pressing_is_no_motion_of_the_virtual_puck(plans):
+    """A motion of all fingertips as of one body is; each finger's part along its normal is not."""
+    goal, rng = plans[0].goal, np.random.default_rng(0)
+    person = PuckMover(person_who_plays(), goal, SERVO, OperatorConfig(), IntentionConfig(), rng)
+    held, arms = goal.touches, goal.p_BF_touch - goal.X_BG.translation()
+    rigid = np.array([0.001, -0.002, 0.003]) + np.cross([0.1, 0.2, -0.1], arms)
+    np.testing.assert_allclose(person._shared_motion(arms, rigid)[held], rigid[held], atol=1e-12)
+    # These three forces would be in balance.
+    press = np.array([2 * np.cos(np.deg2rad(40)), 1.0, 1.0, 0.0])[:, None] * goal.n_B
+    np.testing.assert_allclose(person._shared_motion(arms, press)[held], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("method", "least", "outcome"), [("affine_ik", 0.5, "success"), ("hold", 0.0, "dropped")]
+)
+def test_people_move_the_puck_through_a_map_that_follows_alone(method, least, outcome, plans):
+    """The map is affine; a hand that holds still drops the puck once the stand lets go."""
+    person = person_who_plays()
+    frames = synthesize_play(seed=0, duration_s=60).fingertips([4, 8, 12, 16])
+    retarget = make_untrained(method, allegro().kinematics(), frames=frames)
+    play = seen_fingertips(retarget, allegro(), person)
+    goal, _ = find_task("tracking").keep([plan.goal for plan in plans], play)
+    settings = "{kind: servo, task_settings: {targets: 2, enough: 1}}"
+    result, _ = run_trial(load_scenario(*find_task("tracking").scenario, settings), retarget, (person, goal))
+    assert result.score >= least and result.outcome == outcome and result.simulated_time > 8.0
