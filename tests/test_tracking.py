@@ -37,13 +37,16 @@ def plans():
     return TrackingPlanner(allegro().description).plans()
 
 
-def outcome_of(path: list[RigidTransform], tolerance: float = 0.003) -> TrackingOutcome:
-    """The judgement of a puck on lines between poses in the grip, 10 a second from the first cue on."""
+def outcome_of(path: list[RigidTransform], tolerance: float = 0.003, begins: float = 0.0) -> TrackingOutcome:
+    """The judgement of a puck on lines between poses in the grip, 10 a second from the first cue on.
+
+    The task is restarted at `begins`, s.
+    """
     rules = TrackingSettings(targets=2, enough=2, target_time=2.0, ready_time=0.5, distance=tolerance)
     builder = DiagramBuilder()
     monitor = builder.AddSystem(TrackingMonitor(4, X_WG, CUED, rules))
     poses = np.array([pose_to_vector(X_WG @ X_GO) for X_GO in path])
-    t = 0.5 + 0.1 * np.arange(len(path))
+    t = begins + 0.5 + 0.1 * np.arange(len(path))
     sources = {
         "object_pose": TrajectorySource(PiecewisePolynomial.FirstOrderHold(t, poses.T)),
         "contact": ConstantVectorSource(np.zeros(4)),
@@ -52,8 +55,11 @@ def outcome_of(path: list[RigidTransform], tolerance: float = 0.003) -> Tracking
     for name, source in sources.items():
         builder.Connect(builder.AddSystem(source).get_output_port(), monitor.GetInputPort(name))
     simulator = Simulator(builder.Build())
-    simulator.AdvanceTo(5.0)
-    return monitor.outcome(monitor.GetMyContextFromRoot(simulator.get_context()))
+    context = monitor.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    simulator.AdvanceTo(begins)
+    monitor.restart(context)
+    simulator.AdvanceTo(begins + 5.0)
+    return monitor.outcome(context)
 
 
 GRIP, UP, TURNED = RigidTransform(), targets()[CUED[0]], targets()[CUED[1]]
@@ -82,6 +88,13 @@ def test_time_and_difficulty_of_a_target():
     assert outcome.times[0] == pytest.approx(0.1 * 0.7 + 0.5, abs=0.03)
     assert outcome.bits == pytest.approx(math.log2(1 + 10 / 6) + math.log2(1 + 20 / 12), abs=0.02)
     assert outcome.completion_time == pytest.approx(0.5 + sum(outcome.times), abs=0.03)
+
+
+def test_a_restarted_task_is_judged_alike_by_the_simulations_clock():
+    path = [GRIP, *[UP] * 7, *[TURNED] * 40]
+    before, later = outcome_of(path), outcome_of(path, begins=2.0)
+    np.testing.assert_allclose(later.times, before.times, atol=1e-9)
+    assert later.completion_time == pytest.approx(2.0 + before.completion_time)
 
 
 def test_a_dropped_puck_ends_the_trial():

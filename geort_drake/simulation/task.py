@@ -54,7 +54,7 @@ class Outcome(Protocol):
 
     @property
     def completion_time(self) -> float:
-        """Time from the start to success, s; NaN without."""
+        """The simulation's time at success, s; NaN without."""
 
     @property
     def peak_force(self) -> float:

@@ -5,8 +5,8 @@ import enum
 
 import numpy as np
 
-from geort_drake.simulation.operators.finger_person import FingerPerson, SeenFingers
-from geort_drake.simulation.operators.finger_state import FingerState
+from geort_drake.simulation.operators.finger_person import SeenFingers
+from geort_drake.simulation.operators.holding import HolderState, HoldingPerson
 from geort_drake.simulation.operators.intention import SERVO
 from geort_drake.simulation.wrist_motion import minimum_jerk
 
@@ -25,25 +25,20 @@ class CapPhase(enum.IntEnum):
 
 
 @dc.dataclass
-class TurnerState(FingerState):
-    """Memory of a person who unscrews a cap."""
+class TurnerState(HolderState):
+    """Memory of a person who unscrews a cap; `depth` is inwards from its surface."""
 
-    # (F,) how far each fingertip is inside the touched surface, m.
-    depth: np.ndarray = dc.field(default_factory=lambda: np.zeros(0))
-    squeezed: np.ndarray = dc.field(
-        default_factory=lambda: np.zeros(0)
-    )  # the same when the hand began to open
-    touching: frozenset[int] = frozenset()
+    squeezed: np.ndarray = dc.field(default_factory=lambda: np.zeros(0))  # depth when the hand began to open
     turn: float = 0.0  # intended place in the stroke, rad
     # Largest turn seen in this stroke, rad, and when it last grew, s.
     farthest: float = 0.0
     progress_at: float = 0.0
 
 
-class CapTurner(FingerPerson[TurnerState]):
+class CapTurner(HoldingPerson[TurnerState]):
     """Closes the fingers around a cap, squeezes, turns, opens and returns, again and again.
 
-    Is told by how much the cap is `turned` (1), rad, and the `contact` (F), N. A stroke ends when the cap is
+    Is told by how much the cap is `turned` (1), rad, besides the `contact`. A stroke ends when the cap is
     not seen to turn any more. Touch, not sight, tells how deep a squeeze is, and how to undo it.
     """
 
@@ -53,16 +48,8 @@ class CapTurner(FingerPerson[TurnerState]):
         config, since = self._config, t - state.phase_start
         if not len(state.depth):
             state.depth = np.full(len(self._own), -self._goal.gap)
-        if state.phase == CapPhase.SETTLE:
-            if since > state.settle_time:
-                self._enter(state, CapPhase.CLOSE, t)
-        elif state.phase == CapPhase.CLOSE:
-            noise = 1 + self._rng.normal(0, config.contact_noise, len(self._own))
-            felt = np.flatnonzero(config.touch * noise * scene.told["contact"] > config.touch_force)
-            state.touching |= set(felt.tolist()) & set(self._used.tolist())
-            if len(state.touching) == len(self._used) or since > self._longest_closing:
-                state.touching = frozenset(self._used.tolist())
-                self._enter(state, CapPhase.SQUEEZE, t)
+        if state.phase <= CapPhase.CLOSE:
+            super()._advance_phase(state, t, scene)
         elif state.phase == CapPhase.SQUEEZE:
             if since > config.squeeze_time:
                 self._enter(state, CapPhase.TURN, t)
@@ -90,18 +77,9 @@ class CapTurner(FingerPerson[TurnerState]):
         length = abs(goal.stroke) * np.linalg.norm((goal.p_BF_open - goal.p_BC)[goal.thumb])
         return max(self._config.min_movement_time, 1.875 * length / self._config.max_fingertip_speed)
 
-    @property
-    def _longest_closing(self) -> float:
-        """Time, s, after which the fingers have moved by `overshoot` beyond the cap's surface."""
-        config = self._config
-        return (self._goal.gap + config.overshoot) / config.closing_speed + config.visual_delay
-
     def _watched(self, state: TurnerState) -> np.ndarray:
         closing = [finger for finger in self._used.tolist() if finger not in state.touching]
         return np.array(closing) if closing and state.phase == CapPhase.CLOSE else self._used
-
-    def _is_free(self, state: TurnerState, scene: SeenFingers, finger: int) -> bool:
-        return finger not in state.touching and scene.told["contact"][finger] < self._config.touch_force
 
     def _corrected(self, state: TurnerState) -> list[int]:
         if state.phase in (CapPhase.SQUEEZE, CapPhase.OPEN):
@@ -111,13 +89,11 @@ class CapTurner(FingerPerson[TurnerState]):
 
     def _reference(self, state: TurnerState, t: float, scene: SeenFingers) -> np.ndarray:
         goal, config, since = self._goal, self._config, t - state.phase_start
-        state.depth = state.depth.copy()
         share = minimum_jerk(since / self._stroke_time)
         if state.phase == CapPhase.CLOSE:
-            closing = [finger for finger in self._used.tolist() if finger not in state.touching]
-            state.depth[closing] += config.closing_speed * config.period
+            self._close(state)
         elif state.phase == CapPhase.SQUEEZE:
-            state.depth += config.squeeze * self._progress(since, config.squeeze_time)
+            state.depth = state.depth + config.squeeze * self._progress(since, config.squeeze_time)
         elif state.phase == CapPhase.TURN:
             state.turn = share * goal.stroke
         elif state.phase == CapPhase.OPEN:

@@ -17,7 +17,7 @@ SETTLE, CLOSE, SQUEEZE, WAIT = range(4)
 class HolderState(FingerState):
     """Memory of a person who holds something."""
 
-    # (F,) motion of each fingertip from its open place against the goal's normal, m.
+    # (F,) motion of each fingertip from its open place towards what it holds, m.
     depth: np.ndarray = dc.field(default_factory=lambda: np.zeros(0))
     touching: frozenset[int] = frozenset()  # fingers that hold
 
@@ -28,8 +28,7 @@ State = TypeVar("State", bound=HolderState)
 class HoldingPerson(FingerPerson[State]):
     """Closes fingers, and squeezes. Is told the `contact` (F), N.
 
-    Fingers that hold stay as they are once they have squeezed. The goal has `p_BF_touch` and `n_B`, the
-    direction away from what is held, (3,) or (F, 3).
+    Fingers that hold stay as they are once they have squeezed. The goal has `p_BF_touch`.
     """
 
     @property
@@ -45,8 +44,7 @@ class HoldingPerson(FingerPerson[State]):
             if since > state.settle_time and self._is_shaped(state, t, scene):
                 self._enter(state, self.phases(CLOSE), t)
         elif state.phase == CLOSE:
-            noise = 1 + self._rng.normal(0, config.contact_noise, len(self._own))
-            felt = np.flatnonzero(config.touch * noise * scene.told["contact"] > config.touch_force)
+            felt = np.flatnonzero(self._felt(scene) > config.touch_force)
             state.touching |= set(felt.tolist()) & set(self._holding)
             if len(state.touching) == len(self._holding) or since > self._longest_closing:
                 state.touching = frozenset(self._holding)
@@ -64,16 +62,29 @@ class HoldingPerson(FingerPerson[State]):
         gap = np.linalg.norm(self._goal.p_BF_touch - self._goal.p_BF_open, axis=1)[self._holding].max()
         return (gap + self._config.overshoot) / self._config.closing_speed + self._config.visual_delay
 
+    def _felt(self, scene: SeenFingers) -> np.ndarray:
+        """Forces on the fingers, (F,) N."""
+        noise = 1 + self._rng.normal(0, self._config.contact_noise, len(self._own))
+        return self._config.touch * noise * scene.told["contact"]
+
     def _is_free(self, state: State, scene: SeenFingers, finger: int) -> bool:
         return finger not in state.touching and scene.told["contact"][finger] < self._config.touch_force
 
-    def _grip(self, state: State, t: float) -> np.ndarray:
-        """Where the fingertips are meant to be for the grip alone, (F, 3) m in B."""
-        config = self._config
+    def _close(self, state: State) -> None:
+        """Brings the fingers that do not touch yet nearer for one period."""
+        closing = [finger for finger in self._holding if finger not in state.touching]
         state.depth = state.depth.copy()
-        for finger in self._holding:
-            if state.phase == CLOSE and finger not in state.touching:
-                state.depth[finger] += config.closing_speed * config.period
-            elif state.phase == SQUEEZE and t - state.phase_start <= config.squeeze_time:
-                state.depth[finger] += config.squeeze * config.period / config.squeeze_time
+        state.depth[closing] += self._config.closing_speed * self._config.period
+
+    def _grip(self, state: State, t: float) -> np.ndarray:
+        """Where the fingertips are meant to be for the grip alone, (F, 3) m in B.
+
+        The goal has `n_B`, the direction away from what is held, (3,) or (F, 3).
+        """
+        config = self._config
+        if state.phase == CLOSE:
+            self._close(state)
+        elif state.phase == SQUEEZE and t - state.phase_start <= config.squeeze_time:
+            state.depth = state.depth.copy()
+            state.depth[self._holding] += config.squeeze * config.period / config.squeeze_time
         return self._goal.p_BF_open - state.depth[:, None] * self._goal.n_B

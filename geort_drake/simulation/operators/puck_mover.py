@@ -12,7 +12,8 @@ from geort_drake.simulation.operators.intention import ADAPTIVE, SERVO
 from geort_drake.simulation.wrist_motion import minimum_jerk
 from geort_drake.systems.port_values import rotation_of_vector, vector_to_pose
 
-_SHAPING = 4.0  # s; after this time, fingers close although they are not where they are meant to be
+# s; after this time, fingers close although they are not where they are meant to be. An assumption.
+_SHAPING = 4.0
 
 
 class PuckPhase(enum.IntEnum):
@@ -120,11 +121,6 @@ class PuckMover(HoldingPerson[MoverState]):
             wanted = moves * change[finger] - state.press[finger] * self._goal.n_B[finger]
             step[self._own[finger]] = self._intended(state, finger, wanted)
         return step
-
-    def _felt(self, scene: SeenFingers) -> np.ndarray:
-        """Forces on the fingers, (F,) N."""
-        noise = 1 + self._rng.normal(0, self._config.contact_noise, len(self._own))
-        return self._config.touch * noise * scene.told["contact"]
 
     def _seen(self, state: MoverState, scene: SeenFingers) -> np.ndarray:
         """Place and axis of the puck, with the errors of vision relative to the target."""

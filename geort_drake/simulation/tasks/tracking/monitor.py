@@ -75,8 +75,8 @@ class TrackingOutcome(Immutable):
 
     @property
     def completion_time(self) -> float:
-        """Time from the start to the end of the last target, s; NaN without success."""
-        return self.t - self.began if self.success else math.nan
+        """When the last target was over, s; NaN without success."""
+        return self.t if self.success else math.nan
 
 
 class TrackingMonitor(TaskMonitor[TrackingOutcome]):
