@@ -8,6 +8,7 @@ time of the thread, for each turn and in total. Rows:
   no recording    the same without the Rerun recorder; the reference of the ratios
   1 ms            everything on at half the time step, which changes the course of the trial
   replay          the recorded motion of hand and wrist in place of the simulated person, at both steps
+  robot alone     the trial's joint targets from a Drake source, without any system in Python
 Shares come from another simulation in which each Python system is timed without the calls it makes to others,
 and without the reading of its ports, for which Drake computes poses and contacts that its next step uses too.
 What the timers take themselves does not count. The rest is Drake: dynamics, contact and the framework.
@@ -24,12 +25,15 @@ from pathlib import Path
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Diagram, InputPort
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, InputPort
+from pydrake.systems.primitives import TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
 from rich.table import Table
 from side_by_side import parse, write_json
 
 from geort_drake.comparison.train import cached_checkpoint
 from geort_drake.console import console, run_main
+from geort_drake.hands.assembly import remove_visuals
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.human_hand import HumanHand
@@ -40,11 +44,13 @@ from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.scenario import Scenario, load_scenario
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.trial import run_trial
+from geort_drake.simulation.world import ARM, HAND, add_scene
 
 TURN = 0.25  # simulated s
 RECORDED, PLAIN, FINER = "everything on", "no recording", "everything on, 1 ms"
-REPLAYED, REPLAYED_FINER = "replay", "replay, 1 ms"
+REPLAYED, REPLAYED_FINER, ROBOT = "replay", "replay, 1 ms", "robot alone"
 FINE = 0.001  # s
+MODELS = (ARM, HAND)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -62,12 +68,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as folder:
         paths = (Path(folder) / f"{number}.rrd" for number in itertools.count())
         session = make.session()
-        trials = {
+        trials: dict[str, Trial | RobotAlone] = {
             RECORDED: make(rerun_path=next(paths)),
             PLAIN: make(),
             FINER: make(FINE, next(paths)),
             REPLAYED: make(rerun_path=next(paths), session=session),
             REPLAYED_FINER: make(FINE, next(paths), session),
+            ROBOT: make.robot_alone(),
         }
         _advance(trials, arguments.seconds)
         started = time.thread_time()
@@ -106,6 +113,36 @@ class Trial:
         self.phases.append(self.parts.monitor.outcome(context).phase.name)
 
 
+class RobotAlone:
+    """The robot and the object of a trial, which Drake drives along recorded joint targets."""
+
+    def __init__(self, scenario: Scenario, t: Sequence[float], targets: Mapping[str, Sequence[np.ndarray]]):
+        """Takes times (T,), s, and the desired states (T, 2n) of each model at these times."""
+        builder = DiagramBuilder()
+        rng = np.random.default_rng(scenario.random_seed)
+        scene = add_scene(builder, scenario, load_hand(scenario.hand), rng)
+        for name, states in targets.items():
+            source = TrajectorySource(PiecewisePolynomial.ZeroOrderHold(t, np.transpose(states)))
+            model = scene.plant.GetModelInstanceByName(name)
+            builder.Connect(
+                builder.AddSystem(source).get_output_port(), scene.plant.get_desired_state_input_port(model)
+            )
+        self._simulator, self._end = Simulator(builder.Build()), t[-1]
+        remove_visuals(scene.plant, scene.scene_graph, self._simulator.get_mutable_context())
+        self.simulated: list[float] = []
+        self.cpu: list[float] = []
+        self.phases = [""]
+
+    def advance(self, until: float) -> None:
+        """Simulates one turn, unless the recording is over."""
+        before = self._simulator.get_context().get_time()
+        if before < self._end:
+            started = time.thread_time()
+            self._simulator.AdvanceTo(min(until, self._end))
+            self.cpu.append(time.thread_time() - started)
+            self.simulated.append(min(until, self._end) - before)
+
+
 class Maker:
     """Makes simulations, all of the same trial."""
 
@@ -126,6 +163,26 @@ class Maker:
     def session(self) -> Recording:
         """What the person's hand does in the trial."""
         return run_trial(_scenario(self._object), self._retarget, self._human)[1]
+
+    def robot_alone(self) -> RobotAlone:
+        """The trial's robot and object, with the joint targets of a trial that this simulates first."""
+        trial = self()
+        plant, t = trial.parts.plant, []
+        ports = {
+            name: plant.get_desired_state_input_port(plant.GetModelInstanceByName(name)) for name in MODELS
+        }
+        targets: dict[str, list[np.ndarray]] = {name: [] for name in MODELS}
+
+        def log(root: Context) -> EventStatus:
+            if not t or root.get_time() > t[-1]:
+                t.append(root.get_time())
+                for name, port in ports.items():
+                    targets[name].append(port.Eval(plant.GetMyContextFromRoot(root)).copy())
+            return EventStatus.Succeeded()
+
+        trial.simulator.set_monitor(log)
+        trial.simulator.AdvanceTo(_scenario(self._object).timeout)
+        return RobotAlone(_scenario(self._object), t, targets)
 
 
 def _scenario(name: str, step: float = 0.002) -> Scenario:
@@ -202,14 +259,14 @@ def _calibrate(count: int = 100_000) -> None:
     _cost[:] = spent["empty"] / count, whole - spent["empty"] / count
 
 
-def _advance(trials: Mapping[str, Trial], seconds: float) -> None:
+def _advance(trials: Mapping[str, Trial | RobotAlone], seconds: float) -> None:
     for turn in range(1, round(seconds / TURN) + 1):
         for trial in trials.values():
             trial.advance(turn * TURN)
 
 
 def _report(
-    trials: Mapping[str, Trial], shares: Mapping[str, float], writing: float, path: Path | None
+    trials: Mapping[str, Trial | RobotAlone], shares: Mapping[str, float], writing: float, path: Path | None
 ) -> None:
     table = Table(title="simulated s per s of one core")
     ratio_heading = f"CPU over '{PLAIN}' (p5 – p95)"
