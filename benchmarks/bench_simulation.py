@@ -41,7 +41,8 @@ from geort_drake.people.play import synthesize_play
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
-from geort_drake.simulation.scenario import Scenario, load_scenario
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.trial import run_trial
 from geort_drake.simulation.world import ARM, HAND, add_scene

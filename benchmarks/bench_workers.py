@@ -28,7 +28,7 @@ from geort_drake.benchmark.workers import call_in_workers
 from geort_drake.console import console, run_main
 from geort_drake.errors import GeortError
 from geort_drake.people.play import synthesize_play
-from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from geort_drake.retargeting.retargeter import Retargeter as Retargeter
     from geort_drake.retargeting.retargeter import load_retargeter as load_retargeter
     from geort_drake.simulation.diagram import make_trial_diagram as make_trial_diagram
-    from geort_drake.simulation.scenario import load_scenario as load_scenario
+    from geort_drake.simulation.scenario_files import load_scenario as load_scenario
     from geort_drake.simulation.trial import run_trial as run_trial
     from geort_drake.systems.action_correction import ActionCorrection as ActionCorrection
     from geort_drake.systems.glove_replay import GloveReplay as GloveReplay
@@ -83,7 +83,7 @@ _MODULES = {
     "evaluate": "comparison.metrics",
     "load_hand": "hands.description",
     "load_retargeter": "retargeting.retargeter",
-    "load_scenario": "simulation.scenario",
+    "load_scenario": "simulation.scenario_files",
     "make_trial_diagram": "simulation.diagram",
     "read_recording": "people.readers",
     "refit_checkpoint": "comparison.refit",

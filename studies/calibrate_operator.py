@@ -45,7 +45,7 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
     from geort_drake.people.human_hand import HumanHand
     from geort_drake.people.play import synthesize_play
     from geort_drake.simulation.free_play import keep_attainable, seen_fingertips
-    from geort_drake.simulation.scenario import load_scenario
+    from geort_drake.simulation.scenario_files import load_scenario
     from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
     from geort_drake.simulation.trial import run_trial
 

@@ -31,7 +31,7 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.recording import Recording
 from geort_drake.simulation.free_play import seen_fingertips
-from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.trial import run_trial
 

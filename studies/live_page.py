@@ -35,7 +35,7 @@ from geort_drake.live.web.operator_station import OperatorStation, RobotInfo  # 
 from geort_drake.live.web.server import WebServer  # noqa: E402
 from geort_drake.live.web.session import WebTeleoperation  # noqa: E402
 from geort_drake.retargeting.retargeter import load_retargeter  # noqa: E402
-from geort_drake.simulation.scenario import load_scenario  # noqa: E402
+from geort_drake.simulation.scenario_files import load_scenario  # noqa: E402
 from geort_drake.simulation.tasks import find_task, task_names  # noqa: E402
 
 STEP_S, FILM_HZ = 1.0 / 60.0, 6.0

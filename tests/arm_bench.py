@@ -8,7 +8,7 @@ from system_bench import SystemBench
 
 from geort_drake.hands.description import load_hand
 from geort_drake.simulation.following import RobotModel
-from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.world import ARM, HAND
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.wrist_checks import WristChecks

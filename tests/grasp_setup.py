@@ -15,7 +15,8 @@ from geort_drake.people.recording import Recording
 from geort_drake.retargeting.methods.affine_ik import AffineIK
 from geort_drake.simulation.diagram import TrialDiagram
 from geort_drake.simulation.operators.finger_motion import FingerMotion
-from geort_drake.simulation.scenario import Scenario, load_scenario
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 

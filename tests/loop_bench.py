@@ -12,7 +12,7 @@ from geort_drake.live.teleoperation import make_teleoperation
 from geort_drake.live.web.operator_station import OperatorStation
 from geort_drake.retargeting.method import Retarget
 from geort_drake.simulation.following import RobotModel
-from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.systems.glove_recorder import GloveRecorder
 

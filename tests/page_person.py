@@ -10,7 +10,7 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.perception import Seen
-from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
 FRAME_S = 1.0 / 30.0

@@ -27,7 +27,7 @@ from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.retargeting.training.collision_geometry import CollisionGaps
 from geort_drake.simulation.diagram import make_trial_diagram
-from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 
 # The family: every number of fingers, format and kind of oddity, each with some of the others.
 FAMILY = [

@@ -11,7 +11,7 @@ from geort_drake.cli import run_command
 from geort_drake.errors import ScenarioError
 from geort_drake.people.play import synthesize_play
 from geort_drake.simulation.diagram import make_trial_diagram
-from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.world import HAND
 from geort_drake.systems.port_values import pose_to_vector
 

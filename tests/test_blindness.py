@@ -16,7 +16,7 @@ from geort_drake.hands.description import load_hand
 from geort_drake.simulation import operators
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.operators.perception import FreePlay
-from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.keys.goal import KeysGoal

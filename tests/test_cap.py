@@ -15,7 +15,7 @@ from geort_drake.people.keypoints import mirrored
 from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.methods import make_untrained
 from geort_drake.simulation.free_play import seen_fingertips
-from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.cap.goal import RADIUS
 from geort_drake.simulation.tasks.cap.monitor import CapOutcome

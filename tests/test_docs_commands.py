@@ -17,7 +17,7 @@ from geort_drake.console import console
 from geort_drake.hands.description import load_hand
 from geort_drake.people.play import synthesize_play
 from geort_drake.resources import diagrams_dir
-from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
 SCRIPTS = ROOT / "scripts"

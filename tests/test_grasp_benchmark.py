@@ -15,7 +15,7 @@ from geort_drake.cli import run_command
 from geort_drake.comparison.retargeters import names_of
 from geort_drake.errors import BenchmarkError, UnknownNameError, UsageError
 from geort_drake.simulation.diagram import make_trial_diagram
-from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.trial import run_trial
 
 

@@ -17,7 +17,8 @@ from geort_drake.benchmark.trials import Trial, simulate
 from geort_drake.benchmark.workers import call_in_workers
 from geort_drake.errors import BenchmarkError, GeortError
 from geort_drake.retargeting.methods import make_untrained
-from geort_drake.simulation.scenario import dump_scenario, load_scenario
+from geort_drake.simulation.scenario import dump_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 
 
 def trial(method: str, seed: int, scenario_text: str = TOO_SHORT) -> Trial:

@@ -22,7 +22,8 @@ from geort_drake.simulation.operators.intention import (
     LearnedMotion,
     frozen_digest,
 )
-from geort_drake.simulation.scenario import Scenario, load_scenario
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.scenario_files import check_scenario, load_scenario
 from geort_drake.simulation.tasks import find_task, task_names
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.tasks.keys.goal import PITCH
@@ -44,7 +45,7 @@ def plans():
 def keys_scenario(kind: str = "adaptive", text: str = SHORT) -> Scenario:
     scenario = load_scenario(*find_task("keys").scenario, text)
     scenario.kind = kind
-    scenario.validate()
+    check_scenario(scenario)
     return scenario
 
 

@@ -19,7 +19,8 @@ from geort_drake.live.web.messages import Disengage, Engage, Fist, Guide, Record
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.retargeter import load_retargeter
-from geort_drake.simulation.scenario import load_scenario, parse_scenario
+from geort_drake.simulation.scenario import parse_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks.grasp.monitor import GraspOutcome, GraspPhase
 from geort_drake.simulation.world import draw_placement
 

@@ -38,7 +38,7 @@ from geort_drake.live.web.serve import is_loopback
 from geort_drake.live.web.server import WebServer
 from geort_drake.people.recording import Recording
 from geort_drake.simulation.following import RobotModel
-from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 
 KEY = "a-secret"
 PATIENCE_S = 120.0  # a busy machine takes long to start a program

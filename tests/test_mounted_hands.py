@@ -18,7 +18,7 @@ from geort_drake.people.keypoints import mirrored
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.free_play import keep_attainable, seen_fingertips
 from geort_drake.simulation.object_shape import object_shape
-from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks.grasp.contacts import GRIPS, grip_contacts, palm_contact
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner

@@ -22,7 +22,8 @@ from geort_drake.hands.urdf import hand_urdf
 from geort_drake.retargeting import methods
 from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.retargeter import load_retargeter
-from geort_drake.simulation.scenario import dump_scenario, load_scenario
+from geort_drake.simulation.scenario import dump_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 
 FILE = """
 import time

@@ -14,7 +14,7 @@ from pydrake.trajectories import PiecewisePolynomial
 from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import load_hand
 from geort_drake.simulation.free_play import seen_fingertips
-from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.pick_place.monitor import TransferMonitor, TransferOutcome
 from geort_drake.simulation.trial import run_trial

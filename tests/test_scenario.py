@@ -9,10 +9,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from geort_drake.errors import HandError, ScenarioError
 from geort_drake.hands.description import load_hand
 from geort_drake.resources import diagrams_dir
-from geort_drake.simulation.scenario import (
-    dump_scenario,
-    load_scenario,
-)
+from geort_drake.simulation.scenario import dump_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.world import add_object, add_robot
 
 

@@ -8,7 +8,8 @@ from trial_records import error, trial
 from geort_drake.benchmark.conditions import ASSUMPTIONS, make_conditions, parse_values
 from geort_drake.benchmark.sensitivity import summarize_sensitivity
 from geort_drake.errors import ScenarioError
-from geort_drake.simulation.scenario import Scenario, dump_scenario, load_scenario
+from geort_drake.simulation.scenario import Scenario, dump_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.worn_glove import WornGloveConfig
 
 USUAL = {name: list(parameter.values) for name, parameter in ASSUMPTIONS.items()}

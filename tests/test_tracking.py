@@ -20,7 +20,7 @@ from geort_drake.simulation.free_play import seen_fingertips
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.intention import SERVO, IntentionConfig
 from geort_drake.simulation.operators.puck_mover import PuckMover
-from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.tracking.goal import RADIUS, targets
 from geort_drake.simulation.tasks.tracking.monitor import TrackingMonitor, TrackingOutcome, TrackingSettings

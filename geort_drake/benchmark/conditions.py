@@ -10,6 +10,7 @@ from typing import Any
 from geort_drake.benchmark.records import Record
 from geort_drake.errors import BenchmarkError, UnknownNameError
 from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.scenario_files import check_scenario
 
 _NOISES = (
     *("visual_noise", "visual_depth_noise", "visual_turn_noise"),
@@ -170,7 +171,7 @@ def make_conditions(
             if number != parameter.nominal(scenario):
                 changed = copy.deepcopy(scenario)
                 parameter.change(changed, number)
-                changed.validate()
+                check_scenario(changed)
                 conditions[f"{name}={number:g}"] = changed
     return conditions
 

@@ -42,7 +42,8 @@ from geort_drake.retargeting.method import Retarget
 from geort_drake.simulation.free_play import seen_fingertips
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.person import persons_hand
-from geort_drake.simulation.scenario import Scenario, dump_scenario, load_scenario, scenario_fields
+from geort_drake.simulation.scenario import Scenario, dump_scenario, scenario_fields
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.versions import versions
 

@@ -29,6 +29,7 @@ from geort_drake.retargeting.checkpoint import WEIGHTS
 from geort_drake.retargeting.method import Retarget
 from geort_drake.retargeting.retargeter import UniversalRetargeter, load_retargeter, path_of, shipped_map
 from geort_drake.simulation.scenario import Scenario, dump_scenario, object_names, scenario_fields
+from geort_drake.simulation.scenario_files import check_scenario
 from geort_drake.simulation.world import draw_placement
 
 
@@ -83,7 +84,7 @@ class Replay:
         # Name of a condition → session → scenario; the unchanged scenarios are under "".
         self._conditions: dict[str, dict[str, Scenario]] = {"": self._scenarios}
         for session, own in self._scenarios.items():
-            own.validate()
+            check_scenario(own)
             for name, changed in make_conditions(own, perturbations, PERTURBATIONS).items():
                 self._conditions.setdefault(name, {})[session] = changed
 

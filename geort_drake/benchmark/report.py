@@ -18,7 +18,7 @@ from geort_drake.benchmark.sensitivity import summarize_sensitivity
 from geort_drake.benchmark.statistics import ending, summarize
 from geort_drake.errors import BenchmarkError
 from geort_drake.files import write_text
-from geort_drake.simulation.scenario import load_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks.grasp.contacts import grip_of
 from geort_drake.simulation.tasks.grasp.monitor import GraspPhase
 

@@ -155,6 +155,7 @@ def tasks_of(arguments: argparse.Namespace) -> dict[Path, "Scenario"]:
     """
     from geort_drake import load_scenario
     from geort_drake.console import warn
+    from geort_drake.simulation.scenario_files import check_scenario
     from geort_drake.simulation.tasks import find_task
 
     tasks = [find_task(name) for name in arguments.tasks or ["grasp"]]
@@ -170,7 +171,7 @@ def tasks_of(arguments: argparse.Namespace) -> dict[Path, "Scenario"]:
         for kind in kinds:
             scenario = load_scenario(*task.scenario, arguments.scenario_text, arguments.hand)
             scenario.kind = kind
-            scenario.validate()
+            check_scenario(scenario)
             scenarios[arguments.output / task.name / kind] = scenario
     return scenarios
 

@@ -176,7 +176,7 @@ def scenarios_of(
     arguments: argparse.Namespace, base: "Scenario", replay: "Recording | None" = None
 ) -> list["Scenario"]:
     """One scenario per trial: `base` with its object and seed, or a session's, until the session's end."""
-    from geort_drake.simulation.scenario import names_object
+    from geort_drake.simulation.scenario_files import check_scenario, names_object
     from geort_drake.simulation.tasks import find_task
 
     objects = arguments.objects or DEFAULT_OBJECTS
@@ -194,7 +194,7 @@ def scenarios_of(
             scenario = copy.deepcopy(base)
             find_task(scenario.task).choose(scenario, name)
             scenario.random_seed = base.random_seed + trial
-            scenario.validate()
+            check_scenario(scenario)
             scenarios.append(scenario)
     return scenarios
 

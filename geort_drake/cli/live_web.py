@@ -18,7 +18,8 @@ from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.serve import open_server
 from geort_drake.live.web.session import WebTeleoperation
 from geort_drake.simulation.following import RobotModel
-from geort_drake.simulation.scenario import Scenario, load_scenario
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.task import Task
 from geort_drake.simulation.tasks import find_task, task_names
 

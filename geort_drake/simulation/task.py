@@ -8,7 +8,7 @@ import dataclasses as dc
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -19,10 +19,8 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.monitor import TaskMonitor
 from geort_drake.simulation.operators.perception import FreePlay
+from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import Scene
-
-if TYPE_CHECKING:
-    from geort_drake.simulation.scenario import Scenario
 
 SERVO = "servo"
 
@@ -151,15 +149,15 @@ class Task(abc.ABC, Generic[Goal]):
         """What can be handled; a trial is about one of them. By default the task itself."""
         return [self.name]
 
-    def choose(self, scenario: "Scenario", case: str) -> None:
+    def choose(self, scenario: Scenario, case: str) -> None:
         """Sets the case in a scenario; raises UnknownNameError if there is none of that name."""
 
-    def case_of(self, scenario: "Scenario") -> str:
+    def case_of(self, scenario: Scenario) -> str:
         """The case of a scenario."""
         return self.name
 
     @abc.abstractmethod
-    def plans(self, scenario: "Scenario", description: HandDescription) -> list[Goal]:
+    def plans(self, scenario: Scenario, description: HandDescription) -> list[Goal]:
         """Ways to do it with the scenario's robot, the best first; raises ScenarioError if there is none."""
 
     @abc.abstractmethod
@@ -170,7 +168,7 @@ class Task(abc.ABC, Generic[Goal]):
     def add_stage(
         self,
         builder: DiagramBuilder,
-        scenario: "Scenario",
+        scenario: Scenario,
         description: HandDescription,
         goal: Goal | None,
         X_WB: RigidTransform,
@@ -189,7 +187,7 @@ class Task(abc.ABC, Generic[Goal]):
 
     @abc.abstractmethod
     def person(
-        self, scenario: "Scenario", hand: HumanHand, goal: Goal, X_WH_start: RigidTransform, seed: int
+        self, scenario: Scenario, hand: HumanHand, goal: Goal, X_WH_start: RigidTransform, seed: int
     ) -> LeafSystem:
         """A person as a system with an input port for each thing shown.
 

@@ -28,7 +28,8 @@ from geort_drake.people.readers import open_recording
 from geort_drake.retargeting.checkpoint import CONFIG as CHECKPOINT_CONFIG
 from geort_drake.retargeting.checkpoint import DIGESTED
 from geort_drake.retargeting.retargeter import load_retargeter
-from geort_drake.simulation.scenario import default_scenario_file, load_scenario
+from geort_drake.simulation.scenario_files import load_scenario
+from geort_drake.simulation.tasks import find_task
 
 FRAMES = 60  # of a recording: enough to be one, and read quickly
 
@@ -80,7 +81,7 @@ def _descriptions(folder: Path) -> list[Reader]:
     room = _room(folder, "descriptions")
     file, scenarios = room / "hand.yaml", room / "grasp.scenarios.yaml"
     write_description(propose(write_hand(room, HandSpec(fingers=2)), "small").description, file)
-    shutil.copyfile(default_scenario_file(), scenarios)
+    shutil.copyfile(find_task("grasp").scenario[0], scenarios)
     return [
         Reader("hand description", file, hand),
         Reader("scenarios", scenarios, load_scenario),

@@ -70,7 +70,7 @@ def benchmark(seed: int, jobs: int = 1) -> None:
 def record(seed: int) -> None:
     """A trial with its recordings, as `geort-drake grasp` writes them."""
     from geort_drake.people.human_hand import HumanHand
-    from geort_drake.simulation.scenario import load_scenario
+    from geort_drake.simulation.scenario_files import load_scenario
     from geort_drake.simulation.trial import run_trial
 
     person = HumanHand.fit(play())

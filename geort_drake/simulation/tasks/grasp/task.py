@@ -12,10 +12,11 @@ from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
 from geort_drake.errors import UnknownNameError
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.human_hand import HumanHand
+from geort_drake.resources import diagrams_dir
 from geort_drake.simulation.free_play import keep_attainable
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
-from geort_drake.simulation.scenario import Scenario, default_scenario_file, object_names
+from geort_drake.simulation.scenario import Scenario, object_names
 from geort_drake.simulation.task import SERVO, Stage, Task, TrialResult, finite_or_none
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor, GraspOutcome, GraspPhase
@@ -87,7 +88,7 @@ class GraspTask(ObjectTask):
     summary = "lift an object and hold it"
     kinds = (SERVO,)
     result = GraspResult
-    scenario = default_scenario_file(), "Grasp"
+    scenario = diagrams_dir() / "grasp.scenarios.yaml", "Grasp"
 
     def cases(self) -> list[str]:
         return object_names()

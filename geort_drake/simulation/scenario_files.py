@@ -1,0 +1,179 @@
+"""Reads scenarios from YAML and checks them."""
+
+import math
+import os
+from operator import attrgetter
+from pathlib import Path
+
+import yaml
+from pydrake.common.yaml import yaml_load_typed
+from pydrake.multibody.plant import AddMultibodyPlant
+from pydrake.systems.framework import DiagramBuilder
+
+from geort_drake.errors import ScenarioError, UnknownNameError
+from geort_drake.simulation.scenario import ObjectConfig, Scenario, object_file
+from geort_drake.simulation.tasks import find_task
+from geort_drake.systems.update_timing import check_timing
+
+# Rule → numeric fields.
+_RULES = (
+    (
+        "positive and finite",
+        lambda value: 0 < value < math.inf,
+        (
+            "timeout",
+            "plant_config.time_step",
+            "retargeting.period",
+            "retargeting.max_joint_speed",
+            "retargeting.max_joint_acceleration",
+            "recording.period",
+            "hand_stiffness_factor",
+            "object.mass_factor",
+            "object.friction_factor",
+        ),
+    ),
+    ("finite", math.isfinite, ("object.support_height", "object.yaw")),
+    (
+        "finite and not negative",
+        lambda value: 0 <= value < math.inf,
+        ("object.position_range", "object.yaw_range", "fingertip_modulus"),
+    ),
+    ("in [0, 1)", lambda value: 0 <= value < 1, ("object.mass_range", "object.friction_range")),
+    ("0 or more", lambda value: value >= 0, ("random_seed", "person")),
+)
+_MIN_TIME_STEP = 1e-5  # s; with a shorter step, a trial would take hours
+# These must be multiples of the plant's time step.
+_PERIODS = tuple(
+    f"{part}.period" for part in ("retargeting", "wrist_to_arm", "operator", "monitor", "recording")
+)
+
+
+def check_scenario(scenario: Scenario) -> None:
+    """Checks the values of a scenario.
+
+    Raises:
+        ScenarioError: a field is wrong; the message names it, the rule and the value.
+        UnknownNameError: there is no such object or task, or no such kind of person for the task.
+    """
+    task = find_task(scenario.task)
+    if scenario.kind not in task.kinds:
+        raise UnknownNameError(f"kind of person for task {task.name}", scenario.kind, task.kinds)
+    for rule, holds, names in _RULES:
+        for name in names:
+            value = attrgetter(name)(scenario)
+            _require(holds(value), name, rule, value)
+    position = scenario.object.position
+    is_point = len(position) == 2 and all(map(math.isfinite, position))
+    _require(is_point, "object.position", "[x, y] in m", position)
+    try:
+        scenario.glove.validate()
+        scenario.operator.validate()
+        scenario.intention.validate()
+        scenario.correction.validate()
+        scenario.wrist_to_arm.validate()
+        scenario.monitor.validate()
+        task.check_settings(scenario.task_settings)
+    except ValueError as error:
+        raise ScenarioError(f"scenario field {error}") from error
+    try:
+        check_timing(scenario.retargeting.period, scenario.retargeting.latency, scenario.retargeting.cutoff)
+    except ValueError as error:
+        raise ScenarioError(f"scenario field retargeting.{error}") from error
+    plant_config = scenario.plant_config
+    step = plant_config.time_step
+    _require(step >= _MIN_TIME_STEP, "plant_config.time_step", f"at least {_MIN_TIME_STEP} s", step)
+    try:
+        AddMultibodyPlant(plant_config, DiagramBuilder())
+    except RuntimeError as error:
+        raise ScenarioError(f"scenario field plant_config: {error}") from error
+    _require(
+        scenario.fingertip_modulus == 0 or plant_config.contact_model == "hydroelastic_with_fallback",
+        "fingertip_modulus",
+        "0 unless plant_config.contact_model is hydroelastic_with_fallback",
+        scenario.fingertip_modulus,
+    )
+    for name in _PERIODS:
+        period = attrgetter(name)(scenario)
+        whole = abs(period / step - round(period / step)) <= 1e-6
+        _require(whole, name, f"a multiple of plant_config.time_step ({step} s)", period)
+    object_file(scenario.object.name)
+
+
+def _require(holds: bool, name: str, rule: str, value: object) -> None:
+    if not holds:
+        raise ScenarioError(f"scenario field {name} must be {rule}, not {value}")
+
+
+def load_scenario(
+    file: str | os.PathLike | None = None,
+    name: str = "Grasp",
+    text: str | None = None,
+    hand: str | None = None,
+) -> Scenario:
+    """Reads a scenario by name, merges YAML `text` into it, and checks the result.
+
+    Mappings merge and lists replace, as in Drake's hardware_sim. `hand` replaces the scenario's.
+
+    Raises:
+        ScenarioError: the file is missing or malformed, or a field is unknown or wrong.
+        UnknownNameError: there is no scenario of that name.
+    """
+    path = Path(file or find_task("grasp").scenario[0])
+    if not path.is_file():
+        raise ScenarioError(f"scenario file {path} does not exist")
+    try:
+        node = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        raise ScenarioError(f"scenario file {path} must map names to scenarios: {error}") from error
+    if not isinstance(node, yaml.MappingNode):
+        raise ScenarioError(f"scenario file {path} must map names to scenarios")
+    _refuse_duplicates(node, str(path))
+    choices = [key.value for key, _ in node.value]
+    if name not in choices:
+        raise UnknownNameError(f"scenario in {path}", name, choices)
+    scenario = _merged(path, name, text, Scenario())
+    scenario.hand = hand or scenario.hand
+    check_scenario(scenario)
+    return scenario
+
+
+def names_object(file: str | os.PathLike | None = None, name: str = "Grasp", text: str | None = None) -> bool:
+    """Whether a scenario that `load_scenario` accepts, or the text, names an object."""
+    path = Path(file or find_task("grasp").scenario[0])
+    return bool(_merged(path, name, text, Scenario(object=ObjectConfig(name=""))).object.name)
+
+
+def _merged(path: Path, name: str, text: str | None, defaults: Scenario) -> Scenario:
+    source = f"scenario '{name}' in {path}"
+    try:
+        scenario = yaml_load_typed(schema=Scenario, filename=str(path), child_name=name, defaults=defaults)
+        if text:
+            source = f"text merged into {source}"
+            _refuse_duplicates(yaml.compose(text, Loader=yaml.SafeLoader), source)
+            scenario = yaml_load_typed(schema=Scenario, data=text, defaults=scenario)
+    except ScenarioError:
+        raise
+    except Exception as error:  # Drake's loader raises many types for faulty YAML
+        raise ScenarioError(f"{source}: {error}") from error
+    return scenario
+
+
+def _refuse_duplicates(root: yaml.Node | None, source: str) -> None:
+    """Raises ScenarioError if a mapping has a key twice; YAML loaders silently take the last one."""
+    waiting, seen = [root], set()
+    while waiting:
+        node = waiting.pop()
+        if id(node) in seen:  # an alias may contain itself
+            continue
+        seen.add(id(node))
+        if isinstance(node, yaml.MappingNode):
+            names = [str(key.value) for key, _ in node.value]
+            for name in names:
+                if names.count(name) > 1:
+                    line = node.start_mark.line + 1
+                    raise ScenarioError(
+                        f"{source}: '{name}' is given twice in the mapping from line {line} on"
+                    )
+            waiting.extend(value for _, value in node.value)
+        elif isinstance(node, yaml.SequenceNode):
+            waiting.extend(node.value)
