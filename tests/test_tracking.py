@@ -13,9 +13,12 @@ from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from geort_drake.errors import ScenarioError
+from geort_drake.live.robots import SimulatedRobot
+from geort_drake.live.web.scene import PoseStream, Scene
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.methods import make_untrained
+from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.free_play import seen_fingertips
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.intention import SERVO, IntentionConfig
@@ -95,6 +98,40 @@ def test_a_restarted_task_is_judged_alike_by_the_simulations_clock():
     before, later = outcome_of(path), outcome_of(path, begins=2.0)
     np.testing.assert_allclose(later.times, before.times, atol=1e-9)
     assert later.completion_time == pytest.approx(2.0 + before.completion_time)
+
+
+def test_the_page_draws_the_puck_a_second_time_at_its_target():
+    """Translucent; in the grip before the first cue, and then elsewhere."""
+    scenario = load_scenario(*find_task("tracking").scenario, "{task_settings: {ready_time: 0.05}}")
+    description = allegro().description
+    robot = SimulatedRobot(scenario, description, RobotModel(scenario, description))
+    plant, target = robot.stage.scene.plant, robot.stage.target
+    graph = robot.stage.scene.scene_graph
+    scene = Scene(plant, graph.model_inspector(), description, parked=True, target=target.body)
+    names = scene.description["moving"]
+    looks = {
+        name: [look for look in scene.description["geometries"] if look["moving"] == names.index(name)]
+        for name in ("puck::puck", "target")
+    }
+    assert [look["size"] for look in looks["target"]] == [look["size"] for look in looks["puck::puck"]]
+    assert {look["color"][3] for look in looks["target"]} == {0.35}
+    builder = DiagramBuilder()
+    builder.AddNamedSystem("robot", robot.diagram)
+    frames = []
+    stream = builder.AddSystem(PoseStream(scene, lambda: None, "right", frames.append))
+    for name in ("body_poses", "target_pose"):
+        builder.Connect(robot.diagram.GetOutputPort(name), stream.GetInputPort(name))
+    for group in (robot.hand, robot.arm):
+        held = np.concatenate([group.start, np.zeros_like(group.start)])
+        port = robot.diagram.GetInputPort(f"{group.name}_desired_state")
+        builder.Connect(builder.AddSystem(ConstantVectorSource(held)).get_output_port(), port)
+    simulator = Simulator(builder.Build())
+    robot.initialize(simulator.get_mutable_context())
+    simulator.AdvanceTo(0.1)
+    before, after = (np.frombuffer(frames[number], "<f4")[1:-63].reshape(-1, 7)[-1] for number in (0, -1))
+    X_WG = plant.GetDefaultFloatingBaseBodyPose(target.body)
+    np.testing.assert_allclose(before, pose_to_vector(X_WG), atol=1e-6)
+    assert min(np.abs(after - pose_to_vector(X_WG @ X_GT)).max() for X_GT in targets()) < 1e-6
 
 
 def test_a_dropped_puck_ends_the_trial():

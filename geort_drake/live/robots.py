@@ -45,6 +45,7 @@ class SimulatedRobot:
     Output ports:
         hand_state (2n), arm_state (2m): measured positions (rad), then velocities (rad/s), in the same order.
         body_poses (abstract list of RigidTransform): X_WB by the plant's body index.
+        target_pose (7): see `Target`; only if the task has one.
 
     Attributes:
         diagram: no subclass in Python, which would never be freed (drake#24162), nor its plant.
@@ -80,6 +81,8 @@ class SimulatedRobot:
         if meshcat is not None:
             MeshcatVisualizer.AddToBuilder(builder, scene.scene_graph, meshcat)
         builder.ExportOutput(plant.get_body_poses_output_port(), "body_poses")
+        if self.stage.target is not None:
+            builder.ExportOutput(self.stage.target.pose, "target_pose")
         self.diagram = builder.Build()
         self._fixed_base = scenario.fixed_base
         self.hand, self.arm = JointGroup.of_plant(plant, hand), JointGroup.of_plant(plant, arm)

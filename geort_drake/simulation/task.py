@@ -70,6 +70,20 @@ class Shown(NamedTuple):
     mirror: np.ndarray | None = None
 
 
+class Target(NamedTuple):
+    """Where a body shall be: it is drawn a second time, translucent.
+
+    Attributes:
+        body: with frame O.
+        pose: port of the wanted X_WO, qw qx qy qz x y z.
+        outline: (N, 3) points on the body in O, m, which stand for it in recordings.
+    """
+
+    body: RigidBody
+    pose: OutputPort
+    outline: np.ndarray
+
+
 @dc.dataclass(frozen=True)
 class Stage:
     """What a task adds to a trial's diagram.
@@ -80,6 +94,7 @@ class Stage:
         states: name → port with the number of a state, and the states' names; for the recording.
         bodies: free bodies whose path is recorded, and through which close-ups look.
         signals: name → port, its entries and their unit; for the recording.
+        target: that is shown.
     """
 
     scene: Scene
@@ -88,6 +103,7 @@ class Stage:
     states: Mapping[str, tuple[OutputPort, Sequence[str]]]
     bodies: Sequence[RigidBody] = ()
     signals: Mapping[str, tuple[OutputPort, Sequence[str], str]] = dc.field(default_factory=dict)
+    target: Target | None = None
 
     def initialize(self, root: Context) -> None:
         """Sets what only a context can hold."""

@@ -31,7 +31,7 @@ from geort_drake.simulation.world import ARM, HAND, actuated_joints
 from geort_drake.systems.port_values import pose_to_vector
 
 FRAME_PERIOD = 0.032  # s; at least 30 a second
-_GREY = [0.75, 0.75, 0.78, 1.0]
+_GREY, _TARGET_OPACITY = [0.75, 0.75, 0.78, 1.0], 0.35
 _GROUND_M = 2.0  # side of the square that stands for a half space
 # The person looks over the robot's shoulder, so that left is left; at a parked hand from near its base.
 _CAMERA = np.array([-0.45, -0.55, 0.85]), np.array([0.5, 0.0, 0.2])
@@ -53,12 +53,14 @@ class Scene:
         description: contents of `/scene`, except its number.
         meshes: contents of `/mesh/N`.
         moving: indices of the bodies that move, in the order of a frame.
+        has_target: whether the pose of a target follows them.
 
     Args:
         plant: finalized.
         inspector: of its scene graph.
         hand: its description.
         parked: whether the arm stays.
+        target: a body that is drawn a second time, translucent, where it shall be.
     """
 
     def __init__(
@@ -67,8 +69,9 @@ class Scene:
         inspector: SceneGraphInspector,
         hand: HandDescription,
         parked: bool = False,
+        target: RigidBody | None = None,
     ):
-        self._inspector = inspector
+        self._inspector, self.has_target = inspector, target is not None
         self.meshes: list[bytes] = []
         self.moving: list[BodyIndex] = []
         base = plant.GetFrameByName(hand.base_frame, plant.GetModelInstanceByName(HAND))
@@ -87,11 +90,18 @@ class Scene:
                 if shape := self._shape(geometry):
                     look = {"moving": number, "pose": _numbers(X), "color": self._color(geometry)}
                     geometries.append(look | shape)
+        names = [plant.get_body(index).scoped_name().get_full() for index in self.moving]
+        if target is not None:
+            own = [look for look in geometries if look["moving"] == self.moving.index(target.index())]
+            geometries += [
+                look | {"moving": len(names), "color": [*look["color"][:3], _TARGET_OPACITY]} for look in own
+            ]
+            names.append("target")
         p_WB = base.CalcPoseInWorld(defaults).translation()
         eye, target = (p_WB + offset for offset in _NEAR) if parked else _CAMERA
         self.description = {
             "camera": {"eye": eye.tolist(), "target": target.tolist()},
-            "moving": [plant.get_body(index).scoped_name().get_full() for index in self.moving],
+            "moving": names,
             "hand_base": {
                 "moving": self.moving.index(base.body().index()),
                 "pose": _numbers(base.GetFixedPoseInBodyFrame()),
@@ -151,6 +161,7 @@ class PoseStream(LeafSystem):
 
     Input ports:
         body_poses (abstract list of RigidTransform): X_WB of all bodies of the scene's plant.
+        target_pose (7): of the scene's target, qw qx qy qz x y z; only if it has one.
 
     Args:
         scene: what moves.
@@ -172,6 +183,7 @@ class PoseStream(LeafSystem):
         self._moving, self._p_HK, self._send = [int(index) for index in scene.moving], p_HK, send
         self._mirror = side == "left"
         self._poses = self.DeclareAbstractInputPort("body_poses", AbstractValue.Make([RigidTransform()]))
+        self._target = self.DeclareVectorInputPort("target_pose", 7) if scene.has_target else None
         self.DeclarePeriodicPublishEvent(period, 0.0, self._publish)
 
     def _publish(self, context: Context) -> EventStatus:
@@ -179,6 +191,8 @@ class PoseStream(LeafSystem):
         p = self._p_HK()
         points = np.full((21, 3), np.nan) if p is None else mirrored(p) if self._mirror else p
         parts = [pose_to_vector(poses[index]) for index in self._moving]
+        if self._target is not None:
+            parts.append(self._target.Eval(context))
         frame = np.concatenate([[context.get_time()], *parts, points.ravel()])
         self._send(frame.astype("<f4").tobytes())
         return EventStatus.Succeeded()

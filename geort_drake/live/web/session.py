@@ -130,9 +130,9 @@ class WebTeleoperation:
             scenario.retargeting.period = min(scenario.retargeting.period, _PERIOD)
             robot = SimulatedRobot(scenario, description, model)
             start = robot.hand.start, robot.arm.start
-            shown = robot.stage.scene
+            shown, target = robot.stage.scene, robot.stage.target
             inspector = shown.scene_graph.model_inspector()
-            scene = Scene(shown.plant, inspector, description, scenario.fixed_base)
+            scene = Scene(shown.plant, inspector, description, scenario.fixed_base, target and target.body)
         else:
             robot, start = self.link, self.link.handshake(timeout)
             standing = self.model.standing_at({})
@@ -156,6 +156,8 @@ class WebTeleoperation:
                         robot.GetOutputPort(f"{name}_state"), source.GetInputPort(f"{name}_state")
                     )
             builder.Connect(source.GetOutputPort("body_poses"), stream.GetInputPort("body_poses"))
+            if scene.has_target:
+                builder.Connect(robot.GetOutputPort("target_pose"), stream.GetInputPort("target_pose"))
 
         recorder = GloveRecorder(scenario.operator.period)
         loop = make_teleoperation(

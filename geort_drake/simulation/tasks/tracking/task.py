@@ -17,7 +17,7 @@ from geort_drake.simulation.finger_task import FingerTask
 from geort_drake.simulation.held_stage import HeldStage, add_stand
 from geort_drake.simulation.operators.puck_mover import PuckMover
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import Shown, Stage, TrialResult
+from geort_drake.simulation.task import Shown, Stage, Target, TrialResult
 from geort_drake.simulation.tasks.tracking.goal import HEIGHT, RADIUS, TrackingGoal, targets
 from geort_drake.simulation.tasks.tracking.monitor import TrackingMonitor, TrackingOutcome, TrackingSettings
 from geort_drake.simulation.tasks.tracking.planner import TrackingPlanner
@@ -26,7 +26,7 @@ from geort_drake.simulation.world import add_robot, finish_scene
 from geort_drake.systems.port_values import POSE_MIRROR
 
 _MASS, _FRICTION, _RANGE = 0.050, 0.8, 0.2  # kg, and friction; both vary by this fraction with the seed
-_COLOR, _MARK = np.array([0.25, 0.26, 0.28, 1.0]), np.array([0.95, 0.45, 0.10, 1.0])
+_COLOR, _MARK = np.array([0.30, 0.60, 0.85, 1.0]), np.array([0.95, 0.45, 0.10, 1.0])
 
 
 @dc.dataclass(frozen=True)
@@ -97,6 +97,7 @@ class TrackingTask(FingerTask[TrackingGoal]):
             {"cue": (monitor.GetOutputPort("cue"), names)},
             [puck],
             {"tracking/error": (monitor.GetOutputPort("error"), ["distance, mm", "angle, degrees"], "")},
+            target=Target(puck, monitor.GetOutputPort("target_pose"), _outline()),
             stand=stand,
             ready_time=settings.ready_time,
         )
@@ -112,6 +113,13 @@ class TrackingTask(FingerTask[TrackingGoal]):
             "target_time": float(np.mean(times)) if times else None,
             "throughput": outcome.bits / spent if spent else None,
         }
+
+
+def _outline(points: int = 32) -> np.ndarray:
+    """The edges of both faces of the puck."""
+    angle = np.linspace(0, 2 * np.pi, points, endpoint=False)
+    x, y = RADIUS * np.cos(angle), RADIUS * np.sin(angle)
+    return np.vstack([np.column_stack([x, y, np.full(points, z)]) for z in (-HEIGHT / 2, HEIGHT / 2)])
 
 
 def _add_puck(
