@@ -1,39 +1,28 @@
 """The task of the cap: its places, its thread and brake, its judgement and its people."""
 
-import dataclasses as dc
-
 import numpy as np
 import pytest
-from grasp_setup import allegro, person_who_plays
+from grasp_setup import allegro
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
+from task_bench import plans
 
-from geort_drake.errors import ScenarioError
 from geort_drake.people.keypoints import mirrored
-from geort_drake.people.play import synthesize_play
-from geort_drake.retargeting.methods import make_untrained
-from geort_drake.simulation.free_play import seen_fingertips
 from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.cap.goal import RADIUS
 from geort_drake.simulation.tasks.cap.monitor import CapOutcome
-from geort_drake.simulation.tasks.cap.planner import GAP, SQUEEZE, CapPlanner
-from geort_drake.simulation.trial import run_trial
+from geort_drake.simulation.tasks.cap.planner import GAP, SQUEEZE
 from geort_drake.simulation.world import actuated_joints
 
 UP = np.array([-1.0, 0.0, 0.0])  # of the bottle, for a hand base with the world's axes
 
 
-@pytest.fixture(scope="module")
-def plans():
-    return CapPlanner(allegro().description).plans()
-
-
-def test_every_plan_moves_three_fingertips_around_the_cap(plans):
+def test_every_plan_moves_three_fingertips_around_the_cap():
     hand = allegro()
-    for plan in plans:
+    for plan in plans("cap"):
         goal = plan.goal
         turns = np.linspace(0.0, goal.stroke, len(plan.q_open))
         assert goal.stroke > np.deg2rad(39)
@@ -45,19 +34,13 @@ def test_every_plan_moves_three_fingertips_around_the_cap(plans):
                 np.testing.assert_allclose(hand.fingertips(q)[goal.touches], wanted, atol=2e-3)
 
 
-def test_the_mirror_turns_the_other_way(plans):
-    goal = plans[0].goal
+def test_the_mirror_turns_the_other_way():
+    goal = plans("cap")[0].goal
     seen = goal.mirrored()
     for share in (0.0, 0.4, 1.0):
         np.testing.assert_allclose(
             seen.fingertips(share * seen.stroke, 0.003), mirrored(goal.fingertips(share * goal.stroke, 0.003))
         )
-
-
-def test_a_hand_without_the_fingers_is_refused_before_it_runs():
-    description = dc.replace(allegro().description, fingers=allegro().description.fingers[1:])
-    with pytest.raises(ScenarioError, match="the cap needs a thumb; hand 'allegro_right' has: index"):
-        CapPlanner(description)
 
 
 def after(torque: float) -> tuple[float, float, CapOutcome]:
@@ -93,17 +76,3 @@ def test_the_thread_rises_and_its_brake_holds_up_to_its_torque():
     turned, rise, outcome = after(0.04)
     assert turned > np.deg2rad(45) and rise == pytest.approx(0.004 * turned / (2 * np.pi), rel=1e-6)
     assert outcome.success and outcome.over and outcome.score == 1.0 and outcome.completion_time < 0.5
-
-
-@pytest.mark.parametrize(("method", "least", "most"), [("affine_ik", 1.0, 1.0), ("hold", 0.0, 0.05)])
-def test_people_turn_the_cap_through_a_map_that_follows_alone(method, least, most, plans):
-    """Further than one stroke, so they have gripped again."""
-    person = person_who_plays()
-    frames = synthesize_play(seed=0, duration_s=60).fingertips([4, 8, 12, 16])
-    retarget = make_untrained(method, allegro().kinematics(), frames=frames)
-    play = seen_fingertips(retarget, allegro(), person)
-    goal, _ = find_task("cap").keep([plan.goal for plan in plans], play)
-    scenario = load_scenario(*find_task("cap").scenario, "{task_settings: {turn: 80}, timeout: 16}")
-    result, _ = run_trial(scenario, retarget, (person, goal))
-    assert least <= result.score <= most and (result.outcome == "success") == result.success
-    assert not result.success or result.attempts > 1

@@ -1,35 +1,27 @@
 """The task of keys: its places, its judgement, its people, and how the benchmark runs it."""
 
-import dataclasses as dc
 import json
 
 import numpy as np
 import pytest
 import yaml
-from grasp_setup import TOO_SHORT, allegro, person_who_plays, planned_goal, play
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
-from pydrake.trajectories import PiecewisePolynomial
+from grasp_setup import TOO_SHORT, allegro, planned_goal
+from task_bench import judged, plans
 
 from geort_drake.cli import main
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.resources import models_dir
-from geort_drake.retargeting.methods import make_untrained
-from geort_drake.simulation.free_play import seen_fingertips
 from geort_drake.simulation.operators.intention import (
     IntentionConfig,
     LearnedMotion,
     frozen_digest,
 )
-from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.scenario_files import check_scenario, load_scenario
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task, task_names
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.tasks.keys.goal import PITCH
 from geort_drake.simulation.tasks.keys.monitor import KeysMonitor, KeysOutcome, KeysSettings
-from geort_drake.simulation.tasks.keys.planner import HOVER, TRAVEL, KeysPlanner
-from geort_drake.simulation.trial import run_trial
+from geort_drake.simulation.tasks.keys.planner import HOVER, TRAVEL
 
 # Of the parameters with which results were made; a change needs new results, and then this line.
 FROZEN = "167fc503d8db25bd4a1b258ef7c5ec6fdc418fb9a32cae4ec2a3d4e3401c43e8"
@@ -37,35 +29,15 @@ FROZEN = "167fc503d8db25bd4a1b258ef7c5ec6fdc418fb9a32cae4ec2a3d4e3401c43e8"
 SHORT = "{task_settings: {presses: 3, enough: 3, ready_time: 4.0, cue_time: 2.0}}"
 
 
-@pytest.fixture(scope="module")
-def plans():
-    return KeysPlanner(allegro().description).plans()
-
-
-def keys_scenario(kind: str = "adaptive", text: str = SHORT) -> Scenario:
-    scenario = load_scenario(*find_task("keys").scenario, text)
-    scenario.kind = kind
-    check_scenario(scenario)
-    return scenario
-
-
 def outcome_of(travel: list[list[float]], **settings) -> KeysOutcome:
     """The judgement of keys' travel, (T, 3) m at 10 Hz from the first cue on, with cues of 1 s."""
     rules = KeysSettings(presses=2, ready_time=0.1, cue_time=1.0, rest_time=0.5, enough=2, **settings)
-    builder = DiagramBuilder()
-    monitor = builder.AddSystem(KeysMonitor(3, 4, [0, 2], rules))
     t = 0.1 + 0.1 * np.arange(len(travel))
-    path = PiecewisePolynomial.FirstOrderHold(t, np.hstack([travel, np.zeros_like(travel)]).T)
-    source = builder.AddSystem(TrajectorySource(path))
-    builder.Connect(source.get_output_port(), monitor.GetInputPort("keys"))
-    for name, size in (("contact", 4), ("self_contact", 1)):
-        still = builder.AddSystem(ConstantVectorSource(np.zeros(size)))
-        builder.Connect(still.get_output_port(), monitor.GetInputPort(name))
-    diagram = builder.Build()
-    simulator = Simulator(diagram)
-    simulator.AdvanceTo(10.0)
-    assert simulator.get_context().get_time() < 3.0  # it terminates after the last cue
-    return monitor.outcome(monitor.GetMyContextFromRoot(simulator.get_context()))
+    outcome = judged(
+        KeysMonitor(3, 4, [0, 2], rules), 10.0, keys=(t, np.hstack([travel, np.zeros_like(travel)]))
+    )
+    assert outcome.t < 3.0  # it terminates after the last cue
+    return outcome
 
 
 def pressed(key: int, depth: float, others: float = 0.0) -> list[list[float]]:
@@ -99,10 +71,10 @@ def test_the_time_of_a_press_runs_from_its_cue():
     assert first.time == pytest.approx(0.275, abs=0.02) and first.depth == pytest.approx(0.004)
 
 
-def test_every_planned_key_is_reached_above_and_pressed(plans):
+def test_every_planned_key_is_reached_above_and_pressed():
     """By its own finger, while the other fingertips stay above theirs."""
     hand = allegro()
-    for plan in (plans[0], plans[-1]):
+    for plan in (plans("keys")[0], plans("keys")[-1]):
         goal = plan.goal
         np.testing.assert_allclose(np.diff(goal.p_BK[:, 1]), -PITCH)
         np.testing.assert_allclose(
@@ -112,27 +84,6 @@ def test_every_planned_key_is_reached_above_and_pressed(plans):
             moved = hand.fingertips(q) - goal.p_BF_open
             expected = np.where((goal.key_of == key)[:, None], [HOVER + TRAVEL, 0, 0], 0.0)
             np.testing.assert_allclose(moved[goal.touches], expected[goal.touches], atol=2e-3)
-
-
-def test_a_hand_without_the_fingers_is_refused_before_it_runs():
-    description = dc.replace(allegro().description, fingers=allegro().description.fingers[:3])
-    with pytest.raises(ScenarioError, match="keys need a ring; hand 'allegro_right' has: thumb, index"):
-        KeysPlanner(description)
-
-
-@pytest.mark.parametrize(
-    ("method", "kind", "score"),
-    [("affine_ik", "adaptive", 1.0), ("affine_ik", "mimicry", 1.0), ("hold", "servo", 0.0)],
-)
-def test_people_press_keys_through_a_map_that_follows_alone(method, kind, score, plans):
-    """The map is affine, and the hand that does not follow holds still."""
-    task, person = find_task("keys"), person_who_plays()
-    frames = play().fingertips([4, 8, 12, 16])
-    retarget = make_untrained(method, allegro().kinematics(), frames=frames)
-    seen = seen_fingertips(retarget, allegro(), person)
-    goal, attainable = task.keep([plan.goal for plan in plans], seen)
-    result, _ = run_trial(keys_scenario(kind), retarget, (person, goal))
-    assert (result.score, result.success, attainable) == (score, score == 1.0, score == 1.0)
 
 
 def test_a_person_learns_how_the_robots_fingertip_follows():

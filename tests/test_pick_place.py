@@ -1,18 +1,11 @@
 """Pick and place: its judgement, and a person who brings a block to its place."""
 
-import dataclasses as dc
-
 import numpy as np
 import pytest
 from grasp_setup import allegro, centred_map, person_who_plays
 from pydrake.math import RigidTransform
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
-from pydrake.trajectories import PiecewisePolynomial
+from task_bench import judged
 
-from geort_drake.errors import ScenarioError
-from geort_drake.hands.description import load_hand
 from geort_drake.simulation.free_play import seen_fingertips
 from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
@@ -26,24 +19,13 @@ X_WP = RigidTransform([0.5, 0.15, 0.01])
 def outcome_of(path: list[tuple[float, float, float, float]]) -> TransferOutcome:
     """The judgement of an object on lines between (y, z, yaw, force of two fingers), one a second."""
     task, rows = find_task("pick_place"), np.array(path)
-    builder = DiagramBuilder()
     height = next(iter(task.heights.values()))
-    monitor = builder.AddSystem(
-        TransferMonitor(
-            2, X_WP, task.steps, task.hold_time, np.pi / 2, lambda X: X.translation()[2] - height / 2, 0.0
-        )
+    monitor = TransferMonitor(
+        2, X_WP, task.steps, task.hold_time, np.pi / 2, lambda X: X.translation()[2] - height / 2, 0.0
     )
     poses = [[np.cos(yaw / 2), 0, 0, np.sin(yaw / 2), 0.5, y, z + height / 2] for y, z, yaw, _ in path]
     t = np.arange(len(path), dtype=float)
-    for name, values in (("object_pose", np.array(poses)), ("contact", rows[:, [3, 3]])):
-        source = builder.AddSystem(TrajectorySource(PiecewisePolynomial.FirstOrderHold(t, values.T)))
-        builder.Connect(source.get_output_port(), monitor.GetInputPort(name))
-    still = builder.AddSystem(ConstantVectorSource(np.zeros(1)))
-    builder.Connect(still.get_output_port(), monitor.GetInputPort("self_contact"))
-    diagram = builder.Build()
-    simulator = Simulator(diagram)
-    simulator.AdvanceTo(t[-1])
-    return monitor.outcome(monitor.GetMyContextFromRoot(simulator.get_context()))
+    return judged(monitor, t[-1], object_pose=(t, poses), contact=(t, rows[:, [3, 3]]))
 
 
 GRASP = [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)]
@@ -86,11 +68,3 @@ def test_a_person_brings_a_block_to_its_place():
     goal, _ = task.keep(task.plans(scenario, allegro().description), play)
     result, _ = run_trial(scenario, retarget, (person, goal))
     assert result.success, result.outcome
-
-
-def test_a_hand_without_an_index_finger_is_refused_before_it_runs():
-    description = load_hand("allegro_right")
-    without = dc.replace(description, fingers=[f for f in description.fingers if f.name != "index"])
-    scenario = load_scenario(*find_task("pick_place").scenario)
-    with pytest.raises(ScenarioError, match="pinch grasp needs a index"):
-        find_task("pick_place").plans(scenario, without)

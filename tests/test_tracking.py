@@ -1,6 +1,5 @@
 """In-grasp tracking: its grips and targets, its judgement, and people who move the puck."""
 
-import dataclasses as dc
 import math
 
 import numpy as np
@@ -9,17 +8,13 @@ from grasp_setup import allegro, person_who_plays
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
-from pydrake.trajectories import PiecewisePolynomial
+from pydrake.systems.primitives import ConstantVectorSource
+from task_bench import judged, plans
 
-from geort_drake.errors import ScenarioError
 from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.web.scene import PoseStream, Scene
 from geort_drake.people.keypoints import mirrored
-from geort_drake.people.play import synthesize_play
-from geort_drake.retargeting.methods import make_untrained
 from geort_drake.simulation.following import RobotModel
-from geort_drake.simulation.free_play import seen_fingertips
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.intention import SERVO, IntentionConfig
 from geort_drake.simulation.operators.puck_mover import PuckMover
@@ -28,16 +23,10 @@ from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.tracking.goal import RADIUS, targets
 from geort_drake.simulation.tasks.tracking.monitor import TrackingMonitor, TrackingOutcome, TrackingSettings
 from geort_drake.simulation.tasks.tracking.planner import TrackingPlanner
-from geort_drake.simulation.trial import run_trial
 from geort_drake.systems.port_values import pose_to_vector
 
 X_WG = RigidTransform(RotationMatrix.MakeYRotation(0.4), [0.5, 0.0, 0.3])
 CUED = (5, 6)  # 10 mm along the axis, and 20° about x
-
-
-@pytest.fixture(scope="module")
-def plans():
-    return TrackingPlanner(allegro().description).plans()
 
 
 def outcome_of(path: list[RigidTransform], tolerance: float = 0.003, begins: float = 0.0) -> TrackingOutcome:
@@ -46,23 +35,9 @@ def outcome_of(path: list[RigidTransform], tolerance: float = 0.003, begins: flo
     The task is restarted at `begins`, s.
     """
     rules = TrackingSettings(targets=2, enough=2, target_time=2.0, ready_time=0.5, distance=tolerance)
-    builder = DiagramBuilder()
-    monitor = builder.AddSystem(TrackingMonitor(4, X_WG, CUED, rules))
     poses = np.array([pose_to_vector(X_WG @ X_GO) for X_GO in path])
     t = begins + 0.5 + 0.1 * np.arange(len(path))
-    sources = {
-        "object_pose": TrajectorySource(PiecewisePolynomial.FirstOrderHold(t, poses.T)),
-        "contact": ConstantVectorSource(np.zeros(4)),
-        "self_contact": ConstantVectorSource(np.zeros(1)),
-    }
-    for name, source in sources.items():
-        builder.Connect(builder.AddSystem(source).get_output_port(), monitor.GetInputPort(name))
-    simulator = Simulator(builder.Build())
-    context = monitor.GetMyMutableContextFromRoot(simulator.get_mutable_context())
-    simulator.AdvanceTo(begins)
-    monitor.restart(context)
-    simulator.AdvanceTo(begins + 5.0)
-    return monitor.outcome(context)
+    return judged(TrackingMonitor(4, X_WG, CUED, rules), begins + 5.0, begins, object_pose=(t, poses))
 
 
 GRIP, UP, TURNED = RigidTransform(), targets()[CUED[0]], targets()[CUED[1]]
@@ -140,11 +115,11 @@ def test_a_dropped_puck_ends_the_trial():
     assert outcome.reached == 1 and outcome.t < 1.6
 
 
-def test_every_plan_holds_the_puck_and_reaches_the_targets(plans):
+def test_every_plan_holds_the_puck_and_reaches_the_targets():
     """Within 2 mm, with joints inside their limits."""
     hand = allegro()
     planner = TrackingPlanner(hand.description)
-    for plan in (plans[0], plans[-1]):
+    for plan in (plans("tracking")[0], plans("tracking")[-1]):
         goal = plan.goal
         off = (goal.X_BG.inverse().multiply(goal.p_BF_touch.T).T)[goal.touches]
         np.testing.assert_allclose(np.linalg.norm(off[:, :2], axis=1), RADIUS + hand.tip_radius, atol=1e-9)
@@ -157,23 +132,17 @@ def test_every_plan_holds_the_puck_and_reaches_the_targets(plans):
             assert q is not None and np.all((hand.lower < q) & (q < hand.upper))
 
 
-def test_the_mirror_has_the_same_places(plans):
+def test_the_mirror_has_the_same_places():
     """In another order: targets to either side change places."""
-    goal = plans[0].goal
+    goal = plans("tracking")[0].goal
     seen = goal.mirrored().places()
     for place in map(mirrored, goal.places()):
         assert min(np.abs(place - other).max() for other in seen) < 1e-9
 
 
-def test_a_hand_without_the_fingers_is_refused_before_it_runs():
-    description = dc.replace(allegro().description, fingers=allegro().description.fingers[1:])
-    with pytest.raises(ScenarioError, match="tracking needs a thumb; hand 'allegro_right' has: index"):
-        TrackingPlanner(description)
-
-
-def test_pressing_is_no_motion_of_the_virtual_puck(plans):
+def test_pressing_is_no_motion_of_the_virtual_puck():
     """A motion of all fingertips as of one body is; each finger's part along its normal is not."""
-    goal, rng = plans[0].goal, np.random.default_rng(0)
+    goal, rng = plans("tracking")[0].goal, np.random.default_rng(0)
     person = PuckMover(person_who_plays(), goal, SERVO, OperatorConfig(), IntentionConfig(), rng)
     held, arms = goal.touches, goal.p_BF_touch - goal.X_BG.translation()
     rigid = np.array([0.001, -0.002, 0.003]) + np.cross([0.1, 0.2, -0.1], arms)
@@ -181,18 +150,3 @@ def test_pressing_is_no_motion_of_the_virtual_puck(plans):
     # These three forces would be in balance.
     press = np.array([2 * np.cos(np.deg2rad(40)), 1.0, 1.0, 0.0])[:, None] * goal.n_B
     np.testing.assert_allclose(person._shared_motion(arms, press)[held], 0.0, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("method", "least", "outcome"), [("affine_ik", 0.5, "success"), ("hold", 0.0, "dropped")]
-)
-def test_people_move_the_puck_through_a_map_that_follows_alone(method, least, outcome, plans):
-    """The map is affine; a hand that holds still drops the puck once the stand lets go."""
-    person = person_who_plays()
-    frames = synthesize_play(seed=0, duration_s=60).fingertips([4, 8, 12, 16])
-    retarget = make_untrained(method, allegro().kinematics(), frames=frames)
-    play = seen_fingertips(retarget, allegro(), person)
-    goal, _ = find_task("tracking").keep([plan.goal for plan in plans], play)
-    settings = "{kind: servo, task_settings: {targets: 2, enough: 1}}"
-    result, _ = run_trial(load_scenario(*find_task("tracking").scenario, settings), retarget, (person, goal))
-    assert result.score >= least and result.outcome == outcome and result.simulated_time > 8.0
