@@ -1,12 +1,11 @@
 """`geort_coupled` on a small hand whose right answer is known, its map in NumPy, and its collision gaps."""
 
 import dataclasses
+import warnings
 
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 from retargeting_toy import HAND, HUMAN, PLANTED, answers, toy_data, toy_kinematics, uneven_kinematics
 from scipy.spatial.transform import Rotation
 
@@ -14,7 +13,6 @@ from geort_drake.errors import TrainingError
 from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.clouds import first_in_voxels, voxel_centres, voxel_index
 from geort_drake.retargeting.methods.coupled import CoupledConfig, CoupledRetargeter, Start, train_coupled
 from geort_drake.retargeting.methods.coupled.network import CoupledNetwork
 from geort_drake.retargeting.methods.coupled.people import TrainingPeople
@@ -53,16 +51,14 @@ def test_numpy_equals_torch_with_a_full_jacobian(hand, rng):
         expected = network(torch.tensor(tips).float()).numpy()
     np.testing.assert_allclose(retarget(tips), expected, atol=1e-4)
     np.testing.assert_allclose([retarget(tip) for tip in tips], retarget(tips), atol=1e-12)
-    J = retarget.jacobian(tips[0])
-    d = 1e-6 * rng.normal(size=(3, 3))
-    change = (retarget(tips[0] + d) - retarget(tips[0] - d)) / 2
-    np.testing.assert_allclose(np.tensordot(J, d, 2), change, atol=1e-10)
-    assert (np.abs(J) > 1e-9).all()
+    assert (np.abs(retarget.jacobian(tips[0])) > 1e-9).all()
 
 
 def test_training_finds_the_planted_map():
     """A short run follows the person's steps, closes pinches and covers the robot's space."""
-    result = quick()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # the loss need not fall where its multipliers rise
+        result = quick()
     first, last = result.history[0], result.history[-1]
     assert np.mean([row["direction"] for row in result.history[-10:]]) < 0.15
     assert np.mean([row["track"] for row in result.history[-10:]]) < 0.15
@@ -138,15 +134,6 @@ def test_training_avoids_collisions_of_the_given_shapes():
     without, having = colliding(None), colliding(shapes)
     assert without > 0.02
     assert having < 0.3 * without
-
-
-@given(st.integers(1, 200), st.integers(0, 2**32 - 1))
-def test_one_point_of_each_voxel_remains(count, seed):
-    """The first in order; centres are those of the voxels that hold points."""
-    points = np.random.default_rng(seed).normal(0.0, 0.01, (count, 3))
-    cells, first = np.unique(voxel_index(points, 0.005), axis=0, return_index=True)
-    np.testing.assert_array_equal(first_in_voxels(points, 0.005), np.sort(first))
-    np.testing.assert_allclose(voxel_centres(points, 0.005), (cells + 0.5) * 0.005)
 
 
 CPU = torch.device("cpu")

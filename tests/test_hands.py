@@ -24,14 +24,6 @@ def _uniform(hand: HandModel, rng, count: int) -> np.ndarray:
 # -- descriptions
 
 
-def test_fingers_come_thumb_first_and_joints_finger_by_finger():
-    """The order of q is the description's, whatever order the plant has."""
-    hand = load_hand("allegro_right")
-    assert hand.finger_names == ["thumb", "index", "middle", "ring"]
-    assert hand.joint_names == [f"joint_{i}" for i in (12, 13, 14, 15, *range(12))]
-    assert [finger.human_keypoint for finger in hand.fingers] == [4, 8, 12, 16]
-
-
 def _set(path: str, value):
     """A function that puts `value` at a dotted path of the description."""
 

@@ -151,14 +151,6 @@ def hand_in_H(rng, frames=5):
     return hand.keypoints(rng.uniform(hand.lower, hand.upper, (frames, 20)))
 
 
-def test_numbering_is_that_of_mediapipe():
-    """Tips are 4, 8, ..., 20, MCPs 5, 9, 13, 17, and the 20 bones form a tree rooted in the wrist."""
-    assert kp.TIP_KEYPOINT == {"thumb": 4, "index": 8, "middle": 12, "ring": 16, "little": 20}
-    assert kp.BASE_KEYPOINT == {"thumb": 1, "index": 5, "middle": 9, "ring": 13, "little": 17}
-    assert sorted(child for _, child in kp.BONES) == list(range(1, 21))
-    assert [child for parent, child in kp.BONES if parent == kp.WRIST] == [1, 5, 9, 13, 17]
-
-
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_the_wrist_frame_follows_any_motion_of_the_hand(seed):

@@ -11,8 +11,6 @@ from studies.distorted_map import FACTORS, DistortedMap, Distortion, design, dis
 from studies.predictor_analysis import (
     CRITERIA,
     analyse,
-    dominance,
-    explained,
     main_effects,
     map_means,
     threshold,
@@ -114,14 +112,6 @@ def test_reliability_is_the_share_that_repeats(rng):
     found = [map_means(synthetic(rng, np.zeros(7), maps=3.0, noise=6.0)).reliability for _ in range(200)]
     assert np.median(found) == pytest.approx(0.5, abs=0.07)
     assert np.isnan(map_means(synthetic(rng, np.zeros(7), seeds=1)).reliability)
-
-
-def test_dominance_shares_what_is_explained(rng):
-    X = rng.normal(size=(400, 3))
-    y = 2 * X[:, 0] + X[:, 1] + 0.1 * rng.normal(size=400)
-    shares, rows = dominance(X, y), np.arange(400)
-    assert shares.sum() == pytest.approx(explained(X, y, rows, rows))
-    np.testing.assert_allclose(shares, [0.8, 0.2, 0.0], atol=0.05)
 
 
 def test_a_threshold_is_found_where_the_curve_flattens(rng):

@@ -1,7 +1,5 @@
 """The training of a map for everyone."""
 
-import math
-
 import numpy as np
 import pytest
 import torch
@@ -15,7 +13,6 @@ from geort_drake.hands.model import HandModel
 from geort_drake.people.keypoints import TIP_KEYPOINT
 from geort_drake.people.population import sample_population
 from geort_drake.retargeting.methods.coupled import CoupledConfig
-from geort_drake.retargeting.methods.coupled.constraints import Multipliers
 from geort_drake.retargeting.methods.coupled.losses import RobotTips, constraint_terms
 from geort_drake.retargeting.methods.coupled.people import TrainingPeople
 from geort_drake.retargeting.methods.coupled.population import code_people, likely_plays
@@ -59,16 +56,6 @@ def test_the_seed_determines_the_map_to_the_last_bit():
     assert not np.array_equal(first["weight0"], other["weight0"])
 
 
-def test_multipliers_rise_where_a_constraint_is_violated():
-    """And fall where it holds, but never to zero."""
-    multipliers = Multipliers({"held": 1.0, "violated": 1.0}, start=3.0, rate=0.02, proportion=0.0)
-    start = dict(multipliers.values)
-    for _ in range(400):
-        multipliers.update({"held": torch.tensor(0.1), "violated": torch.tensor(2.0)})
-    assert 0 < multipliers.values["held"] < start["held"]
-    assert multipliers.values["violated"] > start["violated"]
-
-
 def test_a_perfect_map_violates_nothing(people):
     """The robot's fingertips move as the person's, over a distance where touching tips overlap by the aim."""
     hands = people.draw(4)
@@ -102,16 +89,6 @@ def test_figures_are_ratios(people):
     assert figures(large * d, -large * d)["uneven"] == pytest.approx(0.25)
 
 
-def test_a_proportion_answers_a_violation_at_once_and_forgets_it():
-    """After the violation, the multiplier is hardly larger than before."""
-    multipliers = Multipliers({"bound": 1.0}, start=1.0, rate=0.001, proportion=1.0)
-    multipliers.update({"bound": torch.tensor(2.0)})
-    assert multipliers.values["bound"] == pytest.approx(math.e, rel=0.01)
-    for _ in range(300):
-        multipliers.update({"bound": torch.tensor(1.0)})
-    assert multipliers.values["bound"] == pytest.approx(1.0, abs=0.1)
-
-
 def test_likely_plays_are_those_of_the_persons_hand():
     """For a person of the population itself, seen in another frame and scale, they are that person's play."""
     (play,) = sample_population(1, seed=5, duration_s=10.0).astype(float)
@@ -119,14 +96,6 @@ def test_likely_plays_are_those_of_the_persons_hand():
     seen = 1.2 * play @ R.T + [0.01, 0.0, -0.02]
     (likely,) = likely_plays(seen, FINGERS, seed=5, people=1, duration_s=10.0)
     np.testing.assert_allclose(likely, seen[:, [TIP_KEYPOINT[name] for name in FINGERS]], atol=1e-4)
-
-
-def test_made_up_pinches_meet(people):
-    """Where they are possible, the pair's tips are nearer than a pinch."""
-    hands = people.draw(8)
-    distance = people.pair_distances(hands.pinching)
-    pinched = distance.gather(-1, hands.pinch_pair[..., None])[..., 0][hands.pinched]
-    assert len(pinched) and float(pinched.max()) < 0.0151
 
 
 def test_unusable_settings_and_hands_are_refused():

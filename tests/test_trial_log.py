@@ -5,7 +5,7 @@ import json
 import pytest
 from trial_records import error, trial
 
-from geort_drake.benchmark.records import TrialKey, TrialLog, read_records
+from geort_drake.benchmark.records import TrialLog, read_records
 from geort_drake.errors import BenchmarkError
 
 
@@ -53,18 +53,6 @@ def test_every_way_to_end_is_read(tmp_path, changes):
     path = tmp_path / "trials.jsonl"
     path.write_text(json.dumps(trial(**changes)) + "\n")
     assert read_records(path) == [trial(**changes)]
-
-
-def test_a_trial_that_raised_is_not_finished(tmp_path):
-    """What comes of its repetition stands in its place, also where that raises again."""
-    path = tmp_path / "trials.jsonl"
-    with TrialLog(path) as log:
-        for record in (error(seed=0), error(seed=1), trial(seed=2), error(seed=0), trial(seed=1)):
-            log.append(record)
-    with TrialLog(path) as log:
-        assert log.records == [error(seed=0), trial(seed=1), trial(seed=2)]
-        keys = [TrialKey("hold", "cube", seed) for seed in range(4)]
-        assert log.unfinished(keys) == [keys[0], keys[3]]
 
 
 def test_two_processes_do_not_write_to_one_file(tmp_path):

@@ -140,11 +140,6 @@ def test_memory_is_bounded_and_a_still_hand_shows_nothing_new():
     np.testing.assert_array_equal(observer.places, 1)
 
 
-def test_points_that_are_no_hand_do_not_count():
-    """Bones without length."""
-    assert len(observer_of(np.zeros((3, 21, 3))).shapes) == 0
-
-
 def test_another_person_is_noticed_and_the_same_one_is_not():
     """A hand 7 % larger is; a camera's noise is not."""
     camera = next(person for person in (sample_person(5, n) for n in range(40)) if person.device.is_camera)
