@@ -21,6 +21,7 @@ from geort_drake.people.recording import Recording
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.simulation.scenario import parse_scenario
 from geort_drake.simulation.scenario_files import load_scenario
+from geort_drake.simulation.tasks import task_names
 from geort_drake.simulation.tasks.grasp.monitor import GraspOutcome, GraspPhase
 from geort_drake.simulation.world import draw_placement
 
@@ -132,6 +133,14 @@ def test_a_task_begins_when_the_person_engages(tmp_path, task, text):
     assert loop.phase(context) == "none"
     page.run(steps=4)
     assert loop.phase(context) != "none"
+
+
+@pytest.mark.parametrize("task", task_names())
+def test_the_page_shows_how_far_each_task_is(tmp_path, task):
+    page = Page(tmp_path, task=task)
+    page.run()
+    outcome = json.loads(page.states[-1])["outcome"]
+    assert outcome["phase"] and outcome["score"] == 0.0 and not outcome["over"]
 
 
 def test_with_consent_every_session_is_recorded_from_its_engagement_and_can_be_replayed(tmp_path):

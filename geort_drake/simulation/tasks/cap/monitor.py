@@ -9,6 +9,8 @@ from geort_drake.settings import require_numbers
 from geort_drake.simulation.monitor import TaskMonitor
 from geort_drake.systems.port_values import Immutable
 
+STEPS = 8  # into which a viewer divides the turn
+
 
 @dc.dataclass(frozen=True)
 class CapSettings:
@@ -59,6 +61,7 @@ class CapMonitor(TaskMonitor[CapOutcome]):
         cap (2): turn of the cap, rad, and its speed.
     Output ports:
         turned (1): turn of the cap, rad.
+        step (1): how many of STEPS equal parts of the wanted turn are done.
         outcome (abstract CapOutcome).
     """
 
@@ -70,6 +73,12 @@ class CapMonitor(TaskMonitor[CapOutcome]):
             1,
             lambda context, output: output.SetAtIndex(0, self._cap.Eval(context)[0]),
             {self._cap.ticket()},
+        )
+        self.DeclareVectorOutputPort(
+            "step",
+            1,
+            lambda context, output: output.SetAtIndex(0, int(STEPS * self.outcome(context).score)),
+            self._of_outcome,
         )
 
     def _judged(self, context: Context, before: CapOutcome) -> CapOutcome:

@@ -26,7 +26,7 @@ from geort_drake.simulation.operators.cap_turner import CapTurner
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Shown, Stage, TrialResult
 from geort_drake.simulation.tasks.cap.goal import HEIGHT, RADIUS, CapGoal
-from geort_drake.simulation.tasks.cap.monitor import CapMonitor, CapOutcome, CapSettings
+from geort_drake.simulation.tasks.cap.monitor import STEPS, CapMonitor, CapOutcome, CapSettings
 from geort_drake.simulation.tasks.cap.planner import CapPlanner
 from geort_drake.simulation.view import add_view, shown_by
 from geort_drake.simulation.world import add_robot, finish_scene
@@ -90,11 +90,12 @@ class CapTask(FingerTask[CapGoal]):
             **shown_by(view, len(description.fingers), "fingertips", "hand_pose", "contact"),
             "turned": Shown(monitor.GetOutputPort("turned"), np.array([-1.0])),
         }
+        steps = np.linspace(0, settings.turn, STEPS + 1)
         return Stage(
             scene,
             monitor,
             shown,
-            {},
+            {"cap": (monitor.GetOutputPort("step"), [f"{angle:.0f}°" for angle in steps])},
             signals={"cap/turned": (monitor.GetOutputPort("turned"), ["cap"], "rad")},
         )
 
