@@ -75,6 +75,7 @@ WELCOME = {
     "robot": "simulation",
     "tasks": {"grasp": ["cylinder", "sphere"], "keys": ["keys"]},
     "map": "one map for everyone",
+    "instructions": {"grasp": "lift an object", "keys": "press a key"},
 }
 STATE = {
     "type": "state",

@@ -298,6 +298,7 @@ def test_panel_and_keys(browser, stub, address):
     stub.send(task="keys", object="keys", outcome=cue, engaged=True)
     page.wait_for_selector("#object", state="hidden")
     assert "Key 2" in page.inner_text("#task")
+    assert page.inner_text("#purpose") == "Press a key"
     page.focus("#reset")
     page.keyboard.press(" ")  # disengages, although a button has the focus
     page.wait_for_timeout(50)

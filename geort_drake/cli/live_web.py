@@ -43,12 +43,15 @@ def run_web(
         words = "trained on synthetic play"
     scenarios = {scenario.task: scenario}
     tasks: dict[str, list[str]] = {}
+    instructions: dict[str, str] = {}
     if lcm_url is None:
         for name in task_names():
-            scenarios.setdefault(name, _like(scenario, find_task(name)))
-            tasks[name] = find_task(name).cases()
+            task = find_task(name)
+            scenarios.setdefault(name, _like(scenario, task))
+            tasks[name], instructions[name] = task.cases(), task.summary
     robot = "lcm" if lcm_url else "simulation"
-    station = OperatorStation(RobotInfo(description.side, scenario.hand, robot, tasks, words))
+    about = RobotInfo(description.side, scenario.hand, robot, tasks, words, instructions)
+    station = OperatorStation(about)
     with open_server(station, arguments.host, arguments.port, not arguments.no_open) as server:
         control = PageControl(
             station,

@@ -44,6 +44,7 @@ export function show(model) {
     showObjects(welcome.tasks[state.task]);
     element("object").value = state.object;
   }
+  write("purpose", sentenceCase(welcome?.instructions[state?.task]) ?? "");
 
   write("map", welcome ? `Map ${welcome.map}` : "");
   element("guide").disabled = element("refit").disabled = !operator;

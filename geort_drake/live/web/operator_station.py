@@ -50,6 +50,7 @@ class RobotInfo:
     robot: str
     tasks: dict[str, list[str]]
     map: str
+    instructions: dict[str, str] = dc.field(default_factory=dict)
 
 
 @dc.dataclass
