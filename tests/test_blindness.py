@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from grasp_setup import centred_map, human_with, person_who_plays, scenario_with
 from pydrake.systems.primitives import DiscreteTimeDelay
+from task_bench import plans
 
 from geort_drake.hands.description import load_hand
 from geort_drake.simulation import operators
@@ -61,11 +62,19 @@ def test_goals_tell_places_and_no_postures():
 
 
 @cache
+def goal_of(task: str):
+    """A right hand's."""
+    if task != "pick_place":
+        return plans(task)[0].goal
+    return find_task(task).plans(load_scenario(*find_task(task).scenario), load_hand("allegro_right"))[0]
+
+
+@cache
 def diagram_of(task: str, hand: str) -> TrialDiagram:
     if task == "grasp":
         return make_trial_diagram(scenario_with(text=f"{{hand: {hand}}}"), centred_map(), human_with())
+    goal = goal_of(task) if hand == "allegro_right" else goal_of(task).mirrored()
     scenario = load_scenario(*find_task(task).scenario, hand=hand)
-    goal = find_task(task).plans(scenario, load_hand(hand))[0]
     return make_trial_diagram(scenario, centred_map(), (person_who_plays(), goal))
 
 

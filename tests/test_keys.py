@@ -21,7 +21,7 @@ from geort_drake.simulation.tasks import find_task, task_names
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.tasks.keys.goal import PITCH
 from geort_drake.simulation.tasks.keys.monitor import KeysMonitor, KeysOutcome, KeysSettings
-from geort_drake.simulation.tasks.keys.planner import HOVER, TRAVEL
+from geort_drake.simulation.tasks.keys.planner import HOVER, TRAVEL, KeysPlanner
 
 # Of the parameters with which results were made; a change needs new results, and then this line.
 FROZEN = "167fc503d8db25bd4a1b258ef7c5ec6fdc418fb9a32cae4ec2a3d4e3401c43e8"
@@ -128,6 +128,7 @@ def test_the_benchmark_runs_several_tasks_and_goes_on(tmp_path, light_benchmark,
     """Each kind in its own folder; the summary has all, and a second run adds only what is missing."""
     goal = planned_goal("cylinder")  # no trial lasts long enough to follow it
     monkeypatch.setattr(GraspPlanner, "plans", lambda _: [goal])
+    monkeypatch.setattr(KeysPlanner, "plans", lambda _: plans("keys"))
     command = ["benchmark", "--kinds", "servo", "--methods", "hold", "--quiet"]
     command += ["--scenario-text", TOO_SHORT, "--output", str(tmp_path)]
     assert main([*command, "--trials", "1", "--tasks", "keys", "grasp", "--objects", "cylinder"]) == 0

@@ -6,7 +6,9 @@ import shutil
 
 import numpy as np
 import pytest
+from grasp_setup import planned_goal
 
+from geort_drake.benchmark import trials as trial_runner
 from geort_drake.benchmark.motion import motion_of
 from geort_drake.benchmark.people import read_people, summarize_people
 from geort_drake.cli import run_command
@@ -92,7 +94,8 @@ def test_a_folder_without_sessions_or_facts_is_refused(tmp_path):
         read_people(tmp_path)
 
 
-def test_the_report_sets_people_beside_the_simulated_person(tmp_path, light_benchmark):
+def test_the_report_sets_people_beside_the_simulated_person(tmp_path, light_benchmark, monkeypatch):
+    monkeypatch.setattr(trial_runner, "plan", lambda *_: [planned_goal("cylinder")])
     save(tmp_path / "study", "p1", 1)
     options = ["--methods", "hold", "--objects", "cylinder", "--trials", "1", "--zero-latency", "--jobs", "1"]
     options += ["--output", str(tmp_path / "run"), "--scenario-text", "{timeout: 2.0}"]

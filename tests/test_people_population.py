@@ -51,10 +51,10 @@ def people():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "fixture"), [("GeoRT", "alex_npy"), ("MANUS", "manus_npz")])
-def test_real_recordings_lie_inside_the_population(name, fixture, people, request):
+def test_real_recordings_lie_inside_the_population(name, fixture, request):
     """All measures between the least and the largest of the population, but those in OUTSIDE."""
     real = measures(read_recording(request.getfixturevalue(fixture)))
-    made = np.array([list(measures(person).values()) for person in people])
+    made = np.array([list(measures(person).values()) for person in request.getfixturevalue("people")])
     low, high = made.min(axis=0), made.max(axis=0)
     value = np.array(list(real.values()))
     outside = {measure for measure, out in zip(real, (value < low) | (value > high), strict=True) if out}
