@@ -259,7 +259,6 @@ def test_a_joint_that_moves_several_fingers_is_held(tmp_path):
     ids=["unknown leader", "no number", "polynomial", "prismatic", "no XML"],
 )
 def test_models_that_cannot_be_used_are_refused(kind, change, message, tmp_path):
-    """The message names the file and the fault."""
     model = write_hand(tmp_path, HandSpec(3, kind), changes=change)
     with pytest.raises(HandError, match=message) as error:
         propose(model)

@@ -105,7 +105,6 @@ LFS_POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 
     ids=["cut off", "not finite", "missing", "LFS pointer"],
 )
 def test_an_unusable_mesh_is_named(content, message, tmp_path):
-    """With its path; no copy is left behind."""
     model = _with_mesh(tmp_path, "urdf", "palm.stl")
     mesh = tmp_path / "parts" / "palm.stl"
     mesh.unlink()

@@ -185,7 +185,6 @@ def test_linear_offline_learns_the_scaled_hand():
 
 
 def test_unknown_names_and_senseless_settings_are_refused(kinematics):
-    """Messages list what there is."""
     with pytest.raises(UnknownNameError, match="dexpilot_online, hold, nearest_neighbour, vector_online"):
         make_untrained("mimic", kinematics)
     with pytest.raises(GeortError, match="recorded frames"):

@@ -236,7 +236,6 @@ IDENTITY_MODEL = (
 
 
 def test_policies_that_cannot_be_run_are_refused(tmp_path, monkeypatch):
-    """Each with the file's name and what was wanted."""
     other = tmp_path / "policy.pickle"
     other.write_bytes(b"x")
     with pytest.raises(PolicyError, match=r"ends with one of \.pt, \.pts, \.onnx"):

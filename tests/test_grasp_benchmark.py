@@ -192,7 +192,6 @@ def test_an_object_that_the_hand_cannot_grasp_is_left_out_and_named(tmp_path, mo
     ],
 )
 def test_another_configuration_is_refused_by_the_name_of_its_field(copy, play, field, scenario, options):
-    """Nothing is written then."""
     before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
     arguments = {"recording": play, "methods": ["hold"], "objects": ["cylinder"], "trials": 2, **options}
     with pytest.raises(BenchmarkError, match=f"begun with another {field}"):

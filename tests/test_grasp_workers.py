@@ -95,7 +95,6 @@ def test_a_ray_cluster_gives_the_same_results(short, alone, monkeypatch):
 
 
 def test_without_ray_the_message_says_what_to_install(monkeypatch):
-    """The extra's name is in it."""
     monkeypatch.setitem(sys.modules, "ray.util.joblib.ray_backend", None)
     with pytest.raises(GeortError, match=r"pip install 'geort-drake\[ray\]'"):
         list(call_in_workers(os.getpid, [()], 2, "ray"))

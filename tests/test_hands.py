@@ -53,7 +53,6 @@ def _set(path: str, value):
     ],
 )
 def test_bad_descriptions_name_what_is_wrong(allegro_copy, change, message):
-    """Every error names the field, what was expected, what was given, and the choices."""
     facts, load = allegro_copy
     change(facts)
     with pytest.raises(HandError, match=f"(?s){message}"):

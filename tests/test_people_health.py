@@ -191,7 +191,6 @@ REFUSED = {
 
 @pytest.mark.parametrize("fault", REFUSED)
 def test_a_file_whose_meaning_is_open_is_refused(tmp_path, fault):
-    """The message names the file, what was expected and what was given."""
     write, message = REFUSED[fault]
     path = write(tmp_path, moving())
     with pytest.raises(RecordingError, match=message) as refusal:

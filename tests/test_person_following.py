@@ -1,8 +1,5 @@
 """A retargeting system with the map for everyone follows the person who plays."""
 
-import gc
-import weakref
-
 import numpy as np
 import pytest
 from faults.bench import Bench, Watch
@@ -12,7 +9,6 @@ from geort_drake.retargeting.person_observer import RECENT
 from geort_drake.systems.glove_checks import FROZEN, HELD_LOST, HELD_NOT_FINITE, GloveChecks
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.person_following import LEARNED
-from geort_drake.systems.release import release
 from geort_drake.systems.retargeting_status import (
     FOLLOWED,
     HELD_OTHER_PERSON,
@@ -131,16 +127,3 @@ def test_a_map_of_one_person_has_no_state_for_the_person():
     q, status = session.show(PLAY[:9])
     assert status.state == TRACKING
     np.testing.assert_array_equal(q[-1], session.system._retarget(PLAY[8]))
-
-
-def test_a_released_system_frees_its_map():
-    """Else each trial of a benchmark would leave a map of 1.3 MB."""
-    retarget = random_retargeter()
-    session, map_is_alive = Session(retarget), weakref.ref(retarget)
-    session.show(PLAY[:20])
-    del retarget
-    assert map_is_alive()
-    release(session.system)
-    del session
-    gc.collect()
-    assert not map_is_alive()

@@ -58,7 +58,6 @@ def test_a_directory_is_replaced_in_one_step(tmp_path, monkeypatch):
 
 
 def test_a_directory_does_not_replace_a_file(tmp_path):
-    """The file stays."""
     file = tmp_path / "notes.txt"
     write_text(file, "before")
     with pytest.raises(OutputError, match="is a file, not a directory"), atomic_directory(file):

@@ -198,7 +198,6 @@ def test_an_obj_file_has_the_colours_and_textures_of_its_materials(tmp_path):
 
 
 def test_a_damaged_file_is_drawn_as_its_hull_or_left_out(tmp_path):
-    """The warnings name the geometry."""
     mesh = Mesh(write_gltf(tmp_path, "lost.bin"))
     (tmp_path / "lost.bin").unlink()
     world = World()

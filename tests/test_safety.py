@@ -161,7 +161,6 @@ def test_the_low_pass_delays_as_it_says():
 
 
 def test_settings_that_make_no_sense_are_refused():
-    """The message names the field."""
     with pytest.raises(ValueError, match=r"checks\.settle_time must be finite and not negative"):
         Bench(checks=dc.replace(AT_ONCE, settle_time=-1.0))
     for value in (np.inf, np.nan, -1.0, 1e-300):

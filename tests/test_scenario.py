@@ -77,7 +77,6 @@ def test_a_dumped_scenario_reads_back_the_same(tmp_path, file, name):
     ],
 )
 def test_wrong_values_are_refused_by_name(text, message):
-    """The message names the field, the rule and the value."""
     with pytest.raises(ScenarioError, match=message):
         load_scenario(text=text)
 
@@ -91,7 +90,6 @@ def test_wrong_values_are_refused_by_name(text, message):
     ],
 )
 def test_malformed_files_are_refused_by_name(tmp_path, contents, message):
-    """The message names the file and the fault."""
     path = tmp_path / "bad.scenarios.yaml"
     path.write_bytes(contents)
     with pytest.raises(ScenarioError, match=message) as caught:
@@ -109,7 +107,6 @@ def test_malformed_files_are_refused_by_name(tmp_path, contents, message):
     ],
 )
 def test_models_that_do_not_fit_are_refused_by_name(text, error, message):
-    """When the robot is built."""
     scenario = load_scenario(text=text)
     with pytest.raises(error, match=message):
         add_robot(MultibodyPlant(0.002), scenario, load_hand(scenario.hand))

@@ -120,7 +120,6 @@ def test_no_point_of_the_surface_is_lower(names):
 
 
 def test_an_object_without_usable_geometry_is_refused_by_name():
-    """The message names the object, the shapes that can be used, and those it has."""
     plane = "<collision name='m'><geometry><plane><normal>0 0 1</normal></plane></geometry></collision>"
     plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
     sdf = f"<sdf version='1.11'><model name='thing'><link name='thing'>{plane}</link></model></sdf>"

@@ -125,7 +125,6 @@ def test_retargeting_answers_after_its_latency_and_as_often_as_it_can(latency, u
 
 
 def test_retargeting_needs_the_plants_joints_and_limits_and_a_start_within_them():
-    """The message says what is missing or outside."""
     with pytest.raises(HandError, match=r"thumb_b.*ring_a"):
         RetargetingSystem(first_three, JOINTS, ("index_a", "thumb_a", "ring_a"), {}, 0.01)
     start = dict.fromkeys(JOINTS, 0.5)

@@ -142,7 +142,6 @@ def test_a_left_hand_learns_what_the_right_one_learns(tmp_path, play, allegro, a
 
 
 def test_a_left_hand_refuses_a_right_ones_recording(tmp_path, play):
-    """The message names both sides."""
     with pytest.raises(RecordingError, match="of a right hand, the robot's is a left hand"):
         train_lightly("allegro_left", play, tmp_path / "left")
 

@@ -11,6 +11,7 @@ import pytest
 from grasp_setup import Constant, allegro, centred_map, human_with, resting_glove, scenario_with
 
 from geort_drake.people.recording import Recording
+from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.simulation.tasks.grasp.monitor import GraspPhase
 from geort_drake.simulation.tasks.grasp.task import GraspResult
 from geort_drake.simulation.trial import run_trial
@@ -76,27 +77,11 @@ def test_the_gloves_recording_played_again_grasps_again(tmp_path):
 
 @pytest.mark.parametrize("name", ["block_tiny", "bottle"])
 def test_objects_are_lifted_by_the_other_grips(name):
-    """By pinch and power grasp."""
     result, _ = lifted(name)
     assert result.success and result.attempts == 1 and result.slip < 0.03
 
 
 # -- failures
-
-
-def test_a_map_that_does_nothing_times_out_in_a_named_phase():
-    """Without finger motion nothing is lifted; the failure has the phase it ended in."""
-    scenario = scenario_with("cylinder", "{timeout: 3.0}")
-    human = human_with()
-    result, glove = run_trial(scenario, Constant(), human)
-    assert not result.success and result.completion_time is None and result.first_attempt is False
-    failure, phase = result.outcome.split(": ")
-    assert failure in ("timeout", "thrown")
-    assert phase in {one.name.lower() for one in GraspPhase} - {"done", "hold", "lift"}
-    if failure == "timeout":
-        assert result.simulated_time == pytest.approx(3.0)
-    assert result.peak_height < 0.05 and result.slip is None
-    assert glove.metadata["outcome"] == result.outcome
 
 
 def test_an_object_that_falls_off_its_support_ends_the_trial():
@@ -123,7 +108,7 @@ def test_the_time_in_self_contact_is_the_trials():
 
 def test_a_trial_is_freed():
     """Nothing refers to the map after its trial, though Drake never frees systems written in Python."""
-    retarget = Constant()
+    retarget = load_retargeter("allegro_right")  # which the diagram keeps in its state too
     freed = weakref.ref(retarget)
     run_trial(scenario_with("cylinder", "{timeout: 0.1}"), retarget, resting_glove(2.0))
     del retarget
