@@ -16,7 +16,6 @@ from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.methods.coupled import CoupledConfig, CoupledRetargeter, Start, train_coupled
 from geort_drake.retargeting.methods.coupled.network import CoupledNetwork
 from geort_drake.retargeting.methods.coupled.people import TrainingPeople
-from geort_drake.retargeting.methods.geort import GeortConfig
 from geort_drake.retargeting.training.collision_geometry import CollisionGaps, CollisionShapes, box_gap
 
 KEYPOINTS = [4, 8, 12]
@@ -110,14 +109,6 @@ def test_a_training_uses_the_likely_plays_of_its_start():
     rng, pairs = np.random.default_rng(0), [(0, 1), (0, 2)]
     people = TrainingPeople(p_HF, pairs, generator, rng, codes, reach, 0.01, [3, 1], cpu)
     assert float((people.someone(4000) == 0).float().mean()) == pytest.approx(0.75, abs=0.03)
-
-
-def test_unusable_settings_are_refused():
-    """The config of another method and values that make no sense."""
-    with pytest.raises(TrainingError, match="takes a CoupledConfig"):
-        train_coupled(toy_data(HAND, HUMAN), GeortConfig())
-    with pytest.raises(TrainingError, match="collision must be positive, it is -1"):
-        quick(collision=-1.0)
 
 
 def test_training_avoids_collisions_of_the_given_shapes():

@@ -1,11 +1,12 @@
-"""Every shipped hand on the arm, and a left hand's simulation as the mirror image of a right one's."""
+"""Every shipped hand on the arm, left hands as mirror images, and hands on a floating or a fixed base."""
 
 import copy
+import dataclasses as dc
 from functools import cache
 
 import numpy as np
 import pytest
-from grasp_setup import allegro, centred_map, person_who_plays, reach_goal, started
+from grasp_setup import Constant, allegro, centred_map, person_who_plays, reach_goal, resting_glove, started
 from model_scene import SHIPPED_HANDS
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
@@ -24,6 +25,7 @@ from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.trial import run_trial
 from geort_drake.simulation.world import HAND, add_object, add_robot
+from geort_drake.systems.port_values import pose_to_vector
 
 M = np.diag([1.0, -1.0, 1.0, 1.0])
 
@@ -118,3 +120,39 @@ def test_leap_grasps():
     result, _ = run_trial(scenario, retarget, (person, goal))
     assert result.success and result.attempts == 1
     assert result.slip < 0.03
+
+
+# -- without an arm
+
+
+def moved(name: str) -> tuple[RigidTransform, RigidTransform, float]:
+    """The hand base before and after a motion of the wrist, and the largest motion of a joint, rad."""
+    glove = resting_glove(1.5)
+    part = np.clip(glove.t / 0.8, 0.0, 1.0)
+    wrist = [RigidTransform(RollPitchYaw(0, 0, 0.3 * s), [0, 0.05 * s, 0.05 * s]) for s in part]
+    glove = dc.replace(glove, X_WH=np.array([pose_to_vector(X) for X in wrist]))
+    middle = Constant(q=0.5 * (allegro().lower + allegro().upper))
+    parts = make_trial_diagram(load_scenario(name=name), middle, glove)
+    simulator = started(parts)
+    hand = parts.plant.GetModelInstanceByName(HAND)
+    base = parts.plant.GetFrameByName("base_link", hand)
+    context = parts.plant.GetMyContextFromRoot(simulator.get_context())
+    before, q = base.CalcPoseInWorld(context), parts.plant.GetPositions(context, hand)
+    simulator.AdvanceTo(1.5)
+    joints = np.abs(parts.plant.GetPositions(context, hand) - q).max()
+    return before, base.CalcPoseInWorld(context), joints
+
+
+def test_the_floating_base_carries_the_hand_after_the_wrist():
+    """5 cm up and to the side, and 0.3 rad about the vertical, to 2 mm and 0.02 rad."""
+    before, after, _ = moved("Floating")
+    np.testing.assert_allclose(after.translation() - before.translation(), [0, 0.05, 0.05], atol=0.002)
+    turned = after.rotation() @ before.rotation().inverse()
+    wanted = RollPitchYaw(0, 0, 0.3).ToRotationMatrix()
+    np.testing.assert_allclose(turned.matrix(), wanted.matrix(), atol=0.02)
+
+
+def test_on_a_fixed_base_only_the_fingers_move():
+    """The base does not move at all with the wrist; the fingers follow."""
+    before, after, joints = moved("Fixed")
+    assert after.IsExactlyEqualTo(before) and joints > 0.2

@@ -105,7 +105,7 @@ def test_the_choices_of_the_public_code_train():
 
 
 def test_unusable_input_is_refused_with_what_is_expected():
-    """Shape, NaN, a finger that does not move, no pinch, bad settings and devices."""
+    """Shape, NaN, a finger that does not move, no pinch, and bad devices."""
     broken, still = HUMAN.copy(), HUMAN.copy()
     broken[5, 1, 2] = np.nan
     still[:, 1] = still[0, 1]
@@ -119,8 +119,6 @@ def test_unusable_input_is_refused_with_what_is_expected():
         with pytest.raises(TrainingError, match=message):
             quick(given)
     quick(apart, pinch_weight=0.0, steps=2)
-    with pytest.raises(TrainingError, match="learning_rate must be positive, it is -1"):
-        quick(learning_rate=-1)
     with pytest.raises(UnknownNameError, match="cpu, cuda"):
         quick(device="tpu")
     if not torch.cuda.is_available():
