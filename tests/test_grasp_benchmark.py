@@ -14,8 +14,10 @@ from geort_drake.benchmark.records import TrialKey, TrialLog, key_of, read_recor
 from geort_drake.cli import run_command
 from geort_drake.comparison.retargeters import names_of
 from geort_drake.errors import BenchmarkError, UnknownNameError, UsageError
+from geort_drake.retargeting.universal import UniversalRetargeter
 from geort_drake.simulation.diagram import make_trial_diagram
 from geort_drake.simulation.scenario_files import load_scenario
+from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.trial import run_trial
 
 
@@ -274,3 +276,21 @@ def test_seeds_are_paired_across_methods(tmp_path, play):
     for value, of_same_seed, of_other_seed in zip(*seen, strict=True):
         np.testing.assert_array_equal(value, of_same_seed)
         assert not np.array_equal(value, of_other_seed)
+
+
+@pytest.mark.parametrize(("task", "begins_cold"), [("grasp", True), ("keys", False)])
+def test_people_who_learn_a_map_in_free_play_go_on_with_the_map_that_they_saw(
+    tmp_path, play, task, begins_cold
+):
+    """A grasp sees the person first in the trial."""
+    scenario = load_scenario(*find_task(task).scenario, TOO_SHORT)
+    made = open_benchmark(tmp_path, scenario, play, ["universal"], [find_task(task).case_of(scenario)], 1)
+    plans = (
+        [planned_goal("cylinder")] if begins_cold else find_task(task).plans(scenario, made.hand.description)
+    )
+    (key,) = made.keys(["universal"], [find_task(task).case_of(scenario)], 1)
+    trial = made.trial(key, plans)
+    assert isinstance(trial.retarget, UniversalRetargeter) == begins_cold
+    if not begins_cold:
+        own, seen = trial.human[1].play.p_HF[-1], trial.human[1].play.p_BF[-1]
+        np.testing.assert_allclose(made.hand.fingertips(trial.retarget(own)), seen, atol=1e-6)

@@ -39,7 +39,7 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
 from geort_drake.resources import diagrams_dir, models_dir
 from geort_drake.retargeting.method import Retarget
-from geort_drake.simulation.free_play import seen_fingertips
+from geort_drake.simulation.free_play import after_play, seen_fingertips
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.person import persons_hand
 from geort_drake.simulation.scenario import Scenario, dump_scenario, scenario_fields
@@ -93,6 +93,8 @@ class Benchmark:
             self._seen[key.method, key.condition] = seen
         task = find_task(self.config["settings"]["scenario"].get("task", "grasp"))
         goal, attainable = task.keep(plans, self._seen[key.method, key.condition])
+        if task.begins_after_play:
+            retarget = after_play(retarget, person)
         return Trial(key, text, retarget, latency, (person, goal), attainable)
 
 

@@ -19,6 +19,11 @@ Goal = TypeVar("Goal")
 DURATION, RATE = 30.0, 30.0  # s, frames per second
 
 
+def _frames(person: HumanHand) -> np.ndarray:
+    """(T, 21, 3) keypoints of free play, m, H."""
+    return synthesize_play(seed=0, duration_s=DURATION, rate_hz=RATE, hand=person).p_HK.astype(float)
+
+
 def seen_fingertips(
     retarget: Callable[[np.ndarray], np.ndarray], hand: HandModel, person: HumanHand, latency: float = 0.0
 ) -> FreePlay:
@@ -28,13 +33,12 @@ def seen_fingertips(
     """
     if callable(reset := getattr(retarget, "reset", None)):
         reset()
-    frames = synthesize_play(seed=0, duration_s=DURATION, rate_hz=RATE, hand=person).p_HK.astype(float)
+    frames = _frames(person)
     stride = max(1, math.ceil(latency * RATE))
     frames = frames[::stride]
     order = [list(retarget.joint_names).index(name) for name in hand.joint_names]  # type: ignore[attr-defined]
     try:
-        if isinstance(retarget, UniversalRetargeter):
-            retarget = retarget.for_person(frames)
+        retarget = after_play(retarget, person)
         q = np.array([retarget(frame) for frame in frames])[:, order]
     except Exception:  # a method may raise anything; its trials record the error
         q = np.empty((0, len(order)))
@@ -43,6 +47,11 @@ def seen_fingertips(
     p_HF = frames[: len(q)][finite][:, tips]
     p_BF = hand.fingertips(np.clip(q[finite], hand.lower, hand.upper))
     return FreePlay(p_HF, p_BF, stride / RATE)
+
+
+def after_play(retarget: Any, person: HumanHand) -> Any:
+    """The map that the person uses after free play: that of the person, of a map for everyone."""
+    return retarget.for_person(_frames(person)) if isinstance(retarget, UniversalRetargeter) else retarget
 
 
 def keep_attainable(plans: Sequence[GraspGoal], p_BF: np.ndarray) -> tuple[GraspGoal, bool]:

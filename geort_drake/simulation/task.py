@@ -153,6 +153,8 @@ class Task(abc.ABC, Generic[Goal]):
         kinds: of people who can be simulated at it; the first is the default.
         result: type of a trial's result.
         scenario: file and name of its scenario.
+        begins_after_play: whether people learn the map in free play, and so continue with the map that they
+            played with; otherwise a map for everyone first sees them in the trial.
     """
 
     name: str
@@ -160,6 +162,7 @@ class Task(abc.ABC, Generic[Goal]):
     kinds: tuple[str, ...]
     result: type[TrialResult]
     scenario: tuple[Path, str]
+    begins_after_play: bool = True
 
     def cases(self) -> list[str]:
         """What can be handled; a trial is about one of them. By default the task itself."""

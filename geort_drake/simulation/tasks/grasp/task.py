@@ -86,6 +86,7 @@ class GraspTask(ObjectTask):
 
     name = "grasp"
     summary = "lift an object and hold it"
+    begins_after_play = False
     kinds = (SERVO,)
     result = GraspResult
     scenario = diagrams_dir() / "grasp.scenarios.yaml", "Grasp"
