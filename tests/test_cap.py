@@ -48,7 +48,8 @@ def after(torque: float) -> tuple[float, float, CapOutcome]:
     task, builder = find_task("cap"), DiagramBuilder()
     scenario = load_scenario(*task.scenario, "{task_settings: {turn: 45}}")
     rng = np.random.default_rng(0)
-    stage = task.add_stage(builder, scenario, allegro().description, None, RigidTransform([0, 0, 1.0]), rng)
+    goal, X_WB = plans("cap")[0].goal, RigidTransform([0, 0, 1.0])
+    stage = task.add_stage(builder, scenario, allegro().description, goal, X_WB, rng)
     plant = stage.scene.plant
     thread = plant.GetJointByName("thread")
     forces = np.zeros(plant.num_velocities())

@@ -75,8 +75,9 @@ def test_a_restarted_task_is_judged_alike_by_the_simulations_clock():
     assert later.completion_time == pytest.approx(2.0 + before.completion_time)
 
 
-def test_the_page_draws_the_puck_a_second_time_at_its_target():
+def test_the_page_draws_the_puck_a_second_time_at_its_target(monkeypatch):
     """Translucent; in the grip before the first cue, and then elsewhere."""
+    monkeypatch.setattr(TrackingPlanner, "plans", lambda _: plans("tracking"))
     scenario = load_scenario(*find_task("tracking").scenario, "{task_settings: {ready_time: 0.05}}")
     description = allegro().description
     robot = SimulatedRobot(scenario, description, RobotModel(scenario, description))
