@@ -128,7 +128,8 @@ def test_the_benchmark_runs_several_tasks_and_goes_on(tmp_path, light_benchmark,
     """Each kind in its own folder; the summary has all, and a second run adds only what is missing."""
     goal = planned_goal("cylinder")  # no trial lasts long enough to follow it
     monkeypatch.setattr(GraspPlanner, "plans", lambda _: [goal])
-    monkeypatch.setattr(KeysPlanner, "plans", lambda _: plans("keys"))
+    found = plans("keys")
+    monkeypatch.setattr(KeysPlanner, "plans", lambda _: found)
     command = ["benchmark", "--kinds", "servo", "--methods", "hold", "--quiet"]
     command += ["--scenario-text", TOO_SHORT, "--output", str(tmp_path)]
     assert main([*command, "--trials", "1", "--tasks", "keys", "grasp", "--objects", "cylinder"]) == 0

@@ -77,7 +77,8 @@ def test_a_restarted_task_is_judged_alike_by_the_simulations_clock():
 
 def test_the_page_draws_the_puck_a_second_time_at_its_target(monkeypatch):
     """Translucent; in the grip before the first cue, and then elsewhere."""
-    monkeypatch.setattr(TrackingPlanner, "plans", lambda _: plans("tracking"))
+    found = plans("tracking")
+    monkeypatch.setattr(TrackingPlanner, "plans", lambda _: found)
     scenario = load_scenario(*find_task("tracking").scenario, "{task_settings: {ready_time: 0.05}}")
     description = allegro().description
     robot = SimulatedRobot(scenario, description, RobotModel(scenario, description))
