@@ -51,11 +51,6 @@ def results_of(trials, jobs: int, backend: str = "loky") -> list[dict]:
     return sorted(map(judged, done), key=lambda result: order.index(key_of(result)))
 
 
-def located(trial: Trial) -> tuple[int, dict]:
-    """Its result, and the process in which it was simulated."""
-    return os.getpid(), simulate(trial)
-
-
 def test_other_processes_give_the_same_results(short, alone):
     """Bit for bit, with contacts and with a method that continues from its last answer."""
     quick = "operator: {peak_wrist_speed: 1.2, max_fingertip_speed: 1.5}"
@@ -85,9 +80,8 @@ def test_a_ray_cluster_gives_the_same_results(short, alone, monkeypatch):
     monkeypatch.setattr(workers, "RENEWED_AFTER", 1)
     ray.init(num_cpus=2, include_dashboard=False, runtime_env=environment, log_to_driver=False)
     try:
-        done = list(call_in_workers(located, ((each,) for each in (*short, short[0])), 2, "ray"))
-        by_seed = {key_of(result).seed: judged(result) for _, result in done}
-        assert [by_seed[seed] for seed in (0, 1)] == alone and len({process for process, _ in done}) == 3
+        assert results_of(short, 2, "ray") == alone
+        assert len(set(call_in_workers(os.getpid, ((),) * 3, 2, "ray"))) == 3
         with pytest.raises(BenchmarkError, match="--jobs 3: the Ray cluster has 2 CPUs"):
             results_of(short, 3, "ray")
     finally:

@@ -23,8 +23,8 @@ KEYS = "presses: 3, enough: 3, ready_time: 4.0, cue_time: 2.0"
         ("trigger", "hold", "adaptive", "pulls: 1, ready_time: 4.0", 0.0, 0.0),
         ("cap", "affine_ik", "adaptive", "turn: 60", 1.0, 1.0),
         ("cap", "hold", "adaptive", "turn: 60", 0.0, 0.05),
-        ("tracking", "affine_ik", "servo", "targets: 2, enough: 1", 0.5, 1.0),
-        ("tracking", "hold", "servo", "targets: 2, enough: 1", 0.0, 0.0),
+        ("tracking", "affine_ik", "servo", "targets: 2, enough: 1, ready_time: 5.0", 0.5, 1.0),
+        ("tracking", "hold", "servo", "targets: 2, enough: 1, ready_time: 5.0", 0.0, 0.0),
     ],
 )
 def test_people_do_a_task_through_a_map_that_follows_alone(task, method, kind, settings, least, most):
@@ -36,7 +36,7 @@ def test_people_do_a_task_through_a_map_that_follows_alone(task, method, kind, s
     assert result.outcome == "success" if result.success else result.outcome == lost.get(task, result.outcome)
     assert task != "keys" or attainable == result.success
     assert task != "cap" or not result.success or result.attempts > 1  # 60° are more than one stroke
-    assert result.simulated_time > {"trigger": 4.0, "tracking": 8.0}.get(task, 0.0)
+    assert result.simulated_time > {"trigger": 4.0, "tracking": 5.0}.get(task, 0.0)
 
 
 @pytest.mark.parametrize(
