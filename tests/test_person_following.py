@@ -1,5 +1,7 @@
 """A retargeting system with the map for everyone follows the person who plays."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from faults.bench import Bench, Watch
@@ -8,7 +10,7 @@ from universal_map import FINGERS, PLAY, random_retargeter
 from geort_drake.retargeting.person_observer import RECENT
 from geort_drake.systems.glove_checks import FROZEN, HELD_LOST, HELD_NOT_FINITE, GloveChecks
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.person_following import LEARNED
+from geort_drake.systems.person_following import FADE, LEARNED, PersonFollowing
 from geort_drake.systems.retargeting_status import (
     FOLLOWED,
     HELD_OTHER_PERSON,
@@ -52,6 +54,17 @@ def test_the_first_frame_is_followed_and_the_person_gets_known():
     assert status.state in FOLLOWED and status.state != LEARNING
     known = session.context.get_abstract_state(0).get_value()
     np.testing.assert_allclose(known.code[: 7 * F], RETARGET.code(PLAY[: 4 * LEARNED])[: 7 * F], atol=0.1)
+
+
+def test_a_new_map_takes_over_evenly():
+    """For a still hand, targets move from the old map's to the new one's at one rate over the fade."""
+    old = PersonFollowing.start(RETARGET).seeing(PLAY[0], 0.0)
+    new = dataclasses.replace(old, now=RETARGET.folded(RETARGET.code(OTHER)), before=old.now, since=1.0)
+    q = np.array([new.retarget(PLAY[9], t) for t in 1.0 + np.linspace(0.0, FADE + 0.1, 61)])
+    np.testing.assert_allclose(q[0], old.now(PLAY[9]))
+    np.testing.assert_array_equal(q[-1], new.now(PLAY[9]))
+    most = np.abs(q[-1] - q[0]) * 0.01 / FADE
+    assert (np.abs(np.diff(q, axis=0)) <= most + 1e-12).all()
 
 
 def test_a_fitted_map_takes_over_without_a_jump_and_stays():
