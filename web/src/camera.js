@@ -26,12 +26,14 @@ function loadScript(src) {
 export class Camera {
   /**
    * @param {HTMLElement} mirror shows the pictures and the hand in them.
+   * @param {boolean} software whether WebGL draws without a GPU.
    * @param {(result: {t: number, hand: object | null, aspect: number, delay: number}) => void} onResult `t` is when
    *   the picture was taken and `delay` how long ago that is, s.
    * @param {(text: string) => void} onFailure
    */
-  constructor(mirror, onResult, onFailure) {
+  constructor(mirror, software, onResult, onFailure) {
     this.mirror = mirror;
+    this.software = software;
     this.onResult = onResult;
     this.onFailure = onFailure;
     // Not in the page: without a GPU, the browser takes longer to show a video than to track the hand in it.
@@ -51,7 +53,7 @@ export class Camera {
     const canvas = Object.assign(document.createElement("canvas"), { ariaLabel: "Mirrored picture of your hand" });
     this.mirror.replaceChildren(canvas);
     const offscreen = canvas.transferControlToOffscreen();
-    this.worker.postMessage({ canvas: offscreen }, [offscreen]);
+    this.worker.postMessage({ canvas: offscreen, software: this.software }, [offscreen]);
     this.video.srcObject = this.stream;
     await this.video.play();
     this.#watch();

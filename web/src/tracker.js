@@ -5,12 +5,15 @@ import { drawSkeleton } from "./skeleton.js";
 // MediaPipe names sides as in a mirrored picture.
 const SIDE = { Left: "right", Right: "left" };
 
-// Width of the pictures, pixels: a hand is found in no more, and without a GPU, each pixel takes time.
+// Width of the pictures, pixels: MediaPipe copies each picture through WebGL, which takes the time of its pixels
+// where the processor draws. It finds hands in 192 pixels; more are for hands that are far from the camera.
 const WIDTH = 480;
+const SOFTWARE_WIDTH = 256;
 // Pictures stay in the processor's memory, where cameras put theirs.
 const IN_MEMORY = { willReadFrequently: true };
-const picture = new OffscreenCanvas(WIDTH, 1).getContext("2d", IN_MEMORY);
+const picture = new OffscreenCanvas(1, 1).getContext("2d", IN_MEMORY);
 let shown = null;
+let width = WIDTH;
 
 let found = null;
 
@@ -31,7 +34,7 @@ async function open(load) {
  * @param {(message: object) => void} post gets {ready}, {t, hand, aspect} or {failure}; `hand` is null or
  *   {world: 21 × [x, y, z] m, image: 21 × [u, v], score, side}.
  * @param {(url: string) => any} load runs a script.
- * @returns {(message: object) => void} takes {canvas} first, then {frame: VideoFrame or ImageBitmap, t}.
+ * @returns {(message: object) => void} takes {canvas, software} first, then {frame: VideoFrame or ImageBitmap, t}.
  */
 export function startTracker(post, load) {
   const opening = open(load);
@@ -39,8 +42,9 @@ export function startTracker(post, load) {
     () => post({ ready: true }),
     (error) => post({ failure: String(error) }),
   );
-  return async ({ canvas, frame, t }) => {
+  return async ({ canvas, software, frame, t }) => {
     if (canvas) {
+      width = software ? SOFTWARE_WIDTH : WIDTH;
       shown = canvas.getContext("2d", IN_MEMORY);
       return;
     }
@@ -61,10 +65,10 @@ export function startTracker(post, load) {
 
 function draw(frame) {
   const { displayWidth = frame.width, displayHeight = frame.height } = frame;
-  const height = Math.round((WIDTH * displayHeight) / displayWidth);
+  const height = Math.round((width * displayHeight) / displayWidth);
   for (const { canvas } of [picture, shown])
-    if (canvas.width !== WIDTH || canvas.height !== height) Object.assign(canvas, { width: WIDTH, height });
-  picture.drawImage(frame, 0, 0, WIDTH, height);
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+  picture.drawImage(frame, 0, 0, width, height);
   frame.close();
 }
 
