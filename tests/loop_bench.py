@@ -10,6 +10,7 @@ from geort_drake.live.glove_stream import GloveStream
 from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.teleoperation import make_teleoperation
 from geort_drake.live.web.operator_station import OperatorStation
+from geort_drake.live.web.session import robot_joints
 from geort_drake.retargeting.method import Retarget
 from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.scenario_files import load_scenario
@@ -23,6 +24,7 @@ class LoopBench:
     Args:
         seed: of the scenario.
         task, text: whose scenario, and YAML that is merged into it.
+        real: whether the robot's joints are recorded, as a real one's are.
     """
 
     def __init__(
@@ -32,13 +34,14 @@ class LoopBench:
         seed: int = 0,
         task: str = "grasp",
         text: str = "{}",
+        real: bool = False,
     ):
         self.station, self.scenario = station, load_scenario(*find_task(task).scenario, text)
         self.scenario.random_seed = seed
         description = load_hand(self.scenario.hand)
         self.model = RobotModel(self.scenario, description)
         robot = SimulatedRobot(self.scenario, description, self.model)
-        self.recorder = GloveRecorder(0.01)
+        self.recorder = GloveRecorder(0.01, robot=robot_joints(description, self.model) if real else None)
         self.loop = make_teleoperation(
             self.scenario, description, self.model, retarget,
             GloveStream(station, "right", clock=Clock()), robot, (robot.hand.start, robot.arm.start),

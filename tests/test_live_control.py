@@ -4,6 +4,7 @@ import io
 import json
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from live_messages import Clock
 from loop_bench import LoopBench
@@ -14,10 +15,12 @@ from geort_drake.cli import main
 from geort_drake.live.glove_stream import HANDSHAKE_FRAMES
 from geort_drake.live.web import control as page_control
 from geort_drake.live.web.control import DONE, PageControl
+from geort_drake.live.web.exports import SessionExports
 from geort_drake.live.web.guide import DURATION_S
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Guide, Record, Refit, Reset, Stop
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.people.recording import Recording
+from geort_drake.rerun.reader import read_samples
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.simulation.scenario import parse_scenario
 from geort_drake.simulation.scenario_files import load_scenario
@@ -67,7 +70,9 @@ class Page:
         """Begins a session, as after a reset."""
         self.sessions += 1
         self.bench = LoopBench(self.station, self.retarget, SEED, **self.scenario)
-        facts = {"object": self.bench.scenario.object.name, "seed": SEED + self.sessions - 1}
+        facts = {"hand": "allegro_right"}
+        if not self.scenario.get("real"):
+            facts |= {"object": self.bench.scenario.object.name, "seed": SEED + self.sessions - 1}
         self.control.begin(self.bench.loop, self.bench.recorder, self.sessions, facts)
 
     def run(self, *commands, steps=1, hand=None):
@@ -141,6 +146,30 @@ def test_the_page_shows_how_far_each_task_is(tmp_path, task):
     page.run()
     outcome = json.loads(page.states[-1])["outcome"]
     assert outcome["phase"] and outcome["score"] == 0.0 and not outcome["over"]
+
+
+def test_a_real_robots_session_is_exported_with_its_joints(tmp_path, monkeypatch):
+    """Commands and measured joints are in the recording, the Rerun file and the dataset, by name."""
+    page = Page(tmp_path, real=True)
+    page.run(Record(keep=True), steps=20)
+    targets = page.run(Engage(), steps=60)
+    page.control.end()
+    page.control.close()
+    (path,) = tmp_path.glob("*.npz")
+    monkeypatch.setattr(SessionExports, "_run", lambda _, *words: main([*map(str, words)]))
+    SessionExports().write(path, tmp_path, simulated=False)
+    folder = path.with_suffix("")
+    names = json.loads((folder / "lerobot/meta/info.json").read_text())["features"]["action"]["names"]
+    table = pq.read_table(folder / "lerobot/data/chunk-000/file-000.parquet")
+    action, state = (np.array(table[name].to_pylist()) for name in ("action", "observation.state"))
+    columns = [[name.rpartition(".")[2] for name in names].index(joint) for joint in OWN.joint_names]
+    assert action.shape == state.shape == (len(table), 23)
+    assert np.ptp(targets, axis=0).max() > 0.1
+    assert np.abs(action[-1, columns] - targets[-1]).max() < 0.05
+    # The robot follows its commands with a lag.
+    assert 0.0 < np.abs(action - state).max() < 0.5
+    drawn = read_samples(folder / "hand.rrd").signals
+    assert set(names) < {name.removeprefix("robot.") for name in drawn}
 
 
 def test_with_consent_every_session_is_recorded_from_its_engagement_and_can_be_replayed(tmp_path):

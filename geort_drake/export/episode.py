@@ -111,6 +111,9 @@ def read_episodes(path: str | os.PathLike) -> Iterator[Episode]:
 
 
 def episode_of(recording: Recording, name: str) -> Episode:
-    """A recording of a hand, without a robot."""
+    """A recording of a hand, and of the joints of a real robot if it has them."""
     recording = dataclasses.replace(recording, t=recording.t - recording.t[0])
-    return Episode(name, recording.t, recording, facts=recording.metadata)
+    facts, signals = recording.metadata, {}
+    if recording.robot is not None:
+        signals = dict(zip(facts["robot_signals"], recording.robot.T, strict=True))
+    return Episode(name, recording.t, recording, signals, facts=facts, robot=facts.get("hand"))

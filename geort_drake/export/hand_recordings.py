@@ -26,7 +26,7 @@ def write_hand(
     fps: float = 30.0,
     states: Mapping[str, Sequence[str]] | None = None,
 ) -> None:
-    """Writes a person's hand in its wrist frame H, and the distances of the thumb's tip to the others.
+    """Writes a hand in its wrist frame H, the gaps between thumb and fingertips, and a robot's joints.
 
     Args:
         recording: of the hand.
@@ -42,6 +42,8 @@ def write_hand(
     plots: list[views.View] = [
         views.time_series("distance from the thumb's tip [mm]", ["/gap/**"], legend="left")
     ]
+    if recording.robot is not None:
+        plots.append(views.time_series("joint angles [rad]", ["/robot/**"]))
     if states:
         lanes = [entity_path(key) for key in states]
         plots.append(views.StateTimelineView(origin="/", contents=lanes, name="phase"))
@@ -59,6 +61,8 @@ def write_hand(
         others = FINGER_NAMES[1:]
         colors = finger_colors(others)
         writer.series("/gap/thumb", others, 1e3 * tip_distances(p_HK), colors)
+        if recording.robot is not None:
+            writer.series("/robot", recording.metadata["robot_signals"], recording.robot[rows])
         for key, names in (states or {}).items():
             labels = list(dict.fromkeys(names))
             codes = [labels.index(names[frame]) for frame in rows]

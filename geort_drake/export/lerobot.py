@@ -59,7 +59,9 @@ def write_lerobot(
             frames = int(recorded.t[-1] * fps + 1e-6) + 1
             episode = recorded.resampled(np.arange(frames) / fps)
             features = features_of(episode)
-            task = f"grasp the {str(episode.facts['object']).replace('_', ' ')}"
+            task = "teleoperate the robot"  # a real one, whose objects nobody knows
+            if "object" in episode.facts:
+                task = f"grasp the {str(episode.facts['object']).replace('_', ' ')}"
             if episode.facts.get("task", "grasp") != "grasp":
                 task = find_task(episode.facts["task"]).summary
             counters: dict[str, np.ndarray] = {
@@ -102,7 +104,7 @@ def write_lerobot(
                     "meta/episodes/chunk_index": 0,
                     "meta/episodes/file_index": 0,
                     "name": episode.name,
-                    "outcome": episode.facts["outcome"],
+                    "outcome": episode.facts["outcome"] or "unknown",
                     "session": json.dumps(episode.facts.get("session", {})),
                     **statistics,
                 }
@@ -162,7 +164,8 @@ def features_of(episode: Episode) -> Features:
         floats["observation.wrist"] = (episode.glove.X_WH[seen], _POSE)
     features: Features = {name: (values.astype(np.float32), of) for name, (values, of) in floats.items()}
     features["next.done"] = (last[:, None], None)
-    features["next.success"] = ((last & bool(episode.facts["success"]))[:, None], None)
+    if "success" in episode.facts:
+        features["next.success"] = ((last & bool(episode.facts["success"]))[:, None], None)
     return features
 
 

@@ -170,6 +170,14 @@ def make_teleoperation(
             builder.Connect(glove.GetOutputPort(name), recorder.GetInputPort(name))
         # A replay follows what the robot followed.
         builder.Connect(switch.GetOutputPort("valid"), recorder.GetInputPort("valid"))
+        for name, port in {
+            "joints.command": correction.GetOutputPort("desired_state"),
+            "joints.measured": robot.GetOutputPort("hand_state"),
+            "arm.command": wrist_to_arm.GetOutputPort("arm_desired_state"),
+            "arm.measured": robot.GetOutputPort("arm_state"),
+        }.items():
+            if recorder.HasInputPort(name):
+                builder.Connect(port, recorder.GetInputPort(name))
 
     add_view(builder, robot)
 

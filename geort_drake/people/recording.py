@@ -28,8 +28,10 @@ _METADATA = {
     **dict.fromkeys(("format", "source", "object", "recorded_side", "unit"), str),
     **dict.fromkeys(("rate_known", "wrist_position_tracked"), bool),
     "seed": int,
-    "warnings": list,
+    **dict.fromkeys(("warnings", "robot_signals"), list),
 }
+# Arrays that a recording may lack.
+_OPTIONAL = ("X_WH", "robot")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -42,6 +44,8 @@ class Recording:
         valid: (T,) bool, False where tracking was lost; p_HK of such frames is meaningless.
         X_WH: (T, 7) wrist pose in the tracker's world as qw qx qy qz x y z, or None.
         metadata: side, source, rate and other facts stated by the source; JSON types only.
+        robot: (T, n) float32 commanded and measured positions of the joints of a real robot, rad, with their
+            names in metadata["robot_signals"], such as "arm.measured.panda_joint1"; or None.
     """
 
     t: np.ndarray
@@ -49,6 +53,7 @@ class Recording:
     valid: np.ndarray
     X_WH: np.ndarray | None = None
     metadata: dict = dataclasses.field(default_factory=dict)
+    robot: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         frames = np.size(self.t) if np.ndim(self.t) == 1 else -1
@@ -58,9 +63,10 @@ class Recording:
             "p_HK": (np.float32, (frames, KEYPOINT_COUNT, 3)),
             "valid": (np.bool_, (frames,)),
             "X_WH": (np.float64, (frames, 7)),
+            "robot": (np.float32, (frames, len(self.metadata.get("robot_signals", [])))),
         }
         for name, (dtype, shape) in fields.items():
-            if getattr(self, name) is None and name == "X_WH":
+            if getattr(self, name) is None and name in _OPTIONAL:
                 continue
             array = np.asarray(getattr(self, name))
             if array.dtype.kind not in "fiub" or array.shape != shape:
@@ -105,16 +111,15 @@ class Recording:
 
     def tracked(self) -> "Recording":
         """The recording without the frames in which tracking was lost."""
-        X_WH = None if self.X_WH is None else self.X_WH[self.valid]
-        return dataclasses.replace(
-            self, t=self.t[self.valid], p_HK=self.p_HK[self.valid], valid=self.valid[self.valid], X_WH=X_WH
-        )
+        return self._rows(self.t[self.valid], self.valid)
 
     def at(self, t: np.ndarray) -> "Recording":
         """The recording at times t (T,), s, each with the latest frame before it, as a device delivers it."""
-        rows = newest(self.t, t)
-        X_WH = None if self.X_WH is None else self.X_WH[rows]
-        return dataclasses.replace(self, t=t, p_HK=self.p_HK[rows], valid=self.valid[rows], X_WH=X_WH)
+        return self._rows(t, newest(self.t, t))
+
+    def _rows(self, t: np.ndarray, rows: np.ndarray) -> "Recording":
+        names = ("p_HK", "valid", *(name for name in _OPTIONAL if getattr(self, name) is not None))
+        return dataclasses.replace(self, t=t, **{name: getattr(self, name)[rows] for name in names})
 
     def mirrored(self) -> "Recording":
         """Returns the same motion of the other hand, mirrored in the xz-plane of H.
@@ -130,8 +135,7 @@ class Recording:
         if Path(path).suffix != ".npz":
             raise RecordingError(f"{path}: a recording is saved as .npz, not '{Path(path).suffix}'")
         arrays: dict[str, np.ndarray] = {"t": self.t, "p_HK": self.p_HK, "valid": self.valid}
-        if self.X_WH is not None:
-            arrays["X_WH"] = self.X_WH
+        arrays |= {name: value for name in _OPTIONAL if (value := getattr(self, name)) is not None}
         metadata = {**self.metadata, "side": self.side, "convention": CONVENTION}
         metadata.pop("unit", None)  # the source's; the file is in metres
         with atomic_path(path) as draft:
@@ -165,7 +169,8 @@ class Recording:
             )
         metadata = _checked_metadata(metadata)
         try:
-            return cls(arrays["t"], arrays["p_HK"], arrays["valid"], arrays.get("X_WH"), metadata)
+            optional = {name: arrays.get(name) for name in _OPTIONAL}
+            return cls(arrays["t"], arrays["p_HK"], arrays["valid"], metadata=metadata, **optional)
         except RecordingError as error:
             raise RecordingError(f"{name}: {str(error).removeprefix('recording: ')}") from None
 

@@ -54,14 +54,21 @@ class RecordingParts:
         self._thread = threading.Thread(target=self._write, name="recording", daemon=True)
         self._thread.start()
 
-    def append(self, t: np.ndarray, p_HK: np.ndarray, valid: np.ndarray, X_WH: np.ndarray) -> None:
+    def append(
+        self,
+        t: np.ndarray,
+        p_HK: np.ndarray,
+        valid: np.ndarray,
+        X_WH: np.ndarray,
+        robot: np.ndarray | None = None,
+    ) -> None:
         """Hands over a part without waiting; shapes and units as in `Recording`, t from any time on.
 
         If writing fails or is too slow, parts are dropped: this warns at once, and `finish` raises the error.
         """
         if self._error is None:
             try:
-                self._waiting.put_nowait(Recording(t, p_HK, valid, X_WH, self._metadata))
+                self._waiting.put_nowait(Recording(t, p_HK, valid, X_WH, self._metadata, robot))
             except queue.Full:
                 self._fail(OutputError(f"{self._folder}: cannot be written: the disk is too slow"))
 
@@ -121,7 +128,9 @@ def read_parts(path: str | os.PathLike) -> Recording | None:
         np.concatenate([getattr(part, name) for part in parts]) for name in ("t", "p_HK", "valid")
     )
     X_WH = np.concatenate([part.X_WH for part in parts if part.X_WH is not None])
-    return Recording(t - t[:1], p_HK, valid, X_WH, parts[0].metadata)
+    robots = [part.robot for part in parts if part.robot is not None]
+    robot = np.concatenate(robots) if robots else None
+    return Recording(t - t[:1], p_HK, valid, X_WH, parts[0].metadata, robot)
 
 
 def _recover(path: Path) -> Path | None:

@@ -1,4 +1,6 @@
-"""Records the ports of a glove and a tracker for replay."""
+"""Records the ports of a glove and a tracker, and of a real robot."""
+
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -19,6 +21,10 @@ class GloveRecorder(LeafSystem):
         keypoints (63): p_HK, keypoint-major, m, wrist frame H.
         wrist_pose (abstract RigidTransform): X_WH.
         valid (1): 1 tracked, 0 lost.
+        <name in robot> (2n): joint positions, rad, then velocities, which are not recorded.
+
+    Attributes:
+        robot_signals: names of the columns of `Recording.robot`.
 
     Samples are taken in an update event, not a publish event, so they are the values that other systems use
     at that time.
@@ -27,16 +33,28 @@ class GloveRecorder(LeafSystem):
         period: time between samples, s.
         parts: files to which samples are written every `part` seconds, which limits memory and the loss in a
             crash. Without it, samples stay in memory for `recording`.
+        robot: such as "joints.command" → names of the n joints.
     """
 
-    def __init__(self, period: float, parts: RecordingParts | None = None, part: float = _PART_S):
+    def __init__(
+        self,
+        period: float,
+        parts: RecordingParts | None = None,
+        part: float = _PART_S,
+        robot: Mapping[str, Sequence[str]] | None = None,
+    ):
         super().__init__()
         self._parts, self._part_samples = parts, max(round(part / period), 1)
         self._paused = False
-        self._samples: list[tuple[float, np.ndarray, RigidTransform, bool]] = []
+        self._samples: list[tuple[float, np.ndarray, RigidTransform, bool, np.ndarray]] = []
         self._keypoints = self.DeclareVectorInputPort("keypoints", 63)
         self._wrist = self.DeclareAbstractInputPort("wrist_pose", AbstractValue.Make(RigidTransform()))
         self._valid = self.DeclareVectorInputPort("valid", 1)
+        self._robot = [
+            (self.DeclareVectorInputPort(name, 2 * len(joints)), len(joints))
+            for name, joints in (robot or {}).items()
+        ]
+        self.robot_signals = [f"{key}.{joint}" for key, joints in (robot or {}).items() for joint in joints]
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._sample)
 
     def _sample(self, context: Context, _state: DiscreteValues) -> EventStatus:
@@ -46,15 +64,16 @@ class GloveRecorder(LeafSystem):
         keypoints = self._keypoints.Eval(context).reshape(21, 3).copy()
         X_WH = RigidTransform(self._wrist.Eval(context))
         valid = bool(self._valid.Eval(context)[0] > 0.5)
-        self._samples.append((context.get_time(), keypoints, X_WH, valid))
+        q = np.concatenate([np.empty(0), *(port.Eval(context)[:n] for port, n in self._robot)])
+        self._samples.append((context.get_time(), keypoints, X_WH, valid, q))
         if self._parts is not None and len(self._samples) >= self._part_samples:
             self._write(self._parts)
         return EventStatus.Succeeded()
 
     def recording(self, metadata: dict | None = None) -> Recording:
         """The samples so far, with tracker poses; only without `parts`."""
-        t, p_HK, valid, X_WH = self._arrays()
-        return Recording(t - t[0], p_HK, valid, X_WH, dict(metadata or {}))
+        t, p_HK, valid, X_WH, robot = self._arrays()
+        return Recording(t - t[0], p_HK, valid, X_WH, dict(metadata or {}), robot)
 
     def switch(self, parts: RecordingParts | None) -> RecordingParts | None:
         """Writes later samples to other parts, or drops them; returns the parts so far, completed."""
@@ -77,6 +96,7 @@ class GloveRecorder(LeafSystem):
         parts.append(*self._arrays())
         self._samples.clear()
 
-    def _arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        t, p_HK, poses, valid = zip(*self._samples, strict=True)
-        return np.array(t), np.array(p_HK), np.array(valid), np.array([pose_to_vector(X) for X in poses])
+    def _arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+        t, p_HK, poses, valid, q = zip(*self._samples, strict=True)
+        X_WH = np.array([pose_to_vector(X) for X in poses])
+        return np.array(t), np.array(p_HK), np.array(valid), X_WH, np.array(q) if self._robot else None

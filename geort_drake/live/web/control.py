@@ -208,6 +208,8 @@ class PageControl:
             "began": self._clock(self._root),
             **self._facts,
         }
+        if self.recorder.robot_signals:
+            facts["robot_signals"] = self.recorder.robot_signals
         try:
             self._parts = RecordingParts(self._folder / f"{name}.npz", facts)
         except GeortError as error:

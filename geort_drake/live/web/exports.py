@@ -21,7 +21,7 @@ class SessionExports:
         """Writes the folder of a session, named as its file, and waits for it.
 
         A simulated session is replayed with its own task, object and seed. Of a real robot's, whose objects
-        nobody knows, only the hand is exported.
+        nobody knows, hand and joints are exported as they were recorded.
 
         Args:
             session: its recording.
@@ -36,6 +36,7 @@ class SessionExports:
             self._run("export", folder, folder / "lerobot", "--format", "lerobot")
         else:
             self._run("export", session, folder / "hand.rrd", "--format", "rrd")
+            self._run("export", session, folder / "lerobot", "--format", "lerobot")
 
     def _run(self, *words: str | Path) -> None:
         command = ["nice", "-n", "10", sys.executable, "-m", "geort_drake", *map(str, words), "--quiet"]

@@ -159,7 +159,9 @@ class WebTeleoperation:
             if scene.has_target:
                 builder.Connect(robot.GetOutputPort("target_pose"), stream.GetInputPort("target_pose"))
 
-        recorder = GloveRecorder(scenario.operator.period)
+        # A replay cannot tell what a real robot did.
+        kept = {} if self.link is None else robot_joints(description, model)
+        recorder = GloveRecorder(scenario.operator.period, robot=kept)
         loop = make_teleoperation(
             scenario,
             description,
@@ -178,3 +180,11 @@ class WebTeleoperation:
             facts |= {"task": task.name, "object": task.case_of(scenario), "seed": scenario.random_seed}
         control.begin(loop, recorder, number, facts)
         return loop
+
+
+def robot_joints(description: HandDescription, model: RobotModel) -> dict[str, list[str]]:
+    """What `GloveRecorder` records of a robot, named as in recordings of a simulation."""
+    finger_of = {joint: finger.name for finger in description.fingers for joint in finger.joints}
+    hand = [f"{finger_of[joint]}.{joint}" for joint in model.hand.joints]
+    groups = {"joints": hand, "arm": list(model.arm.joints)}
+    return {f"{key}.{label}": names for key, names in groups.items() for label in ("command", "measured")}
