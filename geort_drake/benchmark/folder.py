@@ -71,7 +71,8 @@ class Benchmark:
     people: dict[str, HumanHand]
     methods: dict[str, tuple[Retarget, float]]
     conditions: dict[str, str] = dc.field(default_factory=dict)
-    _seen: dict[tuple[str, str], FreePlay] = dc.field(default_factory=dict)
+    # Method and condition → the map after free play, and what the person saw in it.
+    _played: dict[tuple[str, str], tuple[Retarget, FreePlay]] = dc.field(default_factory=dict)
 
     def keys(self, methods: Iterable[str], objects: Iterable[str], trials: int) -> list[TrialKey]:
         """The trials in order: seed by seed, so that an interrupted run is balanced."""
@@ -88,13 +89,15 @@ class Benchmark:
         """A trial for a worker, with the plan for its case that the person keeps after free play."""
         (retarget, latency), person = self.methods[key.method], self.people[key.condition]
         text = self.conditions[key.condition] if key.condition else self.scenario_text
-        if (key.method, key.condition) not in self._seen:
-            seen = seen_fingertips(retarget, self.hand, person, latency)
-            self._seen[key.method, key.condition] = seen
+        if (key.method, key.condition) not in self._played:
+            own = after_play(retarget, person)
+            seen = seen_fingertips(own, self.hand, person, latency)
+            self._played[key.method, key.condition] = own, seen
+        own, seen = self._played[key.method, key.condition]
         task = find_task(self.config["settings"]["scenario"].get("task", "grasp"))
-        goal, attainable = task.keep(plans, self._seen[key.method, key.condition])
+        goal, attainable = task.keep(plans, seen)
         if task.begins_after_play:
-            retarget = after_play(retarget, person)
+            retarget = own
         return Trial(key, text, retarget, latency, (person, goal), attainable)
 
 

@@ -29,6 +29,8 @@ def seen_fingertips(
 ) -> FreePlay:
     """Own and robot fingertips during the person's free play; T is 0 if the method raises.
 
+    Of a map for everyone, give the one `after_play`.
+
     A method whose `latency` (s) exceeds the time between frames gets fewer of them.
     """
     if callable(reset := getattr(retarget, "reset", None)):
@@ -38,7 +40,6 @@ def seen_fingertips(
     frames = frames[::stride]
     order = [list(retarget.joint_names).index(name) for name in hand.joint_names]  # type: ignore[attr-defined]
     try:
-        retarget = after_play(retarget, person)
         q = np.array([retarget(frame) for frame in frames])[:, order]
     except Exception:  # a method may raise anything; its trials record the error
         q = np.empty((0, len(order)))

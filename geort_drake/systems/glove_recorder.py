@@ -23,11 +23,11 @@ class GloveRecorder(LeafSystem):
         valid (1): 1 tracked, 0 lost.
         <name in robot> (2n): joint positions, rad, then velocities, which are not recorded.
 
-    Attributes:
-        robot_signals: names of the columns of `Recording.robot`.
-
     Samples are taken in an update event, not a publish event, so they are the values that other systems use
     at that time.
+
+    Attributes:
+        robot_signals: names of the columns of `Recording.robot`.
 
     Args:
         period: time between samples, s.
