@@ -216,9 +216,9 @@ def test_headset_sends_the_robots_side_in_order(headset, stub, address, rng):
     page.evaluate("hands => play(hands)", {"left": left})
     page.wait_for_selector("body[data-state=waiting]")
     assert "your left hand" in page.inner_text("#headline")
+    until(page, lambda: stub.messages[-1]["type"] == "lost")
     assert stub.of("hello")[-1]["device"] == "headset"
     np.testing.assert_allclose(stub.of("headset")[-1]["joints"], right, atol=1e-5)
-    assert stub.messages[-1]["type"] == "lost"
 
 
 def test_a_headset_can_be_used_before_the_server_answers(headset, stub, address, rng):
@@ -226,7 +226,7 @@ def test_a_headset_can_be_used_before_the_server_answers(headset, stub, address,
     page = headset(address, {"right": rng.uniform(-1, 1, (25, 3)).tolist()})
     stub.welcome(role="spectator")
     page.wait_for_selector("body[data-state=tracking]")
-    assert stub.of("hello")[-1]["device"] == "headset"
+    until(page, lambda: stub.of("hello")[-1]["device"] == "headset")
 
 
 def test_a_real_robot_is_engaged_after_a_question(headset, stub, address, rng):
@@ -239,8 +239,8 @@ def test_a_real_robot_is_engaged_after_a_question(headset, stub, address, rng):
         assert not stub.of("engage")
         page.keyboard.press(" ")
         page.click(f"dialog button[value={answer}]")
-    page.wait_for_timeout(50)
-    assert len(stub.of("engage")) == 2  # the server wants it twice
+        page.wait_for_selector("dialog", state="hidden")
+    until(page, lambda: len(stub.of("engage")) == 2)  # the server wants it twice
 
 
 @pytest.mark.slow
@@ -301,15 +301,15 @@ def test_panel_and_keys(browser, stub, address):
     assert page.inner_text("#purpose") == "Press a key"
     page.focus("#reset")
     page.keyboard.press(" ")  # disengages, although a button has the focus
-    page.wait_for_timeout(50)
+    until(page, lambda: len(stub.of("disengage")) == 1)
     assert stub.of("reset") == [
         {"type": "reset", **choice} for choice in ({}, {"object": "sphere"}, {"task": "keys"})
     ]
-    assert len(stub.of("disengage")) == 1
 
     assert page.is_disabled("#record")
     page.check("#keep")
     page.click("#record")
+    until(page, lambda: stub.of("record"))
     outcome = {"phase": "done", "score": 1.0, "seconds": 21.0, "over": True, "success": True}
     guide = {"instruction": "Pinch", "seconds_left": 11.2, "missing": ["The little finger has not moved"]}
     stub.send(outcome=outcome, guide=guide, recording="session.npz")
