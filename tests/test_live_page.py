@@ -23,6 +23,11 @@ from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 PATIENCE_S = 120.0  # a busy machine takes long
 
+# Without a GPU, pictures of the scene take most of the time.
+NO_PICTURES = """
+  for (const draw of ["drawElements", "drawArrays"]) WebGL2RenderingContext.prototype[draw] = () => {};
+"""
+
 # Notes which picture of the film the tracker gets at which time.
 READ_NUMBERS = """
   const post = Worker.prototype.postMessage;
@@ -74,7 +79,7 @@ def stub():
 
 def open_page(browser, stub, address, *scripts, seen=None):
     page = browser.new_page(viewport={"width": 800, "height": 480})
-    for script in scripts:
+    for script in ({"script": NO_PICTURES}, *scripts):
         page.add_init_script(**script)
     if stub:
         stub.attach(page)
@@ -186,21 +191,14 @@ XR = """
 """
 
 
-# Without a GPU, pictures take most of the time.
-NO_PICTURES = """
-  for (const draw of ["drawElements", "drawArrays"]) WebGL2RenderingContext.prototype[draw] = () => {};
-"""
-
-
 @pytest.fixture
 def headset(browser, stub):
     """Opens the page in an emulated headset that sees `hands`: side → joints (25, 3)."""
     require_package("iwer")
 
     def open_headset(address, hands, stub=stub, key="key", seen=None):
-        scripts = [{"script": XR}, *([{"script": NO_PICTURES}] if seen else [])]
         emulator = {"path": WEB / "node_modules/iwer/build/iwer.min.js"}
-        page = open_page(browser, stub, f"{address}/#{key}", emulator, *scripts, seen=seen)
+        page = open_page(browser, stub, f"{address}/#{key}", emulator, {"script": XR}, seen=seen)
         page.click("#headset")
         until(page, lambda: page.evaluate("Boolean(window.session)"))
         page.evaluate("hands => play(hands)", hands)
