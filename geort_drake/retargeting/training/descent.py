@@ -1,7 +1,6 @@
 """Gradient descent shared by all trained methods: schedule, history, divergence."""
 
 import contextlib
-import copy
 import math
 import time
 import warnings
@@ -80,7 +79,7 @@ def descend(
             stopped_at = step
             break
         if step % interval == 0:
-            good = copy.deepcopy(network.state_dict())
+            good = {name: value.clone() for name, value in network.state_dict().items()}
         network.zero_grad()
         total.backward()
         optimiser.step()
