@@ -49,6 +49,13 @@ def launch(playwright, clip: Path | None = None):
     return playwright.chromium.launch(executable_path=str(CHROMIUM), args=[*_WITHOUT_GPU, *camera])
 
 
+def new_page(browser, **options):
+    """A page that waits long, as a busy machine takes long."""
+    page = browser.new_page(**options)
+    page.set_default_timeout(120_000)
+    return page
+
+
 @contextmanager
 def serve(folder: Path) -> Iterator[str]:
     """Serves a folder's files at the address that it yields."""
@@ -168,7 +175,7 @@ def film_hand(browser, file: Path, pictures: int = 6, repeats: int = 3) -> np.nd
     joints = []
     stops = [FLAT, PINCH, PINCH, FLAT, CURL, FLAT]
     with serve(WEB) as address, file.open("wb") as film:
-        page = browser.new_page()
+        page = new_page(browser)
         page.goto(f"{address}/test/hand.html")
         page.wait_for_function("window.ready")
         for begin, end in itertools.pairwise(stops):

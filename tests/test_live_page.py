@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 import pytest
-from live_page import PAGE, WEB, StubServer, film_hand, launch, require_package, require_page, serve
+from live_page import PAGE, WEB, StubServer, film_hand, launch, new_page, require_package, require_page, serve
 from page_person import PagePerson, goal_of
 from web_page import in_world, joints_of
 
@@ -78,7 +78,7 @@ def stub():
 
 
 def open_page(browser, stub, address, *scripts, seen=None):
-    page = browser.new_page(viewport={"width": 800, "height": 480})
+    page = new_page(browser, viewport={"width": 800, "height": 480})
     for script in ({"script": NO_PICTURES}, *scripts):
         page.add_init_script(**script)
     if stub:

@@ -7,6 +7,7 @@ import pytest
 import rerun as rr
 from rerun_world import World, entities, read, rerun, steps
 
+from geort_drake.live.transports import wait_for
 from geort_drake.rerun import StateSpec, recorder
 
 
@@ -81,8 +82,12 @@ def test_a_server_and_a_file_at_once(tmp_path):
     server = rr.GrpcServerSink("127.0.0.1", port)
     world.record(tmp_path / "file.rrd", viewers=[server])
     world.simulator.AdvanceTo(0.1)
-    with socket.socket() as viewer:
-        assert viewer.connect_ex(("127.0.0.1", port)) == 0
+
+    def connected():
+        with socket.socket() as viewer:
+            return viewer.connect_ex(("127.0.0.1", port)) == 0 or None
+
+    wait_for(connected, 60.0, lambda: "nobody listens")
     world.recorder.close()
     times, _ = read(tmp_path / "file.rrd", "/world/ball/body", "Transform3D:translation")
     assert times[-1] == pytest.approx(0.1)
