@@ -126,11 +126,7 @@ def published_manus_table(hand: Hand) -> list[list]:
 
 
 def write_manus_csv(
-    folder: Path,
-    hand: Hand,
-    table: list[list] | None = None,
-    delimiter: str = ",",
-    name: str = "manus",
+    folder: Path, hand: Hand, table: list[list] | None = None, delimiter: str = ",", name: str = "manus"
 ) -> Path:
     path = folder / f"{name}.csv"
     with path.open("w", newline="") as file:

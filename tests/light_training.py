@@ -10,15 +10,8 @@ from geort_drake.comparison.train import train_checkpoint
 from geort_drake.people.recording import Recording
 
 LIGHT = {
-    "geort": {
-        "hidden": 8,
-        "points": 16,
-        "targets": 32,
-        "pinches": 8,
-        "frames": 8,
-        "classifier_steps": 5,
-        "refreshes": 0,
-    },
+    "geort": {"hidden": 8, "points": 16, "targets": 32, "pinches": 8, "frames": 8}
+    | {"classifier_steps": 5, "refreshes": 0},
     "linear_offline": {"hidden": 8},
 }
 

@@ -187,43 +187,36 @@ def _swapped(description):
     first.tip_link, second.tip_link = second.tip_link, first.tip_link
 
 
-# Changes to the text of a model, and what the checks find then.
-MODEL_FAULTS = {
-    "degrees": ({r'("thumb_j1".*?)upper="1.5"': r'\1upper="0.01"'}, "moves only from 0 to 1 degrees"),
-    "turn": ({r'("thumb_j1".*?)upper="1.5"': r'\1upper="90"'}, "more than a turn"),
-    "bare": ({"<(/?)collision>": r"<\1drawn>"}, "no collision geometry"),
-    "massless": ({"<inertial>.*?</inertial>": ""}, "links without mass"),
-    "palm": ({'"0.02 0.066 0.08"': '"0.02 0.066 0.16"'}, "touch in"),
-}
-# Changes to a description.
-DESCRIPTION_FAULTS = {
-    "side": (_mirrored, "the thumb lies on the little finger's side of a left hand"),
-    "tip": (_far, "the tips of thumb and ring touch at 16 mm, but come no nearer than"),
-    "order": (_swapped, "the fingers index, middle, ring do not lie in this order"),
-    "none": (lambda description: None, ""),
+def _as_it_is(description):
+    pass
+
+
+# Changes to the text of a model and to its description, and what the checks find then.
+FAULTS = {
+    "degrees": (
+        {r'("thumb_j1".*?)upper="1.5"': r'\1upper="0.01"'},
+        _as_it_is,
+        "moves only from 0 to 1 deg",
+    ),
+    "turn": ({r'("thumb_j1".*?)upper="1.5"': r'\1upper="90"'}, _as_it_is, "more than a turn"),
+    "bare": ({"<(/?)collision>": r"<\1drawn>"}, _as_it_is, "no collision geometry"),
+    "massless": ({"<inertial>.*?</inertial>": ""}, _as_it_is, "links without mass"),
+    "palm": ({'"0.02 0.066 0.08"': '"0.02 0.066 0.16"'}, _as_it_is, "touch in"),
+    "side": ({}, _mirrored, "the thumb lies on the little finger's side of a left hand"),
+    "tip": ({}, _far, "the tips of thumb and ring touch at 16 mm, but come no nearer than"),
+    "order": ({}, _swapped, "the fingers index, middle, ring do not lie in this order"),
+    "none": ({}, _as_it_is, ""),
 }
 
 
-def _found(model, change=lambda description: None) -> str:
-    """What the checks find in a model that is described, changed, written and read."""
-    description = propose(model).description
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_are_named(fault, tmp_path):
+    """In a model that is described, changed, written and read; else nothing is found."""
+    changes, change, finding = FAULTS[fault]
+    description = propose(write_hand(tmp_path, HandSpec(4, mimic=False), changes=changes)).description
     change(description)
-    write_description(description, model.with_name("hand.yaml"))
-    return "\n".join(examine(HandModel(load_hand(model.with_name("hand.yaml")))))
-
-
-@pytest.mark.parametrize("fault", MODEL_FAULTS)
-def test_faults_of_a_model_are_named(fault, tmp_path):
-    """Limits in the wrong unit, missing or useless collision geometry, links without mass."""
-    changes, finding = MODEL_FAULTS[fault]
-    assert finding in _found(write_hand(tmp_path, HandSpec(4, mimic=False), changes=changes))
-
-
-@pytest.mark.parametrize("fault", DESCRIPTION_FAULTS)
-def test_faults_of_a_description_are_named(fault, tmp_path):
-    """A mirrored side, tips where nothing reaches them, fingers in the wrong order; else nothing is found."""
-    change, finding = DESCRIPTION_FAULTS[fault]
-    found = _found(write_hand(tmp_path, HandSpec(4)), change)
+    write_description(description, tmp_path / "hand.yaml")
+    found = "\n".join(examine(HandModel(load_hand(tmp_path / "hand.yaml"))))
     assert finding in found and bool(finding) == bool(found)
 
 

@@ -11,10 +11,7 @@ from geort_drake.errors import GeortError, HandError, TrainingError, UnknownName
 from geort_drake.retargeting.methods import make_untrained, untrained_methods
 from geort_drake.retargeting.methods.affine_ik import AffineIK
 from geort_drake.retargeting.methods.linear_offline import SCALE, LinearConfig, train_linear_offline
-from geort_drake.retargeting.methods.online import (
-    DexPilotOnline,
-    VectorOnline,
-)
+from geort_drake.retargeting.methods.online import DexPilotOnline, VectorOnline
 from geort_drake.retargeting.methods.trivial import NearestNeighbour
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.training.kinematics import HandKinematics

@@ -29,7 +29,6 @@ def inputs(light_desk, play):
     np.save(folder / "nan.npy", lost)
     np.save(folder / "short.npy", p_HK[:100])
     (folder / "table.csv").write_text("0,0,0\n")
-    (folder / "scenarios.yaml").write_text("Grasp: {colour: red}")
     play.save(folder / "no_wrist.npz")
     good = train_lightly("allegro_right", play, folder / "map")
     weights = Path(shutil.copytree(good, folder / "altered")) / "weights.safetensors"
@@ -102,8 +101,6 @@ def test_an_unusable_recording_is_refused(refused, fault):
         ("grasp --hand allegro_left --recording @/no_wrist.npz", ["no_wrist.npz", "right hand", "left one"]),
         ("grasp --scenario-name Lift", ["unknown scenario", "'Lift'", "Grasp"]),
         ("grasp --scenario-file nowhere.yaml", ["nowhere.yaml does not exist"]),
-        ("grasp --scenario-file @/scenarios.yaml", ["scenarios.yaml", "colour"]),
-        ("grasp --scenario-text '{timeout: .nan}'", ["timeout must be positive and finite, not nan"]),
         ("grasp --replay @/no_wrist.npz", ["no_wrist.npz", "needs wrist poses", "--scenario-name Fixed"]),
         ("grasp --scenario-name Fixed", ["scenario 'Fixed': the operator cannot grasp with a fixed base"]),
         ("grasp --output file/runs", ["file", "directory"]),
@@ -113,19 +110,14 @@ def test_an_unusable_recording_is_refused(refused, fault):
         ("train --output out --set speed", ["NAME=VALUE", "'speed'"]),
         ("train --output out --method geort --set jitter=0.1", ["setting of geort 'jitter'", "points"]),
         ("train --output out --set steps=many", ["steps", "int", "'many'"]),
-        ("train --output out --set steps=exit(7)", ["steps", "int", "'exit(7)'"]),
         ("train --output out --set collision=0", ["collision must be positive"]),
-        (
-            "train --output out --method geort --set learning_rate=-1",
-            ["learning_rate must be positive"],
-        ),
+        ("train --output out --method geort --set learning_rate=-1", ["learning_rate must be positive"]),
         ("train --output out --preset public", ["preset of geort, not of geort_coupled"]),
         ("train --output .", ["exists and is not a checkpoint"]),
         ("evaluate --recording @/good.npy --methods hold magic", ["'magic'", "geort", "vector_online"]),
-        ("evaluate --recording @/good.npy --methods @/altered", ["weights.safetensors", "sha256"]),
         ("evaluate --recording @/good.npy --score-on @/good.npy", ["good.npy", "give another one"]),
-        ("evaluate --recording @/good.npy --held-out 1", ["held-out blocks must be 2 to 180", "not 1"]),
         ("evaluate --recording @/good.npy --held-out 181", ["held-out blocks must be 2 to 180", "not 181"]),
+        ("evaluate --recording @/good.npy --held-out 1", ["held-out blocks must be 2 to 180", "not 1"]),
         ("synthesize out.npz --duration inf", ["--duration", "finite"]),
         ("synthesize out.npz --duration 1e6", ["--duration times --rate may be at most 5,000,000 frames"]),
         ("convert @/good.npy file/out.npz", ["file", "directory"]),
@@ -133,13 +125,11 @@ def test_an_unusable_recording_is_refused(refused, fault):
         ("explore --output e.rrd --duration 1000", ["--duration must be from 0.1 to 600, not 1000"]),
         ("explore --output e.rrd --methods magic", ["'magic'", "geort"]),
         ("benchmark --rrd hold cylinder", ["--rrd: give METHOD OBJECT SEED [CONDITION]"]),
-        ("benchmark --objects teapot", ["unknown object 'teapot'"]),
         ("benchmark --methods ../../../etc", ["unknown retargeting method or checkpoint '../../../etc'"]),
         ("export @/no_wrist.npz out --fps 3", ["--fps: Parquet keeps every sample"]),
         ("export @/no_wrist.npz out.mp4 --format rrd", ["out.mp4: the name must end with .rrd"]),
         ("live --glove nowhere.npz", ["nowhere.npz: no such file"]),
         ("live --glove lcm --robot lcm --meshcat", ["--meshcat shows the simulation"]),
-        ("live --glove sub+http://127.0.0.1:5556", ["give one of sub+tcp://HOST:PORT"]),
         ("live --glove lcm --robot real", ["address 'real': give one of"]),
         ("live --glove lcm --robot lcm+udpm://10.0.0.1:7667?ttl=0", ["GROUP from 224"]),
         ("live --glove lcm --robot lcm --hand leap_right", ["has no LCM messages"]),

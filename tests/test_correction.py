@@ -13,11 +13,7 @@ from geort_drake.errors import PolicyError
 from geort_drake.hands.clearance import HandClearance
 from geort_drake.hands.model import HandModel
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.policy_correction import (
-    POLICY_FAILED,
-    PolicyCorrection,
-    load_policy,
-)
+from geort_drake.systems.policy_correction import POLICY_FAILED, PolicyCorrection, load_policy
 from geort_drake.systems.self_collision_guard import SelfCollisionGuard
 
 CLEARANCE = 0.002
@@ -181,9 +177,7 @@ class Failing(torch.nn.Module):
 
 
 @pytest.mark.parametrize(
-    ("module", "reason"),
-    [(Failing(), "no such state"), (Wild(), "not finite")],
-    ids=["raises", "not finite"],
+    ("module", "reason"), [(Failing(), "no such state"), (Wild(), "not finite")], ids=["raises", "not finite"]
 )
 def test_a_policy_that_fails_while_it_runs_holds_the_joints(module, reason, tmp_path):
     """They brake within the limits; the status says so, and one warning says why."""

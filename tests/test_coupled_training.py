@@ -6,8 +6,16 @@ import warnings
 import numpy as np
 import pytest
 import torch
-from retargeting_toy import HAND, HUMAN, PLANTED, answers, toy_data, toy_kinematics, uneven_kinematics
-from scipy.spatial.transform import Rotation
+from retargeting_toy import (
+    HAND,
+    HUMAN,
+    PLANTED,
+    answers,
+    toy_data,
+    toy_kinematics,
+    toy_samples,
+    uneven_kinematics,
+)
 
 from geort_drake.errors import TrainingError
 from geort_drake.hands.collision_shapes import collision_shapes
@@ -15,8 +23,7 @@ from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.methods.coupled import CoupledConfig, CoupledRetargeter, Start, train_coupled
 from geort_drake.retargeting.methods.coupled.network import CoupledNetwork
-from geort_drake.retargeting.methods.coupled.people import TrainingPeople
-from geort_drake.retargeting.training.collision_geometry import CollisionGaps, CollisionShapes, box_gap
+from geort_drake.retargeting.training.collision_geometry import CollisionGaps, CollisionShapes
 
 KEYPOINTS = [4, 8, 12]
 QUICK = CoupledConfig(steps=150)
@@ -92,7 +99,7 @@ def test_a_training_starts_from_given_weights():
 
 
 def test_a_training_uses_the_likely_plays_of_its_start():
-    """Other plays give other weights, and draws follow the weights of the people."""
+    """Other plays give other weights."""
     arrays = network_of(HAND).arrays()
     weights = [
         train_coupled(
@@ -101,57 +108,32 @@ def test_a_training_uses_the_likely_plays_of_its_start():
         for play in (HUMAN[None], HUMAN[None] + 0.01)
     ]
     assert np.abs(weights[0]["weight0"] - weights[1]["weight0"]).max() > 1e-4
-    codes, reach, cpu = torch.zeros(2, 1, 0), torch.ones(2, 3), torch.device("cpu")
-    p_HF, generator = (
-        np.stack([HUMAN[:300], HUMAN[:300]]).astype(np.float32),
-        torch.Generator().manual_seed(0),
-    )
-    rng, pairs = np.random.default_rng(0), [(0, 1), (0, 2)]
-    people = TrainingPeople(p_HF, pairs, generator, rng, codes, reach, 0.01, [3, 1], cpu)
-    assert float((people.someone(4000) == 0).float().mean()) == pytest.approx(0.75, abs=0.03)
+
+
+AT_TIPS = np.tile(np.eye(4), (2, 1, 1))
+AT_TIPS[:, 2, 3] = 0.04
+RADII = np.array([0.012, 0.011])
+SPHERES = CollisionShapes(np.array([5, 8]), AT_TIPS, np.zeros((2, 3)), RADII, np.array([[0, 1]]))
+
+
+def test_the_gap_of_spheres_is_that_of_their_centres_less_their_radii():
+    q = torch.tensor(toy_samples(HAND, 200)).float()
+    tips = HAND.fingertips(q)
+    *_, gap = CollisionGaps(HAND, SPHERES).near(q, 1.0)
+    distance = torch.linalg.vector_norm(tips[:, 1] - tips[:, 2], dim=1)
+    torch.testing.assert_close(gap, (distance - RADII.sum()).to(gap.dtype), atol=1e-6, rtol=0)
 
 
 def test_training_avoids_collisions_of_the_given_shapes():
     """Spheres on the index and middle fingertips keep apart; without shapes they do not."""
-    X = np.tile(np.eye(4), (2, 1, 1))
-    X[:, 2, 3] = 0.04
-    radius = np.array([0.012, 0.012])
-    shapes = CollisionShapes(np.array([5, 8]), X, np.zeros((2, 3)), radius, np.array([[0, 1]]))
 
     def colliding(shapes) -> float:
         tips = answers(quick(shapes=shapes, steps=80).network)
         return float((np.linalg.norm(tips[:, 1] - tips[:, 2], axis=-1) < 0.022).mean())
 
-    without, having = colliding(None), colliding(shapes)
+    without, having = colliding(None), colliding(SPHERES)
     assert without > 0.02
     assert having < 0.3 * without
-
-
-CPU = torch.device("cpu")
-
-
-def gap(R_A, R_B, p_AB, a, b) -> float:
-    tensors = [torch.tensor(np.asarray(value, dtype=float))[None] for value in (R_A, R_B, p_AB, a, b)]
-    return float(box_gap(*tensors)[0])
-
-
-@pytest.mark.parametrize(
-    ("p_AB", "expected"), [([3, 0, 0], 1.0), ([0, 1.5, 0], -0.5), ([0, 0, 2], 0.0), ([3, 3, 0], 2**0.5)]
-)
-def test_parallel_cubes_and_a_point(p_AB, expected):
-    """Unit half edges: face to face; for a point at a corner the distance is Euclidean."""
-    eye = np.eye(3)
-    b = [1, 1, 1] if expected != 2**0.5 else [0, 0, 0]
-    p = p_AB if expected != 2**0.5 else [2, 2, 0]
-    assert gap(eye, eye, p, [1, 1, 1], b) == pytest.approx(expected, abs=1e-6)
-
-
-def test_crossed_edges_are_separated_by_their_product():
-    """Two cubes on edge, crossing at right angles: the gap along z is the height minus 2√2."""
-    R_A, R_B = Rotation.from_euler("x", 45, True).as_matrix(), Rotation.from_euler("y", 45, True).as_matrix()
-    for height in (2.5, 3.5):
-        expected = height - 2 * 2**0.5
-        assert gap(R_A, R_B, [0, 0, height], [1, 1, 1], [1, 1, 1]) == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("name", ["allegro_right", "leap_right"])

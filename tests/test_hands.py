@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 import torch
+import trimesh
 from hand_family import HandSpec, write_hand
 from model_scene import SHIPPED_HANDS
 
@@ -140,10 +141,7 @@ def _described(folder, model):
 
 
 def _palm_mesh(depth: float) -> str:
-    """A wedge as an .obj file, of which only the depth differs, m."""
-    corners = np.array([[0, 0, 0], [0, 0.04, 0], [0, 0, 0.07], [0, 0.04, 0.07], [-depth, 0.02, 0.03]])
-    faces = ["1 2 4 3", "1 5 2", "2 5 4", "4 5 3", "3 5 1"]
-    return "".join(f"v {x} {y} {z}\n" for x, y, z in corners) + "".join(f"f {face}\n" for face in faces)
+    return trimesh.creation.box((depth, 0.04, 0.07)).export(file_type="obj")
 
 
 def test_the_digest_covers_collision_meshes(tmp_path):

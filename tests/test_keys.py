@@ -11,11 +11,7 @@ from task_bench import judged, plans
 from geort_drake.cli import main
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.resources import models_dir
-from geort_drake.simulation.operators.intention import (
-    IntentionConfig,
-    LearnedMotion,
-    frozen_digest,
-)
+from geort_drake.simulation.operators.intention import IntentionConfig, LearnedMotion, frozen_digest
 from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task, task_names
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner

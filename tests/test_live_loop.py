@@ -54,7 +54,7 @@ def program(folder: Path, name: str, *arguments: str, stdin: int = subprocess.DE
     with open(folder / f"{name}.log", "w") as log, open(folder / f"{name}.json", "w") as out:
         process = subprocess.Popen(
             [sys.executable, "-m", "geort_drake", name, *arguments],
-            stdin=stdin, stdout=out, stderr=log, env=environment,
+            stdin=stdin, stdout=out, stderr=log, env=environment
         )  # fmt: skip
         try:
             yield process
@@ -76,8 +76,7 @@ def wait_for_text(folder: Path, name: str, text: str) -> None:
 def test_the_loop_runs_over_loopback(station, tmp_path, lcm_url):
     """A robot follows a glove; the glove dies, the hand relaxes; Ctrl-C leaves the robot held."""
     inbox = LcmInbox(
-        DrakeLcm(lcm_url),
-        {device.status_channel: device.decode_status for device in (ALLEGRO, PANDA)},
+        DrakeLcm(lcm_url), {device.status_channel: device.decode_status for device in (ALLEGRO, PANDA)}
     )
 
     def statuses(count: int) -> list[JointStatus]:
@@ -100,8 +99,8 @@ def test_the_loop_runs_over_loopback(station, tmp_path, lcm_url):
         program(
             tmp_path, "live", "--glove", f"sub+{glove}", "--robot", f"lcm+{lcm_url}",
             "--retargeter", str(station / "checkpoint"), "--engage", "now", "--relax-after", "0.5",
-            "--timeout", str(PATIENCE_S), "--robot-silence", "20", "--json",
-        ) as teleoperation,
+            "--timeout", str(PATIENCE_S), "--robot-silence", "20", "--json"
+        ) as teleoperation
     ):  # fmt: skip
         wait_for_text(tmp_path, "live", "tracking")
         low = high = statuses(1)[0].commanded
@@ -136,7 +135,7 @@ def test_a_replay_drives_the_simulation(station, tmp_path):
     """In one process; Enter engages and disengages, and the glove's data are recorded."""
     with program(
         tmp_path, "live", "--glove", str(station / "hand.npz"), "--retargeter", str(station / "checkpoint"),
-        "--record", str(tmp_path / "kept.npz"), "--json", stdin=subprocess.PIPE,
+        "--record", str(tmp_path / "kept.npz"), "--json", stdin=subprocess.PIPE
     ) as teleoperation:  # fmt: skip
         # The first Enter is there before the loop begins, so only the second one disengages.
         for state in ("tracking", "disengaged: held"):

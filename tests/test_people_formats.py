@@ -3,31 +3,9 @@
 import dataclasses as dc
 import pickle
 
+import glove_files as gloves
 import numpy as np
 import pytest
-from glove_files import (
-    FROM_WRIST_25,
-    NAMES,
-    TIMED,
-    WRITERS,
-    mediapipe_frames,
-    openxr_frames,
-    openxr_order,
-    poses,
-    published_manus_table,
-    stacked,
-    transforms,
-    vision_pro_arrays,
-    write_geort,
-    write_manus,
-    write_manus_csv,
-    write_mediapipe,
-    write_openxr,
-    write_openxr_json,
-    write_own,
-    write_vision_pro,
-    write_webxr,
-)
 from moving_hands import FRAMES, moving, random_hand
 from scipy.spatial.transform import Rotation
 
@@ -41,22 +19,22 @@ from geort_drake.people.readers import ASSUMED_RATE_HZ, open_recording, read_rec
 from geort_drake.people.recording import PINCH_M
 
 # Files that hold the wrist's pose in the world.
-POSED = set(WRITERS) - {"geort", "mediapipe", "mediapipe_npy", "mano_npy", "dex_retargeting"}
+POSED = set(gloves.WRITERS) - {"geort", "mediapipe", "mediapipe_npy", "mano_npy", "dex_retargeting"}
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-@pytest.mark.parametrize("written", WRITERS)
+@pytest.mark.parametrize("written", gloves.WRITERS)
 def test_a_file_gives_back_the_hand_it_was_written_from(tmp_path, written, side):
     """Keypoints in H to 1e-6 m, times, the wrist's pose, and the format, which is detected."""
     hand = random_hand(1, side)
-    recording, _ = open_recording(WRITERS[written](tmp_path, hand), side)
+    recording, _ = open_recording(gloves.WRITERS[written](tmp_path, hand), side)
     np.testing.assert_allclose(recording.p_HK, hand.p_HK, atol=1e-6)
     assert recording.valid.all()
     assert recording.side == side
-    assert recording.metadata.get("format", "geort_drake") == NAMES[written]
-    wanted = hand.t if written in TIMED else np.arange(len(hand.t)) / ASSUMED_RATE_HZ
+    assert recording.metadata.get("format", "geort_drake") == gloves.NAMES[written]
+    wanted = hand.t if written in gloves.TIMED else np.arange(len(hand.t)) / ASSUMED_RATE_HZ
     np.testing.assert_allclose(recording.t, wanted, atol=1e-6)
-    assert recording.metadata.get("rate_known", True) == (written in TIMED)
+    assert recording.metadata.get("rate_known", True) == (written in gloves.TIMED)
     assert (recording.X_WH is not None) == (written in POSED)
     if written in POSED:
         # The world of a left hand is mirrored with it, which our own format has done already.
@@ -67,17 +45,17 @@ def test_a_file_gives_back_the_hand_it_was_written_from(tmp_path, written, side)
         np.testing.assert_allclose(R_WH, hand.R_WH, atol=1e-5)
 
 
-@pytest.mark.parametrize("written", WRITERS)
+@pytest.mark.parametrize("written", gloves.WRITERS)
 def test_a_sound_file_has_no_finding(tmp_path, written):
     """The moving hand is found sound in every format, but for missing times where the format has none."""
-    recording, findings = open_recording(WRITERS[written](tmp_path, moving()))
+    recording, findings = open_recording(gloves.WRITERS[written](tmp_path, moving()))
     findings += examine(recording)[1]
-    assert [finding.check for finding in findings] == ([] if written in TIMED else ["timestamps"])
+    assert [finding.check for finding in findings] == ([] if written in gloves.TIMED else ["timestamps"])
 
 
 def test_the_named_format_reads_the_same_as_the_one_detected(tmp_path):
     """Naming the format changes nothing; naming another says what it expected."""
-    path = WRITERS["openxr"](tmp_path, moving())
+    path = gloves.WRITERS["openxr"](tmp_path, moving())
     assert read_recording(path, format="openxr").digest == read_recording(path).digest
     with pytest.raises(RecordingError, match=r"lacks data; it holds joints\(400, 26, 7\), t"):
         open_recording(path, format="manus")
@@ -87,16 +65,19 @@ def test_the_named_format_reads_the_same_as_the_one_detected(tmp_path):
         open_recording(path, format="leap")
     with pytest.raises(UnknownNameError, match="unknown side 'both'; choose one of: left, right"):
         read_recording(path, "both")
-    path = WRITERS["geort"](tmp_path, moving())
+    path = gloves.WRITERS["geort"](tmp_path, moving())
     assert read_recording(path.rename(tmp_path / "HAND.NPY")).metadata["format"] == "geort"
 
 
-@pytest.mark.parametrize(("write", "order"), [(write_openxr, openxr_order()), (write_webxr, FROM_WRIST_25)])
+@pytest.mark.parametrize(
+    ("write", "order"),
+    [(gloves.write_openxr, gloves.openxr_order()), (gloves.write_webxr, gloves.FROM_WRIST_25)],
+)
 def test_joints_may_be_points_poses_or_transforms(tmp_path, write, order):
     """All three give the same keypoints; matrices are read with the translation in the last column."""
     hand = random_hand(5, "right")
-    p = stacked(hand.joints(), order)
-    for joints in (p, poses(p, [0.5, 0.5, -0.5, 0.5]), transforms(p, hand.R_WH[:, None])):
+    p = gloves.stacked(hand.joints(), order)
+    for joints in (p, gloves.poses(p, [0.5, 0.5, -0.5, 0.5]), gloves.transforms(p, hand.R_WH[:, None])):
         recording, findings = open_recording(write(tmp_path, hand, joints=joints))
         np.testing.assert_allclose(recording.p_HK, hand.p_HK, atol=1e-6)
         assert findings == []
@@ -107,22 +88,22 @@ def test_a_stated_unit_is_converted(tmp_path, unit):
     """A CSV in another unit is refused with the unit it seems to have, and read with it."""
     hand, scale = moving(), {"cm": 100.0, "mm": 1000.0}[unit]
     scaled = type(hand)(scale * hand.p_HK, hand.t, hand.R_WH, scale * hand.p_WH)
-    path = write_manus_csv(tmp_path, scaled, delimiter=";")
+    path = gloves.write_manus_csv(tmp_path, scaled, delimiter=";")
     with pytest.raises(RecordingError, match=f"60 to 110 mm.*import them with --unit {unit}"):
         read_recording(path)
     np.testing.assert_allclose(read_recording(path, unit=unit).p_HK, hand.p_HK, atol=1e-6)
     with pytest.raises(UnknownNameError, match="unknown unit 'feet'"):
         read_recording(path, unit="feet")
     with pytest.raises(RecordingError, match="own files are in metres, not in mm"):
-        read_recording(write_own(tmp_path, hand), unit="mm")
+        read_recording(gloves.write_own(tmp_path, hand), unit="mm")
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_a_published_manus_export_is_read(tmp_path, side):
     """Other names, centimetres, left-handed axes, a frame that goes with the hand; the name has the side."""
     hand = dc.replace(moving(), side=side)
-    table = published_manus_table(hand)
-    path = write_manus_csv(tmp_path, hand, table, name=f"take 1_{side[0].upper()}")
+    table = gloves.published_manus_table(hand)
+    path = gloves.write_manus_csv(tmp_path, hand, table, name=f"take 1_{side[0].upper()}")
     recording = read_recording(path, side)
     np.testing.assert_allclose(recording.p_HK, hand.p_HK, atol=1e-6)
     assert recording.X_WH is None
@@ -132,29 +113,29 @@ def test_a_published_manus_export_is_read(tmp_path, side):
     with pytest.raises(RecordingError, match=f"holds a {side} hand, a {other} one was requested"):
         read_recording(path, other)
     with pytest.raises(RecordingError, match="in mirrored axes"):
-        read_recording(write_manus_csv(tmp_path, hand, table), side)
+        read_recording(gloves.write_manus_csv(tmp_path, hand, table), side)
 
 
 def zeros(folder, hand, empty):
-    joints = poses(stacked(hand.joints(), openxr_order()), [0, 0, 0, 1.0])
+    joints = gloves.poses(gloves.stacked(hand.joints(), gloves.openxr_order()), [0, 0, 0, 1.0])
     joints[empty] = 0.0
-    return write_openxr(folder, hand, joints=joints)
+    return gloves.write_openxr(folder, hand, joints=joints)
 
 
 def identities(folder, hand, empty):
     """Vision Pro's stream of a hand that is not seen."""
-    arrays = vision_pro_arrays(hand)
+    arrays = gloves.vision_pro_arrays(hand)
     for name in ("right_fingers", "right_wrist"):
         arrays[name][empty] = np.eye(4)
-    return write_vision_pro(folder, hand, **arrays)
+    return gloves.write_vision_pro(folder, hand, **arrays)
 
 
 def inactive(folder, hand, empty):
     """OpenXR's isActive, and no joints."""
-    contents = openxr_frames(hand)
+    contents = gloves.openxr_frames(hand)
     for i in empty:
         contents["frames"][i] |= {"isActive": False, "joints": []}
-    return write_openxr_json(folder, hand, contents)
+    return gloves.write_openxr_json(folder, hand, contents)
 
 
 @pytest.mark.parametrize("write", [zeros, identities, inactive])
@@ -174,12 +155,12 @@ def test_of_two_hands_in_a_picture_that_of_the_side_is_taken(tmp_path, flipped):
     """By the way their fingers bend, whether or not labels are those of a mirrored picture."""
     right = moving()
     left = dc.replace(right, p_HK=right.p_HK * [1.1, 1.0, 1.0], side="left")
-    frames = mediapipe_frames(right)
-    for frame, other in zip(frames, mediapipe_frames(left), strict=True):
+    frames = gloves.mediapipe_frames(right)
+    for frame, other in zip(frames, gloves.mediapipe_frames(left), strict=True):
         frame["worldLandmarks"] += other["worldLandmarks"]
         labels = ["Left", "Right"] if flipped else ["Right", "Left"]
         frame["handedness"] = [[{"categoryName": label}] for label in labels]
-    path = write_mediapipe(tmp_path, right, frames)
+    path = gloves.write_mediapipe(tmp_path, right, frames)
     for side, hand in (("right", right), ("left", left)):
         recording, findings = open_recording(path, side)
         np.testing.assert_allclose(recording.p_HK, hand.p_HK, atol=1e-6)
@@ -190,19 +171,19 @@ def test_a_label_counts_where_fingers_hardly_bend(tmp_path):
     """Of an open hand there is nothing else to go by, and the message says so."""
     straight = moving(held=tuple((name, 0.0) for name in HumanHand.joint_names if "mcp" not in name))
     flat = dc.replace(straight, p_HK=np.repeat(straight.p_HK[:1], FRAMES, axis=0))
-    frames = [{**frame, "handedness": [["Left"]]} for frame in mediapipe_frames(flat)]
-    path = write_mediapipe(tmp_path, flat, frames)
+    frames = [{**frame, "handedness": [["Left"]]} for frame in gloves.mediapipe_frames(flat)]
+    path = gloves.write_mediapipe(tmp_path, flat, frames)
     assert open_recording(path, "left")[0].side == "left"
     with pytest.raises(RecordingError, match="hand is labelled left, and its fingers do not bend"):
         open_recording(path, "right")
-    warnings = read_recording(write_geort(tmp_path, straight)).metadata["warnings"]
+    warnings = read_recording(gloves.write_geort(tmp_path, straight)).metadata["warnings"]
     assert any("side of the hand cannot be checked" in warning for warning in warnings)
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_the_wrong_side_is_noticed_in_a_file_that_states_none(tmp_path, side):
     """A hand read as the other side bends backwards and is refused."""
-    path = write_geort(tmp_path, dc.replace(moving(), side=side))
+    path = gloves.write_geort(tmp_path, dc.replace(moving(), side=side))
     assert read_recording(path, side).metadata["rate_known"] is False
     assert read_recording(path, side, rate_hz=50.0).rate_hz == pytest.approx(50.0)
     with pytest.raises(RecordingError, match=f"bend backwards .* {side} hand .* side '{side}'"):
@@ -212,18 +193,18 @@ def test_the_wrong_side_is_noticed_in_a_file_that_states_none(tmp_path, side):
 def test_a_manus_skeleton_is_read_with_or_without_order_times_and_tracker(tmp_path):
     """Shuffled nodes with ids give the same; without times 30 Hz are assumed; a still wrist is no place."""
     hand = moving()
-    sound = read_recording(write_manus(tmp_path, hand))
+    sound = read_recording(gloves.write_manus(tmp_path, hand))
     data, order = np.load(tmp_path / "manus.npz")["data"], np.random.default_rng(0).permutation(25)
-    shuffled = read_recording(write_manus(tmp_path, hand, data=data[:, order], keypoint_ids=order))
+    shuffled = read_recording(gloves.write_manus(tmp_path, hand, data=data[:, order], keypoint_ids=order))
     assert shuffled.digest == sound.digest
     assert sound.metadata["wrist_position_tracked"] is True
     assert sound.metadata["start_time_unix_s"] == pytest.approx(1.7e9)
     # Neighbouring quaternions do not jump to their negatives, although the wrist turns by over 360°.
     assert np.sum(sound.X_WH[1:, :4] * sound.X_WH[:-1, :4], axis=1).min() > 0.9
-    untimed, findings = open_recording(write_manus(tmp_path, hand, timestamps=None))
+    untimed, findings = open_recording(gloves.write_manus(tmp_path, hand, timestamps=None))
     assert untimed.metadata["format"] == "manus"
     assert [finding.check for finding in findings] == ["timestamps"]
-    untracked = read_recording(write_manus(tmp_path, dc.replace(hand, p_WH=0 * hand.p_WH)))
+    untracked = read_recording(gloves.write_manus(tmp_path, dc.replace(hand, p_WH=0 * hand.p_WH)))
     assert untracked.metadata["wrist_position_tracked"] is False
     np.testing.assert_allclose(untracked.X_WH[:, 4:], 0.0, atol=1e-7)
 

@@ -4,23 +4,9 @@ import dataclasses as dc
 import json
 import re
 
+import glove_files as gloves
 import numpy as np
 import pytest
-from glove_files import (
-    FROM_WRIST_25,
-    WRITERS,
-    manus_table,
-    mediapipe_frames,
-    stacked,
-    vision_pro_arrays,
-    write_manus,
-    write_manus_csv,
-    write_mediapipe,
-    write_openxr,
-    write_own,
-    write_vision_pro,
-    write_webxr,
-)
 from moving_hands import FRAMES, moving
 
 from geort_drake.errors import RecordingError
@@ -122,7 +108,7 @@ CASES = [(fault, "openxr") for fault in HANDS] + [
 def test_a_fault_of_the_hand_is_found(tmp_path, fault, written):
     """There is one finding, of the right check and severity, and it names the fault."""
     change, severity, check, message = HANDS[fault]
-    recording, findings = open_recording(WRITERS[written](tmp_path, change(moving())))
+    recording, findings = open_recording(gloves.WRITERS[written](tmp_path, change(moving())))
     findings += examine(recording)[1]
     findings = [finding for finding in findings if finding.check != "timestamps"]
     assert [(finding.check, finding.severity) for finding in findings] == [(check, severity)], findings
@@ -134,55 +120,60 @@ def metadata(**fields):
     return np.array(json.dumps({"side": "right", "convention": 1, **fields}))
 
 
-def relabelled(hand, **fields):
-    return [{**frame, **fields} for frame in mediapipe_frames(hand)]
+def relabelled(hand, label):
+    return [{**frame, "handedness": label} for frame in gloves.mediapipe_frames(hand)]
 
 
 def pictures(hand):
-    return [{"landmarks": m["worldLandmarks"], "handedness": m["handedness"]} for m in mediapipe_frames(hand)]
+    return [
+        {"landmarks": m["worldLandmarks"], "handedness": m["handedness"]}
+        for m in gloves.mediapipe_frames(hand)
+    ]
 
 
 def commas(table):
     return [[str(cell).replace(".", ",") for cell in row] for row in table]
 
 
+PALM_SECOND = ["wrist", "palm", *gloves.FROM_WRIST_25[1:]]
 # Files that leave the meaning open: how each is written, and what the message must say.
 REFUSED = {
     "own of another convention": (
-        lambda f, h: write_own(f, h, metadata=metadata(convention=9)), "convention 9 is not supported"
+        lambda f, h: gloves.write_own(f, h, metadata=metadata(convention=9)), "convention 9 is not supported"
     ),
     "own of points in a plane": (
-        lambda f, h: write_own(f, h, p_HK=h.p_HK * [0, 1, 1]), "changes its length by .* 3-D keypoints in m"
+        lambda f, h: gloves.write_own(f, h, p_HK=h.p_HK * [0, 1, 1]),
+        "changes its length by .* 3-D keypoints in m",
     ),
     "own with a clock that starts anew": (
-        lambda f, h: write_own(f, h, t=np.where(AFTER_100, h.t - h.t[101], h.t)),
+        lambda f, h: gloves.write_own(f, h, t=np.where(AFTER_100, h.t - h.t[101], h.t)),
         "have no time, or one that does not increase, .*; at most one in ten may be lost",
     ),
     "manus with 24 nodes": (
-        lambda f, h: write_manus(f, h, data=np.zeros((9, 24, 7))), r"\(T, 25, 7\), not .* \(9, 24"
+        lambda f, h: gloves.write_manus(f, h, data=np.zeros((9, 24, 7))), r"\(T, 25, 7\), not .* \(9, 24"
     ),
     "csv with decimal commas": (
-        lambda f, h: write_manus_csv(f, h, commas(manus_table(h)), ";"),
+        lambda f, h: gloves.write_manus_csv(f, h, commas(gloves.manus_table(h)), ";"),
         "line 2 must hold numbers with decimal points: .*'.*,.*'",
     ),
     "mediapipe in the picture": (
-        lambda f, h: write_mediapipe(f, h, pictures(h)), "frame 0: .*image landmarks .* world landm"
+        lambda f, h: gloves.write_mediapipe(f, h, pictures(h)), "frame 0: .*image landmarks .* world landm"
     ),
     "mediapipe of a mirrored picture": (
-        lambda f, h: write_mediapipe(f, h, relabelled(dc.replace(h, side="left"), handedness=[["Right"]])),
+        lambda f, h: gloves.write_mediapipe(f, h, relabelled(dc.replace(h, side="left"), [["Right"]])),
         "bend backwards .* read it with side 'left', and if the axes are mirrored also with --mirror",
     ),
     "openxr with the palm second": (
-        lambda f, h: write_openxr(f, h, joints=stacked(h.joints(), ["wrist", "palm", *FROM_WRIST_25[1:]])),
+        lambda f, h: gloves.write_openxr(f, h, joints=gloves.stacked(h.joints(), PALM_SECOND)),
         "wrong joint order: .* keypoint 1, the thumb's base",
     ),
     "webxr without ones": (
-        lambda f, h: write_webxr(f, h, joints=0.5 * np.load(write_webxr(f, h))["joints"]),
+        lambda f, h: gloves.write_webxr(f, h, joints=0.5 * np.load(gloves.write_webxr(f, h))["joints"]),
         "rigid transforms, whose last row is 0 0 0 1",
     ),
     "vision pro with the joints in the world": (
-        lambda f, h: write_vision_pro(
-            f, h, right_fingers=vision_pro_arrays(h)["right_wrist"] @ fingers(h)
+        lambda f, h: gloves.write_vision_pro(
+            f, h, right_fingers=gloves.vision_pro_arrays(h)["right_wrist"] @ fingers(h)
         ),
         "joints in the wrist's frame",
     ),
@@ -199,20 +190,20 @@ def test_a_file_whose_meaning_is_open_is_refused(tmp_path, fault):
 
 
 def fingers(hand):
-    return vision_pro_arrays(hand)["right_fingers"]
+    return gloves.vision_pro_arrays(hand)["right_fingers"]
 
 
 REPAIRED = {
     "mediapipe labelled for the mirror": (
-        lambda f, h: write_mediapipe(f, h, relabelled(h, handedness=[["Left"]])),
+        lambda f, h: gloves.write_mediapipe(f, h, relabelled(h, [["Left"]])),
         "labelled left, but the fingers bend as a right hand's: read as right, .* mirrored",
     ),
     "vision pro transposed": (
-        lambda f, h: write_vision_pro(f, h, right_fingers=np.swapaxes(fingers(h), 2, 3)),
+        lambda f, h: gloves.write_vision_pro(f, h, right_fingers=np.swapaxes(fingers(h), 2, 3)),
         "transforms are stored transposed",
     ),
     "own with odd metadata": (
-        lambda f, h: write_own(f, h, metadata=metadata(format=["x"])), "metadata format must be str"
+        lambda f, h: gloves.write_own(f, h, metadata=metadata(format=["x"])), "metadata format must be str"
     ),
 }  # fmt: skip
 
@@ -241,7 +232,7 @@ def test_a_git_lfs_pointer_is_named_with_the_way_out(tmp_path):
 def test_short_recordings_can_be_replayed_but_not_trained_on(tmp_path):
     """From two frames on; training needs 300."""
     for frames in (2, 3, 4, 250):
-        path = write_own(tmp_path, moving().part(np.arange(frames)))
+        path = gloves.write_own(tmp_path, moving().part(np.arange(frames)))
         _, findings = examine(open_recording(path)[0])
         assert f"{frames} valid frames, training needs at least 300" in " ".join(map(str, findings))
         with pytest.raises(RecordingError, match=r"own\.npz: "):

@@ -29,17 +29,8 @@ def people():
     coded = code_people(p_HK, FINGERS, rng)
     p_HF = p_HK[:, :, [TIP_KEYPOINT[name] for name in FINGERS]]
     pairs = pinch_pairs(FINGERS)
-    return TrainingPeople(
-        p_HF,
-        pairs,
-        generator,
-        rng,
-        coded.codes,
-        coded.reach,
-        0.005,
-        weights=[1] * 4,
-        device=torch.device("cpu"),
-    )
+    weights, cpu = [1] * 4, torch.device("cpu")
+    return TrainingPeople(p_HF, pairs, generator, rng, coded.codes, coded.reach, 0.005, weights, cpu)
 
 
 def test_the_seed_determines_the_map_to_the_last_bit():

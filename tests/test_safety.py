@@ -9,21 +9,12 @@ from faults.sound import play, smooth_retargeter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geort_drake.systems.glove_checks import (
-    FROZEN,
-    HELD_CLOCK,
-    HELD_JUMPED,
-    HELD_LOST,
-    HELD_NOT_FINITE,
-    HELD_OUT_OF_RANGE,
-    HELD_STALE,
-    GloveChecks,
-)
+from geort_drake.systems import glove_checks
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.retargeting_system import EASING, LIMITED, SETTLING, TRACKING
 
 PLAY = play()
-AT_ONCE = GloveChecks(ease_at_start=False)
+AT_ONCE = glove_checks.GloveChecks(ease_at_start=False)
 
 
 # -- what may come in
@@ -75,7 +66,7 @@ def hands(count: int, start: int = 0) -> np.ndarray:
 
 def test_the_hand_does_not_jump_at_the_start():
     """It waits for steady input, and follows with growing speed until it has caught up."""
-    bench = Bench(checks=GloveChecks())
+    bench = Bench(checks=glove_checks.GloveChecks())
     states, speeds = [], []
     for number, keypoints in enumerate(hands(100)):
         _, v, status = bench.tick(keypoints)
@@ -91,12 +82,12 @@ def test_the_hand_does_not_jump_at_the_start():
 @pytest.mark.parametrize(
     ("fault", "state"),
     [
-        ({"valid": 0.0}, HELD_LOST),
-        ({"nan": True}, HELD_NOT_FINITE),
-        ({"scale": 1000.0}, HELD_OUT_OF_RANGE),
-        ({"shift": 0.08}, HELD_JUMPED),
-        ({"stamp": -1.0}, HELD_CLOCK),
-        ({"stamp": np.nan}, HELD_NOT_FINITE),
+        ({"valid": 0.0}, glove_checks.HELD_LOST),
+        ({"nan": True}, glove_checks.HELD_NOT_FINITE),
+        ({"scale": 1000.0}, glove_checks.HELD_OUT_OF_RANGE),
+        ({"shift": 0.08}, glove_checks.HELD_JUMPED),
+        ({"stamp": -1.0}, glove_checks.HELD_CLOCK),
+        ({"stamp": np.nan}, glove_checks.HELD_NOT_FINITE),
     ],
 )
 def test_a_fault_is_held_named_and_eased_out_of(fault, state):
@@ -119,7 +110,7 @@ def test_a_fault_is_held_named_and_eased_out_of(fault, state):
     for number, keypoints in enumerate(hands(100, 400)):
         *_, status = bench.tick(keypoints, stamp=1e3 + number)
         states.append(status.state)
-    assert states[0] in (SETTLING, HELD_JUMPED)
+    assert states[0] in (SETTLING, glove_checks.HELD_JUMPED)
     assert EASING in states
     assert states[-1] == TRACKING
 
@@ -129,7 +120,7 @@ def test_old_keypoints_are_not_followed():
     bench = Bench(checks=AT_ONCE, stamped=True)
     for number in range(60):
         *_, status = bench.tick(hands(60)[min(number, 20)], stamp=0.01 * min(number, 20))
-        assert (status.state == HELD_STALE) == (number > 40)
+        assert (status.state == glove_checks.HELD_STALE) == (number > 40)
 
 
 def test_a_frozen_glove_is_named_and_what_follows_is_eased():
@@ -138,7 +129,7 @@ def test_a_frozen_glove_is_named_and_what_follows_is_eased():
     retarget = smooth_retargeter()
     for _ in range(80):
         q, _, status = bench.tick(hands(1)[0])
-    assert (status.state, status.since) == (FROZEN, pytest.approx(0.51))
+    assert (status.state, status.since) == (glove_checks.FROZEN, pytest.approx(0.51))
     np.testing.assert_array_equal(q, retarget(hands(1)[0]))
     moved = hands(1)[0] + 0.01
     *_, v, status = bench.tick(moved)

@@ -96,10 +96,7 @@ SHAPES = {
     "sphere": (Sphere(0.03), 0.03 * _DIRECTIONS),
     "ellipsoid": (Ellipsoid(0.03, 0.05, 0.01), [0.03, 0.05, 0.01] * _DIRECTIONS),
     "cylinder": (Cylinder(0.02, 0.1), np.concatenate([_RIM + [0, 0, 0.05], _RIM - [0, 0, 0.05]])),
-    "capsule": (
-        Capsule(0.02, 0.1),
-        np.concatenate([0.02 * _DIRECTIONS + [0, 0, z] for z in (-0.05, 0.05)]),
-    ),
+    "capsule": (Capsule(0.02, 0.1), np.concatenate([0.02 * _DIRECTIONS + [0, 0, z] for z in (-0.05, 0.05)])),
 }
 
 

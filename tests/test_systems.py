@@ -108,10 +108,7 @@ def test_retargeting_holds_when_the_map_gives_no_number():
         assert bench.value("status").state == state
 
 
-@pytest.mark.parametrize(
-    ("latency", "updates"),
-    [(0.0, 0.01), (0.008, 0.01), (0.01, 0.01), (0.014, 0.014)],
-)
+@pytest.mark.parametrize(("latency", "updates"), [(0.0, 0.01), (0.008, 0.01), (0.01, 0.01), (0.014, 0.014)])
 def test_retargeting_answers_after_its_latency_and_as_often_as_it_can(latency, updates):
     """What comes out at any time was made of the keypoints of the last update that is `latency` ago."""
     bench = retargeting_bench(first_three, latency, period=0.001)

@@ -321,10 +321,7 @@ UNREADABLE = "not one readable model|not XML"
 HANDS: dict[str, tuple[Make, str]] = {
     "a tag that runs code": (hand("!!python/object/apply:os.system ['touch harm']"), "is malformed"),
     "an alias of itself": (hand("fingers: &a [*a]"), "is malformed"),
-    "a model elsewhere": (
-        hand_with_model("package://geort_drake/../../../../../../etc/passwd"),
-        "passwd",
-    ),
+    "a model elsewhere": (hand_with_model("package://geort_drake/../../../../../../etc/passwd"), "passwd"),
     "SDF with entities of entities": (sdf_with_entities(ENTITIES, "&a9;"), UNREADABLE),
     "SDF that reads another file": (
         sdf_with_entities("<!ENTITY a SYSTEM 'file:///etc/passwd'>", "&a;"),

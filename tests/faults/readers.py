@@ -82,10 +82,7 @@ def _descriptions(folder: Path) -> list[Reader]:
     file, scenarios = room / "hand.yaml", room / "grasp.scenarios.yaml"
     write_description(propose(write_hand(room, HandSpec(fingers=2)), "small").description, file)
     shutil.copyfile(find_task("grasp").scenario[0], scenarios)
-    return [
-        Reader("hand description", file, hand),
-        Reader("scenarios", scenarios, load_scenario),
-    ]
+    return [Reader("hand description", file, hand), Reader("scenarios", scenarios, load_scenario)]
 
 
 def _messages(folder: Path) -> list[Reader]:
@@ -111,15 +108,12 @@ def _results(folder: Path) -> list[Reader]:
     digests = ("recording_sha256", "operator_sha256", "hand_sha256", "models_sha256", "code_sha256")
     settings = {
         **dict.fromkeys(digests, "0" * 64), "training_seed": 0, "latency": "zero", "hand": "allegro_right",
-        "scenario": {"random_seed": 0, "timeout": 25.0}, "versions": {"python": "3.11"},
+        "scenario": {"random_seed": 0, "timeout": 25.0}, "versions": {"python": "3.11"}
     }  # fmt: skip
     methods = {"hold": {"weights_sha256": None, "latency_s": 0.0}}
     config = {"settings": settings, "objects": ["cube"], "methods": methods, "trials": 3, "notes": {}}
     (room / CONFIG).write_text(json.dumps(config))
-    return [
-        Reader("trials", room / TRIALS, read_records),
-        Reader("benchmark", room / CONFIG, configuration),
-    ]
+    return [Reader("trials", room / TRIALS, read_records), Reader("benchmark", room / CONFIG, configuration)]
 
 
 def _room(folder: Path, name: str) -> Path:
