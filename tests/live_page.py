@@ -18,7 +18,6 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "geort_drake" / "live" / "web" / "static"
 WEB = ROOT / "web"
 CHROMIUM = Path("/usr/bin/chromium")
-_WITHOUT_GPU = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 # The page gets the camera without a question.
 _FAKE_CAMERA = ("--use-fake-ui-for-media-stream", "--use-fake-device-for-media-stream")
 
@@ -46,7 +45,7 @@ def require_package(name: str) -> None:
 def launch(playwright, clip: Path | None = None):
     """Starts a browser; its camera plays `clip`, or it has none."""
     camera = [*_FAKE_CAMERA, f"--use-file-for-fake-video-capture={clip}"] if clip else []
-    return playwright.chromium.launch(executable_path=str(CHROMIUM), args=[*_WITHOUT_GPU, *camera])
+    return playwright.chromium.launch(executable_path=str(CHROMIUM), args=camera)
 
 
 def new_page(browser, **options):

@@ -120,7 +120,6 @@ function receiveHand(t, fields, seen) {
 
 const camera = new Camera(
   element("mirror"),
-  view.coarse,
   ({ t, hand, aspect, delay }) => {
     if (!hand) return receiveHand(t, null);
     const { side, ...fields } = hand;

@@ -4,18 +4,19 @@ import * as THREE from "three";
 import { BONES } from "./skeleton.js";
 
 const UP = new THREE.Vector3(0, 1, 0);
+const ALL = new THREE.Vector3(1, 1, 1);
+const KEYPOINTS = 21;
 
 export class OwnHand extends THREE.Group {
-  constructor() {
+  /** @param {typeof THREE.Material} Material */
+  constructor(Material) {
     super();
-    const material = (colour) => new THREE.MeshStandardMaterial({ color: colour, roughness: 0.4 });
-    const rod = new THREE.CylinderGeometry(0.0045, 0.0055, 1, 16);
-    const ball = new THREE.SphereGeometry(0.0065, 20, 14);
-    this.bones = BONES.map((bone) => ({ ...bone, mesh: new THREE.Mesh(rod, material(bone.colour)) }));
-    const white = material("#f4f4f2");
-    this.balls = Array.from({ length: 21 }, () => new THREE.Mesh(ball, white));
-    this.add(...this.bones.map(({ mesh }) => mesh), ...this.balls);
-    this.traverse((object) => (object.castShadow = true));
+    const many = (geometry, colour, count) => new THREE.InstancedMesh(geometry, new Material({ color: colour }), count);
+    this.rods = many(new THREE.CylinderGeometry(0.0045, 0.0055, 1, 16), "#fff", BONES.length);
+    this.balls = many(new THREE.SphereGeometry(0.0065, 20, 14), "#f4f4f2", KEYPOINTS);
+    BONES.forEach(({ colour }, i) => this.rods.setColorAt(i, new THREE.Color(colour)));
+    this.add(this.rods, this.balls);
+    for (const mesh of this.children) Object.assign(mesh, { castShadow: true, frustumCulled: false });
     this.visible = false;
   }
 
@@ -23,13 +24,16 @@ export class OwnHand extends THREE.Group {
   setPoints(points) {
     this.visible = points !== null;
     if (!points) return;
-    this.balls.forEach((ball, i) => ball.position.set(...points[i]));
-    for (const { parent, child, mesh } of this.bones) {
-      const begin = this.balls[parent].position;
-      const along = this.balls[child].position.clone().sub(begin);
-      mesh.position.copy(begin).addScaledVector(along, 0.5);
-      mesh.scale.y = along.length();
-      mesh.quaternion.setFromUnitVectors(UP, along.normalize());
-    }
+    const at = points.map((point) => new THREE.Vector3(...point));
+    const matrix = new THREE.Matrix4();
+    at.forEach((place, i) => this.balls.setMatrixAt(i, matrix.makeTranslation(place)));
+    BONES.forEach(({ parent, child }, i) => {
+      const along = at[child].clone().sub(at[parent]);
+      const middle = at[parent].clone().addScaledVector(along, 0.5);
+      const length = ALL.clone().setY(along.length());
+      const turn = new THREE.Quaternion().setFromUnitVectors(UP, along.normalize());
+      this.rods.setMatrixAt(i, matrix.compose(middle, turn, length));
+    });
+    for (const mesh of this.children) mesh.instanceMatrix.needsUpdate = true;
   }
 }

@@ -32,21 +32,24 @@ export class View {
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !this.coarse, alpha: true });
     this.renderer.shadowMap.enabled = !this.coarse;
     this.Material = this.coarse ? THREE.MeshLambertMaterial : THREE.MeshStandardMaterial;
-    this.renderer.toneMapping = THREE.ACESFilmicToneMapping;
+    this.renderer.toneMapping = this.coarse ? THREE.NoToneMapping : THREE.ACESFilmicToneMapping;
     this.camera = new THREE.PerspectiveCamera(46, 1, 0.02, 20);
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.enableDamping = true;
     this.controls.listenToKeyEvents(canvas);
 
     this.scene = new THREE.Scene();
-    const studio = new THREE.PMREMGenerator(this.renderer);
-    this.scene.environment = studio.fromScene(new RoomEnvironment(), 0.04).texture;
-    this.scene.environmentIntensity = 0.45;
+    if (this.coarse) this.scene.add(new THREE.HemisphereLight("#fff", "#998", 1.2));
+    else {
+      const studio = new THREE.PMREMGenerator(this.renderer);
+      this.scene.environment = studio.fromScene(new RoomEnvironment(), 0.04).texture;
+      this.scene.environmentIntensity = 0.45;
+    }
     this.world = new THREE.Group();
     this.world.applyMatrix4(WORLD);
     this.scene.add(this.world, this.#makeSun());
-    this.ownHand = new OwnHand();
-    this.headsetHand = new OwnHand();
+    this.ownHand = new OwnHand(this.Material);
+    this.headsetHand = new OwnHand(this.Material);
     this.sign = new Sign();
     this.sign.visible = false;
     this.scene.add(this.headsetHand, this.sign);
@@ -80,12 +83,9 @@ export class View {
     this.stale = true;
   }
 
-  /** Moves everything to a binary message's poses. */
+  /** Moves everything to a binary message's poses in the next picture. */
   setPoses(values) {
-    const n = this.bodies.length;
-    if (values.length !== 1 + 7 * n + 63) return;
-    this.bodies.forEach((body, i) => setPose(body, values, 1 + 7 * i));
-    this.#setOwnHand(values.subarray(1 + 7 * n));
+    this.values = values;
     this.stale = true;
   }
 
@@ -128,6 +128,14 @@ export class View {
     this.sign.visible = false;
     this.setOwnJoints(null);
     this.stale = true;
+  }
+
+  #move() {
+    const { values } = this;
+    const n = this.bodies.length;
+    if (values?.length !== 1 + 7 * n + 63) return;
+    this.bodies.forEach((body, i) => setPose(body, values, 1 + 7 * i));
+    this.#setOwnHand(values.subarray(1 + 7 * n));
   }
 
   #setOwnHand(p_BK) {
@@ -179,6 +187,7 @@ export class View {
     if (!frame && (!this.stale || (this.coarse && time - this.drawn < COARSE_INTERVAL_MS))) return;
     this.stale = false;
     this.drawn = time;
+    this.#move();
     this.renderer.render(this.scene, this.camera);
   }
 }
