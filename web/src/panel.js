@@ -48,7 +48,7 @@ export function show(model) {
 
   write("map", welcome ? `Map ${welcome.map}` : "");
   element("guide").disabled = element("refit").disabled = !operator;
-  write("refit-words", state?.refit?.text ?? "");
+  write("refit-words", sentenceCase(state?.refit?.text) ?? "");
   element("record").disabled = !operator || !(state?.recording || element("keep").checked);
   write("record", state?.recording ? "Stop" : "Record");
   write("recording", state?.recording ?? "");

@@ -29,8 +29,8 @@ export function situation({ connected, welcome, state, device, hand, refusal }) 
     return say("lost", "Hand lost", `The robot holds until it sees your ${side} hand again.`);
   if (state?.outcome?.over)
     return state.outcome.success
-      ? say(state.engaged ? "engaged" : "tracking", "Done", "Press R for another try.")
-      : say(state.engaged ? "engaged" : "tracking", "Not this time", "Press R to try again.");
+      ? say(state.engaged ? "engaged" : "tracking", "Done", "Reset for another try.")
+      : say(state.engaged ? "engaged" : "tracking", "Not this time", "Reset to try again.");
   if (state?.engaged && state.fist > 0)
     return say("engaged", "Keep the fist to stop", "The robot holds when the ring is full.");
   if (state?.engaged)
@@ -43,10 +43,10 @@ export function situation({ connected, welcome, state, device, hand, refusal }) 
   if (!seen) return say("waiting", `Hold up your ${side} hand`, "The whole hand, with the palm to the camera.");
   if (refusal) return say("tracking", "Not yet", refusal);
   if (state?.guide?.seconds_left > 0) return say("tracking", "Guided play", "The robot waits, and no fist engages it.");
-  if (welcome.robot === "lcm") return say("tracking", "Press Space to take control", "The real robot will move.");
+  if (welcome.robot === "lcm") return say("tracking", "Press Engage to take control", "The real robot will move.");
   return state?.fist > 0
     ? say("tracking", "Keep the fist", "The robot follows when the ring is full.")
-    : say("tracking", "Hold a fist to take control", "Or press Space. The robot moves as your hand does.");
+    : say("tracking", "Hold a fist to take control", "Or press Engage. The robot moves as your hand does.");
 }
 
 const say = (name, headline, detail) => ({ name, headline, detail });
