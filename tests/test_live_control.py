@@ -1,5 +1,6 @@
 """What the live page asks of a session: engagement, recordings, and the person's own map."""
 
+import errno
 import io
 import json
 
@@ -12,6 +13,7 @@ from web_page import PLAY, headset, hello
 
 from geort_drake.benchmark.replay import Replay
 from geort_drake.cli import main
+from geort_drake.files import writing
 from geort_drake.live.glove_stream import HANDSHAKE_FRAMES
 from geort_drake.live.web import control as page_control
 from geort_drake.live.web.control import DONE, PageControl
@@ -203,6 +205,34 @@ def test_with_consent_every_session_is_recorded_from_its_engagement_and_can_be_r
     np.testing.assert_allclose(
         trial.retarget(PLAY.p_HK[50]), UNIVERSAL.for_person(first.p_HK[first.valid])(PLAY.p_HK[50])
     )
+
+
+@pytest.mark.filterwarnings("ignore:the recording ends here")
+def test_a_full_disk_ends_the_recording_in_words_and_keeps_its_parts(tmp_path, monkeypatch):
+    page, save, full = Page(tmp_path), Recording.save, False
+
+    def save_unless_full(recording, path):
+        with writing(path):
+            if full:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            save(recording, path)
+
+    monkeypatch.setattr(Recording, "save", save_unless_full)
+    page.bench.recorder._part_samples = 10
+    page.run(Record(keep=True), Engage())
+    (parts,) = tmp_path.glob("*.parts")
+    while not (written := list(parts.glob("*.npz"))):
+        page.run(steps=10)
+    full = True
+    while "No space left" not in page.control.note:
+        page.run(steps=10)
+    page.control.end()
+    page.control.close()
+    assert written[0].is_file()
+    page.control._published = 0.0
+    page.run()
+    assert json.loads(page.states[-1])["recording"] is None
+    assert not page.exported
 
 
 def test_a_map_made_mine_again_takes_over_without_a_new_session_or_a_jump(tmp_path, monkeypatch):

@@ -16,6 +16,8 @@ from web_page import in_world, joints_of
 
 from geort_drake.live.web.hands import HandReader
 from geort_drake.live.web.messages import decode
+from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
+from geort_drake.live.web.server import WebServer
 from geort_drake.people.formats.source import KEYPOINTS_OF_25
 from geort_drake.people.keypoints import BONES
 from geort_drake.retargeting.methods import make_untrained
@@ -280,6 +282,37 @@ def test_a_person_who_sees_only_the_page_grasps_the_cylinder(headset, tmp_path):
     assert report["glove"]["refused"] == 0
 
 
+def test_an_old_address_is_refused_in_words(browser, stub):
+    station = OperatorStation(RobotInfo("right", "allegro_right", "simulation", {}, "a map"))
+    server = WebServer(station, "127.0.0.1", 0, "key")
+    try:
+        page = open_page(browser, None, f"http://127.0.0.1:{server.port}/#old")
+        until(page, lambda: "Wrong key: open the address" in page.inner_text("#headline"))
+    finally:
+        server.close()
+
+
+def test_a_camera_that_stops_or_comes_too_late_is_left_in_words(browser, stub, address):
+    camera = """
+      window.given = [];
+      navigator.mediaDevices.getUserMedia = () => new Promise((give) => (window.allow = () => {
+        given.push(document.createElement("canvas").captureStream(5).getTracks()[0]);
+        give(new MediaStream(given.slice(-1)));
+      }));
+    """
+    page = open_page(browser, stub, f"{address}/#key", {"script": camera})
+    page.click("#camera")
+    page.click("#camera")  # in spite of the browser's question
+    page.evaluate("allow()")
+    until(page, lambda: page.evaluate("given[0].readyState") == "ended")
+    page.click("#camera")
+    page.evaluate("allow()")
+    page.wait_for_selector("#mirror canvas", state="attached")
+    page.evaluate("given[1].dispatchEvent(new Event('ended'))")
+    until(page, lambda: page.inner_text("#start-words") == "The camera has stopped.")
+    assert page.inner_text("#camera") == "Use the camera"
+
+
 def test_panel_and_keys(browser, stub, address):
     page = open_page(browser, stub, f"{address}/#key")
     page.wait_for_selector("body[data-state=waiting]")
@@ -322,5 +355,10 @@ def test_panel_and_keys(browser, stub, address):
 
     stub.welcome(role="spectator")
     until(page, lambda: "watching" in page.inner_text("#headline"))
+    hellos = len(stub.of("hello"))
+    stub.send(operator=False)
+    until(page, lambda: "Nobody has the controls" in page.inner_text("#headline"))
+    page.keyboard.press(" ")
+    until(page, lambda: len(stub.of("hello")) == hellos + 1)
     stub.socket.close()
     page.wait_for_selector("body[data-state=connecting]")

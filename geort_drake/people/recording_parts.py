@@ -54,6 +54,11 @@ class RecordingParts:
         self._thread = threading.Thread(target=self._write, name="recording", daemon=True)
         self._thread.start()
 
+    @property
+    def failed(self) -> bool:
+        """Whether parts are dropped since one could not be written."""
+        return self._error is not None
+
     def append(
         self,
         t: np.ndarray,

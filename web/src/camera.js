@@ -17,9 +17,15 @@ export class Camera {
 
   async start() {
     if (!navigator.mediaDevices) throw new Error("the browser gives it to https and this machine only");
-    this.stream = await navigator.mediaDevices.getUserMedia({
+    const use = (this.use = {});
+    const stream = await navigator.mediaDevices.getUserMedia({
       video: { width: { ideal: 640 }, height: { ideal: 480 }, frameRate: { ideal: 30 }, facingMode: "user" },
     });
+    // The person may have stopped it before the browser gave it.
+    if (this.use !== use) return stopTracks(stream);
+    this.stream = stream;
+    // As when it is unplugged, or its permission withdrawn.
+    this.stream.getVideoTracks()[0].onended = () => this.onFailure("The camera has stopped.");
     this.busy = true;
     this.worker = new Worker("worker.js");
     this.worker.onmessage = ({ data }) => this.#receive(data);
@@ -29,16 +35,18 @@ export class Camera {
     const offscreen = canvas.transferControlToOffscreen();
     this.worker.postMessage({ canvas: offscreen }, [offscreen]);
     this.video.srcObject = this.stream;
-    await this.video.play();
-    this.#watch();
+    await this.video.play().catch((error) => {
+      if (this.use === use) throw error;
+    });
+    if (this.use === use) this.#watch();
   }
 
   stop() {
     this.worker?.terminate();
     this.#keep(undefined);
-    this.stream?.getTracks().forEach((track) => track.stop());
+    if (this.stream) stopTracks(this.stream);
     this.video.srcObject = null;
-    this.worker = this.stream = undefined;
+    this.use = this.worker = this.stream = undefined;
   }
 
   #watch() {
@@ -76,3 +84,5 @@ export class Camera {
     this.onResult({ ...data, delay: performance.now() / 1000 - data.t });
   }
 }
+
+const stopTracks = (stream) => stream.getTracks().forEach((track) => track.stop());

@@ -4,7 +4,7 @@ const RETRY_MS = 1000;
 
 export class Connection {
   /**
-   * @param {{onClose: () => void, onMessage: (message: object) => void,
+   * @param {{onClose: (refusal: string) => void, onMessage: (message: object) => void,
    *   onPoses: (values: Float32Array) => void}} listeners
    */
   constructor(listeners) {
@@ -36,9 +36,21 @@ export class Connection {
       if (typeof data === "string") this.listeners.onMessage(JSON.parse(data));
       else this.listeners.onPoses(new Float32Array(data));
     };
-    socket.onclose = () => {
-      this.listeners.onClose();
+    let opened = false;
+    socket.onopen = () => (opened = true);
+    socket.onclose = async () => {
+      this.listeners.onClose(opened ? "" : await whyRefused(url));
       setTimeout(() => this.#connect(), RETRY_MS);
     };
+  }
+}
+
+/** The server's words for a refused connection, which a WebSocket does not tell; "" where no server answers. */
+async function whyRefused(url) {
+  try {
+    const response = await fetch(url.href.replace(/^ws/, "http"));
+    return [403, 503].includes(response.status) ? await response.text() : "";
+  } catch {
+    return "";
   }
 }

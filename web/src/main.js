@@ -50,8 +50,8 @@ function refresh() {
 }
 
 const connection = new Connection({
-  onClose() {
-    Object.assign(model, { connected: false, welcome: null, state: null });
+  onClose(refusal) {
+    Object.assign(model, { connected: false, welcome: null, state: null, refusal });
     refresh();
   },
   onMessage(message) {
@@ -177,6 +177,7 @@ document.addEventListener("visibilitychange", () => {
 async function toggle() {
   if (model.state?.engaged) return connection.send({ type: "disengage" });
   if (element("engage").disabled) return;
+  if (model.welcome.role === "spectator") return hello();
   if (model.welcome.robot === "lcm") {
     if (!(await confirmRealRobot())) return;
     connection.send({ type: "engage" }); // a real robot wants it twice

@@ -35,8 +35,9 @@ export function show(model) {
   write("delay", hand.seen && delay > 0 ? `${Math.round(1000 * delay)} ms` : "");
 
   const operator = model.connected && welcome?.role === "operator";
-  element("engage").disabled = !operator || !(state?.engaged || hand.seen);
-  write(element("engage").querySelector("span"), state?.engaged ? "Disengage" : "Engage");
+  const free = welcome?.role === "spectator" && state?.operator === false;
+  element("engage").disabled = !free && (!operator || !(state?.engaged || hand.seen));
+  write(element("engage").querySelector("span"), free ? "Take the controls" : state?.engaged ? "Disengage" : "Engage");
   const fixed = !operator || !state?.task;
   element("reset").disabled = element("task-name").disabled = element("object").disabled = fixed;
   if (state?.task && document.activeElement !== element("task-name") && document.activeElement !== element("object")) {

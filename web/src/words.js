@@ -18,11 +18,15 @@
 export function situation({ connected, welcome, state, device, hand, refusal }) {
   if (!connected || !welcome)
     return location.hash
-      ? say("connecting", "Connecting", "Waiting for geort-drake live on this address.")
+      ? refusal
+        ? say("connecting", "Not connected", sentence(refusal))
+        : say("connecting", "Connecting", "Waiting for geort-drake live on this address.")
       : say("connecting", "The address is incomplete", "Open the whole address that geort-drake live printed.");
   const { side } = welcome;
-  if (welcome.role === "spectator" && state?.operator)
-    return say("waiting", "You are watching", "Another page has the controls.");
+  if (welcome.role === "spectator")
+    return state?.operator === false
+      ? say("waiting", "Nobody has the controls", "Take them to move the robot.")
+      : say("waiting", "You are watching", "Another page has the controls.");
   const wrong = hand.seen && hand.side !== side;
   const seen = hand.seen && !wrong;
   if (state?.engaged && !seen)
@@ -53,7 +57,7 @@ const say = (name, headline, detail) => ({ name, headline, detail });
 
 /** The state as a sentence; what the server calls a glove is the device. */
 function sentence(status, device) {
-  const words = status?.replaceAll("the glove", `the ${device ?? "page"}`);
+  const words = status?.replaceAll("`", "").replaceAll("the glove", `the ${device ?? "page"}`);
   return words ? `${words[0].toUpperCase()}${words.slice(1)}.` : "";
 }
 

@@ -169,6 +169,9 @@ class PageControl:
                 self._guide, self._missing = GuidedPlay(time.monotonic(), self._station.about.side), []
             elif isinstance(command, Refit):
                 self._begin_refit()
+        if self._parts is not None and self._parts.failed:
+            self._consent = False
+            self._finish_recording()
         if math.isnan(self._started):
             self.loop.restart(root)
             self._started = root.get_time() if engaged else math.nan
