@@ -6,13 +6,11 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 from system_bench import SystemBench
 
-from geort_drake.hands.description import load_hand
+from geort_drake import WristToArm, load_hand, load_scenario
 from geort_drake.simulation.following import RobotModel
-from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.world import ARM, HAND
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.wrist_checks import WristChecks
-from geort_drake.systems.wrist_to_arm import WristToArm
 
 PERIOD = 0.01
 # The Panda's limits, rad/s and rad/s²: libfranka, kMaxJointVelocity and kMaxJointAcceleration.

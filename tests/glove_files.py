@@ -33,6 +33,10 @@ def transforms(p: np.ndarray, R: np.ndarray | None = None) -> np.ndarray:
     return X
 
 
+def xyz(point: list[float]) -> dict[str, float]:
+    return dict(zip("xyz", point, strict=True))
+
+
 def with_bases(name: str) -> list[str]:
     """Five joints of a finger from the metacarpal's base to the tip."""
     return [f"{name}_{j}" for j in ("base", "mcp", "pip", "dip", "tip")]
@@ -136,15 +140,10 @@ def write_manus_csv(
 
 def mediapipe_frames(hand: Hand) -> list[dict]:
     """Results as JavaScript gives them: about the middle of the hand, turned as the camera sees it."""
-    p = mediapipe_points(hand)
     label = [[{"categoryName": hand.side.title(), "score": 0.98}]]
     return [
-        {
-            "timestampMs": 1e3 * t,
-            "handedness": label,
-            "worldLandmarks": [[dict(zip("xyz", point, strict=True)) for point in points]],
-        }
-        for t, points in zip(hand.t.tolist(), p.tolist(), strict=True)
+        {"timestampMs": 1e3 * t, "handedness": label, "worldLandmarks": [[xyz(x) for x in points]]}
+        for t, points in zip(hand.t.tolist(), mediapipe_points(hand).tolist(), strict=True)
     ]
 
 
@@ -166,24 +165,12 @@ def openxr_fields(hand: Hand) -> dict:
 
 def openxr_frames(hand: Hand) -> dict:
     p = stacked(hand.joints(), openxr_order()).tolist()
-    start = 1_700_000_000_000_000_000
-    return {
-        "hand": hand.side,
-        "frames": [
-            {
-                "time": start + round(1e9 * t),
-                "joints": [
-                    {
-                        "locationFlags": 15,
-                        "radius": 0.01,
-                        "pose": {"position": dict(zip("xyz", x, strict=True))},
-                    }
-                    for x in points
-                ],
-            }
-            for t, points in zip(hand.t.tolist(), p, strict=True)
-        ],
-    }
+    start, seen = 1_700_000_000_000_000_000, {"locationFlags": 15, "radius": 0.01}
+    frames = [
+        {"time": start + round(1e9 * t), "joints": [seen | {"pose": {"position": xyz(x)}} for x in points]}
+        for t, points in zip(hand.t.tolist(), p, strict=True)
+    ]
+    return {"hand": hand.side, "frames": frames}
 
 
 def webxr_names() -> dict[str, str]:
@@ -199,19 +186,9 @@ def webxr_names() -> dict[str, str]:
 def webxr_frames(hand: Hand) -> dict:
     names = webxr_names()
     p = stacked(hand.joints(), names.values()).tolist()
-    return {
-        "handedness": hand.side,
-        "frames": [
-            {
-                "time": 5000.0 + 1e3 * t,
-                "joints": {
-                    name: {"position": dict(zip("xyz", x, strict=True))}
-                    for name, x in zip(names, points, strict=True)
-                },
-            }
-            for t, points in zip(hand.t.tolist(), p, strict=True)
-        ],
-    }
+    joints = [{n: {"position": xyz(x)} for n, x in zip(names, points, strict=True)} for points in p]
+    frames = [{"time": 5000.0 + 1e3 * t, "joints": j} for t, j in zip(hand.t.tolist(), joints, strict=True)]
+    return {"handedness": hand.side, "frames": frames}
 
 
 def webxr_fields(hand: Hand) -> dict:

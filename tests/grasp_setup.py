@@ -7,16 +7,12 @@ import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 
-from geort_drake.hands.description import load_hand
-from geort_drake.hands.model import HandModel
+from geort_drake import HandModel, Recording, load_hand, load_scenario, synthesize_play
 from geort_drake.people.human_hand import HumanHand
-from geort_drake.people.play import synthesize_play
-from geort_drake.people.recording import Recording
 from geort_drake.retargeting.methods.affine_ik import AffineIK
 from geort_drake.simulation.diagram import TrialDiagram
 from geort_drake.simulation.operators.finger_motion import FingerMotion
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 

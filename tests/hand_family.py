@@ -89,11 +89,8 @@ def _joints(spec: HandSpec) -> list[_Joint]:
     for finger in range(spec.fingers):
         thumb = finger == 0
         # In B, of a right hand: knuckles side by side, the thumb beside the palm.
-        origin = (
-            np.array([0.015, 0.04, 0.03])
-            if thumb
-            else np.array([0.0, 0.022 * ((spec.fingers - 2) / 2 - finger + 1), 0.09])
-        )
+        knuckle = [0.0, 0.022 * ((spec.fingers - 2) / 2 - finger + 1), 0.09]
+        origin = np.array([0.015, 0.04, 0.03] if thumb else knuckle)
         along = np.array([0.35, 0.75, 0.55]) if thumb else np.array([0.0, 0.0, 1.0])
         along /= np.linalg.norm(along)
         flexion = np.cross(along, [1.0, -1.0, 0.3] if thumb else [1.0, 0.0, 0.0])
@@ -109,22 +106,10 @@ def _joints(spec: HandSpec) -> list[_Joint]:
             if spec.mimic and last and not thumb:
                 follows = (joint_name(spec, finger, number - 1), 0.8, 0.1)
             link = f"{_label(spec, finger)}_l{number}"
-            joints.append(
-                _Joint(
-                    joint_name(spec, finger, number),
-                    parent,
-                    link,
-                    R_PB @ (flip * before),
-                    # An axis is an axial vector.
-                    R_PB @ (flip * axis) * flip[1],
-                    low,
-                    high,
-                    length,
-                    R_PB @ (flip * along),
-                    last,
-                    follows,
-                )
-            )
+            # An axis is an axial vector.
+            axis = R_PB @ (flip * axis) * flip[1]
+            name, place, way = joint_name(spec, finger, number), R_PB @ (flip * before), R_PB @ (flip * along)
+            joints.append(_Joint(name, parent, link, place, axis, low, high, length, way, last, follows))
             parent, before = link, along * length
     return joints
 

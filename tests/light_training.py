@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from geort_drake import Recording, train_checkpoint
 from geort_drake.comparison import metrics
-from geort_drake.comparison.train import train_checkpoint
-from geort_drake.people.recording import Recording
 
 LIGHT = {
     "geort": {"hidden": 8, "points": 16, "targets": 32, "pinches": 8, "frames": 8}

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "geort_drake" / "live" / "web" / "static"
 WEB = ROOT / "web"
@@ -72,17 +74,10 @@ def serve(folder: Path) -> Iterator[str]:
         server.server_close()
 
 
-WELCOME = {
-    "type": "welcome",
-    "version": 1,
-    "role": "operator",
-    "side": "right",
-    "hand": "allegro_right",
-    "robot": "simulation",
-    "tasks": {"grasp": ["cylinder", "sphere"], "keys": ["keys"]},
-    "map": "one map for everyone",
-    "instructions": {"grasp": "lift an object", "keys": "press a key"},
-}
+TASKS = {"grasp": ["cylinder", "sphere"], "keys": ["keys"]}
+WORDS = {"grasp": "lift an object", "keys": "press a key"}
+ABOUT = RobotInfo("right", "allegro_right", "simulation", TASKS, "one map for everyone", WORDS)
+WELCOME = OperatorStation(ABOUT).join(1) | {"role": "operator"}
 STATE = {
     "type": "state",
     "scene": 1,

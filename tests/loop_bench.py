@@ -5,7 +5,7 @@ from faults.bench import Watch
 from live_messages import Clock
 from pydrake.systems.analysis import Simulator
 
-from geort_drake.hands.description import load_hand
+from geort_drake import load_hand, load_scenario
 from geort_drake.live.glove_stream import GloveStream
 from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.teleoperation import make_teleoperation
@@ -13,7 +13,6 @@ from geort_drake.live.web.operator_station import OperatorStation
 from geort_drake.live.web.session import robot_joints
 from geort_drake.retargeting.method import Retarget
 from geort_drake.simulation.following import RobotModel
-from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.systems.glove_recorder import GloveRecorder
 

@@ -5,12 +5,11 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform
 from web_page import joints_of
 
-from geort_drake.hands.description import load_hand
+from geort_drake import load_hand, load_scenario
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.perception import Seen
-from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
 FRAME_S = 1.0 / 30.0

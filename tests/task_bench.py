@@ -10,14 +10,13 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
+from geort_drake import load_scenario, run_trial
 from geort_drake.retargeting.methods import make_untrained
 from geort_drake.simulation.free_play import seen_fingertips
 from geort_drake.simulation.monitor import TaskMonitor
 from geort_drake.simulation.operators.perception import FreePlay
-from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.task import TrialResult
 from geort_drake.simulation.tasks import find_task
-from geort_drake.simulation.trial import run_trial
 
 
 def judged(monitor: TaskMonitor, until: float, begins: float = 0.0, **inputs: tuple) -> Any:

@@ -5,13 +5,12 @@ import pytest
 from hand_family import HandSpec, write_hand
 from pydrake.geometry import Role
 
+from geort_drake import HandModel, load_hand
 from geort_drake.cli import run_command
-from geort_drake.hands.description import load_hand
 from geort_drake.hands.importers.checks import examine
 from geort_drake.hands.importers.conversion import add_collisions
 from geort_drake.hands.importers.fingertips import surface_points
 from geort_drake.hands.importers.proposal import propose
-from geort_drake.hands.model import HandModel
 
 # A rigid part that hangs on the index finger's last link, off its axes, and how far it reaches along them.
 PARTS = {

@@ -13,11 +13,10 @@ from grasp_setup import centred_map, human_with, person_who_plays, scenario_with
 from pydrake.systems.primitives import DiscreteTimeDelay
 from task_bench import plans
 
-from geort_drake.hands.description import load_hand
+from geort_drake import load_hand, load_scenario
 from geort_drake.simulation import operators
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.operators.perception import FreePlay
-from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.keys.goal import KeysGoal
@@ -78,26 +77,19 @@ def diagram_of(task: str, hand: str) -> TrialDiagram:
     return make_trial_diagram(scenario, centred_map(), (person_who_plays(), goal))
 
 
+HAND = {"fingertips", "hand_pose"}
+
+
 @pytest.mark.parametrize("hand", ["allegro_right", "allegro_left"])
 @pytest.mark.parametrize(
     ("task", "mirrored", "unmirrored", "judge"),
     [
-        ("grasp", {"fingertips", "hand_pose", "object_pose"}, {"contact"}, "grasp_monitor"),
-        ("keys", {"fingertips", "hand_pose"}, {"travel", "cue"}, "keys_monitor"),
-        (
-            "tracking",
-            {"fingertips", "hand_pose", "object_pose", "target_pose"},
-            {"cue", "contact"},
-            "tracking_monitor",
-        ),
-        ("cap", {"fingertips", "hand_pose", "turned"}, {"contact"}, "cap_monitor"),
-        ("trigger", {"fingertips", "hand_pose"}, {"travel", "cue", "contact"}, "trigger_monitor"),
-        (
-            "pick_place",
-            {"fingertips", "hand_pose", "object_pose", "place_pose"},
-            {"contact"},
-            "transfer_monitor",
-        ),
+        ("grasp", HAND | {"object_pose"}, {"contact"}, "grasp_monitor"),
+        ("keys", HAND, {"travel", "cue"}, "keys_monitor"),
+        ("tracking", HAND | {"object_pose", "target_pose"}, {"cue", "contact"}, "tracking_monitor"),
+        ("cap", HAND | {"turned"}, {"contact"}, "cap_monitor"),
+        ("trigger", HAND, {"travel", "cue", "contact"}, "trigger_monitor"),
+        ("pick_place", HAND | {"object_pose", "place_pose"}, {"contact"}, "transfer_monitor"),
     ],
 )
 def test_the_persons_ports_lead_through_delays_to_what_can_be_seen_and_felt(

@@ -17,10 +17,9 @@ from retargeting_toy import (
     uneven_kinematics,
 )
 
+from geort_drake import HandModel, load_hand
 from geort_drake.errors import TrainingError
 from geort_drake.hands.collision_shapes import collision_shapes
-from geort_drake.hands.description import load_hand
-from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.methods.coupled import CoupledConfig, CoupledRetargeter, Start, train_coupled
 from geort_drake.retargeting.methods.coupled.network import CoupledNetwork
 from geort_drake.retargeting.training.collision_geometry import CollisionGaps, CollisionShapes

@@ -17,12 +17,10 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
-from geort_drake import rerun
+from geort_drake import GloveReplay, rerun, synthesize_play
 from geort_drake.people.checks import examine, verdict
 from geort_drake.people.formats import FORMATS
-from geort_drake.people.play import synthesize_play
 from geort_drake.resources import models_dir
-from geort_drake.systems.glove_replay import GloveReplay
 
 # -- snippets
 

@@ -11,13 +11,11 @@ import pytest
 from light_training import train_lightly
 from pages import PAGES, ROOT, lines_of
 
+from geort_drake import load_hand, load_scenario, synthesize_play
 from geort_drake.cli import COMMANDS, load_command, parser_of, run_command
 from geort_drake.comparison import train as comparison_train
 from geort_drake.console import console
-from geort_drake.hands.description import load_hand
-from geort_drake.people.play import synthesize_play
 from geort_drake.resources import diagrams_dir
-from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
 SCRIPTS = ROOT / "scripts"

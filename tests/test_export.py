@@ -9,13 +9,12 @@ import pytest
 from rerun.experimental import LeRobotReader
 from scipy.spatial.transform import Rotation
 
+from geort_drake import Recording, synthesize_play
 from geort_drake.cli import run_command
 from geort_drake.errors import OutputError, RecordingError
 from geort_drake.export.episode import episode_of, read_episodes
 from geort_drake.export.lerobot import features_of, write_lerobot
 from geort_drake.export.parquet import write_parquet
-from geort_drake.people.play import synthesize_play
-from geort_drake.people.recording import Recording
 from geort_drake.rerun import file_writer
 
 # Joints of each plot, and their places in `command`.

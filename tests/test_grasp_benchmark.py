@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from grasp_setup import TOO_SHORT, human_with, judged, planned_goal
 
+from geort_drake import load_scenario, make_trial_diagram, run_trial
 from geort_drake.benchmark import trials
 from geort_drake.benchmark.config import read_config
 from geort_drake.benchmark.folder import open_benchmark
@@ -15,10 +16,7 @@ from geort_drake.cli import run_command
 from geort_drake.comparison.retargeters import names_of
 from geort_drake.errors import BenchmarkError, UnknownNameError, UsageError
 from geort_drake.retargeting.universal import UniversalRetargeter
-from geort_drake.simulation.diagram import make_trial_diagram
-from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
-from geort_drake.simulation.trial import run_trial
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -7,12 +7,11 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.framework import DiagramBuilder
 
+from geort_drake import HandModel, load_scenario
 from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.chains import finger_links, palm_links
 from geort_drake.hands.description import CouplingDescription, HandDescription, load_hand
 from geort_drake.hands.importers.proposal import propose
-from geort_drake.hands.model import HandModel
-from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.world import add_object, add_scene
 from geort_drake.systems.scene_view import SceneView
 

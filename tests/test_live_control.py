@@ -11,6 +11,7 @@ from live_messages import Clock
 from loop_bench import LoopBench
 from web_page import PLAY, headset, hello
 
+from geort_drake import Recording, load_retargeter, load_scenario
 from geort_drake.benchmark.replay import Replay
 from geort_drake.cli import main
 from geort_drake.files import writing
@@ -21,11 +22,8 @@ from geort_drake.live.web.exports import SessionExports
 from geort_drake.live.web.guide import DURATION_S
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Guide, Record, Refit, Reset, Stop
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
-from geort_drake.people.recording import Recording
 from geort_drake.rerun.reader import read_samples
-from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.simulation.scenario import parse_scenario
-from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import task_names
 from geort_drake.simulation.tasks.grasp.monitor import GraspOutcome, GraspPhase
 from geort_drake.simulation.world import draw_placement

@@ -14,14 +14,13 @@ from live_messages import Clock, Inbox, nodes_of, own_fields
 from pydrake.systems.analysis import Simulator
 from system_bench import SystemBench
 
+from geort_drake import read_recording, synthesize_play
 from geort_drake.errors import LiveError, MismatchError, RecordingError
 from geort_drake.live.glove_stream import GloveStream
 from geort_drake.live.latency import Latency, LatencyMeter
 from geort_drake.live.messages import GloveFrame, encode_frame
 from geort_drake.live.session import EnterKey, play, run_in_real_time
 from geort_drake.live.watchdog import EngageSwitch, Watchdog
-from geort_drake.people.play import synthesize_play
-from geort_drake.people.readers import read_recording
 from geort_drake.systems.glove_checks import FROZEN, HELD_LOST, HELD_STALE
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.retargeting_system import SETTLING, TRACKING, RetargetingStatus

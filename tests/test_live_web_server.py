@@ -26,9 +26,9 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from web_page import headset, hello
 
+from geort_drake import Recording, load_hand, load_scenario
 from geort_drake.errors import LiveError
 from geort_drake.hands.assembly import add_hand_model
-from geort_drake.hands.description import load_hand
 from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.transports import wait_for
 from geort_drake.live.web.certificate import own_addresses, self_signed_context
@@ -37,9 +37,7 @@ from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
 from geort_drake.live.web.serve import is_loopback
 from geort_drake.live.web.server import WebServer
-from geort_drake.people.recording import Recording
 from geort_drake.simulation.following import RobotModel
-from geort_drake.simulation.scenario_files import load_scenario
 
 KEY = "a-secret"
 PATIENCE_S = 120.0  # a busy machine takes long to start a program

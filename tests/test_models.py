@@ -7,8 +7,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import Simulator
 
-from geort_drake.hands.description import load_hand
-from geort_drake.hands.model import HandModel
+from geort_drake import HandModel, load_hand
 from geort_drake.resources import models_dir
 from geort_drake.simulation.object_shape import object_shape
 

@@ -12,18 +12,15 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import Context, DiagramBuilder
 
-from geort_drake.hands.description import load_hand
-from geort_drake.hands.model import HandModel
+from geort_drake import HandModel, load_hand, load_scenario, run_trial
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import mirrored
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.free_play import keep_attainable, seen_fingertips
 from geort_drake.simulation.object_shape import object_shape
-from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks.grasp.contacts import GRIPS, grip_contacts, palm_contact
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
-from geort_drake.simulation.trial import run_trial
 from geort_drake.simulation.world import HAND, add_object, add_robot
 from geort_drake.systems.port_values import pose_to_vector
 

@@ -10,6 +10,7 @@ from light_training import train_lightly
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
+from geort_drake import load_retargeter, load_scenario
 from geort_drake.benchmark import trials
 from geort_drake.benchmark.folder import open_benchmark
 from geort_drake.benchmark.methods import measure_latency
@@ -21,9 +22,7 @@ from geort_drake.errors import BenchmarkError, MethodError
 from geort_drake.hands.urdf import hand_urdf
 from geort_drake.retargeting import methods
 from geort_drake.retargeting.checkpoint import load_checkpoint
-from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.simulation.scenario import dump_scenario
-from geort_drake.simulation.scenario_files import load_scenario
 
 FILE = """
 import time
@@ -101,6 +100,13 @@ def test_time_that_a_method_waits_counts_as_latency(tmp_path, play, monkeypatch)
     assert measure_latency(own(tmp_path, "time.sleep(0.005)"), play) >= 0.005
 
 
+@pytest.fixture
+def patient(monkeypatch):
+    """A busy machine takes long for a call."""
+    monkeypatch.setattr("geort_drake.benchmark.own_method.LONGEST", 60.0)
+
+
+@pytest.mark.usefixtures("patient")
 def test_a_benchmark_keeps_its_file_and_refuses_another(tmp_path, play):
     """A folder's trials are of one method."""
     arguments = (load_scenario(text=TOO_SHORT), play, [str(tmp_path / "mine.py")], ["cylinder"], 1)
@@ -128,6 +134,7 @@ def test_the_urdf_of_a_hand_has_its_fingertips(tmp_path):
     assert np.allclose([X.translation() for X in tips], hand.fingertips(q), atol=1e-9)
 
 
+@pytest.mark.usefixtures("patient")
 def test_a_method_of_another_package_answers(play):
     """dex-retargeting, by the example in the docs."""
     pytest.importorskip("dex_retargeting")

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
+from geort_drake import Recording, synthesize_play
 from geort_drake.cli import run_command
 from geort_drake.people.checks import examine, verdict
 from geort_drake.people.coverage import PINCHES, coverage, finger_motions, pinch_distances, pinches
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_KEYPOINTS, FINGER_NAMES
-from geort_drake.people.play import synthesize_play
 from geort_drake.people.protocol import DURATION_S, STEPS, demonstrate
-from geort_drake.people.recording import Recording
 
 
 @pytest.fixture(scope="module")

@@ -7,13 +7,11 @@ from hypothesis import strategies as st
 from joint_angles import fitted_keypoints
 from scipy.spatial.transform import Rotation
 
+from geort_drake import Recording, read_recording, synthesize_play
 from geort_drake.errors import RecordingError
 from geort_drake.people import keypoints as kp
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES
-from geort_drake.people.play import synthesize_play
-from geort_drake.people.readers import read_recording
-from geort_drake.people.recording import Recording
 
 
 @pytest.fixture(scope="module")

@@ -5,12 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from geort_drake import read_recording, synthesize_play
 from geort_drake.people.checks import examine
 from geort_drake.people.coverage import fingertip_speeds, pinch_distances
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES
-from geort_drake.people.play import synthesize_play
-from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import PINCH_M
 
 # Statistics of two real recordings (`statistics`): "GeoRT" is human_alex.npy of GeoRT's authors

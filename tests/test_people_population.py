@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from joint_angles import fitted_keypoints
 
+from geort_drake import Recording, read_recording
 from geort_drake.people import device
 from geort_drake.people.coverage import fingertip_speeds, tip_distances
 from geort_drake.people.keypoints import FINGER_NAMES, bone_lengths, wrist_pose
 from geort_drake.people.population import sample_person, sample_population
-from geort_drake.people.readers import read_recording
-from geort_drake.people.recording import Recording
 
 # What of the real recordings lies outside the population: human_alex's ring finger measures 62 mm, the
 # population's 66 to 131 mm.

@@ -10,10 +10,8 @@ import pytest
 from glove_files import write_own
 from moving_hands import moving
 
+from geort_drake import Recording, read_recording, synthesize_play
 from geort_drake.errors import OutputError, RecordingError
-from geort_drake.people.play import synthesize_play
-from geort_drake.people.readers import read_recording
-from geort_drake.people.recording import Recording
 from geort_drake.people.recording_parts import RecordingParts
 
 

@@ -6,11 +6,10 @@ from grasp_setup import allegro, centred_map, person_who_plays
 from pydrake.math import RigidTransform
 from task_bench import judged
 
+from geort_drake import load_scenario, run_trial
 from geort_drake.simulation.free_play import seen_fingertips
-from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.pick_place.monitor import TransferMonitor, TransferOutcome
-from geort_drake.simulation.trial import run_trial
 from geort_drake.systems.port_values import pose_to_vector
 
 X_WP = RigidTransform([0.5, 0.15, 0.01])

@@ -6,10 +6,9 @@ import torch
 from retargeting_toy import toy_kinematics
 from scipy.spatial.transform import Rotation
 
+from geort_drake import HandModel, load_hand
 from geort_drake.errors import TrainingError
 from geort_drake.hands.collision_shapes import collision_shapes
-from geort_drake.hands.description import load_hand
-from geort_drake.hands.model import HandModel
 from geort_drake.people.keypoints import TIP_KEYPOINT
 from geort_drake.people.population import sample_population
 from geort_drake.retargeting.methods.coupled import CoupledConfig

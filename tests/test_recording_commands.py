@@ -5,12 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from geort_drake import Recording, read_recording, synthesize_play
 from geort_drake.cli import run_command
 from geort_drake.errors import RecordingError, UsageError
-from geort_drake.people.play import synthesize_play
 from geort_drake.people.population import sample_person
-from geort_drake.people.readers import read_recording
-from geort_drake.people.recording import Recording
 
 
 @pytest.fixture(scope="module")

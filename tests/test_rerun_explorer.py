@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from rerun_world import entities, read, rerun
 
+from geort_drake import Recording, load_retargeter
 from geort_drake.cli import run_command
 from geort_drake.comparison import metrics, training_recording
 from geort_drake.comparison.adaptation import follow
@@ -17,8 +18,6 @@ from geort_drake.comparison.exploration import (
 from geort_drake.comparison.explorer_recording import write_exploration
 from geort_drake.errors import RecordingError
 from geort_drake.people.keypoints import mirrored
-from geort_drake.people.recording import Recording
-from geort_drake.retargeting.retargeter import load_retargeter
 
 NAMES = ("thumb", "index", "middle")
 

@@ -6,11 +6,10 @@ import pytest
 import yaml
 from pydrake.multibody.plant import MultibodyPlant
 
+from geort_drake import load_hand, load_scenario
 from geort_drake.errors import HandError, ScenarioError
-from geort_drake.hands.description import load_hand
 from geort_drake.resources import diagrams_dir
 from geort_drake.simulation.scenario import dump_scenario
-from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.world import add_object, add_robot
 
 

@@ -7,13 +7,12 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from system_bench import SystemBench
 
+from geort_drake import GloveReplay, Recording
 from geort_drake.errors import HandError
-from geort_drake.people.recording import Recording
 from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor, GraspMonitorConfig, GraspPhase
 from geort_drake.systems.clutch import Clutch
 from geort_drake.systems.glove_checks import HELD_NOT_FINITE, GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
-from geort_drake.systems.glove_replay import GloveReplay
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.port_values import pose_to_vector
 from geort_drake.systems.retargeting_system import TRACKING, RetargetingSystem
@@ -168,13 +167,8 @@ TILTED = RotationMatrix.MakeXRotation(1.0)
 
 def run_monitor(heights, contacts, period=0.1, x=None, hand_heights=None, palm=None, **config):
     """Feeds one height, contact vector, place x, hand and palm's force per period; the outcome after them."""
-    monitor = GraspMonitor(
-        2,
-        ["a", "b", "palm"],
-        lambda X_WO: X_WO.translation()[2] - 0.02,
-        0.1,
-        GraspMonitorConfig(period=period, **config),
-    )
+    config = GraspMonitorConfig(period=period, **config)
+    monitor = GraspMonitor(2, ["a", "b", "palm"], lambda X_WO: X_WO.translation()[2] - 0.02, 0.1, config)
     bench = SystemBench(monitor, period)
     for step, (height, contact) in enumerate(zip(heights, contacts, strict=True)):
         above = height if hand_heights is None else hand_heights[step]

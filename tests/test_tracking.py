@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from grasp_setup import allegro, person_who_plays
+from grasp_setup import allegro
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -15,9 +15,6 @@ from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.web.scene import PoseStream, Scene
 from geort_drake.people.keypoints import mirrored
 from geort_drake.simulation.following import RobotModel
-from geort_drake.simulation.operators.config import OperatorConfig
-from geort_drake.simulation.operators.intention import SERVO, IntentionConfig
-from geort_drake.simulation.operators.puck_mover import PuckMover
 from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.tracking.goal import RADIUS, targets
@@ -140,15 +137,3 @@ def test_the_mirror_has_the_same_places():
     seen = goal.mirrored().places()
     for place in map(mirrored, goal.places()):
         assert min(np.abs(place - other).max() for other in seen) < 1e-9
-
-
-def test_pressing_is_no_motion_of_the_virtual_puck():
-    """A motion of all fingertips as of one body is; each finger's part along its normal is not."""
-    goal, rng = plans("tracking")[0].goal, np.random.default_rng(0)
-    person = PuckMover(person_who_plays(), goal, SERVO, OperatorConfig(), IntentionConfig(), rng)
-    held, arms = goal.touches, goal.p_BF_touch - goal.X_BG.translation()
-    rigid = np.array([0.001, -0.002, 0.003]) + np.cross([0.1, 0.2, -0.1], arms)
-    np.testing.assert_allclose(person._shared_motion(arms, rigid)[held], rigid[held], atol=1e-12)
-    # These three forces would be in balance.
-    press = np.array([2 * np.cos(np.deg2rad(40)), 1.0, 1.0, 0.0])[:, None] * goal.n_B
-    np.testing.assert_allclose(person._shared_motion(arms, press)[held], 0.0, atol=1e-9)

@@ -7,17 +7,12 @@ import numpy as np
 import pytest
 from light_training import train_lightly
 
-from geort_drake import files
+from geort_drake import HandModel, Recording, evaluate, files, load_hand, load_retargeter
 from geort_drake.cli import run_command
 from geort_drake.comparison import train as comparison_train
-from geort_drake.comparison.metrics import evaluate
 from geort_drake.comparison.train import cached_checkpoint, train_checkpoint
 from geort_drake.errors import CheckpointError, RecordingError, UnknownNameError
-from geort_drake.hands.description import load_hand
-from geort_drake.hands.model import HandModel
-from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import load_checkpoint
-from geort_drake.retargeting.retargeter import load_retargeter
 
 
 @pytest.fixture(scope="module")

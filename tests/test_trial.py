@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 from grasp_setup import Constant, allegro, centred_map, human_with, resting_glove, scenario_with
 
-from geort_drake.people.recording import Recording
-from geort_drake.retargeting.retargeter import load_retargeter
+from geort_drake import Recording, load_retargeter, run_trial
 from geort_drake.simulation.tasks.grasp.monitor import GraspPhase
 from geort_drake.simulation.tasks.grasp.task import GraspResult
-from geort_drake.simulation.trial import run_trial
 
 KINDS = ("command", "measured")
 # A shorter hold than a benchmark's, to save time.

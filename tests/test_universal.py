@@ -9,20 +9,16 @@ import torch
 from grasp_setup import allegro
 from universal_map import FINGERS, PLAY, map_of, random_network, random_retargeter, retargeter_of
 
+from geort_drake import HandModel, load_hand, load_retargeter, refit_checkpoint, synthesize_play
 from geort_drake.cli import run_command
 from geort_drake.comparison.metrics import evaluate_frames
-from geort_drake.comparison.refit import refit_checkpoint
 from geort_drake.errors import CheckpointError, GeortError, RecordingError
-from geort_drake.hands.description import load_hand
 from geort_drake.hands.mirror import canonical_kinematics
-from geort_drake.hands.model import HandModel
-from geort_drake.people.play import synthesize_play
 from geort_drake.people.population import sample_person
 from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.map_file import load_map
 from geort_drake.retargeting.person_code import observe
 from geort_drake.retargeting.person_observer import RECENT, WINDOW, PersonObserver
-from geort_drake.retargeting.retargeter import load_retargeter
 
 
 @pytest.mark.parametrize("fingers", [("index", "thumb"), ("thumb", "index", "middle", "ring", "little")])

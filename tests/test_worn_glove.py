@@ -6,9 +6,8 @@ from grasp_setup import centred_map, human_with, scenario_with
 from pydrake.math import RigidTransform
 from system_bench import SystemBench
 
-from geort_drake.people.play import synthesize_play
+from geort_drake import run_trial, synthesize_play
 from geort_drake.simulation.person import persons_hand
-from geort_drake.simulation.trial import run_trial
 from geort_drake.simulation.worn_glove import WornGlove, WornGloveConfig
 
 X_WH = RigidTransform([0.1, 0.2, 0.3])

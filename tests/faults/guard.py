@@ -6,9 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from geort_drake import HandModel, load_hand
 from geort_drake.hands.clearance import HandClearance
-from geort_drake.hands.description import load_hand
-from geort_drake.hands.model import HandModel
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.self_collision_guard import SelfCollisionGuard
 

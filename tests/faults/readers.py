@@ -15,20 +15,18 @@ from moving_hands import moving
 from trial_records import error, trial
 
 from faults.sound import checkpoint
+from geort_drake import HandModel, load_retargeter, load_scenario
 from geort_drake.benchmark.config import CONFIG, TRIALS, read_config
 from geort_drake.benchmark.records import read_records
 from geort_drake.files import sha256_of
 from geort_drake.hands.description import load_hand, write_description
 from geort_drake.hands.importers.proposal import propose
-from geort_drake.hands.model import HandModel
 from geort_drake.live.devices import ALLEGRO, PANDA, JointStatus
 from geort_drake.live.messages import decode
 from geort_drake.people.checks import examine
 from geort_drake.people.readers import open_recording
 from geort_drake.retargeting.checkpoint import CONFIG as CHECKPOINT_CONFIG
 from geort_drake.retargeting.checkpoint import DIGESTED
-from geort_drake.retargeting.retargeter import load_retargeter
-from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
 
 FRAMES = 60  # of a recording: enough to be one, and read quickly

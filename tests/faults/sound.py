@@ -6,10 +6,8 @@ from pathlib import Path
 import numpy as np
 from grasp_setup import allegro
 
-from geort_drake.people.play import synthesize_play
-from geort_drake.people.recording import Recording
+from geort_drake import Recording, Retargeter, synthesize_play
 from geort_drake.retargeting.checkpoint import TRAINED_POINTS, save_checkpoint
-from geort_drake.retargeting.retargeter import Retargeter
 from geort_drake.retargeting.trained_space import trained_points
 
 TIPS = (4, 8, 12, 16)

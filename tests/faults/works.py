@@ -17,11 +17,10 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from faults.sound import play, smooth_retargeter
+from geort_drake import GloveReplay, Recording
 from geort_drake.cli import run_command
-from geort_drake.people.recording import Recording
 from geort_drake.people.recording_parts import RecordingParts
 from geort_drake.systems.glove_recorder import GloveRecorder
-from geort_drake.systems.glove_replay import GloveReplay
 
 ROW_ID = "rerun.controls.RowId"
 
