@@ -15,7 +15,8 @@ from pathlib import Path
 from geort_drake.console import run_main
 
 MEMORY = 2 << 30  # bytes that a process may ask for beyond what the imports took
-HANGING = 120.0  # s; a longer run counts as hanging, also on a busy machine
+BUSY = 120  # s of CPU time; a process that takes more hangs
+HANGING = 280.0  # s; one that lasts longer hangs as well, as it waits for something, also on a busy machine
 
 _FORK = multiprocessing.get_context("forkserver")
 _FORK.set_forkserver_preload(
@@ -93,7 +94,7 @@ def _run(function: Callable, arguments: tuple, folder: Path, beside: Path, limit
     # Python's default, which the parent may have changed.
     sys.stderr.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     pages = int(Path("/proc/self/statm").read_text().split()[0])
-    limits = {"RLIMIT_AS": pages * resource.getpagesize() + MEMORY, **limits}
+    limits = {"RLIMIT_AS": pages * resource.getpagesize() + MEMORY, "RLIMIT_CPU": BUSY, **limits}
     for name, limit in limits.items():
         resource.setrlimit(getattr(resource, name), (limit, limit))
 
