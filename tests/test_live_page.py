@@ -325,9 +325,11 @@ def test_panel_and_keys(browser, stub, address):
     page.keyboard.press("r")
     page.select_option("#object", "sphere")
     page.select_option("#task-name", "keys")
+    until(page, lambda: "starts again" in page.inner_text("#headline"))
     cue = {"phase": "key 2", "score": 0.1, "seconds": None, "over": False, "success": False}
-    stub.send(task="keys", object="keys", outcome=cue, engaged=True)
+    stub.send(scene=2, task="keys", object="keys", outcome=cue, engaged=True, following=True)
     page.wait_for_selector("#object", state="hidden")
+    assert "starts again" not in page.inner_text("#headline")
     assert "Key 2" in page.inner_text("#task")
     assert page.inner_text("#purpose") == "Press a key"
     page.focus("#reset")

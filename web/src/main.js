@@ -27,6 +27,7 @@ const model = {
   device: null,
   failure: "",
   refusal: "",
+  leaving: null,
   hand: UNSEEN,
 };
 const view = openView(element("view"));
@@ -51,7 +52,7 @@ function refresh() {
 
 const connection = new Connection({
   onClose(refusal) {
-    Object.assign(model, { connected: false, welcome: null, state: null, refusal });
+    Object.assign(model, { connected: false, welcome: null, state: null, leaving: null, refusal });
     refresh();
   },
   onMessage(message) {
@@ -83,6 +84,7 @@ function receiveWelcome(welcome) {
 }
 
 function receiveRefusal({ text }) {
+  model.leaving = null;
   model.refusal = text;
   clearTimeout(receiveRefusal.timeout);
   receiveRefusal.timeout = setTimeout(() => {
@@ -96,6 +98,7 @@ function receiveState(state) {
   view.highlight(cuedBody(state.outcome?.phase));
   if (state.scene === scene) return;
   scene = state.scene;
+  model.leaving = null;
   fetch("scene")
     .then((response) => response.json())
     .then((description) => view.load(description));
@@ -175,9 +178,9 @@ document.addEventListener("visibilitychange", () => {
 // Controls
 
 async function toggle() {
-  if (model.state?.engaged) return connection.send({ type: "disengage" });
   if (element("engage").disabled) return;
   if (model.welcome.role === "spectator") return hello();
+  if (model.state?.engaged) return connection.send({ type: "disengage" });
   if (model.welcome.robot === "lcm") {
     if (!(await confirmRealRobot())) return;
     connection.send({ type: "engage" }); // a real robot wants it twice
@@ -192,7 +195,11 @@ function confirmRealRobot() {
   return new Promise((resolve) => (dialog.onclose = () => resolve(dialog.returnValue === "engage")));
 }
 
-const reset = (choice = {}) => connection.send({ type: "reset", ...choice });
+function reset(choice = {}) {
+  connection.send({ type: "reset", ...choice });
+  model.leaving = scene;
+  refresh();
+}
 
 element("engage").onclick = toggle;
 element("reset").onclick = () => reset();

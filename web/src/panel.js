@@ -36,7 +36,8 @@ export function show(model) {
 
   const operator = model.connected && welcome?.role === "operator";
   const free = welcome?.role === "spectator" && state?.operator === false;
-  element("engage").disabled = !free && (!operator || !(state?.engaged || hand.seen));
+  const ready = operator && (state?.engaged || (hand.seen && model.leaving === null));
+  element("engage").disabled = !free && !ready;
   write(element("engage").querySelector("span"), free ? "Take the controls" : state?.engaged ? "Disengage" : "Engage");
   const fixed = !operator || !state?.task;
   element("reset").disabled = element("task-name").disabled = element("object").disabled = fixed;

@@ -8,6 +8,7 @@
  * @property {"camera" | "headset" | null} device
  * @property {string} failure why the device cannot be used, or ""
  * @property {string} refusal of the last message, or ""
+ * @property {number | null} leaving number of the scene that a reset ends, until the next one is there
  * @property {{seen: boolean, side: string, score: number, rate: number, delay: number}} hand as the device sees it
  */
 
@@ -15,7 +16,7 @@
  * @param {Model} model
  * @returns {{name: "connecting" | "waiting" | "tracking" | "engaged" | "lost", headline: string, detail: string}}
  */
-export function situation({ connected, welcome, state, device, hand, refusal }) {
+export function situation({ connected, welcome, state, device, hand, refusal, leaving }) {
   if (!connected || !welcome)
     return location.hash
       ? refusal
@@ -27,6 +28,7 @@ export function situation({ connected, welcome, state, device, hand, refusal }) 
     return state?.operator === false
       ? say("waiting", "Nobody has the controls", "Take them to move the robot.")
       : say("waiting", "You are watching", "Another page has the controls.");
+  if (leaving !== null) return say("waiting", "The scene starts again", "The robot holds until it is there.");
   const wrong = hand.seen && hand.side !== side;
   const seen = hand.seen && !wrong;
   if (state?.engaged && !seen)
