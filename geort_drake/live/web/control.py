@@ -139,9 +139,7 @@ class PageControl:
     def close(self) -> None:
         """Waits for the recordings' files, and ends a fit."""
         if busy := sum(thread.is_alive() for thread in self._finishing):
-            say(
-                f"Writing the files of {busy} session{'s' * (busy > 1)}; Ctrl-C leaves out all but the recording"
-            )
+            say(f"Writing the files of recordings ({busy}); Ctrl-C keeps only the recordings themselves")
         for thread in self._finishing:
             thread.join()
         if self._refit is not None:
