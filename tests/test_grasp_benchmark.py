@@ -1,6 +1,8 @@
 """The grasp benchmark in its folder: running, continuing, conditions, pairing, the report and repetitions."""
 
+import fcntl
 import json
+import os
 import shutil
 
 import numpy as np
@@ -38,9 +40,15 @@ def run(folder, *more: str) -> int:
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """A folder with four finished trials; not to be changed."""
-    folder = tmp_path_factory.mktemp("finished")
-    assert run(folder) == 0
+    """A folder with four finished trials, not to be changed; made once for all workers of pytest-xdist."""
+    root = tmp_path_factory.getbasetemp()
+    folder = (root.parent if "PYTEST_XDIST_WORKER" in os.environ else root) / "finished"
+    with folder.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        done = folder.with_suffix(".done")
+        if not done.exists():
+            assert run(folder) == 0
+            done.touch()
     return folder
 
 
