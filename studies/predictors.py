@@ -217,7 +217,7 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
         axis.axvspan(-POINTS, POINTS, color="0.92")
         axis.axvline(0.0, color="0.6", linewidth=0.8)
         axis.errorbar(middle, places, xerr=margin, fmt="o", markersize=4, capsize=2)
-        axis.set_title(f"{name}, {cell['trials']} trials", fontsize=8)
+        axis.set_title(f"{name}\n{cell['trials']} trials", fontsize=8)
         axis.tick_params(labelsize=8)
     axes[0][0].set_yticks(places, [criterion.label.removeprefix("log ") for criterion in CRITERIA])
     figure.supxlabel("effect of spoiling the criterion, points of score", fontsize=8)
