@@ -227,6 +227,15 @@ def test_a_headset_can_be_used_before_the_server_answers(headset, stub, address,
     stub.welcome(role="spectator")
     page.wait_for_selector("body[data-state=tracking]")
     until(page, lambda: stub.of("hello")[-1]["device"] == "headset")
+    until(page, lambda: stub.of("headset"))
+    stub.welcome(role="spectator")
+    until(page, lambda: "watching" in page.inner_text("#headline"))
+    sent = len(stub.of("headset"))
+    page.evaluate(
+        "new Promise((done) => { let n = 9;"
+        "const frame = () => n-- ? session.requestAnimationFrame(frame) : done(); frame(); })"
+    )
+    assert len(stub.of("headset")) == sent
 
 
 def test_a_real_robot_is_engaged_after_a_question(headset, stub, address, rng):

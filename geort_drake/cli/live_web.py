@@ -86,7 +86,9 @@ def run_web(
         finally:
             control.close()
     summary = summary_of(report, loop, link)
-    summary["glove"] |= {"received": station.received, "refused": station.refused + server.dropped}
+    # A page's clock begins when it is loaded, so its offset says nothing.
+    counts = {"received": station.received, "refused": station.refused + server.dropped}
+    summary["glove"] |= {**counts, "clock_offset_s": None}
     print_summary(summary)
     if control.recordings:
         last = control.recordings[-1]

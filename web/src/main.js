@@ -112,7 +112,7 @@ const cuedBody = (phase) => phase?.replace(/^key (\d+)$/, "keys::cap_$1");
 /** Takes a hand from a device: `fields` of its message, or null while no hand is seen. */
 function receiveHand(t, fields, seen) {
   const previous = model.hand;
-  const usable = fields && seen.side === model.welcome?.side;
+  const usable = fields && model.welcome?.role === "operator" && seen.side === model.welcome.side;
   if (usable) connection.sendHand({ type: model.device, t, ...fields });
   else if (previous.usable) connection.send({ type: "lost", t });
   const interval = t - previous.t;
