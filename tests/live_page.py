@@ -44,10 +44,10 @@ def require_package(name: str) -> None:
         pytest.skip(f"needs the npm package {name}: `make live NPM_ARGS=`")
 
 
-def launch(playwright, clip: Path | None = None):
-    """Starts a browser; its camera plays `clip`, or it has none."""
+def launch(playwright, clip: Path | None = None, *flags: str):
+    """Starts a browser with Chromium's `flags`; its camera plays `clip`, or it has none."""
     camera = [*_FAKE_CAMERA, f"--use-file-for-fake-video-capture={clip}"] if clip else []
-    return playwright.chromium.launch(executable_path=str(CHROMIUM), args=camera)
+    return playwright.chromium.launch(executable_path=str(CHROMIUM), args=[*flags, *camera])
 
 
 def new_page(browser, **options):

@@ -131,11 +131,12 @@ def filmed(playwright, browser, address, tmp_path_factory):
     file = tmp_path_factory.mktemp("film") / "hand.mjpeg"
     joints = film_hand(browser, file)
     stub = StubServer()
-    camera = launch(playwright, file)
+    camera = launch(playwright, file, "--disable-3d-apis")  # the tracker needs no WebGL
     page = open_page(camera, stub, f"{address}/#key", {"script": READ_NUMBERS})
     page.wait_for_selector("body[data-state=tracking]")
     until(page, lambda: len(stub.of("camera")) >= 30)
     messages = stub.of("camera")
+    assert page.is_visible("#blind")
     numbers = dict(page.evaluate("numbers"))
     camera.close()
     hosts = {url.split("/")[2] for url in stub.requests}
