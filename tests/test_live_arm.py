@@ -76,3 +76,7 @@ def test_a_tracker_that_jumps_is_not_followed_there():
     states = [bench.tick(there if tick % 4 < 2 else RigidTransform()) for tick in range(100)]
     assert all(state for _, _, state in states[2:])
     np.testing.assert_allclose(bench.hand_position(states[-1][0]), start, atol=1e-3)
+    # Fast motion is no jump.
+    turns = [RigidTransform(RollPitchYaw(0, 0, 0.15 * i), [0.025 * i, 0, 0]) for i in range(50)]
+    bench = ArmBench()
+    assert {bench.tick(X)[2] for X in turns} == {""}
