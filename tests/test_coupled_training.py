@@ -22,6 +22,7 @@ from geort_drake.errors import TrainingError
 from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.retargeting.methods.coupled import CoupledConfig, CoupledRetargeter, Start, train_coupled
 from geort_drake.retargeting.methods.coupled.network import CoupledNetwork
+from geort_drake.retargeting.methods.coupled.people import TrainingPeople
 from geort_drake.retargeting.training.collision_geometry import CollisionGaps, CollisionShapes
 
 KEYPOINTS = [4, 8, 12]
@@ -98,7 +99,7 @@ def test_a_training_starts_from_given_weights():
 
 
 def test_a_training_uses_the_likely_plays_of_its_start():
-    """Other plays give other weights."""
+    """Other plays give other weights, and draws follow the weights of the people."""
     arrays = network_of(HAND).arrays()
     weights = [
         train_coupled(
@@ -107,6 +108,11 @@ def test_a_training_uses_the_likely_plays_of_its_start():
         for play in (HUMAN[None], HUMAN[None] + 0.01)
     ]
     assert np.abs(weights[0]["weight0"] - weights[1]["weight0"]).max() > 1e-4
+    codes, reach, cpu = torch.zeros(2, 1, 0), torch.ones(2, 3), torch.device("cpu")
+    p_HF, generator = np.tile(HUMAN[:300].astype(np.float32), (2, 1, 1, 1)), torch.Generator().manual_seed(0)
+    rng, pairs = np.random.default_rng(0), [(0, 1), (0, 2)]
+    people = TrainingPeople(p_HF, pairs, generator, rng, codes, reach, 0.01, [3, 1], cpu)
+    assert float((people.someone(4000) == 0).float().mean()) == pytest.approx(0.75, abs=0.03)
 
 
 AT_TIPS = np.tile(np.eye(4), (2, 1, 1))

@@ -49,3 +49,23 @@ def test_stacked_matrices_do_not_see_each_other():
     together = descended(soap, start, lambda W: first(W[0]) + second(W[1]), 60)
     for k, loss in enumerate((first, second)):
         torch.testing.assert_close(together[k], descended(soap, start[k], loss, 60), atol=1e-4, rtol=0)
+
+
+def test_gradients_are_clipped_together():
+    """A gradient a thousand times too long moves as one of the greatest length does, in all groups."""
+
+    def ends(factor):
+        parameters = [torch.nn.Parameter(torch.ones(2, 3, 4)), torch.nn.Parameter(torch.ones(1, 4))]
+        soap = Soap([{"params": [p], "weight_decay": 0.0} for p in parameters], lr=0.1, eps=1.0, clip=0.5)
+        generator = torch.Generator().manual_seed(0)
+        for _ in range(3):
+            gradients = [torch.randn(p.shape, generator=generator) for p in parameters]
+            length = torch.cat([g.flatten() for g in gradients]).norm()
+            for parameter, gradient in zip(parameters, gradients, strict=True):
+                parameter.grad = factor * 0.5 / length * gradient
+            soap.step()
+        return [p.detach() for p in parameters]
+
+    for clipped, longest, shorter in zip(ends(1000.0), ends(1.0), ends(0.5), strict=True):
+        torch.testing.assert_close(clipped, longest, atol=1e-5, rtol=0)
+        assert (shorter - longest).abs().max() > 1e-3
