@@ -86,18 +86,10 @@ def light_desk(tmp_path_factory):
 # Models that several modules look at, loaded once; imported only where one is asked for.
 
 
-def _fixture_of(hand: str):
-    @pytest.fixture(scope="session", name=hand.removesuffix("_right"))
-    def model():
-        from geort_drake.hands.description import load_hand
-        from geort_drake.hands.model import HandModel
-
-        return HandModel(load_hand(hand))
-
-    return model
-
-
-allegro, allegro_left, leap = map(_fixture_of, ("allegro_right", "allegro_left", "leap_right"))
+@pytest.fixture(scope="session")
+def allegro():
+    """The right Allegro hand, a `HandModel`."""
+    return _hand("allegro_right")
 
 
 @pytest.fixture
@@ -120,6 +112,18 @@ def allegro_copy(tmp_path):
 
 
 @pytest.fixture(scope="session")
+def allegro_left():
+    """The left Allegro hand, a `HandModel`."""
+    return _hand("allegro_left")
+
+
+@pytest.fixture(scope="session")
+def leap():
+    """The right LEAP hand, a `HandModel`."""
+    return _hand("leap_right")
+
+
+@pytest.fixture(scope="session")
 def panda():
     """The Panda on the world's origin, a `Scene`."""
     from model_scene import Scene
@@ -127,3 +131,10 @@ def panda():
     from geort_drake.resources import models_dir
 
     return Scene(models_dir() / "sdf" / "panda.sdf", welded=("panda_link0",))
+
+
+def _hand(name: str):
+    from geort_drake.hands.description import load_hand
+    from geort_drake.hands.model import HandModel
+
+    return HandModel(load_hand(name))

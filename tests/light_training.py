@@ -9,8 +9,15 @@ from geort_drake import Recording, train_checkpoint
 from geort_drake.comparison import metrics
 
 LIGHT = {
-    "geort": {"hidden": 8, "points": 16, "targets": 32, "pinches": 8, "frames": 8}
-    | {"classifier_steps": 5, "refreshes": 0},
+    "geort": {
+        "hidden": 8,
+        "points": 16,
+        "targets": 32,
+        "pinches": 8,
+        "frames": 8,
+        "classifier_steps": 5,
+        "refreshes": 0,
+    },
     "linear_offline": {"hidden": 8},
 }
 
