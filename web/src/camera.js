@@ -32,8 +32,9 @@ export class Camera {
     this.worker.onerror = (event) => this.onFailure(`The hand tracker did not start: ${event.message}.`);
     const canvas = Object.assign(document.createElement("canvas"), { ariaLabel: "Mirrored picture of your hand" });
     this.mirror.replaceChildren(canvas);
+    const width = Math.round(canvas.clientWidth * devicePixelRatio);
     const offscreen = canvas.transferControlToOffscreen();
-    this.worker.postMessage({ canvas: offscreen }, [offscreen]);
+    this.worker.postMessage({ canvas: offscreen, width }, [offscreen]);
     this.video.srcObject = this.stream;
     await this.video.play().catch((error) => {
       if (this.use === use) throw error;

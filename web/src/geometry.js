@@ -60,6 +60,7 @@ export async function makeMeshes(geometries, Material, edges) {
       const mesh = new THREE.Mesh(geometry, material);
       mesh.castShadow = opacity === 1;
       mesh.receiveShadow = true;
+      mesh.userData.still = moving === null;
       return { moving, mesh };
     }),
   );

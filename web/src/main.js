@@ -30,20 +30,9 @@ const model = {
   leaving: null,
   hand: UNSEEN,
 };
-const view = openView(element("view"));
+const view = new View(element("view"));
 element("coarse").hidden = !view.coarse;
 let scene = null;
-
-/** The view, or where the browser has no WebGL one that shows nothing. */
-function openView(canvas) {
-  try {
-    return new View(canvas);
-  } catch (error) {
-    element("blind").hidden = false;
-    const nothing = () => {};
-    return { coarse: false, load: nothing, highlight: nothing, setPoses: nothing, setWords: nothing };
-  }
-}
 
 function refresh() {
   const { headline, detail } = show(model);

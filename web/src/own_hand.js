@@ -8,12 +8,15 @@ const ALL = new THREE.Vector3(1, 1, 1);
 const KEYPOINTS = 21;
 
 export class OwnHand extends THREE.Group {
-  /** @param {typeof THREE.Material} Material */
-  constructor(Material) {
+  /**
+   * @param {typeof THREE.Material} Material
+   * @param {number} edges of a circle
+   */
+  constructor(Material, edges) {
     super();
     const many = (geometry, colour, count) => new THREE.InstancedMesh(geometry, new Material({ color: colour }), count);
-    this.rods = many(new THREE.CylinderGeometry(0.0045, 0.0055, 1, 16), "#fff", BONES.length);
-    this.balls = many(new THREE.SphereGeometry(0.0065, 20, 14), "#f4f4f2", KEYPOINTS);
+    this.rods = many(new THREE.CylinderGeometry(0.0045, 0.0055, 1, edges / 2), "#fff", BONES.length);
+    this.balls = many(new THREE.SphereGeometry(0.0065, edges, edges / 2), "#f4f4f2", KEYPOINTS);
     BONES.forEach(({ colour }, i) => this.rods.setColorAt(i, new THREE.Color(colour)));
     this.add(this.rods, this.balls);
     for (const mesh of this.children) Object.assign(mesh, { castShadow: true, frustumCulled: false });

@@ -5,6 +5,7 @@ import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
 import { makeMeshes, setPose } from "./geometry.js";
 import { OwnHand } from "./own_hand.js";
+import { ProcessorRenderer } from "./processor_renderer.js";
 import { Sign } from "./sign.js";
 import { KEYPOINT_TO_XR } from "./skeleton.js";
 
@@ -17,9 +18,10 @@ const WORLD = new THREE.Matrix4().makeBasis(
 // The own hand is drawn this far to the right of the robot's, m, and nearer to it in a near view.
 const BESIDE = 0.24;
 const BESIDE_SHARE = 0.28;
-// Renderers that use the processor. The view then yields to the hand tracker: coarse, and a few pictures a second.
+// What browsers without a GPU call their WebGL.
 const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
-const COARSE_INTERVAL_MS = 200;
+const MOST_PIXELS = 700_000; // of a picture that the processor draws
+const REST = 6; // from one such picture to the next, in multiples of the time that it took
 const HIGHLIGHT = "#00a892";
 // Where a headset shows the middle of the scene, m: ahead of the person, who looks past the arm's right side.
 const HEADSET_TARGET = new THREE.Vector3(-0.3, 0.95, -0.9);
@@ -28,19 +30,18 @@ export class View {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     this.canvas = canvas;
-    this.coarse = SOFTWARE.test(rendererName());
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !this.coarse, alpha: true });
-    this.renderer.shadowMap.enabled = !this.coarse;
+    this.coarse = !hasGpu();
+    this.renderer = this.coarse ? new ProcessorRenderer(canvas) : makeWebGlRenderer(canvas);
     this.Material = this.coarse ? THREE.MeshLambertMaterial : THREE.MeshStandardMaterial;
-    this.renderer.toneMapping = this.coarse ? THREE.NoToneMapping : THREE.ACESFilmicToneMapping;
     this.camera = new THREE.PerspectiveCamera(46, 1, 0.02, 20);
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.enableDamping = true;
     this.controls.listenToKeyEvents(canvas);
 
     this.scene = new THREE.Scene();
-    if (this.coarse) this.scene.add(new THREE.HemisphereLight("#fff", "#998", 1.2));
-    else {
+    if (this.coarse) {
+      this.scene.add(new THREE.HemisphereLight("#fff", "#998", 1.2));
+    } else {
       const studio = new THREE.PMREMGenerator(this.renderer);
       this.scene.environment = studio.fromScene(new RoomEnvironment(), 0.04).texture;
       this.scene.environmentIntensity = 0.45;
@@ -48,13 +49,14 @@ export class View {
     this.world = new THREE.Group();
     this.world.applyMatrix4(WORLD);
     this.scene.add(this.world, this.#makeSun());
-    this.ownHand = new OwnHand(this.Material);
-    this.headsetHand = new OwnHand(this.Material);
+    this.edges = this.coarse ? 12 : 32; // of a circle
+    this.ownHand = new OwnHand(this.Material, this.edges);
+    this.headsetHand = new OwnHand(this.Material, this.edges);
     this.sign = new Sign();
     this.sign.visible = false;
     this.scene.add(this.headsetHand, this.sign);
     this.bodies = [];
-    this.drawn = 0;
+    this.rested = 0; // when the next picture may be drawn, ms
     this.target = new THREE.Vector3();
 
     new ResizeObserver(() => this.#resize()).observe(canvas);
@@ -68,7 +70,7 @@ export class View {
     this.world.clear();
     this.bodies = description.moving.map(() => new THREE.Group());
     this.world.add(...this.bodies, this.ownHand);
-    const meshes = await makeMeshes(description.geometries, this.Material, this.coarse ? 12 : 32);
+    const meshes = await makeMeshes(description.geometries, this.Material, this.edges);
     if (this.description !== description) return;
     for (const { moving, mesh } of meshes) (this.bodies[moving] ?? this.world).add(mesh);
     this.highlighted = undefined;
@@ -112,9 +114,13 @@ export class View {
 
   /** Draws in a headset; `onFrame(time, frame, space)` runs before each picture. */
   async enterHeadset(session, onFrame) {
-    this.renderer.xr.enabled = true;
-    this.renderer.xr.setReferenceSpaceType("local-floor");
-    await this.renderer.xr.setSession(session);
+    // Only WebGL draws in a headset.
+    this.inHeadset = this.coarse ? makeWebGlRenderer(document.createElement("canvas")) : this.renderer;
+    const { xr } = this.inHeadset;
+    xr.enabled = true;
+    xr.setReferenceSpaceType("local-floor");
+    this.inHeadset.setAnimationLoop((time, frame) => this.#draw(time, frame));
+    await xr.setSession(session);
     this.onFrame = onFrame;
     this.world.position.copy(HEADSET_TARGET).sub(this.target);
     this.sign.position.copy(HEADSET_TARGET).add(new THREE.Vector3(0, 0.55, -0.35));
@@ -122,8 +128,9 @@ export class View {
   }
 
   leaveHeadset() {
-    this.renderer.xr.enabled = false;
-    this.onFrame = undefined;
+    this.inHeadset.xr.enabled = false;
+    if (this.coarse) this.inHeadset.dispose();
+    this.inHeadset = this.onFrame = undefined;
     this.world.position.set(0, 0, 0);
     this.sign.visible = false;
     this.setOwnJoints(null);
@@ -160,7 +167,7 @@ export class View {
 
   #makeSun() {
     this.sun = new THREE.DirectionalLight("#fff6ea", 1.9);
-    this.sun.castShadow = true;
+    this.sun.castShadow = !this.coarse;
     this.sun.shadow.mapSize.set(2048, 2048);
     this.sun.shadow.radius = 5;
     this.sun.shadow.normalBias = 0.004;
@@ -172,30 +179,42 @@ export class View {
 
   #resize() {
     const { clientWidth: width, clientHeight: height } = this.canvas;
-    if (this.renderer.xr.isPresenting || !width || !height) return;
-    this.renderer.setPixelRatio(this.coarse ? 0.5 : Math.min(devicePixelRatio, 2));
-    this.renderer.setSize(width, height, false);
+    if (this.inHeadset || !width || !height) return;
+    const scale = this.coarse
+      ? Math.min(1, Math.sqrt(MOST_PIXELS / (width * height)))
+      : Math.min(devicePixelRatio, 2);
+    this.renderer.setSize(Math.round(scale * width), Math.round(scale * height), false);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
     this.stale = true;
   }
 
   #draw(time, frame) {
-    if (frame && this.onFrame) this.onFrame(time, frame, this.renderer.xr.getReferenceSpace());
-    else if (!this.renderer.xr.isPresenting) this.controls.update();
+    const began = performance.now();
+    if (frame) this.onFrame?.(time, frame, this.inHeadset.xr.getReferenceSpace());
+    else if (this.inHeadset) return;
+    else this.controls.update();
     // A picture is drawn only when something has changed, which leaves time to the hand tracker.
-    if (!frame && (!this.stale || (this.coarse && time - this.drawn < COARSE_INTERVAL_MS))) return;
+    if (!frame && (!this.stale || time < this.rested)) return;
     this.stale = false;
-    this.drawn = time;
     this.#move();
-    this.renderer.render(this.scene, this.camera);
+    (this.inHeadset ?? this.renderer).render(this.scene, this.camera);
+    if (this.coarse) this.rested = time + REST * (performance.now() - began);
   }
 }
 
-function rendererName() {
+function hasGpu() {
   const gl = document.createElement("canvas").getContext("webgl2");
-  const names = gl?.getExtension("WEBGL_debug_renderer_info");
+  if (!gl) return false;
+  const names = gl.getExtension("WEBGL_debug_renderer_info");
   const name = names ? gl.getParameter(names.UNMASKED_RENDERER_WEBGL) : "";
-  gl?.getExtension("WEBGL_lose_context")?.loseContext();
-  return name;
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  return !SOFTWARE.test(name);
+}
+
+function makeWebGlRenderer(canvas) {
+  const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
+  renderer.shadowMap.enabled = true;
+  renderer.toneMapping = THREE.ACESFilmicToneMapping;
+  return renderer;
 }

@@ -53,9 +53,10 @@ opening.then(
   (error) => postMessage({ failure: String(error) }),
 );
 
-onmessage = async ({ data: { canvas, frame, t } }) => {
+onmessage = async ({ data: { canvas, width, frame, t } }) => {
   if (canvas) {
     shown = canvas.getContext("2d", IN_MEMORY);
+    canvas.width = width;
     return;
   }
   try {
@@ -65,7 +66,7 @@ onmessage = async ({ data: { canvas, frame, t } }) => {
     await hands.send({ image });
     const hand = first(found);
     postMessage({ t, hand, aspect: image.width / image.height });
-    shown.drawImage(picture.canvas, 0, 0);
+    shown.drawImage(picture.canvas, 0, 0, shown.canvas.width, shown.canvas.height);
     if (hand) drawSkeleton(shown, hand.image);
   } catch (error) {
     postMessage({ failure: String(error) });
@@ -75,11 +76,15 @@ onmessage = async ({ data: { canvas, frame, t } }) => {
 function read(frame) {
   const { displayWidth = frame.width, displayHeight = frame.height } = frame;
   const height = Math.round((WIDTH * displayHeight) / displayWidth);
-  for (const { canvas } of [picture, shown])
-    if (canvas.width !== WIDTH || canvas.height !== height) Object.assign(canvas, { width: WIDTH, height });
+  fit(picture.canvas, WIDTH, height);
+  fit(shown.canvas, shown.canvas.width, Math.round((shown.canvas.width * height) / WIDTH));
   picture.drawImage(frame, 0, 0, WIDTH, height);
   frame.close();
   return picture.getImageData(0, 0, WIDTH, height);
+}
+
+function fit(canvas, width, height) {
+  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
 }
 
 function first(results) {
