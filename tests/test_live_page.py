@@ -1,6 +1,7 @@
 """The live web page in Chromium, against a stub of its server and the server itself."""
 
 import dataclasses as dc
+import io
 import json
 import re
 import signal
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from live_page import PAGE, WEB, StubServer, film_hand, launch, new_page, require_package, require_page, serve
 from page_person import PagePerson, goal_of
+from PIL import Image
 from web_page import in_world, joints_of
 
 from geort_drake.live.web.hands import HandReader
@@ -25,9 +27,12 @@ from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 PATIENCE_S = 120.0  # a busy machine takes long
 
-# Without a GPU, pictures of the scene take most of the time.
-NO_PICTURES = """
-  for (const draw of ["drawElements", "drawArrays"]) WebGL2RenderingContext.prototype[draw] = () => {};
+# Lets WebGL say that a GPU draws it.
+GPU = """
+  const get = WebGL2RenderingContext.prototype.getParameter;
+  WebGL2RenderingContext.prototype.getParameter = function (name) {
+    return name === 37446 ? "GPU" : get.call(this, name); // UNMASKED_RENDERER_WEBGL
+  };
 """
 
 # Notes which picture of the film the tracker gets at which time.
@@ -81,7 +86,7 @@ def stub():
 
 def open_page(browser, stub, address, *scripts, seen=None):
     page = new_page(browser, viewport={"width": 800, "height": 480})
-    for script in ({"script": NO_PICTURES}, *scripts):
+    for script in scripts:
         page.add_init_script(**script)
     if stub:
         stub.attach(page)
@@ -131,12 +136,12 @@ def filmed(playwright, browser, address, tmp_path_factory):
     file = tmp_path_factory.mktemp("film") / "hand.mjpeg"
     joints = film_hand(browser, file)
     stub = StubServer()
-    camera = launch(playwright, file, "--disable-3d-apis")  # the tracker needs no WebGL
+    camera = launch(playwright, file, "--disable-3d-apis")  # neither tracker nor view need WebGL
     page = open_page(camera, stub, f"{address}/#key", {"script": READ_NUMBERS})
     page.wait_for_selector("body[data-state=tracking]")
     until(page, lambda: len(stub.of("camera")) >= 30)
     messages = stub.of("camera")
-    assert page.is_visible("#blind")
+    assert page.is_visible("#plain")
     numbers = dict(page.evaluate("numbers"))
     camera.close()
     hosts = {url.split("/")[2] for url in stub.requests}
@@ -292,6 +297,39 @@ def test_a_person_who_sees_only_the_page_grasps_the_cylinder(headset, tmp_path):
             program.kill()
     assert outcome["success"] and outcome["phase"] == "done", person.phase
     assert report["glove"]["refused"] == 0
+
+
+@pytest.mark.parametrize("gpu", [False, True])
+def test_the_view_shows_where_bodies_are(browser, stub, address, gpu):
+    page = open_page(browser, stub, f"{address}/#key", *([{"script": GPU}] if gpu else []))
+    page.wait_for_selector("body[data-state=waiting]")
+    assert page.is_visible("#plain") != gpu
+    corners = page.locator("main").bounding_box()
+    middle = {name: corners[name] + corners[size] / 4 for name, size in (("x", "width"), ("y", "height"))}
+    middle |= {size: corners[size] / 2 for size in ("width", "height")}
+
+    def dark_pixels() -> int:
+        picture = np.array(Image.open(io.BytesIO(page.screenshot(clip=middle))).convert("L"))
+        return np.sum(picture < 90)  # the hand's capsule is dark, table and background are not
+
+    unseen = np.full((21, 3), np.nan)
+    stub.send_poses(np.array([1, 0, 0, 0, 0, 0, 0.05]), unseen)
+    until(page, lambda: dark_pixels() > 500)
+    stub.send_poses(np.array([1, 0, 0, 0, 0, 0, -0.5]), unseen)  # under the table
+    until(page, lambda: dark_pixels() == 0)
+
+
+def test_the_processor_draws_what_webgl_draws(browser):
+    require_package("three")
+    with serve(WEB) as address:
+        page = new_page(browser)
+        page.goto(f"{address}/test/renderers.html")
+        page.wait_for_function("window.ready")
+        for angle, share in ((0.0, 0.0), (0.0, 0.4), (2.5, 0.7)):
+            values, difference, wrong = page.evaluate(f"draw({angle}, {share})")
+            assert values > 100  # not empty
+            assert difference < 1.0
+            assert wrong < 1e-3  # at edges
 
 
 def test_an_old_address_is_refused_in_words(browser, stub):

@@ -31,7 +31,7 @@ const model = {
   hand: UNSEEN,
 };
 const view = new View(element("view"));
-element("coarse").hidden = !view.coarse;
+element("plain").hidden = !view.plain;
 let scene = null;
 
 function refresh() {
@@ -67,7 +67,7 @@ function hello() {
 /** The first welcome says of which side the robot is; the answer to `hello` whether this page has the controls. */
 function receiveWelcome(welcome) {
   const first = !model.welcome;
-  Object.assign(model, { connected: true, welcome });
+  Object.assign(model, { connected: !first, welcome });
   showTasks(welcome.tasks);
   if (first) hello();
 }
@@ -131,6 +131,7 @@ function stopUsing(failure = "") {
   camera.stop();
   if (model.hand.usable) receiveHand(performance.now() / 1000, null);
   Object.assign(model, { device: null, failure, hand: UNSEEN });
+  view.yielding = false;
   refresh();
 }
 
@@ -140,7 +141,8 @@ async function use(device, start) {
   stopUsing();
   if (previous === device) return;
   model.device = device;
-  if (model.connected) hello();
+  view.yielding = device === "camera";
+  if (model.welcome) hello();
   refresh();
   await start().catch(({ name, message }) => stopUsing(`The ${device} cannot be used: ${REASONS[name] ?? message}.`));
 }
@@ -214,7 +216,7 @@ element("length").onchange = ({ target }) => {
   try {
     localStorage.setItem("hand_length", target.value);
   } catch {}
-  if (model.connected) hello();
+  if (model.welcome) hello();
 };
 
 // Space always engages and disengages, whichever button was used last; Enter presses buttons.

@@ -180,7 +180,7 @@ export class ProcessorRenderer {
 
   /** Fills a triangle row by row, where its front is seen and nothing is before it. */
   #fill(a, b, c, opacity) {
-    const { vertices: v, edges, width } = this;
+    const { vertices: v, along, down, edges, width } = this;
     const ux = v[b] - v[a];
     const uy = v[b + 1] - v[a + 1];
     const wx = v[c] - v[a];
@@ -193,7 +193,6 @@ export class ProcessorRenderer {
     this.#setEdge(0, a, b);
     this.#setEdge(1, b, c);
     this.#setEdge(2, c, a);
-    const { along, down } = this;
     for (let i = 2; i < CLIP; i++) {
       const u = v[b + i] - v[a + i];
       const w = v[c + i] - v[a + i];
@@ -205,24 +204,21 @@ export class ProcessorRenderer {
       let left = 0;
       let right = width;
       for (let i = 0; i < 3 * EDGE; i += EDGE) {
-        const x = edges[i] + y * edges[i + 1] - 0.5;
-        if (edges[i + 2] > 0) left = Math.max(left, x);
-        else if (edges[i + 2] < 0) right = Math.min(right, x);
+        const x = Math.ceil(edges[i] + y * edges[i + 1] - 0.5);
+        if (edges[i + 2] > 0) left = x > left ? x : left;
+        else if (edges[i + 2] < 0) right = x < right ? x : right;
       }
-      left = Math.ceil(left);
+      if (left >= right) continue;
       const dx = left + 0.5 - v[a];
       const dy = y - v[a + 1];
-      const write = opacity < 1 ? this.#blend : this.#write;
-      write.call(
-        this,
-        row * width + left,
-        row * width + Math.ceil(right),
-        v[a + 2] + dx * along[2] + dy * down[2],
-        v[a + 3] + dx * along[3] + dy * down[3],
-        v[a + 4] + dx * along[4] + dy * down[4],
-        v[a + 5] + dx * along[5] + dy * down[5],
-        opacity,
-      );
+      const from = row * width + left;
+      const to = row * width + right;
+      const z = v[a + 2] + dx * along[2] + dy * down[2];
+      const red = v[a + 3] + dx * along[3] + dy * down[3];
+      const green = v[a + 4] + dx * along[4] + dy * down[4];
+      const blue = v[a + 5] + dx * along[5] + dy * down[5];
+      if (opacity < 1) this.#blend(from, to, z, red, green, blue, opacity);
+      else this.#write(from, to, z, red, green, blue);
     }
   }
 

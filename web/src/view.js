@@ -20,8 +20,10 @@ const BESIDE = 0.24;
 const BESIDE_SHARE = 0.28;
 // What browsers without a GPU call their WebGL.
 const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
-const MOST_PIXELS = 700_000; // of a picture that the processor draws
-const REST = 6; // from one such picture to the next, in multiples of the time that it took
+// Of pictures that the processor draws: pixels at most, and the pause after each while a hand tracker needs the
+// processor, in multiples of the time that the picture took.
+const MOST_PIXELS = 700_000;
+const PAUSE = 6;
 const HIGHLIGHT = "#00a892";
 // Where a headset shows the middle of the scene, m: ahead of the person, who looks past the arm's right side.
 const HEADSET_TARGET = new THREE.Vector3(-0.3, 0.95, -0.9);
@@ -30,16 +32,16 @@ export class View {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     this.canvas = canvas;
-    this.coarse = !hasGpu();
-    this.renderer = this.coarse ? new ProcessorRenderer(canvas) : makeWebGlRenderer(canvas);
-    this.Material = this.coarse ? THREE.MeshLambertMaterial : THREE.MeshStandardMaterial;
+    this.plain = !hasGpu();
+    this.renderer = this.plain ? new ProcessorRenderer(canvas) : makeWebGlRenderer(canvas);
+    this.Material = this.plain ? THREE.MeshLambertMaterial : THREE.MeshStandardMaterial;
     this.camera = new THREE.PerspectiveCamera(46, 1, 0.02, 20);
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.enableDamping = true;
     this.controls.listenToKeyEvents(canvas);
 
     this.scene = new THREE.Scene();
-    if (this.coarse) {
+    if (this.plain) {
       this.scene.add(new THREE.HemisphereLight("#fff", "#998", 1.2));
     } else {
       const studio = new THREE.PMREMGenerator(this.renderer);
@@ -49,13 +51,14 @@ export class View {
     this.world = new THREE.Group();
     this.world.applyMatrix4(WORLD);
     this.scene.add(this.world, this.#makeSun());
-    this.edges = this.coarse ? 12 : 32; // of a circle
+    this.edges = this.plain ? 16 : 32; // of a circle
     this.ownHand = new OwnHand(this.Material, this.edges);
     this.headsetHand = new OwnHand(this.Material, this.edges);
     this.sign = new Sign();
     this.sign.visible = false;
     this.scene.add(this.headsetHand, this.sign);
     this.bodies = [];
+    this.yielding = false; // to a hand tracker, which needs the processor
     this.rested = 0; // when the next picture may be drawn, ms
     this.target = new THREE.Vector3();
 
@@ -115,7 +118,7 @@ export class View {
   /** Draws in a headset; `onFrame(time, frame, space)` runs before each picture. */
   async enterHeadset(session, onFrame) {
     // Only WebGL draws in a headset.
-    this.inHeadset = this.coarse ? makeWebGlRenderer(document.createElement("canvas")) : this.renderer;
+    this.inHeadset = this.plain ? makeWebGlRenderer(document.createElement("canvas")) : this.renderer;
     const { xr } = this.inHeadset;
     xr.enabled = true;
     xr.setReferenceSpaceType("local-floor");
@@ -129,7 +132,7 @@ export class View {
 
   leaveHeadset() {
     this.inHeadset.xr.enabled = false;
-    if (this.coarse) this.inHeadset.dispose();
+    if (this.plain) this.inHeadset.dispose();
     this.inHeadset = this.onFrame = undefined;
     this.world.position.set(0, 0, 0);
     this.sign.visible = false;
@@ -167,7 +170,7 @@ export class View {
 
   #makeSun() {
     this.sun = new THREE.DirectionalLight("#fff6ea", 1.9);
-    this.sun.castShadow = !this.coarse;
+    this.sun.castShadow = !this.plain;
     this.sun.shadow.mapSize.set(2048, 2048);
     this.sun.shadow.radius = 5;
     this.sun.shadow.normalBias = 0.004;
@@ -180,7 +183,7 @@ export class View {
   #resize() {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (this.inHeadset || !width || !height) return;
-    const scale = this.coarse
+    const scale = this.plain
       ? Math.min(1, Math.sqrt(MOST_PIXELS / (width * height)))
       : Math.min(devicePixelRatio, 2);
     this.renderer.setSize(Math.round(scale * width), Math.round(scale * height), false);
@@ -199,7 +202,7 @@ export class View {
     this.stale = false;
     this.#move();
     (this.inHeadset ?? this.renderer).render(this.scene, this.camera);
-    if (this.coarse) this.rested = time + REST * (performance.now() - began);
+    if (this.plain && this.yielding) this.rested = time + PAUSE * (performance.now() - began);
   }
 }
 
