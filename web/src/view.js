@@ -183,9 +183,8 @@ export class View {
   #resize() {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (this.inHeadset || !width || !height) return;
-    const scale = this.plain
-      ? Math.min(1, Math.sqrt(MOST_PIXELS / (width * height)))
-      : Math.min(devicePixelRatio, 2);
+    const most = this.plain ? Math.sqrt(MOST_PIXELS / (width * height)) : 2;
+    const scale = Math.min(devicePixelRatio, most);
     this.renderer.setSize(Math.round(scale * width), Math.round(scale * height), false);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
