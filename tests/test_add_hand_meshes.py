@@ -77,10 +77,14 @@ def _with_mesh(folder: Path, kind: str, name: str) -> Path:
     ("kind", "name"), [*(("urdf", name) for name in MESHES), ("xml", "palm.stl"), ("xml", "palm.glb")]
 )
 def test_a_hull_replaces_a_mesh(kind, name, tmp_path):
-    """In its place and unit: STL of both kinds, binary glTF, whose y is up, PLY, and COLLADA."""
+    """In its place and unit: STL of both kinds, binary glTF, whose y is up, PLY, and COLLADA.
+
+    The copy can be moved.
+    """
     model = _with_mesh(tmp_path, kind, name)
     assert [mesh.name for mesh in unreadable_meshes(model)] == [name]
-    copy = convert_model(model, tmp_path / "copy")
+    convert_model(model, tmp_path / "copy")
+    copy = (tmp_path / "copy").rename(tmp_path / "moved") / model.name
     assert unreadable_meshes(copy) == []
     hand = HandModel(propose(copy).description)
     inspector = hand.scene_graph.model_inspector()

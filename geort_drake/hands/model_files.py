@@ -93,11 +93,12 @@ def mesh_elements(model: Path, tree: ET.Element) -> list[tuple[ET.Element, Path]
 
 
 def set_mesh(element: ET.Element, mesh: Path) -> None:
-    """Lets an element of a model name another mesh file, absolute."""
+    """Lets an element of a model name another mesh file, absolute or relative to the model."""
+    name = f"file://{mesh}" if mesh.is_absolute() else str(mesh)
     if element.tag == "uri":
-        element.text = f"file://{mesh}"
+        element.text = name
     elif "filename" in element.attrib:
-        element.set("filename", f"file://{mesh}")
+        element.set("filename", name)
     else:
         # The default name of a mesh in MJCF is that of its file.
         element.set("name", element.get("name") or Path(element.get("file", "")).stem)

@@ -33,22 +33,27 @@ def unreadable_meshes(model: Path) -> list[Path]:
 def convert_model(model: Path, folder: Path) -> Path:
     """Writes a copy of a model that Drake reads into a folder of its own; returns the copy.
 
-    MJCF becomes one file with its includes and explicit defaults.
+    MJCF becomes one file with its includes and explicit defaults. The hulls are beside the copy, which names
+    them relative to itself, so that its folder can be moved.
 
     Raises:
         HandError: a mesh is missing, damaged, or of an unknown format.
     """
     tree = read_model(model)
+    meshes = mesh_elements(model, tree)
+    for compiler in tree.iter("compiler"):  # of MJCF
+        compiler.attrib.pop("meshdir", None)
+        compiler.attrib.pop("assetdir", None)
     with atomic_directory(folder) as draft:
         hulls: dict[Path, str] = {}
-        for element, mesh in mesh_elements(model, tree):
+        for element, mesh in meshes:
             target = mesh
             if mesh.suffix.lower() not in _READABLE:
                 if mesh not in hulls:
                     stem = re.sub(r"\W+", "_", mesh.stem)
                     hulls[mesh] = f"{len(hulls)}_{stem}.obj"
                     write_text(draft / hulls[mesh], _hull_of_mesh(mesh))
-                target = (folder / hulls[mesh]).resolve()
+                target = Path(hulls[mesh])
             set_mesh(element, target)
         write_text(draft / model.name, ET.tostring(tree, encoding="unicode"))
     return folder / model.name
