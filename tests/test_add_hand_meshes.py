@@ -9,6 +9,7 @@ from hand_family import HandSpec, write_hand
 from pydrake.geometry import Role
 
 from geort_drake.errors import HandError
+from geort_drake.hands.importers.checks import examine
 from geort_drake.hands.importers.conversion import convert_model, unreadable_meshes
 from geort_drake.hands.importers.fingertips import surface_points
 from geort_drake.hands.importers.proposal import propose
@@ -93,6 +94,19 @@ def test_a_hull_replaces_a_mesh(kind, name, tmp_path):
     points = inspector.GetPoseInFrame(geometry) @ surface_points(inspector, geometry).T
     np.testing.assert_allclose(points.min(axis=1), CORNERS.min(axis=0), atol=1e-6)
     np.testing.assert_allclose(points.max(axis=1), CORNERS.max(axis=0), atol=1e-6)
+
+
+def test_hulls_that_overlap_near_a_joint_are_ignored_and_told(tmp_path):
+    """The hull of the palm reaches beyond the knuckles, where it blocks links that it should not touch."""
+    model = _with_mesh(tmp_path, "urdf", "palm.stl")
+    model.write_text(model.read_text().replace('palm.stl"', 'palm.stl" scale="1 1 2"'))
+    proposal = propose(convert_model(model, tmp_path / "copy"))
+    description = proposal.description
+    assert description.ignored_collisions == [["middle_l1", "palm"]]
+    assert "shapes overlap are ignored: 'middle_l1' and 'palm'" in "\n".join(proposal.notes)
+    assert not any("touch in" in fault for fault in examine(HandModel(description)))
+    description.ignored_collisions = []
+    assert any("touch in" in fault for fault in examine(HandModel(description)))
 
 
 LFS_POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n"

@@ -15,7 +15,7 @@ _NARROW_RANGE, _WIDE_RANGE = np.deg2rad(5.0), 2.0 * np.pi
 # The fraction of its range that a joint should keep despite the limits of its followers.
 _FREE_FRACTION = 0.75
 # Links that touch in a larger fraction of random postures hinder the hand.
-_FREQUENT_FRACTION = 0.4
+FREQUENT_FRACTION = 0.4
 _POSTURES = 100
 _PINCH_SAMPLES, _PINCH_STARTS = 2000, 4
 # By how much fingers must lie in the wrong order for a finding, m.
@@ -134,7 +134,7 @@ def _collisions(hand: HandModel) -> list[str]:
     if without:
         found.append(f"links of fingers without collision geometry: {', '.join(without)}")
     for (a, b), share in sorted(contact_fractions(hand).items(), key=lambda item: -item[1]):
-        if share >= _FREQUENT_FRACTION:
+        if share >= FREQUENT_FRACTION:
             found.append(
                 f"'{a}' and '{b}' touch in {share:.0%} of postures: correct their shapes, or put the pair "
                 "under ignored_collisions"

@@ -5,9 +5,10 @@ import re
 from pathlib import Path
 
 import numpy as np
-from pydrake.geometry import Role
+from pydrake.geometry import Convex, Mesh, Role
 from pydrake.math import RollPitchYaw
 
+from geort_drake.hands.chains import joint_paths
 from geort_drake.hands.couplings import position_limits
 from geort_drake.hands.description import (
     ActuationDescription,
@@ -17,7 +18,7 @@ from geort_drake.hands.description import (
     HandDescription,
 )
 from geort_drake.hands.importers.arrangement import POSTURES, arrange
-from geort_drake.hands.importers.checks import contact_fractions
+from geort_drake.hands.importers.checks import FREQUENT_FRACTION, contact_fractions
 from geort_drake.hands.importers.couplings import coupling_notes
 from geort_drake.hands.importers.fingertips import Fingertip, find_fingertip, parts_of
 from geort_drake.hands.importers.structure import Chain, HandStructure, read_structure
@@ -95,6 +96,10 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
     base = next(
         f"{_BASE_NAME}{extra}" for extra in ("", *range(2, 100)) if f"{_BASE_NAME}{extra}" not in taken
     )
+    overlaps = _overlaps(hand)
+    if overlaps:
+        pairs = (f"'{a}' and '{b}' in {share:.0%} of postures" for (a, b), share in overlaps.items())
+        notes.append(f"contacts of links whose shapes overlap are ignored: {', '.join(pairs)}")
     described = [_describe(*each) for each in zip(names, structure.chains, tips, strict=True)]
     description = dc.replace(
         rough,
@@ -102,11 +107,7 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
         base_frame=base,
         base_pose=BasePoseDescription(palm_link.name(), _rounded(X_PB.translation()), _rounded(rpy_deg, 2)),
         fingers=sorted(described, key=lambda finger: FINGER_NAMES.index(finger.name)),
-        ignored_collisions=sorted(
-            [a, b]
-            for (a, b), share in contact_fractions(hand).items()
-            if share >= _PERMANENT_FRACTION and a != b
-        ),
+        ignored_collisions=sorted([a, b] for a, b in overlaps),
         actuation=_actuation(structure, notes),
     )
     if side == "left":
@@ -120,6 +121,29 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
     elif (start != hand.default_position).any():
         description.default_positions |= dict(zip(hand.joint_names, _rounded(start), strict=True))
     return Proposal(description, notes)
+
+
+def _overlaps(hand: HandModel) -> dict[tuple[str, str], float]:
+    """Pairs of links that touch because of their shapes → fraction of random postures in which they do.
+
+    They touch in all postures; or often, with at most one link between them and a mesh, whose convex hull is
+    larger than the part.
+    """
+    plant, inspector = hand.plant, hand.scene_graph.model_inspector()
+    paths = {plant.get_body(index): path for index, path in joint_paths(plant, hand.instance).items()}
+    joints = {body.name(): {j.name() for j in path if j.num_positions()} for body, path in paths.items()}
+    hulls = {
+        body.name()
+        for body in paths
+        for geometry in plant.GetCollisionGeometriesForBody(body)
+        if isinstance(inspector.GetShape(geometry), Convex | Mesh)
+    }
+    found = {}
+    for (a, b), share in sorted(contact_fractions(hand).items()):
+        near = len(joints[a] ^ joints[b]) <= 2 and not hulls.isdisjoint((a, b))
+        if a != b and share >= (FREQUENT_FRACTION if near else _PERMANENT_FRACTION):
+            found[a, b] = share
+    return found
 
 
 def _describe(name: str, chain: Chain, tip: Fingertip) -> FingerDescription:
