@@ -4,7 +4,7 @@ python benchmarks/bench_training.py --recording human_alex.npy --json training.j
 
 Rows, in wall time:
   geort_coupled   from the recording to the weights, robot samples included
-  refit           from the map for everyone to one person's, with the default number of steps
+  refit           from the universal map to one person's, with the default number of steps
   public recipe   50 epochs of 25 batches of 2,048, each finger's points drawn by themselves, the Chamfer term
                   through all distances between two clouds; written from the paper. A few batches are timed
                   before and after each training and multiplied; its pretraining is left out, in its favour

@@ -4,7 +4,7 @@ Retargeters:
     load_retargeter: loads a checkpoint as a `Retargeter`; needs only NumPy.
     Retargeter: maps 21 human keypoints to robot joint angles.
     train_checkpoint: trains a retargeter on a recording and writes its checkpoint.
-    refit_checkpoint: fits the map for everyone to a person and writes a checkpoint.
+    refit_checkpoint: fits the universal map to a person and writes a checkpoint.
     evaluate: computes a retargeter's metrics on a recording.
 People:
     read_recording: reads a recording of a hand in any known format.

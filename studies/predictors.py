@@ -3,8 +3,8 @@
 python -m studies.predictors --output runs/predictors --tasks keys grasp --objects cylinder --budget 3600
 python -m studies.predictors --output runs/predictors --report
 
-Maps are 32 distortions of the map for everyone, whose causes are known, and others: methods, checkpoints,
-distorted affine maps, and the map for everyone made for other people. Simulated people of kind servo try all
+Maps are 32 distortions of the universal map, whose causes are known, and others: methods, checkpoints,
+distorted affine maps, and the universal map made for other people. Simulated people of kind servo try all
 maps, the other kinds a balanced half. Trials go seed by seed, so that every prefix is balanced, and the same
 command resumes.
 """
@@ -45,7 +45,7 @@ from studies.predictor_analysis import CRITERIA, POINTS, write_analysis
 
 MAPS = "maps.json"
 FRAMES = 12_000  # of the recording, on which open-loop figures are measured
-OTHERS = 12  # people for whom the map for everyone is made, without its having seen the person who plays
+OTHERS = 12  # people for whom the universal map is made, without its having seen the person who plays
 # Of the untrained affine map, which is no candidate, and so no map's distorted twin.
 WORSENED = {
     "affine_turned_20": Distortion(rotation=math.radians(20)),

@@ -1,9 +1,9 @@
-"""Refit: how near does the map for everyone come to a training on one person alone?
+"""Refit: how near does the universal map come to a training on one person alone?
 
 python studies/refit.py --people 0 1 2 4 --json refit.json
 
 People of a population that no training has seen play for a minute, and for another one that is scored: with
-the map for everyone, folded for the first minute; refitted to that minute; and with a map that was trained on
+the universal map, folded for the first minute; refitted to that minute; and with a map that was trained on
 it alone, for which the person must pinch in the first minute.
 """
 
@@ -39,7 +39,7 @@ COLUMNS = {
 def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--hand", default="allegro_right")
-    parser.add_argument("--map", type=Path, help="map for everyone (default: the shipped one)")
+    parser.add_argument("--map", type=Path, help="universal map (default: the shipped one)")
     parser.add_argument("--people", type=int, nargs="+", default=[0, 1, 2], help="numbers in the population")
     parser.add_argument("--seconds", type=float, default=60.0, help="of play to fit to")
     parser.add_argument("--rate", type=float, default=30.0, help="Hz")
@@ -54,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         t = person.t - person.t[0]
         parts = (t >= END_S - arguments.seconds) & (t < END_S), t >= END_S
         seen, unseen = (dataclasses.replace(person, valid=person.valid & part) for part in parts)
-        maps = {"for everyone": (universal.for_person(seen.p_HK[seen.valid]), None)}
+        maps = {"universal": (universal.for_person(seen.p_HK[seen.valid]), None)}
         with tempfile.TemporaryDirectory() as folder:
             paths = {
                 "refit": refit_checkpoint(seen, Path(folder) / "refit", arguments.hand, arguments.map),

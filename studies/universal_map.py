@@ -1,4 +1,4 @@
-"""Figures of a map for everyone on people it never saw: from one second, and from thirty seconds of them.
+"""Figures of a universal map on people it never saw: from one second, and from thirty seconds of them.
 
 python studies/universal_map.py models/maps/allegro_right.safetensors --people 40 \
     --recordings alex.npy manus.npz

@@ -88,10 +88,10 @@ def test_a_checkpoint_is_scored_only_where_its_training_fits(evaluate, play, qui
     assert of_method["held_out"]["mean"] is None
     assert "cannot be trained without the block" in of_method["held_out"]["outcomes"][0]["error"]
     assert "block 1 of 2, seed 0" in " ".join(capsys.readouterr().err.split())
-    stranger = quick("allegro_right", synthesize_play(2, duration_s=20.0, rate_hz=30.0), seed=1)
-    code, report = evaluate(f"--methods {stranger}")
+    other_person = quick("allegro_right", synthesize_play(2, duration_s=20.0, rate_hz=30.0), seed=1)
+    code, report = evaluate(f"--methods {other_person}")
     assert code == 1
-    (outcome,) = report["methods"][str(stranger)]["same_person"]["outcomes"]
+    (outcome,) = report["methods"][str(other_person)]["same_person"]["outcomes"]
     assert "was trained on another recording than hand.npz" in outcome["error"]
 
 

@@ -53,7 +53,7 @@ def test_figures_tell_kinds_of_success_apart():
         error(),
     ]
     found = figures(records, TIMEOUT)
-    counts = [found[kind]["successes"] for kind in ("success", "one_time_success", "tip_success")]
+    counts = [found[kind]["successes"] for kind in ("success", "first_attempt_success", "tip_success")]
     assert counts == [3, 2, 2] and (found["trials"], found["errors"]) == (4, 1)
     assert found["drops_per_trial"] == pytest.approx(1 / 4)
     assert found["failures"] == {"timeout: lift": 1}
@@ -102,9 +102,9 @@ def test_trainings_of_a_method_are_told_apart():
     theirs = [trial("a", seed=seed) for seed in range(4)]
     mine = [trial("b", seed=s, time=5.0 if k else None, training=k) for s in range(4) for k in (0, 1)]
     found = difference(mine, theirs, TIMEOUT)
-    assert found["pairs"] == 8 and found["one_time_success"]["lost"] == 4
-    assert found["one_time_success"]["mean"] == pytest.approx(-0.5)
-    assert found["one_time_success"]["low"] == -1 and found["one_time_success"]["high"] == 0
+    assert found["pairs"] == 8 and found["first_attempt_success"]["lost"] == 4
+    assert found["first_attempt_success"]["mean"] == pytest.approx(-0.5)
+    assert found["first_attempt_success"]["low"] == -1 and found["first_attempt_success"]["high"] == 0
     assert by_training({"method": "geort~2", "seed": 1}) == {"method": "geort", "seed": 1, "training": 2}
 
 
@@ -112,12 +112,12 @@ def test_won_and_lost_are_counted_and_tested():
     """Seven pairs won and one lost: McNemar's exact p is 2 · 9 / 2⁸."""
     theirs = [trial("a", seed=seed, time=None if seed < 7 else 5.0) for seed in range(10)]
     mine = [trial("b", seed=seed, time=None if seed == 9 else 5.0) for seed in range(10)]
-    found = difference(mine, theirs, TIMEOUT)["one_time_success"]
+    found = difference(mine, theirs, TIMEOUT)["first_attempt_success"]
     assert (found["won"], found["lost"]) == (7, 1)
     assert found["mean"] == pytest.approx(0.6)
     assert found["low"] < 0.6 < found["high"]
     assert found["p"] == pytest.approx(18 / 256)
-    assert difference(theirs, theirs, TIMEOUT)["one_time_success"]["p"] == 1.0
+    assert difference(theirs, theirs, TIMEOUT)["first_attempt_success"]["p"] == 1.0
 
 
 # -- all together

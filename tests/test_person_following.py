@@ -1,4 +1,4 @@
-"""A retargeting system with the map for everyone follows the person who plays."""
+"""A retargeting system with the universal map follows the person who plays."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""The training of a map for everyone."""
+"""The training of a universal map."""
 
 import numpy as np
 import pytest

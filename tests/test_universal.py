@@ -1,4 +1,4 @@
-"""The map for everyone: folded weights, calls, file, the observed person, and the fit to one person."""
+"""The universal map: folded weights, calls, file, the observed person, and the fit to one person."""
 
 import dataclasses
 import json
@@ -100,7 +100,7 @@ def test_a_file_that_is_no_map_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["allegro_right", "allegro_left", "leap_right"])
-def test_the_shipped_map_serves_a_stranger_from_the_first_second(name):
+def test_the_shipped_map_serves_an_unseen_person_from_the_first_second(name):
     """A person whom the training has not seen: fingertips move as theirs do, and most pinches close."""
     hand = HandModel(load_hand(name))
     retarget = load_retargeter(name, hand)
@@ -150,7 +150,7 @@ def test_another_person_is_noticed_and_the_same_one_is_not():
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A folder with a random map for everyone of the Allegro hand."""
+    """A folder with a random universal map of the Allegro hand."""
     folder, hand = tmp_path_factory.mktemp("refit"), allegro()
     file = dataclasses.replace(
         map_of(random_network(FINGERS, canonical_kinematics(hand))),
@@ -164,7 +164,7 @@ def folder(tmp_path_factory):
 
 
 def test_the_command_writes_an_ordinary_checkpoint(folder, monkeypatch):
-    """It loads, starts from the map for everyone, knows the person's fingertips, and names its origin."""
+    """It loads, starts from the universal map, knows the person's fingertips, and names its origin."""
     monkeypatch.setattr("geort_drake.comparison.metrics.ROBOT_SAMPLES", 2_000)
     hand = synthesize_play(5, 40.0, 30.0)
     hand.save(folder / "hand.npz")
@@ -178,7 +178,7 @@ def test_the_command_writes_an_ordinary_checkpoint(folder, monkeypatch):
     assert checkpoint.provenance["map"]["name"] == "map.safetensors"
     assert checkpoint.provenance["recording"]["sha256"] == hand.digest
     assert json.loads((folder / "own" / "metrics.json").read_text())["recording_sha256"] == hand.digest
-    with pytest.raises(CheckpointError, match="a map for everyone is needed"):
+    with pytest.raises(CheckpointError, match="a universal map is needed"):
         refit_checkpoint(hand, "other", map_file="own")
 
 

@@ -1,4 +1,4 @@
-"""A map for everyone with random weights, shared by the tests."""
+"""A universal map with random weights, shared by the tests."""
 
 from collections.abc import Sequence
 

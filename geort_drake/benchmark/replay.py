@@ -46,7 +46,7 @@ class Replay:
         sessions: recordings with wrist poses.
         side: of the recorded hands; None: the robot hand's.
         object_name: the grasped object; None: as noted in each session.
-        retargeter: directory of a checkpoint, or a map for everyone by its hand's name or file, which is
+        retargeter: directory of a checkpoint, or a universal map by its hand's name or file, which is
             that of the person in each session; None: the map that is shipped for the hand.
         perturbations: name in `PERTURBATIONS` → sizes.
         trials: draws per session and perturbation.

@@ -14,7 +14,7 @@ from geort_drake.simulation.scenario import Scenario
 def summarize_sensitivity(
     records: Iterable[Record], methods: Sequence[str], scenario: Scenario
 ) -> dict[str, dict]:
-    """One-time success of every method in every condition, and the correlation of the rankings.
+    """First-attempt success of every method in every condition, and the correlation of the rankings.
 
     Nominal trials count if their method, object and seed also have a trial in a condition of the parameter.
 

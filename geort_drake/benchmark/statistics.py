@@ -67,7 +67,7 @@ def figures(records: Sequence[Record], timeout: float) -> dict:
     """Statistics of trials of one method; None where no trial has the quantity.
 
     Returns:
-        Numbers of `trials` and of `errors`, which are not among them; `one_time_success`, `success` and
+        Numbers of `trials` and of `errors`, which are not among them; `first_attempt_success`, `success` and
         `tip_success`, see `proportion`; `holding`: number of successes in which each link of the hand touched
         the held object; `completion_time_s`: `restricted_mean` up to the timeout with its interval, and
         `median_of_successes`; `phase_s`: mean time in each phase; `slip_mm`: median and 95th percentile over
@@ -84,7 +84,7 @@ def figures(records: Sequence[Record], timeout: float) -> dict:
     return {
         "trials": len(judged),
         "errors": len(records) - len(judged),
-        "one_time_success": proportion(sum(bool(r["first_attempt"]) for r in judged), len(judged)),
+        "first_attempt_success": proportion(sum(bool(r["first_attempt"]) for r in judged), len(judged)),
         "success": proportion(sum(r["success"] for r in judged), len(judged)),
         "tip_success": proportion(sum(r["tip_success"] for r in judged), len(judged)),
         "holding": dict(Counter(link for r in judged if r["success"] for link in r["holding"]).most_common()),
@@ -113,9 +113,9 @@ def difference(records: Sequence[Record], reference: Sequence[Record], timeout: 
     """A method minus the reference, over the objects and seeds that both have results for.
 
     Returns:
-        `pairs`; `one_time_success`: mean difference with its interval, `won` and `lost`: pairs in which only
-        this method or only the reference succeeded, and `p` of McNemar's exact test; `completion_time_s`:
-        mean difference of the restricted times with its interval.
+        `pairs`; `first_attempt_success`: mean difference with its interval, `won` and `lost`: pairs in which
+        only this method or only the reference succeeded, and `p` of McNemar's exact test;
+        `completion_time_s`: mean difference of the restricted times with its interval.
     """
     judged = [r for r in records if "error" not in r], [r for r in reference if "error" not in r]
     axes = axes_of([*judged[0], *judged[1]])
@@ -131,7 +131,7 @@ def difference(records: Sequence[Record], reference: Sequence[Record], timeout: 
     won, lost = int((signs > 0).sum()), int((signs < 0).sum())
     return {
         "pairs": len(signs),
-        "one_time_success": {
+        "first_attempt_success": {
             **mean_and_interval(*once),
             "won": won,
             "lost": lost,

@@ -80,11 +80,11 @@ def task_figures(records: Iterable[Record], config: dict, condition: str = "") -
 
     Returns:
         `errors`: number of trials that raised an error; `refused`: case → why the hand cannot do it;
-        `methods`: name → `trials`; `success` and `one_time_success`, see `proportion`; `score`: mean with its
-        interval, and `against_first`: its paired difference to the first method's; `completion_time_s`:
-        median of successes; `peak_force_n`, median; `self_contact`, mean fraction of the time;
-        `unattainable`: number of trials before which free play showed no attainable plan; `faults` of an
-        `OwnMethod`; `endings`: number of each; and the mean of each number that the task's result adds.
+        `methods`: name → `trials`; `success` and `first_attempt_success`, see `proportion`; `score`: mean
+        with its interval, and `against_first`: its paired difference to the first method's;
+        `completion_time_s`: median of successes; `peak_force_n`, median; `self_contact`, mean fraction of the
+        time; `unattainable`: number of trials before which free play showed no attainable plan; `faults` of
+        an `OwnMethod`; `endings`: number of each; and the mean of each number that the task's result adds.
     """
     chosen = [by_training(record) for record in records if record.get("condition", "") == condition]
     judged = [record for record in chosen if "error" not in record]
@@ -124,7 +124,7 @@ def _figures(records: Sequence[Record], own: Sequence[str]) -> dict:
     return {
         "trials": len(records),
         "success": proportion(sum(r["success"] for r in records), len(records)),
-        "one_time_success": proportion(sum(bool(r["first_attempt"]) for r in records), len(records)),
+        "first_attempt_success": proportion(sum(bool(r["first_attempt"]) for r in records), len(records)),
         "completion_time_s": float(np.median(times)) if times else None,
         "peak_force_n": float(np.median([r["peak_force"] for r in records])) if records else None,
         "self_contact": float(np.mean([r["self_contact"] for r in records])) if records else None,

@@ -11,10 +11,11 @@ def report(arguments: argparse.Namespace, summary: dict) -> int:
     from geort_drake.console import print_table, warn
 
     folder, errors = arguments.output, summary["errors"]
-    headings = ("method", "one-time", "95 %", "success", "tip-only", "mean time", "difference")
+    headings = ("method", "first attempt", "95 %", "success", "tip-only", "mean time", "difference")
     caption = (
-        "one-time: lifted and held at the first closing; tip-only: only fingertips touched the held object; "
-        "mean time: failures count as the timeout; difference: of one-time success to the first method, %"
+        "first attempt: lifted and held without a second attempt; tip-only: only fingertips touched the held "
+        "object; mean time: failures count as the timeout; difference: of first-attempt success to the first "
+        "method, %"
     )
     print_table(headings, _rows(summary), "Grasps", caption)
     if summary["people"]:
@@ -65,11 +66,11 @@ def _rows(summary: dict) -> Iterator[list[str]]:
     """One row per method."""
     for name, entry in summary["methods"].items():
         of = entry["overall"]
-        once, success = of["one_time_success"], of["success"]
+        once, success = of["first_attempt_success"], of["success"]
         if not once["trials"]:
             yield [name, *["–"] * 6]
             continue
-        against = summary["differences"].get(name, {}).get("overall", {}).get("one_time_success", {})
+        against = summary["differences"].get(name, {}).get("overall", {}).get("first_attempt_success", {})
         yield [
             name,
             f"{once['successes']} of {once['trials']}",

@@ -13,8 +13,8 @@ from geort_drake.errors import UsageError
 EPILOG = """\
 {methods}
 The recording shows the human hand, the robot hand with each method, the losses over time, closed and missed
-pinches, and collisions. Methods that need training are trained on the whole recording and cached. A map for
-everyone follows the person from the first hand shown.
+pinches, and collisions. Methods that need training are trained on the whole recording and cached. The
+universal map adapts to the person from the first frame shown.
 """
 
 

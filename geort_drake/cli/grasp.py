@@ -1,9 +1,9 @@
 """Grasp objects in simulation.
 
-Without arguments, a simulated person grasps three objects with a Panda and an Allegro hand, through the map
-for everyone, and a table shows the outcomes. A method that needs training is first trained on the person. The
-output folder gets results.json, the scenario, and for each trial a Rerun recording (.rrd) and the glove and
-tracker data (.npz).
+Without arguments, a simulated person grasps three objects with a Panda and an Allegro hand, through the
+universal map, and a table shows the outcomes. A method that needs training is first trained on the person's
+hand motion. The output folder gets results.json, the scenario, and for each trial a Rerun recording (.rrd)
+and the glove and tracker data (.npz).
 """
 
 import argparse
@@ -113,7 +113,7 @@ def run(arguments: argparse.Namespace) -> int:
     if checkpoint is None:
         say(f"Retargeter:   {method} (needs no training)")
     elif isinstance(retarget, UniversalRetargeter):
-        say(f"Retargeter:   {checkpoint} (for everyone)")
+        say(f"Retargeter:   {checkpoint} (universal)")
         properties |= {"checkpoint": str(checkpoint), "method": SHIPPED_METHOD}
     else:
         say(f"Retargeter:   {checkpoint}")

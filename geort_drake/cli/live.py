@@ -30,7 +30,7 @@ def add_arguments(parser: CommandParser) -> None:
     add("--glove", default="web", metavar="SOURCE", help="source of the hand motion")
     add("--robot", default="simulation", metavar="TARGET", help="robot or simulation to drive")
     trained = (
-        "checkpoint or map (default: the hand's map for everyone; without one, a checkpoint trained on "
+        "checkpoint or map (default: the hand's universal map; without one, a checkpoint trained on "
         "synthetic play; if the cache has none, training it takes minutes before anything moves)"
     )
     add("--retargeter", type=Path, help=trained)

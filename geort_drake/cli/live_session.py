@@ -19,11 +19,11 @@ from geort_drake.retargeting.retargeter import Retargeter, UniversalRetargeter, 
 
 
 def checkpoint_of(arguments: argparse.Namespace, description: HandDescription) -> Path:
-    """The requested checkpoint or map; by default the hand's map for everyone, else one trained now."""
+    """The requested checkpoint or map; by default the hand's universal map, else one trained now."""
     hand = scenario_of(arguments).hand
     if (path := arguments.retargeter or shipped_maps().get(hand)) is not None:
         return path
-    say(f"no map for everyone is shipped for {hand}; using a map trained on synthetic play")
+    say(f"no universal map is shipped for {hand}; using a map trained on synthetic play")
     return cached_checkpoint(hand, synthesize_play(seed=0, side=description.side))
 
 

@@ -113,7 +113,7 @@ class CommandParser(argparse.ArgumentParser):
 
 
 def methods_for(hand: str) -> tuple[str, ...]:
-    """All methods; the map for everyone only where one is shipped for the hand, given by name or file."""
+    """All methods; the universal map only where one is shipped for the hand, given by name or file."""
     from geort_drake.hands.description import load_hand
     from geort_drake.retargeting.map_file import shipped_maps
     from geort_drake.retargeting.methods import shipped_methods, trained_methods, untrained_methods

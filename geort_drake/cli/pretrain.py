@@ -1,4 +1,4 @@
-"""Train the map for everyone of a robot hand, on synthetic people alone.
+"""Train the universal map of a robot hand, on synthetic people alone.
 
 geort-drake pretrain --hand my_hand.yaml --output my_hand.safetensors
 """

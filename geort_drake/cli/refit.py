@@ -1,4 +1,4 @@
-"""Fit the map for everyone to one person's hand.
+"""Fit the universal map to one person's hand.
 
 geort-drake refit my_hand.npz runs/my_map
 
@@ -17,7 +17,7 @@ def add_arguments(parser: CommandParser) -> None:
     add("recording", type=Path, help="recording of the person's hand, one to five minutes")
     add("output", type=output_folder, help="directory of the checkpoint")
     parser.add_hand()
-    add("--map", type=Path, metavar="FILE", help="map for everyone (default: the one shipped for the hand)")
+    add("--map", type=Path, metavar="FILE", help="universal map (default: the one shipped for the hand)")
     add("--steps", type=at_least(1), help="training steps (default: 400 a minute, 600 to 2000)")
     parser.add_seed("training and metrics")
     parser.add_json("the metrics")

@@ -15,7 +15,7 @@ from geort_drake.cli.options import CommandParser, at_least, finish, scenario_of
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("sessions", nargs="+", type=Path, metavar="SESSION", help="recordings with wrist poses (.npz)")
-    add("--retargeter", type=Path, help="checkpoint or map (default: the hand's map for everyone)")
+    add("--retargeter", type=Path, help="checkpoint or map (default: the hand's universal map)")
     add("--object", help="object that was grasped (default: as stated in the session)")
     changes = "largest changes: position (mm), yaw (°), mass and friction (fractions); default: all of these"
     add("--perturb", nargs="+", default=(), metavar="NAME=S1,S2", help=changes)

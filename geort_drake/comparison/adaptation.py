@@ -1,4 +1,4 @@
-"""How the map for everyone follows a person through a recording."""
+"""How the universal map follows a person through a recording."""
 
 from dataclasses import dataclass
 

@@ -19,7 +19,7 @@ from geort_drake.retargeting.methods import all_methods
 from geort_drake.retargeting.methods.online import VectorOnline
 from geort_drake.retargeting.retargeter import UniversalRetargeter
 
-# The first seconds of a recording, from which a map for everyone takes the person's code.
+# The first seconds of a recording, from which a universal map takes the person's code.
 SEEN_S = 1.0
 
 
@@ -54,7 +54,7 @@ class Comparison:
     """Evaluates methods one by one under the same protocols.
 
     An online method gets the recorded frames in order, from rest. Metrics of hands that were not recorded use
-    its converged outputs, see `VectorOnline.settled_map`. A map for everyone gets the first second of the
+    its converged outputs, see `VectorOnline.settled_map`. A universal map gets the first second of the
     person that it is scored on, and nothing else.
 
     Args:

@@ -67,7 +67,7 @@ def write_exploration(
         hands: of the person, an `excerpt`.
         methods: name of a method → its outputs.
         properties: of the recording.
-        adaptations: name of a map for everyone among the methods → how it followed the person.
+        adaptations: name of a universal map among the methods → how it followed the person.
     """
     p_HK = hands.p_HK.astype(float)
     p_HK = mirrored(p_HK) if hand.description.side == "left" else p_HK

@@ -1,4 +1,4 @@
-"""Trains the map for everyone of a robot hand and writes its file."""
+"""Trains the universal map of a robot hand and writes its file."""
 
 import dataclasses
 import os
@@ -28,7 +28,7 @@ def pretrain(
     device: str = "cpu",
     show_progress: bool = True,
 ) -> dict[str, float]:
-    """Trains the map for everyone of a hand and writes it to a file; see `MapFile`.
+    """Trains the universal map of a hand and writes it to a file; see `MapFile`.
 
     The map is also for the hand's mirror image, where there is one whose name has the other side.
 

@@ -1,4 +1,4 @@
-"""Fits the map for everyone to one person, from a recording to an evaluated checkpoint."""
+"""Fits the universal map to one person, from a recording to an evaluated checkpoint."""
 
 import os
 from pathlib import Path
@@ -25,7 +25,7 @@ def refit_checkpoint(
     seed: int = 0,
     show_progress: bool = True,
 ) -> Path:
-    """Fits the map for everyone to one person and writes a checkpoint of `geort_coupled`.
+    """Fits the universal map to one person and writes a checkpoint of `geort_coupled`.
 
     The person's code is folded into the weights, which are then trained further on the recording.
 
@@ -33,7 +33,7 @@ def refit_checkpoint(
         recording: one to five minutes of the person's hand, or its file.
         output: the checkpoint's directory.
         hand_name: name or file of the robot hand's description.
-        map_file: the map for everyone; None takes the one that is shipped for the hand.
+        map_file: the universal map; None takes the one that is shipped for the hand.
         steps: of the training; None takes those of `refit_steps`.
         seed: of the training and the metrics.
         show_progress: draw progress bars on stderr.
@@ -50,11 +50,11 @@ def refit_checkpoint(
     path = shipped_maps().get(description.name) if map_file is None else Path(map_file)
     if path is None:
         raise CheckpointError(
-            f"no map for everyone is shipped for {description.name}; make one with geort-drake pretrain"
+            f"no universal map is shipped for {description.name}; make one with geort-drake pretrain"
         )
     universal = load_retargeter(path, HandModel(description))
     if not isinstance(universal, UniversalRetargeter):
-        raise CheckpointError(f"{path}: a map for everyone is needed, this is a checkpoint of one person")
+        raise CheckpointError(f"{path}: a universal map is needed, this is a checkpoint of one person")
     recording = training_recording(recording, description.side)
     p_HK = recording.p_HK[recording.valid].astype(float)
     arrays = universal.folded_arrays(universal.code(p_HK))

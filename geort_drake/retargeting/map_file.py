@@ -1,4 +1,4 @@
-"""Files of maps for everyone: weights, the robot hands that they are for, and their origin.
+"""Files of universal maps: weights, the robot hands that they are for, and their origin.
 
 A map is one safetensors file. Its header holds texts: the format, and as JSON hands (name → digest of the
 model), finger_names, joint_names, human_keypoints, lower, upper, training and provenance.

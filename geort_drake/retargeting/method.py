@@ -126,7 +126,7 @@ class TrainedMethod:
 
 @dataclass(frozen=True)
 class ShippedMethod:
-    """A map for everyone that is shipped for a robot hand; `shipped_map` finds it.
+    """A universal map that is shipped for a robot hand; `shipped_map` finds it.
 
     Attributes:
         name, summary: as of `TrainedMethod`.

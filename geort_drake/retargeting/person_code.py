@@ -1,8 +1,8 @@
-"""Describes a person by numbers that a retargeter for everyone takes beside the fingertips.
+"""The person code: numbers that describe a person to the universal map, as input beside the fingertips.
 
-The code of a person holds the shape of the hand and the reach of each fingertip. Reach is the mean and the
-spread of the places that a tip visited, however long it stayed there. After few places it is close to that
-of the average person; a Bayesian estimate mixes both.
+The code contains the shape of the hand and the reach of each fingertip. Reach is the mean and the covariance
+of the places that a fingertip visited, however long it stayed there. A Bayesian estimate starts at the
+average person's reach and approaches the observed one as places are added.
 """
 
 from collections.abc import Mapping, Sequence

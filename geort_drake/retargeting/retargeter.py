@@ -22,7 +22,7 @@ __all__ = ["BACKENDS", "Retargeter", "UniversalRetargeter", "load_retargeter", "
 
 
 def shipped_map(hand: TrainedHand) -> Path:
-    """The file of the map for everyone that is shipped for `hand`.
+    """The file of the universal map that is shipped for `hand`.
 
     Raises:
         CheckpointError: there is none.
@@ -32,7 +32,7 @@ def shipped_map(hand: TrainedHand) -> Path:
             return path
     hands = ", ".join(shipped_maps()) or "none"
     raise CheckpointError(
-        f"no map for everyone is shipped for this hand, only for: {hands}; geort-drake pretrain makes one"
+        f"no universal map is shipped for this hand, only for: {hands}; geort-drake pretrain makes one"
     )
 
 
@@ -44,7 +44,7 @@ def path_of(source: str | os.PathLike) -> Path:
 def load_retargeter(
     source: str | os.PathLike, hand: TrainedHand | None = None, backend: str = "numpy"
 ) -> Retargeter | UniversalRetargeter:
-    """Loads a map for everyone, or a checkpoint directory written by training.
+    """Loads a universal map, or a checkpoint directory written by training.
 
     Args:
         source: name of a robot hand with a shipped map, path of a map's file, or the directory.

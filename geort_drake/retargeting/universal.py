@@ -1,4 +1,4 @@
-"""The map for everyone in NumPy: a network for the fingertips and a code of the person."""
+"""The universal map in NumPy: a network for the fingertips and a code of the person."""
 
 from collections.abc import Mapping, Sequence
 

@@ -29,7 +29,7 @@ def seen_fingertips(
 ) -> FreePlay:
     """Own and robot fingertips during the person's free play; T is 0 if the method raises.
 
-    Of a map for everyone, give the one `after_play`.
+    Of a universal map, give the one `after_play`.
 
     A method whose `latency` (s) exceeds the time between frames gets fewer of them.
     """
@@ -51,7 +51,7 @@ def seen_fingertips(
 
 
 def after_play(retarget: Any, person: HumanHand) -> Any:
-    """The map that the person uses after free play: that of the person, of a map for everyone."""
+    """The map that the person uses after free play: that of the person, of a universal map."""
     return retarget.for_person(_frames(person)) if isinstance(retarget, UniversalRetargeter) else retarget
 
 

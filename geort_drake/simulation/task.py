@@ -154,7 +154,7 @@ class Task(abc.ABC, Generic[Goal]):
         result: type of a trial's result.
         scenario: file and name of its scenario.
         begins_after_play: whether people learn the map in free play, and so continue with the map that they
-            played with; otherwise a map for everyone first sees them in the trial.
+            played with; otherwise a universal map first sees them in the trial.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Follows a person with the map for everyone: their code, and the map that is theirs so far."""
+"""Follows a person with the universal map: their code, and the map that is theirs so far."""
 
 import dataclasses as dc
 from collections.abc import Callable
@@ -26,7 +26,7 @@ class PersonFollowing(Immutable):
     """What is known of the person, and their map.
 
     Attributes:
-        universal: the map for everyone.
+        universal: the universal map.
         observer: what has been seen.
         last: keypoints (21, 3) of the last look, m; NaN before it.
         code: of the person, of which `now` is the map; None before the first look.

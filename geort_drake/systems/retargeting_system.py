@@ -46,7 +46,7 @@ class RetargetingSystem(LeafSystem):
 
     While the input cannot be followed, the joints brake and hold. Then the hand follows again with growing
     speed. Joint targets appear `latency` after their keypoints. A retargeter that takes longer than the
-    period is called again as soon as it is done, with the latest keypoints. A map for everyone adapts to the
+    period is called again as soon as it is done, with the latest keypoints. A universal map adapts to the
     person: it observes the followed hand periodically and updates the person's code.
 
     Input ports:
@@ -65,7 +65,7 @@ class RetargetingSystem(LeafSystem):
             motion.
 
     State: the last computed desired state (2n); memory of targets, input and status; with a latency, the
-    desired state (2n) of the output port; and, for a map for everyone, an abstract `PersonFollowing`.
+    desired state (2n) of the output port; and, for a universal map, an abstract `PersonFollowing`.
 
     Args:
         retarget: a `UniversalRetargeter`, or a function from keypoints (21, 3), m in H, to joint positions
@@ -167,7 +167,7 @@ class RetargetingSystem(LeafSystem):
         Targets do not jump: the map takes over within `FADE`.
 
         Returns:
-            Whether it does; only a map for everyone follows a person.
+            Whether it does; only a universal map follows a person.
 
         Raises:
             HandError: it moves other joints.

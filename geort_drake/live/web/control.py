@@ -34,7 +34,7 @@ _NEWEST = 300  # samples of the delay that is shown
 
 
 class Refitting:
-    """Fits the map for everyone to a person, in a separate process with low priority.
+    """Fits the universal map to a person, in a separate process with low priority.
 
     Args:
         recording: file of the person's hand.
@@ -84,7 +84,7 @@ class PageControl:
         station: where commands come from.
         publish: sends a state to all pages.
         folder: of recordings.
-        retargeter: checkpoint, or file of a map for everyone, which can be fitted to the person.
+        retargeter: checkpoint, or file of a universal map, which can be fitted to the person.
         load: returns the retargeter of the fitted map's directory.
         export: writes other files of a recording; see `SessionExports.write`.
     """
@@ -246,7 +246,7 @@ class PageControl:
         if self._refit is not None:
             return
         if self._retargeter.is_dir():
-            text = "this map is not for everyone; start without --retargeter"
+            text = "only the map for everyone can be fitted; start without --retargeter"
             self._refit_state = {"state": "failed", "text": text}
             return
         if self._guide is None or self._guide.seconds_left > 0.0:

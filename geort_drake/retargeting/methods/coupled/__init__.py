@@ -1,4 +1,4 @@
-"""`geort_coupled`, a network per finger and a residual that sees all fingertips, and the map for everyone.
+"""`geort_coupled`, a network per finger and a residual that sees all fingertips, and the universal map.
 
 Import from this module only; its submodules may change. docs/concepts/derivations.md derives the
 losses.

@@ -1,4 +1,4 @@
-"""Settings of the training of `geort_coupled` and of the map for everyone."""
+"""Settings of the training of `geort_coupled` and of the universal map."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -29,14 +29,14 @@ class CoupledConfig(TrainingConfig):
     collision: float = 0.0012  # fraction of hands in which links overlap by 2 mm
 
 
-# Of the map for everyone, whose first three bounds hold for the half of the people who are harder to serve.
+# Of the universal map, whose first three bounds hold for the half of the people who are harder to serve.
 FOR_EVERYONE = CoupledConfig(
     steps=30_000, learning_rate=0.003, direction=0.044, track=0.042, cross_talk=0.044
 )
 
 
 def refit_steps(seconds: float) -> int:
-    """Steps from the map for everyone to one person's: 400 for each minute of play, 600 to 2,000."""
+    """Steps from the universal map to one person's: 400 for each minute of play, 600 to 2,000."""
     return round(400 * min(max(seconds / 60, 1.5), 5.0))
 
 

@@ -10,7 +10,7 @@ from geort_drake.errors import TrainingError
 from geort_drake.retargeting.training.kinematics import HandKinematics
 from geort_drake.retargeting.training.networks import RetargetingNetwork, StackedMlp
 
-HIDDEN, RESIDUAL_HIDDEN = 64, 128  # widths of layers, as of the map for everyone
+HIDDEN, RESIDUAL_HIDDEN = 64, 128  # widths of layers, as of the universal map
 
 
 class CoupledNetwork(RetargetingNetwork):

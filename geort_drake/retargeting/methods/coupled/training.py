@@ -46,7 +46,7 @@ AVERAGED_STEPS = 90  # at the end, over which weights are averaged exponentially
 
 @dataclass(frozen=True)
 class UniversalTraining:
-    """A trained map for everyone.
+    """A trained universal map.
 
     Attributes:
         arrays: of the network and of the average person, as `UniversalRetargeter` takes them.
@@ -125,7 +125,7 @@ def train_universal(
     device: str = "cpu",
     report: Report | None = None,
 ) -> UniversalTraining:
-    """Trains a map for everyone on the population of `geort_drake.people.population`.
+    """Trains a universal map on the population of `geort_drake.people.population`.
 
     Args:
         kinematics, shapes: of the robot hand, mirrored for a left one.

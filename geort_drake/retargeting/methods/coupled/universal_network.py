@@ -1,4 +1,4 @@
-"""The network of the map for everyone: one per finger and a residual, modulated by the code of a person."""
+"""The network of the universal map: one per finger and a residual, modulated by the code of a person."""
 
 import math
 from collections.abc import Sequence
