@@ -3,6 +3,10 @@
 import errno
 import io
 import json
+import os
+import sys
+import threading
+import time
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -14,6 +18,7 @@ from web_page import PLAY, headset, hello
 from geort_drake import Recording, load_retargeter, load_scenario
 from geort_drake.benchmark.replay import Replay
 from geort_drake.cli import main
+from geort_drake.errors import LiveError
 from geort_drake.files import writing
 from geort_drake.live.glove_stream import HANDSHAKE_FRAMES
 from geort_drake.live.web import control as page_control
@@ -170,6 +175,35 @@ def test_a_real_robots_session_is_exported_with_its_joints(tmp_path, monkeypatch
     assert 0.0 < np.abs(action - state).max() < 0.5
     drawn = read_samples(folder / "hand.rrd").signals
     assert set(names) < {name.removeprefix("robot.") for name in drawn}
+
+
+def test_exports_end_when_they_are_closed(tmp_path, monkeypatch):
+    """As when a second Ctrl-C ends the command: no process goes on, and none begins."""
+    slow = tmp_path / "slow"
+    slow.write_text(f"#!/bin/sh\necho $$ > {tmp_path}/number\nexec sleep 600\n")
+    slow.chmod(0o700)
+    monkeypatch.setattr(sys, "executable", str(slow))
+    exports, errors = SessionExports(), []
+
+    def write() -> None:
+        try:
+            exports.write(tmp_path / "session.npz", tmp_path, simulated=True)
+        except LiveError as error:
+            errors.append(str(error))
+
+    threads = [threading.Thread(target=write) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    deadline = time.monotonic() + 120.0
+    while not (tmp_path / "number").exists() or not (tmp_path / "number").read_text().strip():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    exports.close()
+    for thread in threads:
+        thread.join(120.0)
+    assert sorted(errors) == ["grasp: ended before it was done", "grasp: not begun before the end"]
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "number").read_text()), 0)
 
 
 def test_with_consent_every_session_is_recorded_from_its_engagement_and_can_be_replayed(tmp_path):

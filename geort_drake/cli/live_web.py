@@ -1,6 +1,7 @@
 """`geort-drake live` with the page: serves it and runs its sessions."""
 
 import argparse
+import contextlib
 import copy
 import sys
 from pathlib import Path
@@ -52,14 +53,17 @@ def run_web(
     robot = "lcm" if lcm_url else "simulation"
     about = RobotInfo(description.side, scenario.hand, robot, tasks, words, instructions)
     station = OperatorStation(about)
-    with open_server(station, arguments.host, arguments.port, not arguments.no_open) as server:
+    with (
+        open_server(station, arguments.host, arguments.port, not arguments.no_open) as server,
+        contextlib.closing(SessionExports()) as exports,
+    ):
         control = PageControl(
             station,
             server.publish,
             arguments.record or _RECORDINGS,
             checkpoint,
             lambda fitted: load(fitted, description, arguments.backend),
-            SessionExports().write,
+            exports.write,
         )
         teleoperation = WebTeleoperation(
             scenarios,

@@ -16,6 +16,14 @@ class SessionExports:
 
     def __init__(self) -> None:
         self._one = threading.Lock()
+        self._process: subprocess.Popen | None = None
+        self._closed = False
+
+    def close(self) -> None:
+        """Ends the process that runs, and lets none begin."""
+        self._closed = True
+        if self._process is not None:
+            self._process.kill()
 
     def write(self, session: Path, retargeter: Path, simulated: bool) -> None:
         """Writes the folder of a session, named as its file, and waits for it.
@@ -41,9 +49,16 @@ class SessionExports:
     def _run(self, *words: str | Path) -> None:
         command = ["nice", "-n", "10", sys.executable, "-m", "geort_drake", *map(str, words), "--quiet"]
         with self._one:
+            if self._closed:
+                raise LiveError(f"{words[0]}: not begun before the end")
             # In a process group of its own, so that Ctrl-C does not end it.
-            done = subprocess.run(
-                command, capture_output=True, text=True, start_new_session=True, check=False
+            self._process = process = subprocess.Popen(
+                command,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                text=True,
+                start_new_session=True,
             )
-        if done.returncode:
-            raise LiveError(f"{words[0]}: {done.stderr.strip()[-300:]}")
+            _, errors = process.communicate()
+        if process.returncode:
+            raise LiveError(f"{words[0]}: {errors.strip()[-300:] or 'ended before it was done'}")
