@@ -29,11 +29,11 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake import load_hand
     from geort_drake.comparison.pretrain import pretrain
     from geort_drake.console import print_table
-    from geort_drake.retargeting.methods.coupled import FOR_EVERYONE
+    from geort_drake.retargeting.methods.coupled import UNIVERSAL_CONFIG
     from geort_drake.settings import parse_settings
 
     description = load_hand(arguments.hand)
-    config = replace(FOR_EVERYONE, **parse_settings(arguments.set, FOR_EVERYONE, "pretrain"))
+    config = replace(UNIVERSAL_CONFIG, **parse_settings(arguments.set, UNIVERSAL_CONFIG, "pretrain"))
     figures = pretrain(
         description,
         arguments.output,

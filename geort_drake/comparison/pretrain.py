@@ -12,7 +12,7 @@ from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.hands.mirror import canonical_kinematics, canonical_shapes
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.map_file import MapFile
-from geort_drake.retargeting.methods.coupled import FOR_EVERYONE, CoupledConfig
+from geort_drake.retargeting.methods.coupled import UNIVERSAL_CONFIG, CoupledConfig
 from geort_drake.retargeting.methods.coupled.training import train_universal
 from geort_drake.versions import git_state, versions
 
@@ -22,7 +22,7 @@ _MIRRORED = {"right": "left", "left": "right"}
 def pretrain(
     description: HandDescription,
     output: str | os.PathLike,
-    config: CoupledConfig = FOR_EVERYONE,
+    config: CoupledConfig = UNIVERSAL_CONFIG,
     people: int = 800,
     seed: int = 0,
     device: str = "cpu",

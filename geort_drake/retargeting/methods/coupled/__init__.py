@@ -7,15 +7,15 @@ losses.
 from typing import TYPE_CHECKING
 
 from geort_drake.retargeting.method import ShippedMethod, TrainedMethod, TrainingData, TrainingResult
-from geort_drake.retargeting.methods.coupled.config import FOR_EVERYONE, CoupledConfig, Start, refit_steps
+from geort_drake.retargeting.methods.coupled.config import UNIVERSAL_CONFIG, CoupledConfig, Start, refit_steps
 from geort_drake.retargeting.methods.coupled.retargeter import CoupledRetargeter
 
 if TYPE_CHECKING:
     from geort_drake.retargeting.training.descent import Report
 
 __all__ = [
-    "FOR_EVERYONE",
     "METHODS",
+    "UNIVERSAL_CONFIG",
     "CoupledConfig",
     "CoupledRetargeter",
     "Start",

@@ -29,8 +29,8 @@ class CoupledConfig(TrainingConfig):
     collision: float = 0.0012  # fraction of hands in which links overlap by 2 mm
 
 
-# Of the universal map, whose first three bounds hold for the half of the people who are harder to serve.
-FOR_EVERYONE = CoupledConfig(
+# Of the universal map. Its first three bounds hold for the worse half of the people.
+UNIVERSAL_CONFIG = CoupledConfig(
     steps=30_000, learning_rate=0.003, direction=0.044, track=0.042, cross_talk=0.044
 )
 

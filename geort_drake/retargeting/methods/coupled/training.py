@@ -16,7 +16,7 @@ from geort_drake.people.population import sample_population
 from geort_drake.retargeting.clouds import voxel_centres
 from geort_drake.retargeting.method import TrainingData, TrainingResult
 from geort_drake.retargeting.methods.coupled import collisions
-from geort_drake.retargeting.methods.coupled.config import CONSTRAINTS, FOR_EVERYONE, CoupledConfig, Start
+from geort_drake.retargeting.methods.coupled.config import CONSTRAINTS, UNIVERSAL_CONFIG, CoupledConfig, Start
 from geort_drake.retargeting.methods.coupled.constraints import Multipliers
 from geort_drake.retargeting.methods.coupled.coverage import CoverageTargets
 from geort_drake.retargeting.methods.coupled.losses import RobotTips, constraint_terms
@@ -119,7 +119,7 @@ def train(
 def train_universal(
     kinematics: HandKinematics,
     shapes: CollisionShapes,
-    config: CoupledConfig = FOR_EVERYONE,
+    config: CoupledConfig = UNIVERSAL_CONFIG,
     people: int = 800,
     seed: int = 0,
     device: str = "cpu",
