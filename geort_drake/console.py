@@ -50,8 +50,8 @@ def print_table(
     """Prints a table.
 
     Args:
-        rows: cells, which may hold rich's markup.
-        text: headings of the columns that hold text besides the first; all others hold numbers.
+        rows: cells, which may contain rich's markup.
+        text: headings of the columns that contain text besides the first; all others contain numbers.
     """
     table = Table(title=title or None, caption=caption or None)
     for heading in headings:

@@ -92,7 +92,7 @@ def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
             if target.exists() and _exchange(draft, target):
                 shutil.rmtree(draft)
             elif target.exists():
-                # rename() cannot replace a directory that holds files, so the old one steps aside.
+                # rename() cannot replace a directory that contains files, so the old one steps aside.
                 aside = draft.with_name(f"{draft.name}-old")
                 os.replace(target, aside)
                 try:
@@ -183,7 +183,7 @@ def _umask() -> int:
 
 
 def finite_json(content: Any) -> Any:
-    """A copy with None for numbers that are not finite, which JSON cannot hold."""
+    """A copy with None for numbers that are not finite, which JSON cannot represent."""
     if isinstance(content, dict):
         return {key: finite_json(value) for key, value in content.items()}
     if isinstance(content, list | tuple):

@@ -7,7 +7,7 @@ PACKAGE_NAME = "geort_drake"
 
 
 def resource_root() -> Path:
-    """The directory that holds `models/` and `diagrams/`.
+    """The directory with `models/` and `diagrams/`.
 
     A wheel carries them inside the package, a checkout beside it.
     """

@@ -159,7 +159,7 @@ def test_the_lerobot_layout_is_the_documented_one(run, tmp_path):
 
 
 def test_a_lost_hand_stays_where_it_was_seen(run):
-    """A dataset for learning holds no numbers that mean nothing."""
+    """A dataset for learning contains no numbers that mean nothing."""
     episode = next(read_episodes(run))
     seen = features_of(episode)["observation.glove"][0]
     lost = np.flatnonzero(~episode.glove.valid)

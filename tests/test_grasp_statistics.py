@@ -62,7 +62,7 @@ def test_figures_tell_kinds_of_success_apart():
 
 @pytest.mark.parametrize("shape", [(1, 20, 4), (6, 8, 3)])
 def test_the_interval_of_a_mean_covers_it_about_as_often_as_it_says(shape):
-    """Objects and trainings vary as well as trials: of 100 samples nine in ten intervals hold the mean."""
+    """Objects and trainings vary as well as trials: of 100 samples nine in ten intervals contain the mean."""
     rng, (trainings, objects, _) = np.random.default_rng(0), shape
     covered = 0
     for _ in range(100):

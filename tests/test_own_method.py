@@ -78,7 +78,7 @@ def test_a_fault_during_a_trial_is_counted_and_the_trial_goes_on(tmp_path, line,
     assert figures([record, record], 25.0)["faults"] == {fault: 2 * record["faults"][fault]}
 
 
-@pytest.mark.parametrize(("line", "fault"), [*FAULTS.items(), ("time.sleep(0.4)", "may take 0.3 s")])
+@pytest.mark.parametrize(("line", "fault"), [*FAULTS.items(), ("time.sleep(0.4)", "may take at most 0.3 s")])
 def test_a_method_that_cannot_answer_the_first_frame_is_refused_by_its_file(tmp_path, play, line, fault):
     """Nothing is simulated, and the message says what is wrong."""
     with pytest.raises(MethodError) as error:

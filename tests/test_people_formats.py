@@ -57,7 +57,7 @@ def test_the_named_format_reads_the_same_as_the_one_detected(tmp_path):
     """Naming the format changes nothing; naming another says what it expected."""
     path = gloves.WRITERS["openxr"](tmp_path, moving())
     assert read_recording(path, format="openxr").digest == read_recording(path).digest
-    with pytest.raises(RecordingError, match=r"lacks data; it holds joints\(400, 26, 7\), t"):
+    with pytest.raises(RecordingError, match=r"lacks data; it contains joints\(400, 26, 7\), t"):
         open_recording(path, format="manus")
     with pytest.raises(RecordingError, match=r"'manus_csv' is read from \.csv, not '\.npz'"):
         open_recording(path, format="manus_csv")
@@ -110,7 +110,7 @@ def test_a_published_manus_export_is_read(tmp_path, side):
     (warning,) = recording.metadata["warnings"]
     assert f"axes are left-handed: by the file's name a {side} hand" in warning
     other = "left" if side == "right" else "right"
-    with pytest.raises(RecordingError, match=f"holds a {side} hand, a {other} one was requested"):
+    with pytest.raises(RecordingError, match=f"contains a {side} hand, a {other} one was requested"):
         read_recording(path, other)
     with pytest.raises(RecordingError, match="in mirrored axes"):
         read_recording(gloves.write_manus_csv(tmp_path, hand, table), side)

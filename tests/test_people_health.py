@@ -154,7 +154,7 @@ REFUSED = {
     ),
     "csv with decimal commas": (
         lambda f, h: gloves.write_manus_csv(f, h, commas(gloves.manus_table(h)), ";"),
-        "line 2 must hold numbers with decimal points: .*'.*,.*'",
+        "line 2 must contain numbers with decimal points: .*'.*,.*'",
     ),
     "mediapipe in the picture": (
         lambda f, h: gloves.write_mediapipe(f, h, pictures(h)), "frame 0: .*image landmarks .* world landm"

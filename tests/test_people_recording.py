@@ -68,7 +68,7 @@ def test_gaps_and_lost_frames_do_not_disturb_rate_and_fingertips():
 def test_arrays_of_the_wrong_shape_or_type_are_refused(field):
     """The field and both shapes are named."""
     for value in (np.zeros((400, 20, 2)), np.full((400, 21, 3), "a")):
-        with pytest.raises(RecordingError, match=rf"{field} must hold numbers of shape .*, not .* \(400, 2"):
+        with pytest.raises(RecordingError, match=rf"{field} must be numbers of shape .*, not .* \(400, 2"):
             dataclasses.replace(recorded(), **{field: value})
 
 

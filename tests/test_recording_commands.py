@@ -67,7 +67,7 @@ def test_a_recording_is_mirrored_for_a_hand_of_the_other_side(npy, tmp_path, cap
     np.testing.assert_array_equal(left.p_HK, right.p_HK)
     assert left.metadata["recorded_side"] == "right"
     assert left.digest != right.digest
-    with pytest.raises(RecordingError, match=r"holds a left hand, .* with --side left --mirror"):
+    with pytest.raises(RecordingError, match=r"contains a left hand, .* with --side left --mirror"):
         read_recording(tmp_path / "left.npz")
     assert left.mirrored().digest == right.digest
 

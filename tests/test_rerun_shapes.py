@@ -139,7 +139,7 @@ def test_a_mesh_keeps_its_vertices(tmp_path, kind, role, name, text):
 
 
 def test_a_gltf_file_is_whole_and_turned_as_drake_turns_it(tmp_path):
-    """The recording holds all buffers; the file's y axis is Drake's z."""
+    """The recording contains all buffers; the file's y axis is Drake's z."""
     scale = np.array([1.0, 2.0, 3.0])
     value = drawn(tmp_path, Mesh(write_gltf(tmp_path, "a b.bin"), scale))
     contents = np.asarray(value("Asset3D:blob")[0], dtype=np.uint8).tobytes()

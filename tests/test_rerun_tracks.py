@@ -245,7 +245,7 @@ def test_contact_arrows_appear_with_the_contact_and_vanish_with_it(tmp_path):
 
 @pytest.mark.parametrize("contact_model", ["point", "hydroelastic"])
 def test_contact_force_of_a_resting_ball_is_its_weight(tmp_path, contact_model):
-    """Both arrows of a contact are as long as the force, and opposite; the series holds the force."""
+    """Both arrows of a contact are as long as the force, and opposite; the series contains the force."""
     world = World(0.0499, contact_model=contact_model).finalize()
     spec = ContactSpec(metres_per_newton=0.1, groups={"ball": [world.ball], "arm": [world.upper]})
     world.record(tmp_path / "rest.rrd", contact=spec, until=1.0)

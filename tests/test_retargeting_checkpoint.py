@@ -90,7 +90,7 @@ def test_missing_and_altered_files_are_named(tmp_path, name):
         with pytest.raises(CheckpointError, match=message):
             load_retargeter(path)
     (path / name).unlink()
-    with pytest.raises(CheckpointError, match=f"{name} missing; a checkpoint holds"):
+    with pytest.raises(CheckpointError, match=f"{name} missing; a checkpoint contains"):
         load_retargeter(path)
 
 

@@ -114,7 +114,7 @@ def test_unusable_input_is_refused_with_what_is_expected():
         (HUMAN[:, :2], r"shape \(T, 3, 3\) for thumb, index, middle"),
         (broken, "must be finite"),
         (still, "index tip visits only 1 places"),
-        (apart, "holds no pinch"),
+        (apart, "contains no pinch"),
     ):
         with pytest.raises(TrainingError, match=message):
             quick(given)

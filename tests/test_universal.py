@@ -79,7 +79,7 @@ def test_a_file_gives_the_map_back(tmp_path):
     map_of(random_network()).save(path)
     np.testing.assert_allclose(load_retargeter(path)(PLAY), random_retargeter()(PLAY), atol=1e-5)
     assert load_map(path).hands == {"toy": "0"}
-    with pytest.raises(CheckpointError, match=r"no such checkpoint.*shipped"):
+    with pytest.raises(CheckpointError, match=r"neither a checkpoint.*shipped"):
         load_retargeter("allegro_middle")
 
 

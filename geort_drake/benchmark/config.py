@@ -81,12 +81,12 @@ def continue_config(
         The stored configuration, or None.
 
     Raises:
-        BenchmarkError: they differ, the stored one is damaged, or the folder holds trials without one.
+        BenchmarkError: they differ, the stored one is damaged, or the folder contains trials without one.
     """
     path, trials = folder / CONFIG, folder / TRIALS
     if not path.is_file():
         if trials.exists() and trials.stat().st_size:
-            raise BenchmarkError(f"{trials}: holds trials without their {CONFIG}; choose another folder")
+            raise BenchmarkError(f"{trials}: contains trials but no {CONFIG}; choose another folder")
         return None
     stored = parse_json(path.read_bytes(), schema, _NOT_CONFIG.format(path))
     if any_code:

@@ -209,7 +209,7 @@ def repeat_trial(folder: Path, key: TrialKey) -> tuple[Record, Path]:
     """Simulates a finished trial again and writes its Rerun recording.
 
     Returns:
-        The new record, which may hold an `error`, and the recording's file.
+        The new record, which may contain an `error`, and the recording's file.
 
     Raises:
         BenchmarkError: the outcome differs from the stored one.

@@ -65,7 +65,7 @@ class OwnMethod:
             expected = f"joint angles ({len(self.lower)},), rad, within the limits"
             raise MethodError(f"{self._path}: the output for a frame must be {expected}; it is {fault}")
         if spent > LONGEST:
-            raise MethodError(f"{self._path}: a call may take {LONGEST} s; it takes {spent:.2g} s")
+            raise MethodError(f"{self._path}: a call may take at most {LONGEST} s; it takes {spent:.2g} s")
 
     def __call__(self, p_HK: np.ndarray) -> np.ndarray:
         """Joint angles (n,), rad; NaN after a fault."""

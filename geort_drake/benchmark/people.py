@@ -61,8 +61,8 @@ def read_people(folder: Path) -> list[Record]:
         )
     if not records:
         raise BenchmarkError(
-            f"{folder}: holds no session of the live page, which `geort-drake live --record {folder}/PERSON` "
-            "records"
+            f"{folder}: contains no session of the live page; record some with "
+            f"`geort-drake live --record {folder}/PERSON`"
         )
     return records
 

@@ -41,7 +41,7 @@ def write_grasp_report(folder: Path, people: Sequence[Record] = ()) -> dict:
         see `summarize_people`, None without people.
 
     Raises:
-        BenchmarkError: the folder holds no benchmark, or a damaged one.
+        BenchmarkError: the folder contains no benchmark, or a damaged one.
         UnknownNameError: an object has no known grip.
     """
     config = read_config(folder)

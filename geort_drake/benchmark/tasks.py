@@ -34,7 +34,7 @@ def write_task_report(folder: Path, people: Sequence[Record] = ()) -> dict:
         figures; `errors`, the number of trials that raised one; `config`.
 
     Raises:
-        BenchmarkError: the folder holds no benchmark, or a damaged one.
+        BenchmarkError: the folder contains no benchmark, or a damaged one.
     """
     config = read_config(folder)
     if task_of(config) == GRASP:

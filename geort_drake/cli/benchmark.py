@@ -41,7 +41,7 @@ def add_arguments(parser: CommandParser) -> None:
         "methods listed below, checkpoints, maps or Python files; the first is the reference (default: all)"
     )
     names = ", ".join(task_names())
-    tasks = f"tasks, each in its own folder of --output: {names} (default: the scenario's, without a folder)"
+    tasks = f"tasks, each in a folder of --output: {names} (default: the scenario's, directly in --output)"
     add("--tasks", nargs="+", metavar="NAME", help=tasks)
     kinds = "kinds of simulated people, where a task has several: servo, mimicry, adaptive (default: all)"
     add("--kinds", nargs="+", metavar="NAME", help=kinds)
@@ -62,8 +62,8 @@ def add_arguments(parser: CommandParser) -> None:
     )
     assumptions = (
         "repeat the trials with one assumption changed: delay, gain, noise, touch, tracker, donning, "
-        "dropouts, person, stiffness, friction or modulus; NAME alone uses its default values, no "
-        "NAME uses all"
+        "dropouts, person, stiffness, friction or modulus; a NAME alone takes its default values; without "
+        "NAME, all are changed in turn"
     )
     add("--sensitivity", nargs="*", metavar="NAME=V1,V2", help=assumptions)
     people = "compare with sessions that real people recorded with the live page"
@@ -120,7 +120,7 @@ def submit(arguments: argparse.Namespace) -> int:
     """Runs one more method as the benchmark in --output ran the others; returns the exit code.
 
     Raises:
-        BenchmarkError: the folder holds no benchmark.
+        BenchmarkError: the folder contains no benchmark.
     """
     from geort_drake import load_scenario
     from geort_drake.benchmark.config import CONFIG, SCENARIO, read_config

@@ -14,7 +14,7 @@ EPILOG = """\
 protocols:
   same person      always: train and score on --recording, as in the paper
   held-out blocks  --held-out K: cut the recording into K blocks; score each with a method trained on the
-                   others, leaving out one second on either side of the block
+                   others, except for one second on either side of the block
   another person   --score-on FILE...: train on --recording, score on the other files
 
 all methods and protocols:
@@ -25,7 +25,7 @@ only the scoring is repeated. --json is rewritten after each method. A checkpoin
 protocols that fit its training.
 
 Online methods start from rest in every recording and block, and process the frames in order. For metrics on
-unrecorded hands, they start at the nearest frame, and the hand is held until their output has settled.
+unrecorded hands, they start at the nearest frame, and get the same hand until their output has settled.
 
 Exit codes: 0 success; 1 a method could not be scored; 2 the input is invalid.
 """

@@ -52,7 +52,7 @@ def add_arguments(parser: CommandParser) -> None:
     parser.add_side()
     retargeter = (
         "method listed below, checkpoint (also give its --recording) or map (default: "
-        f"{SHIPPED_METHOD} if the hand has a map, or {DEFAULT_METHOD})"
+        f"{SHIPPED_METHOD} if the hand has a map, else {DEFAULT_METHOD})"
     )
     add("--retargeter", metavar="NAME", help=retargeter)
     add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train")

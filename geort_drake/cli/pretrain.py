@@ -1,4 +1,4 @@
-"""Train the universal map of a robot hand, on synthetic people alone.
+"""Train the universal map of a robot hand on synthetic people.
 
 geort-drake pretrain --hand my_hand.yaml --output my_hand.safetensors
 """
@@ -9,8 +9,9 @@ from dataclasses import replace
 from geort_drake.cli.options import CommandParser, at_least, command, finish, output_file
 
 EPILOG = """\
-Training takes about half an hour on two cores. geort_drake.load_retargeter(FILE) loads the map, which serves
-any person. The seed and the version of the package determine its weights to the last bit.
+Training takes about half an hour on two cores. geort_drake.load_retargeter(FILE) loads the map, which works
+for any person. The same seed gives the same weights bit for bit, with the same package versions and the same
+kind of processor.
 """
 
 

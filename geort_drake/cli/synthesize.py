@@ -1,6 +1,7 @@
 """Make synthetic recordings of hand motion.
 
-One of an average adult's hand, or with --people one each of people who differ in hand, habits and device.
+By default, the command makes one recording of an average adult's hand. With --people, it makes one recording
+for each of several people with different hands, habits and devices.
 """
 
 import argparse

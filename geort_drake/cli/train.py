@@ -26,11 +26,11 @@ from geort_drake.errors import TrainingError
 
 EPILOG = """\
 {trained methods}
-In five minutes, the person should move every finger to its limits and pinch each with the thumb. The output
-directory is a checkpoint; geort_drake.load_retargeter(DIR) loads it.
+In the five minutes of a recording, the person should move every finger to its limits and pinch each with the
+thumb. The output directory is a checkpoint; geort_drake.load_retargeter(DIR) loads it.
 
-Exit codes: 0 success; 1 the loss became infinite, and the checkpoint holds the last good weights; 2 the input
-is invalid, and nothing was written.
+Exit codes: 0 success; 1 the loss became infinite or NaN, and the checkpoint contains the last good weights;
+2 the input is invalid, and nothing was written.
 """
 
 

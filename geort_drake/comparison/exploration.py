@@ -77,7 +77,7 @@ def excerpt(
         start_s: start of the excerpt, s; None: where it contains most pinches.
 
     Raises:
-        RecordingError: it begins after the recording's end, or holds fewer than two hands.
+        RecordingError: it begins after the recording's end, or contains fewer than two hands.
     """
     tracked = recording.tracked()
     t = tracked.t - recording.t[0]
@@ -92,7 +92,7 @@ def excerpt(
     times = np.arange(start_s, min(start_s + duration_s, t[-1]) + 1e-9, 1 / rate_hz)
     if len(times) < 2:
         raise RecordingError(
-            f"an excerpt from {start_s:g} s on holds {len(times)} hands; at least 2 are needed"
+            f"an excerpt from {start_s:g} s on contains {len(times)} hands; at least 2 are needed"
         )
     found = tracked.at(times + recording.t[0])
     metadata = {**recording.metadata, "start_s": start_s}

@@ -85,7 +85,7 @@ def held_out(recording: Recording, blocks: int) -> Protocol:
         HELD_OUT,
         "same person, held-out blocks",
         f"scored on each of {blocks} contiguous blocks, trained on the rest, {GUARD_S:g} s before and after "
-        "the block left out; no coverage, as a block holds too little motion to cover the C-space",
+        "the block left out; no coverage, as a block contains too little motion to cover the C-space",
         tuple(cases),
         with_coverage=False,
     )

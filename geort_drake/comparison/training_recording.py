@@ -94,7 +94,7 @@ class TrainingRecorder:
         Args:
             path: .rrd to write.
             trained: the final map, shown last.
-            properties: of the recording; must hold `method`, `hand` and `seed`.
+            properties: of the recording; must contain `method`, `hand` and `seed`.
         """
         maps = {step: self._map(weights) for step, weights in self._weights.items()} | {self._steps: trained}
         keys = dict.fromkeys(name for line in self._losses for name in line)

@@ -45,12 +45,12 @@ class Episode:
 
     @property
     def command_names(self) -> list[str]:
-        """The signals that hold joint commands."""
+        """The signals with joint commands."""
         return [name for name in self.signals if name.split(".")[1:2] == ["command"]]
 
     @property
     def measured_names(self) -> list[str]:
-        """The signals that hold measured joint positions."""
+        """The signals with measured joint positions."""
         return [name for name in self.signals if name.split(".")[1:2] == ["measured"]]
 
     @property

@@ -93,8 +93,8 @@ def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstance
     """Adds the one model of a file; its packages are looked for in the folders above it.
 
     Raises:
-        HandError: the file is not one model that Drake reads, or holds bad values; or it or a mesh is a Git
-            LFS pointer.
+        HandError: the file is not one model that Drake reads, or contains bad values; or it or a mesh is a
+            Git LFS pointer.
     """
     tree = read_model(path)
     for _, mesh in mesh_elements(path, tree):
@@ -217,7 +217,7 @@ def _remove_joint(plant: MultibodyPlant, joint: Joint) -> None:
         plant.RemoveJoint(joint)
     except RuntimeError as error:
         raise HandError(
-            f"joint '{name}' cannot be held, because Drake removes no joints from a plant with springs; "
+            f"joint '{name}' cannot be fixed, because Drake removes no joints from a plant with springs; "
             f"remove joint stiffness from the models: {error}"
         ) from error
 

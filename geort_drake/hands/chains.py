@@ -154,7 +154,7 @@ def finger_chain(
         if follower.follows not in own:
             raise HandError(
                 f"{where}: its joint '{name}' follows '{follower.follows}' of another finger; a joint that "
-                "moves several fingers can only be held: remove it from the fingers' joints"
+                "moves several fingers can only be fixed: remove it from the fingers' joints"
             )
         coupling[row, own.index(follower.follows)] = follower.ratio
         turned = RotationMatrix(AngleAxis(follower.offset, axes[row]))

@@ -200,7 +200,7 @@ def resolved_couplings(couplings: list[CouplingDescription]) -> list[CouplingDes
 
     def resolve(coupling: CouplingDescription, below: set[str]) -> CouplingDescription:
         if coupling.joint in below:
-            raise HandError(f"couplings must be free of circles; given: '{coupling.joint}' follows itself")
+            raise HandError(f"couplings must be free of cycles; given: '{coupling.joint}' follows itself")
         if coupling.follows not in by_name:
             return coupling
         above = resolve(by_name[coupling.follows], below | {coupling.joint})

@@ -206,7 +206,7 @@ class HandModel:
         if np.ndim(q) not in (1, 2) or rows.shape[1] != n:
             raise ValueError(f"q must be of shape ({n},) or (N, {n}), not {np.shape(q)}")
         if not np.isfinite(rows).all():
-            raise ValueError("q holds values that are not finite")
+            raise ValueError("q contains values that are not finite")
         return rows
 
     def _rows(self, q: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 The hand sweeps every finger through its range, waves, makes fists, spreads, and pinches the thumb to each
 finger at varied places: minimum-jerk movements between postures (Flash & Hogan 1985, J. Neurosci. 5:1688),
 with a glove's jitter and slow drift. Workspace, speed and pinches of the fingertips lie between those of
-two recordings of real gloves; `tests/test_people_play.py` holds the figures.
+two recordings of real gloves; `tests/test_people_play.py` has the figures.
 """
 
 from collections.abc import Callable, Iterable

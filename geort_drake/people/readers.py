@@ -54,7 +54,7 @@ def read_recording(
         The recording. Unusable frames are invalid; `metadata["warnings"]` lists faults and repairs.
 
     Raises:
-        RecordingError: the file is missing, malformed or holds no plausible hand of that side.
+        RecordingError: the file is missing, malformed or contains no plausible hand of that side.
         UnknownNameError: there is no such side, format or unit.
     """
     recording, findings = open_recording(path, side, format, unit, rate_hz)
@@ -176,6 +176,6 @@ def _first_of_doubles(source: Source, p_WK: np.ndarray, t: np.ndarray) -> np.nda
 def _agree_on_side(path: Path, given: str | None, expected: str) -> None:
     if given is not None and given != expected:
         raise RecordingError(
-            f"{path}: the file holds a {given} hand, a {expected} one was requested; convert it with "
+            f"{path}: the file contains a {given} hand, a {expected} one was requested; convert it with "
             f"--side {given} --mirror"
         )

@@ -57,7 +57,7 @@ class Recording:
 
     def __post_init__(self) -> None:
         frames = np.size(self.t) if np.ndim(self.t) == 1 else -1
-        # The file holds float32, so the digest survives a round trip.
+        # The file stores float32, so the digest survives a round trip.
         fields: dict[str, tuple[type, tuple[int, ...]]] = {
             "t": (np.float64, (frames,)),
             "p_HK": (np.float32, (frames, KEYPOINT_COUNT, 3)),
@@ -71,7 +71,7 @@ class Recording:
             array = np.asarray(getattr(self, name))
             if array.dtype.kind not in "fiub" or array.shape != shape:
                 given = f"{array.dtype} {array.shape}"
-                raise RecordingError(f"recording: {name} must hold numbers of shape {shape}, not {given}")
+                raise RecordingError(f"recording: {name} must be numbers of shape {shape}, not {given}")
             # Numbers beyond float32 become infinite, which counts as lost.
             with np.errstate(over="ignore"):
                 object.__setattr__(self, name, array.astype(dtype, copy=False))
@@ -212,7 +212,7 @@ def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
     except RecordingError:
         raise
     except Exception as error:  # a corrupt archive may raise anything
-        reason = "it holds pickled objects, which are never read" if "pickle" in str(error) else str(error)
+        reason = "it contains pickled objects, which are never read" if "pickle" in str(error) else str(error)
         raise RecordingError(f"{path}: not a readable NumPy file: {reason}") from None
 
 
@@ -226,4 +226,4 @@ def check_file(path: Path) -> None:
 
 def _check_size(path: Path, size: int) -> None:
     if size > MOST_BYTES:
-        raise RecordingError(f"{path}: holds {size / 2**30:.1f} GiB; the limit is {MOST_BYTES >> 30} GiB")
+        raise RecordingError(f"{path}: has {size / 2**30:.1f} GiB; the limit is {MOST_BYTES >> 30} GiB")

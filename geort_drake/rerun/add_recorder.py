@@ -41,7 +41,7 @@ def add_rerun_recorder(
     """Adds a Rerun recorder of a plant and of other ports to a diagram.
 
     Args:
-        builder: of the diagram that holds `plant` and all ports below. For a port inside a nested diagram,
+        builder: of the diagram that contains `plant` and all ports below. For a port inside a nested diagram,
             give the nested diagram's exported port; for a plant inside one, see `plant_ports`.
         plant: finalized.
         path: the .rrd file, whose folder is made when needed; None with viewers only.
@@ -83,7 +83,7 @@ def add_rerun_recorder(
         own = plant.GetOutputPort(name)
         port = (plant_ports or {}).get(name, own)
         if type(port.Allocate()) is not type(own.Allocate()):
-            raise ScenarioError(f"{where}: plant_ports: {port_name(port)} does not hold {name}")
+            raise ScenarioError(f"{where}: plant_ports: {port_name(port)} does not give {name}")
         return port
 
     inputs: dict[str, list[str]] = {}

@@ -39,7 +39,7 @@ def read_samples(path: str | os.PathLike) -> RecordedSamples:
     """Reads a file of `RerunRecorder`.
 
     Raises:
-        RecordingError: the file is missing, truncated, no Rerun recording, or holds no samples.
+        RecordingError: the file is missing, truncated, no Rerun recording, or contains no samples.
     """
     columns, names = _columns(Path(path))
     if not columns:

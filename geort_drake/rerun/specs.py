@@ -58,7 +58,7 @@ class SignalSpec(Spec):
         title: of the plot; by default the part of the names before the slash. Signals with the same title
             and unit share a plot.
         unit: added to the title.
-        page: the tab that holds the plot.
+        page: the tab with the plot.
         limits: lowest and highest value of the plot; by default those of the data.
         colors: one per element; by default a palette.
         derive: computes the elements from the ports' values when the recording is written.
@@ -162,7 +162,7 @@ class HandSpec(Spec):
         value: Any = self.wrist_pose_port.Allocate()
         if not isinstance(value, Value[RigidTransform]):
             raise ScenarioError(
-                f"recording of '{key}/wrist_pose': {port_name(self.wrist_pose_port)} holds no RigidTransform"
+                f"recording of '{key}/wrist_pose': {port_name(self.wrist_pose_port)} gives no RigidTransform"
             )
         if self.valid_port is not None:
             _vector_size(f"{key}/valid", self.valid_port, 1)

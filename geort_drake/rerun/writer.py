@@ -17,7 +17,7 @@ TIMELINE = "sim_time"  # s
 STEPS = "step"  # of a training
 FLUSH_TIMEOUT = 5.0  # s; a viewer that was closed must not block the simulation
 WORLD = "world"
-HAND_FRAME = "wrist"  # entity below a human hand that holds the pose of its wrist frame
+HAND_FRAME = "wrist"  # entity below a human hand with the pose of its wrist frame
 SOLID, CAGE = rr.components.FillMode.Solid, rr.components.FillMode.MajorWireframe
 # Matplotlib's "tab10", which colour-blind readers can tell apart, too.
 PALETTE: tuple[Color, ...] = tuple(
@@ -31,7 +31,7 @@ _BONE_RADII = np.tile([0.007, 0.0085, 0.0075, 0.0065], 5)  # of an average hand,
 
 
 def entity_path(*keys: str) -> str:
-    """An entity path of keys that may themselves hold slashes; special characters are escaped."""
+    """An entity path of keys that may themselves contain slashes; special characters are escaped."""
     return "/" + "/".join(rr.escape_entity_path_part(part) for key in keys for part in key.split("/") if part)
 
 
@@ -162,7 +162,7 @@ class Writer:
         self.columns(path, archetype.columns(**varying).partition([len(row) for row in rows]))
 
     def label(self, path: str, text: str, color: Color, position: Sequence[float]) -> None:
-        """Sends a text at a position, m, that holds at all times."""
+        """Sends a text at a position, m, for all times."""
         self.static(path, Points3D([position], labels=[text], show_labels=True, radii=[0.0], colors=[color]))
 
     def human_hand(self, path: str, p_WK: np.ndarray, color: Color) -> None:

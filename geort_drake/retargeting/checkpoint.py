@@ -109,7 +109,7 @@ def save_checkpoint(
         history: rows with equal keys.
 
     Raises:
-        CheckpointError: `path` holds something else than a checkpoint.
+        CheckpointError: `path` contains something other than a checkpoint.
     """
     check_replaceable(path)
     with atomic_directory(path) as draft:
@@ -160,12 +160,12 @@ def load_checkpoint(path: str | os.PathLike) -> Checkpoint:
     missing = [name for name in REQUIRED if not (path / name).is_file()]
     if missing:
         raise CheckpointError(
-            f"{path}: {', '.join(missing)} missing; a checkpoint holds {', '.join(REQUIRED)}"
+            f"{path}: {', '.join(missing)} missing; a checkpoint contains {', '.join(REQUIRED)}"
         )
     for name in REQUIRED:
         if (size := (path / name).stat().st_size) > MAX_BYTES:
             raise CheckpointError(
-                f"{path / name}: holds {size / 2**30:.1f} GiB; files of up to {MAX_BYTES >> 30} GiB are read"
+                f"{path / name}: has {size / 2**30:.1f} GiB; files of up to {MAX_BYTES >> 30} GiB are read"
             )
     config = _read_json(path / CONFIG, _CONFIG_FIELDS)
     _check_config(path / CONFIG, config)
@@ -245,7 +245,7 @@ def _read_json(path: Path, fields: Sequence[str]) -> dict:
     except (ValueError, RecursionError) as error:
         raise CheckpointError(f"{path}: not valid JSON: {error}") from error
     if not isinstance(content, dict):
-        raise CheckpointError(f"{path}: must hold an object, it holds {type(content).__name__}")
+        raise CheckpointError(f"{path}: must contain an object, it contains {type(content).__name__}")
     missing = [name for name in fields if name not in content]
     if missing:
         raise CheckpointError(f"{path}: {', '.join(missing)} missing; there are {', '.join(content)}")

@@ -14,7 +14,7 @@ def first_in_voxels(points: np.ndarray, size: float) -> np.ndarray:
 
 
 def voxel_thinned(points: np.ndarray, size: float) -> np.ndarray:
-    """One point, the first one given, of each voxel of edge `size` that holds any: (M, 3) of (N, 3)."""
+    """One point, the first one given, of each voxel of edge `size` that contains any: (M, 3) of (N, 3)."""
     return np.asarray(points)[first_in_voxels(points, size)]
 
 

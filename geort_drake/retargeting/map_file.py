@@ -1,6 +1,6 @@
 """Files of universal maps: weights, the robot hands that they are for, and their origin.
 
-A map is one safetensors file. Its header holds texts: the format, and as JSON hands (name → digest of the
+A map is one safetensors file. Its header contains texts: the format, and as JSON hands (name → digest of the
 model), finger_names, joint_names, human_keypoints, lower, upper, training and provenance.
 """
 
@@ -63,7 +63,7 @@ class MapFile:
         header = {name: json.dumps(_plain(getattr(self, name)), allow_nan=False) for name in _FIELDS}
         contents = save(arrays, {"format": FORMAT} | header)
         if len(contents) > MAX_BYTES:
-            raise CheckpointError(f"{path}: a map must take at most {MAX_BYTES} bytes, not {len(contents)}")
+            raise CheckpointError(f"{path}: a map must have at most {MAX_BYTES} bytes, not {len(contents)}")
         with atomic_path(path) as draft:
             draft.write_bytes(contents)
 
@@ -89,7 +89,7 @@ def load_map(path: str | os.PathLike) -> MapFile:
     if not path.is_file():
         raise CheckpointError(f"{path}: no such file of a map")
     if (size := path.stat().st_size) > MAX_BYTES:
-        raise CheckpointError(f"{path}: a map takes at most {MAX_BYTES} bytes, this file {size}")
+        raise CheckpointError(f"{path}: a map has at most {MAX_BYTES} bytes, this file has {size}")
     try:
         with safe_open(path, "numpy") as file:
             header = file.metadata() or {}

@@ -104,7 +104,7 @@ class TrainingResult:
 
 @dataclass(frozen=True)
 class TrainedMethod:
-    """A method that learns a map, which a checkpoint then holds.
+    """A method that learns a map, which is stored in a checkpoint.
 
     Attributes:
         name: as in commands and in a checkpoint's config.json.

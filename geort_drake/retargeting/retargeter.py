@@ -65,7 +65,7 @@ def load_retargeter(
     if not path.exists():
         shipped = ", ".join(shipped_maps()) or "none"
         raise CheckpointError(
-            f"{path}: no such checkpoint directory, which geort-drake train writes, and no file of a map; "
+            f"{path}: neither a checkpoint directory, which geort-drake train writes, nor the file of a map; "
             f"maps shipped with this version: {shipped}"
         )
     checkpoint = load_checkpoint(path)

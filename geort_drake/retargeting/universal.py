@@ -133,7 +133,7 @@ class UniversalRetargeter:
     def for_person(self, p_HK: np.ndarray) -> CoupledRetargeter:
         """The map of the person in keypoints p_HK (T, 21, 3), m, for their fingertips or keypoints.
 
-        Its `trained_space` holds the places that the fingertips visited.
+        Its `trained_space` contains the places that the fingertips visited.
 
         Raises:
             ValueError, GeortError: as for a call.
@@ -154,8 +154,8 @@ class UniversalRetargeter:
         if p_HK.ndim != 3 or p_HK.shape[1:] != (KEYPOINT_COUNT, 3) or len(p_HK) == 0:
             hands = f"({KEYPOINT_COUNT}, 3) or (N, {KEYPOINT_COUNT}, 3) with N > 0"
             raise ValueError(
-                f"a person is seen in whole hands, {hands}, not in points of shape {p_HK.shape}; fingertips "
-                "do not show the hand's shape: call the map of `for_person` with them"
+                f"the hand's shape is estimated from whole hands, {hands}, not from points of shape "
+                f"{p_HK.shape}; for fingertips alone, call the map that `for_person` returns"
             )
         if not np.isfinite(p_HK).all():
             raise GeortError("human points must be finite; at least one coordinate is NaN or infinite")

@@ -286,9 +286,7 @@ class RetargetingSystem(LeafSystem):
         else:
             q = known.retarget(points, time)
         if q.shape != self._to_plant.shape:
-            raise HandError(
-                f"angles must have shape {self._to_plant.shape}, not {q.shape} as the retargeter's"
-            )
+            raise HandError(f"the retargeter must return shape {self._to_plant.shape}; it returned {q.shape}")
         q = q.take(self._to_plant)
         excess = self._excess(points, excess, glove.moved)
         if q.dot(self._zeros) != 0.0:  # zero times NaN or infinity is NaN

@@ -178,7 +178,7 @@ def sparse(path: Path) -> None:
 PROMISE = npy_header((10**12, 21, 3)) + bytes(504)
 OUTSIDE = npy_header((2, 21, 3)) + bytes(2 * 504)
 ATTRIBUTE = b"\x80\x04\x8c\x16numpy._core.multiarray\x8c\x15_reconstruct.__self__\x93."
-CODE, TOO_LARGE = "which could run code", r"holds \d+\.0 GiB; the limit is 2 GiB"
+CODE, TOO_LARGE = "which could run code", r"has \d+\.0 GiB; the limit is 2 GiB"
 
 RECORDINGS: dict[str, tuple[Make, str]] = {
     "an archive that unpacks to 10 GiB": (recording("bomb.npz", zip_bomb), TOO_LARGE),
@@ -258,7 +258,7 @@ CHECKPOINTS: dict[str, tuple[Make, str]] = {
     ),
     "weights of 40 GiB": (
         checkpoint_after(lambda path: sparse(path / WEIGHTS), forged=False),
-        "weights.safetensors: holds 40.0 GiB",
+        "weights.safetensors: has 40.0 GiB",
     ),
     "weights that are not finite": (weights(weight1=np.full((4, 8, 8), np.nan)), "'weight1' must be finite"),
     "weights whose products overflow": (

@@ -37,7 +37,7 @@ def read_couplings(path: Path) -> list[CouplingDescription]:
             if re.fullmatch(r"(\{.*\})?mimic", mimic.tag)
         ]
     except ValueError as error:
-        raise HandError(f"{path}: a coupling of two joints holds a malformed number: {error}") from error
+        raise HandError(f"{path}: a coupling of two joints contains a malformed number: {error}") from error
 
 
 def _mimic_coupling(mimic: ET.Element, joint: str) -> CouplingDescription:

@@ -46,7 +46,7 @@ def choose(path: Path, contents: Any, format: str = AUTO) -> str:
             return name
     choices = "; ".join(f"{name} ({entry.title})" for name, entry in candidates.items())
     raise RecordingError(
-        f"{path}: holds {description(contents)}, which matches no known format; choose one for '{suffix}' "
+        f"{path}: contains {description(contents)}, which matches no known format; choose one for '{suffix}' "
         f"files: {choices}"
     )
 

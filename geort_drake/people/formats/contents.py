@@ -18,7 +18,7 @@ class Table(NamedTuple):
 
 
 def frames_of(contents: Any) -> list:
-    """The frames of a file that holds a list of them, or an object with such a list named frames; or none."""
+    """The frames of a file that is a list of them, or an object with such a list named frames; or none."""
     frames = contents.get("frames") if isinstance(contents, Mapping) else contents
     return frames if isinstance(frames, list) else []
 
@@ -42,7 +42,7 @@ def joints_of(frame: Any, field: str, names: Sequence[str]) -> list | None:
     if given in (None, []):
         return None
     if not isinstance(given, list) or len(given) != len(names):
-        raise BadFrame(f"{field} must hold {len(names)} joints, not {given!r:.60}")
+        raise BadFrame(f"{field} must contain {len(names)} joints, not {given!r:.60}")
     return given
 
 

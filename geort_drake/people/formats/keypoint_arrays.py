@@ -1,4 +1,4 @@
-"""Formats that hold the 21 keypoints themselves: geort-drake's own, GeoRT's, dex-retargeting's and MANO's.
+"""Formats that contain the 21 keypoints themselves: geort-drake's own, GeoRT's, dex-retargeting's and MANO's.
 
 `geort`: (T, 21, 3) in .npy, m, in the wrist frame H.
 

@@ -8,9 +8,9 @@ Source: https://github.com/mimicrobotics/mimic_retargeter_lab, whose published r
 
 CSV: `Elapsed_Time_In_Milliseconds` and joint positions. `Hand_X` is documented for Core 2.4 without a unit
 (metres are assumed), `Hand_Position_X` in centimetres in published exports. A finger's `CMC` is the base of
-its metacarpal. MANUS documents neither axes nor side. Published exports hold one hand each, whose file's name
-ends with `_L` or `_R`, in axes chosen at the export. Left-handed axes are recognised by the fingers bending
-backwards; then x is negated. Without a tracker, the ends of the palm never move.
+its metacarpal. MANUS documents neither axes nor side. Published exports contain one hand each; the file's
+name ends with `_L` or `_R`. The axes are chosen at the export. Left-handed axes are recognised by the fingers
+bending backwards; then x is negated. Without a tracker, the ends of the palm never move.
 Source: https://docs.manus-meta.com/2.4.0/Software/Rec/Exporting%20csv for the first names, and
 https://github.com/jeannebelorgey/Metaglove-Ergo-Analysis/tree/main/data for the second and all else
 """
@@ -110,7 +110,7 @@ def _numbers(file: Source, columns: list[str]) -> np.ndarray:
         try:
             return [float(row[place].strip() or "nan") for place in places]
         except ValueError as error:
-            raise BadFrame(f"line {line} must hold numbers with decimal points: {error}") from None
+            raise BadFrame(f"line {line} must contain numbers with decimal points: {error}") from None
 
     return file.each(list(enumerate(file.contents.rows, 2)), read, (len(columns),), "cells")
 

@@ -5,7 +5,7 @@ camera; they do not say where the wrist is. Landmarks of the picture ("normalize
 
 JSON: a list of results, or `{"frames": [...]}`, each with the fields of `HandLandmarkerResult`:
 `worldLandmarks` (Python: `hand_world_landmarks`) with 21 points per hand seen, `handedness` with one category
-each, and `timestampMs` (or `timestamp_ms`). An .npz holds `world_landmarks` and optionally `t`, s, and
+each, and `timestampMs` (or `timestamp_ms`). An .npz contains `world_landmarks` and optionally `t`, s, and
 `handedness`.
 
 Many versions label hands as if the image were mirrored. The side is therefore found from the bending of the
@@ -79,7 +79,7 @@ def _hands(frame: Any, side: str) -> np.ndarray | None:
     hands = _list(frame, _WORLD)
     if not hands and _list(frame, _PICTURE):
         raise BadFrame(
-            "holds image landmarks (normalized), which are not metric; save the world landmarks "
+            "contains image landmarks (normalized), which are not metric; save the world landmarks "
             f"({_WORLD[0]})"
         )
     labels = [_label(label) for label in _list(frame, _HANDEDNESS)] or [side][: len(hands)]
@@ -105,7 +105,7 @@ def _landmarks(hand: Any) -> np.ndarray:
 
 
 def _list(frame: Mapping, fields: Sequence[str]) -> list:
-    """The first of the fields that holds something."""
+    """The first of the fields that is not empty."""
     value: Any = next((frame[field] for field in fields if frame.get(field)), [])
     if not isinstance(value, list):
         raise BadFrame(f"{fields[0]} must be a list, not {value!r:.40}")

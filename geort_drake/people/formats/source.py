@@ -98,7 +98,7 @@ class Source:
         return self.contents if isinstance(self.contents, Mapping) else {}
 
     def has(self, field: str) -> bool:
-        """Whether the file, or one of its frames, holds a field."""
+        """Whether the file, or one of its frames, has a field."""
         return field in self.header or any_frame(self.contents, lambda frame: field in frame)
 
     def _of_frames(self, field: str) -> list:
@@ -118,7 +118,7 @@ class Source:
             if array.ndim == 0 or array.shape[1:] not in shapes or array.dtype.kind not in "fiub":
                 expected = " or ".join(f"({', '.join(['T', *map(str, shape)])})" for shape in shapes)
                 given = f"{array.dtype} {array.shape}"
-                raise self.error(f"{field} must hold numbers of shape {expected}, not {given}")
+                raise self.error(f"{field} must be numbers of shape {expected}, not {given}")
             array = array.astype(float)
         elif self.has(field):
             values = self._of_frames(field)
@@ -126,7 +126,7 @@ class Source:
             shape = max(counts, key=counts.__getitem__, default=shapes[0])
             array = self.each(values, lambda value: value, shape, field)
         else:
-            raise self.error(f"lacks {field}; it holds {description(self.contents)}")
+            raise self.error(f"lacks {field}; it contains {description(self.contents)}")
         if count not in (None, len(array)):
             raise self.error(f"{len(array)} {field} for {count} frames")
         return array
@@ -151,7 +151,7 @@ class Source:
                     continue
                 array = np.asarray(numbers) if shape_of(numbers) == shape else np.array(None)
                 if array.dtype.kind not in "fiu":
-                    raise BadFrame(f"{field} must hold numbers of shape {shape}, not {numbers!r:.60}")
+                    raise BadFrame(f"{field} must be numbers of shape {shape}, not {numbers!r:.60}")
                 result[i] = array
             except BadFrame as error:
                 bad[i] = str(error)
@@ -224,7 +224,7 @@ class Source:
         # A matrix without translation may be either.
         uprights, turns = int((known & upright & ~turned).sum()), int((known & turned & ~upright).sum())
         bad = known & ~(turned if turns > uprights else upright)
-        self.lose(bad, known, f"{field} must hold rigid transforms, whose last row is 0 0 0 1")
+        self.lose(bad, known, f"{field} must be rigid transforms, whose last row is 0 0 0 1")
         X = np.where(bad[:, None, None, None], np.nan, X)
         X = np.swapaxes(X, -1, -2) if turns > uprights else X
         if uprights != turns and (turns > uprights) != column_major:

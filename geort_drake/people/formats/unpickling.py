@@ -57,7 +57,7 @@ class _Array(np.ndarray):
         objects = kind.dtype.hasobject
         held = len(content) if objects else len(content) // kind.dtype.itemsize
         if type(content) is not (list if objects else bytes) or held != _size(shape):
-            raise ValueError(f"an array of shape {shape!r:.40} holds something else")
+            raise ValueError(f"an array of shape {shape!r:.40} contains something else")
         super().__setstate__((version, shape, kind.dtype, bool(by_column), content))  # type: ignore[arg-type]
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> Any:
@@ -76,7 +76,7 @@ def _scalar(kind: _Type, content: bytes | str) -> Any:
 
 def _from_buffer(content: bytes | str, kind: _Type, shape: tuple, *order: object) -> np.ndarray:
     if kind.dtype.hasobject:
-        raise ValueError("bytes cannot hold objects")
+        raise ValueError("bytes cannot contain objects")
     content = content.encode("latin1") if isinstance(content, str) else content
     values = np.frombuffer(content, kind.dtype, _size(shape))
     return values.reshape(shape, order="F" if order[:1] == ("F",) else "C")
@@ -106,14 +106,14 @@ class _PlainUnpickler(pickle.Unpickler):
 
 
 def load_plain(path: Path) -> Any:
-    """The contents of a pickle file that holds arrays, containers, numbers and texts only.
+    """The contents of a pickle file that contains only arrays, containers, numbers and texts only.
 
     Raises:
         RecordingError: the file is no pickle, or names anything else; then its cause is `ForbiddenPickle`.
     """
     try:
         with path.open("rb") as file, np.errstate(all="ignore"):
-            # Pickles of Python 2 (HO-3D's) hold their arrays' bytes as text of this encoding.
+            # Pickles of Python 2 (HO-3D's) store their arrays' bytes as text of this encoding.
             return _PlainUnpickler(file, encoding="latin1").load()
     except ForbiddenPickle as forbidden:
         raise RecordingError(

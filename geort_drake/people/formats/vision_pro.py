@@ -63,7 +63,7 @@ def _read_app(file: Source, side: str) -> Tracks:
     hand, frames = f"{side}Hand", frames_of(file.contents)
     rows = file.each(frames, lambda frame: joints_of(frame, hand, _APP_JOINTS), (len(_APP_JOINTS), 16), hand)
     if not np.isfinite(rows).any():
-        raise file.error(f"no frame has a {hand}; the file holds only the other hand")
+        raise file.error(f"no frame has a {hand}; the file contains only the other hand")
     X = file.transforms(hand, rows.reshape(len(rows), -1, 4, 4), column_major=True)
     p_JK = np.concatenate([np.zeros_like(X[:, :1, :3, 3]), X[:, 1:, :3, 3]], axis=1)
     p_WK = _in_world(file, f"{hand}.wrist", X[:, 0], p_JK)
@@ -76,7 +76,7 @@ def _wrist_place(file: Source, field: str, X_JK: np.ndarray) -> int:
     places = (0,) if X_JK.shape[1] == 25 else (0, 2)
     moved = np.abs(X_JK[:, places] - np.eye(4)).max(axis=(2, 3), initial=0.0) > 1e-3
     place = int(np.argmin(moved[known].sum(axis=0)))
-    what = f"{field} must hold joints in the wrist's frame, where the wrist's own transform is the identity"
+    what = f"{field} must be joints in the wrist's frame, where the wrist's own transform is the identity"
     file.lose(moved[:, place] & known, known, what)
     return places[place]
 
@@ -87,7 +87,7 @@ def _in_world(file: Source, field: str, X_WJ: np.ndarray, p_JK: np.ndarray) -> n
     known = np.isfinite(R).all(axis=(1, 2)) & ~empty_frames(R)
     finite = np.where(known[:, None, None], R, np.eye(3))
     skews = np.abs(finite @ np.swapaxes(finite, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0) > 1e-2
-    what = f"{field} must hold rotations, which neither mirror nor scale"
+    what = f"{field} must be rotations, which neither mirror nor scale"
     file.lose(skews | (np.linalg.det(finite) < 0), known, what)
     file.faults.add(NO_HAND, np.flatnonzero(empty_frames(R)))
     with np.errstate(invalid="ignore", over="ignore"):

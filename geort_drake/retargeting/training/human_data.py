@@ -47,7 +47,7 @@ class HumanData:
             if count < MIN_CLOUD:
                 raise TrainingError(
                     f"the recording's {name} tip visits only {count} places {1000 * HUMAN_VOXEL:g} mm apart; "
-                    f"at least {MIN_CLOUD} are needed, better thousands"
+                    f"at least {MIN_CLOUD} are needed, preferably thousands"
                 )
         self.mean = np.stack([cloud.mean(axis=0) for cloud in self.clouds])
         self.scale = np.maximum(np.stack([cloud.std(axis=0) for cloud in self.clouds]), 1e-3)
@@ -65,7 +65,7 @@ class HumanData:
         distance = np.linalg.norm(self.frames[:, list(first)] - self.frames[:, list(second)], axis=-1)
         if distance.min() >= PINCH_M:
             raise TrainingError(
-                "the recording holds no pinch: the thumb's tip should come nearer than "
+                "the recording contains no pinch: the thumb's tip should come nearer than "
                 f"{1000 * PINCH_M:.0f} mm to another fingertip, the nearest is "
                 f"{1000 * distance.min():.0f} mm; record pinches"
             )
@@ -77,7 +77,7 @@ class HumanData:
         ]
         if missing and "thumb" in self.finger_names:
             warnings.warn(
-                f"the recording holds no pinch of the thumb with: {', '.join(missing)}; "
+                f"the recording contains no pinch of the thumb with: {', '.join(missing)}; "
                 "such pinches of the robot may not close",
                 RuntimeWarning,
                 stacklevel=2,

@@ -152,7 +152,7 @@ class _Bases:
 
 def _gradient(parameter: torch.Tensor) -> torch.Tensor:
     if parameter.grad is None:
-        raise ValueError("Soap takes a step where every parameter has a gradient")
+        raise ValueError("Soap needs the gradient of every parameter")
     return parameter.grad
 
 

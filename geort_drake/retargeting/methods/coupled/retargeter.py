@@ -12,7 +12,7 @@ class CoupledRetargeter(Retargeter):
     """Per-finger networks plus one residual network of all fingertips, added before the tanh.
 
     Arguments, call, attributes and errors are those of `Retargeter`; the Jacobian is full, as every joint
-    depends on every fingertip. `arrays` also holds residual_weight0 (3F, r), residual_bias0 (r,),
+    depends on every fingertip. `arrays` also contains residual_weight0 (3F, r), residual_bias0 (r,),
     residual_weight1 (r, r), residual_bias1 (r,), residual_weight2 (r, F·k) and residual_bias2 (F·k,).
     """
 
