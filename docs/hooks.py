@@ -196,7 +196,7 @@ def packages_table() -> str:
     """A Markdown table of the subpackages, in the order of their imports."""
     rows = ["| subpackage | contents |", "|---|---|"]
     for node in ast.parse((ROOT / "tests" / "test_layering.py").read_text("utf-8")).body:
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "ROOMS":
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "SUBPACKAGES":
             for name in ast.literal_eval(node.value):
                 module = ast.parse((PACKAGE / name / "__init__.py").read_text("utf-8"))
                 rows.append(f"| `{name}` | {(ast.get_docstring(module) or '').splitlines()[0]} |")

@@ -16,7 +16,7 @@ from geort_drake.errors import GeortError
 INSTRUMENTED = ["geort_drake", "yaml", "json", "csv", "zipfile"]
 TIME_FOR_ONE = 60  # s; an input that takes longer counts as hanging, also on a busy machine
 MEMORY_MB = 4096
-LONGEST = 1 << 19  # bytes of an input
+MAX_CALL_TIME = 1 << 19  # bytes of an input
 
 
 def require_atheris() -> None:
@@ -101,7 +101,7 @@ def _fuzz(count: int, seed: int, folder: Path) -> None:
 
     options = {
         "atheris_runs": count, "timeout": TIME_FOR_ONE, "rss_limit_mb": MEMORY_MB, "seed": seed + 1,
-        "max_len": LONGEST, "len_control": 0, "artifact_prefix": f"{folder}/",
+        "max_len": MAX_CALL_TIME, "len_control": 0, "artifact_prefix": f"{folder}/",
     }  # fmt: skip
     words = [sys.argv[0], *(f"-{name}={value}" for name, value in options.items()), str(corpus)]
     atheris.Setup(words, read, custom_mutator=change)

@@ -112,7 +112,7 @@ def test_a_training_uses_the_likely_plays_of_its_start():
     p_HF, generator = np.tile(HUMAN[:300].astype(np.float32), (2, 1, 1, 1)), torch.Generator().manual_seed(0)
     rng, pairs = np.random.default_rng(0), [(0, 1), (0, 2)]
     people = TrainingPeople(p_HF, pairs, generator, rng, codes, reach, 0.01, [3, 1], cpu)
-    assert float((people.someone(4000) == 0).float().mean()) == pytest.approx(0.75, abs=0.03)
+    assert float((people.draw_people(4000) == 0).float().mean()) == pytest.approx(0.75, abs=0.03)
 
 
 AT_TIPS = np.tile(np.eye(4), (2, 1, 1))

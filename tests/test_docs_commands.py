@@ -19,7 +19,7 @@ from geort_drake.resources import diagrams_dir
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
 SCRIPTS = ROOT / "scripts"
-DOOR = re.compile(r'main\(\["([\w-]+)"')
+SCRIPT_COMMAND = re.compile(r'main\(\["([\w-]+)"')
 
 
 def documented() -> Iterator[str]:
@@ -28,8 +28,8 @@ def documented() -> Iterator[str]:
         for line in lines_of(page):
             program, _, rest = " ".join(line.split("  #")[0].split()).partition(" ")
             if program == "python" and (script := re.match(r"scripts/(\w+\.py) ?", rest)):
-                door = DOOR.search((SCRIPTS / script[1]).read_text("utf-8"))
-                program, rest = ("geort-drake", f"{door[1]} {rest[script.end() :]}") if door else ("", "")
+                called = SCRIPT_COMMAND.search((SCRIPTS / script[1]).read_text("utf-8"))
+                program, rest = ("geort-drake", f"{called[1]} {rest[script.end() :]}") if called else ("", "")
             if program == "geort-drake" and rest[:1].islower() and "..." not in rest and "…" not in rest:
                 yield rest.strip()
 

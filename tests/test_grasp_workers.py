@@ -64,7 +64,7 @@ def test_other_processes_give_the_same_results(short, alone):
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_workers_are_replaced(jobs, monkeypatch):
     """Drake never frees a diagram with systems in Python, so a process that runs trials keeps growing."""
-    monkeypatch.setattr(workers, "RENEWED_AFTER", 1)
+    monkeypatch.setattr(workers, "TASKS_PER_WORKER", 1)
     used = set(call_in_workers(os.getpid, ((),) * 2 * jobs, jobs))
     assert os.getpid() not in used and len(used) >= 2
     started = call_in_workers(os.getpid, ((),) * 4, jobs, ordered=True)
@@ -77,7 +77,7 @@ def test_a_ray_cluster_gives_the_same_results(short, alone, monkeypatch):
     # The workers find the tests' own modules, and this package where it is not installed.
     environment = {"env_vars": {"PYTHONPATH": ":".join(map(str, sys.path)), "OMP_NUM_THREADS": "1"}}
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    monkeypatch.setattr(workers, "RENEWED_AFTER", 1)
+    monkeypatch.setattr(workers, "TASKS_PER_WORKER", 1)
     ray.init(num_cpus=2, include_dashboard=False, runtime_env=environment, log_to_driver=False)
     try:
         assert results_of(short, 2, "ray") == alone
@@ -120,7 +120,10 @@ def test_the_digest_covers_what_a_worker_loads():
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     package = Path(geort_drake.__file__).parent
     paths = [Path(path).relative_to(package) for path in loaded.split()]
-    assert {path.parts[0] for path in paths if len(path.parts) > 1} <= {*workers._TRIAL_ROOMS, "benchmark"}
+    assert {path.parts[0] for path in paths if len(path.parts) > 1} <= {
+        *workers._TRIAL_SUBPACKAGES,
+        "benchmark",
+    }
 
 
 WORKER = (

@@ -11,8 +11,8 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "geort_drake"
 # Each may import those before it, and every single module of geort_drake/ such as files.py.
-ROOMS = ["people", "retargeting", "hands", "systems", "rerun", "simulation"]
-ROOMS += ["comparison", "benchmark", "export", "live", "cli"]
+SUBPACKAGES = ["people", "retargeting", "hands", "systems", "rerun", "simulation"]
+SUBPACKAGES += ["comparison", "benchmark", "export", "live", "cli"]
 
 
 def imports(path: Path, outermost: bool = False) -> Iterator[str]:
@@ -40,10 +40,10 @@ def modules() -> dict[str, Path]:
     return found
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_a_room_imports_only_lower_rooms(room):
-    upper = {*ROOMS[ROOMS.index(room) + 1 :]}
-    for path in (PACKAGE / room).rglob("*.py"):
+@pytest.mark.parametrize("subpackage", SUBPACKAGES)
+def test_a_room_imports_only_lower_rooms(subpackage):
+    upper = {*SUBPACKAGES[SUBPACKAGES.index(subpackage) + 1 :]}
+    for path in (PACKAGE / subpackage).rglob("*.py"):
         used = {name.split(".")[1] for name in imports(path) if name.startswith("geort_drake.")}
         assert not used & upper, path
 
@@ -62,11 +62,11 @@ def test_no_modules_import_each_other_in_a_cycle():
 
 
 @pytest.mark.parametrize(
-    ("package", "room"), [("pydrake", "people"), ("pydrake", "retargeting"), ("rerun", ""), ("zmq", "")]
+    ("package", "subpackage"), [("pydrake", "people"), ("pydrake", "retargeting"), ("rerun", ""), ("zmq", "")]
 )
-def test_a_package_is_kept_out_of_rooms(package, room):
+def test_a_package_is_kept_out_of_rooms(package, subpackage):
     """People and retargeting run without Drake; only the bridge imports Rerun; pyzmq is an extra."""
-    for path in (PACKAGE / room).rglob("*.py"):
+    for path in (PACKAGE / subpackage).rglob("*.py"):
         if package != "rerun" or path.parent.name not in ("rerun",):
             outermost = package == "zmq"
             used = {name.split(".")[0] for name in imports(path, outermost)}

@@ -103,7 +103,7 @@ def test_time_that_a_method_waits_counts_as_latency(tmp_path, play, monkeypatch)
 @pytest.fixture
 def patient(monkeypatch):
     """A busy machine takes long for a call."""
-    monkeypatch.setattr("geort_drake.benchmark.own_method.LONGEST", 60.0)
+    monkeypatch.setattr("geort_drake.benchmark.own_method.MAX_CALL_TIME", 60.0)
 
 
 @pytest.mark.usefixtures("patient")

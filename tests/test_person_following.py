@@ -10,7 +10,7 @@ from universal_map import FINGERS, PLAY, random_retargeter
 from geort_drake.retargeting.person_observer import RECENT
 from geort_drake.systems.glove_checks import FROZEN, HELD_LOST, HELD_NOT_FINITE, GloveChecks
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.person_following import FADE, LEARNED, PersonFollowing
+from geort_drake.systems.person_following import FADE_TIME, LEARNED_AFTER, PersonFollowing
 from geort_drake.systems.retargeting_status import (
     FOLLOWED,
     HELD_OTHER_PERSON,
@@ -50,20 +50,22 @@ def test_the_first_frame_is_followed_and_the_person_gets_known():
     q, status = session.show(PLAY[:1])
     np.testing.assert_allclose(q[0], RETARGET(PLAY[0]))
     assert status.state == LEARNING
-    _, status = session.show(PLAY[1 : 4 * LEARNED])
+    _, status = session.show(PLAY[1 : 4 * LEARNED_AFTER])
     assert status.state in FOLLOWED and status.state != LEARNING
     known = session.context.get_abstract_state(0).get_value()
-    np.testing.assert_allclose(known.code[: 7 * F], RETARGET.code(PLAY[: 4 * LEARNED])[: 7 * F], atol=0.1)
+    np.testing.assert_allclose(
+        known.code[: 7 * F], RETARGET.code(PLAY[: 4 * LEARNED_AFTER])[: 7 * F], atol=0.1
+    )
 
 
 def test_a_new_map_takes_over_evenly():
     """For a still hand, targets move from the old map's to the new one's at one rate over the fade."""
     old = PersonFollowing.start(RETARGET).seeing(PLAY[0], 0.0)
     new = dataclasses.replace(old, now=RETARGET.folded(RETARGET.code(OTHER)), before=old.now, since=1.0)
-    q = np.array([new.retarget(PLAY[9], t) for t in 1.0 + np.linspace(0.0, FADE + 0.1, 61)])
+    q = np.array([new.retarget(PLAY[9], t) for t in 1.0 + np.linspace(0.0, FADE_TIME + 0.1, 61)])
     np.testing.assert_allclose(q[0], old.now(PLAY[9]))
     np.testing.assert_array_equal(q[-1], new.now(PLAY[9]))
-    most = np.abs(q[-1] - q[0]) * 0.01 / FADE
+    most = np.abs(q[-1] - q[0]) * 0.01 / FADE_TIME
     assert (np.abs(np.diff(q, axis=0)) <= most + 1e-12).all()
 
 
@@ -73,14 +75,14 @@ def test_a_fitted_map_takes_over_without_a_jump_and_stays():
     session.show(PLAY[:60])
     fitted = RETARGET.folded(RETARGET.code(OTHER))
     before = session.context.get_abstract_state(0).get_value()
-    assert session.system.take_map(session.context, fitted)
+    assert session.system.change_map(session.context, fitted)
     known, now = session.context.get_abstract_state(0).get_value(), session.context.get_time()
     np.testing.assert_allclose(known.retarget(PLAY[9], now), before.retarget(PLAY[9], now))
-    q, _ = session.show(PLAY[60 : 4 * LEARNED])
-    np.testing.assert_allclose(q[-1], fitted(PLAY[4 * LEARNED - 1]), atol=1e-6)
+    q, _ = session.show(PLAY[60 : 4 * LEARNED_AFTER])
+    np.testing.assert_allclose(q[-1], fitted(PLAY[4 * LEARNED_AFTER - 1]), atol=1e-6)
     session.show(OTHER[:400])
     assert not session.context.get_abstract_state(0).get_value().own
-    assert not Session(fitted).system.take_map(session.context, fitted)
+    assert not Session(fitted).system.change_map(session.context, fitted)
 
 
 def test_another_person_is_held_named_and_followed():
@@ -129,7 +131,7 @@ def test_what_is_no_hand_from_the_first_frame_on_is_held():
 def test_an_unusual_hand_is_followed_and_named():
     """The status says what is unusual."""
     session = Session()
-    _, status = session.show(1.35 * PLAY[: 4 * LEARNED])
+    _, status = session.show(1.35 * PLAY[: 4 * LEARNED_AFTER])
     assert status.state == UNUSUAL and "deviations" in status.unusual
 
 

@@ -113,7 +113,7 @@ def test_the_shipped_map_serves_an_unseen_person_from_the_first_second(name):
 
 
 def observer_of(frames, observer=None):
-    observer = observer or PersonObserver.of_nobody(FINGERS)
+    observer = observer or PersonObserver.empty(FINGERS)
     for p_HK in frames:
         observer = observer.seeing(p_HK)
     return observer

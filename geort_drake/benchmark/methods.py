@@ -8,7 +8,7 @@ import numpy as np
 
 from geort_drake.benchmark.own_method import OwnMethod
 from geort_drake.benchmark.records import training_of
-from geort_drake.comparison.retargeters import PYTHON, retargeter_of
+from geort_drake.comparison.retargeters import PYTHON_SUFFIX, retargeter_of
 from geort_drake.files import atomic_directory, atomic_path, sha256_of
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import Recording
@@ -39,7 +39,7 @@ def make_retargeter(
         UnknownNameError, CheckpointError, TrainingError: see `retargeter_of`.
         MethodError: see `OwnMethod.check`.
     """
-    if Path(method).suffix == PYTHON:
+    if Path(method).suffix == PYTHON_SUFFIX:
         kept = keep / name
         OwnMethod(Path(method), hand_name).check(recording.p_HK[recording.valid][0])
         if not kept.is_file():

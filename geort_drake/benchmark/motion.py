@@ -8,11 +8,11 @@ from geort_drake.people.recording import Recording
 
 # Positions are resampled and smoothed, Hz; voluntary motion has no power beyond the cutoff.
 _RATE_HZ, _CUTOFF_HZ = 50.0, 6.0
-_SHORTEST_S = 1.0
+_MIN_DURATION_S = 1.0
 # Slower motion is rest, m/s.
-_REST = 0.02
+_REST_SPEED = 0.02
 # A movement is a peak of the wrist's speed of this height, which stands out by this, m/s.
-_PEAK, _PROMINENCE = 0.05, 0.03
+_MIN_PEAK, _MIN_PROMINENCE = 0.05, 0.03
 FIGURES = ("wrist_speed", "fingertip_speed", "movements")
 
 
@@ -24,12 +24,12 @@ def motion_of(recording: Recording) -> dict[str, float | None]:
         m/s; `movements`: peaks of the wrist's speed, of which those beyond one per target are corrections.
     """
     valid = recording.valid
-    if recording.X_WH is None or valid.sum() < 2 or np.ptp(recording.t[valid]) < _SHORTEST_S:
+    if recording.X_WH is None or valid.sum() < 2 or np.ptp(recording.t[valid]) < _MIN_DURATION_S:
         return dict.fromkeys(FIGURES)
     t = recording.t[valid]
     wrist = _speeds(t, recording.X_WH[valid][:, None, 4:])[:, 0]
     tips = _speeds(t, recording.p_HK[valid][:, list(TIP_KEYPOINT.values())]).max(axis=1)
-    peaks, _ = find_peaks(wrist, height=_PEAK, prominence=_PROMINENCE)
+    peaks, _ = find_peaks(wrist, height=_MIN_PEAK, prominence=_MIN_PROMINENCE)
     return {
         "wrist_speed": _while_moving(wrist),
         "fingertip_speed": _while_moving(tips),
@@ -48,5 +48,5 @@ def _speeds(t: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _while_moving(speed: np.ndarray) -> float:
-    moving = speed[speed > _REST]
+    moving = speed[speed > _REST_SPEED]
     return float(moving.mean()) if len(moving) else 0.0

@@ -14,7 +14,7 @@ from geort_drake.errors import MethodError
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 
-LONGEST = 0.3  # s, of a call
+MAX_CALL_TIME = 0.3  # s, of a call
 _TOLERANCE = 2e-3  # rad; optimisers may end slightly outside the limits
 
 
@@ -51,7 +51,7 @@ class OwnMethod:
 
         Raises:
             MethodError: the file has no `make`, it raised an exception, or the output is unusable or takes
-                longer than `LONGEST`; names the file.
+                longer than `MAX_CALL_TIME`; names the file.
         """
         self.reset()
         try:
@@ -64,8 +64,10 @@ class OwnMethod:
         if fault := self._fault(q):
             expected = f"joint angles ({len(self.lower)},), rad, within the limits"
             raise MethodError(f"{self._path}: the output for a frame must be {expected}; it is {fault}")
-        if spent > LONGEST:
-            raise MethodError(f"{self._path}: a call may take at most {LONGEST} s; it takes {spent:.2g} s")
+        if spent > MAX_CALL_TIME:
+            raise MethodError(
+                f"{self._path}: a call may take at most {MAX_CALL_TIME} s; it takes {spent:.2g} s"
+            )
 
     def __call__(self, p_HK: np.ndarray) -> np.ndarray:
         """Joint angles (n,), rad; NaN after a fault."""

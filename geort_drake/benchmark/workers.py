@@ -16,9 +16,9 @@ from geort_drake.errors import BenchmarkError, GeortError
 from geort_drake.files import source_digest
 from geort_drake.processes import end_with
 
-RENEWED_AFTER = 100  # tasks of a worker; then it is replaced, see `call_in_workers`
+TASKS_PER_WORKER = 100  # tasks of a worker; then it is replaced, see `call_in_workers`
 # Other subpackages do not change a trial; learned weights have a digest of their own.
-_TRIAL_ROOMS = ("people", "hands", "retargeting", "simulation", "systems")
+_TRIAL_SUBPACKAGES = ("people", "hands", "retargeting", "simulation", "systems")
 
 
 def call_in_workers(
@@ -28,7 +28,7 @@ def call_in_workers(
 
     Drake 1.51 never frees systems written in Python (RobotLocomotion/drake#24162), and even `release` leaves
     0.4 MB of a trial. Even a single job therefore has its own process, and processes are replaced after
-    `RENEWED_AFTER` tasks, so that they stay below 300 MB.
+    `TASKS_PER_WORKER` tasks, so that they stay below 300 MB.
 
     Args:
         function: to call; must be picklable.
@@ -44,14 +44,14 @@ def call_in_workers(
     require_workers(jobs, backend)
     options: dict = {"inner_max_num_threads": 1, "initializer": end_with, "initargs": (os.getpid(),)}
     if backend == "ray":
-        options = {"maxtasksperchild": RENEWED_AFTER}
+        options = {"maxtasksperchild": TASKS_PER_WORKER}
     code = code_digest()
     tasks = ((code, function, each) for each in arguments)
     try:
         with parallel_config(backend=backend, n_jobs=jobs, **options), warnings.catch_warnings():
             warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
             order = "generator" if ordered else "generator_unordered"
-            for some in [tasks] if backend == "ray" else _batches(tasks, RENEWED_AFTER * jobs):
+            for some in [tasks] if backend == "ray" else _batches(tasks, TASKS_PER_WORKER * jobs):
                 if jobs == 1:
                     yield from _one_by_one(some)
                     continue
@@ -106,7 +106,7 @@ def require_workers(jobs: int, backend: str) -> None:
 @functools.cache
 def code_digest() -> str:
     """SHA-256 of the code of trials as it was at this process's first call."""
-    return source_digest(*_TRIAL_ROOMS)
+    return source_digest(*_TRIAL_SUBPACKAGES)
 
 
 def _batches(tasks: Iterable[tuple], count: int) -> Iterator[Iterator[tuple]]:

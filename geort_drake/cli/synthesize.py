@@ -18,7 +18,7 @@ from geort_drake.cli.options import (
 )
 from geort_drake.errors import UsageError
 
-_MOST_FRAMES = 5_000_000  # half a day at 120 Hz; needs two gigabytes of memory
+_MAX_FRAMES = 5_000_000  # half a day at 120 Hz; needs two gigabytes of memory
 _RATE_HZ = 120.0
 
 
@@ -34,8 +34,8 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    if arguments.duration * (arguments.rate or _RATE_HZ) > _MOST_FRAMES:
-        raise UsageError(f"--duration times --rate may be at most {_MOST_FRAMES:,} frames")
+    if arguments.duration * (arguments.rate or _RATE_HZ) > _MAX_FRAMES:
+        raise UsageError(f"--duration times --rate may be at most {_MAX_FRAMES:,} frames")
     if arguments.people is None:
         return _average(arguments)
     if arguments.hand_of is not None:

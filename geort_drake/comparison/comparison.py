@@ -20,7 +20,7 @@ from geort_drake.retargeting.methods.online import VectorOnline
 from geort_drake.retargeting.retargeter import UniversalRetargeter
 
 # The first seconds of a recording, from which a universal map takes the person's code.
-SEEN_S = 1.0
+OBSERVED_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ class Comparison:
             _check_checkpoint(name, protocol, case)
         retarget, _ = retargeter_of(name, self.hand, case.trained_on, seed)
         if isinstance(retarget, UniversalRetargeter):
-            seen = case.scored_on.tracked().p_HK[: max(1, round(case.scored_on.rate_hz * SEEN_S))]
+            seen = case.scored_on.tracked().p_HK[: max(1, round(case.scored_on.rate_hz * OBSERVED_S))]
             return retarget.for_person(seen)
         return retarget
 

@@ -13,7 +13,7 @@ from geort_drake.people.keypoints import FINGER_NAMES, mirrored
 from geort_drake.people.recording import PINCH_M, Recording
 
 WINDOW = 0.1  # s; a motion extends this far before and after a frame
-SHORTEST = 0.003  # m; directions of shorter motions of a human fingertip are not compared
+MIN_MOTION = 0.003  # m; directions of shorter motions of a human fingertip are not compared
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def motion_cosines(human: np.ndarray, robot: np.ndarray, window: int) -> np.ndar
     before, after = np.maximum(rows - window, 0), np.minimum(rows + window, len(human) - 1)
     d, robot_step = human[after] - human[before], robot[after] - robot[before]
     length, robot_length = np.linalg.norm(d, axis=-1), np.linalg.norm(robot_step, axis=-1)
-    moves = length > SHORTEST
+    moves = length > MIN_MOTION
     cosine = np.einsum("tfx,tfx->tf", d, robot_step) / np.maximum(length * robot_length, 1e-12)
     count = moves.sum(axis=1)
     return np.where(count > 0, (cosine * moves).sum(axis=1) / np.maximum(count, 1), np.nan)

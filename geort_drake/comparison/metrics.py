@@ -34,9 +34,9 @@ from geort_drake.retargeting.training.map_figures import (
 
 MIN_FRAMES = 10
 SMALL_STEP = 0.002  # m, at which flatness and gain are measured
-UNANSWERED = 1e-6  # smaller gains are rounding errors: the finger does not respond
+MIN_GAIN = 1e-6  # smaller gains are rounding errors: the finger does not respond
 APART_DISTANCE = 0.030  # m; human fingertips farther apart are not meant to pinch
-TOO_DEEP = 0.004  # m; robot fingertips nearer than this press into each other
+DEEP_PINCH_DISTANCE = 0.004  # m; robot fingertips nearer than this press into each other
 PENETRATION = 0.002  # m; deeper penetrations count as self-collision
 
 
@@ -179,7 +179,7 @@ def gain_ratio(gains: np.ndarray) -> float | None:
     None if a finger does not respond to a twentieth of the steps.
     """
     low, high = np.percentile(gains, (5, 95), axis=1)
-    return float((high / low).mean()) if low.min() > UNANSWERED else None
+    return float((high / low).mean()) if low.min() > MIN_GAIN else None
 
 
 def pinch(
@@ -210,7 +210,7 @@ def pinch(
             return dict.fromkeys(("closed", "too_deep", "mean_mm", "p95_mm")) | {"frames": 0}
         return {
             "closed": float((distance <= 2 * tip_radius).mean()),
-            "too_deep": float((distance < TOO_DEEP).mean()),
+            "too_deep": float((distance < DEEP_PINCH_DISTANCE).mean()),
             "mean_mm": float(1000 * distance.mean()),
             "p95_mm": float(1000 * np.percentile(distance, 95)),
             "frames": len(distance),

@@ -20,7 +20,7 @@ from geort_drake.retargeting.methods import (
 )
 from geort_drake.retargeting.retargeter import load_retargeter, shipped_map
 
-PYTHON = ".py"  # suffix of a user's own method, for the grasp benchmark
+PYTHON_SUFFIX = ".py"  # suffix of a user's own method, for the grasp benchmark
 
 
 def names_of(methods: Sequence[str], trainings: int = 1, hand: HandModel | None = None) -> dict[str, str]:
@@ -38,7 +38,7 @@ def names_of(methods: Sequence[str], trainings: int = 1, hand: HandModel | None 
     names: dict[str, str] = {}
     for given in methods:
         path, is_method = Path(given).resolve(), given in all_methods()
-        own = path.suffix == PYTHON and hand is None
+        own = path.suffix == PYTHON_SUFFIX and hand is None
         if own and not path.is_file():
             raise MethodError(f"{given}: no such file; it must define make(hand)")
         if not (own or is_method or (path / CONFIG).is_file() or path.suffix == SUFFIX):

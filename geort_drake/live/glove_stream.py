@@ -22,7 +22,7 @@ POLL_PERIOD, _AHEAD = 0.002, 1e-4
 # Clocks that differ by less are taken for this machine's monotonic clock, s.
 _SAME_CLOCK_S = 1.0
 # A frame is late if it took this much longer than the fastest one, s.
-LATEST_S = 0.2
+MAX_LATENESS_S = 0.2
 # The fastest transfer is assumed to slow down by this, s/s, because clocks drift by up to 100 ppm each.
 _DRIFT = 2e-4
 HANDSHAKE_FRAMES = 5
@@ -52,7 +52,7 @@ class GloveStream(LeafSystem):
         keypoints (63): p_HK, keypoint-major, m, wrist frame H.
         wrist_pose (abstract RigidTransform): X_WH in the tracker's world W; the identity without one.
         valid (1): 1 while the hand is tracked; 0 before the first frame, while the glove has lost the hand,
-            and after a frame that came over `LATEST_S` late.
+            and after a frame that came over `MAX_LATENESS_S` late.
         stamp (1): when the keypoints were measured, s, on the sender's clock; when they arrived, on this
             machine's clock, if the message has no time.
         sent (1): when the keypoints were measured, s, on this machine's clock: the stamp if the clocks agree,
@@ -171,12 +171,12 @@ class GloveStream(LeafSystem):
             offset += _DRIFT * (arrived - arrived_before)
         offset = self.clock_offset = float(min(offset, arrived - stamp))
         lateness = arrived - stamp - offset
-        self.late += lateness > LATEST_S
+        self.late += lateness > MAX_LATENESS_S
         if frame.p_HK is not None:
             value[_KEYPOINTS] = frame.p_HK.ravel()
         if frame.X_WH is not None:
             value[_POSE] = frame.X_WH
-        tracked = frame.p_HK is not None and lateness <= LATEST_S
+        tracked = frame.p_HK is not None and lateness <= MAX_LATENESS_S
         value[_VALID:] = tracked, stamp, sent, lateness, offset, arrived
         discrete_state.get_mutable_vector(self._state).SetFromVector(value)
         return EventStatus.Succeeded()

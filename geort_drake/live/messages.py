@@ -40,7 +40,7 @@ _FIELDS = {"format", "version", "unit", "side", "time", "p_HK", "X_WH"}
 # Our messages take 2 kB; MANUS bridges add sensors and joint angles, up to 10 kB.
 MAX_BYTES = 65_536
 # Larger coordinates are refused, m.
-_FARTHEST_M = 100.0
+_MAX_DISTANCE_M = 100.0
 _TEXT_VALUES = 1 + 7 * NODE_COUNT  # of one glove in the text form
 _ERGONOMICS_VALUES = (20, 40)  # of one or two hands' joint angles, which bridges can send instead
 
@@ -120,7 +120,7 @@ def _decode_own(fields: dict[str, Any]) -> GloveFrame:
         )
     p_HK, X_WH, repaired = fields["p_HK"], fields["X_WH"], False
     if X_WH is not None:
-        X_WH = _numbers("X_WH", X_WH, (7,), _FARTHEST_M)
+        X_WH = _numbers("X_WH", X_WH, (7,), _MAX_DISTANCE_M)
         norm = float(np.linalg.norm(X_WH[:4]))
         if abs(norm - 1.0) > NORM_REPAIRABLE:
             raise LiveError(
@@ -131,7 +131,7 @@ def _decode_own(fields: dict[str, Any]) -> GloveFrame:
             X_WH[:4] /= norm
             repaired = True
     if p_HK is not None:
-        p_HK = _numbers("p_HK", p_HK, (KEYPOINT_COUNT, 3), _FARTHEST_M)
+        p_HK = _numbers("p_HK", p_HK, (KEYPOINT_COUNT, 3), _MAX_DISTANCE_M)
     return GloveFrame(_side_of(fields), float(_numbers("time", fields["time"], ())), p_HK, X_WH, repaired)
 
 
@@ -182,11 +182,11 @@ def frame_of_points(p_WK: np.ndarray, side: str, time: float | None = None) -> G
     """
     p_VK = mirrored(p_WK) if side == "left" else p_WK
     # NaN fails the comparison.
-    p_HK = to_wrist_frame(p_VK) if np.abs(p_WK).max() <= _FARTHEST_M else np.full((1,), np.nan)
+    p_HK = to_wrist_frame(p_VK) if np.abs(p_WK).max() <= _MAX_DISTANCE_M else np.full((1,), np.nan)
     if not np.isfinite(p_HK).all():
         raise LiveError(
-            f"hand: positions must be finite and within {_FARTHEST_M:g} m, and wrist and knuckles must span "
-            "a plane"
+            f"hand: positions must be finite and within {_MAX_DISTANCE_M:g} m, and wrist and knuckles must "
+            "span a plane"
         )
     R_WH, p_WH = wrist_pose(p_VK)
     quaternion = Rotation.from_matrix(R_WH).as_quat(scalar_first=True)

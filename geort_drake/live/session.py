@@ -24,7 +24,7 @@ HOLD_S = 0.5
 # How often keys, robot and state are checked, s.
 _STEP_S = 0.02
 # A diagram that is later than this, s, continues from where it is instead of catching up.
-_LATEST_S = 0.05
+_MAX_LATENESS_S = 0.05
 
 
 @dc.dataclass(frozen=True)
@@ -150,7 +150,7 @@ def run_in_real_time(
     while go_on():
         steps += 1
         simulator.AdvanceTo(start + steps * period)
-        if clock() - began - steps * period > _LATEST_S:
+        if clock() - began - steps * period > _MAX_LATENESS_S:
             late += 1
             start, began, steps = simulator.get_context().get_time(), clock(), 0
             simulator.ResetStatistics()

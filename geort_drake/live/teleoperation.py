@@ -8,7 +8,7 @@ import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, System
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.live.glove_stream import LATEST_S
+from geort_drake.live.glove_stream import MAX_LATENESS_S
 from geort_drake.live.latency import LatencyMeter
 from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.watchdog import EngageSwitch, Watchdog
@@ -50,9 +50,9 @@ class Teleoperation:
         """Returns whether the fingers follow the person."""
         return bool(_eval(self.watchdog, "following", root)[0] >= 0.5)
 
-    def take_map(self, root: Context, retargeter: Retargeter) -> None:
-        """Lets a map that was fitted to the person take over; see `RetargetingSystem.take_map`."""
-        self.retargeting.take_map(self.retargeting.GetMyMutableContextFromRoot(root), retargeter)
+    def change_map(self, root: Context, retargeter: Retargeter) -> None:
+        """Replaces the map by one that was fitted to the person; see `RetargetingSystem.change_map`."""
+        self.retargeting.change_map(self.retargeting.GetMyMutableContextFromRoot(root), retargeter)
 
     def outcome(self, root: Context) -> Outcome | None:
         """Returns the task's outcome so far; None without a simulation."""
@@ -62,7 +62,7 @@ class Teleoperation:
         return monitor.outcome(monitor.GetMyContextFromRoot(root))
 
     def restart(self, root: Context) -> None:
-        """Lets the simulation's task begin now."""
+        """Restarts the simulation's task now."""
         if self.simulation is not None:
             self.simulation.stage.restart(root)
 
@@ -77,7 +77,7 @@ class Teleoperation:
         """Returns what the fingers do; or, if they follow, why the policy or the arm is held, if it is."""
         state = _eval(self.watchdog, "state", root)
         if state == HELD_LOST and self.glove.HasOutputPort("lateness"):
-            return HELD_LATE if _eval(self.glove, "lateness", root)[0] > LATEST_S else state
+            return HELD_LATE if _eval(self.glove, "lateness", root)[0] > MAX_LATENESS_S else state
         if not self.following(root):
             return state
         if self.correction.HasOutputPort("status") and (status := _eval(self.correction, "status", root)):

@@ -20,7 +20,7 @@ CONVENTION = 1
 SIDES = ("left", "right")
 PINCH_M = 0.015  # a thumb–finger distance below this counts as a pinch
 # Largest size of a file, packed and unpacked; the largest format takes 1.5 GB for an hour at 120 Hz.
-MOST_BYTES = 2 << 30
+MAX_BYTES = 2 << 30
 _TIME_TOLERANCE = 1e-6  # s; recorded times are sums of binary fractions
 
 # Types of the metadata that programs use.
@@ -195,7 +195,7 @@ def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
     """The arrays of an .npz file, or of an .npy file under the name "data"; never unpickles.
 
     Raises:
-        RecordingError: no such file, not NumPy's, or larger than `MOST_BYTES`, also when unpacked.
+        RecordingError: no such file, not NumPy's, or larger than `MAX_BYTES`, also when unpacked.
     """
     path = Path(path)
     check_file(path)
@@ -217,7 +217,7 @@ def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
 
 
 def check_file(path: Path) -> None:
-    """Raises RecordingError unless `path` is a file of at most `MOST_BYTES`, and no Git LFS pointer."""
+    """Raises RecordingError unless `path` is a file of at most `MAX_BYTES`, and no Git LFS pointer."""
     if not path.is_file():
         raise RecordingError(f"{path}: no such file")
     _check_size(path, path.stat().st_size)
@@ -225,5 +225,5 @@ def check_file(path: Path) -> None:
 
 
 def _check_size(path: Path, size: int) -> None:
-    if size > MOST_BYTES:
-        raise RecordingError(f"{path}: has {size / 2**30:.1f} GiB; the limit is {MOST_BYTES >> 30} GiB")
+    if size > MAX_BYTES:
+        raise RecordingError(f"{path}: has {size / 2**30:.1f} GiB; the limit is {MAX_BYTES >> 30} GiB")

@@ -22,7 +22,7 @@ from geort_drake.files import writing
 from geort_drake.people.recording import Recording
 
 _SUFFIX = ".parts"
-_MOST_WAITING = 8  # length of the queue of parts to write
+_MAX_WAITING = 8  # length of the queue of parts to write
 
 
 class RecordingParts:
@@ -50,7 +50,7 @@ class RecordingParts:
             self._folder.mkdir(parents=True, exist_ok=True)
         self._count = 0
         self._error: OutputError | None = None
-        self._waiting: queue.Queue[Recording | None] = queue.Queue(_MOST_WAITING)
+        self._waiting: queue.Queue[Recording | None] = queue.Queue(_MAX_WAITING)
         self._thread = threading.Thread(target=self._write, name="recording", daemon=True)
         self._thread.start()
 

@@ -13,7 +13,7 @@ WINDOW = 1000  # frames, whose medians are the shape of the hand
 RECENT = 40  # frames that show another person
 # They do if the logarithms of the bones' lengths change by more than this and these deviations, in the mean.
 CHANGE, DEVIATIONS = 0.03, 1.5
-SHORTEST_BONE = 0.002  # m; frames with shorter ones are of no hand
+MIN_BONE = 0.002  # m; frames with shorter ones are of no hand
 _VOXELS = 4096  # along an axis, so places within 10 m of the wrist
 
 
@@ -38,7 +38,7 @@ class PersonObserver:
     squares: np.ndarray
 
     @classmethod
-    def of_nobody(cls, finger_names: Sequence[str]) -> "PersonObserver":
+    def empty(cls, finger_names: Sequence[str]) -> "PersonObserver":
         """An observer that has seen no frame."""
         F = len(finger_names)
         shapes, visited = np.zeros((0, F, 6)), np.zeros(0, dtype=np.int64)
@@ -46,11 +46,11 @@ class PersonObserver:
 
     def seeing(self, p_HK: np.ndarray) -> "PersonObserver":
         """The observer after one more frame of finite keypoints p_HK (21, 3), m; one with a bone shorter than
-        `SHORTEST_BONE` does not count."""
+        `MIN_BONE` does not count."""
         chains = p_HK[[FINGER_KEYPOINTS[name] for name in self.finger_names]]
         bones = np.diff(chains, axis=1)
         lengths = np.sqrt(np.square(bones).sum(axis=2))
-        if lengths.min() < SHORTEST_BONE:
+        if lengths.min() < MIN_BONE:
             return self
         shape = np.concatenate([chains[:, 0], lengths], axis=1)
         tips, F = chains[:, 3], len(self.finger_names)

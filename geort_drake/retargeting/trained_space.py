@@ -12,9 +12,9 @@ VOXEL = 0.006  # m; edge of the voxels that thin the points
 
 
 class TrainedSpace:
-    """The places of each fingertip in the training recording, thinned.
+    """The positions of each fingertip in the training recording, thinned.
 
-    A fingertip far from all of its places is outside of the training data. The converse does not hold:
+    A fingertip far from all of its positions is outside of the training data. The converse does not hold:
     fingertips near their places may form a hand that was never recorded.
 
     Attributes:

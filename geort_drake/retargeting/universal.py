@@ -9,11 +9,11 @@ from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
 from geort_drake.retargeting.methods.coupled.retargeter import CoupledRetargeter
 from geort_drake.retargeting.numpy_retargeter import checked_array
 from geort_drake.retargeting.person_code import CODE_PARTS, CODE_SIZE, AveragePerson, observe
-from geort_drake.retargeting.person_observer import SHORTEST_BONE
+from geort_drake.retargeting.person_observer import MIN_BONE
 from geort_drake.retargeting.trained_space import TrainedSpace, trained_points
 
 PINCH_UNIT = 0.05  # m; unit of the thumb's distances from the other fingertips
-MOST = 3.0  # deviations from the average person; a code beyond them is clamped
+MAX_DEVIATION = 3.0  # deviations from the average person; a code beyond them is clamped
 _UNUSUAL = 4.0  # deviations; a code beyond them is reported
 
 
@@ -161,7 +161,7 @@ class UniversalRetargeter:
             raise GeortError("human points must be finite; at least one coordinate is NaN or infinite")
         with np.errstate(divide="ignore", invalid="ignore"):
             observation = observe(p_HK, self.finger_names)
-        if not (observation.lengths > 3 * SHORTEST_BONE).all():
+        if not (observation.lengths > 3 * MIN_BONE).all():
             raise GeortError("human points must be a hand in metres: a finger has hardly any length")
         return self.average.code(observation)
 
@@ -184,7 +184,7 @@ class UniversalRetargeter:
         finger = self.finger_names[(number - rows[part]) // size]
         return (
             f"{name} of the {finger}: {z[number]:.1f} deviations from the average person; the map is for up "
-            f"to {MOST:g}"
+            f"to {MAX_DEVIATION:g}"
         )
 
     def folded(self, code: np.ndarray) -> CoupledRetargeter:
@@ -207,7 +207,7 @@ class UniversalRetargeter:
     def folded_arrays(self, code: np.ndarray) -> dict[str, np.ndarray]:
         """The weights of the map of the person with this code (15 F,)."""
         arrays, fingers, code = self._arrays, len(self.finger_names), np.asarray(code, dtype=float)
-        z = np.clip(self.deviations(code), -MOST, MOST)
+        z = np.clip(self.deviations(code), -MAX_DEVIATION, MAX_DEVIATION)
         for k in range(2):
             z = z @ arrays[f"code_weight{k}"] + arrays[f"code_bias{k}"]
             z = 0.5 * z * (1.0 + np.tanh(0.5 * z))  # silu

@@ -47,8 +47,8 @@ class FingerTask(Task[Goal]):
         """Fingertip points (F, 3), m in B, that free play must reach."""
 
     @abc.abstractmethod
-    def told(self, goal: Goal) -> dict[str, int]:
-        """Name → size of what the person is told besides fingertips and hand pose."""
+    def percepts(self, goal: Goal) -> dict[str, int]:
+        """Name → size of what the person perceives besides fingertips and hand pose."""
 
     def check_settings(self, settings: Mapping[str, float]) -> None:
         require_settings(self.settings, settings)
@@ -72,5 +72,5 @@ class FingerTask(Task[Goal]):
             scenario.intention,
             X_WH_start,
             seed,
-            self.told(goal),
+            self.percepts(goal),
         )

@@ -1,4 +1,4 @@
-"""What lies between a hand and a robot, in trials and in live use: the robot's model, and systems."""
+"""Connects a human hand to a robot, in trials and in live use: the robot's model, and systems."""
 
 import dataclasses as dc
 

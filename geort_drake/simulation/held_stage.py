@@ -1,4 +1,4 @@
-"""A stage with a stand that holds a body until a person has got ready."""
+"""A stage with a stand that holds a body until the person is ready."""
 
 import dataclasses as dc
 

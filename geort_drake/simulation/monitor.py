@@ -45,7 +45,7 @@ class TaskMonitor(LeafSystem, Generic[Judged]):
         return context.get_abstract_state(0).get_value()
 
     def restart(self, context: Context) -> None:
-        """Lets the task begin now, as if nothing had happened."""
+        """Restarts the task now."""
         context.SetAbstractState(0, self._beginning(context.get_time()))
 
     def _beginning(self, t: float) -> Judged:

@@ -63,19 +63,19 @@ class Outcome(Protocol):
         """Total time in which links of the hand touched each other, s."""
 
 
-class Shown(NamedTuple):
-    """A port whose values the person sees or feels late; `mirror` has their signs in a mirror, if any."""
+class PerceivedPort(NamedTuple):
+    """A port whose values the person perceives with delay; `mirror` has their signs in a mirror, if any."""
 
     port: OutputPort
     mirror: np.ndarray | None = None
 
 
 class Target(NamedTuple):
-    """Where a body shall be: it is drawn a second time, translucent.
+    """The target pose of a body, drawn as a translucent copy.
 
     Attributes:
         body: with frame O.
-        pose: port of the wanted X_WO, qw qx qy qz x y z.
+        pose: port of the target X_WO, qw qx qy qz x y z.
         outline: (N, 3) points on the body in O, m, which stand for it in recordings.
     """
 
@@ -99,7 +99,7 @@ class Stage:
 
     scene: Scene
     monitor: TaskMonitor
-    shown: Mapping[str, Shown]
+    shown: Mapping[str, PerceivedPort]
     states: Mapping[str, tuple[OutputPort, Sequence[str]]]
     bodies: Sequence[RigidBody] = ()
     signals: Mapping[str, tuple[OutputPort, Sequence[str], str]] = dc.field(default_factory=dict)
@@ -109,7 +109,7 @@ class Stage:
         """Sets what only a context can hold."""
 
     def restart(self, root: Context) -> None:
-        """Lets the task begin now, for a person who has just got ready."""
+        """Restarts the task now, when the person is ready."""
         self.monitor.restart(self.monitor.GetMyMutableContextFromRoot(root))
 
 

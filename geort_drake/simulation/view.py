@@ -7,7 +7,7 @@ from pydrake.multibody.tree import RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.simulation.task import Shown
+from geort_drake.simulation.task import PerceivedPort
 from geort_drake.simulation.world import Scene
 from geort_drake.systems.port_values import POINT_MIRROR, POSE_MIRROR
 from geort_drake.systems.scene_view import SceneView
@@ -31,7 +31,7 @@ def add_view(
     return view
 
 
-def shown_by(view: SceneView, num_fingers: int, *names: str) -> dict[str, Shown]:
+def shown_by(view: SceneView, num_fingers: int, *names: str) -> dict[str, PerceivedPort]:
     """Output ports of a view, with their signs in a mirror."""
     mirrors = {
         "fingertips": np.tile(POINT_MIRROR, num_fingers),
@@ -39,4 +39,4 @@ def shown_by(view: SceneView, num_fingers: int, *names: str) -> dict[str, Shown]
         "object_pose": POSE_MIRROR,
         "contact": None,
     }
-    return {name: Shown(view.GetOutputPort(name), mirrors[name]) for name in names}
+    return {name: PerceivedPort(view.GetOutputPort(name), mirrors[name]) for name in names}

@@ -18,7 +18,7 @@ HELD_JUMPED = "held: a keypoint moved faster than a hand can"
 FROZEN = "frozen: the keypoints have not changed for too long"
 
 # s; the allowed jump grows with the time between two frames up to this gap, the longest of usual gloves.
-_LONGEST_GAP = 0.04
+_MAX_GAP = 0.04
 # s; for rounding errors in sums of periods.
 _TIME_TOLERANCE = 1e-9
 
@@ -95,7 +95,7 @@ def find_fault(
         return HELD_OUT_OF_RANGE if math.isfinite(farthest) else HELD_NOT_FINITE
     memory.moved = moved = _largest(keypoints - memory.keypoints)
     if moved != 0.0:
-        gap = max(min(time - memory.changed, _LONGEST_GAP), period)
+        gap = max(min(time - memory.changed, _MAX_GAP), period)
         if moved > checks.max_speed * gap:
             fault = fault or HELD_JUMPED
         memory.keypoints, memory.changed = keypoints, time

@@ -13,11 +13,11 @@ from geort_drake.retargeting.universal import UniversalRetargeter
 from geort_drake.systems.port_values import Immutable
 from geort_drake.systems.retargeting_status import LEARNING, TRACKING, UNUSUAL
 
-LOOK = 0.03  # s between looks at the hand, as between the frames of the slowest device in training
-FADE = 0.5  # s in which a new map takes over from the one before
-HOLD = 1.0  # s for which another person is looked at before their hand is followed
-LEARNED = 100  # looks, after which the person is known
-_CHANGE = 0.1  # deviations of the code; after a smaller change the map stays
+OBSERVATION_PERIOD = 0.03  # s; the frame period of the slowest device in training
+FADE_TIME = 0.5  # s, to fade from one map to the next
+HOLD_TIME = 1.0  # s, for which another person's hand is observed before it is followed
+LEARNED_AFTER = 100  # observations, after which the person is known
+_MIN_CODE_CHANGE = 0.1  # standard deviations of the code; after a smaller change, the map stays
 _ROUNDING = 1e-9  # s
 
 
@@ -53,12 +53,12 @@ class PersonFollowing(Immutable):
     @classmethod
     def start(cls, universal: UniversalRetargeter, time: float = -np.inf) -> "PersonFollowing":
         """Nothing is known; `time` is when another person was noticed, s."""
-        return cls(universal, PersonObserver.of_nobody(universal.finger_names), changed=time)
+        return cls(universal, PersonObserver.empty(universal.finger_names), changed=time)
 
     def seeing(self, p_HK: np.ndarray, time: float) -> "PersonFollowing":
         """What is known after a look at keypoints p_HK (21, 3), m, at `time`, s."""
         universal, observer = self.universal, self.observer.seeing(p_HK)
-        if time - self.judged < FADE - _ROUNDING or len(observer.shapes) == 0:
+        if time - self.judged < FADE_TIME - _ROUNDING or len(observer.shapes) == 0:
             return dc.replace(self, observer=observer, last=p_HK)
         if observer.has_changed():
             return PersonFollowing.start(universal, time)
@@ -67,7 +67,7 @@ class PersonFollowing(Immutable):
         code = universal.average.code(observer.observation())
         if self.code is not None:
             change = universal.deviations(code) - universal.deviations(self.code)
-            if np.abs(change).max() < _CHANGE:
+            if np.abs(change).max() < _MIN_CODE_CHANGE:
                 return dc.replace(self, observer=observer, last=p_HK, judged=time)
         return dc.replace(
             self,
@@ -84,19 +84,19 @@ class PersonFollowing(Immutable):
     @property
     def state(self) -> str:
         """The state of the system while it tracks the hand."""
-        if len(self.observer.shapes) < LEARNED:
+        if len(self.observer.shapes) < LEARNED_AFTER:
             return LEARNING
         return UNUSUAL if self.unusual else TRACKING
 
     def taking(self, retargeter: Retargeter, time: float) -> "PersonFollowing":
         """The same with a map that was fitted to the person, which takes over from `time` on, s."""
-        faded = time - self.since >= FADE
+        faded = time - self.since >= FADE_TIME
         before = self.now if faded else partial(self.retarget, time=time)
         return dc.replace(self, now=retargeter, before=before, since=time, own=True)
 
     def holds(self, time: float) -> bool:
         """Whether another person's hand is not followed yet at `time`, s."""
-        return time - self.changed < HOLD - _ROUNDING
+        return time - self.changed < HOLD_TIME - _ROUNDING
 
     def retarget(self, p_HK: np.ndarray, time: float) -> np.ndarray:
         """Joint angles (n,), rad, of keypoints p_HK (21, 3) at `time`, s; NaN if these are no hand."""
@@ -105,7 +105,7 @@ class PersonFollowing(Immutable):
             missing = np.full(len(self.universal.joint_names), np.nan)
             return missing if first.now is None else first.now(p_HK)
         q = self.now(p_HK)
-        share = (time - self.since) / FADE
+        share = (time - self.since) / FADE_TIME
         if self.before is None or share >= 1.0:
             return q
         return share * q + (1.0 - share) * self.before(p_HK)

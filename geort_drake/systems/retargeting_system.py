@@ -22,7 +22,7 @@ from geort_drake.systems.glove_checks import (
     find_fault,
 )
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.person_following import LOOK, PersonFollowing
+from geort_drake.systems.person_following import OBSERVATION_PERIOD, PersonFollowing
 from geort_drake.systems.retargeting_status import (
     EASING,
     FOLLOWED,
@@ -34,7 +34,7 @@ from geort_drake.systems.retargeting_status import (
     TRACKING,
     RetargetingStatus,
 )
-from geort_drake.systems.update_timing import check_timing, low_pass_share
+from geort_drake.systems.update_timing import check_timing, low_pass_factor
 
 # A point moves at most this many times as far as any of its coordinates.
 _DIAGONAL = math.sqrt(3.0)
@@ -112,7 +112,7 @@ class RetargetingSystem(LeafSystem):
         self._trained_space = getattr(retarget, "trained_space", None)
         self._limits = limits or self._limits_of(retarget)
         self.period = period = max(period, latency)
-        self._blend = low_pass_share(cutoff, period)
+        self._blend = low_pass_factor(cutoff, period)
         self.delay = latency + period * (1.0 - self._blend) / self._blend
         self._n = n = len(actuated_joints)
         self._zeros = np.zeros(n)
@@ -144,7 +144,7 @@ class RetargetingSystem(LeafSystem):
             start = AbstractValue.Make(PersonFollowing.start(proxy))
             self._person = self.DeclareAbstractState(start)
             tickets.add(self.abstract_state_ticket(self._person))
-            self.DeclarePeriodicUnrestrictedUpdateEvent(max(LOOK, period), 0.0, self._look)
+            self.DeclarePeriodicUnrestrictedUpdateEvent(max(OBSERVATION_PERIOD, period), 0.0, self._look)
         self.DeclareAbstractOutputPort(
             "status", lambda: AbstractValue.Make(RetargetingStatus()), self._calc_status, tickets
         )
@@ -161,16 +161,16 @@ class RetargetingSystem(LeafSystem):
             raise HandError("the joint limits are unknown: give `limits`, as the retargeter has none")
         return JointLimits(lower[self._to_plant], upper[self._to_plant])
 
-    def take_map(self, context: Context, retargeter: Retargeter) -> bool:
-        """Lets a map that was fitted to the person take over, until another person is seen.
+    def change_map(self, context: Context, retargeter: Retargeter) -> bool:
+        """Replaces the map by one that was fitted to the person, until another person is seen.
 
-        Targets do not jump: the map takes over within `FADE`.
+        Targets do not jump: the output fades to the new map within `FADE_TIME`.
 
         Returns:
-            Whether it does; only a universal map follows a person.
+            Whether the map was replaced; only a universal map can be replaced.
 
         Raises:
-            HandError: it moves other joints.
+            HandError: the new map moves other joints.
         """
         known = self._known(context)
         if known is None:

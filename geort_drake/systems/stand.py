@@ -1,4 +1,4 @@
-"""Holds a body in its place until it lets go."""
+"""Holds a body in place and releases it at a set time."""
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -13,9 +13,9 @@ _TURN_STIFFNESS, _TURN_DAMPING = 0.5, 0.005  # N m/rad and N m s/rad
 
 
 class Stand(LeafSystem):
-    """A spring and a damper between a body and its place, which let go at a time.
+    """A spring and a damper that hold a body in place until a release time.
 
-    A constraint of the plant could be let go only from outside the diagram.
+    A constraint of the plant could be released only from outside the diagram.
 
     Input ports:
         body_poses (abstract list of RigidTransform), body_spatial_velocities (abstract list of
@@ -23,11 +23,11 @@ class Stand(LeafSystem):
     Output port:
         force (abstract list of ExternallyAppliedSpatialForce): on the body.
 
-    Parameter: when it lets go, s.
+    Parameter: the release time, s.
 
     Args:
-        X_WP: the place.
-        until: when it lets go, s.
+        X_WP: pose at which the body is held.
+        until: release time, s.
     """
 
     def __init__(self, body: BodyIndex, X_WP: RigidTransform, until: float):
@@ -42,7 +42,7 @@ class Stand(LeafSystem):
         self.DeclareAbstractOutputPort("force", lambda: nothing, self._calc_force)
 
     def hold(self, context: Context, until: float) -> None:
-        """Lets go at another time, s."""
+        """Sets another release time, s."""
         context.get_mutable_numeric_parameter(self._until).SetAtIndex(0, until)
 
     def _calc_force(self, context: Context, output: AbstractValue) -> None:

@@ -24,6 +24,6 @@ def check_timing(period: float, latency: float = 0.0, cutoff: float = 0.0) -> No
         raise ValueError(f"cutoff must be 0, or from {low:g} to {high:g} Hz, not {cutoff}")
 
 
-def low_pass_share(cutoff: float, period: float) -> float:
+def low_pass_factor(cutoff: float, period: float) -> float:
     """Fraction of the way to its input that a first-order low-pass moves in a period (s); 1 for cutoff 0."""
     return -math.expm1(-2.0 * math.pi * cutoff * period) if cutoff > 0 else 1.0

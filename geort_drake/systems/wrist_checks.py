@@ -14,7 +14,7 @@ WRIST_NOT_FINITE = "held: the wrist's pose is not finite"
 _STATES = ("", WRIST_JUMPED, WRIST_NOT_FINITE)
 
 # s; the allowed jump grows with the time between two poses up to this gap, the longest of usual trackers.
-_LONGEST_GAP = 0.04
+_MAX_GAP = 0.04
 _TIME_TOLERANCE = 1e-9  # s; for rounding errors in sums of periods
 # Faster motions are not followed; the arm could not follow them, either.
 _MAX_SPEED = 3.0  # m/s
@@ -63,7 +63,7 @@ class WristChecks(LeafSystem):
         if time - bad_since >= _SETTLE_TIME - _TIME_TOLERANCE:
             code = 0
         if not np.array_equal(pose, last):
-            gap = max(min(time - changed, _LONGEST_GAP), self._period)
+            gap = max(min(time - changed, _MAX_GAP), self._period)
             # |q · q'| is the cosine of half the angle. Before the first pose, comparisons with NaN are false.
             angle = 2.0 * math.acos(min(abs(float(pose[:4] @ last[:4])), 1.0))
             distance = float(np.linalg.norm(pose[4:] - last[4:]))

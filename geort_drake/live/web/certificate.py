@@ -29,7 +29,7 @@ def own_addresses(host: str) -> list[str]:
 
 
 def self_signed_context(hosts: list[str]) -> ssl.SSLContext:
-    """Returns TLS settings with a new key and certificate, valid for two days, that no one has signed.
+    """Returns TLS settings with a new key and a self-signed certificate, valid for two days.
 
     Raises:
         LiveError: the package cryptography is not installed.

@@ -279,7 +279,7 @@ class PageControl:
         if self._fitted is None:
             return
         if self._takes_over:
-            self.loop.take_map(self._root, self._fitted)
+            self.loop.change_map(self._root, self._fitted)
             self._takes_over = False
         elif self.loop.state(self._root) == HELD_OTHER_PERSON:
             self._fitted = None

@@ -20,7 +20,7 @@ class SessionExports:
         self._closed = False
 
     def close(self) -> None:
-        """Ends the process that runs, and lets none begin."""
+        """Ends the running process and starts no other."""
         self._closed = True
         if self._process is not None:
             self._process.kill()

@@ -52,14 +52,14 @@ class GuidedPlay:
         return ""
 
     def see(self, time: float, p_HK: np.ndarray | None) -> None:
-        """Keeps a hand (21, 3), m, of a time, s; none that is lost, or came before."""
+        """Keeps a hand (21, 3), m, at a time, s, unless it is lost or not newer than the last one."""
         if self.seconds_left > 0.0 and p_HK is not None and not (self._p_HK and p_HK is self._p_HK[-1]):
             self._t.append(time - self._start)
             self._p_HK.append(p_HK)
         self._time = time
 
     def missing(self) -> list[str]:
-        """What training would need more of."""
+        """The motions that training still needs."""
         if len(self._t) < _ENOUGH_HANDS:
             return []
         return [

@@ -13,8 +13,8 @@ from geort_drake.people.keypoints import FINGER_KEYPOINTS, WRIST, bone_lengths
 
 # The camera's angle of view along the picture's longer side; those of laptops and phones are 60° to 75°.
 _VIEW_RAD = math.radians(66.0)
-_NEAREST_M, _FARTHEST_M = 0.05, 5.0  # of the hand from the camera
-_SHORTEST_M = 1e-3  # bone
+_MIN_DISTANCE_M, _MAX_DISTANCE_M = 0.05, 5.0  # of the hand from the camera
+_MIN_BONE_M = 1e-3  # bone
 # Of the One Euro filter. The jitter of a resting hand disappears, and a pinch at 0.3 m/s lags by 20 ms.
 _CUTOFF_HZ, _SLOPE = 2.0, 20.0
 _STRAIGHT = (WRIST, *FINGER_KEYPOINTS["middle"])
@@ -63,7 +63,7 @@ class HandReader:
         return GloveFrame(self._side, time)
 
     def _frame(self, p_WK: np.ndarray, time: float) -> GloveFrame:
-        if bone_lengths(p_WK).min() < _SHORTEST_M:
+        if bone_lengths(p_WK).min() < _MIN_BONE_M:
             raise LiveError("hand: two joints of a bone coincide")
         return frame_of_points(p_WK, self._side, time)
 
@@ -72,7 +72,7 @@ class HandReader:
         if self._length is None:
             return points
         length = float(np.linalg.norm(np.diff(points[_STRAIGHT,], axis=0), axis=1).sum())
-        if length < _SHORTEST_M:
+        if length < _MIN_BONE_M:
             raise LiveError("hand: wrist and middle finger coincide")
         wrist = points[WRIST]
         return wrist + (points - wrist) * (self._length / length)
@@ -101,6 +101,8 @@ def hand_translation(world: np.ndarray, image: np.ndarray, aspect: float) -> np.
     A = np.vstack([np.stack([one, zero, -u], axis=1), np.stack([zero, one, -v], axis=1)])
     b = np.concatenate([u * world[:, 2] - world[:, 0], v * world[:, 2] - world[:, 1]])
     p_CM = np.linalg.lstsq(A, b)[0]
-    if not _NEAREST_M <= p_CM[2] <= _FARTHEST_M:
-        raise LiveError(f"hand: {p_CM[2]:.2f} m from the camera; {_NEAREST_M} to {_FARTHEST_M} m are read")
+    if not _MIN_DISTANCE_M <= p_CM[2] <= _MAX_DISTANCE_M:
+        raise LiveError(
+            f"hand: {p_CM[2]:.2f} m from the camera; {_MIN_DISTANCE_M} to {_MAX_DISTANCE_M} m are read"
+        )
     return p_CM

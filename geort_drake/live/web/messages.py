@@ -61,40 +61,40 @@ class Lost(Message):
 
 
 class Engage(Message):
-    """The robot shall follow."""
+    """Asks the robot to follow."""
 
 
 class Disengage(Message):
-    """The robot shall brake and hold."""
+    """Asks the robot to brake and hold."""
 
 
 class Reset(Message):
-    """The scene shall start again, with another task or object if one is named."""
+    """Restarts the scene, with another task or object if one is named."""
 
     task: Annotated[str, Meta(max_length=64)] | None = None
     object: Annotated[str, Meta(max_length=64)] | None = None
 
 
 class Record(Message):
-    """Sessions shall be recorded from the next engagement on; the person agrees that recordings are kept."""
+    """Records sessions from the next engagement on; the person consents that recordings are kept."""
 
     keep: Literal[True]
 
 
 class Stop(Message):
-    """The recording shall end, and no other shall begin."""
+    """Ends the recording; no other begins."""
 
 
 class Guide(Message):
-    """Guided play shall begin."""
+    """Starts guided play."""
 
 
 class Refit(Message):
-    """The map shall be fitted to the guided play."""
+    """Fits the map to the guided play."""
 
 
 class Fist:
-    """A fist was held: the robot shall follow, or stop. No page sends it; the hands show it."""
+    """A fist was held: engage or disengage. No page sends it; it is detected in the hands."""
 
 
 Request = Engage | Disengage | Reset | Record | Stop | Guide | Refit

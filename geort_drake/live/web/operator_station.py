@@ -36,7 +36,7 @@ from geort_drake.people.keypoints import FINGER_KEYPOINTS
 FIST_S = 1.0
 # The second `engage` of a real robot must come within this time, s.
 _CONFIRM_S = 5.0
-_MOST_HANDS = 100  # that may wait for the loop
+_MAX_HANDS = 100  # that may wait for the loop
 # In a fist a fingertip is nearer to its knuckle than this share of the finger's length; around a cup not.
 _FIST = 0.5
 
@@ -98,12 +98,12 @@ class OperatorStation:
 
     def __init__(self, about: RobotInfo, clock: Callable[[], float] = time.monotonic):
         self.about, self._clock = about, clock
-        self.commands: deque[Command] = deque(maxlen=_MOST_HANDS)
+        self.commands: deque[Command] = deque(maxlen=_MAX_HANDS)
         self.operator: Operator | None = None
         self.received = self.refused = 0
         self.fist = 0.0
         self.p_HK: np.ndarray | None = None
-        self._hands: deque[bytes] = deque(maxlen=_MOST_HANDS)
+        self._hands: deque[bytes] = deque(maxlen=_MAX_HANDS)
         self._people: set[int] = set()
 
     @property

@@ -18,9 +18,9 @@ from geort_drake.live.web.messages import MAX_BYTES
 from geort_drake.live.web.operator_station import OperatorStation
 
 PAGES = Path(__file__).parent / "static"
-_MOST_CONNECTIONS = 8
+_MAX_CONNECTIONS = 8
 _RATE_HZ = 200.0  # messages of one connection, on average over a second
-_MOST_EXCESS = 1000  # messages beyond that rate, after which the connection is closed
+_MAX_EXCESS = 1000  # messages beyond that rate, after which the connection is closed
 _REFUSAL_S = 1.0  # between two `refused`
 _HEARTBEAT_S = 2.0
 _NO_PAGE = (
@@ -40,7 +40,7 @@ _HEADERS = {
 
 
 class _Connection:
-    """What waits to be sent to one page: answers in order, and only the newest state and frame."""
+    """Data queued for one page: answers in order, and only the newest state and frame."""
 
     def __init__(self, number: int, socket: web.WebSocketResponse):
         self.number, self.socket = number, socket
@@ -78,12 +78,12 @@ class _Connection:
             self._allowed -= 1.0
             return False
         self._excess += 1
-        if self._excess > _MOST_EXCESS:
+        if self._excess > _MAX_EXCESS:
             raise LiveError(f"more than {_RATE_HZ:g} messages a second")
         return True
 
     async def send(self) -> None:
-        """Sends what waits, for ever."""
+        """Sends queued data until it is cancelled."""
         while True:
             await self._wake.wait()
             self._wake.clear()
@@ -228,8 +228,8 @@ class WebServer:
         origin = request.headers.get("Origin")
         if origin is not None and origin != f"{'https' if self._tls else 'http'}://{request.host}":
             raise web.HTTPForbidden(text="this page comes from elsewhere")
-        if self._open >= _MOST_CONNECTIONS:
-            raise web.HTTPServiceUnavailable(text=f"there are {_MOST_CONNECTIONS} connections already")
+        if self._open >= _MAX_CONNECTIONS:
+            raise web.HTTPServiceUnavailable(text=f"there are {_MAX_CONNECTIONS} connections already")
 
     def _handle(self, connection: _Connection, data: str | bytes) -> None:
         if connection.exceeds_rate():

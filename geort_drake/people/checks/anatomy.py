@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from geort_drake.people.checks.findings import MOST_LOST, Finding, error, lost_frames, warning
+from geort_drake.people.checks.findings import MAX_LOST, Finding, error, lost_frames, warning
 from geort_drake.people.checks.order import EXPECTED, fitting_order
 from geort_drake.people.keypoints import (
     BONES,
@@ -101,7 +101,7 @@ def check_bones(recording: Recording) -> Iterator[Finding]:
         yield error("bone lengths", what, f"p_HK[:, {child}]")
         return
     odd = (np.abs(length - median) > _ODD_BONE * median + _ODD_BONE_M).any(axis=1)
-    if odd.mean() <= MOST_LOST:  # else the spread below reports it
+    if odd.mean() <= MAX_LOST:  # else the spread below reports it
         yield from _lost(recording, odd, "have bones of another length")
         length = length[~odd]
     spread = length.std(axis=0) / length.mean(axis=0)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-MOST_LOST = 0.1  # a recording with a larger fraction of lost frames is refused
+MAX_LOST = 0.1  # a recording with a larger fraction of lost frames is refused
 
 
 class Severity(enum.StrEnum):
@@ -55,7 +55,7 @@ def warning(check: str, what: str, where: str = "", advice: str = "", lost: Sequ
 def lost_frames(
     frames: Sequence[int], count: int, what: str, detail: str = "", too_many: bool = False
 ) -> Finding:
-    """Reports unusable frames among `count`: a warning, or an error above `MOST_LOST`.
+    """Reports unusable frames among `count`: a warning, or an error above `MAX_LOST`.
 
     Args:
         frames: the lost ones, at least one.
@@ -66,7 +66,7 @@ def lost_frames(
     """
     what = f"{len(frames)} of {count} frames {what}, the first is frame {frames[0]}"
     what += f": {detail}" if detail else ""
-    if too_many or len(frames) > MOST_LOST * count:
+    if too_many or len(frames) > MAX_LOST * count:
         what += "; at most one in ten may be lost"
         return error("lost frames", what, advice="record with the hand in view of the tracker")
     return warning("lost frames", what, advice="marked invalid", lost=frames)
@@ -99,7 +99,7 @@ class FrameFaults:
         kinds: dict[str, list[int]] = {}
         for frame, (kind, _) in sorted(self._faults.items()):
             kinds.setdefault(kind, []).append(frame)
-        too_many = len(self._faults) > MOST_LOST * count
+        too_many = len(self._faults) > MAX_LOST * count
         return [
             lost_frames(frames, count, kind, self._faults[frames[0]][1], too_many)
             for kind, frames in sorted(kinds.items(), key=lambda item: -len(item[1]))

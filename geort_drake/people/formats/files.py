@@ -16,7 +16,7 @@ from geort_drake.people.formats.source import UNREADABLE, Source
 from geort_drake.people.formats.unpickling import ForbiddenPickle, load_plain
 from geort_drake.people.recording import check_file, load_arrays
 
-_MOST_REPLACED = 1e-3  # largest fraction of a text's characters that are not UTF-8
+_MAX_REPLACED = 1e-3  # largest fraction of a text's characters that are not UTF-8
 
 
 def load(path: Path) -> Source:
@@ -129,7 +129,7 @@ def _damaged_json(text: str, faults: FrameFaults) -> Any:
 
 def _text(path: Path) -> str:
     text = path.read_bytes().decode("utf-8-sig", errors="replace")
-    if text.count("\ufffd") + text.count("\0") > _MOST_REPLACED * len(text):
+    if text.count("\ufffd") + text.count("\0") > _MAX_REPLACED * len(text):
         raise RecordingError(f"{path}: not a text file in UTF-8")
     return text
 

@@ -106,7 +106,7 @@ class _PlainUnpickler(pickle.Unpickler):
 
 
 def load_plain(path: Path) -> Any:
-    """The contents of a pickle file that contains only arrays, containers, numbers and texts only.
+    """The contents of a pickle file that contains only arrays, containers, numbers and texts.
 
     Raises:
         RecordingError: the file is no pickle, or names anything else; then its cause is `ForbiddenPickle`.

@@ -1,4 +1,4 @@
-"""An affine map of each fingertip, followed by inverse kinematics: what a method must at least surpass."""
+"""An affine map of each fingertip, followed by inverse kinematics: a baseline for all other methods."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -20,7 +20,7 @@ DAMPING = 2e-2  # m/rad; a joint that moves a fingertip less is hardly used for 
 
 
 class AffineIK:
-    """Puts the workspace of each human fingertip onto that of the robot's.
+    """Maps the workspace of each human fingertip to that of the robot's.
 
     p_BF = m_B + s (p_HF − m_H), where the means m and the ratio s of the root mean square distances from them
     are those of recorded human fingertips and of robot fingertips at uniform joint angles. The axes of H and

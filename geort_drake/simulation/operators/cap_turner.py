@@ -38,7 +38,7 @@ class TurnerState(HolderState):
 class CapTurner(HoldingPerson[TurnerState]):
     """Closes the fingers around a cap, squeezes, turns, opens and returns, again and again.
 
-    Is told by how much the cap is `turned` (1), rad, besides the `contact`. A stroke ends when the cap is
+    Perceives by how much the cap is `turned` (1), rad, besides the `contact`. A stroke ends when the cap is
     not seen to turn any more. Touch, not sight, tells how deep a squeeze is, and how to undo it.
     """
 
@@ -55,7 +55,7 @@ class CapTurner(HoldingPerson[TurnerState]):
                 self._enter(state, CapPhase.TURN, t)
                 state.farthest, state.progress_at = -np.inf, t
         elif state.phase == CapPhase.TURN:
-            turned = np.sign(self._goal.stroke) * scene.told["turned"][0]
+            turned = np.sign(self._goal.stroke) * scene.percepts["turned"][0]
             if turned > state.farthest + _TURNED:
                 state.farthest, state.progress_at = turned, t
             is_made = since > self._stroke_time + config.visual_delay

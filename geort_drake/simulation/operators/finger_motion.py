@@ -8,7 +8,7 @@ from geort_drake.people.human_hand import HumanHand
 # recorded play), one in the thumb (recorded play).
 _COUPLING = np.array([1.0, 2 / 3, 2 / 3, 2 / 3, 2 / 3])
 # A straight finger is singular: no small motion of its joints shortens it.
-_LEAST_BEND = np.deg2rad(8.0)
+_MIN_BEND = np.deg2rad(8.0)
 # Steps are damped where a radian moves the tip by less than 2 mm.
 _DAMPING = (2e-3) ** 2 * np.eye(3)
 
@@ -30,7 +30,7 @@ class FingerMotion:
         self._hand = hand
         lower, upper = hand.lower.reshape(5, 4), hand.upper.reshape(5, 4)
         # The shared bend ends where one of the two joints reaches its limit.
-        bend_lower = np.maximum(np.maximum(lower[:, 2], lower[:, 3] / _COUPLING), _LEAST_BEND)
+        bend_lower = np.maximum(np.maximum(lower[:, 2], lower[:, 3] / _COUPLING), _MIN_BEND)
         bend_upper = np.minimum(upper[:, 2], upper[:, 3] / _COUPLING)
         self._lower = np.column_stack([lower[:, :2], np.minimum(bend_lower, bend_upper)])
         self._upper = np.column_stack([upper[:, :2], np.maximum(bend_lower, bend_upper)])

@@ -20,7 +20,7 @@ class FingerOperator(OperatorSystem):
     Input ports (F robot fingers in the goal's order):
         fingertips (3F): p_WF of the robot, m.
         hand_pose (7): X_WB of the robot's hand base, qw qx qy qz x y z.
-        one of each name and size in `told`.
+        one of each name and size in `percepts`.
     Output ports:
         keypoints (63): p_HK of the person's hand, keypoint-major, m, wrist frame H.
         wrist_pose (abstract RigidTransform): X_WH of the tracker on the person's wrist, which stays.
@@ -32,7 +32,7 @@ class FingerOperator(OperatorSystem):
 
     Args:
         person: the type of the person.
-        told: name → size of what the task shows or lets feel.
+        percepts: name → size of what the task shows or lets feel.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class FingerOperator(OperatorSystem):
         intention: IntentionConfig,
         X_WH_start: RigidTransform,
         seed: int,
-        told: Mapping[str, int],
+        percepts: Mapping[str, int],
     ):
         super().__init__(hand, config, seed)
         intention.validate()
@@ -53,11 +53,11 @@ class FingerOperator(OperatorSystem):
         own = person(hand, goal, kind, config, intention, self._rng)
         self._fingertips = self.DeclareVectorInputPort("fingertips", 3 * len(goal.finger_names))
         self._hand_pose = self.DeclareVectorInputPort("hand_pose", 7)
-        self._told = {name: self.DeclareVectorInputPort(name, size) for name, size in told.items()}
+        self._percepts = {name: self.DeclareVectorInputPort(name, size) for name, size in percepts.items()}
         self._begin(own, own.start(X_WH_start), config.period)
 
     def _see(self, context: Context) -> SeenFingers:
         X_WB = vector_to_pose(self._hand_pose.Eval(context))
         p_WF = self._fingertips.Eval(context).reshape(-1, 3)
-        told = {name: port.Eval(context).copy() for name, port in self._told.items()}
-        return SeenFingers(X_WB.inverse().multiply(p_WF.T).T, X_WB, told)
+        percepts = {name: port.Eval(context).copy() for name, port in self._percepts.items()}
+        return SeenFingers(X_WB.inverse().multiply(p_WF.T).T, X_WB, percepts)

@@ -39,7 +39,7 @@ class SeenFingers:
 
     p_BF: np.ndarray  # (F, 3) robot fingertip points in the hand base, m
     X_WB: RigidTransform
-    told: Mapping[str, np.ndarray]  # name → what the task shows or lets feel
+    percepts: Mapping[str, np.ndarray]  # name → what the task shows or lets feel
 
 
 class FingerPerson(abc.ABC, Generic[State]):

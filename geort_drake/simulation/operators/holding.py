@@ -26,7 +26,7 @@ State = TypeVar("State", bound=HolderState)
 
 
 class HoldingPerson(FingerPerson[State]):
-    """Closes fingers, and squeezes. Is told the `contact` (F), N.
+    """Closes fingers, and squeezes; perceives the `contact` (F), N.
 
     Fingers that hold stay as they are once they have squeezed. The goal has `p_BF_touch`.
     """
@@ -65,10 +65,10 @@ class HoldingPerson(FingerPerson[State]):
     def _felt(self, scene: SeenFingers) -> np.ndarray:
         """Forces on the fingers, (F,) N."""
         noise = 1 + self._rng.normal(0, self._config.contact_noise, len(self._own))
-        return self._config.touch * noise * scene.told["contact"]
+        return self._config.touch * noise * scene.percepts["contact"]
 
     def _is_free(self, state: State, scene: SeenFingers, finger: int) -> bool:
-        return finger not in state.touching and scene.told["contact"][finger] < self._config.touch_force
+        return finger not in state.touching and scene.percepts["contact"][finger] < self._config.touch_force
 
     def _close(self, state: State) -> None:
         """Brings the fingers that do not touch yet nearer for one period."""

@@ -14,12 +14,12 @@ _ACTS = (KeyPhase.CHOOSE, KeyPhase.PRESS, KeyPhase.RELEASE)
 
 
 class KeyPresser(FingerPerson[PresserState]):
-    """Presses the cued key. Is told the `travel` (K,) of the keys, m, and the `cue`, see `KeysMonitor`."""
+    """Presses the cued key; perceives the `travel` (K,) of the keys, m, and the `cue`, see `KeysMonitor`."""
 
     phases, state = KeyPhase, PresserState
 
     def _advance_phase(self, state: PresserState, t: float, scene: SeenFingers) -> None:
-        config, since, cue = self._intention, t - state.phase_start, round(scene.told["cue"][0])
+        config, since, cue = self._intention, t - state.phase_start, round(scene.percepts["cue"][0])
         if cue == 0:
             state.handled_cue = 0
         if state.phase == KeyPhase.SETTLE:
@@ -35,7 +35,7 @@ class KeyPresser(FingerPerson[PresserState]):
                 self._enter(state, KeyPhase.PRESS, t)
                 state.p_HF_press = state.p_HF_past[-1]
         elif state.phase == KeyPhase.PRESS:
-            if scene.told["travel"][self._goal.key_of[state.finger]] > _DOWN or not cue:
+            if scene.percepts["travel"][self._goal.key_of[state.finger]] > _DOWN or not cue:
                 self._enter(state, KeyPhase.RELEASE, t)
                 state.p_HF_release = state.p_HF_past[-1]
         elif since > config.press_time:
@@ -45,7 +45,7 @@ class KeyPresser(FingerPerson[PresserState]):
         return np.array([state.finger]) if state.phase in _ACTS else self._used
 
     def _is_free(self, state: PresserState, scene: SeenFingers, finger: int) -> bool:
-        return scene.told["travel"][self._goal.key_of[finger]] <= _MOVED
+        return scene.percepts["travel"][self._goal.key_of[finger]] <= _MOVED
 
     def _corrected(self, state: PresserState) -> list[int]:
         # A finger that is released goes back to where it was.
@@ -57,7 +57,7 @@ class KeyPresser(FingerPerson[PresserState]):
         goal, config, since = self._goal, self._intention, t - state.phase_start
         # A key that goes down without a cue shows a finger that is too low.
         idle = np.array([f for f in self._used if f != state.finger or state.phase == KeyPhase.WAIT])
-        low = [f for f in idle if scene.told["travel"][goal.key_of[f]] > _MOVED]
+        low = [f for f in idle if scene.percepts["travel"][goal.key_of[f]] > _MOVED]
         state.raised = state.raised.copy() if len(state.raised) else np.zeros(len(self._own))
         for finger in low:
             step = config.lift * self._config.period / config.attention_time

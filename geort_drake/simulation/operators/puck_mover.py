@@ -45,7 +45,7 @@ class MoverState(HolderState):
 class PuckMover(HoldingPerson[MoverState]):
     """Holds the puck and moves it as a whole: the fingertips move by v + ω × r, and keep their felt forces.
 
-    Is told `object_pose` and `target_pose` (7), and the `cue`, see `TrackingMonitor`, besides the `contact`.
+    Perceives `object_pose`, `target_pose` (7) and the `cue`, see `TrackingMonitor`, besides the `contact`.
     The own fingertips of SERVO and MIMICRY hold a virtual puck, as large as when the robot's touched, so r is
     from the own fingertips' middle; ADAPTIVE takes it from the seen robot's. The person looks at the puck,
     not at a finger, and so corrects all fingers that hold it.
@@ -55,7 +55,7 @@ class PuckMover(HoldingPerson[MoverState]):
 
     def _advance_phase(self, state: MoverState, t: float, scene: SeenFingers) -> None:
         super()._advance_phase(state, t, scene)
-        cue = round(scene.told["cue"][0])
+        cue = round(scene.percepts["cue"][0])
         if state.phase == PuckPhase.SQUEEZE and not len(state.arms):
             p_HF, goal = state.p_HF_past[-1][self._own], self._goal
             own, robot = p_HF - p_HF[self._used].mean(axis=0), goal.p_BF_touch - goal.X_BG.translation()
@@ -141,7 +141,7 @@ def _rigid_motion(start: np.ndarray, end: np.ndarray, arms: np.ndarray) -> np.nd
 
 
 def _place_and_axis(scene: SeenFingers, name: str) -> np.ndarray:
-    X_BO = scene.X_WB.inverse() @ vector_to_pose(scene.told[name])
+    X_BO = scene.X_WB.inverse() @ vector_to_pose(scene.percepts[name])
     return np.array([X_BO.translation(), X_BO.rotation().matrix()[:, 2]])
 
 

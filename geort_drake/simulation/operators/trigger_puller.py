@@ -36,15 +36,15 @@ class PullerState(HolderState):
 class TriggerPuller(HoldingPerson[PullerState]):
     """Closes two fingers around a handle, squeezes, and then pulls as cued with the index finger.
 
-    Is told the `travel` (1) of the pad, m, and the `cue`, see `TriggerMonitor`, besides the `contact`. The
-    person reads the pad's travel, and moves the finger on at `correction_rate` times what is missing.
+    Perceives the `travel` (1) of the pad, m, and the `cue`, see `TriggerMonitor`, besides the `contact`. The
+    person reads the pad's travel, and moves the finger at `correction_rate` times the remaining travel.
     """
 
     phases, state = TriggerPhase, PullerState
 
     def _advance_phase(self, state: PullerState, t: float, scene: SeenFingers) -> None:
         super()._advance_phase(state, t, scene)
-        since, cue = t - state.phase_start, round(scene.told["cue"][0])
+        since, cue = t - state.phase_start, round(scene.percepts["cue"][0])
         state.finger = self._goal.trigger
         if state.phase == TriggerPhase.WAIT:
             if cue == _PULL:
@@ -75,7 +75,7 @@ class TriggerPuller(HoldingPerson[PullerState]):
     def _reference(self, state: PullerState, t: float, scene: SeenFingers) -> np.ndarray:
         goal, config, since = self._goal, self._config, t - state.phase_start
         reference = self._grip(state, t)
-        travel, state.push = float(scene.told["travel"][0]), 0.0
+        travel, state.push = float(scene.percepts["travel"][0]), 0.0
         arrived = since > self._intention.press_time + config.visual_delay
         if state.phase == TriggerPhase.PULL and (arrived or travel > _MOVED):
             speed = config.correction_rate * (goal.travel - travel)
@@ -90,7 +90,7 @@ class TriggerPuller(HoldingPerson[PullerState]):
 
     def _error(self, state: PullerState, p_BF: np.ndarray, scene: SeenFingers) -> np.ndarray:
         error = super()._error(state, p_BF, scene)
-        if state.phase == TriggerPhase.PULL and (self._kind != SERVO or scene.told["travel"][0] > _MOVED):
+        if state.phase == TriggerPhase.PULL and (self._kind != SERVO or scene.percepts["travel"][0] > _MOVED):
             # How far the finger is on its way is judged by the pad alone.
             error[self._goal.trigger] -= (error[self._goal.trigger] @ self._goal.n_B) * self._goal.n_B
         return error

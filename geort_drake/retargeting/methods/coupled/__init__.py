@@ -32,7 +32,7 @@ def train_coupled(
     report: "Report | None" = None,
     start: Start | None = None,
 ) -> TrainingResult:
-    """Trains a map in which fingers see each other; see `TrainedMethod.train`.
+    """Trains a map in which each joint depends on all fingertips; see `TrainedMethod.train`.
 
     Collisions are avoided where `data` has `shapes`. A finger that never pinches is named in a
     RuntimeWarning.

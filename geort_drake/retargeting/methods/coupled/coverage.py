@@ -64,7 +64,7 @@ class CoverageTargets:
     def _search(self, network: Network) -> tuple[int, int, torch.Tensor, torch.Tensor]:
         """A person, a code, targets (F, TARGETS, 3) and the rows (F, TARGETS) of the nearest hands."""
         people = self._people
-        number, code = int(people.someone(1)), int(people.below(people.codes.shape[1], 1))
+        number, code = int(people.draw_people(1)), int(people.below(people.codes.shape[1], 1))
         rows = people.anchors[number].flatten()
         rows = rows[torch.randperm(len(rows), generator=self._generator)[:SEARCHED]]
         hands = people.p_HF[number, rows][None]

@@ -46,7 +46,7 @@ class Hands:
 
 
 class TrainingPeople:
-    """People at play, of whom batches are drawn with one generator; tensors are on one device.
+    """People whose hands are drawn in batches with one generator; tensors are on one device.
 
     Attributes:
         p_HF: (N, T, F, 3) fingertips, m.
@@ -102,7 +102,7 @@ class TrainingPeople:
 
     def draw(self, count: int) -> Hands:
         """Hands of `count` people."""
-        people = self.someone(count)
+        people = self.draw_people(count)
         codes = self.codes[people, self.below(self.codes.shape[1], count)]
         rows = people[:, None]
         finger = self.below(self.p_HF.shape[2], count, MOVED)
@@ -115,7 +115,7 @@ class TrainingPeople:
         lag = torch.tensor(STEP_LAGS, device=self.device)[self.below(len(STEP_LAGS), count, STEPS)]
         offset = self._offset(count, STEPS)
         real, real_pair, really = self._recorded_pinches(people)
-        made, made_pair, possible = self._made_up_pinches(people)
+        made, made_pair, possible = self._synthetic_pinches(people)
         return Hands(
             codes,
             moved=hands + self._offset(count, MOVED),
@@ -128,8 +128,8 @@ class TrainingPeople:
             pinched=torch.cat([really, possible], 1),
         )
 
-    def someone(self, count: int) -> torch.Tensor:
-        """Numbers of people, by their weights."""
+    def draw_people(self, count: int) -> torch.Tensor:
+        """Draws (count,) numbers of people with their weights."""
         return self._weighted[self.below(len(self._weighted), count)]
 
     def below(self, limit: int, *shape: int) -> torch.Tensor:
@@ -145,7 +145,7 @@ class TrainingPeople:
         distance, pair = self._distances[people[:, None], chosen].min(-1)
         return self.p_HF[people[:, None], chosen], pair, distance < PINCH_M
 
-    def _made_up_pinches(self, people: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    def _synthetic_pinches(self, people: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Hands in which the nearest pair was moved together; the other fingers may be from other frames."""
         rows, shape = people[:, None], (len(people), PINCHES)
         chosen = torch.stack([self._some(self._near[i]) for i in people.tolist()])

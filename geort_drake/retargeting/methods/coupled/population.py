@@ -1,4 +1,4 @@
-"""People of the population: their codes, and their plays with the hand of somebody else."""
+"""People of the population: their codes, and their plays with another person's hand."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

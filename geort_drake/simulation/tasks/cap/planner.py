@@ -16,8 +16,8 @@ _CLEARANCE = 0.010  # m, by which free play may miss a fingertip's place
 # smaller one, they slip less.
 _X, _Y, _Z = np.arange(0.06, 0.131, 0.02), np.arange(-0.02, 0.061, 0.02), np.arange(-0.02, 0.081, 0.02)
 _APART = np.deg2rad([60, 70])
-_STEP, _LEAST_STROKE = np.deg2rad(10), np.deg2rad(40)
-_CLEAR = 0.002  # m, of finger links from the cap
+_STEP, _MIN_STROKE = np.deg2rad(10), np.deg2rad(40)
+_LINK_CLEARANCE = 0.002  # m, of finger links from the cap
 
 
 @dc.dataclass(frozen=True)
@@ -68,7 +68,7 @@ class CapPlanner:
         if not found:
             raise ScenarioError(
                 f"hand '{self._robot.hand.description.name}' cannot turn a cap of {2000 * RADIUS:.0f} mm by "
-                f"{np.rad2deg(_LEAST_STROKE):.0f}° with {', '.join(FINGERS)}"
+                f"{np.rad2deg(_MIN_STROKE):.0f}° with {', '.join(FINGERS)}"
             )
         return sorted(found, key=lambda plan: (-round(plan.goal.stroke, 6), plan.discomfort))
 
@@ -86,7 +86,7 @@ class CapPlanner:
         backward, forward = (self._path(middle, first, sign) for sign in (-1, 1))
         path = [*reversed(backward), first, *forward]
         stroke = _STEP * (len(path) - 1)
-        if stroke < _LEAST_STROKE - 1e-9:
+        if stroke < _MIN_STROKE - 1e-9:
             return None
         p_BF_touch = middle.fingertips(-_STEP * len(backward), 0.0)
         goal = dc.replace(middle, p_BF_touch=p_BF_touch, stroke=stroke)
@@ -123,7 +123,7 @@ class CapPlanner:
         hand = self._robot.hand
         query, are_tips = hand.query(q, self._context), hand.are_tips
         return not any(
-            found.distance < _CLEAR and not are_tips(found.id_G, found.id_G)
+            found.distance < _LINK_CLEARANCE and not are_tips(found.id_G, found.id_G)
             for p in self._surface
-            for found in query.ComputeSignedDistanceToPoint(p_BC + p, 2 * _CLEAR)
+            for found in query.ComputeSignedDistanceToPoint(p_BC + p, 2 * _LINK_CLEARANCE)
         )

@@ -24,7 +24,7 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.finger_task import FingerTask
 from geort_drake.simulation.operators.cap_turner import CapTurner
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import Shown, Stage, TrialResult
+from geort_drake.simulation.task import PerceivedPort, Stage, TrialResult
 from geort_drake.simulation.tasks.cap.goal import HEIGHT, RADIUS, CapGoal
 from geort_drake.simulation.tasks.cap.monitor import STEPS, CapMonitor, CapOutcome, CapSettings
 from geort_drake.simulation.tasks.cap.planner import CapPlanner
@@ -32,8 +32,8 @@ from geort_drake.simulation.view import add_view, shown_by
 from geort_drake.simulation.world import add_robot, finish_scene
 
 _MASS, _PITCH = 0.040, 0.004  # kg; m a turn
-_BRAKE = 0.03  # N m, of the thread
-_FRICTION, _RANGE = 0.8, 0.2  # of the cap; friction and brake vary by this fraction with the seed
+_THREAD_FRICTION = 0.03  # N m, of the thread
+_FRICTION, _VARIATION = 0.8, 0.2  # of the cap; friction and brake vary by this fraction with the seed
 _NECK, _NECK_HEIGHT = 0.017, 0.10  # m, radius and height of the bottle's neck
 _COLOR, _RIB_COLOR = np.array([0.95, 0.45, 0.10, 1.0]), np.array([0.75, 0.33, 0.05, 1.0])
 _NECK_COLOR = np.array([0.75, 0.80, 0.85, 1.0])
@@ -60,7 +60,7 @@ class CapTask(FingerTask[CapGoal]):
     def places(self, goal: CapGoal) -> Sequence[np.ndarray]:
         return goal.p_BF_open, goal.fingertips(goal.stroke, -goal.gap)
 
-    def told(self, goal: CapGoal) -> dict[str, int]:
+    def percepts(self, goal: CapGoal) -> dict[str, int]:
         return {"turned": 1, "contact": len(goal.finger_names)}
 
     def add_stage(
@@ -76,7 +76,7 @@ class CapTask(FingerTask[CapGoal]):
         settings = CapSettings(**scenario.task_settings)
         plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
         add_robot(plant, scenario, description)
-        cap = _add_bottle(plant, X_WB, goal.p_BC, *rng.uniform(1 - _RANGE, 1 + _RANGE, 2))
+        cap = _add_bottle(plant, X_WB, goal.p_BC, *rng.uniform(1 - _VARIATION, 1 + _VARIATION, 2))
         scene = finish_scene(plant, scene_graph, scenario, description)
         view = add_view(builder, scene, description, cap)
         still = builder.AddSystem(ConstantVectorSource([0.0, 0.0]))
@@ -88,7 +88,7 @@ class CapTask(FingerTask[CapGoal]):
             builder.Connect(view.GetOutputPort(name), monitor.GetInputPort(name))
         shown = {
             **shown_by(view, len(description.fingers), "fingertips", "hand_pose", "contact"),
-            "turned": Shown(monitor.GetOutputPort("turned"), np.array([-1.0])),
+            "turned": PerceivedPort(monitor.GetOutputPort("turned"), np.array([-1.0])),
         }
         steps = np.linspace(0, settings.turn, STEPS + 1)
         return Stage(
@@ -132,7 +132,7 @@ def _add_bottle(
         )
     )
     # Drake has no dry friction in joints: a strong damper of limited torque sticks like one.
-    brake = plant.AddJointActuator("brake", joint, brake_factor * _BRAKE)
+    brake = plant.AddJointActuator("brake", joint, brake_factor * _THREAD_FRICTION)
     brake.set_controller_gains(PdControllerGains(p=1e-6, d=50.0))
     friction = CoulombFriction(friction_factor * _FRICTION, friction_factor * _FRICTION)
     shapes = ((neck, Cylinder(_NECK, _NECK_HEIGHT), _NECK_COLOR), (cap, Cylinder(RADIUS, HEIGHT), _COLOR))

@@ -26,7 +26,7 @@ _REACH_CLEARANCE = 0.03
 _APPROACH_CLEARANCE = 0.012
 _SAMPLES = 9  # per movement
 # Distances are measured up to this, m.
-_FARTHEST = 0.05
+_MAX_DISTANCE = 0.05
 
 
 class GraspApproach:
@@ -101,13 +101,13 @@ class GraspApproach:
         q: dict[str, float],
         fingers_only: bool = False,
     ) -> float:
-        """Least distance between hand and object on a movement, at most `_FARTHEST`, m."""
+        """Least distance between hand and object on a movement, at most `_MAX_DISTANCE`, m."""
         movement = WristMovement(X_OB_from, X_OB_to, 0.0, 1.0)
         for name, joint in self._joints.items():
             joint.set_angle(self._plant_context, q[name])
         # The hand base need not be on the root link.
         X_RootB = self._plant.CalcRelativeTransform(self._plant_context, self._root.body_frame(), self._base)
-        least = _FARTHEST
+        least = _MAX_DISTANCE
         for t in np.linspace(0, 1, _SAMPLES):
             self._plant.SetFloatingBaseBodyPoseInWorldFrame(
                 self._plant_context, self._root, movement.pose(t) @ X_RootB.inverse()

@@ -16,7 +16,7 @@ from geort_drake.simulation.object_shape import ObjectShape, half_extents
 # found with one distance, the next is tried.
 _OFFSETS = (0.014, 0.017, 0.02)
 # Largest vertical distance between the contacts of adjacent fingers in a power grasp, m.
-_LARGEST_STEP = 0.04
+_MAX_STEP = 0.04
 # Least distance of a contact from the edges of its surface, m.
 _EDGE = 0.003
 
@@ -111,7 +111,7 @@ def grip_contacts(
 
 def _vertical_step(spacing: float | None) -> float:
     """Height of a finger's contact above the next one's in a power grasp, m."""
-    return _LARGEST_STEP if spacing is None else min(spacing, _LARGEST_STEP)
+    return _MAX_STEP if spacing is None else min(spacing, _MAX_STEP)
 
 
 def _narrowed(angle: float, widest: float) -> float:

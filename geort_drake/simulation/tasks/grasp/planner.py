@@ -36,7 +36,7 @@ _HEIGHT_STEP = 0.2
 # At most this many candidates are tried for each of `finger_offsets`.
 _TRIES = 36
 # Grip → the one to try if the hand finds no grasp of it.
-_INSTEAD = {"power": "tripod", "tripod": "pinch"}
+_FALLBACK_GRIPS = {"power": "tripod", "tripod": "pinch"}
 # Opening of the fingertips around their contacts, m.
 _OPENING = 0.025
 
@@ -101,8 +101,8 @@ class GraspPlanner:
             found = self._search(robot.q_middle, [(offsets[0], robot.finger_spacing)], enough)
         if found:
             return [goal for _, goal in sorted(found, key=itemgetter(0))]
-        if self._grip in _INSTEAD and self._tip_height is None:
-            return GraspPlanner(self._scenario, self._description, _INSTEAD[self._grip]).plans(enough)
+        if self._grip in _FALLBACK_GRIPS and self._tip_height is None:
+            return GraspPlanner(self._scenario, self._description, _FALLBACK_GRIPS[self._grip]).plans(enough)
         raise ScenarioError(
             f"the robot cannot grasp object '{self._scenario.object.name}' at "
             f"{self._scenario.object.position}: no collision-free {self._grip} grasp was found"

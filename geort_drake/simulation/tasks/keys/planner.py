@@ -15,7 +15,7 @@ _CLEARANCE = 0.008  # m, by which free play may miss a fingertip's place above i
 # Distances of the keys' tops from the hand base that are tried, along x and z of B, m.
 _X, _Z = np.arange(0.05, 0.141, 0.01), np.arange(-0.02, 0.121, 0.01)
 # The last link must point down by this much, so that its tip touches first: sine of the angle.
-_LEAST_SLOPE = 0.5
+_MIN_SLOPE = 0.5
 
 
 @dc.dataclass(frozen=True)
@@ -98,6 +98,6 @@ class KeysPlanner:
             finger = hand.description.fingers[index]
             link = hand.plant.GetBodyByName(finger.tip_link, hand.instance)
             tip = link.EvalPoseInWorld(context).rotation().matrix() @ np.asarray(finger.tip_point)
-            if tip[0] < _LEAST_SLOPE * np.linalg.norm(tip):
+            if tip[0] < _MIN_SLOPE * np.linalg.norm(tip):
                 return False
         return True

@@ -23,7 +23,7 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.finger_task import FingerTask
 from geort_drake.simulation.operators.key_presser import KeyPresser
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import Shown, Stage, TrialResult
+from geort_drake.simulation.task import PerceivedPort, Stage, TrialResult
 from geort_drake.simulation.tasks.keys.goal import CAP_LENGTH, CAP_WIDTH, KeysGoal
 from geort_drake.simulation.tasks.keys.monitor import KeysMonitor, KeysOutcome, KeysSettings
 from geort_drake.simulation.tasks.keys.planner import TRAVEL, KeysPlanner
@@ -63,7 +63,7 @@ class KeysTask(FingerTask[KeysGoal]):
     def places(self, goal: KeysGoal) -> Sequence[np.ndarray]:
         return goal.p_BF_open, goal.p_BF_pressed
 
-    def told(self, goal: KeysGoal) -> dict[str, int]:
+    def percepts(self, goal: KeysGoal) -> dict[str, int]:
         return {"travel": len(goal.p_BK), "cue": 1}
 
     def add_stage(
@@ -93,8 +93,8 @@ class KeysTask(FingerTask[KeysGoal]):
             builder.Connect(view.GetOutputPort(name), monitor.GetInputPort(name))
         shown = {
             **shown_by(view, len(description.fingers), "fingertips", "hand_pose"),
-            "travel": Shown(monitor.GetOutputPort("travel")),
-            "cue": Shown(monitor.GetOutputPort("cue")),
+            "travel": PerceivedPort(monitor.GetOutputPort("travel")),
+            "cue": PerceivedPort(monitor.GetOutputPort("cue")),
         }
         names = [f"key {number + 1}" for number in range(len(caps))]
         return Stage(

@@ -14,7 +14,7 @@ from geort_drake.systems.port_values import Immutable, pose_to_vector, vector_to
 
 TOUCH_FORCE = 0.02  # N; a larger force is a touch
 # The object is lost if it is this far below its support, or this far from its place and untouched, m.
-_FALLEN, _STRAYED = 0.03, 0.4
+_MAX_FALL, _MAX_OFFSET = 0.03, 0.4
 
 
 class Look(NamedTuple):
@@ -148,5 +148,5 @@ class TransferMonitor(TaskMonitor[TransferOutcome]):
             progress=progress,
             done_since=done_since,
             look=look,
-            lost=look.height < -_FALLEN or (look.offset > _STRAYED and look.touching == 0),
+            lost=look.height < -_MAX_FALL or (look.offset > _MAX_OFFSET and look.touching == 0),
         )

@@ -21,7 +21,7 @@ from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.operators.placing import PlacingPerson
 from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import SERVO, Shown, TrialResult
+from geort_drake.simulation.task import SERVO, PerceivedPort, TrialResult
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.tasks.grasp.task import HANDLING, GraspStage, ObjectTask
@@ -32,8 +32,8 @@ from geort_drake.systems.port_values import POSE_MIRROR
 
 # Distance of the place from the middle of the object's placement, m; and ranges within which the place is
 # drawn, m and rad.
-_WAY, _RANGE, _TURN = 0.15, 0.02, 0.2
-_ANGLE = math.radians(15)
+_CARRY_DISTANCE, _POSITION_RANGE, _YAW_RANGE = 0.15, 0.02, 0.2
+_MAX_ANGLE = math.radians(15)
 _MARK = np.array([0.20, 0.62, 0.35, 1.0])
 
 
@@ -75,10 +75,10 @@ class TransferTask(ObjectTask):
     def place(self, scenario: Scenario, side: str, rng: np.random.Generator) -> RigidTransform:
         """X_WP of the scenario's object at its place, for a hand of that side."""
         x, y = scenario.object.position
-        dx, dy = rng.uniform(-_RANGE, _RANGE, 2)
-        yaw = rng.uniform(-_TURN, _TURN)
+        dx, dy = rng.uniform(-_POSITION_RANGE, _POSITION_RANGE, 2)
+        yaw = rng.uniform(-_YAW_RANGE, _YAW_RANGE)
         z = scenario.object.support_height + self.heights[scenario.object.name] / 2
-        way = _WAY if side == "left" else -_WAY
+        way = _CARRY_DISTANCE if side == "left" else -_CARRY_DISTANCE
         return RigidTransform(RotationMatrix.MakeZRotation(yaw), [x + dx, y + way + dy, z])
 
     @abc.abstractmethod
@@ -115,7 +115,7 @@ class TransferTask(ObjectTask):
         return GraspStage(
             scene,
             monitor,
-            {**shown, "place_pose": Shown(monitor.GetOutputPort("place_pose"), POSE_MIRROR)},
+            {**shown, "place_pose": PerceivedPort(monitor.GetOutputPort("place_pose"), POSE_MIRROR)},
             {"step": (monitor.GetOutputPort("step"), ["reach", *self.steps])},
             [scene.object_body],
         )
@@ -142,7 +142,7 @@ class TransferTask(ObjectTask):
 
 
 def _is_placed(look: Look) -> bool:
-    return look.height < 0.003 and look.offset < 0.010 and max(abs(look.turn), look.tilt) < _ANGLE
+    return look.height < 0.003 and look.offset < 0.010 and max(abs(look.turn), look.tilt) < _MAX_ANGLE
 
 
 class PickPlaceTask(TransferTask):

@@ -13,7 +13,7 @@ from geort_drake.simulation.tasks.tracking.goal import FINGERS, HEIGHT, RADIUS, 
 HOVER = 0.020  # m, gap between a waiting fingertip and the puck
 _SPREAD = np.deg2rad(40.0)  # of the two fingers from opposite the thumb, around the puck
 _CLEARANCE = 0.010  # m, by which free play may miss a fingertip's place
-_FREE = 0.001  # m, least gap between puck and links other than fingertips
+_LINK_CLEARANCE = 0.001  # m, least gap between puck and links other than fingertips
 # Places of the puck out of the palm and along the fingers, m, and tilts of its axis from straight out of the
 # palm, rad, that are tried.
 _X, _Z = np.arange(0.06, 0.121, 0.01), np.arange(-0.02, 0.061, 0.01)
@@ -100,7 +100,7 @@ class TrackingPlanner:
         """Whether only fingertips are near the edges of the puck."""
         query, tips = self._robot.hand.query(q, self._context), self._robot.hand.are_tips
         return not any(
-            found.distance < _FREE and not tips(found.id_G, found.id_G)
+            found.distance < _LINK_CLEARANCE and not tips(found.id_G, found.id_G)
             for p_BQ in X_BG.multiply(self._edges.T).T
             for found in query.ComputeSignedDistanceToPoint(p_BQ, 0.02)
         )

@@ -17,7 +17,7 @@ from geort_drake.simulation.finger_task import FingerTask
 from geort_drake.simulation.held_stage import HeldStage, add_stand
 from geort_drake.simulation.operators.puck_mover import PuckMover
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import Shown, Stage, Target, TrialResult
+from geort_drake.simulation.task import PerceivedPort, Stage, Target, TrialResult
 from geort_drake.simulation.tasks.tracking.goal import HEIGHT, RADIUS, TrackingGoal, targets
 from geort_drake.simulation.tasks.tracking.monitor import TrackingMonitor, TrackingOutcome, TrackingSettings
 from geort_drake.simulation.tasks.tracking.planner import TrackingPlanner
@@ -25,7 +25,7 @@ from geort_drake.simulation.view import add_view, shown_by
 from geort_drake.simulation.world import add_robot, finish_scene
 from geort_drake.systems.port_values import POSE_MIRROR
 
-_MASS, _FRICTION, _RANGE = 0.050, 0.8, 0.2  # kg, and friction; both vary by this fraction with the seed
+_MASS, _FRICTION, _VARIATION = 0.050, 0.8, 0.2  # kg, and friction; both vary by this fraction with the seed
 _COLOR, _MARK = np.array([0.30, 0.60, 0.85, 1.0]), np.array([0.95, 0.45, 0.10, 1.0])
 
 
@@ -55,7 +55,7 @@ class TrackingTask(FingerTask[TrackingGoal]):
     def places(self, goal: TrackingGoal) -> Sequence[np.ndarray]:
         return goal.places()
 
-    def told(self, goal: TrackingGoal) -> dict[str, int]:
+    def percepts(self, goal: TrackingGoal) -> dict[str, int]:
         return {"object_pose": 7, "target_pose": 7, "cue": 1, "contact": len(goal.finger_names)}
 
     def add_stage(
@@ -72,7 +72,7 @@ class TrackingTask(FingerTask[TrackingGoal]):
         plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
         add_robot(plant, scenario, description)
         X_WG = X_WB @ goal.X_BG
-        puck = _add_puck(plant, X_WG, *rng.uniform(1 - _RANGE, 1 + _RANGE, 2))
+        puck = _add_puck(plant, X_WG, *rng.uniform(1 - _VARIATION, 1 + _VARIATION, 2))
         scene = finish_scene(plant, scene_graph, scenario, description, puck.model_instance())
         view = add_view(builder, scene, description, puck)
         stand = add_stand(builder, plant, puck, X_WG, settings.ready_time)
@@ -86,8 +86,8 @@ class TrackingTask(FingerTask[TrackingGoal]):
             builder.Connect(view.GetOutputPort(name), monitor.GetInputPort(name))
         shown = {
             **shown_by(view, len(description.fingers), "fingertips", "hand_pose", "object_pose", "contact"),
-            "target_pose": Shown(monitor.GetOutputPort("target_pose"), POSE_MIRROR),
-            "cue": Shown(monitor.GetOutputPort("cue")),
+            "target_pose": PerceivedPort(monitor.GetOutputPort("target_pose"), POSE_MIRROR),
+            "cue": PerceivedPort(monitor.GetOutputPort("cue")),
         }
         names = ["none", *(f"target {number + 1}" for number in range(len(cued)))]
         return HeldStage(

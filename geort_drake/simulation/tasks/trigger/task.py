@@ -24,7 +24,7 @@ from geort_drake.simulation.finger_task import FingerTask
 from geort_drake.simulation.held_stage import HeldStage, add_stand
 from geort_drake.simulation.operators.trigger_puller import TriggerPuller
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import Shown, Stage, TrialResult
+from geort_drake.simulation.task import PerceivedPort, Stage, TrialResult
 from geort_drake.simulation.tasks.trigger.goal import BACK, LENGTH, RADIUS, TriggerGoal
 from geort_drake.simulation.tasks.trigger.monitor import (
     CUES,
@@ -37,7 +37,7 @@ from geort_drake.simulation.view import add_view, shown_by
 from geort_drake.simulation.world import add_robot, finish_scene
 
 _MASS, _PAD_MASS = 0.150, 0.005  # kg
-_FRICTION, _RANGE = 0.8, 0.2  # of the handle; mass and friction vary by this fraction with the seed
+_FRICTION, _VARIATION = 0.8, 0.2  # of the handle; mass and friction vary by this fraction with the seed
 _PAD = (0.006, 0.018, 0.024)  # m, of the pad: along its travel, along the handle, and across both
 _STIFFNESS, _DAMPING = 200.0, 2.0  # N/m and N s/m of the pad; the damping is critical
 _COLOR, _PAD_COLOR = np.array([0.25, 0.26, 0.28, 1.0]), np.array([0.95, 0.45, 0.10, 1.0])
@@ -67,7 +67,7 @@ class TriggerTask(FingerTask[TriggerGoal]):
     def places(self, goal: TriggerGoal) -> Sequence[np.ndarray]:
         return goal.p_BF_open, goal.p_BF_touch
 
-    def told(self, goal: TriggerGoal) -> dict[str, int]:
+    def percepts(self, goal: TriggerGoal) -> dict[str, int]:
         return {"travel": 1, "cue": 1, "contact": len(goal.finger_names)}
 
     def add_stage(
@@ -83,7 +83,7 @@ class TriggerTask(FingerTask[TriggerGoal]):
         settings = TriggerSettings(**scenario.task_settings)
         plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
         add_robot(plant, scenario, description)
-        X_WH, handle, pad = _add_handle(plant, X_WB, goal, *rng.uniform(1 - _RANGE, 1 + _RANGE, 2))
+        X_WH, handle, pad = _add_handle(plant, X_WB, goal, *rng.uniform(1 - _VARIATION, 1 + _VARIATION, 2))
         scene = finish_scene(plant, scene_graph, scenario, description, handle.model_instance())
         view = add_view(builder, scene, description, handle, [pad])
         stand = add_stand(builder, plant, handle, X_WH, settings.ready_time)
@@ -98,8 +98,8 @@ class TriggerTask(FingerTask[TriggerGoal]):
             builder.Connect(view.GetOutputPort(name), monitor.GetInputPort(name))
         shown = {
             **shown_by(view, len(description.fingers), "fingertips", "hand_pose", "contact"),
-            "travel": Shown(monitor.GetOutputPort("travel")),
-            "cue": Shown(monitor.GetOutputPort("cue")),
+            "travel": PerceivedPort(monitor.GetOutputPort("travel")),
+            "cue": PerceivedPort(monitor.GetOutputPort("cue")),
         }
         return HeldStage(
             scene,
