@@ -1,7 +1,7 @@
 """A good map, distorted in known ways after its training, and the design of such maps.
 
-Each distortion spoils one criterion and hardly the others, so a difference in what a person achieves has
-a known cause, which it has not between methods, as their figures rise and fall together.
+Each distortion spoils one criterion and hardly the others, so a difference in what a person achieves has a
+known cause. Differences between methods have no single cause, because their figures are correlated.
 """
 
 import dataclasses as dc

@@ -1,4 +1,4 @@
-"""Gates: is a task neither too hard nor too easy, and does it show a bad map, before any method is tried?
+"""Validates a task before any method is tried: it is neither too hard nor too easy, and shows bad maps.
 
 python studies/gates.py --task keys --json gates.json
 

@@ -1,6 +1,6 @@
 """Requests that a command cannot meet: one clear message, exit code 2, no traceback, and nothing written.
 
-Tests of the rooms cover what else is wrong with recordings, checkpoints and scenarios.
+Tests of the subpackages cover what else is wrong with recordings, checkpoints and scenarios.
 """
 
 import shlex

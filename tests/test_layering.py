@@ -1,4 +1,4 @@
-"""Rooms import only lower rooms, modules import in no cycle, and light modules stay light."""
+"""Subpackages import only lower ones, modules import in no cycle, and light modules stay light."""
 
 import ast
 import graphlib
@@ -11,8 +11,10 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "geort_drake"
 # Each may import those before it, and every single module of geort_drake/ such as files.py.
-SUBPACKAGES = ["people", "retargeting", "hands", "systems", "rerun", "simulation"]
-SUBPACKAGES += ["comparison", "benchmark", "export", "live", "cli"]
+SUBPACKAGES = [
+    "people", "retargeting", "hands", "systems", "rerun", "simulation",
+    "comparison", "benchmark", "export", "live", "cli",
+]  # fmt: skip
 
 
 def imports(path: Path, outermost: bool = False) -> Iterator[str]:
@@ -41,7 +43,7 @@ def modules() -> dict[str, Path]:
 
 
 @pytest.mark.parametrize("subpackage", SUBPACKAGES)
-def test_a_room_imports_only_lower_rooms(subpackage):
+def test_a_subpackage_imports_only_lower_ones(subpackage):
     upper = {*SUBPACKAGES[SUBPACKAGES.index(subpackage) + 1 :]}
     for path in (PACKAGE / subpackage).rglob("*.py"):
         used = {name.split(".")[1] for name in imports(path) if name.startswith("geort_drake.")}
@@ -64,7 +66,7 @@ def test_no_modules_import_each_other_in_a_cycle():
 @pytest.mark.parametrize(
     ("package", "subpackage"), [("pydrake", "people"), ("pydrake", "retargeting"), ("rerun", ""), ("zmq", "")]
 )
-def test_a_package_is_kept_out_of_rooms(package, subpackage):
+def test_a_package_is_kept_out_of_subpackages(package, subpackage):
     """People and retargeting run without Drake; only the bridge imports Rerun; pyzmq is an extra."""
     for path in (PACKAGE / subpackage).rglob("*.py"):
         if package != "rerun" or path.parent.name not in ("rerun",):

@@ -5,7 +5,7 @@ Without options, a page in the browser takes your hand from the camera or a head
 SOURCE is web, a recording's file, or an address: sub+tcp://127.0.0.1:5556 (ZeroMQ, from `geort-drake publish`
 or a MANUS bridge that publishes), pull+tcp://127.0.0.1:8000 (from a bridge that pushes), lcm, or lcm+URL.
 TARGET is simulation, lcm, or lcm+URL. On the page, or with Enter, you engage and disengage. Ctrl-C stops; the
-robot holds its place. ZeroMQ's and LCM's messages are neither signed nor encrypted: whoever can send them
+robot holds its position. Messages over ZeroMQ and LCM are neither signed nor encrypted: whoever can send them
 moves the robot. The page asks for the key in its address.
 """
 

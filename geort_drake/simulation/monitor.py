@@ -5,7 +5,7 @@ from typing import Any, Generic, TypeVar
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-PERIOD = 0.01  # s, between two looks
+PERIOD = 0.01  # s, between two checks
 
 Judged = TypeVar("Judged", bound=Any)  # an `Outcome`, a frozen dataclass that is `Immutable`
 
@@ -22,8 +22,8 @@ class TaskMonitor(LeafSystem, Generic[Judged]):
     State (abstract): the outcome.
 
     Args:
-        start: outcome before the first look.
-        period: between two looks, s.
+        start: outcome before the first check.
+        period: between two checks, s.
     """
 
     def __init__(self, num_fingers: int, start: Judged, period: float = PERIOD):
@@ -49,7 +49,7 @@ class TaskMonitor(LeafSystem, Generic[Judged]):
         context.SetAbstractState(0, self._beginning(context.get_time()))
 
     def _beginning(self, t: float) -> Judged:
-        """The outcome before the first look at a task that begins at t, s."""
+        """The outcome before the first check of a task that begins at t, s."""
         return self._start
 
     def _judged(self, context: Context, before: Judged) -> Judged:

@@ -198,7 +198,7 @@ class Task(abc.ABC, Generic[Goal]):
         Args:
             goal: None in a replay.
             X_WB: of the hand at the start.
-            rng: draws what differs by the seed.
+            rng: draws everything that depends on the seed.
 
         Raises:
             ScenarioError, HandError: the scenario and the models do not fit.
@@ -213,7 +213,7 @@ class Task(abc.ABC, Generic[Goal]):
         Its output ports are those of `SimulatedOperator`; `memory(context)` has `attempt` and `phase`.
 
         Args:
-            goal: in the mirror for a left robot hand.
+            goal: mirrored for a left robot hand.
         """
 
     @abc.abstractmethod

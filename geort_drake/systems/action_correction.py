@@ -17,7 +17,7 @@ CORRECTIONS = ("none", "guard", "policy")
 class CorrectionConfig:
     """Selects the correction between retargeting and the hand."""
 
-    # none: commands pass unchanged; guard: `SelfCollisionGuard`; policy: `PolicyCorrection`.
+    # `none` passes commands unchanged; `guard`: `SelfCollisionGuard`; `policy`: `PolicyCorrection`.
     kind: str = "none"
     # Smallest distance between parts of the hand that the guard allows, m.
     clearance: float = 0.002

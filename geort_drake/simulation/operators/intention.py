@@ -51,8 +51,8 @@ class IntentionConfig:
     most_push: float = 0.02
     # A finger that is seen to press without a cue is raised by this, m. An assumption.
     lift: float = 0.004
-    # An object is carried to within this distance of above its place, m, and lowered to this far below the
-    # seen place, m, so that it is felt to stand. Both are about the error of vision [B02].
+    # An object is carried to within this distance of the point above its place, m, and lowered to this far
+    # below the seen place, m, so that it is felt to stand. Both are about the error of vision [B02].
     place_tolerance: float = 0.003
     place_overshoot: float = 0.005
 
