@@ -153,7 +153,7 @@ class Maker:
         checkpoint = retargeter or cached_checkpoint(scenario.hand, play)
         description = load_hand(scenario.hand)
         self._retarget = load_retargeter(checkpoint, HandModel(description))
-        self._human = HumanHand.fit(play), GraspPlanner(scenario, description).plan()
+        self._human = HumanHand.fit(play), GraspPlanner(scenario, description).plans(2)[0]
 
     def __call__(
         self, step: float = 0.002, rerun_path: Path | None = None, session: Recording | None = None

@@ -44,7 +44,7 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
     from geort_drake.hands.model import HandModel
     from geort_drake.people.human_hand import HumanHand
     from geort_drake.people.play import synthesize_play
-    from geort_drake.simulation.free_play import keep_attainable, seen_fingertips
+    from geort_drake.simulation.free_play import keep_reached, seen_fingertips
     from geort_drake.simulation.scenario_files import load_scenario
     from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
     from geort_drake.simulation.trial import run_trial
@@ -64,8 +64,8 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
     R = Rotation.from_rotvec(turn, degrees=True).as_matrix()
     retarget = AffineMap(hand, rest, gain, R, shift + np.array(offset))
     person = HumanHand.fit(play)
-    seen = seen_fingertips(retarget, hand, person).p_BF
-    goal, _ = keep_attainable(GraspPlanner(scenario, description).plans(), seen)
+    plans = GraspPlanner(scenario, description).plans()
+    goal, _ = keep_reached(plans, seen_fingertips(retarget, hand, person))
     result, _ = run_trial(scenario, retarget, (person, goal))
     return {"map": map_name, **result.to_json()}
 

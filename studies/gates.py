@@ -30,7 +30,7 @@ from geort_drake.hands.model import HandModel
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.recording import Recording
-from geort_drake.simulation.free_play import seen_fingertips
+from geort_drake.simulation.free_play import keep_reached, seen_fingertips
 from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.trial import run_trial
@@ -104,7 +104,7 @@ def kept(task_name: str, hand_name: str, method: str, amount: float, seed: int) 
         keypoints = hand.description.human_keypoints
         rest = recording.fingertips(keypoints).mean(axis=0)
         retarget = WorsenedMap(retarget, rest, keypoints, WORSENED[task_name].fault, amount, seed)
-    goal, _ = find_task(task_name).keep(plans, seen_fingertips(retarget, hand, person))
+    goal, _ = keep_reached(plans, seen_fingertips(retarget, hand, person))
     return retarget, goal
 
 

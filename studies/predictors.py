@@ -37,8 +37,8 @@ from geort_drake.people.population import sample_person
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.method import Retarget
 from geort_drake.retargeting.retargeter import UniversalRetargeter, load_retargeter, shipped_map
+from geort_drake.simulation.operators.intention import SERVO
 from geort_drake.simulation.scenario_files import load_scenario
-from geort_drake.simulation.task import SERVO
 from geort_drake.simulation.tasks import find_task, task_names
 from studies.distorted_map import DistortedMap, Distortion, design, distortion_of, half
 from studies.predictor_analysis import CRITERIA, POINTS, write_analysis

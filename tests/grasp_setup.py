@@ -50,7 +50,7 @@ def centred_map(hand: HandModel | None = None) -> AffineIK:
 @cache
 def planned_goal(object_name: str) -> GraspGoal:
     """The planned grasp of an object in the shipped scenario."""
-    return GraspPlanner(scenario_with(object_name), allegro().description).plan()
+    return GraspPlanner(scenario_with(object_name), allegro().description).plans(2)[0]
 
 
 def human_with(object_name: str = "cylinder", **changes) -> tuple[HumanHand, GraspGoal]:

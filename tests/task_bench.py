@@ -12,7 +12,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from geort_drake import load_scenario, run_trial
 from geort_drake.retargeting.methods import make_untrained
-from geort_drake.simulation.free_play import seen_fingertips
+from geort_drake.simulation.free_play import keep_reached, seen_fingertips
 from geort_drake.simulation.monitor import TaskMonitor
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.task import TrialResult
@@ -59,6 +59,6 @@ def retarget_and_play(method: str) -> tuple[Any, FreePlay]:
 def attempt(task: str, method: str, settings: str) -> tuple[TrialResult, bool]:
     """A person's trial of a finger task, and whether the plan that they keep was attainable."""
     retarget, seen = retarget_and_play(method)
-    goal, attainable = find_task(task).keep([plan.goal for plan in plans(task)], seen)
+    goal, attainable = keep_reached([plan.goal for plan in plans(task)], seen)
     scenario = load_scenario(*find_task(task).scenario, settings)
     return run_trial(scenario, retarget, (person_who_plays(), goal))[0], attainable

@@ -16,7 +16,7 @@ from geort_drake import HandModel, load_hand, load_scenario, run_trial
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import mirrored
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
-from geort_drake.simulation.free_play import keep_attainable, seen_fingertips
+from geort_drake.simulation.free_play import keep_reached, seen_fingertips
 from geort_drake.simulation.object_shape import object_shape
 from geort_drake.simulation.tasks.grasp.contacts import GRIPS, grip_contacts, palm_contact
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
@@ -113,7 +113,7 @@ def test_leap_grasps():
     scenario, hand = load_scenario(hand="leap_right", text=text), HandModel(load_hand("leap_right"))
     person, retarget = person_who_plays(), centred_map(hand)
     plans = GraspPlanner(scenario, hand.description).plans(2)
-    goal, _ = keep_attainable(plans, seen_fingertips(retarget, hand, person).p_BF)
+    goal, _ = keep_reached(plans, seen_fingertips(retarget, hand, person))
     result, _ = run_trial(scenario, retarget, (person, goal))
     assert result.success and result.attempts == 1
     assert result.slip < 0.03

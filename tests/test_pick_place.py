@@ -7,7 +7,7 @@ from pydrake.math import RigidTransform
 from task_bench import judged
 
 from geort_drake import load_scenario, run_trial
-from geort_drake.simulation.free_play import seen_fingertips
+from geort_drake.simulation.free_play import keep_reached, seen_fingertips
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.pick_place.monitor import TransferMonitor, TransferOutcome
 from geort_drake.systems.port_values import pose_to_vector
@@ -19,9 +19,7 @@ def outcome_of(path: list[tuple[float, float, float, float]]) -> TransferOutcome
     """The judgement of an object on lines between (y, z, yaw, force of two fingers), one a second."""
     task, rows = find_task("pick_place"), np.array(path)
     height = next(iter(task.heights.values()))
-    monitor = TransferMonitor(
-        2, X_WP, task.steps, task.hold_time, np.pi / 2, lambda X: X.translation()[2] - height / 2, 0.0
-    )
+    monitor = TransferMonitor(2, X_WP, lambda X: X.translation()[2] - height / 2, 0.0)
     poses = [[np.cos(yaw / 2), 0, 0, np.sin(yaw / 2), 0.5, y, z + height / 2] for y, z, yaw, _ in path]
     t = np.arange(len(path), dtype=float)
     return judged(monitor, t[-1], object_pose=(t, poses), contact=(t, rows[:, [3, 3]]))
@@ -64,6 +62,6 @@ def test_a_person_brings_a_block_to_its_place():
     scenario = load_scenario(*task.scenario)
     retarget = centred_map()
     play = seen_fingertips(retarget, allegro(), person)
-    goal, _ = task.keep(task.plans(scenario, allegro().description), play)
+    goal, _ = keep_reached(task.plans(scenario, allegro().description), play)
     result, _ = run_trial(scenario, retarget, (person, goal))
     assert result.success, result.outcome

@@ -111,7 +111,7 @@ def test_a_planned_grasp_touches_and_nothing_collides(name):
     robot, tried = planner._kinematics, []
     hand_pose = robot.hand_pose
     robot.hand_pose = lambda q: tried.append(q) or hand_pose(q)
-    goal = planner.plan()
+    goal = planner.plans(2)[0]
     planned = robot.joint_positions(next(q for q in tried if hand_pose(q).IsExactlyEqualTo(goal.X_OB)))
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
@@ -173,7 +173,7 @@ def test_what_cannot_be_grasped_is_refused_by_name():
     """An object out of reach."""
     scenario = scenario_with("sphere", "object: { position: [1.6, 0.0] }")
     with pytest.raises(ScenarioError, match=r"cannot grasp object 'sphere' at \[1\.6, 0\.0\]"):
-        GraspPlanner(scenario, allegro().description).plan()
+        GraspPlanner(scenario, allegro().description).plans(2)[0]
 
 
 def test_a_hand_that_cannot_take_an_object_into_its_palm_holds_it_by_a_tripod(monkeypatch):
@@ -184,7 +184,7 @@ def test_a_hand_that_cannot_take_an_object_into_its_palm_holds_it_by_a_tripod(mo
         return None if palm else touch(self, contacts, palm, *rest, **options)
 
     monkeypatch.setattr(GraspKinematics, "touch", without_palm)
-    goal = GraspPlanner(scenario_with("bottle"), allegro().description).plan()
+    goal = GraspPlanner(scenario_with("bottle"), allegro().description).plans(2)[0]
     assert goal.touches.tolist() == [True, True, True, False]
 
 
@@ -204,5 +204,5 @@ def test_a_hand_with_a_forearm_and_close_fingers_that_cannot_spread_grasps(name,
     model = write_hand(tmp_path, HandSpec(5, "urdf", mimic=True, forearm=0.2), changes=narrow)
     description = propose(model).description
     assert description.mount.translation == pytest.approx([0, 0, 0.2], abs=2e-3)
-    goal = GraspPlanner(scenario_with(name), description).plan()
+    goal = GraspPlanner(scenario_with(name), description).plans(2)[0]
     assert goal.touches[:2].all()

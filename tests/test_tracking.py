@@ -127,7 +127,7 @@ def test_every_plan_holds_the_puck_and_reaches_the_targets():
         np.testing.assert_allclose(tips[goal.touches], goal.p_BF_open[goal.touches], atol=2e-3)
         assert len(goal.places()) == 11
         for p_BF in goal.places():
-            q = planner._robot.reach(p_BF[goal.touches], plan.q_open)
+            q = planner.reach(p_BF[goal.touches], plan.q_open)
             assert q is not None and np.all((hand.lower < q) & (q < hand.upper))
 
 

@@ -18,7 +18,7 @@ def outcome_of(travel: list[float], moved: float = 0.0) -> TriggerOutcome:
     return judged(
         TriggerMonitor(4, rules),
         until=1.0 + 0.1 * len(travel),
-        pad=(1.0 + 0.1 * np.arange(len(travel)), np.column_stack([travel, np.zeros(len(travel))])),
+        joints=(1.0 + 0.1 * np.arange(len(travel)), np.column_stack([travel, np.zeros(len(travel))])),
         object_pose=([1.0, 2.0], pose),
     )
 

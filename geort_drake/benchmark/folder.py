@@ -39,7 +39,7 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
 from geort_drake.resources import diagrams_dir, models_dir
 from geort_drake.retargeting.method import Retarget
-from geort_drake.simulation.free_play import after_play, seen_fingertips
+from geort_drake.simulation.free_play import after_play, keep_reached, seen_fingertips
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.person import persons_hand
 from geort_drake.simulation.scenario import Scenario, dump_scenario, scenario_fields
@@ -95,7 +95,7 @@ class Benchmark:
             self._played[key.method, key.condition] = own, seen
         own, seen = self._played[key.method, key.condition]
         task = find_task(self.config["settings"]["scenario"].get("task", "grasp"))
-        goal, attainable = task.keep(plans, seen)
+        goal, attainable = keep_reached(plans, seen)
         if task.begins_after_play:
             retarget = own
         return Trial(key, text, retarget, latency, (person, goal), attainable)

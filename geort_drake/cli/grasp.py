@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.files import write_text
     from geort_drake.retargeting.checkpoint import load_checkpoint
     from geort_drake.retargeting.retargeter import UniversalRetargeter
-    from geort_drake.simulation.free_play import after_play, keep_attainable, seen_fingertips
+    from geort_drake.simulation.free_play import after_play, keep_reached, seen_fingertips
     from geort_drake.simulation.person import persons_hand
     from geort_drake.simulation.scenario import dump_scenario
     from geort_drake.simulation.tasks import find_task
@@ -124,7 +124,7 @@ def run(arguments: argparse.Namespace) -> int:
     if replay is None:
         seen = seen_fingertips(after_play(retarget, person), hand, person)
         found = {scenario.object.name for scenario in scenarios}
-        goals = {name: keep_attainable(plans[name], seen.p_BF)[0] for name in found}
+        goals = {name: keep_reached(plans[name], seen)[0] for name in found}
     results = []
     with progress_bar() as display:
         update = display.counter("grasping")

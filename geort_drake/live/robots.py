@@ -89,7 +89,7 @@ class SimulatedRobot:
 
     def initialize(self, root: Context) -> None:
         """Sets what only a context can hold; call it before the simulation starts."""
-        self.stage.initialize(root)
+        self.stage.scene.initialize(root)
         if self._fixed_base:
             self.stage.scene.lock_arm(root)
 

@@ -15,8 +15,8 @@ from geort_drake.live.watchdog import EngageSwitch, Watchdog
 from geort_drake.retargeting.method import Retarget
 from geort_drake.retargeting.numpy_retargeter import Retargeter
 from geort_drake.simulation.following import RobotModel, add_arm, add_fingers
+from geort_drake.simulation.monitor import Outcome
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import Outcome
 from geort_drake.systems.action_correction import ActionCorrection
 from geort_drake.systems.glove_checks import HELD_LOST, GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder

@@ -57,10 +57,6 @@ def synthesize_play(
         UnknownNameError: there is no such side.
         ValueError: a duration or rate that is not positive, or a negative jitter.
     """
-    if side not in SIDES:
-        raise UnknownNameError("side", side, SIDES)
-    if duration_s <= 0 or rate_hz <= 0 or jitter < 0:
-        raise ValueError("duration_s and rate_hz must be positive and jitter not negative")
     rng = np.random.default_rng(seed)
     timeline = _play(hand or HumanHand.anatomical(), duration_s, rng)
     metadata = {"source": __name__, "seed": seed, "side": side}
@@ -75,7 +71,15 @@ def record(
     rng: np.random.Generator,
     metadata: dict,
 ) -> Recording:
-    """The recording of the hand that follows a timeline, with a glove's noise; metadata: source, seed."""
+    """The recording of the hand that follows a timeline, with a glove's noise; metadata: source, seed.
+
+    Raises:
+        UnknownNameError, ValueError: see `synthesize_play`.
+    """
+    if (side := metadata.get("side", "right")) not in SIDES:
+        raise UnknownNameError("side", side, SIDES)
+    if duration_s <= 0 or rate_hz <= 0 or jitter < 0:
+        raise ValueError("duration_s and rate_hz must be positive and jitter not negative")
     hand = timeline.hand
     t = np.arange(frame_count(duration_s, rate_hz)) / rate_hz
     theta = _minimum_jerk(t, np.array(timeline.times), np.stack(timeline.postures))

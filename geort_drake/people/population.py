@@ -15,14 +15,13 @@ import numpy as np
 from joblib.externals.loky import ProcessPoolExecutor
 from scipy.spatial.transform import Rotation
 
-from geort_drake.errors import UnknownNameError
 from geort_drake.people import play
 from geort_drake.people.checks.anatomy import check_bones, check_order, check_unit
 from geort_drake.people.checks.findings import Severity
 from geort_drake.people.device import Device
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import KEYPOINT_COUNT
-from geort_drake.people.recording import SIDES, Recording
+from geort_drake.people.recording import Recording
 from geort_drake.processes import end_with, usable_cores
 
 # Hands. Length, and breadth over length, of men and women in equal shares: ANSUR II (Gordon et al. 2014,
@@ -105,11 +104,7 @@ class Person:
             UnknownNameError: there is no such side.
             ValueError: a duration or rate that is not positive.
         """
-        if side not in SIDES:
-            raise UnknownNameError("side", side, SIDES)
         rate = self.device.rate_hz if rate_hz is None else rate_hz
-        if duration_s <= 0 or rate <= 0:
-            raise ValueError("duration_s and rate_hz must be positive")
         rng = np.random.default_rng([self.seed, self.number, 1])
         timeline = self._play(duration_s, rng)
         metadata = {"source": __name__, "seed": self.seed, "person": self.number, "side": side}

@@ -168,9 +168,17 @@ def load_checkpoint(path: str | os.PathLike) -> Checkpoint:
                 f"{path / name}: has {size / 2**30:.1f} GiB; files of up to {MAX_BYTES >> 30} GiB are read"
             )
     config = _read_json(path / CONFIG, _CONFIG_FIELDS)
-    _check_config(path / CONFIG, config)
+    if config["format"] != FORMAT:
+        raise CheckpointError(f"{path / CONFIG}: format is {config['format']}, this version reads {FORMAT}")
+    _require(isinstance(config["method"], str), path / CONFIG, "method must be a text", config["method"])
+    digests = config["sha256"]
+    _require(isinstance(digests, dict), path / CONFIG, "sha256 must be an object", digests)
+    if foreign := sorted(set(digests) - set(DIGESTED)):
+        raise CheckpointError(
+            f"{path / CONFIG}: sha256 names {foreign[0]}, which is not one of {', '.join(DIGESTED)}"
+        )
     for name in DIGESTED:
-        expected, given = config["sha256"].get(name), sha256_of(path / name)
+        expected, given = digests.get(name), sha256_of(path / name)
         if expected != given:
             raise CheckpointError(
                 f"{path / name}: the file was altered: its sha256 is {given}, {CONFIG} says {expected}"
@@ -182,7 +190,9 @@ def load_checkpoint(path: str | os.PathLike) -> Checkpoint:
                 f"{path}: {name} differ: {HAND} has {_listed(hand[name])}, "
                 f"{CONFIG} has {_listed(config[name])}"
             )
-    _check_hand(path / HAND, hand)
+    for field in ("name", "model_sha256"):
+        _require(isinstance(hand[field], str), path / HAND, f"{field} must be a text", hand[field])
+    check_map(path, config | hand)
     try:
         arrays = load_file(path / WEIGHTS)
     except Exception as error:  # safetensors raises its own and plain exceptions alike
@@ -195,38 +205,25 @@ def _require(holds: bool, path: Path, message: str, value: object) -> None:
         raise CheckpointError(f"{path}: {message}, not {value!r:.60}")
 
 
-def _check_config(path: Path, config: Mapping) -> None:
-    if config["format"] != FORMAT:
-        raise CheckpointError(f"{path}: format is {config['format']}, this version reads {FORMAT}")
-    _require(isinstance(config["method"], str), path, "method must be a text", config["method"])
+def check_map(path: Path, fields: Mapping) -> None:
+    """Raises CheckpointError for wrong JSON data of a map: names, human_keypoints, and limits."""
     for field in ("finger_names", "joint_names"):
-        names = config[field]
+        names = fields[field]
         is_list = isinstance(names, list) and names and all(isinstance(name, str) for name in names)
         _require(bool(is_list), path, f"{field} must be a list of names", names)
-    keypoints = config["human_keypoints"]
+    keypoints, fingers, joints = fields["human_keypoints"], fields["finger_names"], fields["joint_names"]
     are_keypoints = isinstance(keypoints, list) and all(
         isinstance(number, int) and not isinstance(number, bool) and 0 <= number < KEYPOINT_COUNT
         for number in keypoints
     )
     expected = f"human_keypoints must be a list of numbers from 0 to {KEYPOINT_COUNT - 1}"
     _require(are_keypoints, path, expected, keypoints)
-    if len(keypoints) != len(config["finger_names"]):
+    if len(keypoints) != len(fingers):
         raise CheckpointError(
-            f"{path}: {len(config['finger_names'])} fingers need as many human_keypoints, "
-            f"there are {len(keypoints)}"
+            f"{path}: {len(fingers)} fingers need as many human_keypoints, there are {len(keypoints)}"
         )
-    digests = config["sha256"]
-    _require(isinstance(digests, dict), path, "sha256 must be an object", digests)
-    if foreign := sorted(set(digests) - set(DIGESTED)):
-        raise CheckpointError(f"{path}: sha256 names {foreign[0]}, which is not one of {', '.join(DIGESTED)}")
-
-
-def _check_hand(path: Path, hand: Mapping) -> None:
-    for field in ("name", "model_sha256"):
-        _require(isinstance(hand[field], str), path, f"{field} must be a text", hand[field])
-    joints = hand["joint_names"]
     for field in ("lower", "upper"):
-        limits = hand[field]
+        limits = fields[field]
         is_list = isinstance(limits, list) and len(limits) == len(joints)
         _require(is_list, path, f"{field} must be a list of {len(joints)} numbers", limits)
         for joint, limit in zip(joints, limits, strict=True):
@@ -234,7 +231,7 @@ def _check_hand(path: Path, hand: Mapping) -> None:
             number = isinstance(limit, int | float) and not isinstance(limit, bool)
             expected = f"{field} of '{joint}' must be a number within ±{MAX_ANGLE:g} rad"
             _require(number and abs(limit) <= MAX_ANGLE, path, expected, limit)
-    for joint, low, high in zip(joints, hand["lower"], hand["upper"], strict=True):
+    for joint, low, high in zip(joints, fields["lower"], fields["upper"], strict=True):
         if not low < high:
             raise CheckpointError(f"{path}: lower of '{joint}' must be below upper, {high:g}; it is {low:g}")
 

@@ -17,7 +17,7 @@ from safetensors.numpy import save
 from geort_drake.errors import CheckpointError
 from geort_drake.files import atomic_path
 from geort_drake.resources import models_dir
-from geort_drake.retargeting.checkpoint import TrainedHand
+from geort_drake.retargeting.checkpoint import TrainedHand, check_map
 
 FORMAT = "1"
 SUFFIX = ".safetensors"
@@ -104,25 +104,10 @@ def load_map(path: str | os.PathLike) -> MapFile:
         fields = {name: json.loads(header[name]) for name in _FIELDS}
     except (ValueError, RecursionError) as error:
         raise CheckpointError(f"{path}: the header is not valid JSON: {error}") from error
-    for name, value in fields.items():
-        if not isinstance(value, dict if name in ("hands", "training", "provenance") else list):
-            raise CheckpointError(f"{path}: {name} has a wrong type, {type(value).__name__}")
-    for name, kinds in (("lower", float | int), ("upper", float | int), ("human_keypoints", int)):
-        if not all(isinstance(value, kinds) and not isinstance(value, bool) for value in fields[name]):
-            raise CheckpointError(f"{path}: {name} must be a list of numbers, not {fields[name]!r:.60}")
-    for name in ("finger_names", "joint_names"):
-        if not all(isinstance(value, str) for value in fields[name]):
-            raise CheckpointError(f"{path}: {name} must be a list of names, not {fields[name]!r:.60}")
-    for name, like in (
-        ("human_keypoints", "finger_names"),
-        ("lower", "joint_names"),
-        ("upper", "joint_names"),
-    ):
-        if len(fields[name]) != len(fields[like]):
-            raise CheckpointError(
-                f"{path}: {name} must have {len(fields[like])} numbers, one for each of {like}, not "
-                f"{len(fields[name])}"
-            )
+    for name in ("hands", "training", "provenance"):
+        if not isinstance(fields[name], dict):
+            raise CheckpointError(f"{path}: {name} has a wrong type, {type(fields[name]).__name__}")
+    check_map(path, fields)
     return MapFile(arrays, **fields)
 
 

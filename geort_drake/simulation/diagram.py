@@ -18,6 +18,7 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.method import Retarget
 from geort_drake.simulation.following import RobotModel, add_arm, add_fingers
+from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Stage
 from geort_drake.simulation.tasks import find_task
@@ -58,7 +59,7 @@ class TrialDiagram:
         The recorder has already read that geometry.
         """
         remove_visuals(self.plant, self.stage.scene.scene_graph, root)
-        self.stage.initialize(root)
+        self.stage.scene.initialize(root)
         if self.fixed_base:
             self.stage.scene.lock_arm(root)
 
@@ -109,14 +110,16 @@ def make_trial_diagram(
         # The person starts with the hand oriented like the robot's. The tracker's frame is parallel to W and
         # has its origin at the wrist's initial position.
         X_WB_seen = mirrored_pose(X_WB_start) if in_mirror else X_WB_start
+        person, goal = human[0], human[1].mirrored() if in_mirror else human[1]
         operator = source = builder.AddNamedSystem(
             "operator",
-            task.person(
-                scenario,
-                human[0],
-                human[1].mirrored() if in_mirror else human[1],
+            SimulatedOperator(
+                person,
+                scenario.operator,
                 RigidTransform(X_WB_seen.rotation(), np.zeros(3)),
                 seed=int(rng.integers(2**31)),
+                inputs={name: shown.port.size() for name, shown in stage.shown.items()},
+                person=lambda noise: task.person(scenario, person, goal, noise),
             ),
         )
         for name, (port, mirror) in stage.shown.items():

@@ -1,76 +1,134 @@
 """Tasks for the fingers of a parked hand."""
 
 import abc
+import dataclasses as dc
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import LeafSystem
+from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant
+from pydrake.multibody.tree import Joint, RigidBody
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.human_hand import HumanHand
-from geort_drake.simulation.free_play import keep_reached
-from geort_drake.simulation.operators.finger_operator import FingerOperator
+from geort_drake.simulation.finger_planner import FingerPlanner
+from geort_drake.simulation.monitor import TaskMonitor, TaskSettings
 from geort_drake.simulation.operators.finger_person import FingerPerson
-from geort_drake.simulation.operators.intention import ADAPTIVE, MIMICRY
-from geort_drake.simulation.operators.perception import FreePlay
+from geort_drake.simulation.operators.goal import Intended
+from geort_drake.simulation.operators.intention import ADAPTIVE, MIMICRY, SERVO
+from geort_drake.simulation.operators.simulated_operator import Person
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import SERVO, Goal, Task, require_settings
+from geort_drake.simulation.task import Signals, Stage, States, Target, Task
+from geort_drake.simulation.view import add_monitor, add_view, shown_by
+from geort_drake.simulation.world import add_robot, finish_scene, joint_state
+from geort_drake.systems.stand import Stand
 
 
-class Planner(Protocol):
-    """Finds ways to do a task; raises ScenarioError, also when it is made, if the hand has none."""
+@dc.dataclass(frozen=True, eq=False)
+class Handled:
+    """A model that the fingers handle, in a plant that is not finalized.
 
-    def __init__(self, description: HandDescription): ...
+    Attributes:
+        body: what the person sees and touches.
+        parts: bodies that count as parts of it.
+        joints: that the monitor sees, in its input port `joints`: their positions, then velocities.
+        X_WO: pose of a free body at the start, in which a stand holds it for the setting `ready_time`.
+        outline: see `Target`, of a body that is drawn at the monitor's `target_pose` too.
+    """
 
-    def plans(self) -> Sequence[Any]:
-        """Plans with a `goal`, the best first."""
+    body: RigidBody
+    parts: Sequence[RigidBody] = ()
+    joints: Sequence[Joint] = ()
+    X_WO: RigidTransform | None = None
+    outline: np.ndarray | None = None
 
 
-class FingerTask(Task[Goal]):
+class FingerTask(Task[Intended]):
     """A task for the fingers of a parked hand, which all kinds of people can do.
 
     Attributes:
         settings: dataclass of the scenario's `task_settings`.
         planner: of the goals.
+        monitor_type: is made of the number of fingers and the settings, unless `make_monitor` is overridden.
         person_type: decides how the fingers move.
+        percepts: ports of view or monitor that the person perceives besides fingertips and hand pose.
     """
 
     kinds = (ADAPTIVE, MIMICRY, SERVO)
-    settings: ClassVar[type]
-    planner: ClassVar[type[Planner]]
+    settings: ClassVar[type[TaskSettings]]
+    planner: ClassVar[type[FingerPlanner]]
+    monitor_type: ClassVar[type[TaskMonitor]]
     person_type: ClassVar[type[FingerPerson]]
+    percepts: ClassVar[tuple[str, ...]]
 
     @abc.abstractmethod
-    def places(self, goal: Goal) -> Sequence[np.ndarray]:
-        """Fingertip points (F, 3), m in B, that free play must reach."""
+    def add_handled(
+        self, plant: MultibodyPlant, goal: Intended, X_WB: RigidTransform, rng: np.random.Generator
+    ) -> Handled:
+        """Adds what is handled, for a hand at X_WB."""
+
+    def make_monitor(
+        self, num_fingers: int, goal: Intended, X_WB: RigidTransform, settings: Any, rng: np.random.Generator
+    ) -> TaskMonitor:
+        """Judges the task; `rng` has drawn what is handled."""
+        return self.monitor_type(num_fingers, settings)
 
     @abc.abstractmethod
-    def percepts(self, goal: Goal) -> dict[str, int]:
-        """Name → size of what the person perceives besides fingertips and hand pose."""
+    def recorded(self, monitor: TaskMonitor, settings: Any) -> tuple[States, Signals]:
+        """What `Stage` has for recordings."""
 
     def check_settings(self, settings: Mapping[str, float]) -> None:
-        require_settings(self.settings, settings)
+        names = [field.name for field in dc.fields(self.settings)]
+        for name in settings:
+            if name not in names:
+                raise ValueError(f"task_settings has no '{name}'; the settings are: {', '.join(names)}")
+        self.settings(**settings)
 
-    def plans(self, scenario: Scenario, description: HandDescription) -> list[Goal]:
+    def plans(self, scenario: Scenario, description: HandDescription) -> list[Intended]:
         return [plan.goal for plan in self.planner(description).plans()]
 
-    def keep(self, plans: Sequence[Goal], play: FreePlay) -> tuple[Goal, bool]:
-        """The first plan whose places the person could reach in free play, or the nearest."""
-        return keep_reached(plans, play, self.places)
+    def add_stage(
+        self,
+        builder: DiagramBuilder,
+        scenario: Scenario,
+        description: HandDescription,
+        goal: Intended | None,
+        X_WB: RigidTransform,
+        rng: np.random.Generator,
+    ) -> Stage:
+        goal = goal or self.plans(scenario, description)[0]
+        settings: Any = self.settings(**scenario.task_settings)
+        plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
+        add_robot(plant, scenario, description)
+        handled = self.add_handled(plant, goal, X_WB, rng)
+        body, model, stand = handled.body, handled.body.model_instance(), None
+        falling = None if handled.X_WO is None else model
+        scene = finish_scene(plant, scene_graph, scenario, description, falling)
+        view = add_view(builder, scene, description, body, handled.parts)
+        still = plant.get_desired_state_input_port(model)
+        if still.size():  # a brake holds a joint still
+            zeros = builder.AddSystem(ConstantVectorSource(np.zeros(still.size())))
+            builder.Connect(zeros.get_output_port(), still)
+        if handled.X_WO is not None:
+            stand = builder.AddNamedSystem("stand", Stand(body.index(), handled.X_WO, settings.ready_time))
+            for name in ("body_poses", "body_spatial_velocities"):
+                builder.Connect(plant.GetOutputPort(name), stand.GetInputPort(name))
+            builder.Connect(stand.get_output_port(), plant.get_applied_spatial_force_input_port())
+        monitor = self.make_monitor(len(description.fingers), goal, X_WB, settings, rng)
+        add_monitor(builder, f"{self.name}_monitor", monitor, view)
+        if handled.joints:
+            builder.Connect(joint_state(builder, plant, handled.joints), monitor.GetInputPort("joints"))
+        target = None
+        if handled.outline is not None:
+            target = Target(body, monitor.GetOutputPort("target_pose"), handled.outline)
+        shown = shown_by(view, monitor, ("fingertips", "hand_pose", *self.percepts))
+        free = () if stand is None else (body,)
+        states, signals = self.recorded(monitor, settings)
+        return Stage(scene, monitor, shown, states, free, signals, target, stand)
 
-    def person(
-        self, scenario: Scenario, hand: HumanHand, goal: Goal, X_WH_start: RigidTransform, seed: int
-    ) -> LeafSystem:
-        return FingerOperator(
-            self.person_type,
-            hand,
-            goal,
-            scenario.kind,
-            scenario.operator,
-            scenario.intention,
-            X_WH_start,
-            seed,
-            self.percepts(goal),
-        )
+    def person(self, scenario: Scenario, hand: HumanHand, goal: Intended, rng: np.random.Generator) -> Person:
+        config, intention = scenario.operator, scenario.intention
+        return self.person_type(hand, goal, scenario.kind, config, intention, rng)

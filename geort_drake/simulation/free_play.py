@@ -3,7 +3,7 @@
 import dataclasses as dc
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -12,10 +12,9 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.universal import UniversalRetargeter
+from geort_drake.simulation.operators.goal import Goal, Intended
 from geort_drake.simulation.operators.perception import FreePlay
-from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
-Goal = TypeVar("Goal")
 DURATION, RATE = 30.0, 30.0  # s, frames per second
 
 
@@ -55,40 +54,26 @@ def after_play(retarget: Any, person: HumanHand) -> Any:
     return retarget.for_person(_frames(person)) if isinstance(retarget, UniversalRetargeter) else retarget
 
 
-def keep_attainable(plans: Sequence[GraspGoal], p_BF: np.ndarray) -> tuple[GraspGoal, bool]:
-    """Selects the first plan whose open hand the robot's fingertips have reached, within its clearance.
+def keep_reached(plans: Sequence[Intended], play: FreePlay) -> tuple[Intended, bool]:
+    """Selects the first plan of which the robot's fingertips have reached all places, within its clearance.
 
-    Each grasping fingertip is compared by its smallest distance from its target in the open hand.
+    Each touching fingertip is compared by its smallest distance from its place.
 
     Args:
         plans: at least one, in the order of preference.
-        p_BF: of `seen_fingertips`.
+        play: of `seen_fingertips`, which the plan then has.
 
     Returns:
         The plan and True. Without an attainable plan: the nearest one, with an infinite clearance, and False.
     """
-
-    excess = [_excess(p_BF, goal, [goal.p_BF_open]) if goal.clearance < np.inf else 0.0 for goal in plans]
-    least = min(excess)
-    kept = plans[excess.index(least)]
-    return (kept, True) if least == 0.0 else (dc.replace(kept, clearance=np.inf), False)
+    excess = [_excess(play.p_BF, goal) for goal in plans]
+    kept, attainable = plans[excess.index(min(excess))], min(excess) == 0.0
+    return dc.replace(kept, play=play, clearance=kept.clearance if attainable else np.inf), attainable
 
 
-def keep_reached(
-    plans: Sequence[Goal], play: FreePlay, places: Callable[[Goal], Sequence[np.ndarray]]
-) -> tuple[Goal, bool]:
-    """The first plan of which play reached all places within its clearance, or the nearest; with the play.
-
-    Args:
-        places: of fingertips, (F, 3) each, m in B.
-    """
-
-    excess = [_excess(play.p_BF, goal, places(goal)) for goal in plans]
-    kept: Any = plans[excess.index(min(excess))]
-    return dc.replace(kept, play=play), min(excess) == 0.0
-
-
-def _excess(p_BF: np.ndarray, goal: Any, places: Sequence[np.ndarray]) -> float:
+def _excess(p_BF: np.ndarray, goal: Goal) -> float:
     """By how much play (T, F, 3) missed the places of touching fingertips, beyond the clearance, m."""
-    misses = [np.linalg.norm(p_BF - place, axis=-1).min(axis=0, initial=np.inf) for place in places]
+    if goal.clearance == np.inf:
+        return 0.0
+    misses = [np.linalg.norm(p_BF - place, axis=-1).min(axis=0, initial=np.inf) for place in goal.places()]
     return max(float(np.max(misses, axis=0)[goal.touches].max()) - goal.clearance, 0.0)

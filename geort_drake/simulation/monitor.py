@@ -1,13 +1,69 @@
-"""What the monitors of tasks share: ports, state, and the end of a decided simulation."""
+"""What the monitors of tasks share: settings, outcome, ports, and the end of a decided simulation."""
 
-from typing import Any, Generic, TypeVar
+import abc
+import dataclasses as dc
+import math
+from collections.abc import Callable
+from typing import Generic, TypeVar
 
+import numpy as np
+from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSystem, State
+
+from geort_drake.settings import require_numbers
+from geort_drake.systems.port_values import Immutable
 
 PERIOD = 0.01  # s, between two checks
 
-Judged = TypeVar("Judged", bound=Any)  # an `Outcome`, a frozen dataclass that is `Immutable`
+
+@dc.dataclass(frozen=True)
+class TaskSettings:
+    """Positive numbers of a scenario's `task_settings`."""
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for a value out of range."""
+        require_numbers(self, "task_settings")
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class Outcome(abc.ABC, Immutable):
+    """What a monitor judges.
+
+    Attributes:
+        began: time at which the task began, s.
+        t: time of the last check, s.
+        peak_force: largest contact force between a finger and what is handled, N.
+        self_contact_time: total time in which links of the hand touched each other, s; see `SceneView`.
+    """
+
+    began: float = 0.0
+    t: float = 0.0
+    peak_force: float = 0.0
+    self_contact_time: float = 0.0
+
+    @property
+    @abc.abstractmethod
+    def success(self) -> bool:
+        """Whether the task is done."""
+
+    @property
+    @abc.abstractmethod
+    def over(self) -> bool:
+        """Whether it is decided."""
+
+    @property
+    @abc.abstractmethod
+    def score(self) -> float:
+        """How much of it is done, from 0 to 1."""
+
+    @property
+    def completion_time(self) -> float:
+        """The simulation's time at success, s; NaN without."""
+        return self.t if self.success else math.nan
+
+
+Judged = TypeVar("Judged", bound=Outcome)
 
 
 class TaskMonitor(LeafSystem, Generic[Judged]):
@@ -40,20 +96,37 @@ class TaskMonitor(LeafSystem, Generic[Judged]):
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._look)
 
+    def _declare_output(self, name: str, size: int, value: Callable[[Judged], ArrayLike]) -> None:
+        """Adds an output port with numbers (size,) that follow from the outcome."""
+        self.DeclareVectorOutputPort(
+            name,
+            size,
+            lambda context, output: output.SetFromVector(
+                np.array(value(self.outcome(context)), float, ndmin=1)
+            ),
+            self._of_outcome,
+        )
+
+    def _declare_positions(self, name: str, state: InputPort) -> None:
+        """Adds an output port with the first half of an input port of positions, then velocities."""
+        size = state.size() // 2
+        self.DeclareVectorOutputPort(
+            name,
+            size,
+            lambda context, output: output.SetFromVector(state.Eval(context)[:size]),
+            {state.ticket()},
+        )
+
     def outcome(self, context: Context) -> Judged:
         """The outcome so far."""
         return context.get_abstract_state(0).get_value()
 
     def restart(self, context: Context) -> None:
         """Restarts the task now."""
-        context.SetAbstractState(0, self._beginning(context.get_time()))
-
-    def _beginning(self, t: float) -> Judged:
-        """The outcome before the first check of a task that begins at t, s."""
-        return self._start
+        context.SetAbstractState(0, self._start.having(began=context.get_time()))
 
     def _judged(self, context: Context, before: Judged) -> Judged:
-        """The outcome now, except for forces and contacts of the hand with itself."""
+        """The outcome now, except for forces and contacts of the hand with itself; `before` has its `t`."""
         raise NotImplementedError
 
     def _look(self, context: Context, state: State) -> EventStatus:
@@ -61,7 +134,7 @@ class TaskMonitor(LeafSystem, Generic[Judged]):
         if before.over:
             return EventStatus.DidNothing()
         touches_itself = context.get_time() > 0 and self._self_contact.Eval(context)[0] > 0
-        outcome = self._judged(context, before).having(
+        outcome = self._judged(context, before.having(t=context.get_time())).having(
             peak_force=max(before.peak_force, float(self._contact.Eval(context).max())),
             self_contact_time=before.self_contact_time + self._period * bool(touches_itself),
         )

@@ -5,62 +5,23 @@
 
 import abc
 import dataclasses as dc
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, Generic, NamedTuple
 
 import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.tree import RigidBody
-from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, OutputPort
+from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.monitor import TaskMonitor
-from geort_drake.simulation.operators.perception import FreePlay
+from geort_drake.simulation.operators.goal import Intended
+from geort_drake.simulation.operators.simulated_operator import Person
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import Scene
-
-SERVO = "servo"
-
-
-class HandGoal(Protocol):
-    """What a person intends, as places relative to the robot hand or to what is handled."""
-
-    def mirrored(self) -> Self:
-        """The goal reflected in the xz-planes of its frames, for a left hand."""
-
-
-Goal = TypeVar("Goal", bound=HandGoal)
-
-
-class Outcome(Protocol):
-    """What a monitor judges."""
-
-    @property
-    def success(self) -> bool:
-        """Whether the task is done."""
-
-    @property
-    def over(self) -> bool:
-        """Whether it is decided."""
-
-    @property
-    def score(self) -> float:
-        """How much of it is done, from 0 to 1."""
-
-    @property
-    def completion_time(self) -> float:
-        """The simulation's time at success, s; NaN without."""
-
-    @property
-    def peak_force(self) -> float:
-        """Largest contact force between a finger and what is handled, N."""
-
-    @property
-    def self_contact_time(self) -> float:
-        """Total time in which links of the hand touched each other, s."""
+from geort_drake.systems.stand import Stand
 
 
 class PerceivedPort(NamedTuple):
@@ -84,6 +45,12 @@ class Target(NamedTuple):
     outline: np.ndarray
 
 
+# Of recordings: name → port with the number of a state, and the states' names; name → port, its entries and
+# their unit.
+States = Mapping[str, tuple[OutputPort, Sequence[str]]]
+Signals = Mapping[str, tuple[OutputPort, Sequence[str], str]]
+
+
 @dc.dataclass(frozen=True)
 class Stage:
     """What a task adds to a trial's diagram.
@@ -91,26 +58,26 @@ class Stage:
     Attributes:
         monitor: judges the task.
         shown: name of the person's input port → what it shows.
-        states: name → port with the number of a state, and the states' names; for the recording.
+        states, signals: of recordings.
         bodies: free bodies whose path is recorded, and through which close-ups look.
-        signals: name → port, its entries and their unit; for the recording.
         target: that is shown.
+        stand: holds a body until the person is ready.
     """
 
     scene: Scene
     monitor: TaskMonitor
     shown: Mapping[str, PerceivedPort]
-    states: Mapping[str, tuple[OutputPort, Sequence[str]]]
+    states: States
     bodies: Sequence[RigidBody] = ()
-    signals: Mapping[str, tuple[OutputPort, Sequence[str], str]] = dc.field(default_factory=dict)
+    signals: Signals = dc.field(default_factory=dict)
     target: Target | None = None
-
-    def initialize(self, root: Context) -> None:
-        """Sets what only a context can hold."""
+    stand: Stand | None = None
 
     def restart(self, root: Context) -> None:
         """Restarts the task now, when the person is ready."""
         self.monitor.restart(self.monitor.GetMyMutableContextFromRoot(root))
+        if self.stand is not None:
+            self.stand.restart(self.stand.GetMyMutableContextFromRoot(root))
 
 
 @dc.dataclass(frozen=True)
@@ -144,7 +111,7 @@ class TrialResult:
         return dc.asdict(self)
 
 
-class Task(abc.ABC, Generic[Goal]):
+class Task(abc.ABC, Generic[Intended]):
     """A task. A module `tasks/NAME/task.py` defines `TASK`, an instance.
 
     Attributes:
@@ -176,12 +143,8 @@ class Task(abc.ABC, Generic[Goal]):
         return self.name
 
     @abc.abstractmethod
-    def plans(self, scenario: Scenario, description: HandDescription) -> list[Goal]:
+    def plans(self, scenario: Scenario, description: HandDescription) -> list[Intended]:
         """Ways to do it with the scenario's robot, the best first; raises ScenarioError if there is none."""
-
-    @abc.abstractmethod
-    def keep(self, plans: Sequence[Goal], play: FreePlay) -> tuple[Goal, bool]:
-        """The plan, of at least one, that the person keeps after free play, and whether it was attainable."""
 
     @abc.abstractmethod
     def add_stage(
@@ -189,7 +152,7 @@ class Task(abc.ABC, Generic[Goal]):
         builder: DiagramBuilder,
         scenario: Scenario,
         description: HandDescription,
-        goal: Goal | None,
+        goal: Intended | None,
         X_WB: RigidTransform,
         rng: np.random.Generator,
     ) -> Stage:
@@ -205,15 +168,12 @@ class Task(abc.ABC, Generic[Goal]):
         """
 
     @abc.abstractmethod
-    def person(
-        self, scenario: Scenario, hand: HumanHand, goal: Goal, X_WH_start: RigidTransform, seed: int
-    ) -> LeafSystem:
-        """A person as a system with an input port for each thing shown.
-
-        Its output ports are those of `SimulatedOperator`; `memory(context)` has `attempt` and `phase`.
+    def person(self, scenario: Scenario, hand: HumanHand, goal: Intended, rng: np.random.Generator) -> Person:
+        """A person, whom a `SimulatedOperator` shows what `Stage.shown` has.
 
         Args:
             goal: mirrored for a left robot hand.
+            rng: draws the noise of perception and motion.
         """
 
     @abc.abstractmethod
@@ -224,17 +184,3 @@ class Task(abc.ABC, Generic[Goal]):
         """Raises ValueError for a wrong entry of the scenario's `task_settings`."""
         if settings:
             raise ValueError(f"task_settings must be empty for task {self.name}, not {dict(settings)}")
-
-
-def finite_or_none(value: float) -> float | None:
-    """None for NaN, which JSON lacks."""
-    return None if math.isnan(value) else value
-
-
-def require_settings(known: type, settings: Mapping[str, float]) -> None:
-    """Raises ValueError for a setting that the dataclass `known` lacks, or that it refuses."""
-    names = [field.name for field in dc.fields(known)]
-    for name in settings:
-        if name not in names:
-            raise ValueError(f"task_settings has no '{name}'; the settings are: {', '.join(names)}")
-    known(**settings)

@@ -12,8 +12,9 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.method import Retarget
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
+from geort_drake.simulation.monitor import Outcome
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import Outcome, TrialResult
+from geort_drake.simulation.task import TrialResult
 from geort_drake.simulation.tasks import find_task
 from geort_drake.systems.release import release
 

@@ -1,12 +1,13 @@
 """What the person sees and feels of a scene, and the monitors judge."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from pydrake.multibody.tree import RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.description import HandDescription
+from geort_drake.simulation.monitor import TaskMonitor
 from geort_drake.simulation.task import PerceivedPort
 from geort_drake.simulation.world import Scene
 from geort_drake.systems.port_values import POINT_MIRROR, POSE_MIRROR
@@ -31,12 +32,22 @@ def add_view(
     return view
 
 
-def shown_by(view: SceneView, num_fingers: int, *names: str) -> dict[str, PerceivedPort]:
-    """Output ports of a view, with their signs in a mirror."""
+def add_monitor(builder: DiagramBuilder, name: str, monitor: TaskMonitor, view: SceneView) -> None:
+    """Adds a monitor, and connects its inputs that the view outputs."""
+    builder.AddNamedSystem(name, monitor)
+    for port in map(monitor.get_input_port, range(monitor.num_input_ports())):
+        if view.HasOutputPort(port.get_name()):
+            builder.Connect(view.GetOutputPort(port.get_name()), port)
+
+
+def shown_by(view: SceneView, monitor: TaskMonitor, names: Iterable[str]) -> dict[str, PerceivedPort]:
+    """Output ports of the view or else of the monitor, with their signs in a mirror."""
     mirrors = {
-        "fingertips": np.tile(POINT_MIRROR, num_fingers),
-        "hand_pose": POSE_MIRROR,
-        "object_pose": POSE_MIRROR,
-        "contact": None,
+        "fingertips": np.tile(POINT_MIRROR, view.GetOutputPort("fingertips").size() // 3),
+        **dict.fromkeys(("hand_pose", "object_pose", "target_pose", "place_pose"), POSE_MIRROR),
+        "turned": np.array([-1.0]),
     }
-    return {name: PerceivedPort(view.GetOutputPort(name), mirrors[name]) for name in names}
+    systems = {name: view if view.HasOutputPort(name) else monitor for name in names}
+    return {
+        name: PerceivedPort(system.GetOutputPort(name), mirrors.get(name)) for name, system in systems.items()
+    }

@@ -2,7 +2,7 @@
 
 import dataclasses as dc
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from pydrake.geometry import (
@@ -14,7 +14,7 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.parsing import GetScopedFrameByName, ModelDirectives, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant
-from pydrake.multibody.tree import Joint, ModelInstanceIndex, PdControllerGains, RigidBody
+from pydrake.multibody.tree import Joint, ModelInstanceIndex, PdControllerGains, RigidBody, SpatialInertia
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import MatrixGain
 
@@ -53,6 +53,9 @@ class Scene:
     arm: ModelInstanceIndex
     hand: ModelInstanceIndex
 
+    def initialize(self, root: Context) -> None:
+        """Sets what only a context can hold."""
+
     def lock_arm(self, root: Context) -> None:
         """Keeps the arm where it is in a context."""
         context = self.plant.GetMyMutableContextFromRoot(root)
@@ -65,12 +68,19 @@ class ObjectScene(Scene):
     """A scene with an object.
 
     Attributes:
-        placement: of the object. The mass factor is not applied yet, as that needs a context.
+        placement: of the object; `initialize` applies the mass factor.
     """
 
     object_body: RigidBody
     object_shape: ObjectShape
     placement: Placement
+
+    def initialize(self, root: Context) -> None:
+        context = self.plant.GetMyMutableContextFromRoot(root)
+        M = self.object_body.CalcSpatialInertiaInBodyFrame(context)
+        mass = self.placement.mass_factor * M.get_mass()
+        scaled = SpatialInertia(mass, M.get_com(), M.get_unit_inertia())
+        self.object_body.SetSpatialInertiaInBodyFrame(context, scaled)
 
 
 def add_scene(
@@ -197,8 +207,12 @@ def actuated_joints(plant: MultibodyPlant, model: ModelInstanceIndex) -> list[Jo
 
 def actuated_state(builder: DiagramBuilder, plant: MultibodyPlant, model: ModelInstanceIndex) -> OutputPort:
     """A port with positions, then velocities of a model's actuated joints, in actuator order."""
-    joints = actuated_joints(plant, model)
-    state = plant.get_state_output_port(model)
+    return joint_state(builder, plant, actuated_joints(plant, model))
+
+
+def joint_state(builder: DiagramBuilder, plant: MultibodyPlant, joints: Sequence[Joint]) -> OutputPort:
+    """A port with positions, then velocities of some joints of one model of a finalized plant."""
+    state = plant.get_state_output_port(joints[0].model_instance())
     if state.size() == 2 * len(joints):
         return state
     selector = builder.AddSystem(MatrixGain(plant.MakeStateSelectorMatrix([j.index() for j in joints])))

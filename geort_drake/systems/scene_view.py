@@ -81,7 +81,6 @@ class SceneView(LeafSystem):
         self._contacts = self.DeclareAbstractInputPort(
             "contact_results", AbstractValue.Make(ContactResults())
         )
-        self._num_fingers = num_fingers
         places = {"fingertips": 3 * num_fingers, "hand_pose": 7, "object_pose": 7}
         self._declare_outputs(places, self._calc_poses, self._poses)
         touches = {"link_contact": len(self.links), "contact": num_fingers, "self_contact": 1}

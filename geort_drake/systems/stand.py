@@ -27,13 +27,13 @@ class Stand(LeafSystem):
 
     Args:
         X_WP: pose at which the body is held.
-        until: release time, s.
+        duration: for which it holds from the start, or from a restart, s.
     """
 
-    def __init__(self, body: BodyIndex, X_WP: RigidTransform, until: float):
+    def __init__(self, body: BodyIndex, X_WP: RigidTransform, duration: float):
         super().__init__()
-        self._body, self._X_WP = body, X_WP
-        self._until = self.DeclareNumericParameter(BasicVector([until]))
+        self._body, self._X_WP, self._duration = body, X_WP, duration
+        self._until = self.DeclareNumericParameter(BasicVector([duration]))
         poses = AbstractValue.Make([RigidTransform()])
         self._poses = self.DeclareAbstractInputPort("body_poses", poses)
         velocities = AbstractValue.Make([SpatialVelocity()])
@@ -41,8 +41,9 @@ class Stand(LeafSystem):
         nothing = AbstractValue.Make([ExternallyAppliedSpatialForce()])
         self.DeclareAbstractOutputPort("force", lambda: nothing, self._calc_force)
 
-    def hold(self, context: Context, until: float) -> None:
-        """Sets another release time, s."""
+    def restart(self, context: Context) -> None:
+        """Holds the body from now on."""
+        until = context.get_time() + self._duration
         context.get_mutable_numeric_parameter(self._until).SetAtIndex(0, until)
 
     def _calc_force(self, context: Context, output: AbstractValue) -> None:

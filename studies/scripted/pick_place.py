@@ -10,7 +10,7 @@ from geort_drake.hands.model import HandModel
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
-from geort_drake.simulation.tasks.pick_place.task import TransferTask
+from geort_drake.simulation.tasks.pick_place.task import HOVER, PickPlaceTask
 from geort_drake.simulation.trial import run_trial
 
 PULL = 0.1  # share of the way to the middle of the joint ranges in an iteration
@@ -27,7 +27,7 @@ def scripted(scenario: Scenario, goal: GraspGoal, seed: int) -> float:
     A first run ends with the lift and tells how the object then lies in the hand.
     """
     task, oracle = find_task(scenario.task), _oracle(scenario.hand)
-    assert isinstance(task, TransferTask)
+    assert isinstance(task, PickPlaceTask)
     scenario.random_seed = seed
     rng = np.random.default_rng(seed).spawn(1)[0]
     X_WP = task.place(scenario, oracle.description.side, rng)
@@ -35,7 +35,7 @@ def scripted(scenario: Scenario, goal: GraspGoal, seed: int) -> float:
     lift = script(scenario, oracle, goal, squeeze)
     scenario.timeout = float(lift.t[-1]) - HOLDING
     lifted, _ = run_trial(scenario, oracle, lift)
-    place = X_WP.translation(), -lifted.place_turn, task.hover
+    place = X_WP.translation(), -lifted.place_turn, HOVER
     scenario.timeout = timeout
     result, _ = run_trial(scenario, oracle, script(scenario, oracle, goal, squeeze, place))
     return result.score if result.success else 0.0

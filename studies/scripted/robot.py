@@ -9,14 +9,14 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource
 
 from geort_drake.hands.description import HandDescription, load_hand
+from geort_drake.simulation.operators.goal import Goal
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import HandGoal
 from geort_drake.simulation.tasks import find_task
-from geort_drake.simulation.world import ARM, HAND, Scene, actuated_joints, add_robot
+from geort_drake.simulation.world import HAND, Scene, actuated_joints, add_robot
 
 
 def run_script(
-    scenario: Scenario, goal: HandGoal, seed: int, script_for: Callable[[Scene, HandDescription], LeafSystem]
+    scenario: Scenario, goal: Goal, seed: int, script_for: Callable[[Scene, HandDescription], LeafSystem]
 ) -> float:
     """Score of a script in one trial, 0 without success.
 
@@ -50,10 +50,9 @@ def run_script(
     builder.Connect(arm_target, plant.get_desired_state_input_port(arm))
     simulator = Simulator(builder.Build())
     root = simulator.get_mutable_context()
-    stage.initialize(root)
+    stage.scene.initialize(root)
     if not moves_arm:
-        for index in plant.GetJointIndices(plant.GetModelInstanceByName(ARM)):
-            plant.get_joint(index).Lock(plant.GetMyMutableContextFromRoot(root))
+        stage.scene.lock_arm(root)
     simulator.AdvanceTo(scenario.timeout)
     outcome = stage.monitor.outcome(stage.monitor.GetMyContextFromRoot(root))
     return outcome.score if outcome.success else 0.0

@@ -168,7 +168,6 @@ class PoseStream(LeafSystem):
         p_HK: returns the person's keypoints (21, 3), m, H; None while the hand is lost.
         side: of the robot's hand. Keypoints of a left hand come as their mirror image.
         send: called with the bytes of every frame.
-        period: between two frames, s.
     """
 
     def __init__(
@@ -177,14 +176,13 @@ class PoseStream(LeafSystem):
         p_HK: Callable[[], np.ndarray | None],
         side: str,
         send: Callable[[bytes], None],
-        period: float = FRAME_PERIOD,
     ):
         super().__init__()
         self._moving, self._p_HK, self._send = [int(index) for index in scene.moving], p_HK, send
         self._mirror = side == "left"
         self._poses = self.DeclareAbstractInputPort("body_poses", AbstractValue.Make([RigidTransform()]))
         self._target = self.DeclareVectorInputPort("target_pose", 7) if scene.has_target else None
-        self.DeclarePeriodicPublishEvent(period, 0.0, self._publish)
+        self.DeclarePeriodicPublishEvent(FRAME_PERIOD, 0.0, self._publish)
 
     def _publish(self, context: Context) -> EventStatus:
         poses = self._poses.Eval(context)

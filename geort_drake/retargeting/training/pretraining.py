@@ -11,6 +11,7 @@ from geort_drake.retargeting.training.kinematics import HandKinematics
 from geort_drake.retargeting.training.networks import CollisionClassifier, NeuralKinematics
 
 HELD_OUT = 0.1  # fraction of the robot samples that is never trained on
+_HIDDEN = 128  # width of hidden layers
 
 
 def fit_neural_kinematics(
@@ -18,9 +19,7 @@ def fit_neural_kinematics(
     q: np.ndarray,
     generator: torch.Generator,
     device: torch.device,
-    steps: int = 4000,
-    batch: int = 512,
-    hidden: int = 128,
+    steps: int,
 ) -> tuple[NeuralKinematics, dict[str, float]]:
     """Fits fingertips to joint angles q (N, n) by least squares.
 
@@ -30,14 +29,14 @@ def fit_neural_kinematics(
     q_exact = torch.tensor(q, dtype=torch.float64)
     p = kinematics.fingertips(q_exact).float()
     held_out = int(len(q) * HELD_OUT)
-    model = NeuralKinematics(kinematics, p, hidden, generator).to(device)
+    model = NeuralKinematics(kinematics, p, _HIDDEN, generator).to(device)
     x, p = q_exact.float().to(device), p.to(device)
     unit = model.scale.mean()
 
     def loss(rows: torch.Tensor) -> torch.Tensor:
         return ((model.fingertips(x[rows]) - p[rows]) / unit).square().sum(-1).mean()
 
-    _descend(model, loss, held_out, len(q), generator, device, steps, batch, 5e-3)
+    _descend(model, loss, held_out, len(q), generator, device, steps, 512, 5e-3)
     with torch.no_grad():
         error = torch.linalg.vector_norm(model.fingertips(x[:held_out]) - p[:held_out], dim=-1)
     millimetres = 1000.0 * error.cpu().double().numpy().ravel()
@@ -54,9 +53,7 @@ def fit_classifier(
     labels: np.ndarray,
     generator: torch.Generator,
     device: torch.device,
-    steps: int = 2000,
-    batch: int = 1024,
-    hidden: int = 128,
+    steps: int,
 ) -> tuple[CollisionClassifier, dict[str, float]]:
     """Fits the probability that joint angles (N, n) collide to their labels (N,) by cross-entropy.
 
@@ -66,12 +63,12 @@ def fit_classifier(
     q = torch.tensor(samples, dtype=torch.float32, device=device)
     label = torch.tensor(np.asarray(labels), dtype=torch.float32, device=device)
     held_out = int(len(q) * HELD_OUT)
-    model = CollisionClassifier(kinematics, hidden, generator).to(device)
+    model = CollisionClassifier(kinematics, _HIDDEN, generator).to(device)
 
     def loss(rows: torch.Tensor) -> torch.Tensor:
         return binary_cross_entropy_with_logits(model(q[rows]), label[rows])
 
-    _descend(model, loss, held_out, len(q), generator, device, steps, batch, 5e-3)
+    _descend(model, loss, held_out, len(q), generator, device, steps, 1024, 5e-3)
     with torch.no_grad():
         positive, truth = model(q[:held_out]) > 0, label[:held_out] > 0.5
     hits = int((positive & truth).sum())
@@ -89,7 +86,6 @@ def refit_classifier(
     own: tuple[torch.Tensor, torch.Tensor],
     generator: torch.Generator,
     steps: int,
-    batch: int = 512,
 ) -> None:
     """Continues the fit on half uniform and half `own` samples, each a pair (q, label), in place."""
     device = own[0].device
@@ -97,7 +93,7 @@ def refit_classifier(
     def loss(_rows: torch.Tensor) -> torch.Tensor:
         parts = []
         for q, label in (uniform, own):
-            rows = torch.randint(len(q), (batch,), generator=generator).to(device)
+            rows = torch.randint(len(q), (512,), generator=generator).to(device)
             parts.append(binary_cross_entropy_with_logits(model(q[rows]), label[rows]))
         return 0.5 * (parts[0] + parts[1])
 

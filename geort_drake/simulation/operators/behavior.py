@@ -5,6 +5,8 @@ Fingers are corrected continuously, in proportion to the seen error. The wrist m
 and waits to see the result. Nothing here knows the retargeting map.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
@@ -16,6 +18,7 @@ from geort_drake.simulation.operators.perception import Seen, SensedGain, Visual
 from geort_drake.simulation.operators.state import OperatorState, Phase
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.wrist_motion import WristMovement, minimum_jerk
+from geort_drake.systems.port_values import vector_to_pose
 
 
 class GraspingPerson:
@@ -27,6 +30,8 @@ class GraspingPerson:
         config: the person's parameters.
         rng: draws the noise of perception and motion.
     """
+
+    phases = Phase
 
     def __init__(self, hand: HumanHand, goal: GraspGoal, config: OperatorConfig, rng: np.random.Generator):
         self._hand = hand
@@ -50,6 +55,17 @@ class GraspingPerson:
             p_HF_past=(p_HF,) * max(steps, 1),
             sensed=SensedGain(),
             visual_error=VisualError.draw(len(self._own), self._config, self._rng),
+        )
+
+    def seen(self, values: Mapping[str, np.ndarray]) -> Seen:
+        """The scene of the values of ports; without `place_pose`, the object has no place."""
+        poses = {name: vector_to_pose(value) for name, value in values.items() if name.endswith("_pose")}
+        return Seen(
+            p_WF=values["fingertips"].reshape(-1, 3),
+            X_WB=poses["hand_pose"],
+            X_WO=poses["object_pose"],
+            contact=values["contact"],
+            X_WP=poses.get("place_pose"),
         )
 
     def step(self, state: OperatorState, t: float, scene: Seen) -> OperatorState:

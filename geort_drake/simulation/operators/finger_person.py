@@ -29,6 +29,7 @@ from geort_drake.simulation.operators.intention import (
 )
 from geort_drake.simulation.operators.perception import VisualError
 from geort_drake.simulation.wrist_motion import minimum_jerk
+from geort_drake.systems.port_values import vector_to_pose
 
 State = TypeVar("State", bound=FingerState)
 
@@ -71,6 +72,7 @@ class FingerPerson(abc.ABC, Generic[State]):
         intention: IntentionConfig,
         rng: np.random.Generator,
     ):
+        intention.validate()
         self._hand, self._goal, self._kind = hand, goal, kind
         self._config, self._intention, self._rng = config, intention, rng
         self._motion = FingerMotion(hand)
@@ -157,6 +159,11 @@ class FingerPerson(abc.ABC, Generic[State]):
         if self.begins_open:
             theta[1:, 1:] = 0.0
         return theta.ravel()
+
+    def seen(self, values: Mapping[str, np.ndarray]) -> SeenFingers:
+        """The scene of the values of ports: fingertips, hand pose, and what the task tells."""
+        X_WB, p_WF = vector_to_pose(values["hand_pose"]), values["fingertips"].reshape(-1, 3)
+        return SeenFingers(X_WB.inverse().multiply(p_WF.T).T, X_WB, values)
 
     def step(self, state: State, t: float, scene: SeenFingers) -> State:
         """The state after one decision at time t, s; does not change `state`."""

@@ -1,10 +1,7 @@
 """Kinds of people, their parameters, and how a person learns the robot's response to their motion."""
 
 import dataclasses as dc
-import hashlib
-import json
 import math
-from typing import Any
 
 import numpy as np
 
@@ -59,12 +56,6 @@ class IntentionConfig:
     def validate(self) -> None:
         """Raises ValueError for a value out of range."""
         require_numbers(self, "intention")
-
-
-def frozen_digest() -> str:
-    """SHA-256 of the default parameters of the person; results made with other ones cannot be compared."""
-    defaults: list[Any] = [dc.asdict(OperatorConfig()), dc.asdict(IntentionConfig())]
-    return hashlib.sha256(json.dumps(defaults, sort_keys=True).encode()).hexdigest()
 
 
 @dc.dataclass(frozen=True)

@@ -1,15 +1,39 @@
 """A person who presses keys with the robot's fingers."""
 
+import dataclasses as dc
+import enum
+
 import numpy as np
 
 from geort_drake.simulation.operators.finger_person import FingerPerson, SeenFingers
+from geort_drake.simulation.operators.finger_state import FingerState
 from geort_drake.simulation.operators.intention import SERVO
-from geort_drake.simulation.operators.key_state import KeyPhase, PresserState
 from geort_drake.simulation.wrist_motion import minimum_jerk
 
 _DOWN = 0.0035  # m; a key that has gone down so far is seen to be down
 _MOVED = 0.0005  # m; a key that has moved so far is seen to move
 _PRESS = np.array([1.0, 0.0, 0.0])  # direction in B
+
+
+class KeyPhase(enum.IntEnum):
+    """What the person is doing."""
+
+    SETTLE = 0  # moves the fingers above the keys
+    WAIT = 1
+    CHOOSE = 2  # a cue is seen
+    PRESS = 3
+    RELEASE = 4
+
+
+@dc.dataclass
+class PresserState(FingerState):
+    """Memory of a person who presses keys."""
+
+    handled_cue: int = 0  # the cue that was last acted on; 0 once it has gone
+    # (F,) by how much each finger's place is raised, m.
+    raised: np.ndarray = dc.field(default_factory=lambda: np.zeros(0))
+
+
 _ACTS = (KeyPhase.CHOOSE, KeyPhase.PRESS, KeyPhase.RELEASE)
 
 

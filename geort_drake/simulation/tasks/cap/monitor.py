@@ -5,33 +5,24 @@ import math
 
 from pydrake.systems.framework import Context
 
-from geort_drake.settings import require_numbers
-from geort_drake.simulation.monitor import TaskMonitor
-from geort_drake.systems.port_values import Immutable
+from geort_drake.simulation.monitor import Outcome, TaskMonitor, TaskSettings
 
 STEPS = 8  # into which a viewer divides the turn
 
 
 @dc.dataclass(frozen=True)
-class CapSettings:
+class CapSettings(TaskSettings):
     """What counts as unscrewed."""
 
     turn: float = 360.0  # degrees
 
-    def __post_init__(self) -> None:
-        """Raises ValueError for a value out of range."""
-        require_numbers(self, "task_settings")
-
 
 @dc.dataclass(frozen=True)
-class CapOutcome(Immutable):
+class CapOutcome(Outcome):
     """How far the cap is turned."""
 
     settings: CapSettings
-    t: float = 0.0  # s
     turned: float = 0.0  # degrees
-    peak_force: float = 0.0
-    self_contact_time: float = 0.0
 
     @property
     def score(self) -> float:
@@ -48,17 +39,12 @@ class CapOutcome(Immutable):
         """Whether the cap is off."""
         return self.success
 
-    @property
-    def completion_time(self) -> float:
-        """Time from the start, s; NaN without success."""
-        return self.t if self.success else math.nan
-
 
 class CapMonitor(TaskMonitor[CapOutcome]):
     """Watches the cap, and terminates the simulation when it is off.
 
     Input port, besides those of `TaskMonitor`:
-        cap (2): turn of the cap, rad, and its speed.
+        joints (2): turn of the cap, rad, and its speed.
     Output ports:
         turned (1): turn of the cap, rad.
         step (1): how many of STEPS equal parts of the wanted turn are done.
@@ -67,20 +53,9 @@ class CapMonitor(TaskMonitor[CapOutcome]):
 
     def __init__(self, num_fingers: int, settings: CapSettings):
         super().__init__(num_fingers, CapOutcome(settings))
-        self._cap = self.DeclareVectorInputPort("cap", 2)
-        self.DeclareVectorOutputPort(
-            "turned",
-            1,
-            lambda context, output: output.SetAtIndex(0, self._cap.Eval(context)[0]),
-            {self._cap.ticket()},
-        )
-        self.DeclareVectorOutputPort(
-            "step",
-            1,
-            lambda context, output: output.SetAtIndex(0, int(STEPS * self.outcome(context).score)),
-            self._of_outcome,
-        )
+        self._cap = self.DeclareVectorInputPort("joints", 2)
+        self._declare_positions("turned", self._cap)
+        self._declare_output("step", 1, lambda outcome: int(STEPS * outcome.score))
 
     def _judged(self, context: Context, before: CapOutcome) -> CapOutcome:
-        turned = math.degrees(self._cap.Eval(context)[0])
-        return dc.replace(before, t=context.get_time(), turned=turned)
+        return before.having(turned=math.degrees(self._cap.Eval(context)[0]))

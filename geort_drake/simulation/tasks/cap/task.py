@@ -2,34 +2,28 @@
 
 import dataclasses as dc
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydrake.geometry import Box, Cylinder
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant
+from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
     PdControllerGains,
-    RigidBody,
     ScrewJoint,
     SpatialInertia,
 )
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import ConstantVectorSource
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.simulation.finger_task import FingerTask
+from geort_drake.simulation.finger_task import FingerTask, Handled
+from geort_drake.simulation.monitor import TaskMonitor
 from geort_drake.simulation.operators.cap_turner import CapTurner
-from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import PerceivedPort, Stage, TrialResult
+from geort_drake.simulation.task import Signals, States, TrialResult
 from geort_drake.simulation.tasks.cap.goal import HEIGHT, RADIUS, CapGoal
 from geort_drake.simulation.tasks.cap.monitor import STEPS, CapMonitor, CapOutcome, CapSettings
 from geort_drake.simulation.tasks.cap.planner import CapPlanner
-from geort_drake.simulation.view import add_view, shown_by
-from geort_drake.simulation.world import add_robot, finish_scene
 
 _MASS, _PITCH = 0.040, 0.004  # kg; m a turn
 _THREAD_FRICTION = 0.03  # N m, of the thread
@@ -55,95 +49,60 @@ class CapTask(FingerTask[CapGoal]):
     scenario = Path(__file__).with_name("scenario.yaml"), "Cap"
     settings = CapSettings
     planner = CapPlanner
+    monitor_type = CapMonitor
     person_type = CapTurner
+    percepts = ("turned", "contact")
 
-    def places(self, goal: CapGoal) -> Sequence[np.ndarray]:
-        return goal.p_BF_open, goal.fingertips(goal.stroke, -goal.gap)
+    def add_handled(
+        self, plant: MultibodyPlant, goal: CapGoal, X_WB: RigidTransform, rng: np.random.Generator
+    ) -> Handled:
+        """Adds a cap on the neck of a bottle, which rises against x of B when it is unscrewed.
 
-    def percepts(self, goal: CapGoal) -> dict[str, int]:
-        return {"turned": 1, "contact": len(goal.finger_names)}
-
-    def add_stage(
-        self,
-        builder: DiagramBuilder,
-        scenario: Scenario,
-        description: HandDescription,
-        goal: CapGoal | None,
-        X_WB: RigidTransform,
-        rng: np.random.Generator,
-    ) -> Stage:
-        goal = goal or self.plans(scenario, description)[0]
-        settings = CapSettings(**scenario.task_settings)
-        plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
-        add_robot(plant, scenario, description)
-        cap = _add_bottle(plant, X_WB, goal.p_BC, *rng.uniform(1 - _VARIATION, 1 + _VARIATION, 2))
-        scene = finish_scene(plant, scene_graph, scenario, description)
-        view = add_view(builder, scene, description, cap)
-        still = builder.AddSystem(ConstantVectorSource([0.0, 0.0]))
-        model = cap.model_instance()
-        builder.Connect(still.get_output_port(), plant.get_desired_state_input_port(model))
-        monitor = builder.AddNamedSystem("cap_monitor", CapMonitor(len(description.fingers), settings))
-        builder.Connect(plant.get_state_output_port(model), monitor.GetInputPort("cap"))
-        for name in ("contact", "self_contact"):
-            builder.Connect(view.GetOutputPort(name), monitor.GetInputPort(name))
-        shown = {
-            **shown_by(view, len(description.fingers), "fingertips", "hand_pose", "contact"),
-            "turned": PerceivedPort(monitor.GetOutputPort("turned"), np.array([-1.0])),
-        }
-        steps = np.linspace(0, settings.turn, STEPS + 1)
-        return Stage(
-            scene,
-            monitor,
-            shown,
-            {"cap": (monitor.GetOutputPort("step"), [f"{angle:.0f}°" for angle in steps])},
-            signals={"cap/turned": (monitor.GetOutputPort("turned"), ["cap"], "rad")},
+        The cap's frame has z along its axis, upwards.
+        """
+        friction_factor, brake_factor = rng.uniform(1 - _VARIATION, 1 + _VARIATION, 2)
+        model = plant.AddModelInstance("bottle")
+        X_WC = X_WB @ RigidTransform(RotationMatrix.MakeYRotation(-math.pi / 2), goal.p_BC)
+        neck = plant.AddRigidBody(
+            "neck", model, SpatialInertia.SolidCylinderWithMass(0.1, _NECK, _NECK_HEIGHT, [0, 0, 1])
         )
+        X_CN = RigidTransform([0.0, 0.0, -(HEIGHT + _NECK_HEIGHT) / 2])
+        plant.WeldFrames(plant.world_frame(), neck.body_frame(), X_WC @ X_CN)
+        cap = plant.AddRigidBody(
+            "cap", model, SpatialInertia.SolidCylinderWithMass(_MASS, RADIUS, HEIGHT, [0, 0, 1])
+        )
+        joint = plant.AddJoint(
+            ScrewJoint(
+                "thread",
+                plant.AddFrame(FixedOffsetFrame("thread_start", neck, X_CN.inverse())),
+                cap.body_frame(),
+                [0.0, 0.0, 1.0],
+                _PITCH,
+                0.0,
+            )
+        )
+        # Drake has no dry friction in joints: a strong damper of limited torque sticks like one.
+        brake = plant.AddJointActuator("brake", joint, brake_factor * _THREAD_FRICTION)
+        brake.set_controller_gains(PdControllerGains(p=1e-6, d=50.0))
+        friction = CoulombFriction(friction_factor * _FRICTION, friction_factor * _FRICTION)
+        shapes = ((neck, Cylinder(_NECK, _NECK_HEIGHT), _NECK_COLOR), (cap, Cylinder(RADIUS, HEIGHT), _COLOR))
+        for body, shape, color in shapes:
+            plant.RegisterCollisionGeometry(body, RigidTransform(), shape, body.name(), friction)
+            plant.RegisterVisualGeometry(body, RigidTransform(), shape, body.name(), color)
+        # A mark by which one sees the cap turn.
+        plant.RegisterVisualGeometry(
+            cap, RigidTransform([RADIUS / 2, 0, 0]), Box(RADIUS, 0.004, HEIGHT + 0.001), "mark", _RIB_COLOR
+        )
+        return Handled(cap, joints=[joint])
+
+    def recorded(self, monitor: TaskMonitor, settings: CapSettings) -> tuple[States, Signals]:
+        steps = [f"{angle:.0f}°" for angle in np.linspace(0, settings.turn, STEPS + 1)]
+        turned = monitor.GetOutputPort("turned"), ["cap"], "rad"
+        return {"cap": (monitor.GetOutputPort("step"), steps)}, {"cap/turned": turned}
 
     def result_fields(self, outcome: CapOutcome, description: HandDescription) -> dict[str, Any]:
         missing = f"turned by {outcome.turned:.0f}°"
         return {"outcome": "success" if outcome.success else missing, "turned": outcome.turned}
-
-
-def _add_bottle(
-    plant: MultibodyPlant, X_WB: RigidTransform, p_BC: np.ndarray, friction_factor: float, brake_factor: float
-) -> RigidBody:
-    """Adds a cap on the neck of a bottle, which rises against x of B when it is unscrewed; returns the cap.
-
-    The cap's frame has z along its axis, upwards.
-    """
-    model = plant.AddModelInstance("bottle")
-    X_WC = X_WB @ RigidTransform(RotationMatrix.MakeYRotation(-math.pi / 2), p_BC)
-    neck = plant.AddRigidBody(
-        "neck", model, SpatialInertia.SolidCylinderWithMass(0.1, _NECK, _NECK_HEIGHT, [0, 0, 1])
-    )
-    X_CN = RigidTransform([0.0, 0.0, -(HEIGHT + _NECK_HEIGHT) / 2])
-    plant.WeldFrames(plant.world_frame(), neck.body_frame(), X_WC @ X_CN)
-    cap = plant.AddRigidBody(
-        "cap", model, SpatialInertia.SolidCylinderWithMass(_MASS, RADIUS, HEIGHT, [0, 0, 1])
-    )
-    joint = plant.AddJoint(
-        ScrewJoint(
-            "thread",
-            plant.AddFrame(FixedOffsetFrame("thread_start", neck, X_CN.inverse())),
-            cap.body_frame(),
-            [0.0, 0.0, 1.0],
-            _PITCH,
-            0.0,
-        )
-    )
-    # Drake has no dry friction in joints: a strong damper of limited torque sticks like one.
-    brake = plant.AddJointActuator("brake", joint, brake_factor * _THREAD_FRICTION)
-    brake.set_controller_gains(PdControllerGains(p=1e-6, d=50.0))
-    friction = CoulombFriction(friction_factor * _FRICTION, friction_factor * _FRICTION)
-    shapes = ((neck, Cylinder(_NECK, _NECK_HEIGHT), _NECK_COLOR), (cap, Cylinder(RADIUS, HEIGHT), _COLOR))
-    for body, shape, color in shapes:
-        plant.RegisterCollisionGeometry(body, RigidTransform(), shape, body.name(), friction)
-        plant.RegisterVisualGeometry(body, RigidTransform(), shape, body.name(), color)
-    # A mark by which one sees the cap turn.
-    plant.RegisterVisualGeometry(
-        cap, RigidTransform([RADIUS / 2, 0, 0]), Box(RADIUS, 0.004, HEIGHT + 0.001), "mark", _RIB_COLOR
-    )
-    return cap
 
 
 TASK = CapTask()

@@ -10,8 +10,8 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context
 
 from geort_drake.settings import require_numbers
-from geort_drake.simulation.monitor import TaskMonitor
-from geort_drake.systems.port_values import Immutable, vector_to_pose
+from geort_drake.simulation.monitor import Outcome, TaskMonitor
+from geort_drake.systems.port_values import vector_to_pose
 
 
 class GraspPhase(enum.IntEnum):
@@ -56,7 +56,7 @@ class GraspMonitorConfig:
 
 
 @dc.dataclass(frozen=True)
-class GraspOutcome(Immutable):
+class GraspOutcome(Outcome):
     """The grasp so far; times in s since the start, NaN for what has not happened."""
 
     phase: GraspPhase = GraspPhase.REACH
@@ -74,10 +74,7 @@ class GraspOutcome(Immutable):
     # Largest displacement of the object's origin in B since the last lift began, m; NaN without a lift. A
     # lift begins with the phase LIFT and ends with a drop.
     slip: float = math.nan
-    peak_force: float = 0.0
     peak_height: float = 0.0
-    # Total time in which links of the hand touched each other, s; see `SceneView`.
-    self_contact_time: float = 0.0
     # The object's place at first; during a lift p_BO at its start, and since when fewer than two fingers have
     # touched the object.
     p_WO_start: np.ndarray | None = None
@@ -138,15 +135,10 @@ class GraspMonitor(TaskMonitor[GraspOutcome]):
         self._hand_pose = self.DeclareVectorInputPort("hand_pose", 7)
         self._links = np.array(links)
         self._link_contact = self.DeclareVectorInputPort("link_contact", len(links))
-        self.DeclareVectorOutputPort(
-            "phase",
-            1,
-            lambda context, output: output.SetAtIndex(0, self.outcome(context).phase),
-            self._of_outcome,
-        )
+        self._declare_output("phase", 1, lambda outcome: outcome.phase)
 
     def _judged(self, context: Context, before: GraspOutcome) -> GraspOutcome:
-        config, t = self._config, context.get_time()
+        config, t = self._config, before.t
         X_WO = vector_to_pose(self._object_pose.Eval(context))
         force = self._contact.Eval(context).tolist()
         p_WO_start = X_WO.translation() if before.p_WO_start is None else before.p_WO_start

@@ -13,6 +13,7 @@ import numpy as np
 
 from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import HandDescription
+from geort_drake.simulation.finger_planner import require_fingers
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks.grasp.approach import GraspApproach
 from geort_drake.simulation.tasks.grasp.contacts import (
@@ -64,13 +65,7 @@ class GraspPlanner:
         tip_height: float | None = None,
     ):
         self._grip, self._tip_height = grip or grip_of(scenario.object.name), tip_height
-        names = [finger.name for finger in description.fingers]
-        for needed in GRIPS[self._grip].fingers:
-            if needed not in names:
-                raise ScenarioError(
-                    f"a {self._grip} grasp needs a {needed}; hand '{description.name}' has: "
-                    f"{', '.join(names)}"
-                )
+        require_fingers(description, GRIPS[self._grip].fingers, f"a {self._grip} grasp needs")
         self._description = description
         self._scenario = scenario
         grasping = [finger for finger in description.fingers if finger.name in GRIPS[self._grip].fingers]
@@ -83,10 +78,6 @@ class GraspPlanner:
             robot.hand_pose(robot.q_default),
             robot.joint_positions(robot.q_default),
         )
-
-    def plan(self) -> GraspGoal:
-        """The most comfortable of two `plans`."""
-        return self.plans(2)[0]
 
     def plans(self, enough: int = 20) -> list[GraspGoal]:
         """Different grasps, at most `enough`, the most comfortable first; deterministic.

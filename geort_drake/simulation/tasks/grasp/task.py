@@ -1,29 +1,27 @@
 """The grasp: lift an object and hold it."""
 
 import dataclasses as dc
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from pydrake.math import RigidTransform
-from pydrake.multibody.tree import SpatialInertia
-from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import UnknownNameError
+from geort_drake.files import finite_json
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.resources import diagrams_dir
-from geort_drake.simulation.free_play import keep_attainable
-from geort_drake.simulation.operators.perception import FreePlay
-from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
+from geort_drake.simulation.operators.behavior import GraspingPerson
+from geort_drake.simulation.operators.intention import SERVO
+from geort_drake.simulation.operators.simulated_operator import Person
 from geort_drake.simulation.scenario import Scenario, object_names
-from geort_drake.simulation.task import SERVO, Stage, Task, TrialResult, finite_or_none
+from geort_drake.simulation.task import Stage, Task, TrialResult
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor, GraspOutcome, GraspPhase
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
-from geort_drake.simulation.view import add_view, shown_by
-from geort_drake.simulation.world import ObjectScene, add_scene
-from geort_drake.systems.scene_view import SceneView
+from geort_drake.simulation.view import add_monitor, add_view, shown_by
+from geort_drake.simulation.world import add_scene
 
 # What the person sees and feels who handles an object.
 HANDLING = ("fingertips", "hand_pose", "object_pose", "contact")
@@ -51,21 +49,6 @@ class GraspResult(TrialResult):
     peak_height: float
 
 
-@dc.dataclass(frozen=True)
-class GraspStage(Stage):
-    """The stage of a grasp."""
-
-    scene: ObjectScene
-
-    def initialize(self, root: Context) -> None:
-        """Sets the object's mass."""
-        context = self.scene.plant.GetMyMutableContextFromRoot(root)
-        body, factor = self.scene.object_body, self.scene.placement.mass_factor
-        M = body.CalcSpatialInertiaInBodyFrame(context)
-        scaled = SpatialInertia(factor * M.get_mass(), M.get_com(), M.get_unit_inertia())
-        body.SetSpatialInertiaInBodyFrame(context, scaled)
-
-
 class ObjectTask(Task[GraspGoal]):
     """A task that begins with the grasp of an object, which is its case."""
 
@@ -76,9 +59,6 @@ class ObjectTask(Task[GraspGoal]):
 
     def case_of(self, scenario: Scenario) -> str:
         return scenario.object.name
-
-    def keep(self, plans: Sequence[GraspGoal], play: FreePlay) -> tuple[GraspGoal, bool]:
-        return keep_attainable(plans, play.p_BF)
 
 
 class GraspTask(ObjectTask):
@@ -105,22 +85,26 @@ class GraspTask(ObjectTask):
         goal: GraspGoal | None,
         X_WB: RigidTransform,
         rng: np.random.Generator,
-    ) -> GraspStage:
+    ) -> Stage:
         scene = add_scene(builder, scenario, description, rng)
-        view, monitor = add_monitor(builder, scene, scenario, description)
+        view = add_view(builder, scene, description, scene.object_body)
+        lowest_point, support = scene.object_shape.lowest_point, scenario.object.support_height
+        num_fingers = len(description.fingers)
+        monitor = GraspMonitor(num_fingers, view.links, lowest_point, support, scenario.monitor)
+        add_monitor(builder, "grasp_monitor", monitor, view)
         phases = [phase.name.lower() for phase in GraspPhase]
-        return GraspStage(
+        return Stage(
             scene,
             monitor,
-            shown_by(view, len(description.fingers), *HANDLING),
+            shown_by(view, monitor, HANDLING),
             {"grasp": (monitor.GetOutputPort("phase"), phases)},
             [scene.object_body],
         )
 
     def person(
-        self, scenario: Scenario, hand: HumanHand, goal: GraspGoal, X_WH_start: RigidTransform, seed: int
-    ) -> LeafSystem:
-        return SimulatedOperator(hand, goal, scenario.operator, X_WH_start, seed)
+        self, scenario: Scenario, hand: HumanHand, goal: GraspGoal, rng: np.random.Generator
+    ) -> Person:
+        return GraspingPerson(hand, goal, scenario.operator, rng)
 
     def result_fields(self, outcome: GraspOutcome, description: HandDescription) -> dict[str, Any]:
         if outcome.success:
@@ -137,29 +121,9 @@ class GraspTask(ObjectTask):
             "phase_times": outcome.times,
             "phase_durations": {name: round(spent, 6) for name, spent in outcome.durations.items()},
             "drops": outcome.drops,
-            "slip": finite_or_none(outcome.slip),
+            "slip": finite_json(outcome.slip),
             "peak_height": outcome.peak_height,
         }
-
-
-def add_monitor(
-    builder: DiagramBuilder, scene: ObjectScene, scenario: Scenario, description: HandDescription
-) -> tuple[SceneView, GraspMonitor]:
-    """Adds the systems that observe and judge the grasp in a scene, and connects them."""
-    view = add_view(builder, scene, description, scene.object_body)
-    monitor = builder.AddNamedSystem(
-        "grasp_monitor",
-        GraspMonitor(
-            len(description.fingers),
-            view.links,
-            scene.object_shape.lowest_point,
-            scenario.object.support_height,
-            scenario.monitor,
-        ),
-    )
-    for name in ("object_pose", "hand_pose", "contact", "link_contact", "self_contact"):
-        builder.Connect(view.GetOutputPort(name), monitor.GetInputPort(name))
-    return view, monitor
 
 
 TASK = GraspTask()

@@ -4,9 +4,8 @@ import dataclasses as dc
 
 import numpy as np
 
-from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import HandDescription
-from geort_drake.simulation.finger_reach import FingerReach
+from geort_drake.simulation.finger_planner import FingerPlan, FingerPlanner
 from geort_drake.simulation.tasks.keys.goal import FINGERS, PITCH, KeysGoal
 
 HOVER = 0.002  # m, gap between a waiting fingertip and its key
@@ -19,54 +18,35 @@ _MIN_SLOPE = 0.5
 
 
 @dc.dataclass(frozen=True)
-class KeysPlan:
-    """A place of the keys, with joint positions (n,), rad, of the hand.
+class KeysPlan(FingerPlan[KeysGoal]):
+    """A place of the keys; `q_open` has all fingertips above them.
 
     Attributes:
-        q_open: all fingertips above their keys.
         q_pressed: the same with one finger on its fully pressed key, for each key.
-        discomfort: mean square distance of the pressing fingers' joints from the middle of their ranges.
     """
 
-    goal: KeysGoal
-    q_open: np.ndarray
     q_pressed: list[np.ndarray]
-    discomfort: float
 
 
-class KeysPlanner:
-    """Plans keys for a hand.
+class KeysPlanner(FingerPlanner[KeysPlan]):
+    """Plans keys for a hand."""
 
-    Raises:
-        ScenarioError: the hand lacks one of `FINGERS`.
-    """
+    needed, task = FINGERS, "the keys need"
+    aim = f"reach three keys {1000 * PITCH:.0f} mm apart"
 
     def __init__(self, description: HandDescription):
-        self._robot = FingerReach(description, FINGERS, "the keys need")
-        fingers = self._robot.fingers.tolist()
-        self._key_of = np.array(
-            [fingers.index(i) if i in fingers else -1 for i in range(len(description.fingers))]
-        )
-        self._context = self._robot.hand.contact_context()
+        super().__init__(description)
+        self._key_of = np.full(len(self.touches), -1)
+        self._key_of[self.fingers] = np.arange(len(self.fingers))
 
-    def plans(self) -> list[KeysPlan]:
-        """All places of the keys that the hand can reach, the most comfortable first; deterministic.
-
-        Raises:
-            ScenarioError: there is none.
-        """
-        found = [plan for x in _X for z in _Z if (plan := self._plan(x, z)) is not None]
-        if not found:
-            name = self._robot.hand.description.name
-            raise ScenarioError(f"hand '{name}' cannot reach three keys {1000 * PITCH:.0f} mm apart")
-        return sorted(found, key=lambda plan: plan.discomfort)
+    def _find(self) -> list[KeysPlan]:
+        return [plan for x in _X for z in _Z if (plan := self._plan(x, z)) is not None]
 
     def _plan(self, x: float, z: float) -> KeysPlan | None:
-        hand = self._robot.hand
-        side = -1.0 if hand.description.side == "left" else 1.0
-        y = hand.fingertips(hand.default_position)[self._robot.fingers[1], 1]
-        p_BK = np.array([[x, y + side * offset, z] for offset in (PITCH, 0.0, -PITCH)])
-        above = p_BK - np.outer(self._robot.radius + HOVER, [1.0, 0.0, 0.0])
+        hand = self.hand
+        y = hand.fingertips(hand.default_position)[self.fingers[1], 1]
+        p_BK = np.array([[x, y + self.side * offset, z] for offset in (PITCH, 0.0, -PITCH)])
+        above = p_BK - np.outer(self.radius + HOVER, [1.0, 0.0, 0.0])
         q_open = self._reach(above, hand.default_position)
         if q_open is None:
             return None
@@ -78,23 +58,28 @@ class KeysPlanner:
             if q is None:
                 return None
             q_pressed.append(q)
-        p_BF_open = hand.fingertips(hand.default_position)
-        p_BF_open[self._robot.fingers] = above
-        names = tuple(hand.finger_names)
-        p_BF_pressed = p_BF_open + [HOVER + TRAVEL, 0.0, 0.0]
-        goal = KeysGoal(names, p_BK, self._key_of, p_BF_open, p_BF_pressed, _CLEARANCE)
-        return KeysPlan(goal, q_open, q_pressed, self._robot.discomfort(q_open))
+        p_BF_open = self.all_tips(above)
+        goal = KeysGoal(
+            finger_names=tuple(hand.finger_names),
+            touches=self.touches,
+            clearance=_CLEARANCE,
+            p_BK=p_BK,
+            key_of=self._key_of,
+            p_BF_open=p_BF_open,
+            p_BF_pressed=p_BF_open + [HOVER + TRAVEL, 0.0, 0.0],
+        )
+        return KeysPlan(goal, self.discomfort(q_open), q_open, q_pressed)
 
     def _reach(self, p_BF: np.ndarray, guess: np.ndarray) -> np.ndarray | None:
         """Joint positions with the pressing fingertips at p_BF (3, 3), m, which point down; or None."""
-        q = self._robot.reach(p_BF, guess)
+        q = self.reach(p_BF, guess)
         return q if q is not None and self._tips_point_down(q) else None
 
     def _tips_point_down(self, q: np.ndarray) -> bool:
-        hand = self._robot.hand
+        hand = self.hand
         hand.query(q, self._context)
         context = hand.plant.GetMyContextFromRoot(self._context)
-        for index in self._robot.fingers:
+        for index in self.fingers:
             finger = hand.description.fingers[index]
             link = hand.plant.GetBodyByName(finger.tip_link, hand.instance)
             tip = link.EvalPoseInWorld(context).rotation().matrix() @ np.asarray(finger.tip_point)

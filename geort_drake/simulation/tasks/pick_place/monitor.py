@@ -1,57 +1,63 @@
-"""Judges from the physics alone how far an object has come to its place, step by step."""
+"""Judges from the physics alone how far a block has come to its place, step by step."""
 
 import dataclasses as dc
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context
 
-from geort_drake.simulation.monitor import TaskMonitor
-from geort_drake.systems.port_values import Immutable, pose_to_vector, vector_to_pose
+from geort_drake.simulation.monitor import Outcome, TaskMonitor
+from geort_drake.systems.port_values import pose_to_vector, vector_to_pose
 
 TOUCH_FORCE = 0.02  # N; a larger force is a touch
-# The object is lost if it is this far below its support, or this far from its place and untouched, m.
+HOLD_TIME = 0.5  # s, for which the last step must stay done
+# The block is lost if it is this far below its support, or this far from its place and untouched, m.
 _MAX_FALL, _MAX_OFFSET = 0.03, 0.4
+_MAX_ANGLE = math.radians(15)
 
 
 class Look(NamedTuple):
-    """An object relative to its support and its place; lengths in m, angles in rad."""
+    """A block relative to its support and its place; lengths in m, angles in rad."""
 
     height: float  # of its lowest point above the support
     offset: float  # horizontal distance from its place
-    rise: float  # of its origin above its place
-    turn: float  # angle about the vertical from its place
+    turn: float  # angle about the vertical from its place; a block looks the same after a quarter of a turn
     tilt: float
     touching: int  # number of fingers
 
 
-# How much of a step is done, from 0 to 1, at a look.
-Progress = Callable[[Look], float]
+def _is_placed(look: Look) -> bool:
+    return look.height < 0.003 and look.offset < 0.010 and max(abs(look.turn), look.tilt) < _MAX_ANGLE
+
+
+# Whether a step is done; it counts only after those before it.
+STEPS: dict[str, Callable[[Look], bool]] = {
+    "grasped": lambda look: look.touching >= 2,
+    "lifted": lambda look: look.touching >= 2 and look.height > 0.08,
+    "carried": lambda look: look.touching >= 2 and look.height > 0.003 and look.offset < 0.03,
+    "placed": _is_placed,
+    "released": lambda look: _is_placed(look) and look.touching == 0,
+}
 
 
 @dc.dataclass(frozen=True)
-class TransferOutcome(Immutable):
+class TransferOutcome(Outcome):
     """The steps so far; times in s since the start."""
 
-    steps: tuple[str, ...]
     # Of the steps reached, in order: when each was.
     times: tuple[float, ...] = ()
-    # Largest progress in the next step, below 1.
-    progress: float = 0.0
-    # The last step must stay done for `hold_time`; NaN while it is not.
+    # Since when the last step is done; NaN while it is not.
     done_since: float = math.nan
     look: Look | None = None
     lost: bool = False
-    peak_force: float = 0.0
-    self_contact_time: float = 0.0
 
     @property
     def success(self) -> bool:
         """Whether all steps are reached."""
-        return len(self.times) == len(self.steps)
+        return len(self.times) == len(STEPS)
 
     @property
     def over(self) -> bool:
@@ -60,8 +66,8 @@ class TransferOutcome(Immutable):
 
     @property
     def score(self) -> float:
-        """Share of the steps that were reached, one after the other, with the progress in the next."""
-        return (len(self.times) + self.progress * (not self.success)) / len(self.steps)
+        """Share of the steps that were reached, one after the other."""
+        return len(self.times) / len(STEPS)
 
     @property
     def completion_time(self) -> float:
@@ -70,21 +76,18 @@ class TransferOutcome(Immutable):
 
 
 class TransferMonitor(TaskMonitor[TransferOutcome]):
-    """Watches an object on its way without delay or noise, and terminates a decided simulation.
+    """Watches a block on its way without delay or noise, and terminates a decided simulation.
 
     Input ports, besides those of `TaskMonitor`:
         object_pose (7): X_WO, qw qx qy qz x y z.
     Output ports:
-        place_pose (7): X_WP, where the object belongs, qw qx qy qz x y z.
+        place_pose (7): X_WP, where the block belongs, qw qx qy qz x y z.
         step (1): number of steps reached.
         outcome (abstract TransferOutcome).
 
     Args:
-        X_WP: where the object belongs.
-        steps: name → progress; a step counts only after those before it.
-        hold_time: for which the last step must stay done, s.
-        symmetry: the object looks the same after turning by this angle about its z axis, rad.
-        lowest_point: maps X_WO to the height in W of the object's lowest point, m.
+        X_WP: where the block belongs.
+        lowest_point: maps X_WO to the height in W of the block's lowest point, m.
         support_height: height of the support in W, m.
     """
 
@@ -92,60 +95,41 @@ class TransferMonitor(TaskMonitor[TransferOutcome]):
         self,
         num_fingers: int,
         X_WP: RigidTransform,
-        steps: Mapping[str, Progress],
-        hold_time: float,
-        symmetry: float,
         lowest_point: Callable[[RigidTransform], float],
         support_height: float,
     ):
-        super().__init__(num_fingers, TransferOutcome(tuple(steps)))
-        self._progress, self._hold_time, self._symmetry = list(steps.values()), hold_time, symmetry
+        super().__init__(num_fingers, TransferOutcome())
         self._X_WP, self._lowest_point, self._support = X_WP, lowest_point, support_height
         self._object_pose = self.DeclareVectorInputPort("object_pose", 7)
         place = pose_to_vector(X_WP)
-        self.DeclareVectorOutputPort(
-            "place_pose",
-            7,
-            lambda context, output: output.SetFromVector(place),
-            {self.nothing_ticket()},
-        )
-        self.DeclareVectorOutputPort(
-            "step",
-            1,
-            lambda context, output: output.SetAtIndex(0, len(self.outcome(context).times)),
-            self._of_outcome,
-        )
+        self._declare_output("place_pose", 7, lambda outcome: place)
+        self._declare_output("step", 1, lambda outcome: len(outcome.times))
 
     def _seen(self, context: Context) -> Look:
         X_WO = vector_to_pose(self._object_pose.Eval(context))
         way = X_WO.translation() - self._X_WP.translation()
         R = self._X_WP.rotation().matrix().T @ X_WO.rotation().matrix()
-        turn = math.remainder(math.atan2(R[1, 0], R[0, 0]), self._symmetry)
+        turn = math.remainder(math.atan2(R[1, 0], R[0, 0]), math.pi / 2)
         return Look(
             height=self._lowest_point(X_WO) - self._support,
             offset=math.hypot(*way[:2]),
-            rise=float(way[2]),
             turn=turn,
             tilt=math.acos(min(max(X_WO.rotation().matrix()[2, 2], -1.0), 1.0)),
             touching=int(np.sum(self._contact.Eval(context) > TOUCH_FORCE)),
         )
 
     def _judged(self, context: Context, before: TransferOutcome) -> TransferOutcome:
-        t, look = context.get_time(), self._seen(context)
-        times, progress, done_since = before.times, before.progress, math.nan
-        now = self._progress[len(times)](look)
-        progress = max(progress, now) if now < 1 else progress
-        if len(times) < len(self._progress) - 1:
-            if now >= 1:
-                times, progress = (*times, t), 0.0
-        elif now >= 1:
-            done_since = t if math.isnan(before.done_since) else before.done_since
-            if t - done_since > self._hold_time - 1e-9:
-                times = (*times, done_since)
-        return dc.replace(
-            before,
+        t, look = before.t, self._seen(context)
+        times, done_since = before.times, math.nan
+        if list(STEPS.values())[len(times)](look):
+            if len(times) < len(STEPS) - 1:
+                times = (*times, t)
+            else:
+                done_since = t if math.isnan(before.done_since) else before.done_since
+                if t - done_since > HOLD_TIME - 1e-9:
+                    times = (*times, done_since)
+        return before.having(
             times=times,
-            progress=progress,
             done_since=done_since,
             look=look,
             lost=look.height < -_MAX_FALL or (look.offset > _MAX_OFFSET and look.touching == 0),

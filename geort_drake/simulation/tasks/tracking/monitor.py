@@ -6,16 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import BasicVector, Context
+from pydrake.systems.framework import Context
 
-from geort_drake.settings import require_numbers
-from geort_drake.simulation.monitor import TaskMonitor
+from geort_drake.simulation.monitor import Outcome, TaskMonitor, TaskSettings
 from geort_drake.simulation.tasks.tracking.goal import targets
-from geort_drake.systems.port_values import Immutable, pose_to_vector, vector_to_pose
+from geort_drake.systems.port_values import pose_to_vector, vector_to_pose
 
 
 @dc.dataclass(frozen=True)
-class TrackingSettings:
+class TrackingSettings(TaskSettings):
     """The targets, and when one counts."""
 
     # Number of targets, how many make a success, and longest time of each, s.
@@ -32,26 +31,18 @@ class TrackingSettings:
     ready_time: float = 8.0
     dropped: float = 0.04
 
-    def __post_init__(self) -> None:
-        """Raises ValueError for a value out of range."""
-        require_numbers(self, "task_settings")
-
 
 @dc.dataclass(frozen=True)
-class TrackingOutcome(Immutable):
+class TrackingOutcome(Outcome):
     """The targets so far; times in s."""
 
     settings: TrackingSettings
-    began: float = 0.0
-    t: float = 0.0
     times: tuple[float, ...] = ()  # of the targets that are over: until each was reached; NaN: it was not
     bits: float = 0.0  # sum of the reached targets' indices of difficulty
     difficulty: float = 0.0  # of the present target, bits
     cued_since: float = math.nan  # NaN: no target yet
     there_since: float = math.nan  # since when the puck is at its target; NaN: it is not
     is_dropped: bool = False
-    peak_force: float = 0.0
-    self_contact_time: float = 0.0
 
     @property
     def reached(self) -> int:
@@ -72,11 +63,6 @@ class TrackingOutcome(Immutable):
     def over(self) -> bool:
         """Whether all targets are over or the puck is dropped."""
         return self.is_dropped or len(self.times) == round(self.settings.targets)
-
-    @property
-    def completion_time(self) -> float:
-        """When the last target was over, s; NaN without success."""
-        return self.t if self.success else math.nan
 
 
 class TrackingMonitor(TaskMonitor[TrackingOutcome]):
@@ -99,16 +85,13 @@ class TrackingMonitor(TaskMonitor[TrackingOutcome]):
         self, num_fingers: int, X_WG: RigidTransform, cued: Sequence[int], settings: TrackingSettings
     ):
         super().__init__(num_fingers, TrackingOutcome(settings))
-        self._settings, self._X_WG = settings, X_WG
+        self._X_WG = X_WG
         self._X_WT = [X_WG @ targets()[number] for number in cued]
         self._pose = self.DeclareVectorInputPort("object_pose", 7)
-        self.DeclareVectorOutputPort("cue", 1, self._calc_cue, self._of_outcome)
-        self.DeclareVectorOutputPort(
-            "target_pose",
-            7,
-            lambda context, output: output.SetFromVector(pose_to_vector(self._target(self.outcome(context)))),
-            self._of_outcome,
+        self._declare_output(
+            "cue", 1, lambda outcome: 0 if math.isnan(outcome.cued_since) else len(outcome.times) + 1
         )
+        self._declare_output("target_pose", 7, lambda outcome: pose_to_vector(self._target(outcome)))
         self.DeclareVectorOutputPort(
             "error",
             2,
@@ -117,10 +100,6 @@ class TrackingMonitor(TaskMonitor[TrackingOutcome]):
             ),
             {*self._of_outcome, self._pose.ticket()},
         )
-
-    def _calc_cue(self, context: Context, output: BasicVector) -> None:
-        outcome = self.outcome(context)
-        output.SetAtIndex(0, 0 if math.isnan(outcome.cued_since) else len(outcome.times) + 1)
 
     def _target(self, outcome: TrackingOutcome) -> RigidTransform:
         return (
@@ -133,19 +112,15 @@ class TrackingMonitor(TaskMonitor[TrackingOutcome]):
         x, y, z = X_TO.rotation().matrix()[:, 2]
         return np.array([np.linalg.norm(X_TO.translation()), math.degrees(math.atan2(math.hypot(x, y), z))])
 
-    def _beginning(self, t: float) -> TrackingOutcome:
-        return self._start.having(began=t)
-
     def _judged(self, context: Context, before: TrackingOutcome) -> TrackingOutcome:
-        settings, t = self._settings, context.get_time()
-        now = before.having(t=t)
+        settings, t = before.settings, before.t
         if t < before.began + settings.ready_time - 1e-9:
-            return now
+            return before
         away = vector_to_pose(self._pose.Eval(context)).translation() - self._X_WG.translation()
         if np.linalg.norm(away) > settings.dropped:
-            return now.having(is_dropped=True)
+            return before.having(is_dropped=True)
         if math.isnan(before.cued_since):
-            return self._cued(now, context)
+            return self._cued(before, context)
         error = self._error(context, before)
         is_there = error[0] < settings.distance and error[1] < settings.angle
         there_since = (t if math.isnan(before.there_since) else before.there_since) if is_there else math.nan
@@ -154,11 +129,12 @@ class TrackingMonitor(TaskMonitor[TrackingOutcome]):
         elif t - before.cued_since > settings.target_time - 1e-9:
             bits, time = before.bits, math.nan
         else:
-            return now.having(there_since=there_since)
-        return self._cued(now.having(times=(*before.times, time), bits=bits), context)
+            return before.having(there_since=there_since)
+        return self._cued(before.having(times=(*before.times, time), bits=bits), context)
 
     def _cued(self, outcome: TrackingOutcome, context: Context) -> TrackingOutcome:
         """The outcome with the next target, whose difficulty is log2(1 + way / width), see Fitts 1954."""
         now = outcome.having(cued_since=outcome.t, there_since=math.nan)
-        way = self._error(context, now) / [2 * self._settings.distance, 2 * self._settings.angle]
+        settings = outcome.settings
+        way = self._error(context, now) / [2 * settings.distance, 2 * settings.angle]
         return now.having(difficulty=math.log2(1 + way.max()))

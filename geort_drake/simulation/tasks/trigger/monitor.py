@@ -7,15 +7,14 @@ import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context
 
-from geort_drake.settings import require_numbers
-from geort_drake.simulation.monitor import TaskMonitor
-from geort_drake.systems.port_values import Immutable, vector_to_pose
+from geort_drake.simulation.monitor import Outcome, TaskMonitor, TaskSettings
+from geort_drake.systems.port_values import vector_to_pose
 
 CUES = ("none", "pull", "release")
 
 
 @dc.dataclass(frozen=True)
-class TriggerSettings:
+class TriggerSettings(TaskSettings):
     """The pulls, and when one counts."""
 
     # Number of pulls, each of them followed by a release; and how long the pad must stay down, s.
@@ -32,18 +31,12 @@ class TriggerSettings:
     handle_shift: float = 0.010
     handle_turn: float = 10.0
 
-    def __post_init__(self) -> None:
-        """Raises ValueError for a value out of range."""
-        require_numbers(self, "task_settings")
-
 
 @dc.dataclass(frozen=True)
-class TriggerOutcome(Immutable):
+class TriggerOutcome(Outcome):
     """The pulls so far; times in s, lengths in m."""
 
     settings: TriggerSettings
-    began: float = 0.0
-    t: float = 0.0
     cue: int = 0  # see `CUES`
     done: int = 0  # pulls that were held and released
     held_since: float = math.nan  # since when the pad is where it is wanted; NaN: it is not
@@ -51,8 +44,6 @@ class TriggerOutcome(Immutable):
     shift: float = 0.0  # largest motion of the handle
     turn: float = 0.0  # largest turn of the handle, degrees
     is_lost: bool = False
-    peak_force: float = 0.0
-    self_contact_time: float = 0.0
 
     @property
     def score(self) -> float:
@@ -69,17 +60,12 @@ class TriggerOutcome(Immutable):
         """Whether all pulls are done or the handle is lost."""
         return self.success or self.is_lost
 
-    @property
-    def completion_time(self) -> float:
-        """Time from the start to the last release, s; NaN without success."""
-        return self.t if self.success else math.nan
-
 
 class TriggerMonitor(TaskMonitor[TriggerOutcome]):
     """Cues pulls and releases, watches pad and handle, and terminates a decided simulation.
 
     Input ports, besides those of `TaskMonitor`:
-        pad (2): travel of the pad, m, and its speed.
+        joints (2): travel of the pad, m, and its speed.
         object_pose (7): X_WH of the handle, qw qx qy qz x y z.
     Output ports:
         cue (1): number of one of `CUES`.
@@ -89,54 +75,38 @@ class TriggerMonitor(TaskMonitor[TriggerOutcome]):
 
     def __init__(self, num_fingers: int, settings: TriggerSettings):
         super().__init__(num_fingers, TriggerOutcome(settings))
-        self._settings = settings
-        self._pad = self.DeclareVectorInputPort("pad", 2)
+        self._pad = self.DeclareVectorInputPort("joints", 2)
         self._pose = self.DeclareVectorInputPort("object_pose", 7)
-        self.DeclareVectorOutputPort(
-            "cue",
-            1,
-            lambda context, output: output.SetAtIndex(0, self.outcome(context).cue),
-            self._of_outcome,
-        )
-        self.DeclareVectorOutputPort(
-            "travel",
-            1,
-            lambda context, output: output.SetAtIndex(0, self._pad.Eval(context)[0]),
-            {self._pad.ticket()},
-        )
-
-    def _beginning(self, t: float) -> TriggerOutcome:
-        return TriggerOutcome(self._settings, t)
+        self._declare_output("cue", 1, lambda outcome: outcome.cue)
+        self._declare_positions("travel", self._pad)
 
     def _judged(self, context: Context, before: TriggerOutcome) -> TriggerOutcome:
-        t = context.get_time()
-        outcome = self._with_handle(dc.replace(before, t=t), t, vector_to_pose(self._pose.Eval(context)))
+        outcome = self._with_handle(before, vector_to_pose(self._pose.Eval(context)))
         if outcome.X_WH is None or outcome.is_lost:
             return outcome
         return self._with_pad(outcome, float(self._pad.Eval(context)[0]))
 
-    def _with_handle(self, before: TriggerOutcome, t: float, X_WH: RigidTransform) -> TriggerOutcome:
-        settings = self._settings
+    def _with_handle(self, before: TriggerOutcome, X_WH: RigidTransform) -> TriggerOutcome:
+        settings = before.settings
         if before.X_WH is None:
-            is_settled = t > before.began + settings.ready_time + settings.settle_time - 1e-9
-            return dc.replace(before, X_WH=X_WH, cue=1) if is_settled else before
+            is_settled = before.t > before.began + settings.ready_time + settings.settle_time - 1e-9
+            return before.having(X_WH=X_WH, cue=1) if is_settled else before
         X_HH = before.X_WH.inverse() @ X_WH
         shift = float(np.linalg.norm(X_HH.translation()))
         turn = math.degrees(abs(X_HH.rotation().ToAngleAxis().angle()))
-        return dc.replace(
-            before,
+        return before.having(
             shift=max(before.shift, shift),
             turn=max(before.turn, turn),
             is_lost=shift > settings.handle_shift or turn > settings.handle_turn,
         )
 
     def _with_pad(self, before: TriggerOutcome, travel: float) -> TriggerOutcome:
-        settings = self._settings
+        settings = before.settings
         if before.cue == 2:
-            return before if travel > settings.released else dc.replace(before, cue=1, done=before.done + 1)
+            return before if travel > settings.released else before.having(cue=1, done=before.done + 1)
         if abs(travel - settings.depth) > settings.tolerance:
-            return dc.replace(before, held_since=math.nan)
+            return before.having(held_since=math.nan)
         if math.isnan(before.held_since):
-            return dc.replace(before, held_since=before.t)
+            return before.having(held_since=before.t)
         is_held = before.t - before.held_since > settings.hold_time - 1e-9
-        return dc.replace(before, cue=2, held_since=math.nan) if is_held else before
+        return before.having(cue=2, held_since=math.nan) if is_held else before

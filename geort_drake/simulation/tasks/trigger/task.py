@@ -1,30 +1,25 @@
 """The trigger: hold a handle while the index finger alone presses its pad half way."""
 
 import dataclasses as dc
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydrake.geometry import Box, Cylinder, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant
+from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
     PrismaticJoint,
     PrismaticSpring,
-    RigidBody,
     SpatialInertia,
 )
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import MatrixGain
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.simulation.finger_task import FingerTask
-from geort_drake.simulation.held_stage import HeldStage, add_stand
+from geort_drake.simulation.finger_task import FingerTask, Handled
+from geort_drake.simulation.monitor import TaskMonitor
 from geort_drake.simulation.operators.trigger_puller import TriggerPuller
-from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import PerceivedPort, Stage, TrialResult
+from geort_drake.simulation.task import Signals, States, TrialResult
 from geort_drake.simulation.tasks.trigger.goal import BACK, LENGTH, RADIUS, TriggerGoal
 from geort_drake.simulation.tasks.trigger.monitor import (
     CUES,
@@ -33,8 +28,6 @@ from geort_drake.simulation.tasks.trigger.monitor import (
     TriggerSettings,
 )
 from geort_drake.simulation.tasks.trigger.planner import PAD_HEIGHT, PAD_TRAVEL, SUPPORT, TriggerPlanner
-from geort_drake.simulation.view import add_view, shown_by
-from geort_drake.simulation.world import add_robot, finish_scene
 
 _MASS, _PAD_MASS = 0.150, 0.005  # kg
 _FRICTION, _VARIATION = 0.8, 0.2  # of the handle; mass and friction vary by this fraction with the seed
@@ -62,55 +55,60 @@ class TriggerTask(FingerTask[TriggerGoal]):
     scenario = Path(__file__).with_name("scenario.yaml"), "Trigger"
     settings = TriggerSettings
     planner = TriggerPlanner
+    monitor_type = TriggerMonitor
     person_type = TriggerPuller
+    percepts = ("travel", "cue", "contact")
 
-    def places(self, goal: TriggerGoal) -> Sequence[np.ndarray]:
-        return goal.p_BF_open, goal.p_BF_touch
+    def add_handled(
+        self, plant: MultibodyPlant, goal: TriggerGoal, X_WB: RigidTransform, rng: np.random.Generator
+    ) -> Handled:
+        """Adds the handle with its pad on a spring.
 
-    def percepts(self, goal: TriggerGoal) -> dict[str, int]:
-        return {"travel": 1, "cue": 1, "contact": len(goal.finger_names)}
-
-    def add_stage(
-        self,
-        builder: DiagramBuilder,
-        scenario: Scenario,
-        description: HandDescription,
-        goal: TriggerGoal | None,
-        X_WB: RigidTransform,
-        rng: np.random.Generator,
-    ) -> Stage:
-        goal = goal or self.plans(scenario, description)[0]
-        settings = TriggerSettings(**scenario.task_settings)
-        plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
-        add_robot(plant, scenario, description)
-        X_WH, handle, pad = _add_handle(plant, X_WB, goal, *rng.uniform(1 - _VARIATION, 1 + _VARIATION, 2))
-        scene = finish_scene(plant, scene_graph, scenario, description, handle.model_instance())
-        view = add_view(builder, scene, description, handle, [pad])
-        stand = add_stand(builder, plant, handle, X_WH, settings.ready_time)
-        monitor = builder.AddNamedSystem(
-            "trigger_monitor", TriggerMonitor(len(description.fingers), settings)
+        The handle's frame: x towards the fingers, y along its axis, as in B.
+        """
+        mass_factor, friction_factor = rng.uniform(1 - _VARIATION, 1 + _VARIATION, 2)
+        model = plant.AddModelInstance("handle")
+        inertia = SpatialInertia.SolidCylinderWithMass(mass_factor * _MASS, RADIUS, LENGTH, [0.0, 1.0, 0.0])
+        friction = CoulombFriction(friction_factor * _FRICTION, friction_factor * _FRICTION)
+        handle = plant.AddRigidBody("handle", model, inertia)
+        y = np.array([0.0, 1.0, 0.0])
+        R_BH = RotationMatrix(np.column_stack([goal.n_B, y, np.cross(goal.n_B, y)]))
+        X_WH = X_WB @ RigidTransform(R_BH, goal.p_BH)
+        plant.SetDefaultFloatingBaseBodyPose(handle, X_WH)
+        upright = RotationMatrix.MakeXRotation(np.pi / 2)
+        # A cylinder touches a palm in one point, which rocks it: it stands on two spheres, and is 0.2 mm
+        # smaller.
+        solid = Cylinder(RADIUS - 0.0002, LENGTH)
+        plant.RegisterCollisionGeometry(handle, RigidTransform(upright, [0, 0, 0]), solid, "solid", friction)
+        for end in (-SUPPORT, SUPPORT):
+            X_HS = RigidTransform(R_BH.inverse() @ np.array([-BACK, 0.0, 0.0]) + [0.0, end, 0.0])
+            ball = Sphere(RADIUS)
+            plant.RegisterCollisionGeometry(handle, X_HS, ball, f"support {end}", friction)
+            plant.RegisterVisualGeometry(handle, X_HS, ball, f"support {end}", _COLOR)
+        shape = Cylinder(RADIUS, LENGTH)
+        plant.RegisterVisualGeometry(handle, RigidTransform(upright, [0, 0, 0]), shape, "handle", _COLOR)
+        pad = plant.AddRigidBody("pad", model, SpatialInertia.SolidBoxWithMass(_PAD_MASS, *_PAD))
+        along = (goal.p_BF_open[goal.trigger] - goal.p_BH)[1]
+        p_HP = [PAD_HEIGHT - _PAD[0] / 2, along, 0.0]
+        joint = plant.AddJoint(
+            PrismaticJoint(
+                "pad",
+                plant.AddFrame(FixedOffsetFrame("pad_rest", handle, RigidTransform(p_HP))),
+                pad.body_frame(),
+                [-1.0, 0.0, 0.0],
+                0.0,
+                PAD_TRAVEL,
+                _DAMPING,
+            )
         )
-        pad_joint = plant.GetJointByName("pad", handle.model_instance())
-        selector = builder.AddSystem(MatrixGain(plant.MakeStateSelectorMatrix([pad_joint.index()])))
-        builder.Connect(plant.get_state_output_port(), selector.get_input_port())
-        builder.Connect(selector.get_output_port(), monitor.GetInputPort("pad"))
-        for name in ("object_pose", "contact", "self_contact"):
-            builder.Connect(view.GetOutputPort(name), monitor.GetInputPort(name))
-        shown = {
-            **shown_by(view, len(description.fingers), "fingertips", "hand_pose", "contact"),
-            "travel": PerceivedPort(monitor.GetOutputPort("travel")),
-            "cue": PerceivedPort(monitor.GetOutputPort("cue")),
-        }
-        return HeldStage(
-            scene,
-            monitor,
-            shown,
-            {"cue": (monitor.GetOutputPort("cue"), CUES)},
-            [handle],
-            {"trigger/travel": (monitor.GetOutputPort("travel"), ["pad"], "m")},
-            stand=stand,
-            ready_time=settings.ready_time,
-        )
+        plant.AddForceElement(PrismaticSpring(joint, 0.0, _STIFFNESS))
+        plant.RegisterCollisionGeometry(pad, RigidTransform(), Box(*_PAD), "pad", friction)
+        plant.RegisterVisualGeometry(pad, RigidTransform(), Box(*_PAD), "pad", _PAD_COLOR)
+        return Handled(handle, [pad], [joint], X_WH)
+
+    def recorded(self, monitor: TaskMonitor, settings: TriggerSettings) -> tuple[States, Signals]:
+        travel = monitor.GetOutputPort("travel"), ["pad"], "m"
+        return {"cue": (monitor.GetOutputPort("cue"), CUES)}, {"trigger/travel": travel}
 
     def result_fields(self, outcome: TriggerOutcome, description: HandDescription) -> dict[str, Any]:
         missing = (
@@ -122,52 +120,6 @@ class TriggerTask(FingerTask[TriggerGoal]):
             "handle_shift": outcome.shift,
             "handle_turn": outcome.turn,
         }
-
-
-def _add_handle(
-    plant: MultibodyPlant, X_WB: RigidTransform, goal: TriggerGoal, mass_factor: float, friction_factor: float
-) -> tuple[RigidTransform, RigidBody, RigidBody]:
-    """Adds the handle with its pad on a spring; returns its pose X_WH at the start, handle and pad.
-
-    The handle's frame: x towards the fingers, y along its axis, as in B.
-    """
-    model = plant.AddModelInstance("handle")
-    inertia = SpatialInertia.SolidCylinderWithMass(mass_factor * _MASS, RADIUS, LENGTH, [0.0, 1.0, 0.0])
-    friction = CoulombFriction(friction_factor * _FRICTION, friction_factor * _FRICTION)
-    handle = plant.AddRigidBody("handle", model, inertia)
-    y = np.array([0.0, 1.0, 0.0])
-    R_BH = RotationMatrix(np.column_stack([goal.n_B, y, np.cross(goal.n_B, y)]))
-    X_WH = X_WB @ RigidTransform(R_BH, goal.p_BH)
-    plant.SetDefaultFloatingBaseBodyPose(handle, X_WH)
-    upright = RotationMatrix.MakeXRotation(np.pi / 2)
-    # A cylinder touches a palm in one point, which rocks it: it stands on two spheres, and is 0.2 mm smaller.
-    solid = Cylinder(RADIUS - 0.0002, LENGTH)
-    plant.RegisterCollisionGeometry(handle, RigidTransform(upright, [0, 0, 0]), solid, "solid", friction)
-    for end in (-SUPPORT, SUPPORT):
-        X_HS = RigidTransform(R_BH.inverse() @ np.array([-BACK, 0.0, 0.0]) + [0.0, end, 0.0])
-        ball = Sphere(RADIUS)
-        plant.RegisterCollisionGeometry(handle, X_HS, ball, f"support {end}", friction)
-        plant.RegisterVisualGeometry(handle, X_HS, ball, f"support {end}", _COLOR)
-    shape = Cylinder(RADIUS, LENGTH)
-    plant.RegisterVisualGeometry(handle, RigidTransform(upright, [0, 0, 0]), shape, "handle", _COLOR)
-    pad = plant.AddRigidBody("pad", model, SpatialInertia.SolidBoxWithMass(_PAD_MASS, *_PAD))
-    along = (goal.p_BF_open[goal.trigger] - goal.p_BH)[1]
-    p_HP = [PAD_HEIGHT - _PAD[0] / 2, along, 0.0]
-    joint = plant.AddJoint(
-        PrismaticJoint(
-            "pad",
-            plant.AddFrame(FixedOffsetFrame("pad_rest", handle, RigidTransform(p_HP))),
-            pad.body_frame(),
-            [-1.0, 0.0, 0.0],
-            0.0,
-            PAD_TRAVEL,
-            _DAMPING,
-        )
-    )
-    plant.AddForceElement(PrismaticSpring(joint, 0.0, _STIFFNESS))
-    plant.RegisterCollisionGeometry(pad, RigidTransform(), Box(*_PAD), "pad", friction)
-    plant.RegisterVisualGeometry(pad, RigidTransform(), Box(*_PAD), "pad", _PAD_COLOR)
-    return X_WH, handle, pad
 
 
 TASK = TriggerTask()

@@ -1,0 +1,153 @@
+"""Plans for a hand whose fingertips must be at given places."""
+
+import abc
+import dataclasses as dc
+from collections.abc import Collection, Iterable, Sequence
+from typing import Any, ClassVar, Generic, TypeVar
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from geort_drake.errors import ScenarioError
+from geort_drake.hands.description import HandDescription
+from geort_drake.hands.model import HandModel
+from geort_drake.simulation.operators.goal import Intended
+
+_TOLERANCE = 0.001  # m, of fingertips
+_LIMIT_MARGIN = 0.1  # fraction of its range that a joint keeps from either limit
+_COMFORT = 1e-3  # m, weight of the distance of a joint from the middle of its range, per range
+
+
+@dc.dataclass(frozen=True)
+class FingerPlan(Generic[Intended]):
+    """A goal, and postures of the hand for it. Tasks add postures.
+
+    Attributes:
+        discomfort: mean square distance of the fingers' joints from the middle of their ranges, in ranges.
+        q_open: (n,) or (steps, n) joint positions with the fingers off what they handle, rad.
+    """
+
+    goal: Intended
+    discomfort: float
+    q_open: np.ndarray
+
+
+Plan = TypeVar("Plan", bound=FingerPlan[Any])
+
+
+class FingerPlanner(abc.ABC, Generic[Plan]):
+    """Plans a task for the tips of K fingers; the other fingers stay as by default.
+
+    Attributes:
+        needed: names of the fingers.
+        task: begins the error of a hand that lacks one, such as "the keys need".
+        aim: what a hand without a plan cannot do, for the error.
+        hand: the hand alone.
+        fingers: (K,) their numbers among all F in the description.
+        radius: (K,) of their tips, m.
+        touches: (F,) whether a finger is one of them.
+        side: sign of y in B towards the index finger: 1 of a right hand, −1 of a left one.
+
+    Raises:
+        ScenarioError: the hand lacks one of the fingers.
+    """
+
+    needed: ClassVar[tuple[str, ...]]
+    task: ClassVar[str]
+    aim: ClassVar[str]
+
+    def __init__(self, description: HandDescription):
+        require_fingers(description, self.needed, self.task)
+        known = description.finger_names
+        self.hand = HandModel(description)
+        self.fingers = np.array([known.index(name) for name in self.needed])
+        self.radius = np.array([description.fingers[index].tip_radius for index in self.fingers])
+        self.touches = np.isin(known, self.needed)
+        self.side = -1.0 if description.side == "left" else 1.0
+        joints = [name for index in self.fingers for name in description.fingers[index].joints]
+        self._columns = np.array([self.hand.joint_names.index(name) for name in joints])
+        self._context = self.hand.contact_context()
+
+    def plans(self) -> list[Plan]:
+        """All ways to do the task, the best first; deterministic.
+
+        Raises:
+            ScenarioError: there is none.
+        """
+        if not (found := self._find()):
+            raise ScenarioError(f"hand '{self.hand.description.name}' cannot {self.aim}")
+        return sorted(found, key=self._rank)
+
+    @abc.abstractmethod
+    def _find(self) -> Sequence[Plan]:
+        """All plans, in any order."""
+
+    def _rank(self, plan: Plan) -> tuple[float, ...]:
+        """The less, the better; by default the most comfortable plan is the best."""
+        return (plan.discomfort,)
+
+    def discomfort(self, q: np.ndarray) -> float:
+        """Mean square distance of the fingers' joints from the middle of their ranges, in ranges."""
+        return float(np.mean(self._from_middle(q) ** 2))
+
+    def _from_middle(self, q: np.ndarray) -> np.ndarray:
+        lower, upper = self.hand.lower[self._columns], self.hand.upper[self._columns]
+        return (q[self._columns] - 0.5 * (lower + upper)) / (upper - lower)
+
+    def all_tips(self, p_BF: np.ndarray) -> np.ndarray:
+        """(F, 3) fingertip points with those of the K fingers at p_BF (K, 3) and the others at rest, m."""
+        tips = self.hand.fingertips(self.hand.default_position).copy()
+        tips[self.fingers] = p_BF
+        return tips
+
+    def is_clear(self, q: np.ndarray, p_BQ: np.ndarray, gap: float, ignored: Collection[str] = ()) -> bool:
+        """Whether only fingertips and ignored links are nearer than `gap`, m, to points (N, 3) in B."""
+        query, hand = self.hand.query(q, self._context), self.hand
+        return not any(
+            found.distance < gap
+            and not hand.are_tips(found.id_G, found.id_G)
+            and hand.link_of(found.id_G) not in ignored
+            for p in p_BQ
+            for found in query.ComputeSignedDistanceToPoint(p, gap)
+        )
+
+    def reach(self, p_BF: np.ndarray, guess: np.ndarray) -> np.ndarray | None:
+        """Joint positions (n,), rad, with the fingertips at p_BF (K, 3), m, or None.
+
+        The hand does not touch itself but with its tips, and the joints keep off their limits.
+        """
+        hand, columns = self.hand, self._columns
+        margin = _LIMIT_MARGIN * (hand.upper - hand.lower)
+        bounds = (hand.lower + margin)[columns], (hand.upper - margin)[columns]
+
+        def posture(x: np.ndarray) -> np.ndarray:
+            q = np.tile(hand.default_position, (*x.shape[:-1], 1))
+            q[..., columns] = x
+            return q
+
+        def residuals(x: np.ndarray) -> np.ndarray:
+            error = hand.fingertips(posture(x))[self.fingers] - p_BF
+            return np.concatenate([error.ravel(), _COMFORT * self._from_middle(posture(x))])
+
+        def jacobian(x: np.ndarray) -> np.ndarray:
+            step = 1e-6
+            p = hand.fingertips(posture(x + step * np.vstack([np.zeros_like(x), np.eye(len(x))])))
+            p = p[:, self.fingers].reshape(len(x) + 1, -1)
+            ranges = (hand.upper - hand.lower)[columns]
+            return np.vstack([(p[1:] - p[0]).T / step, np.diag(_COMFORT / ranges)])
+
+        start = np.clip(guess[columns], *bounds)
+        found = least_squares(residuals, start, jacobian, bounds, max_nfev=60)
+        q = posture(found.x)
+        missed = np.linalg.norm(found.fun[: p_BF.size].reshape(-1, 3), axis=1).max()
+        if missed > _TOLERANCE or hand.collides_beyond_tips(q):
+            return None
+        return q
+
+
+def require_fingers(description: HandDescription, needed: Iterable[str], task: str) -> None:
+    """Raises ScenarioError for a finger that a hand lacks; `task` begins it, such as "the keys need"."""
+    for name in needed:
+        if name not in description.finger_names:
+            has = ", ".join(description.finger_names)
+            raise ScenarioError(f"{task} a {name}; hand '{description.name}' has: {has}")
