@@ -5,8 +5,8 @@ python -m studies.predictors --output runs/predictors --report
 
 Maps are 32 distortions of the universal map, whose causes are known, and others: methods, checkpoints,
 distorted affine maps, and the universal map made for other people. Simulated people of kind servo try all
-maps, the other kinds a balanced half. Trials go seed by seed, so that every prefix is balanced, and the same
-command resumes.
+maps, the other kinds a balanced half. Trials of distorted maps come first, seed by seed, so that every prefix
+is balanced; the same command resumes.
 """
 
 import argparse
@@ -167,9 +167,9 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def order(places: Sequence[Place], trials: int) -> list[tuple[Place, TrialKey]]:
-    """The unfinished trials: seed by seed, then map by map in random order.
+    """The unfinished trials: those of designed maps seed by seed, and then of the others.
 
-    In each seed designed maps come first, and of these the half that all kinds of people try.
+    Each seed begins with the maps that all kinds of people try; maps are in random order.
     """
     by_map: dict[tuple, list[tuple[Place, TrialKey]]] = {}
     designed = design()
@@ -177,7 +177,7 @@ def order(places: Sequence[Place], trials: int) -> list[tuple[Place, TrialKey]]:
         for key in place.log.unfinished(place.benchmark.keys(place.maps, place.goals, trials)):
             tried = sum(key.method in other.maps for other in places)
             drawn = np.random.default_rng([key.seed, *key.method.encode()]).random()
-            rank = key.seed, key.method not in designed, -tried, drawn, key.method
+            rank = key.method not in designed, key.seed, -tried, drawn, key.method
             by_map.setdefault(rank, []).append((place, key))
     return [each for rank in sorted(by_map) for each in by_map[rank]]
 
