@@ -79,7 +79,7 @@ class Theatre:
 
     def __init__(self, browser, folder: Path):
         self.scenario = load_scenario()
-        about = RobotInfo("right", self.scenario.hand, "simulation", TASKS, "for everyone")
+        about = RobotInfo("right", self.scenario.hand, "simulation", TASKS, "universal map")
         self.station = ScriptedStation(about, lambda: self.time)
         self.time, self.frames = 100.0, []
         self.server = WebServer(self.station, "127.0.0.1", 0, "key")

@@ -76,7 +76,7 @@ def serve(folder: Path) -> Iterator[str]:
 
 TASKS = {"grasp": ["cylinder", "sphere"], "keys": ["keys"]}
 WORDS = {"grasp": "lift an object", "keys": "press a key"}
-ABOUT = RobotInfo("right", "allegro_right", "simulation", TASKS, "one map for everyone", WORDS)
+ABOUT = RobotInfo("right", "allegro_right", "simulation", TASKS, "universal map", WORDS)
 WELCOME = OperatorStation(ABOUT).join(1) | {"role": "operator"}
 STATE = {
     "type": "state",

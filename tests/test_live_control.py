@@ -57,7 +57,7 @@ class Page:
     def __init__(self, folder, retarget=UNIVERSAL, maps=(), **scenario):
         self.retarget, maps, self.scenario = retarget, iter(maps), scenario
         tasks = {"grasp": ["cylinder", "cube"], "keys": ["keys"]}
-        about = RobotInfo("right", "allegro_right", "simulation", tasks, "for everyone")
+        about = RobotInfo("right", "allegro_right", "simulation", tasks, "universal map")
         self.station = OperatorStation(about, Clock())
         self.station.join(1)
         self.station.take(1, hello())
@@ -300,7 +300,7 @@ def test_a_map_of_one_person_is_not_made_mine(tmp_path):
     page = Page(tmp_path, OWN)
     page.control._retargeter = tmp_path
     page.run(Refit(), steps=10)
-    assert "for everyone" in json.loads(page.states[-1])["refit"]["text"]
+    assert "universal map" in json.loads(page.states[-1])["refit"]["text"]
 
 
 @pytest.mark.parametrize("answer", ["", "\n", "no\n", "yess\n"])

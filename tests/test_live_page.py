@@ -275,7 +275,7 @@ def test_a_person_who_sees_only_the_page_grasps_the_cylinder(headset, tmp_path):
             page = headset(address, {"right": joints_of(in_world(0))}, None, key, seen)
             until(page, lambda: "state" in seen.texts and seen.frames)
             until(page, lambda: page.get_attribute("body", "data-state") == "tracking")
-            assert page.inner_text("#map") == "Map for everyone"
+            assert page.inner_text("#map") == "Universal map"
             scene = page.evaluate("fetch('scene').then((response) => response.json())")
             person = PagePerson(scene, seen.texts["welcome"]["hand"], seen.texts["state"]["object"], goal)
 

@@ -17,7 +17,7 @@ from geort_drake.people.recording import Recording
 from geort_drake.simulation.wrist_motion import minimum_jerk
 
 
-def session(targets=(0.0, 0.3), seconds=1.0, rate=60.0, success=True, map_name="for everyone", **changes):
+def session(targets=(0.0, 0.3), seconds=1.0, rate=60.0, success=True, map_name="universal map", **changes):
     """A wrist that moves from target to target along x, m, and rests after each; a still hand."""
     t = np.arange(0.0, 2 * seconds * (len(targets) - 1), 1.0 / rate)
     x = np.full(len(t), targets[0], float)
@@ -75,14 +75,14 @@ def test_people_are_told_apart_by_folder_and_maps_by_name(tmp_path):
     summary = summarize_people(
         people, [*trials, {"method": "geort", "object": "cylinder", "error": "x"}], 30.0
     )
-    everyone = summary["people"]["for everyone"]
+    everyone = summary["people"]["universal map"]
     assert everyone["persons"] == 2 and everyone["success"]["successes"] == 3
     assert everyone["completion_time"]["mean"] == pytest.approx((3 * 5.0 + 30.0) / 4)
     assert summary["people"]["mine"]["success"]["trials"] == 2
     simulated = summary["simulated"]["geort"]
     assert simulated["success"]["rate"] == 1.0, "only with the object that people grasped"
     assert simulated["wrist_speed"]["mean"] == pytest.approx(everyone["wrist_speed"]["mean"])
-    slow = summarize_people(people, trials, 4.0)["people"]["for everyone"]
+    slow = summarize_people(people, trials, 4.0)["people"]["universal map"]
     assert slow["success"]["successes"] == 0 and slow["completion_time"]["mean"] == 4.0
 
 
@@ -101,10 +101,10 @@ def test_the_report_sets_people_beside_the_simulated_person(tmp_path, light_benc
     options += ["--output", str(tmp_path / "run"), "--scenario-text", "{timeout: 2.0}"]
     assert run_command("benchmark", [*options, "--people", str(tmp_path / "study")]) == 0
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())["people"]
-    assert summary["people"]["for everyone"]["success"]["rate"] == 0.0  # it took longer than the timeout
+    assert summary["people"]["universal map"]["success"]["rate"] == 0.0  # it took longer than the timeout
     assert summary["simulated"]["hold"]["wrist_speed"]["mean"] > 0.0
     for name in ("report.md", "report.html"):
-        assert "1 people, map for everyone" in (tmp_path / "run" / name).read_text()
+        assert "1 people, universal map" in (tmp_path / "run" / name).read_text()
     shutil.rmtree(tmp_path / "study")
     assert run_command("benchmark", [*options, "--report"]) == 0
-    assert "people, map" not in (tmp_path / "run" / "report.md").read_text()
+    assert "people, universal" not in (tmp_path / "run" / "report.md").read_text()

@@ -84,7 +84,7 @@ def _rows(summary: dict) -> Iterator[list[str]]:
 
 def _people_rows(summary: dict) -> Iterator[list[str]]:
     """One row a map of real people, and one a method of the simulated person."""
-    rows = {f"{of['persons']} people, map {name}": of for name, of in summary["people"].items()}
+    rows = {f"{of['persons']} people, {name}": of for name, of in summary["people"].items()}
     rows |= {f"simulated, {name}": of for name, of in summary["simulated"].items()}
 
     def mean(value: dict, form: str) -> str:

@@ -39,9 +39,9 @@ def run_web(
     checkpoint = checkpoint_of(arguments, description)
     model = RobotModel(scenario, description)
     link = RobotLink(lcm_url, model.hand, model.arm, scenario.retargeting.period) if lcm_url else None
-    words = f"of {checkpoint.name}" if arguments.retargeter else "for everyone"
+    words = f"map of {checkpoint.name}" if arguments.retargeter else "universal map"
     if arguments.retargeter is None and checkpoint.is_dir():
-        words = "trained on synthetic play"
+        words = "map trained on synthetic play"
     scenarios = {scenario.task: scenario}
     tasks: dict[str, list[str]] = {}
     instructions: dict[str, str] = {}

@@ -48,7 +48,7 @@ export function show(model) {
   }
   write("purpose", sentenceCase(welcome?.instructions[state?.task]) ?? "");
 
-  write("map", welcome ? `Map ${welcome.map}` : "");
+  write("map", sentenceCase(welcome?.map) ?? "");
   element("guide").disabled = element("refit").disabled = !operator;
   write("refit-words", sentenceCase(state?.refit?.text) ?? "");
   element("record").disabled = !operator || !(state?.recording || element("keep").checked);

@@ -207,7 +207,7 @@ class PageControl:
             "source": "live web page",
             "consent": True,
             "device": operator and operator.device,
-            "map": "fitted to the person" if self._fitted else self._station.about.map,
+            "map": "map fitted to the person" if self._fitted else self._station.about.map,
             "began": self._clock(self._root),
             **self._facts,
         }
@@ -246,7 +246,7 @@ class PageControl:
         if self._refit is not None:
             return
         if self._retargeter.is_dir():
-            text = "only the map for everyone can be fitted; start without --retargeter"
+            text = "only the universal map can be fitted; start without --retargeter"
             self._refit_state = {"state": "failed", "text": text}
             return
         if self._guide is None or self._guide.seconds_left > 0.0:
