@@ -40,7 +40,7 @@ class SeenFingers:
 
     p_BF: np.ndarray  # (F, 3) robot fingertip points in the hand base, m
     X_WB: RigidTransform
-    percepts: Mapping[str, np.ndarray]  # name → what the task shows or lets feel
+    percepts: Mapping[str, np.ndarray]  # name → value of an input port of the person
 
 
 class FingerPerson(abc.ABC, Generic[State]):
@@ -161,7 +161,7 @@ class FingerPerson(abc.ABC, Generic[State]):
         return theta.ravel()
 
     def seen(self, values: Mapping[str, np.ndarray]) -> SeenFingers:
-        """The scene of the values of ports: fingertips, hand pose, and what the task tells."""
+        """The scene of the values of ports: fingertips, hand pose, and what the task shows or lets feel."""
         X_WB, p_WF = vector_to_pose(values["hand_pose"]), values["fingertips"].reshape(-1, 3)
         return SeenFingers(X_WB.inverse().multiply(p_WF.T).T, X_WB, values)
 
