@@ -43,6 +43,7 @@ class Distortion:
 
 
 FACTORS = tuple(field.name for field in dc.fields(Distortion))
+COPIES = 3  # of each map of the design
 # The levels −1, 0 and 1 of each factor. A map's own gain already varies by a factor of about 3.5.
 LEVELS = {
     "rotation": (0.0, np.pi / 12, np.pi / 6),
@@ -56,24 +57,26 @@ LEVELS = {
 
 
 def design() -> dict[str, tuple[int, ...]]:
-    """Name of each of 32 maps → its level −1, 0 or 1 of each factor.
+    """Name of each of 96 maps → its level −1, 0 or 1 of each factor.
 
     A fraction 2^(7−3) of resolution IV; axial maps, with one factor at −1 or 1 and the others at 0; and the
-    centre twice. Maps of one design differ in their random axes and phases.
+    centre twice: all of it `COPIES` times. All maps differ in their random axes and phases.
     """
-    runs = {}
+    runs: dict[str, tuple[int, ...]] = {}
     for number, (a, b, c, d) in enumerate(itertools.product((-1, 1), repeat=4), start=1):
         runs[f"corner_{number:02}"] = (a, b, c, d, a * b * c, b * c * d, a * c * d)
     for place, factor in enumerate(FACTORS):
         for level, name in ((-1, "low"), (1, "high")):
             runs[f"{factor}_{name}"] = tuple(level * (k == place) for k in range(len(FACTORS)))
-    return runs | {f"centre_{k}": (0,) * len(FACTORS) for k in (1, 2)}
+    runs |= {f"centre_{k}": (0,) * len(FACTORS) for k in (1, 2)}
+    return {f"{name}_{copy}": levels for copy in range(1, COPIES + 1) for name, levels in runs.items()}
 
 
 def half(runs: dict[str, tuple[int, ...]]) -> list[str]:
-    """Names of 16 of the maps of `design`: a fraction 2^(7−4), and the axial maps of every second factor."""
+    """Names of half of the maps of `design`: a fraction 2^(7−4), and the axial maps of every second factor."""
     corners = [name for name, x in runs.items() if all(x) and x[0] * x[1] * x[3] == 1]
-    return corners + [f"{factor}_{end}" for factor in FACTORS[::2] for end in ("low", "high")]
+    axial = [f"{factor}_{end}" for factor in FACTORS[::2] for end in ("low", "high")]
+    return corners + [f"{name}_{copy}" for copy in range(1, COPIES + 1) for name in axial]
 
 
 def distortion_of(levels: Sequence[int]) -> Distortion:

@@ -3,7 +3,7 @@
 python -m studies.predictors --output runs/predictors --tasks keys grasp --objects cylinder --budget 3600
 python -m studies.predictors --output runs/predictors --report
 
-Maps are 32 distortions of the universal map, whose causes are known, and others: methods, checkpoints,
+Maps are 96 distortions of the universal map, whose causes are known, and others: methods, checkpoints,
 distorted affine maps, and the universal map made for other people. Simulated people of kind servo try all
 maps, the other kinds a balanced half. Trials of distorted maps come first, seed by seed, so that every prefix
 is balanced; the same command resumes.
