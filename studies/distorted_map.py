@@ -73,7 +73,7 @@ def design() -> dict[str, tuple[int, ...]]:
 
 
 def half(runs: dict[str, tuple[int, ...]]) -> list[str]:
-    """Names of half of the maps of `design`: a fraction 2^(7−4), and the axial maps of every second factor."""
+    """Names of half the maps of `design`: a fraction 2^(7−4), and the axial maps of every second factor."""
     corners = [name for name, x in runs.items() if all(x) and x[0] * x[1] * x[3] == 1]
     axial = [f"{factor}_{end}" for factor in FACTORS[::2] for end in ("low", "high")]
     return corners + [f"{name}_{copy}" for copy in range(1, COPIES + 1) for name in axial]
