@@ -1,18 +1,28 @@
-"""A person and a known map, with which whole grasps are tested without training anything."""
+"""People and known maps, with which grasps and other tasks are tested without training anything."""
 
 import dataclasses
 from functools import cache
+from typing import Any
 
 import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
 
-from geort_drake import HandModel, Recording, load_hand, load_scenario, synthesize_play
+from geort_drake import HandModel, Recording, load_hand, load_scenario, run_trial, synthesize_play
 from geort_drake.people.human_hand import HumanHand
+from geort_drake.retargeting.methods import make_untrained
 from geort_drake.retargeting.methods.affine_ik import AffineIK
 from geort_drake.simulation.diagram import TrialDiagram
+from geort_drake.simulation.free_play import keep_reached, seen_fingertips
+from geort_drake.simulation.monitor import TaskMonitor
 from geort_drake.simulation.operators.finger_motion import FingerMotion
+from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.task import TrialResult
+from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
@@ -124,3 +134,48 @@ def in_this_process(function, arguments, *_, **__):
 def judged(record: dict) -> dict:
     """A benchmark's line without the time that the trial took."""
     return {name: value for name, value in record.items() if name != "wall_time"}
+
+
+def outcome_of(monitor: TaskMonitor, until: float, begins: float = 0.0, **inputs: tuple) -> Any:
+    """The outcome at the time `until`, s, of a task that is restarted at `begins`, s.
+
+    Inputs are times (T,), s, and values (T, n), with lines between them; others are zero.
+    """
+    builder = DiagramBuilder()
+    builder.AddSystem(monitor)
+    for port in map(monitor.get_input_port, range(monitor.num_input_ports())):
+        if port.get_name() in inputs:
+            t, values = inputs[port.get_name()]
+            source = TrajectorySource(PiecewisePolynomial.FirstOrderHold(t, np.transpose(values)))
+        else:
+            source = ConstantVectorSource(np.zeros(port.size()))
+        builder.Connect(builder.AddSystem(source).get_output_port(), port)
+    simulator = Simulator(builder.Build())
+    context = monitor.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    if begins:
+        simulator.AdvanceTo(begins)
+        monitor.restart(context)
+    simulator.AdvanceTo(until)
+    return monitor.outcome(context)
+
+
+@cache
+def plans(task: str) -> list:
+    """A finger task's plans for the Allegro hand, the best first."""
+    return find_task(task).planner(allegro().description).plans()
+
+
+@cache
+def retarget_and_play(method: str) -> tuple[Any, FreePlay]:
+    """A map without training for the person who plays, and what that person sees of it in free play."""
+    frames = play().fingertips([4, 8, 12, 16])
+    retarget = make_untrained(method, allegro().kinematics(), frames=frames)
+    return retarget, seen_fingertips(retarget, allegro(), person_who_plays())
+
+
+def attempt(task: str, method: str, settings: str) -> tuple[TrialResult, bool]:
+    """A person's trial of a finger task, and whether the plan that they keep was attainable."""
+    retarget, seen = retarget_and_play(method)
+    goal, attainable = keep_reached([plan.goal for plan in plans(task)], seen)
+    scenario = load_scenario(*find_task(task).scenario, settings)
+    return run_trial(scenario, retarget, (person_who_plays(), goal))[0], attainable

@@ -9,9 +9,8 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from grasp_setup import centred_map, human_with, person_who_plays, scenario_with
+from grasp_setup import centred_map, human_with, person_who_plays, plans, scenario_with
 from pydrake.systems.primitives import DiscreteTimeDelay
-from task_bench import plans
 
 from geort_drake import load_hand, load_scenario
 from geort_drake.simulation import operators

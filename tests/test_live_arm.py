@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from arm_bench import PERIOD, ArmBench
+from loop_bench import PERIOD, ArmBench
 from pydrake.math import RigidTransform, RollPitchYaw
 
 from geort_drake.systems.wrist_checks import WRIST_JUMPED, WRIST_NOT_FINITE

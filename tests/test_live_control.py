@@ -11,9 +11,8 @@ import time
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from live_messages import Clock
+from live_messages import PLAY, Clock, headset, hello
 from loop_bench import LoopBench
-from web_page import PLAY, headset, hello
 
 from geort_drake import Recording, load_retargeter, load_scenario
 from geort_drake.benchmark.replay import Replay

@@ -11,10 +11,21 @@ import time
 
 import numpy as np
 import pytest
-from live_page import PAGE, WEB, StubServer, film_hand, launch, new_page, require_package, require_page, serve
-from page_person import PagePerson, goal_of
+from live_messages import in_world, joints_of
+from live_page import (
+    PAGE,
+    WEB,
+    PagePerson,
+    StubServer,
+    film_hand,
+    goal_of,
+    launch,
+    new_page,
+    require_package,
+    require_page,
+    serve,
+)
 from PIL import Image
-from web_page import in_world, joints_of
 
 from geort_drake.live.web.hands import HandReader
 from geort_drake.live.web.messages import decode

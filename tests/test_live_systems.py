@@ -225,7 +225,6 @@ def test_engaging_never_makes_the_joints_jump():
 
 # -- the watchdog
 
-
 LIMITS = JointLimits(np.full(3, -1.0), np.full(3, 2.0), 4.0, 200.0)
 SAFE = np.array([0.1, 0.5, -0.2])
 

@@ -5,9 +5,8 @@ import json
 import numpy as np
 import pytest
 from faults.mutations import changed, mutated
-from live_messages import Clock
+from live_messages import PLAY, R_CW, Clock, camera, headset, hello, in_world
 from loop_bench import LoopBench
-from web_page import PLAY, R_CW, camera, headset, hello, in_world
 
 from geort_drake.errors import GeortError, LiveError, MismatchError
 from geort_drake.hands.description import load_hand

@@ -18,13 +18,13 @@ import numpy as np
 import pytest
 import trimesh
 from faults.sound import checkpoint
+from live_messages import headset, hello
 from pydrake.common.value import AbstractValue
 from pydrake.geometry import Mesh
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from web_page import headset, hello
 
 from geort_drake import Recording, load_hand, load_scenario
 from geort_drake.errors import LiveError

@@ -6,7 +6,7 @@ import pickle
 import glove_files as gloves
 import numpy as np
 import pytest
-from moving_hands import FRAMES, moving, random_hand
+from glove_files import FRAMES, moving, random_hand
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError, UnknownNameError

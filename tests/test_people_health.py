@@ -7,7 +7,7 @@ import re
 import glove_files as gloves
 import numpy as np
 import pytest
-from moving_hands import FRAMES, moving
+from glove_files import FRAMES, moving
 
 from geort_drake.errors import RecordingError
 from geort_drake.people.checks import examine, verdict

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from faults.mutations import VALUES, changed
-from glove_files import WRITERS, write_manus, write_own
+from glove_files import WRITERS, moving, write_manus, write_own
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from moving_hands import moving
 
 from geort_drake.people.checks import examine, verdict
 from geort_drake.people.readers import open_recording, read_recording

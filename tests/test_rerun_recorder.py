@@ -1,17 +1,34 @@
-"""The Rerun recorder on a small world; files are read back with Rerun's own reader and tools."""
+"""The Rerun recorder on a small world: its file, live viewers, and its layout."""
 
+import socket
 import subprocess
 import sys
 import textwrap
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import rerun as rr
+import rerun.blueprint as rrb
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
 from rerun.chunk import RrdReader
-from rerun_world import GRAVITY, World, read, rerun
+from rerun_world import GRAVITY, World, constant, entities, read, rerun, steps
 from scipy.spatial.transform import Rotation
 
-from geort_drake.errors import RecordingError
-from geort_drake.rerun import RerunRecorder, take_screenshot
+from geort_drake.errors import RecordingError, ScenarioError
+from geort_drake.live.transports import wait_for
+from geort_drake.rerun import (
+    CloseUpSpec,
+    PointsSpec,
+    RerunRecorder,
+    SignalSpec,
+    StateSpec,
+    add_rerun_recorder,
+    recorder,
+    take_screenshot,
+)
+from geort_drake.rerun.layout import Layout
 
 
 def test_poses_in_the_file_are_those_of_the_plant(tmp_path):
@@ -151,3 +168,220 @@ def test_going_back_in_time_starts_over_from_there(tmp_path):
     world.recorder.flush()
     times, _ = read(world.recorder.path, "/world/ball/body", "Transform3D:translation")
     np.testing.assert_allclose(times, np.arange(4) / 16, atol=1e-9)
+
+
+# -- live viewers
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def viewer():
+    """One that nobody has started."""
+    return rr.GrpcSink(f"rerun+http://127.0.0.1:{free_port()}/proxy")
+
+
+def looked_at(world, path):
+    """Replaces the viewer by a file."""
+    world.recorder._viewers = [rr.FileSink(path)]
+    return world
+
+
+@pytest.fixture
+def at_once(monkeypatch):
+    """Batches of a single sample."""
+    monkeypatch.setattr(recorder, "_BATCH_S", 0.0)
+
+
+def test_batches_add_up_to_what_the_file_holds(tmp_path, at_once):
+    """Poses, contact and states, of which some begin in a later batch."""
+    world = World(height=0.1).finalize()
+    phase = steps(world.builder, [0, 0.2, 1], [[0, 1, 1]])
+    world.record(tmp_path / "file.rrd", specs={"phase": StateSpec(phase, ["fall", "rest"])})
+    looked_at(world, tmp_path / "seen.rrd")
+    with world.recorder:
+        world.simulator.AdvanceTo(0.5)
+    file, seen = tmp_path / "file.rrd", tmp_path / "seen.rrd"
+    assert entities(file) - {"/__properties"} <= entities(seen)
+    for entity, component in (
+        ("/world/ball/body", "Transform3D:translation"),
+        ("/world/contact/forces", "Arrows3D:vectors"),
+        ("/phase", "StateChange:state"),
+    ):
+        times, values = read(file, entity, component)
+        seen_times, seen_values = read(seen, entity, component)
+        np.testing.assert_allclose(seen_times, times, atol=1e-9)
+        assert len(values) > 1
+        for value, seen_value in zip(values, seen_values, strict=True):
+            np.testing.assert_array_equal(seen_value, value)
+    # What is touched for the first time in a later batch has a series from there on.
+    times, _ = read(seen, "/contact/force/ball/body", "Scalars:scalars")
+    assert 0.05 < times[0] < 0.2
+    assert times[-1] == pytest.approx(0.5)
+    assert rerun("rrd", "verify", seen).returncode == 0
+
+
+def test_without_a_file_samples_are_dropped_once_sent(tmp_path, at_once):
+    """A session may go on for hours."""
+    world = World().finalize()
+    world.record(None, viewers=[viewer()])
+    looked_at(world, tmp_path / "seen.rrd")
+    assert world.recorder.path is None
+    with world.recorder:
+        world.simulator.AdvanceTo(0.2)
+        assert len(world.recorder._samples) == 0
+    times, _ = read(tmp_path / "seen.rrd", "/world/ball/body", "Transform3D:translation")
+    np.testing.assert_allclose(times, np.arange(11) * 0.02, atol=1e-9)
+
+
+def test_a_server_and_a_file_at_once(tmp_path):
+    """The server listens while the simulation runs, and the file is whole after it."""
+    port = free_port()
+    world = World().finalize()
+    server = rr.GrpcServerSink("127.0.0.1", port)
+    world.record(tmp_path / "file.rrd", viewers=[server])
+    world.simulator.AdvanceTo(0.1)
+
+    def connected():
+        with socket.socket() as viewer:
+            return viewer.connect_ex(("127.0.0.1", port)) == 0 or None
+
+    wait_for(connected, 60.0, lambda: "nobody listens")
+    world.recorder.close()
+    times, _ = read(tmp_path / "file.rrd", "/world/ball/body", "Transform3D:translation")
+    assert times[-1] == pytest.approx(0.1)
+
+
+def test_a_viewer_that_is_not_there_costs_the_file_nothing(tmp_path, monkeypatch):
+    """One forgets to start the viewer, or closes it."""
+    monkeypatch.setattr("geort_drake.rerun.writer.FLUSH_TIMEOUT", 0.1)
+    world = World().finalize()
+    world.record(tmp_path / "file.rrd", viewers=[viewer()])
+    world.simulator.AdvanceTo(0.1)
+    with pytest.warns(UserWarning, match="viewer did not receive all data"):
+        world.recorder.close()
+    assert rerun("rrd", "verify", tmp_path / "file.rrd").returncode == 0
+
+
+def test_a_forced_publish_takes_a_sample(tmp_path):
+    """What is not simulated but moved by hand can be recorded, as Drake's other visualizers do."""
+    world = World().finalize().record(tmp_path / "forced.rrd", period=100.0)
+    root = world.simulator.get_mutable_context()
+    diagram = world.simulator.get_system()
+    for time in (0.0, 0.5):
+        root.SetTime(time)
+        world.plant.GetJointByName("shoulder").set_angle(world.context, time)
+        diagram.ForcedPublish(root)
+    world.recorder.close()
+    times, turns = read(tmp_path / "forced.rrd", "/world/arm/upper", "Transform3D:quaternion")
+    assert times == pytest.approx([0.0, 0.5])
+    np.testing.assert_allclose(turns[-1][0], [0, np.sin(0.25), 0, np.cos(0.25)], atol=1e-6)
+
+
+# -- the default layout
+
+
+@pytest.fixture
+def laid_out(monkeypatch):
+    """The views of the default layout by title, once it has been made."""
+    found = {}
+    make = Layout.blueprint
+
+    def collect(part, page):
+        for inner in part.contents:
+            if isinstance(inner, rrb.View):
+                found[inner.name] = inner
+                pages[inner.name] = page
+            else:
+                collect(inner, inner.name or page)
+
+    def blueprint(self, specs, rows):
+        made = make(self, specs, rows)
+        collect(made.root_container, "")
+        return made
+
+    pages = {}
+    monkeypatch.setattr(Layout, "blueprint", blueprint)
+    return SimpleNamespace(views=found, pages=pages)
+
+
+def eye_of(view):
+    """Where the eye is, what it looks at, and what is up."""
+    eye = view.properties["EyeControls3D"]
+    fields = (eye.position, eye.look_target, eye.eye_up)
+    return [np.array(field.as_arrow_array().to_pylist()[0]) for field in fields]
+
+
+def test_plots_are_named_with_their_unit_and_are_on_pages(tmp_path, laid_out):
+    """Commanded and measured values share a plot; fingers are in their order; contact comes first."""
+    world = World().finalize()
+    q, torque = constant(world.builder, [1, 2]), constant(world.builder, [0.1, 0.2])
+    names = ["index/a", "thumb/b"]
+    signals = {
+        "joints/command": SignalSpec(q, names, "command", unit="rad", page="angles"),
+        "joints/measured": SignalSpec(q, names, "measured", unit="rad", page="angles"),
+        "torques/all": SignalSpec(torque, ["x", "y"], title="all", unit="N m", page="torques", limits=(0, 1)),
+    }
+    world.record(tmp_path / "p.rrd", specs=signals, until=0.0)
+    plots = [title for title in laid_out.views if title != "scene"]
+    assert plots == ["contact force [N]", "thumb [rad]", "index [rad]", "all [N m]"]
+    assert [laid_out.pages[title] for title in plots] == ["angles"] * 3 + ["torques"]
+    assert laid_out.views["thumb [rad]"].contents == ["/joints/command/thumb", "/joints/measured/thumb"]
+
+
+def test_a_close_up_moves_with_its_frame(tmp_path, laid_out):
+    """Eye and target are in the body's frame; the view is upright at the end, with one translucent body."""
+    world = World(height=2.0).finalize()
+    frame = world.plant.GetFrameByName("upper")
+    spec = CloseUpSpec(frame, eye=(0.3, 0, 0.1), target=(0, 0, 0.1), see_through=[world.ball])
+    path = PointsSpec(constant(world.builder, [0, 0, 0]), trail=np.inf)
+    world.record(tmp_path / "close.rrd", close_ups={"arm": spec}, specs={"path": path})
+    with world.recorder:
+        world.simulator.AdvanceTo(0.3)
+        X_WU = world.plant.EvalBodyPoseInWorld(world.context, world.upper)
+    view = laid_out.views["arm"]
+    assert (view.origin, view.contents) == ("/world/arm/upper", ["/world/**"])
+    eye, _, up = eye_of(view)
+    np.testing.assert_allclose(eye, [0.3, 0, 0.1], atol=1e-6)
+    # The last sample may be one step of the plant earlier.
+    np.testing.assert_allclose(up, X_WU.rotation().matrix()[2], atol=0.02)
+    assert set(view.visualizer_overrides) == {"/world/path", "/world/ball/body/ellipsoids"}
+    (rgba,) = view.visualizer_overrides["/world/ball/body/ellipsoids"].colors.as_arrow_array().to_pylist()
+    assert rgba >> 8 == 0x336699 and 0 < rgba & 255 < 255
+    assert set(laid_out.views["scene"].visualizer_overrides) == {"/world/path"}
+
+
+def inside(world):
+    """The world's diagram as a system of another builder's, with the plant's ports exported."""
+    for name in ("body_poses", "contact_results"):
+        world.builder.ExportOutput(world.plant.GetOutputPort(name), name)
+    outer = DiagramBuilder()
+    return outer, outer.AddNamedSystem("robot", world.builder.Build())
+
+
+def test_a_plant_inside_another_diagram_is_recorded_by_exported_ports(tmp_path):
+    """Without them the error says how to export, before anything is added."""
+    world = World(height=2.0).finalize()
+    outer, robot = inside(world)
+    for ports, message in (
+        ({}, r"no\.rrd: 'body_poses'.*ExportOutput.*plant_ports=\{'body_poses'"),
+        ({"body_poses": "body_poses"}, "'contact_results': .* is not in the diagram"),
+        ({"body_poses": "contact_results", "contact_results": "contact_results"}, "does not give body_poses"),
+    ):
+        given = {name: robot.GetOutputPort(port) for name, port in ports.items()}
+        with pytest.raises(ScenarioError, match=message):
+            add_rerun_recorder(outer, world.plant, world.scene_graph, tmp_path / "no.rrd", plant_ports=given)
+    assert outer.GetSystems() == [robot]
+    ports = {name: robot.GetOutputPort(name) for name in ("body_poses", "contact_results")}
+    recorder = add_rerun_recorder(
+        outer, world.plant, world.scene_graph, tmp_path / "in.rrd", plant_ports=ports, period=0.1
+    )
+    simulator = Simulator(outer.Build())
+    with recorder:
+        simulator.AdvanceTo(0.3)
+    _, found = read(recorder.path, "/world/ball/body", "Transform3D:translation")
+    heights = np.array(found)[:, 0, 2]
+    assert heights[0] == pytest.approx(2.0, abs=0.01) and (np.diff(heights) < 0).all()

@@ -1,4 +1,4 @@
-"""Whole grasps: a person lifts an object through a known map, the same way twice, and from the recording."""
+"""Whole grasps: through a known map, from a recording, after free play, and with a faulty glove."""
 
 import dataclasses as dc
 import gc
@@ -8,11 +8,29 @@ from functools import cache
 
 import numpy as np
 import pytest
-from grasp_setup import Constant, allegro, centred_map, human_with, resting_glove, scenario_with
+from grasp_setup import (
+    Constant,
+    allegro,
+    centred_map,
+    human_with,
+    person_who_plays,
+    planned_goal,
+    resting_glove,
+    scenario_with,
+)
+from pydrake.math import RigidTransform
+from system_bench import SystemBench
 
-from geort_drake import Recording, load_retargeter, run_trial
+from geort_drake import Recording, load_retargeter, run_trial, synthesize_play
+from geort_drake.retargeting.methods import make_untrained
+from geort_drake.simulation.free_play import keep_reached, seen_fingertips
+from geort_drake.simulation.operators.perception import FreePlay
+from geort_drake.simulation.operators.state import Phase
+from geort_drake.simulation.person import persons_hand
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.monitor import GraspPhase
 from geort_drake.simulation.tasks.grasp.task import GraspResult
+from geort_drake.simulation.worn_glove import WornGlove, WornGloveConfig
 
 KINDS = ("command", "measured")
 # A shorter hold than a benchmark's, to save time.
@@ -163,3 +181,112 @@ def test_the_recording_shows_what_fingertips_are_asked_for_and_how_hard_joints_w
     }  # fmt: skip
     for package in ("geort_drake", "drake", "rerun", "numpy", "torch"):
         assert said(package)[0].isdigit()
+
+
+# -- free play
+
+
+def moved(goal: GraspGoal, shift: float) -> GraspGoal:
+    """The grasp with its open fingertips shifted."""
+    return dc.replace(goal, p_BF_open=goal.p_BF_open + [0.0, 0.0, shift])
+
+
+@cache
+def free_play() -> FreePlay:
+    return seen_fingertips(centred_map(), allegro(), person_who_plays())
+
+
+def test_the_first_plan_that_free_play_reaches_is_kept():
+    """Within its clearance; if none is, the nearest, with any error; unseen, the first."""
+    seen = free_play()
+    near = dc.replace(planned_goal("cylinder"), p_BF_open=seen.p_BF[0], clearance=0.01)
+    far, farther = moved(near, 0.3), moved(near, 0.5)
+    kept, attainable = keep_reached([far, near, moved(near, 0.0)], seen)
+    assert attainable and kept.p_BF_open is near.p_BF_open and kept.clearance == 0.01
+    for plans, frames in (([farther, far], seen), ([far, near], seen._replace(p_BF=seen.p_BF[:0]))):
+        kept, attainable = keep_reached(plans, frames)
+        assert not attainable and kept.p_BF_open is far.p_BF_open and kept.clearance == np.inf
+
+
+def test_free_play_shows_where_the_robots_fingertips_go():
+    """They move through a map, stay with one that holds, and are not seen with one that fails."""
+    person = person_who_plays()
+    seen = free_play().p_BF
+    assert seen.std(axis=0).min() > 1e-3 and len(seen) == 900
+    still = seen_fingertips(make_untrained("hold", allegro().kinematics()), allegro(), person).p_BF
+    assert still.std(axis=0).max() < 1e-9
+
+    def failing(_):
+        raise ArithmeticError
+
+    failing.joint_names = allegro().joint_names
+    assert len(seen_fingertips(failing, allegro(), person).p_BF) == 0
+
+
+def test_nobody_approaches_farther_off_than_the_clearance():
+    """An open hand out of reach is waited for until the timeout; with room for the error, it is not."""
+    scenario = scenario_with("cylinder", "{timeout: 3.5, operator: {visual_depth_noise: 0.002}}")
+    unreachable = moved(planned_goal("cylinder"), 0.04)
+    phases = [
+        run_trial(scenario, centred_map(), (person_who_plays(), dc.replace(unreachable, clearance=room)))[0]
+        for room in (0.012, 0.1)
+    ]
+    assert phases[0].operator_phase == Phase.REACH.name.lower()
+    assert phases[1].operator_phase != Phase.REACH.name.lower()
+
+
+# -- a glove and a tracker with faults
+
+X_WH = RigidTransform([0.1, 0.2, 0.3])
+
+
+def measured(config: WornGloveConfig) -> tuple[np.ndarray, RigidTransform, float]:
+    """Keypoints (21, 3), wrist pose and validity of a hand whose keypoints are known."""
+    bench = SystemBench(WornGlove(config, 10.0, np.random.default_rng(0)))
+    bench.fix(keypoints=known_hand(), wrist_pose=X_WH, valid=1.0)
+    keypoints, pose, valid = (bench.value(name) for name in ("keypoints", "wrist_pose", "valid"))
+    return np.reshape(keypoints, (21, 3)), pose, valid[0]
+
+
+def known_hand() -> np.ndarray:
+    p_HK = np.random.default_rng(1).uniform(-0.1, 0.1, (21, 3))
+    p_HK[0] = 0.0
+    return p_HK
+
+
+def test_a_misaligned_tracker_turns_the_directions_of_motion():
+    """By its angle; the keypoints stay."""
+    keypoints, pose, valid = measured(WornGloveConfig(misalignment=0.2))
+    np.testing.assert_allclose(keypoints, known_hand(), atol=1e-12)
+    turn = pose.rotation() @ X_WH.rotation().inverse()
+    assert turn.ToAngleAxis().angle() == pytest.approx(0.2)
+    np.testing.assert_allclose(pose.translation(), turn @ X_WH.translation())
+    assert valid == 1
+
+
+def test_dropouts_have_their_rate_and_their_duration():
+    """Two a second of 40 ms: the hand is lost for 8 % of the time."""
+    system = WornGlove(WornGloveConfig(dropout_rate=2.0), 500.0, np.random.default_rng(0))
+    lost = np.array([system._in_gap(t) for t in np.arange(0, 500, 0.001)])
+    assert lost.mean() == pytest.approx(0.08, abs=0.01)
+    starts = np.flatnonzero(np.diff(lost.astype(int)) == 1)
+    assert np.median(np.flatnonzero(np.diff(lost.astype(int)) == -1)[: len(starts)] - starts) == 40
+
+
+def test_the_object_is_lifted_with_every_fault_at_once():
+    """A person corrects what they see."""
+    text = (
+        "{glove: {misalignment: 0.1, shift: 0.005, turn: 0.05, dropout_rate: 1.0}, monitor: {hold_time: 0.5}}"
+    )
+    human = human_with(clearance=np.inf)
+    result, glove = run_trial(scenario_with("cylinder", text), centred_map(), human)
+    assert result.success and not glove.valid.all()
+
+
+def test_another_person_has_another_hand():
+    """The same one for the same number."""
+    play = synthesize_play(seed=0, duration_s=10)
+    own, first, other = (persons_hand(scenario_with(text=f"{{person: {k}}}"), play) for k in (0, 1, 2))
+    again = persons_hand(scenario_with(text="{person: 1}"), play)
+    np.testing.assert_array_equal(first.lengths, again.lengths)
+    assert len({hand.lengths.sum() for hand in (own, first, other)}) == 3

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from arm_bench import PERIOD, ArmBench
+from loop_bench import PERIOD, ArmBench
 from pydrake.math import RigidTransform, RollPitchYaw
 
 from faults.bench import Bench, Watch

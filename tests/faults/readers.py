@@ -8,10 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from glove_files import WRITERS
+from glove_files import WRITERS, moving
 from hand_family import HandSpec, write_hand
 from live_messages import manus_glove, manus_words, nodes_of, own_fields
-from moving_hands import moving
 from trial_records import error, trial
 
 from faults.sound import checkpoint

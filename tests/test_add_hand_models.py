@@ -1,0 +1,412 @@
+"""Models to add: what they collide with, meshes, features of MJCF, and more than a hand in one file."""
+
+import dataclasses as dc
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hand_family import HandSpec, write_hand
+from pydrake.geometry import Role
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.framework import DiagramBuilder
+
+from geort_drake import HandModel, load_hand
+from geort_drake.cli import run_command
+from geort_drake.errors import HandError, UnknownNameError
+from geort_drake.hands.assembly import parse_model
+from geort_drake.hands.importers.checks import examine
+from geort_drake.hands.importers.conversion import add_collisions, convert_model, unreadable_meshes
+from geort_drake.hands.importers.couplings import tendon_couplings
+from geort_drake.hands.importers.fingertips import surface_points
+from geort_drake.hands.importers.proposal import propose
+
+# A rigid part that hangs on the index finger's last link, off its axes, and how far it reaches along them.
+PARTS = {
+    "urdf": '<link name="nail"><visual><origin xyz="0.001 0.002 0.003"/><geometry>'
+    '<box size="0.01 0.02 0.03"/></geometry></visual></link><joint name="glue" type="fixed">'
+    '<parent link="index_l3"/><child link="nail"/><origin xyz="0 0 0.02"/></joint></robot>',
+    "sdf": '<link name="nail"><pose relative_to="index_l3">0 0 0.02 0 0 0</pose><visual name="v">'
+    "<pose>0.001 0.002 0.003 0 0 0</pose><geometry><box><size>0.01 0.02 0.03</size></box></geometry></visual>"
+    '</link><joint name="glue" type="fixed"><parent>index_l3</parent><child>nail</child></joint></model>',
+}
+ENDS = {"urdf": "</robot>", "sdf": "</model>"}
+
+
+def drawn_alone(folder, kind: str):
+    """A hand of the family with visual geometry alone, and a part welded to one link."""
+    changes = {"<geom ": '<geom contype="0" conaffinity="0" '}
+    if kind != "xml":
+        changes = {r"(</?)collision": r"\1visual", ENDS[kind]: PARTS[kind]}
+    return write_hand(folder, HandSpec(3, kind, mimic=False), changes=changes)
+
+
+def reach(hand: HandModel, link: str, role: Role) -> np.ndarray:
+    """(2, 3) bounds, along a link's axes, of its geometry and that of links welded to it, m."""
+    inspector, points = hand.scene_graph.model_inspector(), []
+    owner = hand.plant.GetBodyByName(link)
+    context = hand.plant.CreateDefaultContext()
+    for body in hand.plant.GetBodiesWeldedTo(owner):
+        X_LB = body.body_frame().CalcPose(context, owner.body_frame())
+        for id in inspector.GetGeometries(hand.plant.GetBodyFrameIdOrThrow(body.index()), role):
+            points.append((X_LB @ inspector.GetPoseInFrame(id) @ surface_points(inspector, id).T).T)
+    return np.array([np.concatenate(points).min(axis=0), np.concatenate(points).max(axis=0)])
+
+
+@pytest.mark.parametrize("kind", ["urdf", "sdf", "xml"])
+def test_bare_links_collide_with_what_is_drawn(kind, tmp_path):
+    """Collision geometry is as large as the visual geometry; the checks then find no fault."""
+    model = drawn_alone(tmp_path, kind)
+    before = HandModel(propose(model).description)
+    assert "--hulls" in examine(before)[0]
+    given = add_collisions(model)
+    drawn = ["palm", *(f"{f}_l{n}" for f in ("thumb", "index", "middle") for n in range(4))]
+    bare = {"thumb_l0", "thumb_l3", "index_l0", "middle_l0"}
+    assert set(given) == set(drawn) - bare | ({"nail"} if kind in PARTS else set())
+    hand = HandModel(propose(model).description)
+    for link in given:
+        found, wanted = (reach(hand, link, role) for role in (Role.kProximity, Role.kIllustration))
+        np.testing.assert_allclose(found, wanted, atol=1e-6)
+    assert not any("without collision" in text or "no collision" in text for text in examine(hand))
+    assert add_collisions(model) == []
+
+
+def test_the_command_describes_a_copy(tmp_path):
+    """With --hulls; the model itself does not change."""
+    model = drawn_alone(tmp_path, "urdf")
+    before = model.read_bytes()
+    output = tmp_path / "described" / "hand.yaml"
+    output.parent.mkdir()
+    run_command("add-hand", [str(model), "--hulls", "--output", str(output), "--quiet"])
+    assert model.read_bytes() == before
+    hand = HandModel(load_hand(output))
+    assert hand.scene_graph.model_inspector().NumGeometriesWithRole(Role.kProximity) == 13
+
+
+# -- meshes that Drake does not read
+
+# A box off its mesh's origin, longer along z than along y, m.
+CORNERS = np.array(np.meshgrid([-0.022, -0.002], [-0.033, 0.033], [0.0, 0.08])).reshape(3, -1).T
+BOX = trimesh.convex.convex_hull(CORNERS)
+
+
+def _glb() -> bytes:
+    """With y up, twice as large, below a node of half the size."""
+    box = BOX.copy()
+    box.apply_transform(
+        trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]) @ np.diag([2, 2, 2, 1])
+    )
+    scene = trimesh.Scene()
+    scene.add_geometry(box, transform=np.diag([0.5, 0.5, 0.5, 1]))
+    return scene.export(file_type="glb")
+
+
+def _dae() -> bytes:
+    """In centimetres, with an up axis that does not count, below a node of twice the size."""
+    corners = " ".join(f"{x:g}" for x in 50.0 * BOX.triangles.ravel())
+    count = 3 * len(BOX.triangles)
+    numbers = " ".join(map(str, range(count)))
+    return f"""<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit name="centimeter" meter="0.01"/><up_axis>Y_UP</up_axis></asset>
+<library_geometries><geometry id="g"><mesh>
+<source id="s"><float_array id="a" count="{3 * count}">{corners}</float_array><technique_common>
+<accessor source="#a" count="{count}" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
+<param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#s"/></vertices>
+<triangles count="{count // 3}"><input semantic="VERTEX" source="#v" offset="0"/><p>{numbers}</p></triangles>
+</mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="c"><node><scale>2 2 2</scale><instance_geometry url="#g"/></node>
+</visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#c"/></scene></COLLADA>""".encode()
+
+
+MESHES = {
+    "palm.stl": BOX.export(file_type="stl"),
+    "text.STL": BOX.export(file_type="stl_ascii").encode(),
+    "palm.glb": _glb(),
+    "palm.ply": BOX.export(file_type="ply"),
+    "palm.dae": _dae(),
+}
+
+
+def _with_mesh(folder: Path, kind: str, name: str) -> Path:
+    """A hand of the family whose palm is a mesh."""
+    changes = {
+        '<origin xyz="-0.012 0 0.04" rpy="0 0 0"/>': "",
+        '<box size="0.02 0.066 0.08"/>': f'<mesh filename="package://parts/{name}"/>',
+    }
+    if kind == "xml":
+        head = f'<asset><mesh file="{name}"/></asset><compiler meshdir="parts"/><worldbody>'
+        changes = {"<worldbody>": head, '<geom type="box".*?/>': f'<geom type="mesh" mesh="{name[:4]}"/>'}
+    (folder / "parts").mkdir()
+    (folder / "parts" / name).write_bytes(MESHES[name])
+    return write_hand(folder, HandSpec(4, kind, mimic=False), changes=changes)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"), [*(("urdf", name) for name in MESHES), ("xml", "palm.stl"), ("xml", "palm.glb")]
+)
+def test_a_hull_replaces_a_mesh(kind, name, tmp_path):
+    """In its place and unit: STL of both kinds, binary glTF, whose y is up, PLY, and COLLADA.
+
+    The copy can be moved.
+    """
+    model = _with_mesh(tmp_path, kind, name)
+    assert [mesh.name for mesh in unreadable_meshes(model)] == [name]
+    convert_model(model, tmp_path / "copy")
+    copy = (tmp_path / "copy").rename(tmp_path / "moved") / model.name
+    assert unreadable_meshes(copy) == []
+    hand = HandModel(propose(copy).description)
+    inspector = hand.scene_graph.model_inspector()
+    palm = hand.plant.GetBodyFrameIdOrThrow(hand.plant.GetBodyByName("palm").index())
+    (geometry,) = inspector.GetGeometries(palm, Role.kProximity)
+    points = inspector.GetPoseInFrame(geometry) @ surface_points(inspector, geometry).T
+    np.testing.assert_allclose(points.min(axis=1), CORNERS.min(axis=0), atol=1e-6)
+    np.testing.assert_allclose(points.max(axis=1), CORNERS.max(axis=0), atol=1e-6)
+
+
+def test_hulls_that_overlap_near_a_joint_are_ignored_and_told(tmp_path):
+    """The hull of the palm reaches beyond the knuckles, where it blocks links that it should not touch."""
+    model = _with_mesh(tmp_path, "urdf", "palm.stl")
+    model.write_text(model.read_text().replace('palm.stl"', 'palm.stl" scale="1 1 2"'))
+    proposal = propose(convert_model(model, tmp_path / "copy"))
+    description = proposal.description
+    assert description.ignored_collisions == [["middle_l1", "palm"]]
+    assert "shapes overlap are ignored: 'middle_l1' and 'palm'" in "\n".join(proposal.notes)
+    assert not any("touch in" in fault for fault in examine(HandModel(description)))
+    description.ignored_collisions = []
+    assert any("touch in" in fault for fault in examine(HandModel(description)))
+
+
+LFS_POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"short", "not a readable .stl mesh"),
+        (MESHES["text.STL"].replace(b"vertex -", b"vertex nan"), "not a readable .stl mesh"),
+        (None, "missing"),
+        (LFS_POINTER, "a Git LFS pointer.*git lfs pull"),
+    ],
+    ids=["cut off", "not finite", "missing", "LFS pointer"],
+)
+def test_an_unusable_mesh_is_named(content, message, tmp_path):
+    model = _with_mesh(tmp_path, "urdf", "palm.stl")
+    mesh = tmp_path / "parts" / "palm.stl"
+    mesh.unlink()
+    if content is not None:
+        mesh.write_bytes(content)
+    with pytest.raises(HandError, match=message) as error:
+        convert_model(model, tmp_path / "copy")
+    assert str(mesh) in str(error.value)
+    assert not (tmp_path / "copy").exists()
+
+
+@pytest.mark.parametrize("file", ["hand.urdf", "palm.obj"])
+def test_a_git_lfs_pointer_is_named(file, tmp_path):
+    """In place of the model, or of a mesh that Drake reads."""
+    model = write_hand(tmp_path, HandSpec(3), changes={"<box .*?/>": '<mesh filename="palm.obj"/>'})
+    (tmp_path / "palm.obj").write_text(BOX.export(file_type="obj"))
+    description = propose(model).description
+    (tmp_path / file).write_bytes(LFS_POINTER)
+    with pytest.raises(HandError, match=rf"{file}: is a Git LFS pointer.*git lfs pull"):
+        HandModel(description)
+
+
+# -- features of MJCF that Drake ignores
+
+
+def tree(body: str, head: str = "") -> ET.Element:
+    return ET.fromstring(f"<mujoco>{head}<worldbody><body>{body}</body></worldbody></mujoco>")
+
+
+def test_settings_reach_inner_classes(tmp_path):
+    """Axis, limits, gain and size, through a class without a joint, geom or motor, in an included file."""
+    (tmp_path / "classes.xml").write_text(
+        '<mujoco><default><default class="a"><joint axis="1 0 0" range="0 1"/>'
+        '<geom type="sphere" size="0.03"/><position kp="7"/>'
+        '<default class="b"><site/><default class="c"><geom rgba="1 0 0 1"/></default></default>'
+        "</default></default></mujoco>",
+        encoding="utf-8",
+    )
+    model = tree(
+        '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><joint name="j" class="c"/><geom class="c"/>',
+        '<compiler angle="radian"/><include file="classes.xml"/><actuator><position joint="j" class="c"/>'
+        "</actuator>",
+    )
+    path = tmp_path / "model.xml"
+    path.write_text(ET.tostring(model, encoding="unicode"), encoding="utf-8")
+    plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), time_step=0.001)
+    parse_model(plant, path, "model")
+    joint, inspector = plant.GetJointByName("j"), scene_graph.model_inspector()
+    np.testing.assert_allclose(joint.revolute_axis(), [1, 0, 0])
+    assert (joint.position_lower_limit(), joint.position_upper_limit()) == (0, 1)
+    (motor,) = (plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices())
+    assert motor.get_controller_gains().p == 7
+    (geometry,) = inspector.GetAllGeometryIds(Role.kProximity)
+    assert inspector.GetShape(geometry).radius() == 0.03
+
+
+def tendon(coefficients: dict[str, float], settings: str = "", more: str = "") -> ET.Element:
+    joints = '<joint name="a"/><body><joint name="b"/><body><joint name="c"/></body></body>'
+    parts = "".join(f'<joint joint="{joint}" coef="{c}"/>' for joint, c in coefficients.items())
+    return tree(joints, f'<tendon><fixed name="t" {settings}>{parts}</fixed></tendon>{more}')
+
+
+OPPOSITE = {"a": -0.008, "b": 0.007}
+NARROW = 'range="-0.001 0.001"'
+MOTOR = '<actuator><position tendon="t"/></actuator>'
+TIGHT = f'<default><default class="tight"><tendon {NARROW} limited="true"/></default></default>'
+FIXED_LENGTH = '<equality><tendon tendon1="t" polycoef="0.5 0 0 0 0"/></equality>'
+
+
+@pytest.mark.parametrize(
+    ("model", "expected"),
+    [
+        (tendon(OPPOSITE, 'range="0.013 0.015"'), ("b", "a", 8 / 7, 2.0, False)),
+        (tendon(OPPOSITE, 'class="tight"', TIGHT), ("b", "a", 8 / 7, 0.0, False)),
+        (tendon({"b": 1, "a": -1}, more=FIXED_LENGTH), ("b", "a", 1.0, 0.5, False)),
+        (tendon({"a": 2, "b": 1}, more=MOTOR), ("b", "a", 0.5, 0.0, True)),
+        (tendon(OPPOSITE, NARROW, '<actuator><motor joint="b"/></actuator>'), ("a", "b", 7 / 8, 0.0, False)),
+    ],
+    ids=["range", "class", "equality", "motor", "outer leads"],
+)
+def test_a_tendon_couples_two_joints(model, expected):
+    """By its range, its class's, a fixed length, or one motor; a joint with a motor leads."""
+    (found,) = tendon_couplings(model)
+    assert (*dc.astuple(found.coupling), found.assumed) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        tendon(OPPOSITE, 'range="-0.01 0.01"'),
+        tendon(OPPOSITE, NARROW, '<compiler autolimits="false"/>'),
+        tendon({"a": 1, "b": 1, "c": 1}, NARROW),
+        tendon({"a": 1, "b": 1}, more=MOTOR.replace("/><", '/><motor joint="b"/><')),
+        tendon(OPPOSITE, more=FIXED_LENGTH.replace("/>", ' active="false"/>')),
+    ],
+    ids=["loose", "no limits", "three joints", "motors of both", "inactive"],
+)
+def test_other_tendons_couple_nothing(model):
+    """Loose or inactive ones, and those of joints with motors or of more than two joints."""
+    assert tendon_couplings(model) == []
+
+
+def test_ignored_parts_are_named(tmp_path):
+    """Closed loops, and tendons of other kinds that motors pull."""
+    more = '<equality><connect body1="index_l3" body2="middle_l3" anchor="0 0 0"/></equality>'
+    more += '<tendon><spatial name="rope"/></tendon><actuator><motor tendon="rope"/></actuator>'
+    model = write_hand(tmp_path, HandSpec(3, "xml"), changes={"</mujoco>": f"{more}</mujoco>"})
+    notes = " ".join(propose(model).notes)
+    assert "tendon 'rope'" in notes
+    assert "closed loop at 'index_l3' and 'middle_l3'" in notes
+
+
+# -- models of more than a hand
+
+INERTIA = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+INERTIAL = f'<inertial><mass value="1"/>{INERTIA}</inertial>'
+
+
+def _robot(folder, arm_joints: int, legs: int = 0, hands=("left", "right"), fingers: int = 3):
+    """A URDF of a torso with an arm on each side, each with a hand, and with legs of three joints."""
+    limit = '<limit lower="-1" upper="1" effort="9" velocity="2"/>'
+    lines = [f'<link name="torso">{INERTIAL}</link>']
+
+    def chain(name, count, kind="revolute"):
+        parent = "torso"
+        for number in range(count):
+            link = f"{name}_{number}"
+            lines.append(f'<link name="{link}">{INERTIAL}</link>')
+            lines.append(
+                f'<joint name="{link}_joint" type="{kind}"><parent link="{parent}"/><child link="{link}"/>'
+                f'<origin xyz="0 0.1 0.1"/><axis xyz="1 0 0"/>{limit}</joint>'
+            )
+            parent = link
+        return parent
+
+    for side in hands:
+        text = write_hand(folder, HandSpec(fingers, mimic=False, side=side), side).read_text(encoding="utf-8")
+        inside = text[text.index(">") + 1 : text.rindex("<")]
+        lines.append(re.sub(r'(name|link)="', rf'\1="{side}_', inside))
+        end = chain(f"{side}_arm", arm_joints)
+        lines.append(
+            f'<joint name="{side}_mount" type="fixed"><parent link="{end}"/>'
+            f'<child link="{side}_palm"/></joint>'
+        )
+    for number in range(legs):
+        chain(f"leg{number}", 3)
+    path = folder / "robot.urdf"
+    path.write_text(f'<robot name="robot">{"".join(lines)}</robot>', encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("arm_joints", "legs", "hands", "message"),
+    [
+        (7, 2, ("left", "right"), "of 'torso', 'left_palm', 'right_palm'; give the palm as --palm"),
+        (2, 0, ("left", "right"), "leave each of 'torso', 'left_palm', 'right_palm'"),
+        (0, 0, ("left", "right"), "6 chains of joints leave its palm, the link 'torso'"),
+        (7, 2, ("right",), "leave each of 'torso', 'right_palm'"),
+    ],
+    ids=["humanoid", "two short arms", "no arms", "one hand with legs"],
+)
+def test_more_than_one_hand_is_refused(tmp_path, arm_joints, legs, hands, message):
+    """Fingers of both would be taken for one hand's; the message lists the possible palms."""
+    with pytest.raises(HandError, match=message):
+        propose(_robot(tmp_path, arm_joints, legs, hands))
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_the_named_palm_of_a_robot_is_described(tmp_path, side):
+    """With its own fingers; all other joints are held, in one note."""
+    robot = _robot(tmp_path, 7, legs=2)
+    run_command("add-hand", [str(robot), "--palm", f"{side}_palm", "--output", str(tmp_path / "hand.yaml")])
+    description = load_hand(tmp_path / "hand.yaml")
+    assert description.side == side
+    assert description.base_pose.relative_to == f"{side}_palm"
+    assert {joint.partition("_")[0] for joint in description.joint_names} == {side}
+    assert len(description.joint_names) == 11
+    text = (tmp_path / "hand.yaml").read_text(encoding="utf-8")
+    assert "as each belongs to no finger: " in text
+    with pytest.raises(
+        UnknownNameError, match=r"unknown link of the model 'hand'; choose one of: .*left_palm"
+    ):
+        propose(robot, palm="hand")
+
+
+def test_one_hand_may_have_an_arm_or_a_folding_palm(tmp_path):
+    """An arm that carries all fingers, or a joint of the palm that carries two of four."""
+    described = propose(_robot(tmp_path, 7, hands=("right",))).description
+    assert described.finger_names == ["thumb", "index", "middle"]
+    fold = (
+        f'<link name="fold">{INERTIAL}</link><joint name="fold" type="revolute"><parent link="palm"/>'
+        '<child link="fold"/><axis xyz="0 0 1"/><limit lower="0" upper="0.4" effort="1" velocity="1"/>'
+        "</joint></robot>"
+    )
+    changes = {r'(<joint name="(middle|ring)_j0".*?<parent link=")palm': r"\1fold", "</robot>": fold}
+    proposal = propose(write_hand(tmp_path, HandSpec(4, mimic=False), changes=changes))
+    assert proposal.description.finger_names == ["thumb", "index", "middle", "ring"]
+    assert "as each moves 2 fingers at once: 'fold'" in "\n".join(proposal.notes)
+
+
+def test_of_two_hands_in_one_file_the_named_one_is_described(tmp_path):
+    """Each with a root, followers and motors of its own; the other hand's joints are held."""
+    parts = {"worldbody": "", "equality": "", "actuator": ""}
+    for side, fingers in (("left", 4), ("right", 3)):
+        text = write_hand(tmp_path, HandSpec(fingers, "xml", side=side), side).read_text(encoding="utf-8")
+        text = re.sub(r'(name|joint\d?)="', rf'\1="{side}_', text)
+        for part in parts:
+            parts[part] += re.search(rf"<{part}>(.*)</{part}>", text, re.DOTALL)[1]
+    inside = "".join(f"<{part}>{text}</{part}>" for part, text in parts.items())
+    model = tmp_path / "both.xml"
+    model.write_text(f'<mujoco model="both"><compiler angle="radian"/>{inside}</mujoco>', encoding="utf-8")
+    for side, fingers in (("left", 4), ("right", 3)):
+        description = propose(model, palm=f"{side}_palm").description
+        assert (description.side, len(description.fingers)) == (side, fingers)
+        assert {joint.partition("_")[0] for joint in description.joint_names} == {side}

@@ -1,0 +1,52 @@
+"""Benchmarks of several tasks."""
+
+import json
+
+import yaml
+from grasp_setup import TOO_SHORT, planned_goal, plans
+
+from geort_drake.cli import main
+from geort_drake.resources import models_dir
+from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
+from geort_drake.simulation.tasks.keys.planner import KeysPlanner
+
+
+def test_the_benchmark_runs_several_tasks_and_goes_on(tmp_path, light_benchmark, monkeypatch):
+    """Each kind in its own folder; the summary has all, and a second run adds only what is missing."""
+    goal = planned_goal("cylinder")  # no trial lasts long enough to follow it
+    monkeypatch.setattr(GraspPlanner, "plans", lambda _: [goal])
+    found = plans("keys")
+    monkeypatch.setattr(KeysPlanner, "plans", lambda _: found)
+    command = ["benchmark", "--kinds", "servo", "--methods", "hold", "--quiet"]
+    command += ["--scenario-text", TOO_SHORT, "--output", str(tmp_path)]
+    assert main([*command, "--trials", "1", "--tasks", "keys", "grasp", "--objects", "cylinder"]) == 0
+    folder = tmp_path / "keys" / "servo"
+    before = (folder / "trials.jsonl").read_text()
+    assert main([*command, "--trials", "2", "--tasks", "keys"]) == 0
+    after = (folder / "trials.jsonl").read_text()
+    assert after.startswith(before) and len(after.splitlines()) == 2
+    tasks = json.loads((tmp_path / "summary.json").read_text())["tasks"]
+    assert {task: list(kinds) for task, kinds in tasks.items()} == {"grasp": ["servo"], "keys": ["servo"]}
+    figures = tasks["keys"]["servo"]["methods"]["hold"]
+    assert figures["trials"] == 2 and figures["score"]["mean"] == 0.0
+    assert main(["benchmark", "--output", str(folder), "--rrd", "hold", "keys", "0", "--quiet"]) == 0
+    assert (folder / "rrd" / "hold-keys-0.rrd").is_file()
+    assert (
+        json.loads((folder / "summary.json").read_text())["tasks"]["keys"]["servo"] == tasks["keys"]["servo"]
+    )
+
+
+def test_a_task_that_the_hand_cannot_do_is_left_out_with_its_reason(tmp_path, capsys):
+    """Nothing is simulated, and the run ends well."""
+    description = yaml.safe_load((models_dir() / "hands" / "allegro_right.yaml").read_text())
+    ring = description["fingers"].pop()
+    for joint in ring["joints"]:
+        del description["default_positions"][joint]
+    hand = tmp_path / "three.yaml"
+    hand.write_text(yaml.safe_dump(description))
+    command = ["benchmark", "--tasks", "keys", "--kinds", "servo", "--methods", "hold", "--trials", "1"]
+    assert main([*command, "--hand", str(hand), "--output", str(tmp_path / "out"), "--quiet"]) == 0
+    reason = "the keys need a ring; hand 'allegro_right' has: thumb, index, middle"
+    assert f"left out: {reason}" in " ".join(capsys.readouterr().err.split())
+    figures = json.loads((tmp_path / "out" / "summary.json").read_text())["tasks"]["keys"]["servo"]
+    assert figures["refused"] == {"keys": reason} and figures["methods"]["hold"]["trials"] == 0
